@@ -1,3 +1,3 @@
-"""What an operator runs: command line, engine, journal, record, review and report."""
+"""Application packages: command line, runs, journal, records, diagnosis, reports and benchmarks."""
 
 __version__ = "0.2.0"

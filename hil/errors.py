@@ -1,4 +1,4 @@
-"""Which errors are a user's to mend, and how they reach the terminal: plain sentences and an exit code."""
+"""Errors that a user can correct, and their form in the terminal: plain sentences and an exit code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ USAGE = 2
 
 
 def exit_code(error: BaseException) -> int | None:
-    """2 for a file or an option that is wrong, 1 for a fault found on the rig or in a run, None for a bug."""
+    """Return 2 for a wrong file or option, 1 for a fault found on the rig or in a run, None for a bug."""
     from drivers.signals import ConfigurationError, DriverError
     from hil.journal.writer import JournalError
     from hil.run.locks.lock_folder import RigLockError
@@ -45,8 +45,8 @@ def exit_code(error: BaseException) -> int | None:
     return None
 
 
-def lacking(error: BaseException) -> str | None:
-    """Return what this machine lacks, as a sentence; None where an error has another cause."""
+def exhausted_resource(error: BaseException) -> str | None:
+    """Return the resource that this machine lacks, as a sentence; None if an error has another cause."""
     exhausted = isinstance(error, OSError) and error.errno in _EXHAUSTED
     threads = isinstance(error, RuntimeError) and "can't start new thread" in str(error)
     if not (exhausted or threads or isinstance(error, MemoryError)):
@@ -59,15 +59,15 @@ def lacking(error: BaseException) -> str | None:
 
 @contextlib.contextmanager
 def explained() -> Iterator[None]:
-    """Turn a user's error into its sentences on standard error and its exit code; let bugs through."""
+    """Report a user's error as sentences on standard error with its exit code; let bugs through."""
     try:
         yield
     except Exception as error:
-        code, said = exit_code(error), str(error)
-        if code is None and (lack := lacking(error)) is not None:
-            code, said = FOUND, lack
+        code, message = exit_code(error), str(error)
+        if code is None and (reason := exhausted_resource(error)) is not None:
+            code, message = FOUND, reason
         if code is None:
             raise
-        for sentence in said.splitlines():
+        for sentence in message.splitlines():
             print(f"hil: {sentence}", file=sys.stderr)
         sys.exit(code)

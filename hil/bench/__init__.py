@@ -1,4 +1,4 @@
-"""Measurements that anyone can repeat: speed, fits and the paper's experiments, each beside its peers.
+"""Benchmarks: reproducible measurements of speed, fits and the paper's experiments, with those of peers.
 
 A benchmark returns a `Report` of tables; the command prints it and, when asked to, writes it with a manifest.
 """
@@ -8,21 +8,21 @@ from __future__ import annotations
 BENCHMARKS = {
     "twin": "One ten-minute window of the coolant loop: our kernel, scipy, numpy, torch, jax, C",
     "fit": "The same windows fitted by our calibrators and by other people's optimisers",
-    "paper": "The experiments of Energies 2026, 19, 2452, beside its figures",
-    "hiera": "Who keeps a twin true on rigs never seen: swarm, least squares, filter, network",
-    "ablations": "The network's pieces, each left out in turn, at the same CPU time of training",
+    "paper": "The experiments of Energies 2026, 19, 2452, with its figures",
+    "hiera": "Calibrators on unseen rigs: swarm, least squares, filter, network",
+    "ablations": "Ablations of the network, each with the same CPU time of training",
     "discovery": "Blind trial of the diagnosis: hidden effects, sealed answers",
-    "again": "A twin that took up an effect, asked again: nothing new, and a second effect",
+    "again": "A revised twin on later records: no new effect, and a second effect",
     "faults": "Faults of wires, rig and harness: heater safe, no sample lost, no wrong value believed",
-    "loop": "How evenly the loop ticks, its memory over 40 hours, and what a run that is killed loses",
+    "loop": "Jitter of the loop, its memory over 40 hours, and the losses of a killed run",
     "structure": "Commissioned twins of four and of ten volumes on healthy rigs of another maker",
-    "bus": "Round trips of the Modbus driver beside other people's clients; bus time of forty hours in lockstep",
-    "wire": "Mutated Modbus replies and CAN frames: no wrong value is ever taken for a good one",
+    "bus": "Round trips of the Modbus driver and of other clients; bus time of forty hours in lockstep",
+    "wire": "Mutated Modbus replies and CAN frames: no wrong value is accepted as good",
     "files": "Mutated files of every kind: each is read, or refused in a sentence that names it",
-    "records": "Public records of other rigs, beside the published figures",
+    "records": "Public records of other rigs, with the published figures",
 }
 """Name -> one line; each is a subcommand of `hil bench`."""
 EXPERIMENTS = ("tracking", "randomised", "modules_heat", "tank_insulation")
-"""Of `hil bench paper`."""
+"""Experiments of `hil bench paper`."""
 RIGS = ("virtual", "stranger", "inverse")
-"""Where the paper's experiments run; see `hil.bench.experiments.campaigns`."""
+"""Rigs of the paper's experiments; see `hil.bench.experiments.campaigns`."""

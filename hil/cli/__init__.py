@@ -1,4 +1,4 @@
-"""Command line `hil`: one module a command."""
+"""Command line `hil`: one module for each command."""
 
 from hil.cli.verbs import group as group
 from hil.cli.verbs import main as main

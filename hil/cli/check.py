@@ -1,4 +1,4 @@
-"""`hil check`: report the content of a file and its mistakes before anything moves."""
+"""Command `hil check`: report the content of a file and its mistakes before anything moves."""
 
 from __future__ import annotations
 
@@ -23,17 +23,27 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("file", type=INPUT_PATH, required=False)
-@click.option("--rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig that a profile is meant for.")
-@click.option("--catalogue", is_flag=True, help="Of a twin: which effects no record of its rig could tell apart.")
-@click.option("--kinds", is_flag=True, help="Without FILE: every kind of element a twin file may have, with its keys.")
-@click.option("--json", "as_json", is_flag=True, help="Of a rig file: read plan, or what --online saw, as JSON.")
-@click.option("--online", is_flag=True, help="Of a rig file: connect to all buses and show what comes. Writes nothing.")
+@click.option(
+    "--rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig file to check a load profile against."
+)
+@click.option(
+    "--catalogue", is_flag=True, help="For a twin: list the effects that no record of its rig can distinguish."
+)
+@click.option("--kinds", is_flag=True, help="Without FILE: list every kind of element of a twin file, with its keys.")
+@click.option(
+    "--json", "as_json", is_flag=True, help="For a rig file: print the read plan, or the result of --online, as JSON."
+)
+@click.option(
+    "--online", is_flag=True, help="For a rig file: connect to all buses and show the readings. Writes nothing."
+)
 @click.option(
     "--seconds",
     type=click.FloatRange(0.0),
-    help="Of --online: for so long; default: until Ctrl-C, and of an output that is no terminal one look.",
+    help="Duration of --online; default: until Ctrl-C, or one reading if the output is no terminal.",
 )
-@click.option("--picture", type=click.Path(dir_okay=False, path_type=Path), help="Draw a twin's network: .svg or .png.")
+@click.option(
+    "--picture", type=click.Path(dir_okay=False, path_type=Path), help="Draw the network of a twin: .svg or .png."
+)
 @reading
 def command(
     file: Path | None,
@@ -48,9 +58,9 @@ def command(
 ) -> None:
     """Check FILE: a rig file, twin, load profile, scenario, effects file or record. Nothing is moved or written.
 
-    Of RUN, a folder of runs/, its record is checked; where the run ended without one, that is made from its journal.
+    If FILE is a run folder, its record is checked. A run that ended without a record gets one from its journal.
 
-    --online exits with 1 where a bus is down or a point is not good at the end of the look.
+    --online exits with 1 if a bus is down or a point is not good at the end.
 
     \b
     Example:
@@ -69,14 +79,14 @@ def command(
 
     if kinds:
         if file is not None:
-            raise click.UsageError(f"--kinds is of no file; leave {file} out")
+            raise click.UsageError(f"--kinds takes no file; leave {file} out")
         from hil.rig.element_kinds import kinds_table
 
         console().print(kinds_table())
         return
     if file is None:
         raise click.UsageError(
-            "Missing argument 'FILE'; give a file to check, or --kinds for what a twin file may have"
+            "Missing argument 'FILE'; give a file to check, or --kinds to list the elements of twin files"
         )
     if file.is_dir():
         from hil.cli.options.subject import record_of
@@ -84,15 +94,15 @@ def command(
         file = record_of(file)
     checker = _checker(file, rig)
     if picture is not None and checker is not _twin:
-        raise click.UsageError(f"--picture draws twins, and {file} is none")
+        raise click.UsageError(f"--picture draws twins, and {file} is no twin")
     if catalogue and checker is not _twin:
-        raise click.UsageError(f"--catalogue lists what a twin may lack, and {file} is none")
+        raise click.UsageError(f"--catalogue lists the effects that a twin may lack, and {file} is no twin")
     if online and checker is not _rig:
-        raise click.UsageError(f"--online connects to the rig of a rig file, and {file} is none")
+        raise click.UsageError(f"--online connects to the rig of a rig file, and {file} is no rig file")
     if seconds is not None and not online:
         raise click.UsageError("--seconds belongs to --online")
     if as_json and checker is not _rig:
-        raise click.UsageError(f"--json tells the read plan of a rig file, and {file} is none")
+        raise click.UsageError(f"--json prints the read plan of a rig file, and {file} is no rig file")
     with _named(file, checker):
         if online:
             _online(file, seconds, None if as_json else console())
@@ -106,7 +116,7 @@ def command(
             _record(file, choice, console())
         elif choice != Reading():
             raise click.UsageError(
-                f"--decimal, --dates, --time-column and --time-scale are of a record; {file} is none"
+                f"--decimal, --dates, --time-column and --time-scale describe a record; {file} is no record"
             )
         else:
             checker(file, rig, console())
@@ -122,12 +132,12 @@ def command(
 
 @contextlib.contextmanager
 def _named(file: Path, checker: Callable[[Path, Path, Console], None]) -> Iterator[None]:
-    """Name the kind of file before a complaint about it, where it had to be guessed: another may have been meant."""
+    """Name the kind of file before an error about it, if the kind was inferred: another may have been meant."""
     try:
         yield
     except Exception:
-        if checker in _GUESSED and not (checker is _rig and _has_rig(file)):
-            click.echo(f"{file}: checked as {_GUESSED[checker]}", err=True)
+        if checker in _INFERRED and not (checker is _rig and _has_rig(file)):
+            click.echo(f"{file}: checked as {_INFERRED[checker]}", err=True)
         raise
 
 
@@ -152,7 +162,7 @@ def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
                 f"{file}: holds no key; a rig file has [rig], a twin [elements.NAME], an effects file [[effect]], a "
                 "scenario [[system]]"
             )
-        for key, checker in _TELLING.items():
+        for key, checker in _CHECKERS.items():
             if key in keys:
                 return checker
         return _rig
@@ -161,12 +171,12 @@ def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
             return _record
     if file.suffix in (".csv", ".tsv", ".tab", ".txt", ".dat", ".asc", ".prn", ".lvm", ".log"):
         return _record if _readings(file, rig) else _profile
-    raise click.UsageError(f"{file}: is no .toml, .csv, .tsv or .parquet file; nothing here knows how to check it")
+    raise click.UsageError(f"{file}: is no .toml, .csv, .tsv or .parquet file; give a file of one of these types")
 
 
 def _readings(file: Path, rig: Path) -> list[str]:
-    """Return the columns of a table that no load profile has: temperatures that are no set-points of the rig, values
-    of one reading a row, and columns besides a separate one of dates.
+    """Return the columns of a table that no load profile has. These are temperatures that are no set-points of the rig,
+    values of a long format, and columns beside a separate date column.
     """
     from hil.record.annotated import is_annotated
     from hil.record.csv_dialect import DialectError, find_dialect
@@ -182,7 +192,7 @@ def _readings(file: Path, rig: Path) -> list[str]:
     try:
         names = list(find_dialect(beginning).names)
     except DialectError:
-        return []  # the reader of profiles names the line
+        return []  # The reader of profiles names the line.
     in_degC = ("degC", "degF")
     found = [name for name in names if _TEMPERATURE.search(name) or (name_and_unit(name) or ("", ""))[1] in in_degC]
     if found and names[0] == "time_s":
@@ -197,7 +207,7 @@ def _readings(file: Path, rig: Path) -> list[str]:
 
 
 _SAMPLE_BYTES = 200_000
-"""Bytes from the beginning of a table that show what it is."""
+"""Bytes from the beginning of a table that show its format."""
 _TEMPERATURE = re.compile(r"^T_|_C$|^T(_.+|\d+)_[KF]$|[\[(]\s*(°|deg)\s*[CFK]\s*[\])]$", re.IGNORECASE)
 
 
@@ -259,10 +269,10 @@ def _catalogue(file: Path, out: Console) -> None:
 
     network = load(file)
     entries = {(c.kind, c.where, c.driver) for c in catalogue(network)}
-    out.print(f"{len(entries)} effects that the twin may lack are looked for in a diagnosis")
+    out.print(f"A diagnosis tests {len(entries)} effects that the twin may lack")
     found = lint(network)
     for group in found.groups:
-        out.print(f"no input separates: {'; '.join(spoken(x) for x in group)}", soft_wrap=True)
+        out.print(f"no input distinguishes: {'; '.join(spoken(x) for x in group)}", soft_wrap=True)
     for label in found.unseen:
         out.print(f"no input shows: {spoken(label)}", soft_wrap=True)
 
@@ -324,15 +334,19 @@ def _record(file: Path, choice: Reading | Path, out: Console) -> None:
     out.print(f"{file}: {len(record.time_s)} samples over {np.ptp(record.time_s) / 3600:.2f} h", style="green")
 
 
-_TELLING: dict[str, Callable[[Path, Path, Console], None]] = {
-    "elements": _twin, "effect": _effects, "effects": _effects, "where": _effects, "system": _scenario,
+_CHECKERS: dict[str, Callable[[Path, Path, Console], None]] = {
+    "elements": _twin,
+    "effect": _effects,
+    "effects": _effects,
+    "where": _effects,
+    "system": _scenario,
     "systems": _scenario,
-}  # fmt: skip
-"""Key at the top of a TOML file -> what it makes of the file; without any of them it is a rig file."""
+}
+"""Key at the top of a TOML file -> its checker; a file without any of them is a rig file."""
 
-_GUESSED: dict[Callable[[Path, Path, Console], None], str] = {
+_INFERRED: dict[Callable[[Path, Path, Console], None], str] = {
     _rig: "a rig file, since it has no [elements] (twin), [[effect]] (effects file) or [[system]] (scenario)",
     _profile: "a load profile, since no column is a temperature; a record has columns such as T_tank_C",
     _record: "a record, since it is Parquet or has a column that is a temperature",
 }
-"""Kind that a check takes a file for where no key names it, with the reason."""
+"""Kind that a check infers for a file if no key names it, with the reason."""

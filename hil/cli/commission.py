@@ -1,4 +1,4 @@
-"""`hil commission`: fit a twin to a healthy record."""
+"""Command `hil commission`: fit a twin to a healthy record."""
 
 from __future__ import annotations
 
@@ -21,13 +21,21 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("target", type=INPUT_PATH, metavar="RUN|RECORD")
 @click.option("--twin", type=INPUT_FILE, help="Twin file to start from; it is not changed.")
-@click.option("--datasheet", type=INPUT_FILE, help="A rig's datasheet.json: fills in --twin, or loop.toml.")
+@click.option(
+    "--datasheet",
+    type=INPUT_FILE,
+    help="Datasheet of a rig (datasheet.json): sets the values of --twin, or of loop.toml.",
+)
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="New twin file to write.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the fit's further starting points.")
 @click.option(
-    "--initial-sd", type=click.FloatRange(min=0.0, min_open=True), default=5.0, show_default=True, metavar="K",
-    help="How firmly the state at the beginning is held to the first readings; 0.1 for a record that begins at rest.",
-)  # fmt: skip
+    "--initial-sd",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=5.0,
+    show_default=True,
+    metavar="K",
+    help="Tightness of the prior on the initial state at the first readings; 0.1 for a record that begins at rest.",
+)
 @reading
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
@@ -40,13 +48,14 @@ def command(
     as_json: bool,
     choice: Reading,
 ) -> None:
-    """Fit the tunables of a twin to RUN or RECORD, a healthy one, and write them as a new revision.
+    """Fit the tunables of a twin to a healthy RUN or RECORD, and write them as a new revision.
 
-    What the twin reads of it is kept beside it, as <OUT>.healthy.parquet: `hil diagnose` asks it what is usual.
+    The record that the fit reads is stored beside the twin, as <OUT>.healthy.parquet, the healthy reference of `hil
+    diagnose`.
 
-    A fifth of the record, its end unless that alone shows some pump or fan speed, is kept out of the fit; errors before
-    and after are of a free run over it. No twin is written where RECORD identifies none of the tunables, or where the
-    fitted twin errs there by more than its sensors move at all.
+    A fifth of the record is the held-out segment: its end, unless only the end shows some pump or fan speed. Errors
+    before and after are of a free run over it. No twin is written if RECORD identifies none of the tunables, or if the
+    error of the fitted twin there exceeds the whole movement of its sensors.
 
     \b
     Example:
@@ -55,7 +64,7 @@ def command(
       hil commission commissioning.parquet --datasheet datasheet.json --twin profiles/twins/loop_six.toml --out my.toml
     """
     from hil.cli.options.subject import record_of
-    from hil.diagnosis.healthy_record import beside, save_with_record
+    from hil.diagnosis.healthy_record import healthy_path, save_with_record
     from hil.files.names import printable
     from hil.record.reader import read_record
     from hil.record.values.units import beyond_declared
@@ -67,8 +76,8 @@ def command(
     from twin.twinfile import load
 
     if twin is None and datasheet is None:
-        raise click.UsageError("give --twin, --datasheet or both: what the fit starts from")
-    for path in (out, beside(out)):
+        raise click.UsageError("give --twin, --datasheet or both; the fit starts from them")
+    for path in (out, healthy_path(out)):
         if path.exists():
             raise click.UsageError(f"{path} exists already; a twin is never overwritten, give --out another name")
     network = from_datasheet(datasheet, twin) if datasheet is not None else load(twin or "")
@@ -80,9 +89,12 @@ def command(
     except TwinFileError as error:
         raise TwinFileError(f"{record}: {error}") from None
     result = commission(
-        network, data.time_s, inputs, measured,
+        network,
+        data.time_s,
+        inputs,
+        measured,
         CommissionOptions(seed=seed, initial_sd=initial_sd, made_by=f"hil commission {printable(record.name)}"),
-    )  # fmt: skip
+    )
     messages = (*data.messages, *beyond_declared(network, data.columns))
     if why := refusal_reason(result, measured):
         for message in messages:
@@ -90,17 +102,17 @@ def command(
         raise TwinFileError(f"{record}: no twin is written: {why}")
     if said := clock_warning(result):
         result = dataclasses.replace(result, notes=(*result.notes, said))
-    kept = save_with_record(result.network, data, out)
+    healthy = save_with_record(result.network, data, out)
     if as_json:
-        click.echo(json.dumps(_document(result, out, kept), indent=1))
+        click.echo(json.dumps(_document(result, out, healthy), indent=1))
         return
-    _show(result, messages, out, kept)
+    _show(result, messages, out, healthy)
 
 
-def _document(result: CommissionResult, out: Path, kept: Path) -> dict[str, object]:
+def _document(result: CommissionResult, out: Path, healthy: Path) -> dict[str, object]:
     return {
         "twin": str(out),
-        "healthy": str(kept),
+        "healthy": str(healthy),
         "values": dict(result.values),
         "interval90": {name: list(interval) for name, interval in result.interval90.items()},
         "cannot_tell": list(result.unidentifiable),
@@ -116,7 +128,7 @@ def _known(error: float) -> float | None:
     return error if isfinite(error) else None
 
 
-def _show(result: CommissionResult, messages: tuple[str, ...], out: Path, kept: Path) -> None:
+def _show(result: CommissionResult, messages: tuple[str, ...], out: Path, healthy: Path) -> None:
     from rich.table import Table
 
     from hil.record.times.time_axis import span
@@ -130,7 +142,7 @@ def _show(result: CommissionResult, messages: tuple[str, ...], out: Path, kept: 
         parameters.add_column(heading, justify="left" if heading in ("parameter", "unit", "") else "right")
     for name, value in result.values.items():
         low, high = result.interval90[name]
-        told = "the record cannot tell" if name in result.unidentifiable else ""
+        told = "not identifiable" if name in result.unidentifiable else ""
         if name in result.at_bound:
             told = "at its bound"
         unit = result.network.parameters[name].unit
@@ -138,7 +150,7 @@ def _show(result: CommissionResult, messages: tuple[str, ...], out: Path, kept: 
     to.print(parameters)
     held = result.held_out_s
     part = f"free run from {span(held[0])} to {span(held[1])}"
-    to.print(f"RMSE in K, {part}, which the fit never saw", style="italic", soft_wrap=True)
+    to.print(f"RMSE in K, {part}, held-out segment", style="italic", soft_wrap=True)
     errors = Table()
     for heading in ("sensor", "before", "after", "on the fitted part"):
         errors.add_column(heading, justify="left" if heading == "sensor" else "right")
@@ -149,7 +161,7 @@ def _show(result: CommissionResult, messages: tuple[str, ...], out: Path, kept: 
             errors.add_row(sensor, *(f"{cell:.3f}" if isfinite(cell) else "none" for cell in cells))
     to.print(errors)
     if unread:
-        to.print(f"without a reading there, so not in the table: {', '.join(unread)}", soft_wrap=True)
+        to.print(f"no reading there, so not in the table: {', '.join(unread)}", soft_wrap=True)
     for note in result.notes:
         to.print(note, markup=False, soft_wrap=True)
-    to.print(f"written: {out}, and beside it the record for later: {kept.name}", soft_wrap=True)
+    to.print(f"written: {out}, and its healthy record: {healthy.name}", soft_wrap=True)

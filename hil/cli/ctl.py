@@ -1,4 +1,4 @@
-"""`hil ctl`: an operator's verbs for a live run, from a second terminal."""
+"""Command `hil ctl`: operator commands for a live run, from a second terminal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ VERBS = ("status", "hold", "pause", "resume", "abort", "ack")
 @click.argument("verb", type=click.Choice(VERBS))
 @click.argument("run", required=False, type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Parent folder.")
-@click.option("--reason", default="", help="Why, for the journal.")
+@click.option("--reason", default="", help="Reason, for the journal.")
 @click.option("--json", "as_json", is_flag=True, help="Print the answer as JSON.")
 def command(verb: str, run: Path | None, runs: Path, reason: str, as_json: bool) -> None:
     """Steer the live run in the folder RUN; without RUN, the only one under --runs.
@@ -58,8 +58,8 @@ def _only_one(runs: Path) -> Path:
     if len(found) == 1:
         return found[0]
     if not found:
-        raise click.UsageError(f"no run goes on under {runs}; name its folder, or its parent with --runs")
-    raise click.UsageError(f"several runs go on, name one: {', '.join(map(str, found))}")
+        raise click.UsageError(f"no run is live under {runs}; name its folder, or its parent with --runs")
+    raise click.UsageError(f"several runs are live; name one: {', '.join(map(str, found))}")
 
 
 def _show(folder: Path, status: dict[str, Any]) -> None:
@@ -85,7 +85,7 @@ def _cell(name: str, value: float | None, unit: str) -> str:
 
 
 def _columns(title: str, cells: list[str]) -> str:
-    """`title` and cells in columns as many as the terminal has room for."""
+    """Format `title` and cells in as many columns as the terminal has room for."""
     width = max(map(len, cells), default=0) + 3
     count = max((shutil.get_terminal_size((100, 24)).columns - 11) // width, 1)
     lines = ("".join(cell.ljust(width) for cell in cells[k : k + count]) for k in range(0, len(cells), count))

@@ -1,4 +1,4 @@
-"""`hil diagnose`: why the twin was wrong, and the effect that it lacks."""
+"""Command `hil diagnose`: find the effect that a twin lacks."""
 
 from __future__ import annotations
 
@@ -30,29 +30,35 @@ STEPS = 6.0
 
 @click.command()
 @click.argument("target", type=INPUT_PATH, metavar="RUN|RECORD")
-@click.option("--twin", type=INPUT_FILE, help="Twin file; of a run, the one that it ran with.")
-@click.option(
-    "--healthy", type=INPUT_FILE, help="Record of the rig in good order; by default the one that the twin kept."
-)
-@click.option("--no-healthy", is_flag=True, help="Take the noise floor from RECORD alone.")
-@click.option("--with", "more", type=INPUT_FILE, multiple=True, help="A later record of the rig; may be repeated.")
+@click.option("--twin", type=INPUT_FILE, help="Twin file; default for a run: the twin that it ran with.")
+@click.option("--healthy", type=INPUT_FILE, help="Healthy record of the rig; default: the one stored with the twin.")
+@click.option("--no-healthy", is_flag=True, help="Estimate the noise floor from RECORD alone.")
+@click.option("--with", "more", type=INPUT_FILE, multiple=True, help="Later record of the rig; may be repeated.")
 @click.option(
     "--at-rest",
     is_flag=True,
-    help="Each row of RECORD is a steady state, its time counts for nothing; every fourth is held out of every fit.",
+    help="Take each row of RECORD as a steady state and ignore its time; every fourth is held out of every fit.",
 )
-@click.option("--rig", type=INPUT_FILE, help="Rig file whose limits a next experiment keeps; of a run, its own.")
-@click.option("--clock", help="Time of day at 0 s of the record, like 08:00, where the record does not tell.")
+@click.option(
+    "--rig", type=INPUT_FILE, help="Rig file whose limits the next experiment keeps; default for a run: its own."
+)
+@click.option("--clock", help="Time of day at 0 s of the record, like 08:00, if the record does not state it.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.")
-@click.option("--dry", is_flag=True, help="Propose only: no revision of the twin, no files.")
-@click.option("--empirical", is_flag=True, help="Where nothing explains RECORD: adopt the curve that is offered.")
-@click.option("--review", is_flag=True, help="Also write diagnosis.rrd, and open it where there is a display.")
-@click.option("--forecast", is_flag=True, help="Only say what RECORD, or a load profile in its place, could show.")
+@click.option("--dry", is_flag=True, help="Propose only: write no revision of the twin and no files.")
+@click.option(
+    "--empirical", is_flag=True, help="If no effect explains RECORD: adopt the empirical curve that is offered."
+)
+@click.option("--review", is_flag=True, help="Also write diagnosis.rrd, and open it if there is a display.")
+@click.option(
+    "--forecast",
+    is_flag=True,
+    help="Only report the detectability of effects in RECORD, or in a load profile given in its place.",
+)
 @click.option(
     "--bootstrap",
     type=click.IntRange(min=10),
     metavar="DRAWS",
-    help="First commission and diagnose so many healthy records drawn from the twin: thresholds by the whole pipeline.",
+    help="First draw N healthy records from the twin, commission and diagnose each: thresholds of the whole pipeline.",
 )
 @reading
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as JSON.")
@@ -76,13 +82,13 @@ def command(
 ) -> None:
     """Find the residual of RUN or RECORD, trace it to an effect that the twin lacks, and add that effect.
 
-    Writes diagnosis.json, a page with pictures, and a new revision of the twin beside the old one. Exit code 0 where
-    the twin is adequate, 1 where something was found.
+    Writes diagnosis.json, a page with figures, and a new revision of the twin in its folder. The exit code is 0 if
+    the twin is adequate, 1 if an effect was found.
 
-    What is usual is told by the healthy record that `hil commission` kept beside the twin, or by --healthy; without
-    either a commissioned twin is held against what its file says of its commissioning. A twin that never was
-    commissioned is grown instead, on records of up to 4000 samples and on steady states (--at-rest): effects that are
-    there from the beginning are added, in sets, in the order in which the record asks for them.
+    The healthy reference is the record that `hil commission` stored beside the twin, or --healthy. Without either, a
+    commissioned twin is compared with the commissioning statistics in its file. A twin that was never commissioned is
+    grown instead, on records of up to 4000 samples and on steady states (--at-rest): effects that are present from the
+    beginning are added, in sets, strongest evidence first.
 
     \b
     Example:
@@ -102,9 +108,9 @@ def command(
     from twin.network import TwinFileError
 
     if at_rest and (healthy or more or forecast):
-        raise click.UsageError("--at-rest goes without --healthy, --with and --forecast; put all states into one file")
+        raise click.UsageError("--at-rest excludes --healthy, --with and --forecast; put all states into one file")
     if healthy and no_healthy:
-        raise click.UsageError("--no-healthy goes without --healthy: there is one or there is none")
+        raise click.UsageError("--no-healthy and --healthy exclude each other; give one of them")
     began = time.monotonic()
     subject = subject_of(target, twin)
     allowed = rig or (rig_of(target) if target.is_dir() else None)
@@ -131,7 +137,9 @@ def command(
         _bootstrap(ready.network, ready.healthy, ready.healthy_file, bootstrap, quiet=as_json)
     found = _diagnosed(ready, diagnose_files, quiet=as_json)
     if empirical and found.verdict == "unexplained" and found.empirical is None:
-        raise TwinFileError(f"{subject.record}: no curve of any column predicts what is unexplained; none to adopt")
+        raise TwinFileError(
+            f"{subject.record}: no curve of any column predicts the unexplained error; there is none to adopt"
+        )
     curve = empirical and found.empirical is not None
     folder = out or _folder(subject.run, target)
     written, extra = None, described(ready, None, began)
@@ -149,12 +157,12 @@ def command(
 
 
 def _folder(run: Path | None, target: Path) -> Path:
-    """Return the folder for the results: that of the run, else one beside the working directory's files."""
+    """Return the folder for the results: that of the run, or one in the working directory."""
     return run / "diagnosis" if run else Path(f"diagnosis-{target.absolute().parent.name}-{target.stem}")
 
 
 def _diagnosed(ready: Prepared, diagnose: Callable[..., Diagnosis], *, quiet: bool) -> Diagnosis:
-    """Diagnose, with a line for each stage."""
+    """Diagnose, and print a line for each stage."""
     from hil.run.session.terminal import ProgressBar
 
     stages = 0
@@ -169,7 +177,7 @@ def _diagnosed(ready: Prepared, diagnose: Callable[..., Diagnosis], *, quiet: bo
 
 
 def _report(to: Console, ready: Prepared, found: Diagnosis, written: Written | None, target: Path) -> None:
-    """Print the diagnosis, its files and the commands that follow."""
+    """Print the diagnosis, its files and the next commands."""
     from hil.diagnosis.terminal_report import print_diagnosis
     from hil.run.session.terminal import invocation
 
@@ -184,9 +192,11 @@ def _report(to: Console, ready: Prepared, found: Diagnosis, written: Written | N
     if found.empirical is not None:
         to.print(f"offered, {'and adopted' if revision else 'not adopted'}: {found.empirical.says}", soft_wrap=True)
         if written and written.proposal and not revision:
-            to.print(f"look at {written.proposal}; the same again with --empirical adopts it", soft_wrap=True)
-    if ready.kept.path is not None:
-        to.print(f"healthy reference: the record that the twin was commissioned on, {ready.kept.path}", soft_wrap=True)
+            to.print(f"see {written.proposal}; the same command with --empirical adopts it", soft_wrap=True)
+    if ready.stored.path is not None:
+        to.print(
+            f"healthy reference: the record that the twin was commissioned on, {ready.stored.path}", soft_wrap=True
+        )
     if revision:
         to.print(f"revision of the twin: {shlex.quote(str(revision))}", soft_wrap=True, markup=False)
     if written:
@@ -194,7 +204,7 @@ def _report(to: Console, ready: Prepared, found: Diagnosis, written: Written | N
 
 
 def _bootstrap(network: Network, healthy: Columns, named: Path | None, draws: int, *, quiet: bool) -> None:
-    """Draw, commission and diagnose healthy records, and keep what came of them for this and later diagnoses."""
+    """Draw, commission and diagnose healthy records, and store the results for this and later diagnoses."""
     from hil.run.session.terminal import ProgressBar
     from twin.discovery.bootstrap import bootstrap
     from twin.discovery.healthy.health import NotHealthyError

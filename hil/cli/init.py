@@ -1,4 +1,4 @@
-"""`hil init`: a commented rig file, of a table or configuration that a user has, or of what they say is on the rig."""
+"""Command `hil init`: write a commented rig file from a table, a configuration, options or answers."""
 
 from __future__ import annotations
 
@@ -26,32 +26,40 @@ _LAST_PORT = 65535
 @click.option(
     "--addressing",
     type=click.Choice(["zero", "one", "modicon"]),
-    help="What the addresses of a CSV count from: 0, 1, or 40001 for the first holding register.",
+    help="Base of the addresses of a CSV: 0, 1, or modicon (40001 is the first holding register).",
 )
 @click.option(
     "--order",
     type=click.Choice(["ABCD", "CDAB", "BADC", "DCBA"]),
     default="ABCD",
     show_default=True,
-    help="Of a CSV: byte order of values of more than one register, unless it has a column.",
+    help="Byte order of values of more than one register of a CSV, unless it has a column.",
 )
-@click.option("--host", default="127.0.0.1", show_default=True, help="Where the Modbus device is.")
-@click.option("--port", type=click.IntRange(1, 65535), default=502, show_default=True, help="Its TCP port.")
-@click.option("--device-id", type=click.IntRange(0, 255), default=1, show_default=True, help="Its unit.")
-@click.option("--channel", default="can0", show_default=True, help="The CAN interface.")
-@click.option("--socketcand", metavar="HOST:PORT", help="Daemon that the CAN interface is reached through.")
-@click.option("--encoding", help="Of a DBC or a CSV. By itself UTF-8 and then cp1252 are tried.")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Host of the Modbus device.")
+@click.option(
+    "--port", type=click.IntRange(1, 65535), default=502, show_default=True, help="TCP port of the Modbus device."
+)
+@click.option(
+    "--device-id", type=click.IntRange(0, 255), default=1, show_default=True, help="Unit id of the Modbus device."
+)
+@click.option("--channel", default="can0", show_default=True, help="CAN interface.")
+@click.option("--socketcand", metavar="HOST:PORT", help="Daemon (host:port) that serves the CAN interface.")
+@click.option("--encoding", help="Text encoding of a DBC or a CSV; default: UTF-8, then cp1252.")
 @click.option("--heater", "heaters", multiple=True, metavar="set=PLACE,read=PLACE,max=W", help="May be repeated.")
 @click.option("--pump", "pumps", multiple=True, metavar="set=PLACE,read=PLACE,max=%", help="May be repeated.")
 @click.option("--fan", "fans", multiple=True, metavar="set=PLACE,read=PLACE,max=%", help="May be repeated.")
-@click.option("--flow", metavar="PLACE", help="Where the flow is read, L/min.")
+@click.option("--flow", metavar="PLACE", help="Place of the flow reading, L/min.")
 @click.option("--thermocouple", "thermocouples", multiple=True, metavar="NAME=PLACE", help="May be repeated.")
-@click.option("--dbc", type=INPUT_FILE, help="Describes the CAN frames; all its temperatures unless some are named.")
-@click.option("--heartbeat", metavar="point=PLACE,counter=PLACE,arm=PLACE,watchdog=PLACE", help="What the rig watches.")
+@click.option("--dbc", type=INPUT_FILE, help="DBC file of the CAN frames; all its temperatures, unless some are named.")
+@click.option(
+    "--heartbeat",
+    metavar="point=PLACE,counter=PLACE,arm=PLACE,watchdog=PLACE",
+    help="Heartbeat registers that the rig monitors.",
+)
 @click.option("--trip-at", type=float, default=75.0, show_default=True, help="Temperature that ends a run, degC.")
-@click.option("--name", help="Name of the rig; the file's name unless given.")
+@click.option("--name", help="Name of the rig; default: the file's name.")
 @click.option("--period", type=click.FloatRange(0, 3600, min_open=True), default=1.0, show_default=True, help="s")
-@click.option("--force", is_flag=True, help="Write over a file that is there.")
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
 def command(
     source: Path,
     out: Path,
@@ -75,11 +83,11 @@ def command(
     period: float,
     force: bool,
 ) -> None:
-    """Write a rig file: of what there is already (--from), of what you say is on the rig, or, where you say nothing,
-    of what you answer. Then `hil check` it and go through what is marked there.
+    """Write a rig file from an existing file (--from), from options, or from answers at the terminal. Check it with
+    `hil check`, and review the marked lines.
 
-    A PLACE is TABLE:ADDRESS from zero, perhaps with type, byte order and what a count is (holding:0*0.1,
-    input:12:float32:CDAB), a number as Modicon counts (40001), or MESSAGE.SIGNAL of the DBC.
+    A PLACE is TABLE:ADDRESS from zero, optionally with type, byte order and value of one count (holding:0*0.1,
+    input:12:float32:CDAB), a Modicon number (40001), or MESSAGE.SIGNAL of the DBC.
 
     \b
     Example:
@@ -91,7 +99,7 @@ def command(
       hil init --from sensors.dbc --channel can0 --out my_rig.toml
     """
     if out.exists() and not force:
-        raise click.UsageError(f"{out} is there already; give another --out, or --force to write over it")
+        raise click.UsageError(f"{out} exists already; give another --out, or --force to overwrite it")
     if not out.parent.is_dir():
         raise click.UsageError(f"{out.parent}: there is no such folder; make it or give another --out")
     bus = {"transport": "modbus_tcp", "host": _host("--host", host), "port": port, "device_id": device_id}
@@ -101,7 +109,7 @@ def command(
     said = heaters or pumps or fans or flow or thermocouples or dbc or heartbeat
     if source is not None:
         if said:
-            raise click.UsageError("--from takes the rig from a file; what is said beside it cannot be used")
+            raise click.UsageError("--from takes the rig from a file; leave out the options that describe points")
         draft = _imported(source, out, addressing, order, encoding, bus, can)
         name = name or source.stem
     else:
@@ -123,7 +131,7 @@ def command(
             rig = ask(name or out.stem, period)
         else:
             raise click.UsageError(
-                "say what is on the rig (--heater, --pump, --thermocouple ...), give a file with --from, or call it "
+                "describe the rig (--heater, --pump, --thermocouple ...), give a file with --from, or call it "
                 "in a terminal to be asked; `hil init --help` has examples"
             )
         draft, name, period = draft_of_description(rig, out), rig.name, rig.period_s
@@ -160,7 +168,7 @@ def _imported(
         from drivers.importers import import_dbc
 
         return import_dbc(source, out, can, encoding=encoding)
-    raise click.UsageError(f"{source}: is no .csv, .toml, .yaml or .dbc file; nothing here knows how to import it")
+    raise click.UsageError(f"{source}: is no .csv, .toml, .yaml or .dbc file; give a file of one of these types")
 
 
 def _thermocouples(said: tuple[str, ...], dbc: Path | None, encoding: str | None) -> dict[str, Place]:
@@ -188,7 +196,7 @@ def _address(text: str) -> dict[str, Any]:
 
 
 def _host(option: str, host: str) -> str:
-    """Return the name or address of a host; raise click.UsageError with the remedy where it is none."""
+    """Return the name or address of a host; raise click.UsageError with the remedy if it is none."""
     from drivers.rig_file import checked_host
 
     try:
@@ -224,9 +232,9 @@ def _write(draft: Draft, out: Path, name: str, period_s: float, source: Path | N
         except ConfigurationError as error:
             what = str(error).splitlines()[0].removeprefix(f"{unfinished}, ").removeprefix(f"{source}: ")
             if source is not None:
-                raise ImportFileError(source, None, f"makes a rig file that cannot be used ({what}); mend it") from None
+                raise ImportFileError(source, None, f"makes an invalid rig file ({what}); correct it") from None
             what = re.sub(r"^line \d+: ", "", what)
-            raise click.UsageError(f"that makes no rig file that can be used: {what}; nothing was written") from None
+            raise click.UsageError(f"these options make an invalid rig file: {what}; nothing was written") from None
     for note in draft.notes:
         click.echo(f"note: {note}" if source is None else f"note: {source.name}, {note}")
     click.echo(f"{out}: {len(rig.point)} points on {', '.join(rig.bus)}; next: hil check {out}")

@@ -1,4 +1,4 @@
-"""`hil profile`: build load profiles from scenarios of ship systems."""
+"""Command `hil profile`: build load profiles from scenarios of ship systems."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hil.cli.options.paths import INPUT_FILE
 
 @click.group()
 def command() -> None:
-    """Build and picture load profiles.
+    """Build and draw load profiles.
 
     \b
     Example:
@@ -22,7 +22,7 @@ def command() -> None:
 @command.command()
 @click.argument("scenario", type=INPUT_FILE)
 def build(scenario: Path) -> None:
-    """Build the profiles and the picture that SCENARIO declares, beside it.
+    """Build the profiles and the figure that SCENARIO declares, in its folder.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""`hil report`: the files of a run that are made from its journal."""
+"""Command `hil report`: make the files of a run from its journal."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import click
 
 @click.command()
 @click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option("--rebuild", is_flag=True, help="Make record.parquet and review.rrd anew, too, from the journal.")
-@click.option("--json", "as_json", is_flag=True, help="Print run.json, with what is missing.")
+@click.option("--rebuild", is_flag=True, help="Rebuild record.parquet and review.rrd from the journal, too.")
+@click.option("--json", "as_json", is_flag=True, help="Print run.json, with a list of the missing files.")
 def command(run: Path, rebuild: bool, as_json: bool) -> None:
-    """Write report.html of RUN, a folder of runs/, and what else is missing: record.parquet, review.rrd.
+    """Write report.html of RUN, a run folder, and the missing files of record.parquet and review.rrd.
 
-    The rig is not touched. A run that was cut is reported as far as it came, and can still be resumed.
+    The rig is not touched. An interrupted run is reported as far as it came, and can still be resumed.
 
     \b
     Example:

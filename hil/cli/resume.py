@@ -1,4 +1,4 @@
-"""`hil resume`: go on with a run that was cut."""
+"""Command `hil resume`: continue an interrupted run."""
 
 from __future__ import annotations
 
@@ -18,22 +18,40 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option("--band", "band_K", type=click.FloatRange(0.0, min_open=True), default=1.0, show_default=True,
-              help="So near, K, every temperature must come to where it was.")  # fmt: skip
-@click.option("--timeout", "timeout_s", type=click.FloatRange(0.0), default=7200.0, show_default=True,
-              help="Within so many seconds of rig time.")  # fmt: skip
-@click.option("--rig", type=INPUT_FILE, help="Where the rig file lies now, if it was moved.")
-@click.option("--profile", type=INPUT_FILE, help="Where the profile lies now.")
-@click.option("--twin", type=INPUT_FILE, help="Where the twin lies now.")
-@click.option("--with", "effects", type=INPUT_FILE, help="Where the effects of the virtual rig lie now.")
-@click.option("--healthy", type=INPUT_FILE, help="Where the healthy record lies now.")
-@click.option("--network", "card", type=INPUT_FILE, help="Where the card of the run's trained network lies now.")
-@click.option("--control", help="host:port of a `hil rig --mode lockstep` that runs already, if it is another now.")
-@click.option("--gap", help="How long the run has been down, such as 12min, where this machine's clock is wrong.")
+@click.option(
+    "--band",
+    "band_K",
+    type=click.FloatRange(0.0, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="Largest distance, K, of every temperature from its value at the interruption.",
+)
+@click.option(
+    "--timeout",
+    "timeout_s",
+    type=click.FloatRange(0.0),
+    default=7200.0,
+    show_default=True,
+    help="Time-out of the thermal restore, s of rig time.",
+)
+@click.option("--rig", type=INPUT_FILE, help="Path of the rig file, if it was moved.")
+@click.option("--profile", type=INPUT_FILE, help="Path of the profile, if it was moved.")
+@click.option("--twin", type=INPUT_FILE, help="Path of the twin, if it was moved.")
+@click.option("--with", "effects", type=INPUT_FILE, help="Path of the effects of the virtual rig, if they were moved.")
+@click.option("--healthy", type=INPUT_FILE, help="Path of the healthy record, if it was moved.")
+@click.option(
+    "--network", "card", type=INPUT_FILE, help="Path of the card of the run's trained network, if it was moved."
+)
+@click.option("--control", help="host:port of a running `hil rig --mode lockstep`, if it has changed.")
+@click.option("--gap", help="Duration of the interruption, such as 12min, if this machine's clock is wrong.")
 @click.option("--rearm", is_flag=True, help="Acknowledge a trip of the rig's own; find its cause before.")
-@click.option("--no-guardian", is_flag=True, help="Nobody makes the rig safe if this process is killed or hangs.")
+@click.option(
+    "--no-guardian",
+    is_flag=True,
+    help="Run without a guardian: nothing makes the rig safe if this process is killed or hangs.",
+)
 @click.option("--no-lock", is_flag=True, help="Run even if locks do not keep a second run off this rig.")
-@click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
+@click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: if there is a display.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
     run: Path,
@@ -53,12 +71,12 @@ def command(
     viewer: bool | None,
     as_json: bool,
 ) -> None:
-    """Go on with RUN, a folder of runs/, that a crash, a power cut, a fault or an abort stopped, when that is over.
+    """Continue RUN, a run folder, after a crash, a power cut, a fault or an abort.
 
-    Rig file, profile and twin must be what they were. The calibrators are brought back from the journal. The rig is
-    made safe, then heated and cooled until every temperature has stood within --band of where it was for a minute.
-    Only then does the profile go on, in the same folder. Where that takes longer than --timeout the rig is left safe,
-    and the run can be resumed again.
+    Rig file, profile and twin must be unchanged. The calibrators are restored from the journal. The rig is made safe,
+    then heated and cooled until every temperature has stayed within --band of its value at the interruption for a
+    minute (thermal restore). Only then does the profile continue, in the same folder. After --timeout the rig is left
+    safe, and the run can be resumed again.
 
     \b
     Example:
@@ -78,20 +96,31 @@ def command(
 
     folder = RunFolder(run)
     moved = {
-        "rig": rig, "profile": profile, "twin": twin, "effects": effects, "healthy": healthy, "network": card,
-    }  # fmt: skip
+        "rig": rig,
+        "profile": profile,
+        "twin": twin,
+        "effects": effects,
+        "healthy": healthy,
+        "network": card,
+    }
     gap_s = None if gap is None else duration_s(gap)
     where = None if control is None else address(control)
 
     def request(manifest: dict[str, Any]) -> RunRequest:
         return request_of(
-            folder, manifest, moved, control=where, rearm=rearm, no_lock=no_lock, viewer=viewer,
+            folder,
+            manifest,
+            moved,
+            control=where,
+            rearm=rearm,
+            no_lock=no_lock,
+            viewer=viewer,
             guardian=not no_guardian,
-        )  # fmt: skip
+        )
 
     def name_rig(asked: RunRequest) -> None:
         for sentence in resume_notices(asked):
-            click.echo(sentence, err=True)  # with --json too
+            click.echo(sentence, err=True)  # With --json, too.
 
     with RunSignals(until_exit=owns_process()) as signals:
         with RunProgress(quiet=as_json) as live:

@@ -1,4 +1,4 @@
-"""`hil review`: look at a run in Rerun."""
+"""Command `hil review`: show a run in Rerun."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ if TYPE_CHECKING:
 
 
 LIVE_REVIEW_S = 180.0
-"""The review of a live viewer may be older than its journal by this: what a run does after its last tick."""
+"""Age in s that the review of a live viewer may have against its journal: the last rows of a run follow its last tick.
+"""
 
 
 @click.command()
 @click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option("--follow", is_flag=True, help="Show a run that is still going on, live.")
-@click.option("--rebuild", is_flag=True, help="Make review.rrd anew from the journal.")
-@click.option("--tab", help="Of the screenshot, by its title: Overview, Diagnosis, ...")
+@click.option("--follow", is_flag=True, help="Show a live run as it goes on.")
+@click.option("--rebuild", is_flag=True, help="Rebuild review.rrd from the journal.")
+@click.option("--tab", help="Tab of the screenshot, by its title: Overview, Diagnosis, ...")
 @click.option("--screenshot", type=click.Path(dir_okay=False, path_type=Path), help="Write a PNG without a display.")
 def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot: Path | None) -> None:
-    """Show RUN, a folder of runs/: measured against static and tracked twin, residuals, parameters, events.
+    """Show RUN, a run folder: measured against static and tracked twin, residuals, parameters, events.
 
-    Where RUN has been diagnosed, one tab shows that. A folder that `hil diagnose` wrote may be given too.
+    If RUN has been diagnosed, one tab shows the diagnosis. A folder that `hil diagnose` wrote may be given, too.
 
     \b
     Example:
@@ -57,15 +58,15 @@ def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot:
         return
     # A live viewer closes the file before the journal gets its last rows about how the run ended.
     if rebuild or not folder.is_current(folder.review, LIVE_REVIEW_S if finished else 0.0) or _older(folder):
-        cut = f" (the run was cut: what there is of it; `hil resume {run}` goes on with it)"
-        so_far = "" if finished else cut if folder.was_cut else " (the run goes on: what there is so far)"
+        cut = f" (the run was interrupted: shown as far as it came; `hil resume {run}` continues it)"
+        so_far = "" if finished else cut if folder.was_cut else " (the run is live: shown as far as it has come)"
         click.echo(f"writing {folder.review}{so_far}", err=True)
         write_review(folder.journal, folder.review)
     _show(run, folder.review, tab, screenshot)
 
 
 def _older(folder: RunFolder) -> bool:
-    """Whether the review was made before the diagnosis that it is to show."""
+    """Return True if the review was made before the diagnosis that it is to show."""
     from hil.diagnosis.store import CURVES
 
     curves = folder.diagnosis / CURVES
@@ -73,7 +74,7 @@ def _older(folder: RunFolder) -> bool:
 
 
 def _show(run: Path, rrd: Path, tab: str | None, screenshot: Path | None) -> None:
-    """A picture where one is asked for, else a window, else what to do without a display."""
+    """Take the requested screenshot, open a window, or print the commands to use without a display."""
     from hil.review import has_display, screenshot_review, show_review
 
     if screenshot is not None:

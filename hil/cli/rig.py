@@ -1,4 +1,4 @@
-"""`hil rig`: serve the virtual rig."""
+"""Command `hil rig`: serve the virtual rig."""
 
 from __future__ import annotations
 
@@ -13,21 +13,27 @@ from hil.cli.options.paths import INPUT_FILE
 @click.command()
 @click.option("--modbus-port", default=5020, show_default=True, help="Modbus/TCP port of the PLC; 0 picks a free one.")
 @click.option("--rtu-port", type=int, help="Serve Modbus RTU over TCP on this port, too; 0 picks a free one.")
-@click.option("--serial", is_flag=True, help="Serve Modbus RTU on a pseudo-terminal, too, whose path is printed.")
+@click.option("--serial", is_flag=True, help="Serve Modbus RTU on a pseudo-terminal, too, and print its path.")
 @click.option("--can-port", default=29536, show_default=True, help="socketcand port of the CAN bus vcan0.")
 @click.option("--control-port", default=0, show_default="free", help="Port that grants steps in lockstep.")
 @click.option("--mode", type=click.Choice(["real", "scaled", "lockstep"]), default="real", show_default=True)
-@click.option("--speed", default=1.0, show_default=True, help="Times real time, with --mode scaled.")
+@click.option("--speed", default=1.0, show_default=True, help="Factor to real time, with --mode scaled.")
 @click.option("--period", default=1.0, show_default=True, help="Seconds between samples.")
 @click.option("--seed", default=0, show_default=True, help="Seed of noise, offsets and draughts.")
-@click.option("--with", "effects", type=INPUT_FILE, help="TOML file of effects that no twin knows of.")
+@click.option("--with", "effects", type=INPUT_FILE, help="TOML file of effects that the twin does not model.")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option(
-    "--server", type=click.Choice(["own", "pymodbus"]), default="own", show_default=True, help="Whose Modbus server."
+    "--server",
+    type=click.Choice(["own", "pymodbus"]),
+    default="own",
+    show_default=True,
+    help="Modbus server implementation.",
 )
 @click.option("--tls-certificate", type=INPUT_FILE, help="Serve Modbus over TLS with this certificate (PEM).")
-@click.option("--tls-key", type=INPUT_FILE, help="Its key.")
-@click.option("--tls-ca", type=INPUT_FILE, help="Authority that signs the certificates of clients.")
+@click.option("--tls-key", type=INPUT_FILE, help="Key (PEM) of the certificate.")
+@click.option(
+    "--tls-ca", type=INPUT_FILE, help="Certificate (PEM) of the authority that signs the clients' certificates."
+)
 def command(
     modbus_port: int,
     rtu_port: int | None,

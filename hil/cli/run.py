@@ -1,4 +1,4 @@
-"""`hil run`: replay a load profile on a rig while twins track it."""
+"""Command `hil run`: replay a load profile on a rig while twins track it."""
 
 from __future__ import annotations
 
@@ -20,29 +20,33 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("profile", type=INPUT_FILE)
 @click.option("--rig", "rig", type=INPUT_FILE, default=VIRTUAL_RIG, show_default=True, help="Rig file.")
-@click.option("--twin", type=INPUT_FILE, help="Twin file; default: the one that the rig file names.")
-@click.option("--no-twin", is_flag=True, help="Run and record only.")
+@click.option("--twin", type=INPUT_FILE, help="Twin file; default: the twin that the rig file names.")
+@click.option("--no-twin", is_flag=True, help="Run and record without a twin.")
 @click.option("--virtual", is_flag=True, help="Start a virtual rig and run on that.")
-@click.option("--lockstep", is_flag=True, help="As fast as the machine can, the same every time (virtual rig).")
-@click.option("--speed", type=float, help="This many times real time, up to 100 (virtual rig).")
-@click.option("--control", help="host:port that grants steps, of a `hil rig --mode lockstep` that runs already.")
-@click.option("--rearm", is_flag=True, help="Acknowledge a trip that the rig brings along; find its cause before.")
-@click.option("--no-guardian", is_flag=True, help="Nobody makes the rig safe if this process is killed or hangs.")
+@click.option("--lockstep", is_flag=True, help="Run as fast as the machine can, reproducibly (virtual rig).")
+@click.option("--speed", type=float, help="Factor to real time, up to 100 (virtual rig).")
+@click.option("--control", help="host:port of a running `hil rig --mode lockstep`, which grants steps.")
+@click.option("--rearm", is_flag=True, help="Acknowledge a trip that the rig has latched; find its cause before.")
+@click.option(
+    "--no-guardian",
+    is_flag=True,
+    help="Run without a guardian: nothing makes the rig safe if this process is killed or hangs.",
+)
 @click.option("--no-lock", is_flag=True, help="Run even if locks do not keep a second run off this rig.")
-@click.option("--with", "effects", type=INPUT_FILE, help="Effects that the twin does not know of (virtual rig).")
+@click.option("--with", "effects", type=INPUT_FILE, help="Effects that the twin does not model (virtual rig).")
 @CALIBRATORS
 @NETWORK
 @NETWORK_MODE
 @click.option("--seed", default=0, show_default=True, help="Seed of the virtual rig and of the calibrators.")
 @click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Parent folder.")
-@click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
+@click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: if there is a display.")
 @click.option(
     "--diagnose",
     metavar="INTERVAL",
-    help="Diagnose the whole run (end), and the record so far every hourly, 30min, 2h.",
+    help="Diagnose the whole run (end), and the record so far at an interval: hourly, 30min, 2h.",
 )
-@click.option("--healthy", type=INPUT_FILE, help="Record of the rig in good order, for --diagnose.")
-@click.option("--adopt", is_flag=True, help="Save a sure finding of --diagnose as the twin's next revision.")
+@click.option("--healthy", type=INPUT_FILE, help="Healthy record of the rig, for --diagnose.")
+@click.option("--adopt", is_flag=True, help="Save a confident finding of --diagnose as the twin's next revision.")
 @click.option("--check-only", is_flag=True, help="Validate everything, move nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
@@ -70,7 +74,7 @@ def command(
     check_only: bool,
     as_json: bool,
 ) -> None:
-    """Replay PROFILE on a rig while a static twin and tracked ones run beside it.
+    """Replay PROFILE on a rig while a static twin and tracked ones predict it.
 
     Ctrl-C ends the run with the heater at its safe value; a second Ctrl-C shortens the waits. `hil ctl` holds, pauses,
     resumes and aborts it from a second terminal.
@@ -89,7 +93,7 @@ def command(
     if lockstep and speed is not None:
         raise click.UsageError("--lockstep and --speed exclude each other; choose one")
     if control is not None and virtual:
-        raise click.UsageError("--control and --virtual exclude each other: one rig runs already, the other is started")
+        raise click.UsageError("--control and --virtual exclude each other; use the running rig or start a virtual one")
     if diagnose is None and (healthy is not None or adopt):
         raise click.UsageError("--healthy and --adopt belong to --diagnose; add --diagnose end, or hourly")
     mode = "lockstep" if lockstep or control is not None else "scaled" if speed is not None else "real"
@@ -118,7 +122,7 @@ def command(
     )
     if check_only:
         ready = check_session(request)
-        click.echo(f"{profile}: {ready.profile.duration_s / 3600:.1f} h on {ready.rig.name}: nothing stands in the way")
+        click.echo(f"{profile}: {ready.profile.duration_s / 3600:.1f} h on {ready.rig.name}: ready to run")
         for note in ready.notes:
             click.echo(f"  {note}")
         return
@@ -140,7 +144,7 @@ def command(
 
 
 def address(text: str) -> tuple[str, int]:
-    """Host and port of `host:port`; raises UsageError."""
+    """Return host and port of `host:port`; raise click.UsageError if it is none."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdigit():
         raise click.UsageError(f"--control {text!r} is no host:port; give what `hil rig --mode lockstep` printed")
@@ -148,7 +152,7 @@ def address(text: str) -> tuple[str, int]:
 
 
 def as_json_document(result: RunResult) -> dict[str, object]:
-    """A finished run for scripts."""
+    """Return a finished run as plain data for scripts."""
     document: dict[str, object] = result.folder.read_manifest()
     document["folder"] = str(result.folder.path)
     return document

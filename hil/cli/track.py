@@ -1,4 +1,4 @@
-"""`hil track`: replay the calibrators on a record."""
+"""Command `hil track`: replay the calibrators on a record."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ BLOCK_ROWS = 1200
 
 @click.command()
 @click.argument("target", type=INPUT_PATH, metavar="RUN|RECORD")
-@click.option("--twin", type=INPUT_FILE, help="Twin file; of a run, the one that it ran with.")
+@click.option("--twin", type=INPUT_FILE, help="Twin file; default for a run: the twin that it ran with.")
 @CALIBRATORS
 @NETWORK
 @NETWORK_MODE
 @click.option("--seed", default=0, show_default=True, help="Seed of the calibrators.")
 @click.option(
-    "--out", type=click.Path(dir_okay=False, path_type=Path), help="Write predictions there, .parquet or .csv."
+    "--out", type=click.Path(dir_okay=False, path_type=Path), help="File for the predictions, .parquet or .csv."
 )
 @reading
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON.")
@@ -90,9 +90,7 @@ def command(
                 kind = window_kind(window.document)
                 windows[window.calibrator][kind] = windows[window.calibrator].get(kind, 0) + 1
                 if (found := disturbance(window.document)) is not None:
-                    disturbed.append(
-                        {"calibrator": window.calibrator, "window_end_s": window.end_s, "found": found}
-                    )  # fmt: skip
+                    disturbed.append({"calibrator": window.calibrator, "window_end_s": window.end_s, "found": found})
             proposals += block.proposals
             steps.update(done)
     comparison = twins.comparison()
@@ -140,7 +138,7 @@ def command(
 
 
 def _adopted(mode: NetworkMode, twin: Path, record: Record, proposals: list[Proposed]) -> Adoption | None:
-    """In controlled mode, what was accepted as the next revision of the twin."""
+    """Return the accepted parameters as the next revision of the twin, in controlled mode."""
     from hil.tracking.adoption import adopt
 
     if mode != "controlled":

@@ -1,4 +1,4 @@
-"""`hil train`: train the network calibrator."""
+"""Command `hil train`: train the network calibrator."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 WINDOWS = 3000
 INTERRUPTED = 130
 PIECES = ("hierarchy", "gates", "evidence", "residuals", "hiding", "structure", "balance")
-"""As `hil.training.ablation` has them, which is not loaded for a list of options."""
+"""Names as in `hil.training.ablation`, which is not imported for a list of options."""
 
 
 @click.group()
@@ -32,41 +32,66 @@ def command() -> None:
 
 @command.command("loop")
 @click.option("--config", "name", type=click.Choice(["small", "full"]), default="small", show_default=True)
-@click.option("--seed", default=0, show_default=True, help="Of weights and of the order of windows; one a member.")
 @click.option(
-    "--data", type=click.Path(file_okay=False, path_type=Path), default=Path("training/loop"), show_default=True,
-    help="Folder of simulated campaigns; filled when it is empty.",
-)  # fmt: skip
+    "--seed", default=0, show_default=True, help="Seed of the weights and of the order of windows; one for each member."
+)
 @click.option(
-    "--windows", "count", type=int, help="How many to simulate; more than DATA has are added.  [default: what it has, "
-    "else 3000]",
-)  # fmt: skip
-@click.option("--data-seed", type=int, help="Of the simulated rigs, loads and faults.  [default: that of DATA, else 0]")
-@click.option("--steps", default=6000, show_default=True, help="Of the optimiser, in all.")
-@click.option("--batch", default=12, show_default=True, help="Windows a step.")
+    "--data",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("training/loop"),
+    show_default=True,
+    help="Folder of simulated campaigns; filled if it is empty.",
+)
+@click.option(
+    "--windows",
+    "count",
+    type=int,
+    help="Number of windows to simulate; more than DATA has are added.  [default: those of DATA, else 3000]",
+)
+@click.option(
+    "--data-seed", type=int, help="Seed of the simulated rigs, loads and faults.  [default: that of DATA, else 0]"
+)
+@click.option("--steps", default=6000, show_default=True, help="Steps of the optimiser, in all.")
+@click.option("--batch", default=12, show_default=True, help="Windows of each step.")
 @click.option(
     "--minutes",
     type=float,
-    help="Stop after so long, simulating or training; the same command goes on.  [default: until it is done]",
+    help="Stop simulating or training after this time; the same command continues.  [default: until it is done]",
 )
-@click.option("--device", default="cpu", show_default=True, help="cpu or cuda.")
-@click.option("--threads", default=0, help="Of the processor; 0 takes what there is.")
-@click.option("--half/--single", default=None, help="bfloat16 products or not.  [default: bfloat16 on cuda]")
-@click.option("--without", multiple=True, type=click.Choice(PIECES), help="Leave a piece out; may be repeated.")
+@click.option("--device", default="cpu", show_default=True, help="Device: cpu or cuda.")
+@click.option("--threads", default=0, help="Threads of the processor; 0 takes all.")
+@click.option("--half/--single", default=None, help="Use bfloat16 products.  [default: bfloat16 on cuda]")
 @click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path), default=Path("training"), show_default=True,
-    help="Folder for weights, card and picture, and for what a cut training goes on from.",
-)  # fmt: skip
+    "--without", multiple=True, type=click.Choice(PIECES), help="Leave a part of the network out; may be repeated."
+)
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("training"),
+    show_default=True,
+    help="Folder for weights, card and picture, and for the state of an interrupted training.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def loop_command(
-    name: str, seed: int, data: Path, count: int | None, data_seed: int | None, steps: int, batch: int,
-    minutes: float | None, device: str, threads: int, half: bool | None, without: tuple[str, ...], out: Path,
+    name: str,
+    seed: int,
+    data: Path,
+    count: int | None,
+    data_seed: int | None,
+    steps: int,
+    batch: int,
+    minutes: float | None,
+    device: str,
+    threads: int,
+    half: bool | None,
+    without: tuple[str, ...],
+    out: Path,
     as_json: bool,
-) -> None:  # fmt: skip
+) -> None:
     """Train one member for the coolant loop on simulated rigs.
 
-    Weights, model card and curves go to OUT. What was cut, by --minutes or by Ctrl-C, goes on when the same command is
-    given again. No record of a real rig is read.
+    Weights, model card and curves go to OUT. A training that --minutes or Ctrl-C interrupted continues when the same
+    command is given again. No record of a real rig is read.
 
     \b
     Example:
@@ -77,7 +102,7 @@ def loop_command(
     from hil.training.data import least_windows, read
     from hil.training.generate import begun as simulated
     from hil.training.generate import complete, features_of, generate
-    from hil.training.session import Outcome, begun, train
+    from hil.training.session import TrainingProgress, begun, train
     from hil.training.stopping import Stop
     from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.plan import Plan
@@ -97,15 +122,23 @@ def loop_command(
             with ProgressBar("simulating", 1.0, quiet=as_json, begun=simulated(data, count)) as bar:
                 bar.cut = generate(data_seed, count, data, bar.update, stop) is None
         if not complete(data, data_seed, count):
-            done = Outcome(begun(out / stem), steps, 0, 0.0, simulated=simulated(data, count))
+            done = TrainingProgress(begun(out / stem), steps, 0, 0.0, simulated=simulated(data, count))
         else:
             windows = read(data, features_of())
             typed = again(name, plan, device, threads, less, anywhere(data), data_seed, count)
             with ProgressBar("training", steps, quiet=as_json, begun=begun(out / stem)) as bar:
                 done = train(
-                    windows, name, plan, out / stem, out / f"{stem}.safetensors", stop=stop, command=typed,
-                    say=bar.update, device=device, without=less,
-                )  # fmt: skip
+                    windows,
+                    name,
+                    plan,
+                    out / stem,
+                    out / f"{stem}.safetensors",
+                    stop=stop,
+                    command=typed,
+                    say=bar.update,
+                    device=device,
+                    without=less,
+                )
                 bar.cut = done.card is None
     if as_json:
         click.echo(json.dumps(asdict(done), default=str, indent=1))
@@ -126,7 +159,7 @@ def loop_command(
 
 
 def wanted(data: Path, seed: int | None, count: int | None) -> tuple[int, int]:
-    """Seed and number of windows: as typed, else those of the folder, else the usual ones."""
+    """Return seed and number of windows: as given, else those of the folder, else the defaults."""
     from hil.training.generate import asked_of
 
     there = asked_of(data) or (0, WINDOWS)
@@ -134,14 +167,14 @@ def wanted(data: Path, seed: int | None, count: int | None) -> tuple[int, int]:
 
 
 def anywhere(data: Path) -> str:
-    """A folder as a command for any machine names it: one that is only of this machine by its last name."""
+    """Return a folder for a command on any machine: a folder of this machine only by its last name."""
     return data.name if data.is_absolute() or ".." in data.parts else data.as_posix()
 
 
 def again(
     name: str, plan: Plan, device: str, threads: int, less: tuple[str, ...], data: str, data_seed: int, count: int
 ) -> str:
-    """The command that simulates the same windows into `data` and trains the same network on them."""
+    """Return the command that simulates the same windows into `data` and trains the same network on them."""
     words = ["hil", "train", "loop", "--config", name, "--seed", str(plan.seed)]
     words += ["--data", data, "--windows", str(count), "--data-seed", str(data_seed)]
     words += ["--steps", str(plan.steps), "--batch", str(plan.batch), "--device", device]

@@ -1,4 +1,4 @@
-"""`hil twin`: where a twin comes from, what a revision changed, and back again."""
+"""Command `hil twin`: history of a twin, differences between revisions, and revert."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as
 
 @click.group()
 def command() -> None:
-    """Revisions of a twin: where it comes from, what changed, and back again.
+    """Show the history of a twin, compare revisions, and revert one.
 
     \b
     Example:
@@ -39,7 +39,7 @@ def command() -> None:
 @click.argument("twin", type=INPUT_FILE)
 @JSON
 def log_command(twin: Path, as_json: bool) -> None:
-    """List TWIN and what it was made of.
+    """List TWIN and its ancestors.
 
     Newest first, with the evidence of each revision. Exit code 1 if a file was edited after it was saved, so that its
     evidence no longer belongs to it.
@@ -64,7 +64,7 @@ def log_command(twin: Path, as_json: bool) -> None:
 @click.argument("b", type=INPUT_FILE, required=False)
 @JSON
 def diff_command(a: Path, b: Path | None, as_json: bool) -> None:
-    """Say what changed from twin A to twin B.
+    """Report the changes from twin A to twin B.
 
     With A alone, from its parent to A. A difference is no fault: the exit code is 0.
 
@@ -95,7 +95,7 @@ def diff_command(a: Path, b: Path | None, as_json: bool) -> None:
 def revert_command(twin: Path) -> None:
     """Undo revision TWIN by a new one.
 
-    The new one says what the parent of TWIN says; no file is changed or removed.
+    The new one has the content of the parent of TWIN; no file is changed or removed.
 
     \b
     Example:
@@ -129,7 +129,7 @@ def _show_log(entries: tuple[ChainEntry, ...]) -> None:
     from hil.run.session.terminal import console
 
     out = console()
-    title = "Revisions, newest first; RMSE in K of the sensor that was worst"
+    title = "Revisions, newest first; RMSE in K of the worst sensor"
     headings = ("no.", "file", "made by", "sensor", "before", "after")
     table = _table(title, headings, numbers=("no.", "before", "after"))
     for entry in entries:
@@ -157,7 +157,7 @@ def _sentences(entry: ChainEntry) -> list[str]:
         if span is not None:
             lines.append(f"{what} over {span[0] / 3600:.2f} to {span[1] / 3600:.2f} h of the record")
     if revision.record_file:
-        lines.append(f"the record is kept: {revision.record_file}")
+        lines.append(f"stored record: {revision.record_file}")
     return [*lines, *revision.notes, *entry.remarks]
 
 
@@ -211,7 +211,7 @@ def _table(title: str, headings: tuple[str, ...], numbers: tuple[str, ...] = ())
 def _row(table: Table, *cells: str) -> None:
     from rich.text import Text
 
-    table.add_row(*(Text(cell) for cell in cells))  # as it stands: a file's brackets are no markup
+    table.add_row(*(Text(cell) for cell in cells))  # Brackets of a file name are no markup.
 
 
 def _indented(out: Console, line: str, style: str) -> None:

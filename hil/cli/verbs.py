@@ -1,4 +1,4 @@
-"""The `hil` command. Verbs are loaded when they are asked for, so that `hil --help` needs no heavy library."""
+"""Command group `hil`. Commands are imported on use, so that `hil --help` needs no heavy library."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import click
 
 from hil import __version__
 
-# Our matrices are small: a second BLAS thread gains nothing, and beside other work (a rig being run) it waits for the
-# first one most of the time: a diagnosis took five times as long. Whoever sets the variable is obeyed.
+# The matrices are small: a second BLAS thread gains nothing. While a rig runs, it mostly waits for the first thread,
+# and a diagnosis took five times as long. A value set by the user is kept.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 VERBS = {
     "bench": "Measure speed and fits, repeat the paper's experiments",
     "check": "Check a rig file, twin, profile, scenario or record",
     "commission": "Fit a twin to a healthy record",
-    "ctl": "Hold, pause, resume, abort or ask a live run",
-    "diagnose": "Trace what a twin gets wrong to the effect that it lacks",
-    "init": "Write a rig file: of what is on the rig, a register table, Telegraf, DBC ...",
-    "profile": "Build and picture load profiles",
-    "report": "Make what is missing of a run's record, review and report",
-    "resume": "Go on with a run that a crash or a fault cut",
-    "review": "Look at a run in Rerun: measured against twin",
+    "ctl": "Hold, pause, resume, abort or query a live run",
+    "diagnose": "Trace the error of a twin to the effect that it lacks",
+    "init": "Write a rig file from options, a register table, Telegraf, DBC ...",
+    "profile": "Build and draw load profiles",
+    "report": "Make the record, review and report of a run, if missing",
+    "resume": "Continue a run that a crash or a fault interrupted",
+    "review": "Show a run in Rerun: measured against twin",
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",
     "tower": "Cooling towers: historian, aligned record, calibration",
@@ -72,7 +72,7 @@ def group() -> None:
 
 
 def main() -> None:
-    """Entry point: errors that a user can mend become one sentence and exit code 2, faults that were found 1."""
+    """Run `hil`: report errors of the user as one sentence with exit code 2, faults that were found with 1."""
     from hil.cli.options.own_process import OWN_PROCESS
     from hil.errors import explained
     from hil.files.names import accept_any_name

@@ -1,1 +1,1 @@
-"""Diagnosis of a record or a run: hand-over, results as files, page."""
+"""Diagnosis of a record or a run: input, results as files, page."""

@@ -26,11 +26,11 @@ CLOCK = "time_of_day_h"
 
 
 class DiagnosingError(ValueError):
-    """What is to be diagnosed is not there; the message is one plain sentence."""
+    """Error of missing input of a diagnosis; the message is one plain sentence."""
 
 
 def clock_of(text: str) -> float:
-    """Hours since midnight of a time like 08:00."""
+    """Return the hours since midnight of a time like 08:00; raise DiagnosingError if it is none."""
     try:
         moment = datetime.time.fromisoformat(text)
     except ValueError:
@@ -38,8 +38,8 @@ def clock_of(text: str) -> float:
     return moment.hour + moment.minute / 60.0 + moment.second / 3600.0
 
 
-def clock_beside(record: Path) -> float | None:
-    """Hours since midnight at 0 s as a `datasheet.json` beside the record tells (`clock_at_time_0`), or None."""
+def datasheet_clock(record: Path) -> float | None:
+    """Return the hour of day at 0 s from `clock_at_time_0` of a `datasheet.json` in the record's folder, or None."""
     try:
         sheet = json.loads((record.parent / "datasheet.json").read_text(encoding="utf-8"))
         return clock_of(str(sheet["clock_at_time_0"]))
@@ -48,7 +48,7 @@ def clock_beside(record: Path) -> float | None:
 
 
 def start_hour(record: Record) -> float | None:
-    """Hours since midnight at 0 s, where the record tells it."""
+    """Return the hours since midnight at 0 s, or None if the record does not state them."""
     if record.start is None:
         return None
     s = record.start
@@ -56,7 +56,7 @@ def start_hour(record: Record) -> float | None:
 
 
 def with_clock(network: Network) -> Network:
-    """The network with the time of day as an input, so that effects may follow it."""
+    """Return the network with the time of day as an input, so that effects may follow it."""
     if CLOCK in network.inputs:
         return network
     spec = InputSpec(CLOCK, 12.0, 0.0, 24.0, "h", "time of day of the record")
@@ -64,7 +64,7 @@ def with_clock(network: Network) -> Network:
 
 
 def columns_of(network: Network, record: Record, hour_at_0: float | None) -> Columns:
-    """What the network needs of a record.
+    """Return the columns of a record that the network needs.
 
     Raises:
         RecordError: an input column is missing. TwinFileError: a sensor is.
@@ -76,18 +76,20 @@ def columns_of(network: Network, record: Record, hour_at_0: float | None) -> Col
     return Columns.of(network, record.time_s, columns)
 
 
-def in_parts(record: Record) -> Record:
-    """A run that was cut and resumed, so that a twin begins anew after each gap; any other record as it is."""
+def in_segments(record: Record) -> Record:
+    """Split an interrupted run into segments, so that a twin restarts after each gap; return any other record
+    unchanged.
+    """
     segment = record.columns.get("segment")
-    if segment is None or "profile_s" not in record.columns:  # another logger's column may be called so too
+    if segment is None or "profile_s" not in record.columns:  # Another logger's column may have this name, too.
         return record
     parts = Parts.of(record.time_s, segment)
     rows = parts.rows
-    said: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     if rows != slice(0, len(segment)):
         low, high = record.time_s[rows][[0, -1]]
-        said = (
-            f"the run was cut and resumed, and the gaps are longer than it: diagnosed is its longest part, "
+        notes = (
+            f"the run was interrupted and resumed, with gaps longer than the run: diagnosed is its longest segment, "
             f"{span(float(low))} to {span(float(high))} of the record",
         )
     return dataclasses.replace(
@@ -95,21 +97,21 @@ def in_parts(record: Record) -> Record:
         time_s=record.time_s[rows],
         columns={name: np.where(parts.aside, np.nan, values[rows]) for name, values in record.columns.items()},
         quality={name: values[rows] for name, values in record.quality.items()},
-        messages=(*record.messages, *said),
+        messages=(*record.messages, *notes),
     )
 
 
 def read_columns(
     network: Network, path: Path, hour_at_0: float | None, *, at_rest: bool = False, choice: Reading | None = None
 ) -> tuple[Columns, tuple[str, ...]]:
-    """Columns of a record file, or of steady states, and what reading it met.
+    """Return the columns of a record file, or of steady states, and the notes of its reader.
 
     Raises:
         RecordError, TwinFileError: it cannot be read, lacks a column or is too short; the message names the file.
     """
     record = read_record(path, at_rest=at_rest, choice=choice)
     if not at_rest:
-        record = in_parts(record)
+        record = in_segments(record)
     hour = hour_at_0 if hour_at_0 is not None else start_hour(record)
     try:
         columns = columns_of(network, record, hour)
@@ -124,22 +126,22 @@ def read_columns(
 def read_healthy(
     network: Network, twin: Path, path: Path, hour_at_0: float | None, choice: Reading | None = None
 ) -> Commissioned:
-    """The healthy record of a twin, which may have taken up effects since it was made; see `read_columns`."""
+    """Return the healthy record of a twin, which may have gained effects since then; see `read_columns`."""
     columns, _ = read_columns(network, path, hour_at_0, choice=choice)
-    told = [with_clock(entry.network) if CLOCK in network.inputs else entry.network for entry in chain(twin)[1:]]
-    alike = tuple(
-        n for n in told if n.input_columns == network.input_columns and n.sensor_names == network.sensor_names
+    ancestors = [with_clock(entry.network) if CLOCK in network.inputs else entry.network for entry in chain(twin)[1:]]
+    compatible = tuple(
+        n for n in ancestors if n.input_columns == network.input_columns and n.sensor_names == network.sensor_names
     )
-    return Commissioned(columns.time_s, columns.inputs, columns.measured, columns.members, alike)
+    return Commissioned(columns.time_s, columns.inputs, columns.measured, columns.members, compatible)
 
 
 def further_columns(
     network: Network, paths: Sequence[Path], hour_at_0: float | None, choice: Reading | None = None
 ) -> dict[str, Columns]:
-    """Further records by what tells them apart: name of the file, or as much of its path as it takes."""
-    alike = Counter(path.name for path in paths)
+    """Return further records by a distinct name: that of the file, or its path if several files share it."""
+    count = Counter(path.name for path in paths)
     return {
-        path.name if alike[path.name] == 1 and path.name != "record.parquet" else str(path): read_columns(
+        path.name if count[path.name] == 1 and path.name != "record.parquet" else str(path): read_columns(
             network, path, hour_at_0, choice=choice
         )[0]
         for path in paths

@@ -1,4 +1,4 @@
-"""The next experiment of a diagnosis as a load profile, within the limits of a rig file."""
+"""Next experiment of a diagnosis as a load profile, within the limits of a rig file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EXPERIMENT = "experiment.csv"
 
 
 def limits_of(rig: Path) -> Limits:
-    """What the rig file allows: set-point limits, and the lowest of the thermometers' upper alarm limits.
+    """Return the limits of a rig file: set-point limits, and the lowest upper alarm limit of its temperatures.
 
     Raises:
         ConfigurationError: the rig file cannot be used.
@@ -30,7 +30,7 @@ def limits_of(rig: Path) -> Limits:
 
 
 def rig_of(run: Path) -> Path | None:
-    """The rig file that a run folder names, where it is still as it was; else None."""
+    """Return the rig file that a run folder names, or None if it has changed since the run."""
     try:
         about = json.loads((run / "run.json").read_text(encoding="utf-8"))["files"]["rig"]
         path = Path(str(about["path"]))
@@ -40,7 +40,7 @@ def rig_of(run: Path) -> Path | None:
 
 
 def write_experiment(diagnosis: Diagnosis, out: Path, rig: Path | None = None) -> Path | None:
-    """Write the next experiment as a load profile, `experiment.csv`; None where there is none.
+    """Write the next experiment as a load profile, `experiment.csv`; return None if there is none.
 
     Raises:
         ProfileError: the rig does not allow it.
@@ -63,7 +63,7 @@ def write_experiment(diagnosis: Diagnosis, out: Path, rig: Path | None = None) -
 
 
 def profile_of(plan: dict[str, Any] | Any) -> Profile:
-    """The steps of a planned experiment as a profile; the last one is its end."""
+    """Return the steps of a planned experiment as a profile; the last step is its end."""
     steps = plan["steps"]
     columns = tuple(sorted({c for step in steps for c in step if c != "time_s"}))
     values = np.array([[float(step[c]) for c in columns] for step in steps])

@@ -1,4 +1,4 @@
-"""What the pictures of a diagnosis share: colours, style, the marks of onsets and of the held-out part."""
+"""Style of the figures of a diagnosis: colours, fonts, marks of onsets and of the held-out segment."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's palette: told apart without red-green vision.
+# Palette of Okabe and Ito (2008), distinguishable without red-green vision.
 ORANGE, SKY, GREEN, BLUE, RED, GREY, DARK = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#8a9099", "#30343a"
 BAND = "#cfd6dd"
 _WIDTH = 10.4
 SHORT_S = 7200.0
-"""Records up to this long have their times in minutes."""
+"""Longest record in s with its times in minutes."""
 STYLE: dict[str, Any] = {
     "font.size": 9,
     "font.family": "DejaVu Sans",
@@ -32,7 +32,7 @@ STYLE: dict[str, Any] = {
     "grid.alpha": 0.25,
     "legend.frameon": False,
     "svg.fonttype": "path",
-    "text.parse_math": False,  # a $ in somebody's name is a $
+    "text.parse_math": False,  # A $ in a user's name is a $.
 }
 
 
@@ -43,14 +43,14 @@ def figure_of(height: float) -> Figure:
 
 
 def axis_of(findings: Findings) -> tuple[float, str]:
-    """What one unit along the axis of time is, in seconds, and its label; steady states stand by their numbers."""
+    """Return the unit of the time axis in s, and its label; steady states are plotted by their numbers."""
     if at_rest(findings.document):
         return 1.0, "number of the steady state"
     return (3600.0, "time, h") if findings.curves.time_s[-1] > SHORT_S else (60.0, "time, min")
 
 
 def marks(axes: Axes, findings: Findings) -> None:
-    """Onsets as dashed lines, the held-out part shaded."""
+    """Mark onsets as dashed lines, and shade the held-out segment."""
     unit, _ = axis_of(findings)
     low, high = (s / unit for s in findings.document["error"]["held_out_s"])
     begin, end = findings.curves.time_s[[0, -1]] / unit
@@ -79,7 +79,7 @@ def marks_legend(findings: Findings) -> list[Any]:
 
 
 def log_axis(axes: Axes) -> None:
-    """A log axis of at least a decade with plain numbers."""
+    """Set a log axis of at least a decade with plain numbers."""
     from matplotlib.ticker import LogLocator, NullLocator
 
     axes.set_xscale("log")
@@ -93,7 +93,7 @@ def log_axis(axes: Axes) -> None:
 
 
 def few_decades(reach: float) -> Any:
-    """Ticks at a few powers of ten on both sides of zero, for values up to `reach`."""
+    """Return ticks at a few powers of ten on both sides of zero, for values up to `reach`."""
     from matplotlib.ticker import FixedLocator
 
     top = int(np.floor(np.log10(reach)))
@@ -102,7 +102,7 @@ def few_decades(reach: float) -> Any:
 
 
 def no_ticks() -> Any:
-    """No minor ticks."""
+    """Return a locator without minor ticks."""
     from matplotlib.ticker import NullLocator
 
     return NullLocator()

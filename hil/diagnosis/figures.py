@@ -1,4 +1,4 @@
-"""The pictures of a diagnosis as SVG: residuals, unknowns, the ladder of evidence, errors, tunables."""
+"""Figures of a diagnosis as SVG: residuals, unknown inputs, evidence, explanations, errors, parameters."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hil.diagnosis.figure_style import (
     no_ticks,
 )
 from hil.diagnosis.store import Findings, Unknown
-from hil.diagnosis.wording import after_label, at_rest, beside_answer, grown, plain, short
+from hil.diagnosis.wording import after_label, ambiguity_group, at_rest, grown, plain, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,13 +37,18 @@ _LEAST_K = 1e-4
 
 
 def pictures(findings: Findings) -> dict[str, str]:
-    """SVG text by name, of those that the diagnosis has something to show in."""
+    """Return SVG text by name, for the figures that the diagnosis has data for."""
     import matplotlib
 
     makers = {
-        "residuals": _residuals, "unknowns": _unknowns, "blocks": _blocks, "ladder": _ladder, "others": _others,
-        "errors": _errors, "tunables": _tunables,
-    }  # fmt: skip
+        "residuals": _residuals,
+        "unknowns": _unknowns,
+        "blocks": _blocks,
+        "ladder": _ladder,
+        "others": _others,
+        "errors": _errors,
+        "tunables": _tunables,
+    }
     drawn = {}
     for name, make in makers.items():
         style: dict[Any, Any] = {**STYLE, "svg.hashsalt": name}
@@ -61,16 +66,16 @@ def _residuals(findings: Findings) -> Figure | None:
     sensors = list(curves.residual)
     unit, along = axis_of(findings)
     times, points = curves.time_s / unit, _points(findings)
-    usual = "noise (±2σ)" if grown(findings.document) else "healthy (±2σ)"
+    band_label = "noise (±2σ)" if grown(findings.document) else "healthy (±2σ)"
     figure = figure_of(1.5 * len(sensors) + 0.9)
     grid = figure.subplots(len(sensors), 2, sharex=True, squeeze=False, gridspec_kw={"width_ratios": [1.25, 1.0]})
     for row, sensor in zip(grid, sensors, strict=True):
         band = 2.0 * curves.band[sensor]
         for axes in row:
             marks(axes, findings)
-            axes.axhspan(-band, band, facecolor=BAND, edgecolor="none", label=usual, zorder=1)
+            axes.axhspan(-band, band, facecolor=BAND, edgecolor="none", label=band_label, zorder=1)
             axes.axhline(0.0, color=DARK, linewidth=0.6)
-        row[0].plot(times, curves.residual[sensor], color=RED, linewidth=1.3, label="as it was", **points)
+        row[0].plot(times, curves.residual[sensor], color=RED, linewidth=1.3, label="baseline twin", **points)
         row[0].plot(times, curves.after[sensor], color=BLUE, linewidth=1.3, label=label, **points)
         row[1].plot(times, curves.after[sensor], color=BLUE, linewidth=1.1, **points)
         good = curves.after[sensor][np.isfinite(curves.after[sensor])]
@@ -87,7 +92,7 @@ def _residuals(findings: Findings) -> Figure | None:
 
 
 def _points(findings: Findings) -> dict[str, Any]:
-    """Steady states are points, no lines."""
+    """Return the style of steady states as points without lines."""
     return {"marker": "o", "markersize": 3.5, "linestyle": "none"} if at_rest(findings.document) else {}
 
 
@@ -146,7 +151,7 @@ def _unknown(axes: Axes, findings: Findings, unknown: Unknown, hours: np.ndarray
 
 
 def _blocks(findings: Findings) -> Figure | None:
-    """What the effects gain in each block of time that their sizes were not taken from."""
+    """Draw the gain of the effects in each cross-validation fold."""
     blocks = [b for b in findings.document.get("left_out") or () if b["gain"] is not None]
     if not blocks:
         return None
@@ -171,11 +176,16 @@ def _blocks(findings: Findings) -> Figure | None:
         axes.set_ylim(min(0.0, 1.5 * gains.min()) - 0.02 * reach, 1.35 * max(gains.max(), 0.0) + 0.02 * reach)
     for x, gain in zip(0.5 * (low + high), gains, strict=True):
         axes.annotate(
-            f"{gain:+,.0f}", (x, gain), xytext=(0, 3 if gain > 0.0 else -3), textcoords="offset points", ha="center",
-            va="bottom" if gain > 0.0 else "top", fontsize=9 if len(gains) < 8 else 8,
+            f"{gain:+,.0f}",
+            (x, gain),
+            xytext=(0, 3 if gain > 0.0 else -3),
+            textcoords="offset points",
+            ha="center",
+            va="bottom" if gain > 0.0 else "top",
+            fontsize=9 if len(gains) < 8 else 8,
             bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
-        )  # fmt: skip
-    axes.set_ylabel("gain in the block")
+        )
+    axes.set_ylabel("gain in the fold")
     axes.set_xlabel(along)
     return figure
 
@@ -193,11 +203,11 @@ def _ladder(findings: Findings) -> Figure | None:
     _bars(right, places, [r["best_next_z"] for r in rungs], colours, "{:.3g}")
     left.set_yticks(places, names)
     left.axvline(1.0, color=DARK, linewidth=1.0, linestyle=":")
-    left.set_xlabel("misfit left (chi² per block and sensor; dotted: 1, nothing but noise)")
+    left.set_xlabel("remaining misfit (chi² per block and sensor; dotted: 1, noise alone)")
     limit = findings.document.get("threshold")
     if limit is not None:
         right.axvline(limit, color=DARK, linewidth=1.0, linestyle=":")
-    below = f" (dotted: {limit:.1f}, below it nothing is claimed)" if limit is not None else ""
+    below = f" (dotted: threshold {limit:.1f})" if limit is not None else ""
     right.set_xlabel(f"score z of the best next effect{below}")
     for axes in (left, right):
         axes.grid(axis="y", visible=False)
@@ -212,7 +222,7 @@ def _folded(text: str, width: int = 34) -> str:
 
 
 def _bars(axes: Axes, places: np.ndarray, values: list[float | None], colours: list[str], form: str) -> None:
-    """Horizontal bars on a log axis, each with its value."""
+    """Draw horizontal bars on a log axis, each with its value."""
     shown = np.array([max(v if v is not None else 0.0, 1e-3) for v in values])
     low, high = (
         10.0 ** np.floor(np.log10(min(shown.min(), 0.9))),
@@ -231,10 +241,16 @@ def _others(findings: Findings) -> Figure | None:
     document = findings.document
     rows: list[tuple[str, float, str, str]] = []
     for e in document["effects"]:
-        said = "the answer" if document["verdict"] != "unexplained" else "where it enters; no effect is of this form"
-        rows.append((plain(e), float(e["confidence"] or 0.0), said, BLUE))
-    for a in beside_answer(document):
-        rows.append((plain(a), float(a["confidence"] or 0.0), "this record cannot tell it from the answer", ORANGE))
+        role = (
+            "the answer"
+            if document["verdict"] != "unexplained"
+            else "place of the unknown input; no effect has this form"
+        )
+        rows.append((plain(e), float(e["confidence"] or 0.0), role, BLUE))
+    for a in ambiguity_group(document):
+        rows.append(
+            (plain(a), float(a["confidence"] or 0.0), "not distinguishable from the answer in this record", ORANGE)
+        )
     for a in document["alternatives"][: max(_MOST_OTHERS - len(rows), 3)]:
         rows.append((plain(a), float(a["confidence"] or 0.0), a["why_not"], GREY))
     if not rows:
@@ -251,9 +267,13 @@ def _others(findings: Findings) -> Figure | None:
     for place, (_, share, why, _) in zip(places, rows, strict=True):
         percent = f"{100.0 * share:.0f} %" if share >= 0.005 or share == 0.0 else "< 1 %"
         axes.annotate(
-            f"{percent}   {why}", (100.0 * share, place), xytext=(5, 0), textcoords="offset points", va="center",
+            f"{percent}   {why}",
+            (100.0 * share, place),
+            xytext=(5, 0),
+            textcoords="offset points",
+            va="center",
             fontsize=8.5,
-        )  # fmt: skip
+        )
     return figure
 
 
@@ -263,9 +283,11 @@ def _errors(findings: Findings) -> Figure | None:
         return None
     last = after_label(findings.document)
     kinds = [
-        ("stale", "as it was", RED, "D"), ("before", "re-tuned", ORANGE, "s"),
-        ("after", last, BLUE, "o"), ("noise", "noise", DARK, "|"),
-    ]  # fmt: skip
+        ("stale", "baseline twin", RED, "D"),
+        ("before", "re-tuned", ORANGE, "s"),
+        ("after", last, BLUE, "o"),
+        ("noise", "noise", DARK, "|"),
+    ]
     if last == "re-tuned":
         kinds = [kinds[0], kinds[2], kinds[3]]
     figure = figure_of(0.42 * len(sensors) + 1.5)
@@ -312,8 +334,8 @@ def _tunables(findings: Findings) -> Figure | None:
     axes = figure.subplots()
     places = np.arange(len(moved))[::-1]
     before, after = (np.array([m[key] for m in moved]) for key in ("before_sd", "after_sd"))
-    where = "what is known of them" if grown(findings.document) else "as commissioned"
-    axes.axvspan(-2.0, 2.0, facecolor=BAND, edgecolor="none", alpha=0.6, label=f"{where}, ±2 sd")
+    origin_label = "prior" if grown(findings.document) else "as commissioned"
+    axes.axvspan(-2.0, 2.0, facecolor=BAND, edgecolor="none", alpha=0.6, label=f"{origin_label}, ±2 sd")
     axes.axvline(0.0, color=DARK, linewidth=0.6)
     axes.scatter(before, places, s=46, color=ORANGE, marker="s", label="re-tuned alone", zorder=3)
     if after_label(findings.document) != "re-tuned":
@@ -328,12 +350,12 @@ def _tunables(findings: Findings) -> Figure | None:
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_locator(no_ticks())
     axes.set_xlim(-reach, reach)
-    more = f"; {left_out} that moved less are in the table" if left_out > 0 else ""
+    more = f"; {left_out} with smaller changes are in the table" if left_out > 0 else ""
     origin = (
         "the twin file, in standard deviations"
         if grown(findings.document)
         else "commissioning, in its standard deviations"
     )
-    axes.set_xlabel(f"moved against {origin}{more}")
+    axes.set_xlabel(f"change from {origin}{more}")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure

@@ -1,4 +1,4 @@
-"""`hil diagnose --forecast`: what a record, or a planned load profile, could show, before anything is diagnosed."""
+"""Forecast of `hil diagnose --forecast`: detectability of effects in a record or a planned load profile."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MOST_PAIRS = 20
 def show_forecast(
     to: Console, network: Network, path: Path, healthy: Columns | None, hour: float | None, *, as_json: bool
 ) -> None:
-    """Print the least size of each effect that would be seen, what would not be, and what would look alike.
+    """Print the least detectable size of each effect, the undetectable effects, and ambiguous pairs.
 
     Raises:
         DiagnosingError: a plan without a healthy record.
@@ -55,7 +55,7 @@ def show_forecast(
 
 
 def _plan_at(path: Path, network: Network) -> Profile | None:
-    """The load profile at `path`, or None where that is a record."""
+    """Return the load profile at `path`, or None if that is a record."""
     if path.suffix != ".csv":
         return None
     try:
@@ -69,7 +69,7 @@ def _plan_at(path: Path, network: Network) -> Profile | None:
 def planned_inputs(
     network: Network, plan: Profile, hour: float | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
-    """Time (n,) s and inputs (n, c) of a profile, and what was assumed for inputs that it does not set."""
+    """Return time (n,) s and inputs (n, c) of a profile, and notes on inputs that it does not set."""
     time = np.arange(0.0, plan.duration_s, STEP_S)
     values = plan.sample(time)
     inputs = np.empty((len(time), len(network.input_columns)))
@@ -86,26 +86,34 @@ def planned_inputs(
 
 
 def document(found: Forecast) -> dict[str, object]:
-    """A forecast for scripts."""
+    """Return a forecast as plain data for scripts."""
     return {
         "seen": [
-            {"kind": s.candidate.kind, "where": s.candidate.where, "driver": s.candidate.driver, "least": s.least,
-             "unit": s.candidate.unit, "kept": s.kept}
+            {
+                "kind": s.candidate.kind,
+                "where": s.candidate.where,
+                "driver": s.candidate.driver,
+                "least": s.least,
+                "unit": s.candidate.unit,
+                "kept": s.kept,
+            }
             for s in found.seen
         ],
         "unseen": [c.id for c in found.unseen],
         "confused": [[a.id, b.id, rho] for a, b, rho in found.confused],
-    }  # fmt: skip
+    }
 
 
-def _show(to: Console, found: Forecast, what: str) -> None:
+def _show(to: Console, found: Forecast, source: str) -> None:
     from rich.table import Table
 
     from twin.discovery.answer.blind_spots import spoken
 
-    table = Table(title=f"Least effect that this {what} could show, present all along", title_justify="left")
-    for heading in ("kind", "where", "driver", "from", "that tunables leave"):
-        table.add_column(heading, justify="right" if heading.startswith(("from", "that")) else "left")
+    table = Table(
+        title=f"Least detectable effect in this {source}, if present from the beginning", title_justify="left"
+    )
+    for heading in ("kind", "place", "driver", "least size", "not absorbed by tunables"):
+        table.add_column(heading, justify="right" if heading.startswith(("least", "not")) else "left")
     shown = set()
     for s in found.seen:
         c = s.candidate
@@ -116,11 +124,11 @@ def _show(to: Console, found: Forecast, what: str) -> None:
     to.print(table)
     for label in dict.fromkeys((c.kind, c.where, c.driver) for c in found.unseen):
         if label not in shown:
-            to.print(f"cannot be seen: {spoken(label)}")
+            to.print(f"not detectable: {spoken(label)}")
     pairs: dict[tuple[Label, Label], float] = {}
     for a, b, rho in found.confused:
         pairs.setdefault(((a.kind, a.where, a.driver), (b.kind, b.where, b.driver)), rho)
     for (one, other), rho in list(pairs.items())[:_MOST_PAIRS]:
-        to.print(f"look alike ({rho:+.3f}): {spoken(one)} and {spoken(other)}")
+        to.print(f"ambiguous ({rho:+.3f}): {spoken(one)} and {spoken(other)}")
     if len(pairs) > _MOST_PAIRS:
         to.print(f"and {len(pairs) - _MOST_PAIRS} further pairs")

@@ -1,8 +1,7 @@
-"""A diagnosis of the record so far, while the run goes on, in a process of its own with the lowest priority.
+"""Diagnosis of the record so far while a run goes on, in a process of its own with the lowest priority.
 
-The process reads the journal itself; the engine only says now and then how far the run has come, and never waits. One
-diagnosis is under way at a time, of the newest data when it begins. What it finds becomes an event when it differs
-from what was said before.
+The process reads the journal itself. The engine only reports how far the run has come, and never waits. One diagnosis
+runs at a time, on the newest data. Its finding becomes an event if it differs from the last one reported.
 """
 
 from __future__ import annotations
@@ -33,12 +32,12 @@ if TYPE_CHECKING:
     from twin.discovery.healthy.basis import Columns
 
 SURE = 0.9
-"""Confidence of every effect that an adoption asks for."""
+"""Least confidence of every effect for an adoption."""
 WORSE = 1.02
-"""Times the re-tuned twin's held-out error that a sensor may have with the effects, for noise alone."""
+"""Largest ratio of a sensor's held-out error with the effects to that of the re-tuned twin: room for noise alone."""
 LEAST_INTERVAL_S = 60.0
 END_ONLY = "end"
-"""In place of an interval: the whole run, once it is over, and nothing before."""
+"""Value in place of an interval: diagnose only the whole run, at its end."""
 FINISH_TIMEOUT_S = 900.0
 _LOWEST_PRIORITY = 19
 _RESIZED = 0.2
@@ -47,7 +46,7 @@ _SHIFTED_S = 1800.0
 
 @dataclass(frozen=True, slots=True)
 class LiveConfig:
-    """What is diagnosed: the twin file, the journal, a healthy record, every how many seconds of profile time."""
+    """Settings of a live diagnosis: twin file, journal, healthy record, interval in s of profile time."""
 
     twin: Path
     journal: Path
@@ -57,8 +56,10 @@ class LiveConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class Sized:
-    """An effect as far as it matters for saying it again; `value` with its 90 % interval in its unit."""
+class ReportedEffect:
+    """Size and onset of an effect, for the comparison with a later diagnosis; `value` with its 90 % interval in its
+    unit.
+    """
 
     kind: str
     where: str
@@ -69,24 +70,24 @@ class Sized:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """What one diagnosis said of the record up to `until_s`; `sentence` is the verdict in words."""
+class InterimFinding:
+    """Finding of one diagnosis of the record up to `until_s`; `sentence` is the verdict in words."""
 
     verdict: str
     sentence: str
-    effects: tuple[Sized, ...]
+    effects: tuple[ReportedEffect, ...]
     until_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The process's answer: what was found, or why there was no diagnosis; what became of an adoption.
+    """Answer of the process: the finding, or the reason for none, and the result of an adoption.
 
     `adopted` is the file of a revision that this diagnosis saved, `revision` that of the last one that any did.
     `document` is that of the diagnosis of the whole run.
     """
 
-    found: Found | None = None
+    found: InterimFinding | None = None
     problem: str = ""
     adopted: Path | None = None
     refusal: str = ""
@@ -96,7 +97,7 @@ class Reply:
 
 
 def interval_of(text: str) -> float:
-    """Return the seconds of `hourly`, `30min`, `2h`, infinity for `end`; raises ConfigurationError."""
+    """Return the interval in s of `hourly`, `30min`, `2h`, infinity for `end`; raise ConfigurationError."""
     if text == END_ONLY:
         return math.inf
     if text == "hourly":
@@ -110,24 +111,24 @@ def interval_of(text: str) -> float:
     return seconds
 
 
-def found_of(diagnosis: Diagnosis, until_s: float) -> Found:
-    """The part of a diagnosis that an operator is told while the run goes on."""
+def interim_finding(diagnosis: Diagnosis, until_s: float) -> InterimFinding:
+    """Return the part of a diagnosis that is reported while the run goes on."""
     effects = tuple(
-        Sized(e.kind, e.where, e.value, e.interval90[0], e.interval90[1], e.onset_s) for e in diagnosis.effects
+        ReportedEffect(e.kind, e.where, e.value, e.interval90[0], e.interval90[1], e.onset_s) for e in diagnosis.effects
     )
-    said = ". ".join(e.says for e in diagnosis.effects if e.says)
+    text = ". ".join(e.says for e in diagnosis.effects if e.says)
     if diagnosis.verdict == "ambiguous":
         named = {(e.kind, e.where) for e in diagnosis.effects}
         left = dict.fromkeys((a.kind, a.where) for a in diagnosis.indistinguishable if (a.kind, a.where) not in named)
         others = ", ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in left)
-        said = f"{said}; the record so far cannot tell that from {others}" if others else said
-    if diagnosis.verdict in ("adequate", "unexplained") or not said:
-        said = diagnosis.summary.rstrip(".")
-    return Found(diagnosis.verdict, said, effects, until_s)
+        text = f"{text}; in the record so far that is not distinguishable from {others}" if others else text
+    if diagnosis.verdict in ("adequate", "unexplained") or not text:
+        text = diagnosis.summary.rstrip(".")
+    return InterimFinding(diagnosis.verdict, text, effects, until_s)
 
 
-def changed(before: Found | None, now: Found) -> bool:
-    """Whether `now` is news: another verdict or place, a size or an onset that moved by more than its uncertainty."""
+def changed(before: InterimFinding | None, now: InterimFinding) -> bool:
+    """Return True if verdict or place differ, or a size or an onset by more than its uncertainty."""
     if before is None:
         return now.verdict != "adequate"
     if before.verdict != now.verdict or len(before.effects) != len(now.effects):
@@ -141,12 +142,12 @@ def changed(before: Found | None, now: Found) -> bool:
     return False
 
 
-def _ordered(found: Found) -> list[Sized]:
+def _ordered(found: InterimFinding) -> list[ReportedEffect]:
     return sorted(found.effects, key=lambda e: (e.kind, e.where))
 
 
 def refusal(diagnosis: Diagnosis) -> str | None:
-    """Why a diagnosis may not be adopted, or None where it may."""
+    """Return the reason against adopting a diagnosis, or None."""
     if diagnosis.verdict != "effect found":
         return f"the verdict is {diagnosis.verdict}"
     if diagnosis.network is None:
@@ -166,7 +167,7 @@ def refusal(diagnosis: Diagnosis) -> str | None:
 
 
 class _Worker:
-    """The work in the other process: reads what is new in the journal and diagnoses all of it."""
+    """Work of the other process: read new rows of the journal and diagnose all of them."""
 
     def __init__(self, config: LiveConfig) -> None:
         from hil.diagnosis.columns import read_healthy
@@ -179,11 +180,11 @@ class _Worker:
         rig = rig_of(config.journal.parent)
         self._limits = limits_of(rig) if rig is not None else None
         self._blocks: list[Samples] = []
-        self._adopted: Found | None = None
+        self._adopted: InterimFinding | None = None
         self._revision: Path | None = None
 
     def look(self, out: Path | None) -> Reply:
-        """Diagnose the journal as it is; `out` is the folder for the results of the last one."""
+        """Diagnose the journal as it is; `out` is the folder for the results of the last diagnosis."""
         from hil.record.reader import RecordError
         from twin.discovery.engine import diagnose
         from twin.network import TwinFileError
@@ -195,7 +196,7 @@ class _Worker:
             diagnosis = diagnose(self._network, record, self._healthy, limits=self._limits)
         except (TwinFileError, RecordError) as error:
             return Reply(problem=str(error))
-        found = found_of(diagnosis, float(record.time_s[-1]))
+        found = interim_finding(diagnosis, float(record.time_s[-1]))
         adopted, why = self._adopt(diagnosis, found) if self._config.adopt else (None, "")
         page = None if out is None else self._write(diagnosis, out)
         document = None if out is None else diagnosis.document()
@@ -223,8 +224,8 @@ class _Worker:
         values = np.where(parts.aside[:, None], np.nan, good[parts.rows])
         return columns_of(self._network, Record(time_s[parts.rows], dict(zip(names, values.T, strict=True))), None)
 
-    def _adopt(self, diagnosis: Diagnosis, found: Found) -> tuple[Path | None, str]:
-        """File of a new revision, or why there is none."""
+    def _adopt(self, diagnosis: Diagnosis, found: InterimFinding) -> tuple[Path | None, str]:
+        """Return the file of a new revision, or the reason for none."""
         from hil.diagnosis.revision import revise
 
         why = refusal(diagnosis)
@@ -255,7 +256,7 @@ class _Worker:
 
 def _serve(connection: Connection, config: LiveConfig) -> None:
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
-        signal.signal(number, signal.SIG_IGN)  # these belong to the engine, which ends this process in order
+        signal.signal(number, signal.SIG_IGN)  # These signals belong to the engine, which ends this process in order.
     with contextlib.suppress(OSError):
         os.nice(_LOWEST_PRIORITY)
     try:
@@ -271,7 +272,7 @@ def _serve(connection: Connection, config: LiveConfig) -> None:
 
 
 class LiveDiagnosis:
-    """Publisher of the engine that has the record so far diagnosed and journals what is new. It never waits."""
+    """Publisher of the engine that starts diagnoses of the record so far and journals new findings. It never waits."""
 
     def __init__(self, config: LiveConfig, journal: JournalWriter, say: Callable[[str], None]) -> None:
         self._config = config
@@ -281,25 +282,25 @@ class LiveDiagnosis:
         self._free = False
         self._due_s = config.every_s
         self._tick, self._time_s = -1, 0.0
-        self._last: Found | None = None
+        self._last: InterimFinding | None = None
         self._refused = ""
         self._answer = asyncio.Event()
         self._reply: Reply | None = None
         self._failure: str | None = None
 
     def start(self) -> None:
-        """Start the process; it says by itself when it is ready."""
+        """Start the process; it reports by itself when it is ready."""
         self._child = Child(_serve, self._config, "diagnosis")
         self._child.listen(self._receive)
         if self._config.healthy is None:
-            self._event("WARN", "diagnosis: no healthy record, so small effects are not seen")
+            self._event("WARN", "diagnosis: no healthy record, so small effects are not detected")
 
     def _event(self, level: str, text: str) -> None:
         self._journal.event(self._tick, self._time_s, level, text)
         self._say(text)
 
     async def publish(self, ticks: list[int], time_s: list[float], rows: list[list[float]]) -> None:
-        """Take note of how far the run is, and have it diagnosed when that is due and the process is free."""
+        """Take note of the run's progress, and start a diagnosis if one is due and the process is free."""
         self._tick, self._time_s = ticks[-1], time_s[-1]
         if self._free and self._time_s >= self._due_s:
             self._due_s = (self._time_s // self._config.every_s + 1) * self._config.every_s
@@ -314,7 +315,7 @@ class LiveDiagnosis:
             self._fail(str(error))
 
     async def finish(self, out: Path) -> Reply:
-        """Diagnose the whole run into the folder `out`; the run is over, so this waits."""
+        """Diagnose the whole run into the folder `out`, and wait for it, since the run is over."""
         self._journal.commit()
         try:
             async with asyncio.timeout(FINISH_TIMEOUT_S):
@@ -361,7 +362,7 @@ class LiveDiagnosis:
         self._last = now
         if reply.adopted is not None:
             where = shlex.quote(str(reply.adopted))
-            self._event("INFO", f"diagnosis: the static twin of this run goes on as it is; adopted as {where}")
+            self._event("INFO", f"diagnosis: the static twin of this run is unchanged; adopted as {where}")
         elif reply.refusal and reply.refusal != self._refused:
             self._event("INFO", f"diagnosis: not adopted, {reply.refusal}")
         self._refused = reply.refusal
@@ -376,7 +377,7 @@ class LiveDiagnosis:
         self._answer.set()
 
     async def close(self) -> None:
-        """End the process, whatever it is doing; harmless when repeated."""
+        """End the process in any state; harmless when repeated."""
         child, self._child = self._child, None
         if child is not None:
             await child.end()

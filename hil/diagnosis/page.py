@@ -1,4 +1,4 @@
-"""`diagnosis.html`: why the twin was wrong, as one file that needs nothing else, made from the results folder."""
+"""Page `diagnosis.html`: one self-contained file, made from the results folder."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from hil.diagnosis.figures import pictures
 from hil.diagnosis.store import PAGE, Findings, read_findings
-from hil.diagnosis.wording import after_label, at_rest, beside_answer, grown, plain, reasons
+from hil.diagnosis.wording import after_label, ambiguity_group, at_rest, grown, plain, reasons
 from hil.files.atomic import replacing
 from hil.files.html import Html, document, element, image, joined
 
@@ -37,7 +37,7 @@ NOTHING = joined([])
 
 
 def write_page(folder: Path) -> Path:
-    """Write `diagnosis.html` from the folder's results; raises DiagnosisFolderError where there are none."""
+    """Write `diagnosis.html` from the folder's results; raise DiagnosisFolderError if there are none."""
     path = folder / PAGE
     text = page(read_findings(folder))
     with replacing(path) as temporary:
@@ -46,7 +46,7 @@ def write_page(folder: Path) -> Path:
 
 
 def page(findings: Findings) -> str:
-    """The whole page."""
+    """Return the whole page as HTML."""
     d = findings.document
     drawn = pictures(findings)
     subject = Path(str(d.get("record") or "record"))
@@ -57,13 +57,13 @@ def page(findings: Findings) -> str:
         _cards(d),
         _experiment(d),
         _section("Residual", drawn, "residuals", _residual_note(d)),
-        _section("Where the unknown acts", drawn, "unknowns", _UNKNOWN_NOTE),
-        _belief(d, drawn),
+        _section("Unknown input by place", drawn, "unknowns", _UNKNOWN_NOTE),
+        _significance(d, drawn),
         _section("Evidence", drawn, "ladder", _LADDER_NOTE),
         _section("Explanations", drawn, "others", _others_note(d)),
-        _section("Error on data that no fit saw", drawn, "errors", _errors_note(d)),
+        _section("Error on held-out data", drawn, "errors", _errors_note(d)),
         _section(
-            "What re-tuning alone had to bend", drawn, "tunables", _TUNABLES_NOTE if not grown(d) else _GROWN_NOTE
+            "Parameter changes by re-tuning alone", drawn, "tunables", _TUNABLES_NOTE if not grown(d) else _GROWN_NOTE
         ),
         element("h2", "Tables"),
         _effects(d),
@@ -82,52 +82,47 @@ def _note(text: str) -> Html:
 
 
 _UNKNOWN_NOTE = (
-    "No catalogue of effects is used here: each curve is the power (or the error of a thermometer, or the change of "
-    "what the radiator rejects or of the flow) that would have to act at that one place alone to explain the record. "
-    "The likeliest come first; the place where one curve explains the record best is blue."
+    "These estimates use no catalogue of effects. Each curve is the power (or thermometer error, or change of "
+    "radiator heat or of flow) that explains the record if it acts at that place alone. "
+    "The likeliest places come first; the likeliest one is blue."
 )
 _LADDER_NOTE = (
-    "Left: the misfit of the twin with each effect that was added, the dotted line is what noise alone leaves. Right: "
-    "how strongly one more effect would be called for."
+    "Left: misfit of the twin with each added effect; the dotted line is noise alone. Right: "
+    "score statistic of the best next effect."
 )
 _HIDDEN_NOTE = (
-    "Each part was hidden from the fit and foretold from the rest. Bars: how much better with the effects than with "
-    "the twin's own parameters fitted anew (fall of weighted squares). Red: worse."
+    "Cross-validation: each fold is predicted from a fit to the others. Bars: gain of the effects over "
+    "re-tuning alone (fall of weighted squares). Red: worse."
 )
 _BLOCKS_NOTE = (
-    "Each block of time is foretold from the rest of the record, less what the rig remembers on either side. Bars: how "
-    "much better than the twin without, re-tuned or left alone, whichever does better (fall of weighted squares). Red: "
-    "worse. A block without a bar was not asked, since the rest does not tell the sizes."
+    "Cross-validation: each fold is predicted from a fit to the rest, less the rig's memory on either side. Bars: "
+    "gain over the better of baseline and re-tuned twin (fall of weighted squares). Red: "
+    "worse. A fold has no bar if the sizes are not identifiable from the rest."
 )
 _TUNABLES_NOTE = (
-    "A twin without the effect imitates it by moving its own parameters. Far outside the grey band means: further than "
-    "commissioning leaves room for."
+    "A twin without the effect imitates it by moving its own parameters. A value far outside the grey band "
+    "contradicts commissioning."
 )
 
 
 _GROWN_NOTE = (
-    "A twin without the effects imitates them by moving its own parameters. Nothing was commissioned, so the grey band "
-    "is only how far the twin file's values may reasonably be off."
+    "A twin without the effects imitates them by moving its own parameters. The twin was never commissioned, so "
+    "the grey band is only the prior of the twin file's values."
 )
 
 
 def _residual_note(d: dict[str, Any]) -> str:
-    band = "what the thermometers' noise leaves" if grown(d) else "what a twin in good order leaves"
+    band = "the noise of the thermometers" if grown(d) else "the residual of a healthy rig"
     run = "twin at rest" if at_rest(d) else "free-running twin"
-    return (
-        f"Measured minus the {run}. The grey band is {band}; on the right the "
-        f"same, {after_label(d)}, on a scale of its own."
-    )
+    return f"Measured minus the {run}. The grey band is {band}. Right: the same {after_label(d)}, on its own scale."
 
 
 def _others_note(d: dict[str, Any]) -> str:
-    if beside_answer(d):
-        told = (
-            "Orange explanations fit as well: what this record cannot tell from the answer. Grey ones were ruled out. "
-        )
+    if ambiguity_group(d):
+        text = "Orange: ambiguity group of the answer, which this record does not distinguish. Grey: rejected. "
     else:
-        told = "What was tried, and why it was ruled out. "
-    return told + "The answer's confidence is that of its kind and place, whatever it follows."
+        text = "Explanations that were tested, and the reason for their rejection. "
+    return text + "The answer's confidence is that of its kind and place, over all drivers."
 
 
 def _errors_note(d: dict[str, Any]) -> str:
@@ -150,11 +145,15 @@ def _section(title: str, drawn: dict[str, str], name: str, note: str) -> Html:
     return joined([*([element("h2", title)] if title else []), _note(note), picture])
 
 
-def _belief(d: dict[str, Any], drawn: dict[str, str]) -> Html:
-    """Chance, and the blocks of time left out."""
-    said = joined(element("p", text) for text in reasons(d))
+def _significance(d: dict[str, Any], drawn: dict[str, str]) -> Html:
+    """Render significance and cross-validation of the answer."""
+    sentences = joined(element("p", text) for text in reasons(d))
     blocks = _section("", drawn, "blocks", _HIDDEN_NOTE if grown(d) else _BLOCKS_NOTE)
-    return joined([element("h2", "Why believe it"), said, blocks]) if said or blocks else NOTHING
+    return (
+        joined([element("h2", "Significance and cross-validation"), sentences, blocks])
+        if sentences or blocks
+        else NOTHING
+    )
 
 
 def _verdict(d: dict[str, Any]) -> Html:
@@ -178,25 +177,25 @@ def _cards(d: dict[str, Any]) -> Html:
         if len(d["effects"]) > 1:
             cards.append((plain(e), size, spread if at_rest(d) else f"since {since}; {spread}"))
             continue
-        cards.append(("What", size, spread))
-        cards.append(("Where", e["where"].replace("_", " "), f"{e['kind']}, {e['driver']}".replace("_", " ")))
+        cards.append(("Size", size, spread))
+        cards.append(("Place", e["where"].replace("_", " "), f"{e['kind']}, {e['driver']}".replace("_", " ")))
         early, late = e["onset_interval90_s"]
         if not at_rest(d):
-            cards.append(("Since", since, f"90 %: {_between(early, late)}" if late > early else e["shape"]))
+            cards.append(("Onset", since, f"90 %: {_between(early, late)}" if late > early else e["shape"]))
     sensors = d["error"]["sensors"]
     if sensors:
         worst = max(sensors, key=lambda name: (sensors[name]["before"] or 0.0) / (sensors[name]["noise"] or 1.0))
         e = sensors[worst]
-        value, beside = f"{_number(e['stale'])} K", f"re-tuned {_number(e['before'])}"
+        value, comparison = f"{_number(e['stale'])} K", f"re-tuned {_number(e['before'])}"
         if after_label(d) == "with the effect":
-            value, beside = f"{_number(e['before'])} → {_number(e['after'])} K", f"as it was {_number(e['stale'])}"
-        cards.append((f"{worst}, held out", value, f"{beside}, noise {_number(e['noise'])} K"))
+            value, comparison = f"{_number(e['before'])} → {_number(e['after'])} K", f"baseline {_number(e['stale'])}"
+        cards.append((f"{worst}, held out", value, f"{comparison}, noise {_number(e['noise'])} K"))
     cells = (element("div", element("span", a), element("b", b), element("i", c)) for a, b, c in cards)
     return element("div", *cells, class_="cards") if cards else NOTHING
 
 
 def _table(head: list[str], rows: list[list[str]], numbers: int = 0, far: tuple[bool, ...] = ()) -> Html:
-    """A table; the last `numbers` columns are right-aligned, rows marked `far` are bold."""
+    """Render a table; the last `numbers` columns are right-aligned, rows marked `far` are bold."""
     first = len(head) - numbers
 
     def cells(tag: str, row: list[str]) -> list[Html]:
@@ -218,20 +217,27 @@ def _effects(d: dict[str, Any]) -> Html:
         early, late = e["onset_interval90_s"]
         rows.append(
             [
-                e["kind"].replace("_", " "), e["where"], e["driver"].replace("_", " "), e["change"], e["shape"],
-                _sized(e), f"{_number(low)} to {_number(high)}",
-                _hours(e["onset_s"]), _between(early, late),
-                _number(e["confidence"]), _number(e["z"]),
+                e["kind"].replace("_", " "),
+                e["where"],
+                e["driver"].replace("_", " "),
+                e["change"],
+                e["shape"],
+                _sized(e),
+                f"{_number(low)} to {_number(high)}",
+                _hours(e["onset_s"]),
+                _between(early, late),
+                _number(e["confidence"]),
+                _number(e["z"]),
             ]
-        )  # fmt: skip
-    head = ["kind", "where", "driver", "change", "shape", "size", "90 %", "since", "90 %", "confidence", "z"]
+        )
+    head = ["kind", "place", "driver", "change", "shape", "size", "90 %", "onset", "90 %", "confidence", "z"]
     return joined([element("h3", "Effects"), _table(head, rows, 6), *(_note(e["evidence"]) for e in d["effects"])])
 
 
 def _alternatives(d: dict[str, Any]) -> Html:
-    rows = [[plain(a), _share(a), "this record cannot tell it from the answer"] for a in beside_answer(d)]
+    rows = [[plain(a), _share(a), "not distinguishable in this record"] for a in ambiguity_group(d)]
     rows += [[plain(a), _share(a), a["why_not"]] for a in d["alternatives"]]
-    head = ["explanation", "confidence", "why not"]
+    head = ["explanation", "confidence", "reason for rejection"]
     return joined([element("h3", "Other explanations"), _table(head, rows)]) if rows else NOTHING
 
 
@@ -241,15 +247,15 @@ def _share(a: dict[str, Any]) -> str:
 
 
 def _error_table(d: dict[str, Any]) -> Html:
-    kinds = {"stale": "as it was", "before": "re-tuned"}
+    kinds = {"stale": "baseline", "before": "re-tuned"}
     if after_label(d) != "re-tuned":
         kinds["after"] = after_label(d)
     return _errors("RMSE in K, held out", d["error"]["sensors"], kinds)
 
 
 def _further_tables(d: dict[str, Any]) -> Html:
-    """Errors over further records, of the diagnosed twin only where one was made."""
-    kinds = {"stale": "as it was", "before": "re-tuned"}
+    """Render errors over further records, with the diagnosed twin only if one was made."""
+    kinds = {"stale": "baseline", "before": "re-tuned"}
     if d["verdict"] == "effect found":
         kinds["after"] = after_label(d)
     return joined(
@@ -268,19 +274,22 @@ def _errors(title: str, sensors: dict[str, Any], kinds: dict[str, str]) -> Html:
 
 
 def _tunable_table(d: dict[str, Any]) -> Html:
-    beside = after_label(d) != "re-tuned"
+    with_answer = after_label(d) != "re-tuned"
     rows, far = [], []
     for m in d["tunables_moved"]:
         rows.append(
             [
-                m["parameter"], m["unit"], _number(m["commissioned"]),
-                _number(m["before"]), _number(m["before_sd"], "+.1f"),
-                *((_number(m["after"]), _number(m["after_sd"], "+.1f")) if beside else ()),
+                m["parameter"],
+                m["unit"],
+                _number(m["commissioned"]),
+                _number(m["before"]),
+                _number(m["before_sd"], "+.1f"),
+                *((_number(m["after"]), _number(m["after_sd"], "+.1f")) if with_answer else ()),
             ]
-        )  # fmt: skip
+        )
         far.append(max(abs(m["before_sd"] or 0.0), abs(m["after_sd"] or 0.0)) > _FAR_SD)
     head = ["parameter", "unit", "in the twin file" if grown(d) else "commissioned", "re-tuned alone", "in sd"]
-    head += [after_label(d), "in sd"] if beside else []
+    head += [after_label(d), "in sd"] if with_answer else []
     shown = _table(head, rows, len(head) - 2, tuple(far))
     note = _note("Bold: more than three standard deviations.")
     return joined([element("h3", "Tunables"), shown, note]) if rows else NOTHING
@@ -289,24 +298,34 @@ def _tunable_table(d: dict[str, Any]) -> Html:
 def _lists(d: dict[str, Any]) -> Html:
     parts: list[Html] = []
     if d["description"]:
-        rows = [[key.replace("_", " "), _said(value)] for key, value in d["description"].items()]
-        parts += [element("h3", "The unknown in numbers"), _table(["", ""], rows)]
+        rows = [[key.replace("_", " "), _text(value)] for key, value in d["description"].items()]
+        parts += [element("h3", "Unknown input in numbers"), _table(["", ""], rows)]
     if curve := d.get("empirical"):
         rows = [[_number(x, ".4g"), _number(q, ".4g")] for x, q in curve["curve"]]
-        said = _note(f"Offered, not adopted: {curve['says']}. As a twin: empirical.toml.")
-        parts += [element("h3", "A curve instead of a cause"), said, _table([curve["follows"], "W"], rows, 2)]
+        offer = _note(f"Offered, not adopted: {curve['says']}. As a twin: empirical.toml.")
+        parts += [element("h3", "Empirical curve"), offer, _table([curve["follows"], "W"], rows, 2)]
     if d["blind_spots"]:
         items = element("ul", *(element("li", text) for text in d["blind_spots"]))
         parts += [element("h3", "Blind spots of this record"), items]
     return joined(parts)
 
 
-_TOLD = ("why", "steps", "possible", "name", "causes", "expected_difference", "needed_difference", "hottest_C", "hours")
-"""Parts of a plan that its sentence and its table tell already."""
+_SHOWN_KEYS = (
+    "why",
+    "steps",
+    "possible",
+    "name",
+    "causes",
+    "expected_difference",
+    "needed_difference",
+    "hottest_C",
+    "hours",
+)
+"""Keys of a plan that its sentence and its table show already."""
 
 
 def _experiment(d: dict[str, Any]) -> Html:
-    """What to run next, where the record leaves a question open."""
+    """Render the next experiment, if the record leaves a question open."""
     plan = d["next_experiment"]
     if not plan:
         return NOTHING
@@ -314,20 +333,20 @@ def _experiment(d: dict[str, Any]) -> Html:
     parts += [element("p", str(plan["why"]))] if plan.get("why") else []
     steps = plan.get("steps") or ()
     columns = list(dict.fromkeys(column for step in steps for column in step if column != "time_s"))
-    rows = [[_hours(step["time_s"]), *(_said(step.get(column, "")) for column in columns)] for step in steps[:-1]]
+    rows = [[_hours(step["time_s"]), *(_text(step.get(column, "")) for column in columns)] for step in steps[:-1]]
     rows += [[f"{_hours(step['time_s'])}: end", *[""] * len(columns)] for step in steps[-1:]]
     if rows:
         parts.append(_table(["from", *columns], rows, len(columns)))
-        parts.append(_note("As a load profile: experiment.csv beside this page."))
-    rest = [[k.replace("_", " "), _said(v)] for k, v in plan.items() if v and k not in _TOLD]
+        parts.append(_note("As a load profile: experiment.csv in this folder."))
+    rest = [[k.replace("_", " "), _text(v)] for k, v in plan.items() if v and k not in _SHOWN_KEYS]
     return joined([*parts, *([_table(["", ""], rest)] if rest else [])])
 
 
-def _said(value: Any) -> str:
+def _text(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{key.replace('_', ' ')} {_said(cell)}" for key, cell in value.items())
+        return ", ".join(f"{key.replace('_', ' ')} {_text(cell)}" for key, cell in value.items())
     if isinstance(value, list):
-        return (", " if any(isinstance(cell, str) for cell in value) else " to ").join(_said(cell) for cell in value)
+        return (", " if any(isinstance(cell, str) for cell in value) else " to ").join(_text(cell) for cell in value)
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
@@ -348,7 +367,7 @@ def _sized(effect: dict[str, Any]) -> str:
 
 
 def _between(early: float, late: float) -> str:
-    """An interval of times; a short one in seconds."""
+    """Format an interval of times; a short one in seconds."""
     if late - early < 120.0:
         return f"± {0.5 * (late - early):.0f} s"
     return f"{_hours(early)} to {_hours(late)}"

@@ -1,4 +1,4 @@
-"""Results of a diagnosis as files: document, curves and page, with the provenance of what was diagnosed."""
+"""Results of a diagnosis as files: document, curves and page, with the provenance of its inputs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twin.discovery.diagnosis import Diagnosis
 
 
 def provenance(files: dict[str, Path | None]) -> dict[str, object]:
-    """Hash of each file, versions, host and time."""
+    """Return the hash of each file, versions, host and time."""
     return {
         "files": {
             name: {"path": str(path), "sha256": file_sha256(path)} for name, path in files.items() if path is not None
@@ -30,7 +30,7 @@ def provenance(files: dict[str, Path | None]) -> dict[str, object]:
 
 
 def write(diagnosis: Diagnosis, sensors: tuple[str, ...], out: Path, extra: dict[str, object]) -> Path:
-    """Write document, curves and page into the folder; returns the page. `sensors` are the twin's."""
+    """Write document, curves and page into the folder; return the page. `sensors` are the twin's."""
     from hil.diagnosis.page import write_page
 
     out.mkdir(parents=True, exist_ok=True)

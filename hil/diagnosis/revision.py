@@ -1,4 +1,6 @@
-"""Revisions of a twin that a diagnosis offers: with its effects, or with a curve where nothing explains the record."""
+"""Revisions of a twin that a diagnosis offers: with its effects, or with an empirical curve if no effect explains the
+record.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ PROPOSAL = "empirical.toml"
 
 
 def revise(diagnosis: Diagnosis, network: Network, twin: Path, record: Path, *, empirical: bool = False) -> Path | None:
-    """Save the twin with its new effects beside the old one; None where there is nothing to add.
+    """Save the twin with its new effects as a new revision; return None if there are none.
 
     Args:
         empirical: adopt the curve that is offered where nothing explains the record.
@@ -27,7 +29,7 @@ def revise(diagnosis: Diagnosis, network: Network, twin: Path, record: Path, *, 
 
 
 def write_proposal(diagnosis: Diagnosis, network: Network, record: Path, out: Path) -> Path | None:
-    """Write the twin with the curve that is offered, `empirical.toml`, into the folder; None where none is."""
+    """Write the twin with the empirical curve, `empirical.toml`, into the folder; return None if there is none."""
     bigger = _curved(diagnosis, network, record)
     path = out / PROPOSAL
     path.unlink(missing_ok=True)
@@ -66,7 +68,7 @@ def _stamped(
     before: dict[str, float],
     after: dict[str, float],
 ) -> Network:
-    """The bigger network with its evidence, and without a time of day that nothing in it follows."""
+    """Return the extended network with its evidence, and without a time of day that no element uses."""
     used = {column for element in bigger.elements for column in element.inputs()}
     inputs = {c: s for c, s in bigger.inputs.items() if c in used or (c in network.inputs and c != CLOCK)}
     revision = Revision(

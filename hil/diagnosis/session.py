@@ -1,4 +1,4 @@
-"""One diagnosis from its files to its results."""
+"""Session of one diagnosis, from its files to its results."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.diagnosis.columns import (
-    clock_beside,
     clock_of,
+    datasheet_clock,
     further_columns,
     read_columns,
     read_healthy,
     with_clock,
 )
 from hil.diagnosis.experiment_file import limits_of, write_experiment
-from hil.diagnosis.healthy_record import Kept, commissioned_on
+from hil.diagnosis.healthy_record import HealthyRecord, commissioned_on
 from hil.diagnosis.results import provenance, write
 from hil.diagnosis.revision import revise, write_proposal
 from hil.record.reader import Reading
@@ -41,7 +41,7 @@ class DiagnosisRequest:
     Attributes:
         record: file of the record, or of steady states where `at_rest`.
         twin: file of the twin.
-        healthy: record of the rig in good order; None takes the one that the twin kept, if any.
+        healthy: healthy record of the rig; None takes the one stored with the twin, if any.
         use_healthy: False takes the noise floor from `record` alone.
         more: later records of the same rig.
         at_rest: each row of `record` is a steady state.
@@ -63,25 +63,25 @@ class DiagnosisRequest:
 
 @dataclass(frozen=True)
 class Prepared:
-    """Files of a request, read: the twin with the time of day as an input, the healthy record and where it is from."""
+    """Files of a request, read: the twin with the time of day as an input, the healthy record and its source."""
 
     request: DiagnosisRequest
     network: Network
     twin: Network
-    """As its file has it."""
+    """Return the twin as its file has it."""
     hour: float | None
     healthy: Columns | None
-    kept: Kept
+    stored: HealthyRecord
 
     @property
     def healthy_file(self) -> Path | None:
-        """File of the healthy record, given or kept."""
-        return self.request.healthy or self.kept.path
+        """Return the file of the healthy record, given or stored."""
+        return self.request.healthy or self.stored.path
 
 
 @dataclass(frozen=True)
 class Written:
-    """Files of a diagnosis; None for what it did not make."""
+    """Files of a diagnosis; None for those that it did not make."""
 
     page: Path | None = None
     revision: Path | None = None
@@ -97,20 +97,20 @@ def prepare(request: DiagnosisRequest) -> Prepared:
     """
     twin = load(request.twin)
     told = request.healthy is not None or not request.use_healthy or request.at_rest
-    kept = Kept() if told else commissioned_on(request.twin)
-    healthy = request.healthy or kept.path
-    hour = clock_of(request.clock) if request.clock else clock_beside(request.record)
+    stored = HealthyRecord() if told else commissioned_on(request.twin)
+    healthy = request.healthy or stored.path
+    hour = clock_of(request.clock) if request.clock else datasheet_clock(request.record)
     network = with_clock(twin) if hour is not None and not request.at_rest else twin
     choice = request.choice if request.healthy else None
     columns = read_healthy(network, request.twin, healthy, hour, choice) if healthy else None
-    return Prepared(request, network, twin, hour, columns, kept)
+    return Prepared(request, network, twin, hour, columns, stored)
 
 
 def diagnose_files(ready: Prepared, say: Callable[[str], None], note: Callable[[str], None]) -> Diagnosis:
     """Diagnose the record of a request.
 
     Parameters:
-        say: called with what is being done. note: called with what reading the record met.
+        say: called with each stage. note: called with the notes of the record's reader.
 
     Raises:
         RecordError, TwinFileError: the record or the healthy one cannot be diagnosed; the message names the file.
@@ -132,8 +132,8 @@ def diagnose_files(ready: Prepared, say: Callable[[str], None], note: Callable[[
         raise TwinFileError(f"{ready.healthy_file}: {error}") from None
     except TwinFileError as error:
         raise TwinFileError(f"{request.record}: {error}") from None
-    if ready.kept.why:
-        found = dataclasses.replace(found, notes=(ready.kept.why, *found.notes))
+    if ready.stored.why:
+        found = dataclasses.replace(found, notes=(ready.stored.why, *found.notes))
     return found
 
 
@@ -180,7 +180,7 @@ def answer(
     at_rest: bool,
     say: Callable[[str], None],
 ) -> Diagnosis:
-    """A contest of effects with a twin that is nearly right, or the growth of one that was never commissioned.
+    """Return the diagnosis: a contest of effects for a commissioned twin, or the growth of one that never was.
 
     Raises:
         TwinFileError: the record cannot be diagnosed.
@@ -192,7 +192,7 @@ def answer(
     found = with_unused(found, network, record.inputs)
     if not more:
         return found
-    say("looking at the further records")
+    say("predicting the further records")
     further = tuple(elsewhere(found, network, columns, name) for name, columns in more.items())
     said = (one.says for one in further if one.says)
     return dataclasses.replace(found, elsewhere=further, notes=(*found.notes, *said))

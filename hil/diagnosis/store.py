@@ -1,4 +1,4 @@
-"""The results of a diagnosis as files: what the page and the review show, without another diagnosis.
+"""Results of a diagnosis as files: the data of page and review, without another diagnosis.
 
 `diagnosis.json` holds the words and numbers, `diagnosis.parquet` the curves: `time_s`, per sensor `residual.<sensor>`
 and `after.<sensor>` in K, per site `unknown.<site>` and `unknown_sd.<site>` in the site's unit; bands and units are in
@@ -29,12 +29,12 @@ Floats = NDArray[np.float64]
 
 
 class DiagnosisFolderError(ValueError):
-    """The folder holds no diagnosis or a damaged one; the message says what to do."""
+    """Error of a folder with no diagnosis or a damaged one; the message states the remedy."""
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """An unknown quantity acting at one site alone: `mean` and `sd` (b,) in `unit`; K is a thermometer's offset."""
+    """Unknown input at one site alone: `mean` and `sd` (b,) in `unit`; K is a thermometer's offset."""
 
     site: str
     unit: str
@@ -45,9 +45,9 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Curves:
-    """Block means at `time_s` (b,): residuals (b,) in K by sensor, and unknowns, the likeliest first.
+    """Block means at `time_s` (b,): residuals (b,) in K by sensor, and unknown inputs, the likeliest first.
 
-    residual: measured minus the twin as it was. after: with what was found. band: sd of a healthy one, K.
+    residual: measured minus the baseline twin. after: with the answer. band: sd of a healthy one, K.
     """
 
     time_s: Floats
@@ -59,14 +59,14 @@ class Curves:
 
 @dataclass(frozen=True)
 class Findings:
-    """A diagnosis read back: the document of `diagnosis.json` and its curves."""
+    """Content of a results folder: the document of `diagnosis.json` and its curves."""
 
     document: dict[str, Any]
     curves: Curves
 
 
 def curves_of(diagnosis: Diagnosis, sensors: tuple[str, ...]) -> Curves:
-    """The curves of a diagnosis; `sensors` are the twin's, in their order."""
+    """Return the curves of a diagnosis; `sensors` are the twin's, in their order."""
     return Curves(
         time_s=np.asarray(diagnosis.hours, dtype=np.float64) * 3600.0,
         residual={name: diagnosis.residual[:, j] for j, name in enumerate(sensors)},
@@ -93,7 +93,7 @@ def write_curves(curves: Curves, path: Path) -> None:
 
 
 def read_curves(path: Path) -> Curves:
-    """Read what `write_curves` wrote; raises DiagnosisFolderError."""
+    """Read the curves of `write_curves`; raise DiagnosisFolderError."""
     try:
         require_size(path, DiagnosisFolderError, 1)
         table = read_parquet(path, pa.BufferReader(path.read_bytes()), DiagnosisFolderError)
@@ -117,11 +117,16 @@ def _curves_of(table: pa.Table, about: Any) -> Curves:
         after={name: columns[f"after.{name}"] for name in band},
         band=band,
         unknowns=tuple(
-            Unknown(u["site"], u["unit"], columns[f"unknown.{u['site']}"], columns[f"unknown_sd.{u['site']}"],
-                    float(u["log_evidence"]))
+            Unknown(
+                u["site"],
+                u["unit"],
+                columns[f"unknown.{u['site']}"],
+                columns[f"unknown_sd.{u['site']}"],
+                float(u["log_evidence"]),
+            )
             for u in about["unknowns"]
         ),
-    )  # fmt: skip
+    )
 
 
 def write_document(document: dict[str, Any], out: Path) -> Path:
@@ -133,12 +138,12 @@ def write_document(document: dict[str, Any], out: Path) -> Path:
 
 
 def has_diagnosis(folder: Path) -> bool:
-    """Whether the folder holds a whole diagnosis."""
+    """Return True if the folder holds a complete diagnosis."""
     return (folder / DOCUMENT).is_file() and (folder / CURVES).is_file()
 
 
 def read_findings(folder: Path) -> Findings:
-    """Read a results folder; raises DiagnosisFolderError."""
+    """Read a results folder; raise DiagnosisFolderError."""
     path = folder / DOCUMENT
     try:
         document = read_json(path, DiagnosisFolderError)

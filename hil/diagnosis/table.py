@@ -1,4 +1,4 @@
-"""Table of a diagnosis for the terminal: errors of free runs over the part of the record that no fit saw."""
+"""Table of a diagnosis for the terminal: errors of free runs over the held-out segment."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from hil.record.times.time_axis import span
 
 
 def held_out(document: Mapping[str, Any]) -> str:
-    """Return the title of the table of `document`: which part of the record its errors are of."""
+    """Return the title of the table of `document`: the segment of its errors."""
     if document.get("method") == "growth at rest":
-        return "RMSE in K, every fourth steady state, which no fit saw"
+        return "RMSE in K, every fourth steady state, held out of every fit"
     low, high = document["error"]["held_out_s"]
-    return f"RMSE in K, free run from {span(low)} to {span(high)}, which the fit never saw"
+    return f"RMSE in K, free run from {span(low)} to {span(high)}, held-out segment"
 
 
 def errors_of(document: dict[str, Any]) -> Table:
@@ -25,14 +25,14 @@ def errors_of(document: dict[str, Any]) -> Table:
 
 
 def error_table(sensors: Mapping[str, Mapping[str, float | None]], after: str) -> Table:
-    """Return a row for each sensor: errors in K of the twin as it was, re-tuned, and `after`, beside the noise.
+    """Return a row for each sensor: errors in K of the baseline twin, re-tuned and `after`, and the noise.
 
     Args:
-        sensors: by name, with the keys of `SensorError`. after: heading of what the last twin held; "re-tuned" leaves
+        sensors: by name, with the keys of `SensorError`. after: heading of the last twin; "re-tuned" leaves
             that column out.
     """
     table = Table()
-    columns = {"stale": "as it was", "before": "re-tuned", "after": after, "noise": "noise"}
+    columns = {"stale": "baseline", "before": "re-tuned", "after": after, "noise": "noise"}
     if after == "re-tuned":
         del columns["after"]
     table.add_column("sensor")

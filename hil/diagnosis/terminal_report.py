@@ -28,51 +28,60 @@ def print_diagnosis(to: Console, d: Diagnosis) -> None:
         to.print(note, soft_wrap=True)
     if d.effects:
         table = Table(title="Effects", title_justify="left")
-        for heading in ("kind", "where", "driver", "change", "size", "90 %", "since", "z"):
-            table.add_column(heading, justify="right" if heading in ("size", "90 %", "since", "z") else "left")
+        for heading in ("kind", "place", "driver", "change", "size", "90 %", "onset", "z"):
+            table.add_column(heading, justify="right" if heading in ("size", "90 %", "onset", "z") else "left")
         for e in d.effects:
             low, high = e.interval90
             size = f"{_number(e.value)} {e.unit}".removesuffix(" 1")
             table.add_row(
-                e.kind, e.where, e.driver, e.change, size, f"{_number(low)} to {_number(high)}",
-                _since(e.onset_s, d), f"{e.z:.0f}",
-            )  # fmt: skip
+                e.kind,
+                e.where,
+                e.driver,
+                e.change,
+                size,
+                f"{_number(low)} to {_number(high)}",
+                _since(e.onset_s, d),
+                f"{e.z:.0f}",
+            )
         to.print(table)
     for reason in reasons(document):
         to.print(reason, soft_wrap=True)
     if d.indistinguishable or d.alternatives:
         table = Table(title="Other explanations", title_justify="left")
-        for heading in ("kind", "where", "driver", "why not"):
+        for heading in ("kind", "place", "driver", "reason for rejection"):
             table.add_column(heading)
-        said = {(e.kind, e.where, e.driver) for e in d.effects}
+        answers = {(e.kind, e.where, e.driver) for e in d.effects}
         for a in d.indistinguishable:
-            if (a.kind, a.where, a.driver) in said:
+            if (a.kind, a.where, a.driver) in answers:
                 continue
-            table.add_row(a.kind, a.where, a.driver, "this record cannot tell it from the answer", style="bold")
+            table.add_row(a.kind, a.where, a.driver, "not distinguishable in this record", style="bold")
         for a in d.alternatives[:8]:
             table.add_row(a.kind, a.where, a.driver, a.why_not)
         to.print(table)
     to.print(held_out(document), style="italic", soft_wrap=True)
     to.print(errors_of(document))
     for one in document["further_records"]:
-        what = f"RMSE in K, free run over {one['record']}, which no effect was fitted to"
-        to.print(what, style="italic", soft_wrap=True)
+        title = f"RMSE in K, free run over {one['record']}, not used for the effect's fit"
+        to.print(title, style="italic", soft_wrap=True)
         to.print(error_table(one["sensors"], "with the effect" if d.network is not None else "re-tuned"))
     far = [m for m in d.moved if d.method == "contest" and max(abs(m.before_sd), abs(m.after_sd)) > 3.0]
     if far and d.effects:
-        table = Table(title="Tunables that had to move, in standard deviations of commissioning", title_justify="left")
-        for heading in ("parameter", "commissioned", "re-tuned alone", "beside the effect", "unit"):
+        table = Table(title="Changed tunables, in standard deviations of commissioning", title_justify="left")
+        for heading in ("parameter", "commissioned", "re-tuned alone", "with the effect", "unit"):
             table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
         for m in far:
             table.add_row(
-                m.parameter, f"{m.commissioned:.4g}", f"{m.before:.4g} ({m.before_sd:+.0f})",
-                f"{m.after:.4g} ({m.after_sd:+.0f})", m.unit,
-            )  # fmt: skip
+                m.parameter,
+                f"{m.commissioned:.4g}",
+                f"{m.before:.4g} ({m.before_sd:+.0f})",
+                f"{m.after:.4g} ({m.after_sd:+.0f})",
+                m.unit,
+            )
         to.print(table)
     if d.next_experiment:
         to.print(f"next experiment: {d.next_experiment['why']}", soft_wrap=True)
-        for alike in d.next_experiment.get("stay_alike", ()):
+        for group in d.next_experiment.get("stay_alike", ()):
             measured = " or ".join(d.next_experiment["measure"])
-            to.print(f"no input separates {alike}; {measured} would", soft_wrap=True)
+            to.print(f"no input distinguishes {group}; {measured} would", soft_wrap=True)
     for spot in d.blind_spots:
         to.print(f"blind spot: {spot}", soft_wrap=True)

@@ -1,27 +1,28 @@
-"""What a diagnosis says, in words: labels, and why its answer should be believed. Made from `diagnosis.json` alone, so
-that terminal, page and Rerun say the same."""
+"""Words of a diagnosis: labels, and the evidence for its answer. They use `diagnosis.json` alone, so that terminal,
+page and Rerun agree.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
 RARE = 1e-6
-"""Probability below which no figure is given: the tail that it is read from is drawn, not observed."""
+"""Probability below which no figure is given: the tail is extrapolated from the null distribution, not observed."""
 
 
 def short(sensor: str) -> str:
-    """A sensor's column as a label: `T_tank_C` -> `tank`."""
+    """Return the label of a sensor's column: `T_tank_C` -> `tank`."""
     return sensor.removeprefix("T_").removesuffix("_C")
 
 
 def plain(effect: dict[str, Any]) -> str:
-    """`heat source at modules (constant)`."""
+    """Return the label of an effect, as `heat source at modules (constant)`."""
     what = f"{effect['kind']} at {effect['where']}".replace("_", " ") if effect["kind"] != "sensor" else ""
     return f"{what or 'sensor ' + effect['where']} ({effect['driver'].replace('_', ' ')})"
 
 
 def after_label(document: dict[str, Any]) -> str:
-    """What the twin held whose errors are called `after`."""
+    """Return the label of the twin whose errors are called `after`."""
     if document["verdict"] in ("effect found", "ambiguous"):
         return "with the effect"
     tried = any(e["after"] != e["before"] for e in document["error"]["sensors"].values())
@@ -29,41 +30,43 @@ def after_label(document: dict[str, Any]) -> str:
 
 
 def grown(document: dict[str, Any]) -> bool:
-    """Whether the twin was grown from its file, with nothing known of it when healthy."""
+    """Return True if the twin was grown from its file, without a healthy record."""
     return str(document.get("method", "")).startswith("growth")
 
 
 def at_rest(document: dict[str, Any]) -> bool:
-    """Whether the record was of steady states, whose times are their numbers."""
+    """Return True if the record was of steady states, whose times are their numbers."""
     return document.get("method") == "growth at rest"
 
 
-def beside_answer(document: dict[str, Any]) -> list[dict[str, Any]]:
-    """What cannot be told from the answer, without the answer itself, which an ambiguous finding lists too."""
-    said = {(e["kind"], e["where"], e["driver"]) for e in document["effects"]}
-    return [a for a in document["indistinguishable"] if (a["kind"], a["where"], a["driver"]) not in said]
+def ambiguity_group(document: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the explanations that are not distinguishable from the answer, without the answer itself."""
+    answers = {(e["kind"], e["where"], e["driver"]) for e in document["effects"]}
+    return [a for a in document["indistinguishable"] if (a["kind"], a["where"], a["driver"]) not in answers]
 
 
 def reasons(document: dict[str, Any]) -> list[str]:
-    """Why the answer should be believed, or what spoke against adopting one: a sentence each."""
+    """Return the evidence for the answer, or against adopting one: a sentence each."""
     return [text for text in (chance(document), left_out(document)) if text]
 
 
 def chance(document: dict[str, Any]) -> str:
-    """How often noise alone would do as well; "" where nothing was found that a scan could find by chance."""
+    """Return the false-alarm probability as a sentence; "" if nothing was found that a scan could find by chance."""
     found = [e for e in document["effects"] if e.get("p_family_wise") is not None]
     if not found:
         return ""
     worst = max(found, key=lambda e: e["p_family_wise"])
-    # Each effect of a growth has a chance of its own; the threshold is the highest of them.
+    # Each effect of a growth has its own p-value; the threshold is the highest of them.
     limit = worst.get("noise_z") if worst.get("noise_z") is not None else document.get("threshold")
-    score = f"Noise alone would score {worst['z']:.3g} somewhere in the whole catalogue {often(worst['p_family_wise'])}"
+    score = (
+        f"Noise alone would score {worst['z']:.3g} somewhere in the whole catalogue {frequency(worst['p_family_wise'])}"
+    )
     return score + (f"; one record of noise in a hundred reaches {limit:.1f}." if limit is not None else ".")
 
 
 def worse(document: dict[str, Any]) -> str:
-    """By how much an answer is worse than re-tuning where no fit saw the record, as half a sentence, or ""."""
-    from twin.discovery.selection.held_out import WORSE  # it brings the whole search along, which no run needs
+    """Return the loss of an answer against re-tuning on the held-out segment, as half a sentence, or ""."""
+    from twin.discovery.selection.held_out import WORSE  # This module imports the whole search, which no run needs.
 
     sensors = {k: e for k, e in document["error"]["sensors"].items() if None not in (e["before"], e["after"])}
     before, after = (sum((e[k] / e["noise"]) ** 2 for e in sensors.values()) for k in ("before", "after"))
@@ -73,8 +76,8 @@ def worse(document: dict[str, Any]) -> str:
     return f"{name} is off by {e['after']:.3g} K {after_label(document)} and by {e['before']:.3g} K re-tuned alone"
 
 
-def often(probability: float) -> str:
-    """A probability as an operator reads it."""
+def frequency(probability: float) -> str:
+    """Return a probability as a frequency in words."""
     if probability < RARE:
         return "less than once in a million records"
     if probability > 0.1:
@@ -83,26 +86,22 @@ def often(probability: float) -> str:
 
 
 def left_out(document: dict[str, Any]) -> str:
-    """What blocks of time say that the sizes were not taken from; "" where none was asked."""
+    """Return the result of cross-validation as a sentence; "" without folds."""
     blocks = [b["gain"] for b in document.get("left_out") or () if b["gain"] is not None]
     if not blocks:
         return ""
     off = worse(document)
     if off:
-        return (
-            f"On the part that no fit saw, {off}: it does not foretell that part, whatever it gains in blocks left out."
-        )
+        return f"On the held-out segment, {off}: the answer does not predict it, whatever its gain in cross-validation."
     won = sum(gain > 0.0 for gain in blocks)
-    what = (
-        "the effects foretell"
+    subject = (
+        "the effects predict"
         if document["verdict"] in ("effect found", "ambiguous")
-        else "the best effect tried foretells"
+        else "the best effect tried predicts"
     )
     if len(document["effects"]) == 1:
-        what = what.replace("the effects foretell", "the effect foretells")
-    parts = "groups of states" if at_rest(document) else "blocks of time"
-    many = (
-        f"{won} of {len(blocks)} {parts}" if len(blocks) > 1 else f"{won} of the one block of time that could be asked"
-    )
+        subject = subject.replace("the effects predict", "the effect predicts")
+    parts = "groups of states" if at_rest(document) else "folds"
+    many = f"{won} of {len(blocks)} {parts}" if len(blocks) > 1 else f"{won} of the one usable fold"
     rest = "the other states" if at_rest(document) else "the rest of the record"
-    return f"With sizes and tunables solved from {rest}, {what} {many} better than the twin without."
+    return f"With sizes and tunables solved from {rest}, {subject} {many} better than the twin without them."

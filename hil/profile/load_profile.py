@@ -1,4 +1,4 @@
-"""Load profiles: what the rig is asked to do, as breakpoints of named set-points over time.
+"""Load profiles: breakpoints of named set-points over time.
 
 A profile is a CSV file with the columns `time_s`, `heater_power_W`, `pump_speed_pct`, ...: the set-point's name and
 its unit as suffix. Each row holds until the next one (zero-order hold); the time of the last row is the end. Lines
@@ -26,13 +26,13 @@ from hil.files.limits import require_size
 from hil.files.names import safe_file_name
 
 MAX_LINE = 2000
-"""Longest line in characters; anything longer is no table of set-points."""
+"""Longest line in characters; a longer one is no table of set-points."""
 
 WINDOW_S = 600.0
-"""Twins that run beside the rig are calibrated in windows of this length; a shorter run would end before the first."""
+"""Length in s of the calibration windows of twins; a shorter run would end before the first."""
 
 EARLY_S = 1e-6
-"""A breakpoint this close ahead counts as reached: `tick * period` may round to just below it."""
+"""Lead time in s at which a breakpoint counts as reached: `tick * period` may round to just below it."""
 
 WRITTEN_UNITS = {
     "w": "W",
@@ -54,12 +54,12 @@ WRITTEN_UNITS = {
     "kpa": "kPa",
     "sec": "s",
 }
-"""Unit suffixes as people write them, lower case, and the unit that they mean."""
+"""Unit suffixes as users write them, lower case, and the unit that they mean."""
 _USUAL_UNITS = {"power": "W", "speed": "%", "flow": "L/min"}
 
 
 class ProfileError(ValueError):
-    """A profile cannot be read or must not be run; a sentence a line, each naming the file and the remedy."""
+    """Error in reading or checking a profile; one sentence in each line, with the file and the remedy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,21 +89,23 @@ class Profile:
 
     @property
     def duration_s(self) -> float:
-        """End of the profile, s."""
+        """Return the end of the profile, s."""
         return float(self.time_s[-1])
 
     def at(self, t: float) -> tuple[float, ...]:
-        """Set-points at `t` seconds, k values in the order of `columns`; the first and last rows hold outside."""
+        """Return the set-points at `t` seconds, k values in the order of `columns`; the first and last rows hold
+        outside.
+        """
         times, rows = self._table
         return rows[max(bisect.bisect_right(times, t + EARLY_S) - 1, 0)]
 
     def sample(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Set-points at `times (n,)` in s, shape (n, k)."""
+        """Return the set-points at `times (n,)` in s, shape (n, k)."""
         row = np.searchsorted(self.time_s, np.asarray(times) + EARLY_S, side="right") - 1
         return self.values[np.maximum(row, 0)]
 
     def place(self, row: int) -> str:
-        """Return the place of `row` for a message: its line, or its time where there is no file."""
+        """Return the place of `row` for a message: its line, or its time if there is no file."""
         return f"line {self.lines[row]}" if self.lines else f"{self.time_s[row]:g} s"
 
     @cached_property
@@ -122,7 +124,7 @@ class SetpointLimit:
 
 
 def read_profile(path: Path, unitless: Collection[str] = ()) -> Profile:
-    """The profile in the CSV file at `path`; `unitless` are set-points of the rig that need no unit suffix.
+    """Read the profile in the CSV file at `path`; `unitless` are set-points of the rig that need no unit suffix.
 
     Raises ProfileError with one sentence that names the file, the line and the remedy.
     """
@@ -307,7 +309,7 @@ def validate(
         if column in profile.columns or column in meant:
             continue
         if (split_column(column) or ("",))[0] == "heater_power":
-            problems.append(f"{source} does not say {column}; add it, a load profile must set the heat load")
+            problems.append(f"{source} has no column {column}; add it, a load profile must set the heat load")
         else:
             notes.append(f"{column} is not in {source}: it stays at its start value")
     if problems:

@@ -24,11 +24,11 @@ from hil.profile.load_profile import Profile
 
 
 class ScenarioError(ValueError):
-    """A scenario cannot be read or built; a sentence a line, each naming the file and the remedy."""
+    """Error in reading or building a scenario; one sentence in each line, with the file and the remedy."""
 
 
 _LONGEST_H = 1e6
-"""Hours; a century is shorter."""
+"""Longest duration, h; a century is shorter."""
 
 
 def _seconds(time: object) -> int:
@@ -72,7 +72,9 @@ class _Strict(BaseModel):
 
 
 class System(_Strict):
-    """One consumer: `load_kW` at full load, of which `heat_fraction` ends as heat in the loop (water) or room (air).
+    """Consumer: `load_kW` at full load, of which `heat_fraction` ends as heat in the loop (water) or room (air).
+    `throttle` gives (s, fraction of the load) steps, `windows` the (s, s) spans in which the system is on; with neither
+    the load is constant.
 
     `throttle` gives (s, fraction of the load) steps, `windows` the (s, s) spans in which the system is on; with
     neither the load is constant.
@@ -92,7 +94,7 @@ class System(_Strict):
         return self
 
     def steps(self) -> list[tuple[int, float]]:
-        """The load's (s, fraction) steps from 0 on."""
+        """Return the load's (s, fraction) steps from 0 on."""
         if self.throttle is not None:
             return list(self.throttle)
         if self.windows is None:
@@ -102,7 +104,7 @@ class System(_Strict):
 
 
 class Scenario(_Strict):
-    """Ship systems over `duration` s, and the range that the loop's heat must keep to."""
+    """Ship systems over `duration` s, and the allowed range of the loop's heat."""
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9_]+$")]
     title: str = ""
@@ -141,19 +143,19 @@ class Scenario(_Strict):
 
     @property
     def heat_range_W(self) -> tuple[float, float]:
-        """Least and most heat that all converters together may put into the loop, W."""
+        """Return least and most heat of all converters together into the loop, W."""
         low, high = self.heat_per_converter_W
         return self.converters * low, self.converters * high
 
 
 def clock(seconds: float) -> str:
-    """`seconds` as h:mm, with :ss only where it is not a whole minute."""
+    """Format `seconds` as h:mm, with :ss only if it is not a whole minute."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02d}" + (f":{rest:02d}" if rest else "")
 
 
 def read_scenario(path: Path) -> Scenario:
-    """The scenario in the TOML file at `path`; raises ScenarioError with a sentence for every problem."""
+    """Read the scenario in the TOML file at `path`; raise ScenarioError with a sentence for every problem."""
     try:
         text = read_regular(path).decode("utf-8")
         document = tomllib.loads(text)
@@ -192,7 +194,7 @@ def _held(steps: list[tuple[int, float]], edges: NDArray[np.int64]) -> NDArray[n
 
 
 def dissipation(scenario: Scenario) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """When any load changes and what each system dissipates from then on.
+    """Return the times of all load changes and the dissipation of each system from then on.
 
     Returns times `(m,)` in s from 0 to the end, and heat `(systems, m)` in W in the order of `scenario.system`.
     """
@@ -203,7 +205,7 @@ def dissipation(scenario: Scenario) -> tuple[NDArray[np.int64], NDArray[np.float
 
 
 def build(scenario: Scenario, repeat: int = 4) -> Profile:
-    """The profile of `scenario`, `repeat` times over; raises ScenarioError where the heat leaves its range."""
+    """Build the profile of `scenario`, `repeat` times over; raise ScenarioError if the heat leaves its range."""
     if repeat < 1:
         raise ScenarioError(f"{scenario.path} cannot be repeated {repeat} times; repeat it at least once")
     times, heat = dissipation(scenario)

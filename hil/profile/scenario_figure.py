@@ -1,4 +1,4 @@
-"""The picture of a scenario: heat per ship system over time, and what the profile moves besides."""
+"""Figure of a scenario: heat of each ship system over time, and the other set-points."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hil.profile.scenario import Scenario, dissipation
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Okabe and Ito's palette: told apart without red-green vision, and in grey by the order of their lightness.
+# Palette of Okabe and Ito (2008), distinguishable without red-green vision, and in grey by the order of lightness.
 _WATER = ("#0072B2", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#F0E442")
 _AIR = ("#999999", "#DDDDDD", "#BBBBBB")
 _DRIVES = ("#333333", "#E69F00", "#0072B2", "#CC79A7")
@@ -84,7 +84,7 @@ def _stack(
     colours: tuple[str, ...],
     hatch: str,
 ) -> None:
-    # Constant loads at the bottom, so that a step of a varying one does not shake everything above it.
+    # Constant loads are at the bottom, so that a step of a varying one does not move everything above it.
     order = sorted(
         members, key=lambda index: (np.ptp(heat[index][:-1]) > 0, scenario.system[index].windows is not None)
     )

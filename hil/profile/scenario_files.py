@@ -1,4 +1,4 @@
-"""Writes what a scenario declares: its load profiles and its picture, next to the file."""
+"""Files of a scenario: its load profiles and its figure, next to the file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hil.profile.scenario_figure import picture
 
 
 def write_scenario(path: Path) -> list[Path]:
-    """Write every profile of the scenario at `path`, and its picture, next to it; returns what was written."""
+    """Write every profile of the scenario at `path`, and its figure, next to it; return the paths."""
     scenario = read_scenario(path)
     written = []
     for repeat in scenario.repeats:

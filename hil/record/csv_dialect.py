@@ -1,4 +1,4 @@
-"""Dialect of a CSV: what separates its columns, which line names them, and where the first row stands.
+"""Dialect of a CSV: its delimiter, the line of its column names, and its first row.
 
 Loggers and spreadsheets write lines above the names (`sep=;`, the logger's own data) and below them (units, kinds of
 processing). The rows of a table are alike; the lines above them are not. So the rows are found first, by the number of
@@ -21,19 +21,19 @@ DELIMITERS = (",", ";", "\t", "|")
 BLANKS = " "
 """Delimiter of a table whose columns are separated by runs of blanks."""
 SAMPLE = 200
-"""Lines from the beginning from which the dialect is found: far more than any logger writes above its rows."""
+"""Lines from the beginning that the dialect is found from: far more than any logger writes above its rows."""
 MOST_BELOW = 3
 """Lines between names and rows: units, kinds of processing and places of sensors, as loggers write them."""
 
 _MAY_LACK = ("", "comment", "comments", "remark", "note", "notes")
-"""Last name of a heading, lower case, whose cells rows may leave out with their delimiter."""
+"""Last name of a heading, lower case, whose cells rows may omit with their delimiter."""
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?[,;\t|"]*', re.IGNORECASE)
 _MOMENT = re.compile(r"\d{1,4}([-./])\d{1,2}\1\d{1,4}([ T].*)?|\d{1,2}:\d{2}(:\d{2})?.*|\d{4}-\d{2}-\d{2}T.*", re.ASCII)
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line of the file: its number, from 1, and its text."""
+    """Line of the file: its number, from 1, and its text."""
 
     number: int
     text: str
@@ -59,7 +59,7 @@ class Dialect:
 
 
 class DialectError(ValueError):
-    """The layout cannot be found; the message lacks only the file."""
+    """Error of a layout that cannot be found; the message lacks only the file."""
 
 
 def find_dialect(text: str) -> Dialect:
@@ -126,7 +126,7 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
         return None
     above = table[:first]
     if not above and commented is not None:
-        # numpy.savetxt and its like comment their heading out
+        # numpy.savetxt and similar writers comment their heading out.
         names = split(commented.text, delimiter)
         if names is not None and len(names) == k:
             return Dialect(delimiter, tuple(names), commented.number, table[0][0].number - 1)

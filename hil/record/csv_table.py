@@ -112,7 +112,7 @@ def _remedy(row_text: str, dialect: Dialect) -> str:
 def _without_empty_end(
     written: tuple[str, ...], names: tuple[str, ...], table: pa.Table
 ) -> tuple[tuple[str, ...], pa.Table]:
-    """Return names and columns without a last one that has neither a name nor a cell: a delimiter ends each line."""
+    """Return names and columns without a last one that has neither a name nor a cell: each line ends in a delimiter."""
     if written[-1] or len(names) < 2 or table.column(len(names) - 1).null_count < table.num_rows:
         return names, table
     return names[:-1], table.select(range(len(names) - 1))

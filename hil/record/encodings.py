@@ -1,4 +1,4 @@
-"""Encodings of a record's text: UTF-16, which Excel and Windows programs of loggers write, as UTF-8."""
+"""Encodings of a record's text: UTF-16, which Excel and Windows loggers write, converted to UTF-8."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ _MOST = 0.8
 
 
 class EncodingError(ValueError):
-    """Text that is damaged; the message lacks only the file."""
+    """Error of damaged text; the message lacks only the file."""
 
 
 def utf8(content: bytes) -> bytes:
-    """Return the bytes of a UTF-16 text as UTF-8, and any other content as it is.
+    """Return the bytes of a UTF-16 text as UTF-8, and any other content unchanged.
 
     Raises:
         EncodingError: it begins as UTF-16 and is none.
@@ -23,7 +23,7 @@ def utf8(content: bytes) -> bytes:
     if encoding is None:
         return content
     text = content[2:] if content[:2] in _BOMS else content
-    if len(text) % 2:  # cut off within a letter
+    if len(text) % 2:  # Cut off within a character.
         text = text[:-1]
     try:
         return text.decode(encoding).encode()
@@ -40,7 +40,7 @@ def beginning_of(content: bytes) -> str:
 
 
 def _by_zeros(sample: bytes) -> str | None:
-    """Return the kind of UTF-16 of which every second byte is zero, None where that is not so."""
+    """Return the kind of UTF-16 whose every second byte is zero, or None."""
     half = len(sample) // 2
     if half < 2:
         return None

@@ -1,4 +1,4 @@
-"""Bytes of a record, Parquet or CSV, to named columns of cells; `hil.record.reader` decides what the numbers mean."""
+"""Bytes of a record, Parquet or CSV, to named columns of cells; `hil.record.reader` interprets the numbers."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def fahrenheit_hint(column: str) -> str:
 
 
 def with_heading_units(raw: RawRecord) -> RawRecord:
-    """Return `raw` with the suffix of the unit in the name of each column whose heading gives one otherwise.
+    """Return `raw` with the unit suffix in the name of each column whose heading gives the unit in another form.
 
     Times keep their names. Letters in brackets that cannot all be units, as `zone (A)` beside `zone (B)`, are none.
 

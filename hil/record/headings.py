@@ -1,4 +1,4 @@
-"""Headings that stand again among the rows of a record, as where files were joined."""
+"""Repeated headings among the rows of a record, as in joined files."""
 
 from __future__ import annotations
 

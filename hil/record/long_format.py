@@ -1,4 +1,4 @@
-"""Records of one reading a row (series, time, value), as databases and history exports write them, to columns."""
+"""Records with one reading in each row (series, time, value), as databases export them, to columns."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ SERIES = (
     *("_field", "series", "entity_id", "name", "variable", "signal", "tag", "tagname", "tag_name", "point", "channel"),
     *("sensor", "metric", "parameter", "item", "quantity", "topic", "key", "column", "_measurement"),
     *("itemid", "item id", "nodeid", "node id", "varname", "displayname", "display name", "pointid", "bezeichnung"),
-)  # fmt: skip
+)
 UNITS = ("unit", "units", "unit_of_measurement", "einheit")
 QUALITIES = ("quality", "qualitycode", "quality_code", "status", "statuscode", "status code", "validity", "qualität")
 MOST_SERIES = 2000
-"""More names than this are no signals of one rig."""
+"""Most names of signals of one rig; a table with more is refused."""
 
 
 def one_column_a_series(raw: RawRecord) -> RawRecord:
-    """Return `raw` with a column for each series where it holds one reading a row; any other record as it is.
+    """Return `raw` with a column for each series if it holds one reading in each row; any other record unchanged.
 
     A table is of that kind where it has one column of values, a column of times, and columns of text that name the
     series, but no further numbers.
@@ -44,8 +44,13 @@ def one_column_a_series(raw: RawRecord) -> RawRecord:
         return raw
     value, time = values[0], times[0]
     rest = [i for i in range(len(low)) if i != value and i not in times and low[i] not in (*UNITS, *QUALITIES)]
-    labels = [i for i in rest if (text := trimmed(raw.cells[i])) is not None and not _numeric(raw.cells[i])
-              and text.null_count <= may_be_lost(len(text))]  # fmt: skip
+    labels = [
+        i
+        for i in rest
+        if (text := trimmed(raw.cells[i])) is not None
+        and not _numeric(raw.cells[i])
+        and text.null_count <= may_be_lost(len(text))
+    ]
     if not labels or len(labels) < len(rest) or not _numeric(raw.cells[value], 0.0):
         return raw
     texts = [_strings(raw.cells[i]) for i in labels]

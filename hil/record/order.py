@@ -1,4 +1,4 @@
-"""Rows of a record in the order of time, and messages about odd steps between them."""
+"""Rows of a record in time order, and messages about irregular steps between them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hil.record.times.time_axis import GAP_PERIODS, TimeAxis, span
 
 
 def order(raw: RawRecord, axis: TimeAxis) -> tuple[NDArray[np.int64], list[str]]:
-    """Return the rows with a readable time in the order of time, equal times in that of the file, and messages."""
+    """Return the rows with a readable time in time order, equal times in file order, and messages."""
     rows = np.flatnonzero(np.isfinite(axis.seconds))
     stamps = axis.seconds[rows]
     steps = np.diff(stamps)

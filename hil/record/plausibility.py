@@ -1,6 +1,6 @@
 """Impossible readings: overload marks, error codes, and numbers outside the plausible range of their unit.
 
-Every column passes here before any mean, fit or picture. A reading that is refused becomes missing, and the record's
+Every column is checked here before any mean, fit or figure. A reading that is refused becomes missing, and the record's
 messages count it and name the first line.
 """
 
@@ -17,11 +17,11 @@ from drivers.signals import plausible_range, split_column
 Values = NDArray[np.float64]
 
 SENTINELS = (-9999.0, -999.0, 32767.0, -32768.0, 327.67, 3276.7)
-"""Values that loggers write into a temperature when there is none; none of them is a temperature of a liquid loop."""
+"""Values that loggers write in place of a missing temperature; none of them is a temperature of a liquid loop."""
 
 CODES = (
-    *(-9999.0, -9998.0, -999.9, -999.0, 9999.0, 99999.0, 999999.0),  # a field full of nines
-    *(32767.0, -32768.0, 3276.7, -3276.8, 327.67, -327.68, 65535.0, 6553.5, 2147483647.0),  # ends of an integer
+    *(-9999.0, -9998.0, -999.9, -999.0, 9999.0, 99999.0, 999999.0),  # A field full of nines.
+    *(32767.0, -32768.0, 3276.7, -3276.8, 327.67, -327.68, 65535.0, 6553.5, 2147483647.0),  # Limits of an integer type.
     *(6999.0, 7999.0, -6999.0, -7999.0),  # Campbell loggers: full scale of 13 and 16 bit values
 )
 """Values inside the range of some unit that devices write instead of a reading of any quantity.
@@ -30,32 +30,37 @@ One of these is taken for a mark only where the rest of the column proves it (`_
 """
 TEMPERATURE_CODES = (
     *(-99.0, -99.9, 999.0, 999.9),
-    *(85.0, -127.0),  # DS18B20: value at power-on, and no sensor on the wire
+    *(85.0, -127.0),  # DS18B20: value at power-on, and without a sensor on the wire.
     *(850.0, -200.0, -242.02),  # ends of a table of Pt100 (IEC 60751), and the temperature of its equation at 0 ohm
     *(1372.0, 1370.0, 1200.0, 400.0, 1000.0, 1300.0, 1768.0, 1760.0, 1820.0),  # thermocouples (IEC 60584-1)
     *(-270.0, -210.0, -50.0, -99.99, -100.0),
 )
-"""The same for temperatures alone: an input may well have such a level."""
+"""Codes for temperatures alone: an input may well have such a level."""
 REPEATED = 3
-"""Times that a device writes the same value from which it may be a code that no list holds: noise repeats none."""
+"""Repetitions of the same value from which it may be an unlisted code: noise repeats none."""
 FAR_K = 50.0
-"""Distance from all other values from which such a value may be a code: no sensor of a rig jumps so far in a row."""
+"""Distance in K from all other values from which such a value may be a code: no sensor of a rig jumps so far in one
+row.
+"""
 _MOST_CODES = 4
-"""Different codes of one column that are looked for: sensor open, sensor short, above and below the range."""
+"""Most codes of one column: sensor open, sensor short, above and below the range."""
 _LEVELS = re.compile(r"(^|_)(set|setpoint|sp|soll|target|ref|reference|demand|cmd)(_|\d|$)|setpoint|sollwert", re.I)
 """Names of set-points, which jump between levels."""
 
 FEW = 8
-"""Different values from which the rest of a column is a quantity that moves; fewer may be the levels of a switch."""
+"""Fewest different values of a continuous quantity; fewer may be the levels of a switch."""
 STEPS = 2.0
-"""Largest steps between rows that fit into the empty interval beside a code, which then was passed in one."""
+"""Largest steps between rows that fit into the empty interval next to a code, which then was passed in one step."""
 
 
 def without_implausible(
-    name: str, values: Values, place: Callable[[int], str], messages: list[str],
+    name: str,
+    values: Values,
+    place: Callable[[int], str],
+    messages: list[str],
     declared: tuple[float, float] | None = None,
-) -> Values:  # fmt: skip
-    """Return `values (n,)` of column `name`, in the unit of its suffix, with NaN where no reading can be.
+) -> Values:
+    """Return `values (n,)` of column `name`, in the unit of its suffix, with NaN in place of impossible readings.
 
     Args:
         place: names a row of the file, for the messages.
@@ -87,7 +92,7 @@ def without_implausible(
         found = np.unique(values[_equal(values, codes)]).tolist()
         if unit in ("degC", "K") and _LEVELS.search(parts[0]) is None:
             found += [code for code in _repeated(values) if code not in found]
-        for code in 2 * found:  # the one farthest out hides the others from the first look
+        for code in 2 * found:  # The value farthest out hides the others from the first pass.
             apart = _stand_apart(values, float(code))
             if apart is not None:
                 messages.append(_counted(name, apart, values, "a code for no measurement far from all others", place))
@@ -96,7 +101,7 @@ def without_implausible(
 
 
 def _repeated(values: Values) -> list[float]:
-    """Return codes of no list: values at an end of a column of temperatures, repeated exactly and far from all others.
+    """Return unlisted codes: values at an end of a column of temperatures, repeated exactly and far from all others.
 
     Each has other values before and after it, so that a record that begins cold has none. Zero is none, since a
     controller may hold it.
@@ -125,7 +130,7 @@ def _equal(values: Values, marks: tuple[float, ...]) -> NDArray[np.bool_]:
 
 
 def _stand_apart(values: Values, code: float) -> NDArray[np.bool_] | None:
-    """Return the rows (n,) that hold `code` where it cannot be a reading, or None.
+    """Return the rows (n,) that hold `code` if it cannot be a reading, or None.
 
     It cannot be one where the empty interval between it and every other value is wider than all that those span, or,
     between rows of other values, than `STEPS` of their largest steps: a quantity that moves through its range would

@@ -1,4 +1,4 @@
-"""Records of other people's rigs as columns that a twin file can name.
+"""Public records of other rigs as columns that a twin file can name.
 
 Each reader takes the folder `real` of the development data and returns `Columns`. What a source leaves to its text
 (an ambient temperature, which sample an input belongs to) is put in here, with a message.
@@ -26,21 +26,21 @@ PIPE_TESTS = ("ulg_150801", "ulg_151202", "ulg_151204_1", "ulg_160104_2")
 WATER_DENSITY = 0.997
 """kg/L; the value that the twin's flow elements use."""
 DRY_COOLER_FULL_L_MIN = 400.0
-"""24 m3/h, about the largest flow of the calibration set, which counts as 100 %."""
+"""Flow in L/min that counts as 100 %: 24 m3/h, about the largest flow of the calibration set."""
 TOWER_FULL_L_MIN = 400.0
-"""The same of the wet tower."""
+"""Flow in L/min of the wet tower that counts as 100 %."""
 HOLD_S = 3600.0
 """Seconds for which each steady state is held in a record."""
 HOLD_ROWS = 4
 
 
 class PublicRecordError(ValueError):
-    """A public record that is absent or not what it should be; the message is one plain sentence."""
+    """Error of a missing or unexpected public record; the message is one plain sentence."""
 
 
 @dataclass(frozen=True)
 class Columns:
-    """A record: `time_s` (n,) s and `columns` by name, each (n,), NaN where missing; `messages` a sentence each."""
+    """Record: `time_s` (n,) s and `columns` by name, each (n,), NaN if missing; `messages` a sentence each."""
 
     name: str
     time_s: Array
@@ -125,7 +125,7 @@ def held_steady(states: Columns, measured: tuple[str, ...], hold_s: float = HOLD
 
 
 def _read(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
-    """Return the columns of a CSV file with one header line, as floats; what is not a number is NaN."""
+    """Return the columns of a CSV file with one header line, as floats; a cell that is no number is NaN."""
     try:
         table: Any = np.genfromtxt(path, delimiter=",", names=True)
     except OSError:

@@ -1,4 +1,4 @@
-"""Codes beside the values of a record that report their quality."""
+"""Quality codes of a record, in columns of their own."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ _WORDS = {"good": 192.0, "ok": 192.0, "valid": 192.0, "uncertain": 64.0, "bad": 
 
 
 def valued_by(name: str, names: Iterable[str]) -> str | None:
-    """Return the column whose quality the column `name` may hold, called with or without its unit; None for none."""
+    """Return the column whose quality the column `name` may hold, named with or without its unit; None if there is
+    none.
+    """
     for ending in ENDINGS:
         if name.lower().endswith(ending):
             stem = name[: -len(ending)]
@@ -34,7 +36,7 @@ def valued_by(name: str, names: Iterable[str]) -> str | None:
 
 
 def codes_of_words(cells: Any) -> NDArray[np.float64] | None:
-    """Return text cells of the words good, uncertain and bad as codes of OPC; None where they hold anything else."""
+    """Return text cells of the words good, uncertain and bad as OPC codes; None for other words."""
     text = trimmed(cells)
     found = [] if text is None else [cell.as_py() for cell in cells]
     words = [None if cell is None else cell.strip().lower() for cell in found]
@@ -44,7 +46,7 @@ def codes_of_words(cells: Any) -> NDArray[np.float64] | None:
 
 
 def usable_by(name: str, cells: list[str]) -> tuple[list[bool] | None, str]:
-    """Return which readings may be used by their cells of quality, or None and a remark where no kind of codes fits.
+    """Return the usable readings by their cells of quality, or None and a remark if no kind of codes fits.
 
     Words are good, uncertain and bad, with more behind them (`Bad, comm failure`). Numbers are OPC's (192 is good), OPC
     UA's (0 is good, its two highest bits say bad or uncertain), or in a column called validity 1 and 0.
@@ -73,7 +75,7 @@ def reasons(codes: NDArray[np.float64]) -> tuple[NDArray[np.uint8], str] | None:
     """
     known = set(np.unique(codes[np.isfinite(codes)]).tolist())
     if OPC_GOOD in known and all(code == int(code) and int(code) & 0xFC in _OPC for code in known):
-        low = np.nan_to_num(codes, nan=0.0).astype(np.int64) & 0xFF  # the high byte is the vendor's
+        low = np.nan_to_num(codes, nan=0.0).astype(np.int64) & 0xFF  # The high byte belongs to the vendor.
         return np.where(low < OPC_UNCERTAIN, Quality.SENSOR_FAULT, Quality.GOOD).astype(np.uint8), "OPC codes"
     if known <= {float(member) for member in Quality} and 0.0 in known and max(known) > 1.0:
         return np.nan_to_num(codes, nan=0.0).astype(np.uint8), "codes of this project"

@@ -1,4 +1,4 @@
-"""Columns of a record as its file stores them, before anything is decided about their numbers and times."""
+"""Columns of a record as its file stores them, before numbers and times are interpreted."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 
 class RecordError(ValueError):
-    """A record cannot be read or written; one sentence that names the file, the line where there is one, the remedy."""
+    """Error in reading or writing a record; one sentence with the file, the line if there is one, and the remedy."""
 
     def __init__(self, message: str) -> None:
         super().__init__(" ".join(message.split()))  # a cell that is quoted may hold a line break
@@ -18,7 +18,7 @@ class RecordError(ValueError):
 class RawRecord:
     """Columns as stored: `cells` are Arrow arrays of any type, all of one length, named by `names`.
 
-    `units` is what the file itself says of a column's unit; `header_line` and `skipped_lines` map rows to lines of a
+    `units` are those that the file itself gives; `header_line` and `skipped_lines` map rows to lines of a
     CSV (0 and empty for Parquet); `lines`, where it is not empty, are the rows' lines one by one. `delimiter` separates
     its columns. `plausible` are ranges that the file itself declares for a column.
     """
@@ -50,7 +50,7 @@ class RawRecord:
 
 @dataclass(frozen=True)
 class Reading:
-    """Choices of the user for a record that does not show them itself.
+    """Choices of the user for properties that the record does not show itself.
 
     Attributes:
         decimal: sign of all numbers, "." or ",". dates: order of day, month and year, "dmy", "mdy" or "ymd".
@@ -65,7 +65,7 @@ class Reading:
 
 
 def unique(names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return `names` with repeats renamed so that the first keeps its name; and what was renamed."""
+    """Return `names` with repeats renamed so that the first keeps its name, and messages on the renamed ones."""
     found: list[str] = []
     messages = []
     for place, given in enumerate(names, start=1):

@@ -1,10 +1,10 @@
-"""Records: what a rig did, one row a sample, as Parquet or CSV.
+"""Records of a rig, one row for each sample, as Parquet or CSV.
 
 The first column is `time_s`, the others are signals with the unit as suffix (`heater_power_W`, `T_tank_C`). Real
-records have gaps, missing values, repeated and out-of-order stamps, irregular rates and columns that nobody asked
-for: `read_record` copes with all of them and says what it met, in `Record.messages`.
+records have gaps, missing values, repeated and out-of-order stamps, irregular rates and extra columns:
+`read_record` handles all of them and reports them in `Record.messages`.
 
-`<column>_quality` beside a column tells why its values are missing (`signals.points.Quality`); `export_record` writes
+`<column>_quality` gives the reason for missing values of a column (`signals.points.Quality`); `export_record` writes
 such columns only for signals that were ever not good.
 """
 
@@ -50,12 +50,12 @@ QUALITY = "_quality"
 """Ending of a column that holds the quality of the column before it."""
 
 HOTTEST_ROOM_C = 45.0
-"""Above this the median of a room is asked about."""
+"""Median of a room temperature above which a question is reported."""
 COLDEST_C = -100.0
-"""Below this the median of what was converted from kelvin is."""
+"""Median of a column converted from kelvin below which a question is reported."""
 
 LIQUID_K = (233.0, 423.0)
-"""Kelvin of -40 to 150 degC: a record in degC that lies within throughout is asked about."""
+"""Kelvin of -40 to 150 degC: a record in degC that lies within this range throughout gets a question."""
 
 _COMPOUND_SUFFIXES = {"_kg_s": "kg/s", "_m3_h": "m3/h", "_L_min": "L/min", "_l_min": "L/min"}
 _STANDARD_UNITS = {"heater_power": "W", "pump_speed": "%", "fan_speed": "%"}
@@ -63,10 +63,10 @@ _STANDARD_UNITS = {"heater_power": "W", "pump_speed": "%", "fan_speed": "%"}
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Samples at `time_s (n,)`, strictly increasing: `columns` by name, each `(n,)` float64, NaN where missing.
+    """Samples at `time_s (n,)`, strictly increasing: `columns` by name, each `(n,)` float64, NaN if missing.
 
-    `quality` holds, for columns that come with one, the reason `(n,)` of what is missing. `start` is the UTC time of
-    0 s where the record tells it. `messages` is what reading met, a sentence each.
+    `quality` holds, for columns that come with one, the reason `(n,)` of missing values. `start` is the UTC time of
+    0 s if the record states it. `messages` are the notes of the reader, a sentence each.
     """
 
     time_s: NDArray[np.float64]
@@ -80,7 +80,7 @@ class Record:
 
     @property
     def period_s(self) -> float:
-        """Typical step between samples, s; NaN for a single one."""
+        """Return the typical step between samples, s; NaN for a single sample."""
         return float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else float("nan")
 
     def require(self, *names: str) -> None:
@@ -103,11 +103,11 @@ class Record:
 def read_record(path: Path, *, at_rest: bool = False, choice: Reading | None = None) -> Record:
     """Return the record in the Parquet or CSV file at `path`, cleaned.
 
-    With `at_rest` each row is a steady state of its own: all are kept in the order of the file, and their times, where
-    there are any, are left aside for their numbers. `choice` is what the user says of the file.
+    With `at_rest` each row is a steady state of its own: all are kept in the order of the file, and their times, if
+    any, are replaced by their numbers. `choice` are the user's choices for the file.
 
     Rows are sorted by time. Of rows with the same stamp one is kept, with each column's last value that is not
-    missing: a logger sends a correction after the original, or one row a device. Readings that cannot be are missing
+    missing: a logger sends a correction after the original, or one row a device. Impossible readings become missing
     (`hil.record.plausibility`).
 
     Raises:
@@ -185,14 +185,14 @@ def _graded(
     columns: dict[str, NDArray[np.float64]],
     quality: dict[str, NDArray[np.uint8]],
 ) -> list[str]:
-    """Make values missing in `columns` that the codes of `graded` call bad, and return what was done."""
+    """Set values of `columns` to missing that the codes of `graded` call bad, and return messages."""
     said = []
     for name, codes in graded.items():
         rated = valued_by(name, raw.names)
         target = read_as.get(rated or "", "")
         found = reasons(codes)
         held = [c for c in columns if c != name] if rated is None else [target] if target in columns else []
-        good = not codes.any() or codes.min() >= 192  # nothing is bad by either kind of codes
+        good = not codes.any() or codes.min() >= 192  # No code of either kind is bad.
         if found is None or not held:
             there = [c for c in held if np.isfinite(columns[c][np.nan_to_num(codes) != 0]).any()]
             said += [f"column '{name}' has codes of no known kind: not used"] if there and not good else []
@@ -208,7 +208,7 @@ def _graded(
 
 
 def _numbers(name: str, cells: Any, sign: Sign, raw: RawRecord, messages: list[str]) -> NDArray[np.float64] | None:
-    """Return the numbers of a column, None for one of text; raises RecordError where too many cells are no numbers."""
+    """Return the numbers of a column, None for a column of text; raise RecordError if too many cells are no numbers."""
     numbers = parse(cells, sign)
     if numbers is None or _is_text(name, numbers):
         kind = "text" if numbers else str(cells.type)
@@ -243,7 +243,7 @@ def _is_text(name: str, numbers: Numbers) -> bool:
 def _last_known(
     name: str, values: NDArray[np.float64], last_of_stamp: NDArray[np.int64], path: Path, messages: list[str]
 ) -> NDArray[np.float64]:
-    """Return the last known value (k,) of each stamp; raises RecordError where too many others would be lost."""
+    """Return the last known value (k,) of each stamp; raise RecordError if too many others would be lost."""
     known = np.where(np.isnan(values), -1, np.arange(len(values)))
     latest = np.maximum.accumulate(known)[last_of_stamp]
     first_of_stamp = np.append(0, last_of_stamp[:-1] + 1)
@@ -263,11 +263,11 @@ def _last_known(
 def _in_unit(
     name: str, values: NDArray[np.float64], raw: RawRecord, messages: list[str], unmarked: list[str]
 ) -> tuple[str, NDArray[np.float64]]:
-    """Return `name` and `values` in the contract's unit, where the name says another or writes it otherwise."""
+    """Convert `name` and `values` to the standard unit, if the name gives another unit or another spelling."""
     written = _rewritten(name)
     if written and written not in raw.names:
         if _standard_unit(written) is None:
-            messages.append(f"{name}: its unit would be told from the name {written}; kept as it is")
+            messages.append(f"{name}: its unit would follow from the name {written}; kept as it is")
             return name, values
         messages.append(f"column '{name}' is read as {written}")
         name = written
@@ -290,7 +290,9 @@ def _in_unit(
 
 
 def _asked(name: str, written: str, values: NDArray[np.float64]) -> list[str]:
-    """Return questions about a column whose numbers do not fit the unit of its `name`; it was `written` in the file."""
+    """Return questions about a column whose numbers do not fit the unit of its `name`; `written` is its name in the
+    file.
+    """
     if not np.isfinite(values).any() or split_column(name) is None:
         return []
     said = []
@@ -309,7 +311,7 @@ def _asked(name: str, written: str, values: NDArray[np.float64]) -> list[str]:
 
 
 def _standard_unit(column: str) -> str | None:
-    """Return the unit that the contract gives the signal of `column`, None where it gives none."""
+    """Return the standard unit of the signal of `column`, or None."""
     signal, _ = split_column(column) or (column, "")
     return _STANDARD_UNITS.get(signal) or ("degC" if signal.startswith("T_") else None)
 

@@ -1,4 +1,4 @@
-"""Pictures of a report: twins against what was measured, every other signal by unit, set-points and read-backs."""
+"""Figures of a report: twins against measurements, every other signal by unit, set-points and read-backs."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ BELOW = "#c3c7cd"
 TRACKED = ("#1f77c9", "#2a9d6f", "#8a4fbf", "#b03a5b")
 _OTHERS = ("#a8322a", "#1f77c9", "#2a9d6f", "#b8860b", "#8a4fbf", "#0f8b8d", "#b03a5b", "#6b705c", "#e07b1f", "#30343a")
 _MOST_POINTS = 4000
-"""Points of a curve: a picture of 1200 pixels shows no more."""
+"""Most points of a curve: a figure of 1200 pixels shows no more."""
 _MEAN_OVER_S = 300.0
-"""Residuals are means of five minutes, or of a twentieth of a run that is shorter than 100 minutes."""
+"""Longest averaging time of residuals in s; a run shorter than 100 minutes has means over a twentieth."""
 
 Floats = NDArray[np.float64]
 
@@ -47,8 +47,9 @@ class _Plot:
 
 @dataclass(frozen=True, slots=True)
 class Curves:
-    """Everything to be drawn: samples of a run, `measured` by twin sensor (n,), `twins` by name (n, m), and the rows
-    before which the run was cut."""
+    """Data of the figures: samples of a run, `measured` by twin sensor (n,), `twins` by name (n, m), and the first rows
+    after each interruption.
+    """
 
     header: Header
     samples: Samples
@@ -59,12 +60,12 @@ class Curves:
 
 
 def pictures(drawn: Curves) -> Html:
-    """Return headings and pictures as HTML; nothing for a run of fewer than two ticks, no plot without a value."""
+    """Return headings and figures as HTML; nothing for a run of fewer than two ticks, no plot without a value."""
     if len(drawn.samples.tick) < 2:
         return joined([])
     import matplotlib
 
-    with matplotlib.rc_context({"text.parse_math": False}):  # a $ in somebody's name is a $
+    with matplotlib.rc_context({"text.parse_math": False}):  # A $ in a user's name is a $.
         return joined(_pictures(drawn))
 
 
@@ -72,8 +73,8 @@ def _pictures(drawn: Curves) -> Iterator[Html]:
     if drawn.measured:
         yield _picture("Measured against twin", _against_twin(drawn), drawn)
         residuals, width_s = _residuals(drawn)
-        what = f"{width_s / 60:.0f} min" if width_s >= 60 else f"{width_s:g} s"
-        yield _picture(f"Residual (measured - twin), means of {what}", residuals[1], drawn, residuals[0])
+        length = f"{width_s / 60:.0f} min" if width_s >= 60 else f"{width_s:g} s"
+        yield _picture(f"Residual (measured - twin), means of {length}", residuals[1], drawn, residuals[0])
     yield _picture("Signals", _others(drawn), drawn)
     yield _picture("Set-points and read-backs", _actuators(drawn), drawn)
 
@@ -87,7 +88,8 @@ def twin_colours(names: Sequence[str]) -> dict[str, str]:
 def _against_twin(drawn: Curves) -> Iterator[_Plot]:
     colours = twin_colours(tuple(drawn.twins))
     for position, (sensor, values) in enumerate(drawn.measured.items()):
-        # Measured lies below, wide and pale, and each twin is thinner than the one before: curves that agree are seen.
+        # The measurement lies below, wide and pale, and each twin is thinner than the one before: coinciding curves are
+        # visible.
         curves = [_Curve("measured", values, BELOW, 5.0, above=1)]
         curves += [
             _Curve(name, outputs[:, position], colours[name], max(2.4 - 0.6 * k, 0.6))
@@ -97,15 +99,15 @@ def _against_twin(drawn: Curves) -> Iterator[_Plot]:
 
 
 def _residuals(drawn: Curves) -> tuple[tuple[Floats, list[_Plot]], float]:
-    """Return the time (b,) and plots of mean residuals, and the length in s over which they are means."""
+    """Return the time (b,) and plots of mean residuals, and their averaging time in s."""
     time_s, period_s = drawn.samples.time_s, drawn.header.period_s
     width_s = min(_MEAN_OVER_S, period_s * max(1.0, np.ceil((time_s[-1] - time_s[0]) / 20.0 / period_s)))
     part = np.floor((time_s - time_s[0]) / width_s).astype(np.int64)
-    # A cut ends a mean: the rows on both sides of a gap are of different states of the rig.
+    # An interruption ends a mean: the rows on both sides of a gap are of different states of the rig.
     part += np.searchsorted(drawn.cuts, np.arange(len(part)), side="right")
     kept, where = np.unique(part, return_inverse=True)
     middle = np.bincount(where, weights=time_s) / np.bincount(where)
-    # A gap is a break in the curve: an empty part stands for it.
+    # A gap is a break in the curve, drawn as an empty part.
     breaks = np.flatnonzero(np.diff(middle) > 2.5 * width_s) + 1
     colours, plots = twin_colours(tuple(drawn.twins)), []
     for position, (sensor, values) in enumerate(drawn.measured.items()):
@@ -122,7 +124,7 @@ def _residuals(drawn: Curves) -> tuple[tuple[Floats, list[_Plot]], float]:
 
 
 def _others(drawn: Curves) -> Iterator[_Plot]:
-    """Yield measured signals that no twin predicts and no set-point has as its read-back, a plot a unit."""
+    """Yield measured signals without a twin or a set-point of their own, a plot for each unit."""
     values = good_values(drawn.samples)
     told = {column for columns in drawn.header.twin_sensors.values() for column in columns} if drawn.measured else set()
     told |= {signal.column for pair in pair_actuators(drawn.header.signals).values() for signal in pair}
@@ -136,7 +138,7 @@ def _others(drawn: Curves) -> Iterator[_Plot]:
 
 
 def _actuators(drawn: Curves) -> Iterator[_Plot]:
-    """Yield every set-point with its read-back, a plot each."""
+    """Yield every set-point with its read-back, a plot for each."""
     values = good_values(drawn.samples)
     index = {signal.name: k for k, signal in enumerate(drawn.header.signals)}
     for number, (stem, pair) in enumerate(pair_actuators(drawn.header.signals).items()):
@@ -148,7 +150,7 @@ def _actuators(drawn: Curves) -> Iterator[_Plot]:
 
 
 def _picture(heading: str, plots: Any, drawn: Curves, time_s: Floats | None = None) -> Html:
-    """Return the plots above one another with one time axis, as HTML; nothing where none has a value."""
+    """Return stacked plots with one time axis, as HTML; nothing if none has a value."""
     known = []
     for plot in plots:
         curves = tuple(curve for curve in plot.curves if np.isfinite(curve.values).any())
@@ -166,15 +168,20 @@ def _picture(heading: str, plots: Any, drawn: Curves, time_s: Floats | None = No
             at, values = (time_s, curve.values) if time_s is not None else _thinned(drawn, curve.values)
             style = "--" if curve.dashed else "-"
             axes.plot(
-                at / drawn.unit.seconds, values, style, color=curve.colour, linewidth=curve.width,
-                label=curve.label, zorder=curve.above,
-            )  # fmt: skip
+                at / drawn.unit.seconds,
+                values,
+                style,
+                color=curve.colour,
+                linewidth=curve.width,
+                label=curve.label,
+                zorder=curve.above,
+            )
         if time_s is not None:
             axes.axhline(0, color=MEASURED, linewidth=0.6)
         axes.set_ylabel(plot.title)
         axes.grid(alpha=0.25)
         if plot.own_legend:
-            # Beside the axes, where it covers no curve.
+            # Outside the axes, so that it covers no curve.
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
     if not known[0][0].own_legend:
         drawn_as = [pair for axes in rows for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
@@ -185,7 +192,7 @@ def _picture(heading: str, plots: Any, drawn: Curves, time_s: Floats | None = No
 
 
 def _thinned(drawn: Curves, values: Floats) -> tuple[Floats, Floats]:
-    """Return time (p,) s and values (p,), thinned to what a picture shows, with a break before each cut."""
+    """Return time (p,) s and values (p,), thinned to the resolution of a figure, with a break at each interruption."""
     step = max(1, len(values) // _MOST_POINTS)
     kept = np.arange(0, len(values), step)
     cuts = drawn.cuts[(drawn.cuts > 0) & (drawn.cuts < len(values))]

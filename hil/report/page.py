@@ -1,4 +1,4 @@
-"""The report of a run: one HTML file that needs nothing else, made from the journal and `run.json`."""
+"""Report of a run: one self-contained HTML file, made from the journal and `run.json`."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ p.note { color: #5b636b; font-size: .9rem }
 
 
 def measured_sensors(reader: JournalReader, samples: Samples) -> dict[str, NDArray[np.float64]]:
-    """Each twin sensor's measured value in degC, shape (n,): mean of its good columns, NaN where none is good."""
+    """Return each twin sensor's measured value in degC, shape (n,): mean of its good columns, NaN if none is good."""
     index = {signal.column: position for position, signal in enumerate(reader.header.signals)}
     good = np.where(samples.quality == Quality.GOOD, samples.values, np.nan)
     found = {}
@@ -53,7 +53,7 @@ def measured_sensors(reader: JournalReader, samples: Samples) -> dict[str, NDArr
 
 
 def write_report(folder: RunFolder) -> None:
-    """Write `report.html` of a finished run; raises JournalError or RunFolderError where there is none."""
+    """Write `report.html` of a finished run; raise JournalError or RunFolderError if there is none."""
     manifest = folder.read_manifest()
     reader = JournalReader(folder.journal)
     try:
@@ -112,8 +112,8 @@ def _segments(manifest: dict[str, Any], unit: TimeUnit) -> Html:
     times = [f"{what} / {unit.symbol}" for what in ("from", "gap before", "soaked", "profile")]
     head = ["segment", *times, "why", "ended"]
     note = (
-        "The run was cut and resumed. Nothing is known of the gaps: curves and errors leave them out. The profile's "
-        "clock stood while the rig was led back to where it was; the samples of that time are in the record."
+        "The run was interrupted and resumed. Curves and errors leave out the gaps. The profile's "
+        "clock stood during the thermal restore; the samples of that time are in the record."
     )
     return _part("Segments", table(head, rows), _note(note))
 
@@ -140,7 +140,7 @@ def _band_table(manifest: dict[str, Any]) -> Html:
         return joined([])
     sensors = next(iter(bands.values()))
     rows = [[sensor, *(_band(*bands[twin][sensor]) for twin in bands)] for sensor in sensors]
-    note = "Foretold for ten minutes from the twin's own misses in the two hours before; in brackets the share held."
+    note = "Predicted for ten minutes from the twin's own errors in the two hours before; in brackets the coverage."
     return _part("90 % bands, ± K", table(["sensor", *bands], rows), _note(note))
 
 
@@ -154,7 +154,7 @@ def _parameter_table(manifest: dict[str, Any]) -> Html:
         return joined([])
     names = dict.fromkeys(name for values in parameters.values() for name in values)
     rows = [[name, *(parameter_cell(values.get(name)) for values in parameters.values())] for name in names]
-    note = "held: the record does not tell it, or a gate is closed; the value is older than the end."
+    note = "held: not identifiable from the record, or a gate is closed; the value is older than the end."
     adopted = manifest.get("adoption")
     became = [element("p", adopted["sentence"])] if adopted else []
     return _part("Parameters at the end, ± 90 %", table(["parameter", *parameters], rows), _note(note), *became)
@@ -169,7 +169,7 @@ def _gates(reader: JournalReader, unit: TimeUnit) -> Html:
         for name, a in accepted(proposals).items()
     ]
     head = ["parameter", "accepted last", "in a row", f"since / {unit.symbol}", f"last / {unit.symbol}"]
-    return _part("What the network's gates let through", table(head, rows), _note(closed_gates(proposals)))
+    return _part("Parameters accepted by the network's gates", table(head, rows), _note(closed_gates(proposals)))
 
 
 def _pictures(reader: JournalReader, samples: Samples, unit: TimeUnit) -> Html:
@@ -181,7 +181,7 @@ def _pictures(reader: JournalReader, samples: Samples, unit: TimeUnit) -> Html:
 
 
 def _at_ticks(output: TwinOutput, samples: Samples) -> NDArray[np.float64]:
-    """Return a twin's predictions (n, m) at the ticks of `samples`, NaN where it had not answered yet."""
+    """Return a twin's predictions (n, m) at the ticks of `samples`, NaN for those after the tick."""
     found = np.full((len(samples.tick), output.values.shape[1]), np.nan)
     known = np.isin(output.tick, samples.tick)
     found[np.searchsorted(samples.tick, output.tick[known])] = output.values[known]
@@ -194,14 +194,18 @@ def _signals(reader: JournalReader, samples: Samples) -> Html:
         for s in signal_statistics(reader.header, samples)
     ]
     head = ["signal", "unit", "min", "mean", "max", "good"]
-    body = [_part("Signals in numbers", table(head, rows), _note("Over all good values; - for a signal without any."))]
+    body = [
+        _part(
+            "Signals in numbers", table(head, rows), _note("Statistics of all good values; - for a signal without any.")
+        )
+    ]
     pairs = [
         [p.name, p.unit, *map(number, (p.set_mean, p.read_mean, p.settled_difference, p.settled_greatest))]
         for p in set_against_read(reader.header, samples)
     ]
     if pairs:
         head = ["set-point", "unit", "set, mean", "read, mean", "read - set, mean", "read - set, greatest"]
-        note = f"Differences on ticks on which the set-point had stood for {SETTLED_AFTER_S:g} s."
+        note = f"Differences on ticks whose set-point had been constant for {SETTLED_AFTER_S:g} s."
         body.append(_part("Set against read", table(head, pairs), _note(note)))
     return joined(body)
 

@@ -1,4 +1,4 @@
-"""Statistics of every signal of a run, and the numbers and times of a report in units that fit."""
+"""Statistics of every signal of a run, and the formats of numbers and times in a report."""
 
 from __future__ import annotations
 
@@ -14,25 +14,27 @@ from hil.journal.rows import Header, Samples
 from hil.report.actuators import pair_actuators
 
 NONE = "-"
-"""Cell of a number that is not known."""
+"""Cell of an unknown number."""
 SETTLED_AFTER_S = 60.0
-"""A read-back is held against its set-point once that has stood for so long: before, ramps and lags are at work."""
+"""Time in s for which a set-point must be constant before its read-back is compared: before, ramps and lags are at
+work.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class TimeUnit:
-    """A unit of time: its symbol and its length in s."""
+    """Unit of time: its symbol and its length in s."""
 
     symbol: str
     seconds: float
 
     def of(self, time_s: float | None, digits: int = 2) -> str:
-        """Return a time in this unit, without the symbol; `NONE` where it is not known."""
+        """Return a time in this unit, without the symbol; `NONE` if it is unknown."""
         return NONE if time_s is None else number(time_s / self.seconds, f".{digits}f")
 
 
 def time_unit(duration_s: float) -> TimeUnit:
-    """Return the greatest unit of which a run of `duration_s` has three: two decimals then tell its events apart."""
+    """Return the greatest unit that a run of `duration_s` has three of: two decimals then distinguish its events."""
     for unit in (TimeUnit("d", 86400.0), TimeUnit("h", 3600.0), TimeUnit("min", 60.0)):
         if duration_s >= 3.0 * unit.seconds:
             return unit
@@ -40,12 +42,12 @@ def time_unit(duration_s: float) -> TimeUnit:
 
 
 def symbol(unit: str) -> str:
-    """Return a unit as an operator writes it: `degC` as `°C`, nothing for a pure number."""
+    """Return a unit in display form: `degC` as `°C`, nothing for a pure number."""
     return {"degC": "°C", "1": ""}.get(unit, unit)
 
 
 def number(value: float | None, form: str = ".4g") -> str:
-    """Return a number as a cell shows it; `NONE` where there is none."""
+    """Return a number in the form of a cell; `NONE` if there is none."""
     return NONE if value is None or not math.isfinite(value) else f"{value:{form}}"
 
 
@@ -63,8 +65,9 @@ class SignalStatistics:
 
 @dataclass(frozen=True, slots=True)
 class SetAgainstRead:
-    """A set-point against its read-back, both in `unit`: means over all ticks with both, and over the ticks on which
-    the set-point had stood for `SETTLED_AFTER_S` the mean difference (read minus set) and the greatest, NaN without."""
+    """Set-point and read-back, both in `unit`: means over all ticks with both, and over the ticks with a set-point
+    constant for `SETTLED_AFTER_S` the mean difference (read minus set) and the greatest, NaN without.
+    """
 
     name: str
     unit: str
@@ -75,7 +78,7 @@ class SetAgainstRead:
 
 
 def good_values(samples: Samples) -> NDArray[np.float64]:
-    """Return the values (n, k), NaN where the quality is not GOOD."""
+    """Return the values (n, k), NaN if the quality is not GOOD."""
     return np.where(samples.quality == Quality.GOOD, samples.values, np.nan)
 
 
@@ -95,7 +98,7 @@ def signal_statistics(header: Header, samples: Samples) -> list[SignalStatistics
 
 
 def set_against_read(header: Header, samples: Samples) -> list[SetAgainstRead]:
-    """Return every set-point that has a read-back held against it."""
+    """Return the comparison of every set-point that has a read-back."""
     values = good_values(samples)
     index = {signal.name: k for k, signal in enumerate(header.signals)}
     found = []
@@ -120,7 +123,7 @@ def set_against_read(header: Header, samples: Samples) -> list[SetAgainstRead]:
 
 
 def _stood(wanted: NDArray[np.float64], time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return on which ticks (n,) a set-point has stood at its value for `SETTLED_AFTER_S`."""
+    """Return the ticks (n,) on which a set-point has been constant for `SETTLED_AFTER_S`."""
     if not len(wanted):
         return np.zeros(0, dtype=np.bool_)
     changed = np.concatenate([[True], ~(wanted[1:] == wanted[:-1])])

@@ -1,7 +1,7 @@
 """A run in Rerun: measured against twins, residuals, set-points, calibrations, quality and events.
 
-The review follows the journal and never the engine, so a live run is not delayed, a second terminal can watch it, and
-the file can be made again at any time. Only `hil.review.rerun_io` imports rerun.
+The review follows the journal and never the engine. So a live run is not delayed, a second terminal can follow it, and
+the file can be rebuilt at any time. Only `hil.review.rerun_io` imports rerun.
 """
 
 from hil.review.follower import follow, write_findings_review, write_review

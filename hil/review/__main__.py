@@ -1,4 +1,4 @@
-"""`python -m hil.review follow JOURNAL`: the review as a process, so that no tick waits for it."""
+"""Process of the review, `python -m hil.review follow JOURNAL`, so that no tick waits for it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from hil.review.follower import POLL_S, follow
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Follow until the run ends, SIGTERM or Ctrl-C comes, or the parent process is gone; then close in order."""
+    """Follow a journal until the run or the parent process ends, SIGTERM or Ctrl-C comes; then close in order."""
     parser = argparse.ArgumentParser(prog="python -m hil.review", description="Send a journal to Rerun as it grows.")
     verbs = parser.add_subparsers(dest="verb", required=True)
     verb = verbs.add_parser("follow", help="file and viewer, live")
     verb.add_argument("journal", type=Path)
-    verb.add_argument("--rrd", type=Path, help="file to write when the run has ended")
+    verb.add_argument("--rrd", type=Path, help="file to write at the end of the run")
     verb.add_argument("--viewer", help="URL of a running viewer, rerun+http://127.0.0.1:PORT/proxy")
     verb.add_argument("--poll", type=float, default=POLL_S, metavar="SECONDS")
     given = parser.parse_args(arguments)

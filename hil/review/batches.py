@@ -1,4 +1,4 @@
-"""What is sent to the review at a time: values, estimates, states or texts of one entity, in the order they appear."""
+"""Batches for the review: values, estimates, states or texts of one entity, in the order they appear."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """Values of an entity: `time_s (n,)`, `values (n, k)`, NaN where there is nothing good to draw.
+    """Values of an entity: `time_s (n,)`, `values (n, k)`, NaN for no good value.
 
     A file may leave out rows that lie within `tolerance` of the straight line between those it keeps.
     """
@@ -23,7 +23,7 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Estimates:
-    """A parameter's `values (n,)` and `variances (n,)` (NaN where unknown), in `unit`, from `time_s (n,)` on."""
+    """Values (n,) of a parameter with `variances (n,)` (NaN where unknown), in `unit`, from `time_s (n,)` on."""
 
     entity: str
     name: str
@@ -56,7 +56,7 @@ Batch = Rows | Estimates | States | Texts
 
 
 def merged(batches: list[Batch]) -> Batch:
-    """One batch of several of the same entity, in their order."""
+    """Return one batch of several batches of the same entity, in order."""
     first = batches[0]
     if len(batches) == 1:
         return first

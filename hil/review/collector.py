@@ -1,4 +1,4 @@
-"""Follows a journal and turns its new rows into column batches for the review, in the order that they appear."""
+"""Collector of a journal's new rows as column batches for the review, in the order that they appear."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ from hil.tracking.bands import NORMAL90
 PAGE_TICKS = 36_000
 _NOISE_POINTS = 500
 _STEPS_OF_NOISE = 8.0
-"""Steps of residuals in a standard deviation of the sensor's noise, at least; a power of two, which a file keeps in
-half the room. No picture shows so small a step."""
+"""Least steps of residuals in a standard deviation of the sensor's noise. A power of two halves the size in a file, and
+no figure shows so small a step.
+"""
 _CURVE_OF_NOISE = 20.0
-"""A file keeps predictions to this part of a standard deviation of the sensor's noise; see `hil.review.thinning`."""
+"""Largest error of predictions in a file, as a share of the sensor's noise; see `hil.review.thinning`."""
 _ROUTINE_WRITES = ("profile", "slew", "soak")
 
 
@@ -50,7 +51,7 @@ class _Ticks:
         self._count = count
 
     def at(self, tick: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Means at `tick (n,)`, shape (n, m); NaN for ticks without a sample."""
+        """Return the means at `tick (n,)`, shape (n, m); NaN for ticks without a sample."""
         known = self._tick[: self._count]
         where = np.minimum(np.searchsorted(known, tick), self._count - 1)
         means = self._means[where].copy()
@@ -59,7 +60,7 @@ class _Ticks:
 
 
 class Collector:
-    """Reads what is new in a journal. Not thread-safe."""
+    """Reader of new rows of a journal. Not thread-safe."""
 
     def __init__(self, reader: JournalReader) -> None:
         self._reader = reader
@@ -81,11 +82,11 @@ class Collector:
         self.end_s = 0.0
 
     def finished(self) -> bool:
-        """Whether the run has ended; ask before `poll`, then everything is in what `poll` reads until it is empty."""
+        """Return True if the run has ended. Call it before `poll`; then `poll` reads the rest until it is empty."""
         return self._reader.meta("exit_status") is not None
 
     def poll(self, *, last: bool = False) -> Iterator[Batch]:
-        """Everything committed since the last call, at most `PAGE_TICKS` ticks of a table at a time.
+        """Return all rows committed since the last call, at most `PAGE_TICKS` ticks of a table.
 
         Residuals wait for the twins that answer late, unless this is the `last` call.
         """
@@ -101,7 +102,7 @@ class Collector:
             while read == PAGE_TICKS:
                 output = self._reader.twin_outputs(twin, self._twin_tick[twin], PAGE_TICKS)
                 read = len(output.tick)
-                # A commit between the two queries may bring answers to samples that are not read yet.
+                # A commit between the two queries may bring predictions for samples that are not read yet.
                 known = int(np.searchsorted(output.tick, self._ticks.last, side="right"))
                 if known:
                     yield from self._twin(output, known)
@@ -127,7 +128,7 @@ class Collector:
                 self._plan_again()
 
     def _noise(self, time_s: NDArray[np.float64]) -> Iterator[Batch]:
-        """Zero and noise lines as far as the run has come, else a live view would follow them to the planned end."""
+        """Return zero and noise lines up to the present; otherwise a live view would follow them to the planned end."""
         header = self._reader.header
         marks = np.floor(time_s * (_NOISE_POINTS / header.duration_s)).astype(np.int64)
         before = np.concatenate([[self._noise_mark], marks[:-1]])
@@ -149,7 +150,7 @@ class Collector:
             parts = good[:, [self._columns[column] for column in columns]]
             present = np.isfinite(parts).sum(axis=1)
             total = np.nansum(parts, axis=1)
-            # One column is passed on untouched: a sum would turn -0.0 into 0.0 and a mean may round.
+            # A single column is passed on unchanged: a sum would turn -0.0 into 0.0 and a mean may round.
             means[:, k] = (
                 parts[:, 0] if len(columns) == 1 else np.where(present > 0, total / np.maximum(present, 1), np.nan)
             )
@@ -170,7 +171,7 @@ class Collector:
         yield from self._lane("/quality", samples.time_s, watched, worst)
 
     def _rows(self, entity: str, time_s: NDArray[np.float64], values: NDArray[np.float64]) -> Rows:
-        """A curve, broken where the run was cut: nothing is known of the time in between."""
+        """Return a curve with a gap at each interruption of the run."""
         cuts = self._cuts[(self._cuts >= time_s[0]) & (self._cuts <= time_s[-1])]
         at = np.searchsorted(time_s, cuts)
         just_before = cuts - 0.5 * self._reader.header.period_s
@@ -183,7 +184,7 @@ class Collector:
         rows: NDArray[np.uint8],
         name: Callable[[NDArray[np.uint8]], str],
     ) -> Iterator[Batch]:
-        """Changes of state along `rows (n, k)`, told apart by value and named by `name`."""
+        """Return changes of state along `rows (n, k)`, distinguished by value and named by `name`."""
         changed = np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1)) + 1
         times, states = [], []
         last = self._states.get(entity)
@@ -207,7 +208,7 @@ class Collector:
         self._twin_tick[output.twin] = int(output.tick[count - 1])
 
     def _residual(self, last: bool) -> Iterator[Batch]:
-        """Measured minus predicted, the twins beside one another: for each sensor as many rows as for one twin."""
+        """Return measured minus predicted of all twins: for each sensor as many rows as for one twin."""
         time_s, residual = self._residuals.take(last=last)
         if not len(time_s):
             return
@@ -235,12 +236,12 @@ class Collector:
             yield from self._parameters(calibrator, mine)
 
     def _spans(self, entity: str, windows: list[CalibrationRow], states: list[str]) -> Iterator[Batch]:
-        """A lane of windows: like neighbours are one span, time between windows is empty."""
+        """Return a lane of windows: equal neighbours are one span, time between windows is empty."""
         times: list[float] = []
         changes: list[str | None] = []
         last, last_end_s = self._spans_so_far.get(entity, (None, -np.inf))
         for window, state in zip(windows, states, strict=True):
-            # A window ends with its last sample, the next begins with the one after it.
+            # A window ends with its last sample, the next begins with the sample after it.
             if last is not None and window.start_s - last_end_s > 0.1 * (window.end_s - window.start_s):
                 times.append(last_end_s)
                 changes.append(None)
@@ -254,7 +255,7 @@ class Collector:
             yield States(entity, np.array(times), changes)
 
     def _learn_parameters(self, windows: list[CalibrationRow]) -> None:
-        """Panels for parameters that are seen for the first time."""
+        """Add panels for parameters that appear for the first time."""
         names = [name for window in windows for name in window.document.get("parameters", {})]
         if set(names) <= set(self._units):
             return
@@ -264,9 +265,7 @@ class Collector:
         self._plan_again()
 
     def _plan_again(self) -> None:
-        self.plan = make_plan(
-            self._reader.header, self._units, bool(self._commissioned), self._proposals.calibrators
-        )  # fmt: skip
+        self.plan = make_plan(self._reader.header, self._units, bool(self._commissioned), self._proposals.calibrators)
 
     def _parameters(self, calibrator: str, windows: list[CalibrationRow]) -> Iterator[Batch]:
         for name, unit in self._units.items():
@@ -277,7 +276,7 @@ class Collector:
             values = np.array([_number(window.document["parameters"][name]) for window in with_it])
             errors = np.array([_number((window.document.get("standard_errors") or {}).get(name)) for window in with_it])
             if calibrator in self._proposals.calibrators:
-                errors = np.full_like(errors, np.nan)  # the bands are those of its proposals
+                errors = np.full_like(errors, np.nan)  # The bands are those of its proposals.
             yield Estimates(
                 path("parameters", name, calibrator), calibrator, unit, end_s, values, (NORMAL90 * errors) ** 2
             )
@@ -290,7 +289,7 @@ class Collector:
         states = self._reader.states(self._ids["states"])
         if states:
             self._ids["states"] = states[-1].id
-            # Where several follow one another on a tick, the last is what the run was.
+            # Of several states on one tick, the last one is that of the run.
             at = {row.time_s: row.target for row in states}
             yield States("/state", np.array(list(at)), list(at.values()))
         events = self._reader.events(self._ids["events"])

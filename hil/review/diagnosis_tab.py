@@ -1,11 +1,11 @@
-"""A diagnosis in the review: one more tab, made from the results folder. Plain data; nothing here knows Rerun.
+"""Diagnosis in the review: one more tab, made from the results folder. Plain data, independent of Rerun.
 
 /diagnosis/verdict, /diagnosis/errors  text
-/diagnosis/residual/<sensor>/stale    measured minus the twin as it was, K, (n, 1)
-/diagnosis/residual/<sensor>/after    minus the twin with what was found, K, (n, 1)
+/diagnosis/residual/<sensor>/stale    measured minus the baseline twin, K, (n, 1)
+/diagnosis/residual/<sensor>/after    minus the twin with the answer, K, (n, 1)
 /diagnosis/residual/<sensor>/band     zero and plus/minus two sigma of a healthy residual, K, (n, 3)
-/diagnosis/unknown/<site>             power in W or offset in K that acts there alone, with its variance
-/diagnosis/state                      lane: from when on which effect is there
+/diagnosis/unknown/<site>             unknown input at this site alone, W or K, with its variance
+/diagnosis/state                      lane: effects from their onsets
 /diagnosis/onsets                     text at each onset
 """
 
@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.diagnosis.store import Findings, Unknown, has_diagnosis, read_findings
-from hil.diagnosis.wording import after_label, beside_answer, plain, reasons, short
+from hil.diagnosis.wording import after_label, ambiguity_group, plain, reasons, short
 from hil.journal.rows import Header
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.styles import FAINT, GREEN, NEUTRAL, ORANGE, TRACKED, Colour, Lane, Lines, Panel, Plan, Stack, path
@@ -29,21 +29,21 @@ _HEALTHY = "as commissioned"
 _AFTER = TRACKED["blue"]
 
 
-def findings_beside(journal: Path) -> Findings | None:
-    """The diagnosis in the run folder of a journal, if there is one."""
+def findings_of_run(journal: Path) -> Findings | None:
+    """Return the diagnosis in the run folder of a journal, or None."""
     folder = journal.parent / "diagnosis"
     return read_findings(folder) if has_diagnosis(folder) else None
 
 
-def plan_alone(findings: Findings, name: str) -> Plan:
-    """The plan of a diagnosis of a record that is no run."""
+def plan_of_findings(findings: Findings, name: str) -> Plan:
+    """Return the plan of a diagnosis of a record without a run."""
     end_s = float(findings.curves.time_s[-1])
     header = Header((), {}, (), name, end_s, 1.0, {})
     return with_findings(Plan(header, (), (), ()), findings)
 
 
 def with_findings(plan: Plan, findings: Findings) -> Plan:
-    """The plan with a tab for the diagnosis, beside the overview."""
+    """Return the plan with a tab for the diagnosis after the overview."""
     tabs = (*plan.tabs[:1], _tab(findings), *plan.tabs[1:])
     colours = plan.colours | {path("diagnosis", "unknown", u.site): _colour(findings, u.site) for u in _shown(findings)}
     return replace(
@@ -56,27 +56,27 @@ def with_findings(plan: Plan, findings: Findings) -> Plan:
 
 
 def notes(findings: Findings) -> dict[str, str]:
-    """Markdown by entity: the verdict with what the colours mean, and the errors."""
+    """Return Markdown by entity: the verdict with the key of colours, and the errors."""
     d = findings.document
     parts = [f"### {str(d['verdict']).capitalize()}", str(d["summary"])]
     parts += [f"*{text}*" for text in (*d["warnings"], *d["notes"])]
     parts += reasons(d)
-    if others := beside_answer(d):
-        parts.append("This record cannot tell it from: " + ", ".join(plain(a) for a in others) + ".")
+    if others := ambiguity_group(d):
+        parts.append("Not distinguishable in this record from: " + ", ".join(plain(a) for a in others) + ".")
     parts.append(
-        f"orange: as it was · blue: {after_label(d)} · thin lines: zero and ±2σ of a healthy residual · below, blue: "
-        "the place that explains the record best, band ±1σ"
+        f"orange: baseline twin · blue: {after_label(d)} · thin lines: zero and ±2σ of a healthy residual · below, "
+        "blue: the place with the best fit to the record, band ±1σ"
     )
     rows = [
         f"| {short(name)} | {_k(e['stale'])} | {_k(e['before'])} | {_k(e['after'])} | {_k(e['noise'])} |"
         for name, e in d["error"]["sensors"].items()
     ]
-    head = f"| RMSE in K, held out | as it was | re-tuned | {after_label(d)} | noise |\n|---|---|---|---|---|"
+    head = f"| RMSE in K, held out | baseline | re-tuned | {after_label(d)} | noise |\n|---|---|---|---|---|"
     return {VERDICT: "\n\n".join(parts) + "\n", ERRORS: "\n".join([head, *rows]) + "\n"}
 
 
 def batches(findings: Findings) -> Iterator[Batch]:
-    """Everything that is drawn over time."""
+    """Yield everything that is drawn over time."""
     curves = findings.curves
     time_s = curves.time_s
     for sensor, residual in curves.residual.items():
@@ -117,7 +117,7 @@ def _states(findings: Findings) -> dict[str, Colour]:
 
 
 def _shown(findings: Findings) -> list[Unknown]:
-    """The likeliest few sites of each unit."""
+    """Return the likeliest sites of each unit."""
     unknowns = findings.curves.unknowns
     power = [u for u in unknowns if u.unit == "W"][:_MOST_BESIDE]
     return power + [u for u in unknowns if u.unit != "W"][:_MOST_BESIDE]
@@ -131,7 +131,7 @@ def _colour(findings: Findings, site: str) -> Colour:
 def _lines(findings: Findings) -> Iterator[Lines]:
     for sensor, band in findings.curves.band.items():
         root = path("diagnosis", "residual", sensor)
-        yield Lines(f"{root}/stale", ("as it was",), (ORANGE,), (2.0,))
+        yield Lines(f"{root}/stale", ("baseline twin",), (ORANGE,), (2.0,))
         yield Lines(f"{root}/after", (after_label(findings.document),), (_AFTER,), (2.0,))
         names = ("zero", f"+2σ healthy ({2 * band:.2g} K)", "-2σ healthy")
         yield Lines(f"{root}/band", names, (NEUTRAL, FAINT, FAINT), (1.0,))
@@ -153,16 +153,16 @@ def _tab(findings: Findings) -> Stack:
     rows: list[Panel | Stack] = [Stack("columns", words, share=3.0)]
     for start in range(0, len(residuals), _MOST_BESIDE):
         rows.append(Stack("columns", tuple(residuals[start : start + _MOST_BESIDE]), share=3.0))
-    rows.append(Panel("lanes", "What is there", ("/diagnosis/state",), 1.4))
+    rows.append(Panel("lanes", "Effects", ("/diagnosis/state",), 1.4))
     rows += [Stack("columns", tuple(group), share=2.5) for group in (power, offset) if group]
     return Stack("rows", tuple(rows), title="Diagnosis")
 
 
 def _unknown(u: Unknown) -> Panel:
-    what = {"W": "power if it entered here alone", "K": "offset if it alone erred"}.get(
-        u.unit, "change if it alone had"
+    quantity = {"W": "unknown power here alone", "K": "unknown offset of it alone"}.get(
+        u.unit, "unknown change of it alone"
     )
-    title = f"{u.site if u.unit == 'W' else short(u.site)}: {what} [{u.unit}]"
+    title = f"{u.site if u.unit == 'W' else short(u.site)}: {quantity} [{u.unit}]"
     return Panel("lines", title, (path("diagnosis", "unknown", u.site),), legend=False)
 
 

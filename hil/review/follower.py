@@ -1,4 +1,4 @@
-"""From a journal, finished or growing, to a review file and a viewer."""
+"""Follower of a journal, finished or growing: writes a review file and feeds a viewer."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from hil.files.names import utf8_path
 from hil.journal.writer import JournalError, JournalReader
 from hil.review.batches import Batch, Rows, merged
 from hil.review.collector import Collector
-from hil.review.diagnosis_tab import batches, findings_beside, notes, plan_alone, with_findings
+from hil.review.diagnosis_tab import batches, findings_of_run, notes, plan_of_findings, with_findings
 from hil.review.rerun_io import Recording
 from hil.review.styles import Plan
-from hil.review.thinning import GROUP, kept
+from hil.review.thinning import GROUP, needed_rows
 from hil.review.viewer import listens
 
 POLL_S = 0.25
 FILE_ROWS = 3600
-"""Rows of an entity that are gathered before they go to the file: a chunk costs over a kilobyte however few."""
+"""Rows of an entity that are collected for one chunk of the file: each chunk costs over a kilobyte."""
 _VIEWER_TIMEOUT_S = 10.0
 _JOURNAL_TIMEOUT_S = 10.0
 
@@ -32,7 +32,7 @@ _log = logging.getLogger(__name__)
 
 
 class _File:
-    """The file's side: gathers batches so that a slow run does not make a large file."""
+    """File of the review: collects batches so that a slow run does not make a large file."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
@@ -61,22 +61,22 @@ class _File:
 
 
 def _thinned(rows: Rows, last: bool) -> tuple[Rows, Rows | None]:
-    """Return the rows that the file needs, and those that wait for what follows them."""
+    """Return the rows that the file needs, and those that wait for later rows."""
     whole = len(rows.time_s) if last else max(len(rows.time_s) - 1, 0) // GROUP * GROUP
-    found = kept(rows.time_s, rows.values, rows.tolerance)[:whole]
+    found = needed_rows(rows.time_s, rows.values, rows.tolerance)[:whole]
     part = replace(rows, time_s=rows.time_s[:whole][found], values=rows.values[:whole][found])
     return part, None if last else replace(rows, time_s=rows.time_s[whole:], values=rows.values[whole:])
 
 
 class _Screen:
-    """The viewer's side: everything at once, until the viewer is gone."""
+    """Viewer of the review: sends everything at once, until the viewer is gone."""
 
     def __init__(self, collector: Collector, name: str, url: str) -> None:
         self._recording: Recording | None = None
         port = urlsplit(url.removeprefix("rerun+")).port
-        # Connecting to nobody would block for seconds.
+        # A connection to no server would block for seconds.
         if port is None or not listens(port):
-            _log.warning("no viewer listens at %s; the review goes to its file only", url)
+            _log.warning("no viewer listens at %s; the review is written to its file only", url)
             return
         self._recording = Recording(collector.plan, name, url=url)
 
@@ -85,7 +85,7 @@ class _Screen:
             self._recording.send(batch)
 
     def settle(self, collector: Collector) -> None:
-        """Bring the layout up to date and see whether the viewer still takes data."""
+        """Update the layout; return True while the viewer takes data."""
         if self._recording is None:
             return
         if self._recording.plan is not collector.plan:
@@ -106,7 +106,7 @@ class _Screen:
 
 @contextlib.contextmanager
 def _reader(journal: Path, stop: Callable[[], bool]) -> Iterator[JournalReader]:
-    """The journal, also when its writer has only just begun; raises JournalError."""
+    """Open the journal, also directly after its creation; raise JournalError."""
     deadline = time.monotonic() + _JOURNAL_TIMEOUT_S
     while True:
         try:
@@ -123,15 +123,17 @@ def _reader(journal: Path, stop: Callable[[], bool]) -> Iterator[JournalReader]:
 
 
 def write_review(journal: Path, rrd: Path) -> None:
-    """Write what `journal` holds by now to `rrd`, whole or not at all; raises JournalError or OSError."""
+    """Write the content of `journal` to `rrd`, completely or not at all; raise JournalError or OSError."""
     follow(journal, rrd=rrd, viewer=None, stop=lambda: True)
 
 
 def write_findings_review(folder: Path, rrd: Path) -> None:
-    """Write the diagnosis in a results folder to `rrd`, whole or not at all; raises DiagnosisFolderError or OSError."""
+    """Write the diagnosis in a results folder to `rrd`, completely or not at all; raise DiagnosisFolderError or
+    OSError.
+    """
     found = read_findings(folder)
     name = folder.resolve().name
-    plan = plan_alone(found, name)
+    plan = plan_of_findings(found, name)
     with replacing(rrd) as unfinished, utf8_path(unfinished) as path:
         recording = Recording(plan, name, path=path)
         _send_findings(recording, found, plan)
@@ -185,7 +187,7 @@ def follow(
             if recording is not None and file is not None:
                 plan = collector.plan
                 recording.extend(plan)
-                found = findings_beside(journal)
+                found = findings_of_run(journal)
                 if found is not None:
                     plan = with_findings(plan, found)
                     _send_findings(recording, found, plan)

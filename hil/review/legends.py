@@ -1,4 +1,4 @@
-"""Room for legends: a legend stands in the lower left corner of its plot, so the run begins to the right of it."""
+"""Margins for legends: a legend covers the lower left corner of its plot, so the run begins to the right of it."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from dataclasses import replace
 from hil.review.styles import Panel, Stack
 
 WINDOW_PX = 1400.0
-"""Width of the window for which room is left; in a wider one a legend takes a smaller part."""
+"""Width of the window in pixels for these margins; in a wider window a legend takes a smaller part."""
 _AXIS_PX = 40.0
 _FRAME_PX = 50.0
-"""Beside its longest label, a legend has a dot, padding and a border, measured in pictures of the viewer (0.41)."""
+"""Width of a legend without its longest label: dot, padding and border, measured in screenshots of the viewer (0.41).
+"""
 _LETTER_PX = 6.8
-"""Mean width of a letter there."""
+"""Mean width of a letter in a legend, px."""
 _MOST = 1.2
-"""A legend that takes more than half of a plot is not made room for: nothing of the run would be left."""
+"""Largest part of a plot for a margin: a larger legend would leave no room for the run."""
 
 
 def with_room_for_legends(tab: Stack, labels: Mapping[str, tuple[str, ...]]) -> Stack:
-    """Return `tab` with margins before the run that its legends fit into.
+    """Return `tab` with margins before the run for its legends.
 
     Args:
         tab: a tab of a review.
@@ -37,7 +38,7 @@ def _stack(stack: Stack, labels: Mapping[str, tuple[str, ...]], width_px: float)
     else:
         beside = math.ceil(math.sqrt(len(stack.parts))) if stack.arrange == "grid" else 1
         widths = [width_px / max(beside, 1)] * len(stack.parts)
-    # Plots above one another keep a common axis.
+    # Stacked plots keep a common axis.
     needs = [
         _needed(part, labels, width) if isinstance(part, Panel) else 0.0
         for part, width in zip(stack.parts, widths, strict=True)
@@ -53,7 +54,7 @@ def _stack(stack: Stack, labels: Mapping[str, tuple[str, ...]], width_px: float)
 
 
 def _needed(panel: Panel, labels: Mapping[str, tuple[str, ...]], width_px: float) -> float:
-    """Return the part of the run's time, to be left free before it, that the panel's legend takes."""
+    """Return the part of the time axis that the panel's legend covers."""
     if panel.kind != "lines" or not panel.legend:
         return 0.0
     longest = max((len(label) for content in panel.contents for label in _labels(content, labels)), default=0)
@@ -64,7 +65,7 @@ def _needed(panel: Panel, labels: Mapping[str, tuple[str, ...]], width_px: float
 
 
 def _labels(content: str, labels: Mapping[str, tuple[str, ...]]) -> list[str]:
-    """Return the labels of all entities that a query expression finds."""
+    """Return the labels of all entities that match a query expression."""
     root = content.removesuffix("/**")
     found = [
         name for entity, names in labels.items() if entity == root or entity.startswith(root + "/") for name in names

@@ -1,28 +1,27 @@
-"""What the review shows of a run: entities with their looks, and the tabs and panels that an operator looks at.
-
-Plain data made from the journal's header; nothing here knows Rerun. Entities:
+"""Plan of the review of a run: entities with their styles, and tabs with panels. Plain data made from the journal's
+header, independent of Rerun. Entities:
 
     /sensors/<sensor>/measured           mean of the sensor's GOOD columns, (n, 1)
     /sensors/<sensor>/columns            its columns one by one where there are several, (n, k)
     /sensors/<sensor>/twin/<twin>        prediction, (n, 1); a file leaves out what lies on straight lines
-    /sensors/<sensor>/residual           measured minus prediction, one column a twin, (n, twins)
+    /sensors/<sensor>/residual           measured minus prediction, one column for each twin, (n, twins)
     /sensors/<sensor>/miss/<twin>        its mean over ten minutes, (n, 1)
-    /sensors/<sensor>/band/<twin>        the 90 % band foretold for them, (n, 2)
+    /sensors/<sensor>/band/<twin>        the predicted 90 % band for them, (n, 2)
     /sensors/<sensor>/noise              zero and plus/minus two sigma of the noise, (n, 1 or 3)
     /actuators/<name>                    set-point and read-back, (n, 1 or 2)
-    /measured/<column>                   what else the rig reports, (n, 1)
+    /measured/<column>                   other signals of the rig, (n, 1)
     /status                              counters and bit fields, (n, k)
-    /state                               lane: where the run was (`hil.journal.states`)
-    /quality/<column>, /quality          lanes, one a signal, and the worst of all
+    /state                               lane: state of the run (`hil.journal.states`)
+    /quality/<column>, /quality          lanes, one for each signal, and the worst of all
     /windows/<calibrator>                lane: kind of each calibration window
     /calibrated/<calibrator>             lane: whether the window's fit was accepted
     /fit/<calibrator>                    RMSE of the window before and after its fit, K, (n, 2)
     /parameters/<parameter>/<calibrator> physical value with the square of its 90 % half width
-    /proposed/<parameter>/<calibrator>   what it proposes between windows too and no gate holds, with its 90 % interval
-    /gates/<calibrator>, /proposals/..   lane: whether its gates are open; text: what it takes on, what holds the rest
+    /proposed/<parameter>/<calibrator>   its open proposals, also between windows, with its 90 % interval
+    /gates/<calibrator>, /proposals/..   lane: state of its gates; text: accepted and held parameters
     /relative/<calibrator>/<parameter>   per cent off the commissioned value, (n, 1)
     /events, /writes                     text
-    /key, /key/..                        which colour is what
+    /key, /key/..                        key of colours
 """
 
 from __future__ import annotations
@@ -53,8 +52,8 @@ from hil.review.styles import (
     colour_key,
     estimates_key,
     path,
-    told_apart,
     twin_colours,
+    with_colours,
 )
 from hil.review.tabs import (
     ESTIMATES_KEY,
@@ -84,7 +83,7 @@ def _sensor_lines(header: Header) -> list[Lines]:
             names = tuple(column.removesuffix("_C") for column in columns)
             faint = (FAINT,) * len(columns)
             lines.append(Lines(path("sensors", sensor, "columns"), names, faint, (1.0,), extremes=True))
-        # Drawn by name, each thinner than the one before, so that curves which agree are all seen.
+        # Drawn by name, each thinner than the one before, so that coinciding curves are all visible.
         drawn = sorted(header.twin_names)
         for twin in header.twin_names:
             width = max(1.2, 1.2 + 0.9 * (len(drawn) - 1 - drawn.index(twin)))
@@ -93,7 +92,7 @@ def _sensor_lines(header: Header) -> list[Lines]:
                 Lines(path("sensors", sensor, "miss", twin), (twin,), (colours[twin],), (0.6 * width,), steps=True)
             )
             tracked = [name for name in drawn if name != "static"]
-            # Bands of twins that know equally much lie on one another: those drawn first are wider, so all are seen.
+            # Bands of equal width coincide: those drawn first are wider, so all are visible.
             wide = 1.5 + 3.0 * (len(tracked) - 1 - tracked.index(twin)) if twin in tracked else 1.5
             dim, names = _dimmed(colours[twin], 1.0 - 0.06 * wide), (f"{twin}, 90 % band", f"-{twin}, 90 % band")
             lines.append(Lines(path("sensors", sensor, "band", twin), names, (dim, dim), (wide,), steps=True))
@@ -115,8 +114,9 @@ def make_plan(
     commissioned: bool = False,
     proposers: tuple[str, ...] = (),
 ) -> Plan:
-    """Looks and layout; `units` by parameter as far as seen, `commissioned` when what they were is known, `proposers`
-    those calibrators that have proposed something."""
+    """Return styles and layout. `units` are those of the parameters so far, `commissioned` their values if known,
+    `proposers` the calibrators with proposals so far.
+    """
     sensor_columns = {column for columns in header.twin_sensors.values() for column in columns}
     lines = _sensor_lines(header)
     columns_of: dict[str, tuple[str, ...]] = {}
@@ -171,7 +171,7 @@ def make_plan(
     labels = {line.entity: line.names for line in lines}
     notes = {"/key": colour_key(header.twin_names)}
     if units:
-        notes |= {PARAMETERS_KEY: told_apart(units), ESTIMATES_KEY: estimates_key(header.twin_names, proposers)}
+        notes |= {PARAMETERS_KEY: with_colours(units), ESTIMATES_KEY: estimates_key(header.twin_names, proposers)}
     roomy = tuple(with_room_for_legends(tab, labels) for tab in tabs)
     return Plan(header, tuple(lines), tuple(lanes), roomy, columns_of, notes=notes)
 
@@ -181,7 +181,7 @@ def _quality_colours() -> dict[str, Colour]:
 
 
 def worst_state(columns: list[str], qualities: list[int]) -> str:
-    """What the lane of all signals says on a tick where `columns` are not GOOD."""
+    """Return the state of the lane of all signals on a tick whose `columns` are not GOOD."""
     if not columns:
         return QUALITY_NAMES[Quality.GOOD]
     who = columns[0] if len(columns) == 1 else f"{len(columns)} signals"

@@ -1,4 +1,4 @@
-"""The only module that imports rerun: writes batches to a file or a viewer, reads them back, takes pictures."""
+"""Only module that imports rerun: writes batches to a file or a viewer, reads them back, takes screenshots."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _AFTER_TIME = "  "
 
 
 class Recording:
-    """One stream of a run to Rerun, to a file (`path`) or to a viewer (`url`), never both: each batches its own way."""
+    """Stream of a run to Rerun: to a file (`path`) or to a viewer (`url`), each with its own batches."""
 
     def __init__(self, plan: Plan, name: str, *, path: Path | None = None, url: str | None = None) -> None:
-        # An id of its own: a viewer that shows the live stream must not merge the file into it when asked to open it.
+        # A unique id: a viewer of the live stream must not merge the file into it.
         self._stream = rr.RecordingStream(printable(f"hil {plan.header.profile}"), recording_id=str(uuid.uuid4()))
         if path is not None:
             self._stream.save(path)
@@ -38,7 +38,7 @@ class Recording:
         self._header = plan.header
         self._live = url is not None
         self._colours: dict[str, Colour] = {}
-        self._looks(plan)
+        self._send_styles(plan)
         self._plan: Plan | None = None
         self._units: set[str] = set()
 
@@ -49,28 +49,28 @@ class Recording:
 
     @property
     def plan(self) -> Plan | None:
-        """The plan whose layout was sent last."""
+        """Return the plan whose layout was sent last."""
         return self._plan
 
     def extend(self, plan: Plan) -> None:
-        """Looks of entities that a plan has since come to hold; `layout` shows them."""
-        self._looks(plan)
+        """Add the styles of new entities of a plan; `layout` shows them."""
+        self._send_styles(plan)
 
     def note(self, entity: str, markdown: str) -> None:
-        """A text that holds at all times."""
+        """Send a text that holds at all times."""
         self._stream.log(entity, rr.TextDocument(printable(markdown), media_type=rr.MediaType.MARKDOWN), static=True)
 
-    def _looks(self, plan: Plan) -> None:
+    def _send_styles(self, plan: Plan) -> None:
         self._colours |= plan.colours
         for lines in plan.lines:
-            looks = rr.SeriesLines(
+            style = rr.SeriesLines(
                 names=lines.names,
                 colors=lines.colours or None,
                 widths=(lines.widths * len(lines.names))[: len(lines.names)],
                 aggregation_policy="MinMax" if lines.extremes else "Average",
                 interpolation_mode="StepAfter" if lines.steps else "Linear",
             )
-            self._stream.log(lines.entity, looks, static=True)
+            self._stream.log(lines.entity, style, static=True)
         for entity, text in plan.notes.items():
             self._stream.log(entity, rr.TextDocument(printable(text)), static=True)
         for lane in plan.lanes:
@@ -88,8 +88,8 @@ class Recording:
             case Estimates(entity, name, unit, _, values, variances):
                 if entity not in self._units:
                     colour = self._colours.get(entity) or twin_colours(self._header.twin_names).get(name, NEUTRAL)
-                    looks = rr.Measurements.from_fields(names=[name], units=[symbol(unit)], colors=[colour])
-                    self._stream.log(entity, looks, static=True)
+                    style = rr.Measurements.from_fields(names=[name], units=[symbol(unit)], colors=[colour])
+                    self._stream.log(entity, style, static=True)
                     self._units.add(entity)
                 self._stream.send_columns(entity, times, rr.Measurements.columns(values=values, variances=variances))
             case States(entity, _, states):
@@ -99,7 +99,7 @@ class Recording:
                 self._stream.send_columns(entity, times, rr.TextLog.columns(text=words, level=levels))
 
     def flush(self, timeout_s: float) -> bool:
-        """Whether all that was sent has arrived within `timeout_s`."""
+        """Return True if everything arrived within `timeout_s`."""
         try:
             self._stream.flush(timeout_sec=timeout_s)
         except (RuntimeError, ValueError, OSError):
@@ -128,7 +128,7 @@ def _nanoseconds(time_s: NDArray[np.float64]) -> NDArray[Any]:
 def _text_columns() -> rrb.TextLogColumns:
     kinds = rrb.encodings.TextLogColumnKind
     shown = [rrb.encodings.TextLogColumn(kind, visible=kind != kinds.EntityPath) for kind in kinds]
-    # Rerun's own column counts in seconds however long the run is: each text begins with the time as the axes have it.
+    # Rerun's own column counts seconds: each text begins with the time in the format of the axes.
     hidden = [rrb.encodings.TimelineColumn(TIMELINE, visible=False)]
     return rrb.TextLogColumns(timeline_columns=hidden, text_log_columns=shown)
 
@@ -178,7 +178,7 @@ def _blueprint(plan: Plan, end_s: float, live: bool) -> rrb.Blueprint:
 
 
 def read_columns(rrd: Path, entity: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`time_s (n,)` and `values (n, k)` of an entity that holds scalars or measurements, in the order of sending.
+    """Return `time_s (n,)` and `values (n, k)` of an entity with scalars or measurements, in the order of sending.
 
     Raises KeyError where the file has no such entity.
     """
@@ -196,34 +196,34 @@ def read_columns(rrd: Path, entity: str) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def read_words(rrd: Path, entity: str) -> list[tuple[float, str | None]]:
-    """Time in s and text of each log line, or each new state of a lane, of `entity`."""
+    """Return time in s and text of each log line, or of each new state of a lane, of `entity`."""
     rows: list[tuple[float, str | None]] = []
     for batch in _record_batches(rrd, entity):
         for name in ("TextLog:text", "StateChange:state"):
             if name in batch.schema.names and TIMELINE in batch.schema.names:
                 nanoseconds = batch.column(TIMELINE).cast(pa.int64()).to_pylist()
                 words = [None if not cell else cell[0] for cell in batch.column(name).to_pylist()]
-                if name == "TextLog:text":  # without the time that each begins with
+                if name == "TextLog:text":  # Without the time at its beginning.
                     words = [None if word is None else word.partition(_AFTER_TIME)[2] for word in words]
                 rows += [(stamp / 1e9, word) for stamp, word in zip(nanoseconds, words, strict=True)]
     return rows
 
 
 def _record_batches(rrd: Path, entity: str) -> list[Any]:
-    # Not through the store: a file whose writer was killed has no index, yet all rows up to its last flush.
+    # Read without the store: a file of a killed writer has no index, but all rows up to its last flush.
     with utf8_path(rrd) as path:
         chunks = RrdReader(path).stream().filter(content=entity, has_timeline=TIMELINE).to_chunks()
         return [chunk.to_record_batch() for chunk in chunks]
 
 
 class Camera:
-    """Drives a running viewer at `url` to take pictures of a recording."""
+    """Driver of a running viewer at `url` that takes screenshots of a recording."""
 
     def __init__(self, url: str) -> None:
         self._client = ViewerClient.connect(url)
 
     def open(self, rrd: Path, tab: str | None = None) -> None:
-        """Load a recording and show `tab` (by its title, else the first); raises KeyError where there is none."""
+        """Load a recording and show `tab` (by its title, else the first); raise KeyError if there is none."""
         self._client.open(str(rrd.absolute()))
         if tab is not None:
             layout = self._client.get_blueprint(of="recording").blueprint
@@ -236,7 +236,7 @@ class Camera:
             self._client.set_blueprint(layout, of="recording")
 
     def picture(self, timeout_s: float) -> tuple[bytes, bool]:
-        """A PNG of the whole viewer, and whether it had settled; curves that hide one another may never do so."""
+        """Return a PNG of the whole viewer, and True if it had settled; coinciding curves may never do so."""
         deadline = time.monotonic() + timeout_s
         last, equal = b"", 0
         while equal < _SETTLED and time.monotonic() < deadline:
@@ -246,6 +246,6 @@ class Camera:
         return last, equal == _SETTLED
 
     def complaints(self) -> list[str]:
-        """What the views on screen report: `view: severity: summary`."""
+        """Return the reports of the visible views: `view: severity: summary`."""
         views = self._client.get_state().views
         return [f"{view.name}: {report.severity}: {report.summary}" for view in views for report in view.reports]

@@ -1,4 +1,4 @@
-"""Residuals of twins that answer at different times, put beside one another tick by tick.
+"""Residuals of twins that answer at different times, joined tick by tick.
 
 Each row of an entity costs a review more than the value in it (its id, time and place), so the twins' residuals of a
 sensor share rows.
@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 _Part = tuple[NDArray[np.int64], Floats, Floats]
 
 LATE_TICKS = 3600
-"""Ticks by which one twin may answer later than another; nothing more is waited for of one that is later still."""
+"""Largest delay in ticks between twins; a twin that is later is not waited for."""
 
 
 class Residuals:
@@ -26,12 +26,13 @@ class Residuals:
         self._taken = -1
 
     def add(self, twin: str, tick: NDArray[np.int64], time_s: Floats, residual: Floats) -> None:
-        """Append what came of a twin: `tick (n,)`, `time_s (n,)`, `residual (n, m)`, K."""
+        """Append the result of a twin: `tick (n,)`, `time_s (n,)`, `residual (n, m)`, K."""
         self._waiting[twin].append((tick, time_s, residual))
         self._last[twin] = int(tick[-1])
 
     def take(self, *, last: bool) -> tuple[Floats, Floats]:
-        """Return what every twin has answered, `time_s (n,)` and `residual (n, twins, m)`, NaN where one has not.
+        """Return the ticks that all twins have answered, `time_s (n,)` and `residual (n, twins, m)`, NaN for a missing
+        twin.
 
         Args:
             last: nothing more comes, so nothing is waited for.
@@ -50,7 +51,7 @@ class Residuals:
         return np.concatenate([time_s for _, time_s, _ in parts])[first], residual
 
     def _up_to(self, twin: str, tick: int) -> _Part:
-        """Remove and return what waits of a twin up to a tick; what comes after its tick was taken is dropped."""
+        """Remove and return the pending rows of a twin up to a tick; later rows of taken ticks are dropped."""
         waiting = self._waiting[twin]
         if not waiting:
             return np.zeros(0, np.int64), np.zeros(0), np.zeros((0, self._sensors))

@@ -1,4 +1,4 @@
-"""What a command does with a review: open a window, follow a live run, take a picture."""
+"""Commands on a review: open a window, follow a live run, take a screenshot."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class Follower:
-    """A process that follows a journal into `rrd` and, where one opened, a viewer."""
+    """Process that follows a journal into `rrd` and into a viewer, if one opened."""
 
     process: subprocess.Popen[bytes]
     journal: Path
@@ -30,7 +30,7 @@ class Follower:
     viewer: Viewer | None
 
     def finish(self) -> None:
-        """Have it send what is committed and close the file; the viewer stays open for the operator."""
+        """Let it send all committed rows and close the file; the viewer stays open for the operator."""
         if self.process.poll() is None:
             self.process.terminate()
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -38,7 +38,7 @@ class Follower:
                 return
         self.process.kill()
         self.process.wait()
-        _log.warning("the live review did not end well; %s is written anew from the journal", self.rrd)
+        _log.warning("the live review failed; %s is rebuilt from the journal", self.rrd)
         write_review(self.journal, self.rrd)
 
 
@@ -48,16 +48,16 @@ def start_follower(journal: Path, rrd: Path) -> Follower:
     try:
         viewer = open_viewer()
     except ViewerError as error:
-        _log.warning("%s; the review goes to %s only", error, rrd)
+        _log.warning("%s; the review is written to %s only", error, rrd)
     command = [sys.executable, "-m", "hil.review", "follow", str(journal), "--rrd", str(rrd)]
     command += ["--viewer", viewer.url] if viewer is not None else []
-    # In a session of its own: Ctrl-C belongs to the engine, whose last ticks must still be seen.
+    # In its own session: Ctrl-C belongs to the engine, and its last ticks are still shown.
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
     return Follower(process, journal, rrd, viewer)
 
 
 def follow_review(journal: Path) -> None:
-    """Show a run in a window while it goes on; returns when the window is closed. Raises ViewerError, JournalError."""
+    """Show a run in a window while it goes on; return after the window is closed. Raise ViewerError, JournalError."""
     viewer = open_viewer()
     with contextlib.suppress(KeyboardInterrupt):
         follow(journal, rrd=None, viewer=viewer.url, stop=lambda: not viewer.alive)
@@ -66,7 +66,7 @@ def follow_review(journal: Path) -> None:
 
 
 def show_review(rrd: Path) -> None:
-    """Show a finished review in a window; returns when it is closed. Raises ViewerError."""
+    """Show a finished review in a window; return after it is closed. Raise ViewerError."""
     with utf8_path(rrd) as path:
         viewer = open_viewer(files=(path,))
         with contextlib.suppress(KeyboardInterrupt):
@@ -77,7 +77,7 @@ def show_review(rrd: Path) -> None:
 def screenshot(
     rrd: Path, png: Path, *, size: tuple[int, int] = (1600, 1000), tab: str | None = None, timeout_s: float = 30.0
 ) -> list[str]:
-    """Picture of `rrd`, or of its tab of that title, without a display.
+    """Take a screenshot of `rrd`, or of its tab of that title, without a display.
 
     Returns what its views complain about, empty when all is well. Raises ViewerError where no headless viewer can run,
     KeyError where there is no such tab.
@@ -92,13 +92,13 @@ def screenshot(
     except (ConnectionError, RuntimeError) as error:
         why = viewer.last_words() if not viewer.alive else str(error)
         raise ViewerError(
-            f"no picture of {rrd}: {why}; a headless viewer needs a Vulkan driver (Debian: mesa-vulkan-drivers)"
+            f"no screenshot of {rrd}: {why}; a headless viewer needs a Vulkan driver (Debian: mesa-vulkan-drivers)"
         ) from error
     finally:
         viewer.close()
     with replacing(png) as temporary:
         temporary.write_bytes(picture)
-    return complaints if settled else [*complaints, f"the picture was still changing after {timeout_s:g} s"]
+    return complaints if settled else [*complaints, f"the screenshot was still changing after {timeout_s:g} s"]
 
 
 screenshot_review = screenshot

@@ -1,4 +1,4 @@
-"""Colours, names and the plain parts of which a review's plan is made: curves, lanes, panels, stacks."""
+"""Colours, names and plain parts of a review's plan: curves, lanes, panels, stacks."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MANY: dict[str, Colour] = {
     "brown": (165, 115, 75),
     "grey": NEUTRAL,
 }
-"""Colours by their names, for curves that a line of text tells apart."""
+"""Colours by their names, for curves that a line of text distinguishes."""
 RED: Colour = (235, 70, 70)
 GREEN: Colour = (60, 140, 90)
 YELLOW: Colour = (230, 200, 60)
@@ -90,7 +90,7 @@ class Lines:
 
 @dataclass(frozen=True, slots=True)
 class Lane:
-    """A lane of states over time, with the colour of each known state."""
+    """Lane of states over time, with the colour of each known state."""
 
     entity: str
     colours: dict[str, Colour]
@@ -98,7 +98,7 @@ class Lane:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One view: `kind` of content, the entities (Rerun query expressions) and the share of room it gets."""
+    """View: `kind` of content, the entities (Rerun query expressions) and its share of the room."""
 
     kind: Literal["lines", "lanes", "texts", "note"]
     title: str
@@ -106,14 +106,14 @@ class Panel:
     share: float = 1.0
     legend: bool = True
     reach: float | None = None
-    """Of the value axis, to either side of 0; None as far as the values go."""
+    """Half height of the value axis around 0; None fits it to the values."""
     margin: float = 0.0
-    """Part of the time axis that is left free before the run, beside that of the stacks around it."""
+    """Part of the time axis that is left free before the run, in addition to that of the enclosing stacks."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stack:
-    """Panels above one another (`rows`), beside one another (`columns`), or in a grid.
+    """Panels in `rows`, in `columns` or in a grid.
 
     `margin` is the part of the time axis that is left free before the run, where legends cover no curve.
     """
@@ -127,8 +127,10 @@ class Stack:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """All looks and the tabs; `columns_of` says which columns of a sample row go to which entity, `colours` how
-    estimates that belong to no twin are drawn, `notes` are texts by entity that hold at all times."""
+    """Styles and tabs of a review.
+
+    `columns_of` maps entities to columns of a sample row, `colours` are those of estimates without a twin, `notes` are
+    texts by entity that hold at all times."""
 
     header: Header
     lines: tuple[Lines, ...]
@@ -140,22 +142,22 @@ class Plan:
 
 
 def path(*parts: str) -> str:
-    """Entity path of `parts`, with every character escaped that Rerun gives a meaning."""
+    """Return the entity path of `parts`, with Rerun's special characters escaped."""
     return "".join("/" + re.sub(r"([^A-Za-z0-9_.-])", r"\\\1", part) for part in parts)
 
 
 def symbol(unit: str) -> str:
-    """A unit as an operator writes it: `degC` -> `°C`."""
+    """Return a unit in display form: `degC` -> `°C`."""
     return _UNIT_SYMBOLS.get(unit, unit)
 
 
 def titled(name: str, unit: str) -> str:
-    """`name [unit]`, or the name alone for a pure number."""
+    """Return `name [unit]`, or the name alone for a pure number."""
     return f"{name} [{symbol(unit)}]" if symbol(unit) else name
 
 
 def twin_colours(twins: tuple[str, ...]) -> dict[str, Colour]:
-    """Orange for the twin that is never updated, blue, green .. for those that are."""
+    """Return orange for the twin that is never updated, blue, green .. for tracked twins."""
     tracked = [twin for twin in twins if twin != "static"]
     return {"static": ORANGE} | dict(zip(tracked, itertools.cycle(TRACKED.values()), strict=False))
 
@@ -167,13 +169,13 @@ def twin_words(twins: tuple[str, ...]) -> dict[str, str]:
     return static | dict(zip(tracked, itertools.cycle(TRACKED), strict=False))
 
 
-def told_apart(names: Iterable[str]) -> str:
-    """Return `one (red), another (blue)`: names with the colours of `MANY` that they have in this order."""
+def with_colours(names: Iterable[str]) -> str:
+    """Return `one (red), another (blue)`: names with their colours of `MANY` in this order."""
     return ", ".join(f"{name} ({word})" for name, word in zip(names, itertools.cycle(MANY), strict=False))
 
 
 def colour_key(twins: tuple[str, ...]) -> str:
-    """Return in one line which colour stands for what."""
+    """Return the key of colours in one line."""
     tracked = [twin for twin in twins if twin != "static"]
     parts = ["grey: measured", *(["orange: static twin"] if "static" in twins else [])]
     parts += [f"{name}: tracked by {twin}" for twin, name in zip(tracked, itertools.cycle(TRACKED), strict=False)]
@@ -182,8 +184,8 @@ def colour_key(twins: tuple[str, ...]) -> str:
 
 
 def estimates_key(twins: tuple[str, ...], proposers: tuple[str, ...]) -> str:
-    """Return in one line which colour stands for whose estimate of a parameter."""
+    """Return the key of colours of a parameter's estimates in one line."""
     tracked = [twin for twin in twins if twin != "static"]
     parts = [f"{name}: {twin}" for twin, name in zip(tracked, itertools.cycle(TRACKED), strict=False)]
-    parts += [f"grey: {name} proposes, as far as no gate holds it" for name in proposers]
+    parts += [f"grey: {name} proposes, if no gate holds it" for name in proposers]
     return " · ".join([*parts, "bands: 90 % intervals"])

@@ -1,4 +1,4 @@
-"""The tabs that an operator looks at, and the panels on them."""
+"""Tabs of the review, and their panels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LANE_PX, _LANES_PX, _WINDOW_PX = 40.0, 60.0, 900.0
 """Height of a lane and of the title and time axis above the lanes, in pictures of the viewer (0.41); height that the
 panels of a tab share in a window of a usual 1000 points."""
 _MOST_LANES = 5
-"""Lanes that a sensor's tab has room for; the others are there to be scrolled to."""
+"""Lanes that a sensor's tab has room for; the others need scrolling."""
 _LEAST_REACH_K = 0.25
 
 
@@ -38,7 +38,7 @@ def unit_panels(entities: dict[str, tuple[str, str]]) -> tuple[Panel, ...]:
 
 
 def _told_by_title(panel: Panel, colours: dict[str, str]) -> Panel:
-    """Return a panel of actuators without a legend, which would cover half of it; its title has their colours."""
+    """Return a panel of actuators without a legend, which would cover half of it; its title names their colours."""
     names = {entity: entity.rpartition("/")[2].replace("\\", "") for entity in panel.contents}
     told = ", ".join(f"{name} ({colours[entity]})" for entity, name in names.items())
     _, bracket, unit = panel.title.rpartition(" [")
@@ -52,8 +52,7 @@ def _temperature(sensor: str, *, share: float) -> Panel:
 
 
 def _temperature_with_key(sensor: str, columns: tuple[str, ...], header: Header, *, share: float) -> Panel:
-    """The same with its columns where there are several, and with a title that has the colours of all curves: a legend
-    of so many would be cut."""
+    """Return the panel with the sensor's columns, and with a title that names all colours: a legend would be cut."""
     panel = _temperature(sensor, share=share)
     several = len(columns) > 1
     measured = f"measured grey ({len(columns)} columns dim)" if several else "measured grey"
@@ -66,12 +65,12 @@ def _residual(sensor: str, *, share: float, told: bool) -> Panel:
     root = path("sensors", sensor)
     noise = " (dim lines: 0 and ±2σ of the sensor's noise)" if told else ""
     title = titled(f"{sensor.removesuffix('_C')}: measured - twin{noise}", "K")
-    # A legend would be cut: noise and twins are more than fit into it. The plot above tells the twins' colours.
+    # A legend of noise and twins would be cut. The plot above names the twins' colours.
     return Panel("lines", title, (f"{root}/residual", f"{root}/noise"), share, legend=False)
 
 
 def _bands(sensor: str, header: Header, *, share: float, told: bool) -> Panel:
-    """The tracked twins alone: beside the static one's error theirs would be a flat line."""
+    """Return the tracked twins alone: beside the static one's error theirs would be a flat line."""
     root = path("sensors", sensor)
     tracked = [twin for twin in header.twin_names if twin != "static"]
     contents = [f"{root}/{what}{path(twin)}" for what in ("band", "miss") for twin in tracked]
@@ -87,7 +86,7 @@ def overview(
     others: dict[str, tuple[str, str]],
     proposers: tuple[str, ...],
 ) -> Stack:
-    """Sensors beside one another, each above its residual; a line of text is the legend of them all."""
+    """Return the sensors in columns, each above its residual; a line of text is the legend of them all."""
     gates = tuple(path("gates", name) for name in proposers)
     cells = [
         Stack(
@@ -121,7 +120,7 @@ def overview(
 
 
 def _lanes_share(lanes: int, others: float) -> float:
-    """Return the share of a panel with so many lanes, beside panels with the sum of shares `others`."""
+    """Return the share of a panel with so many lanes, next to panels with the sum of shares `others`."""
     height = _LANES_PX + _LANE_PX * lanes
     return others * height / (_WINDOW_PX - height)
 
@@ -151,7 +150,7 @@ def calibration_tab(
         return ()
     lanes = Panel(
         "lanes",
-        "Windows: kind, and whether the fit was accepted" + (", gates of the network" if proposers else ""),
+        "Windows: kind, and acceptance of the fit" + (", gates of the network" if proposers else ""),
         ("/windows/**", "/calibrated/**", *(path("gates", name) for name in proposers)),
         _lanes_share(2 * len(calibrators) + len(proposers), 7.4 if commissioned else 3.3),
     )
@@ -169,8 +168,7 @@ def calibration_tab(
     key = Panel("note", "Colours of parameters", (PARAMETERS_KEY,), 0.6)
     shifts = (key, Stack("columns", relative, share=3.5)) if commissioned else ()
     told = tuple(
-        Panel("texts", f"What {name} proposes, where that changes", (path("proposals", name),), 1.8)
-        for name in proposers
+        Panel("texts", f"Changes of proposals of {name}", (path("proposals", name),), 1.8) for name in proposers
     )
     tracking = Stack("rows", (lanes, fit, *shifts, *told), title="Calibration", margin=MARGIN)
     if not units:

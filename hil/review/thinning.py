@@ -1,8 +1,8 @@
-"""Rows of a smooth curve that a file needs: the others lie on the straight lines that a viewer draws between them.
+"""Thinning of smooth curves in a file: a viewer draws straight lines between the rows that are stored.
 
-Rows are looked at in groups of `GROUP` counted from the curve's first, so the answer does not depend on how the rows
-were cut into batches. Of a group that one line explains the first row is kept, of any other the first row of each
-quarter that one line explains, and everything of the rest.
+Rows are processed in groups of `GROUP` counted from the curve's first, so the result does not depend on the batches. A
+group that one line fits keeps its first row. Any other group keeps the first row of each quarter that one line fits,
+and all rows of the other quarters.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 GROUP = 16
-"""Rows of a group: the most by which a curve shrinks."""
+"""Rows of a group: the largest factor by which a curve shrinks."""
 _QUARTER = GROUP // 4
 
 
-def kept(time_s: NDArray[np.float64], values: NDArray[np.float64], tolerance: float) -> NDArray[np.bool_]:
+def needed_rows(time_s: NDArray[np.float64], values: NDArray[np.float64], tolerance: float) -> NDArray[np.bool_]:
     """Return which of n rows a curve needs so that straight lines between them miss no other by more than `tolerance`.
 
     Args:
@@ -38,7 +38,7 @@ def kept(time_s: NDArray[np.float64], values: NDArray[np.float64], tolerance: fl
 def _on_a_line(
     time_s: NDArray[np.float64], values: NDArray[np.float64], tolerance: float, size: int, rows: int
 ) -> NDArray[np.bool_]:
-    """Return for each run of `size` rows whether the line from its first to the next one's first is near all of it."""
+    """Return True for each run of `size` rows that the line from its first row to the next run's first row fits."""
     begins, ends = np.arange(0, rows, size), np.arange(size, rows + 1, size)
     own_s, own = time_s[:rows].reshape(-1, size), values[:rows].reshape(len(begins), size, -1)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -1,4 +1,4 @@
-"""The native Rerun viewer as a process of its own, on the loopback interface only."""
+"""Native Rerun viewer as a process of its own, on the loopback interface only."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _START_TIMEOUT_S = 30.0
 
 
 class ViewerError(RuntimeError):
-    """The viewer did not start or gave no picture; the message says why and what to do."""
+    """Error of a viewer that did not start or gave no screenshot; the message states the reason and the remedy."""
 
 
 @dataclass(slots=True)
 class Viewer:
-    """A running viewer: `url` takes a recording, `port` is its listener on 127.0.0.1."""
+    """Running viewer: `url` takes a recording, `port` is its listener on 127.0.0.1."""
 
     process: subprocess.Popen[bytes]
     port: int
@@ -33,16 +33,16 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Where a recording connects to."""
+        """Return the URL for a recording."""
         return f"rerun+http://{HOST}:{self.port}/proxy"
 
     @property
     def alive(self) -> bool:
-        """Whether its window (or its headless process) is still there."""
+        """Return True while its window (or its headless process) exists."""
         return self.process.poll() is None
 
     def wait(self) -> None:
-        """Until the window is closed."""
+        """Wait until the window is closed."""
         self.process.wait()
         self._log.close()
 
@@ -58,7 +58,7 @@ class Viewer:
         self._log.close()
 
     def last_words(self) -> str:
-        """The line of its log that says why it ended, or nothing."""
+        """Return the line of its log with the reason of its end, or ""."""
         self._log.seek(0)
         lines = self._log.read().decode(errors="replace").splitlines()
         telling = [line.strip() for line in lines if "panicked" in line or "rror" in line or "adapter" in line]
@@ -66,14 +66,14 @@ class Viewer:
 
 
 def has_display() -> bool:
-    """Whether a window can be opened here."""
+    """Return True if a window can be opened on this machine."""
     if sys.platform in ("win32", "darwin"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def binary() -> Path:
-    """The viewer's own executable.
+    """Return the path of the viewer's own executable.
 
     Not the `rerun` command of the environment, a Python wrapper: ending that one leaves the viewer behind.
     """
@@ -97,7 +97,7 @@ def open_viewer(
     chosen = _free_port() if port is None else port
     command = [str(binary()), "--bind", HOST, "--port", str(chosen), "--hide-welcome-screen"]
     command += ["--window-size", f"{size[0]}x{size[1]}", *(["--headless"] if headless else []), *map(str, files)]
-    # Taken over by Viewer, which closes it. CI=true keeps the viewer from reporting its use over the network.
+    # Owned by Viewer, which closes it. CI=true disables the viewer's usage reports.
     log = tempfile.TemporaryFile()  # noqa: SIM115
     process = subprocess.Popen(
         command,
@@ -119,7 +119,7 @@ def open_viewer(
 
 
 def listens(port: int) -> bool:
-    """Whether something accepts connections on `port` of the loopback interface."""
+    """Return True if a server accepts connections on `port` of the loopback interface."""
     with contextlib.suppress(OSError), socket.create_connection((HOST, port), timeout=1.0):
         return True
     return False

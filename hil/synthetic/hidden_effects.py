@@ -1,7 +1,7 @@
 """Hidden effects of `hil bench discovery`: drawn from a seed, in the vocabulary of the virtual rig's effect files.
 
-A case has a public part (load profile, specimen, length), which whoever diagnoses may know, and a hidden one (the
-effects). They come from different random streams, so that the one says nothing about the other.
+A case has a public part (load profile, specimen, length), known to the diagnosis, and a hidden one (the effects).
+They come from different random streams, so that the public part gives no information about the hidden one.
 """
 
 from __future__ import annotations
@@ -16,21 +16,25 @@ from hil.profile.load_profile import Profile
 from twin.network import Array
 
 KINDS = ("case", "healthy", "double", "again", "later")
-"""Of records: as they come, without anything hidden, with two effects of the catalogue; of a twin that is asked again,
-the first and the later ones."""
+"""Kinds of records: single case, healthy, two effects of the catalogue; first and later records of a twin under
+repeated diagnosis.
+"""
 GROUPS = ("none", "one", "two", "outside")
-"""Nothing; one or two effects that the catalogue has; something that it cannot express."""
+"""Groups: no effect; one or two effects of the catalogue; an effect outside the catalogue."""
 LOADS = ("battle", "steps", "busy", "constant fan and pump")
 UNITS = (1, 2, 3, 4)
-"""Specimens of the rig: each has sensors' offsets of its own and is commissioned once."""
+"""Specimens of the rig: each has its own sensor offsets and is commissioned once."""
 COLUMNS = ("heater_power_W", "pump_speed_pct", "fan_speed_pct")
 PLACES = ("heater", "modules", "radiator", "tank")
 CHANNELS = (
-    "T_heater_C", "T_radiator_C", "T_tank_C", "T_ambient_C",
-)  # fmt: skip
+    "T_heater_C",
+    "T_radiator_C",
+    "T_tank_C",
+    "T_ambient_C",
+)
 _ONE_MODULE_SHARE = 0.15
 _BARELY, _LARGE = 0.15, 3.0
-"""Sizes are log-uniform between these multiples of a form's usual size."""
+"""Least and largest size as a multiple of a form's usual size; sizes are log-uniform between them."""
 _NONE_SHARE, _OUTSIDE_SHARE, _DOUBLE_SHARE = 0.25, 0.25, 0.3
 _FURTHER = 1_000_003
 
@@ -48,7 +52,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """Hidden part: group, a word for what it is, tables of an effect file, and the keys of an answer that is right.
+    """Hidden part of a case: group, a word for the effect, tables of an effect file, and the labels of a right answer.
 
     Attributes:
         effects: tables of `[[effect]]`. labels: a (kind, where, driver) each, one for every effect of the catalogue.
@@ -60,12 +64,12 @@ class Truth:
     labels: tuple[tuple[str, str, str], ...]
 
     def document(self) -> dict[str, Any]:
-        """As it is sealed."""
+        """Return the hidden part as plain data, for its sealed file."""
         return asdict(self)
 
 
 def setting(number: int, seed: int, hours: float, kind: str = "case") -> Setting:
-    """Public part of record `number` of a kind."""
+    """Return the public part of record `number` of a kind."""
     rng = np.random.default_rng([seed + _FURTHER * KINDS.index(kind), number, 0])
     unit = int(rng.choice(UNITS))
     load = LOADS[int(rng.choice(len(LOADS), p=(0.3, 0.35, 0.2, 0.15)))]
@@ -73,7 +77,7 @@ def setting(number: int, seed: int, hours: float, kind: str = "case") -> Setting
 
 
 def truth(number: int, seed: int, hours: float, kind: str = "case") -> Truth:
-    """Hidden part of record `number` of a kind."""
+    """Return the hidden part of record `number` of a kind."""
     end = hours * 3600.0
     if kind == "healthy":
         return Truth("none", "nothing", (), ())
@@ -81,7 +85,7 @@ def truth(number: int, seed: int, hours: float, kind: str = "case") -> Truth:
         rng = np.random.default_rng([seed, number, 3])
         return _two(rng, end, _inside(rng, end))
     rng = np.random.default_rng([seed, number, 1])
-    # A stratified draw: each four cases in a row hold one of each quarter, in an order that nobody is told.
+    # A stratified draw: each four consecutive cases hold one of each quarter, in random order.
     quarter = int(np.random.default_rng([seed, number // 4, 2]).permutation(4)[number % 4])
     if quarter == 0:
         return Truth("none", "nothing", (), ())
@@ -95,7 +99,7 @@ def truth(number: int, seed: int, hours: float, kind: str = "case") -> Truth:
 
 
 def lasting(number: int, seed: int, hours: float) -> tuple[Truth, Truth]:
-    """Two different effects that come in and stay as they are, for one rig."""
+    """Return two different permanent effects for one rig."""
     rng = np.random.default_rng([seed, number, 6])
     found: list[Drawn] = []
     while len(found) < 2:
@@ -110,7 +114,7 @@ Drawn = tuple[str, dict[str, Any], tuple[str, str, str]]
 
 
 def _two(rng: np.random.Generator, end: float, first: Drawn) -> Truth:
-    """The first effect and another one, of another kind or at another place."""
+    """Return the first effect and another one, of another kind or at another place."""
     while True:
         second = _inside(rng, end)
         if _apart(first, second):
@@ -118,7 +122,7 @@ def _two(rng: np.random.Generator, end: float, first: Drawn) -> Truth:
 
 
 def _apart(first: Drawn, second: Drawn) -> bool:
-    """Whether two effects differ in kind or place; the rig has one bypass alone."""
+    """Return True if two effects differ in kind or place; the rig has only one bypass."""
     return first[2][:2] != second[2][:2] and not ("bypass_fraction" in first[1] and "bypass_fraction" in second[1])
 
 
@@ -130,7 +134,7 @@ def _size(rng: np.random.Generator, usual: float) -> float:
 
 
 def _onset(rng: np.random.Generator, end: float) -> float:
-    """A quarter from the beginning, a tenth late, where it may fall into the part kept from the fit."""
+    """Draw an onset: a quarter at the beginning, a tenth late, perhaps in the held-out segment."""
     u = rng.uniform()
     if u < 0.25:
         return 0.0
@@ -143,12 +147,12 @@ def _pick(rng: np.random.Generator, names: tuple[str, ...]) -> str:
 
 
 def _place(rng: np.random.Generator) -> str:
-    """A volume; now and then one module alone."""
+    """Draw a volume; sometimes a single module."""
     return f"pm{rng.integers(1, 7)}" if rng.uniform() < _ONE_MODULE_SHARE else _pick(rng, PLACES)
 
 
 def _inside(rng: np.random.Generator, end: float) -> Drawn:
-    """One effect that the catalogue can express: what it is, its table, its label."""
+    """Draw one effect of the catalogue: its description, its table, its label."""
     onset = _onset(rng, end)
     table, label = _FORMS[int(rng.integers(len(_FORMS)))](rng, end)
     table = {**table, "onset_s": onset}
@@ -165,9 +169,18 @@ def _inside(rng: np.random.Generator, end: float) -> Drawn:
 
 
 _MAGNITUDES = (
-    "power_W", "capacity_J_per_K", "conductance_W_per_K", "lost_fraction", "exponent_change", "recirculated_fraction",
-    "bypass_fraction", "bias", "drift_per_h", "lag_s", "gain",
-)  # fmt: skip
+    "power_W",
+    "capacity_J_per_K",
+    "conductance_W_per_K",
+    "lost_fraction",
+    "exponent_change",
+    "recirculated_fraction",
+    "bypass_fraction",
+    "bias",
+    "drift_per_h",
+    "lag_s",
+    "gain",
+)
 
 
 def _source(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
@@ -179,38 +192,52 @@ def _source(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple
 def _source_grows(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
     where = _pick(rng, PLACES)
     table = {
-        "kind": "heat_source", "where": where, "driver": "elapsed_time", "power_W": _size(rng, 50.0),
+        "kind": "heat_source",
+        "where": where,
+        "driver": "elapsed_time",
+        "power_W": _size(rng, 50.0),
         "tau_s": float(round(rng.uniform(0.05, 0.3) * end)),
-    }  # fmt: skip
+    }
     return table, ("heat_source", where, "elapsed_time")
 
 
 def _source_of_day(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
     where = _pick(rng, PLACES)
     table = {
-        "kind": "heat_source", "where": where, "driver": "time_of_day", "power_W": _size(rng, 60.0),
-        "peak_hour": float(round(rng.uniform(0.0, 24.0), 1)), "width_h": float(round(rng.uniform(8.0, 14.0), 1)),
-    }  # fmt: skip
+        "kind": "heat_source",
+        "where": where,
+        "driver": "time_of_day",
+        "power_W": _size(rng, 60.0),
+        "peak_hour": float(round(rng.uniform(0.0, 24.0), 1)),
+        "width_h": float(round(rng.uniform(8.0, 14.0), 1)),
+    }
     return table, ("heat_source", where, "time_of_day")
 
 
 def _source_driven(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
     driver = _pick(rng, ("heater_power", "pump_speed", "fan_speed"))
     where = _pick(rng, PLACES[1:] if driver == "heater_power" else PLACES)
-    # The twin's shaft power goes with the cube of the speed; of the heater's power it takes a share.
+    # The twin's shaft power follows the cube of the speed, and a share of the heater's power.
     exponent = 1.0 if driver == "heater_power" else 3.0
     table = {
-        "kind": "heat_source", "where": where, "driver": driver, "power_W": _size(rng, 60.0), "exponent": exponent,
-    }  # fmt: skip
+        "kind": "heat_source",
+        "where": where,
+        "driver": driver,
+        "power_W": _size(rng, 60.0),
+        "exponent": exponent,
+    }
     return table, ("heat_source", where, driver)
 
 
 def _loss(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
     where = _pick(rng, PLACES)
     table = {
-        "kind": "heat_loss", "where": where, "driver": "temperature_difference",
-        "conductance_W_per_K": _size(rng, 3.0), "grows": True,
-    }  # fmt: skip
+        "kind": "heat_loss",
+        "where": where,
+        "driver": "temperature_difference",
+        "conductance_W_per_K": _size(rng, 3.0),
+        "grows": True,
+    }
     return table, ("heat_loss", where, "temperature_difference")
 
 
@@ -235,17 +262,23 @@ def _flow(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[s
 def _bypass(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
     where = _pick(rng, ("modules", "radiator"))
     table = {
-        "kind": "flow", "where": where, "driver": "constant", "bypass_fraction": min(_size(rng, 0.1), 0.5),
+        "kind": "flow",
+        "where": where,
+        "driver": "constant",
+        "bypass_fraction": min(_size(rng, 0.1), 0.5),
         "grows": True,
-    }  # fmt: skip
+    }
     return table, ("flow", where, "constant")
 
 
 def _mass(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tuple[str, str, str]]:
     table = {
-        "kind": "thermal_mass", "where": "tank", "driver": "history", "capacity_J_per_K": _size(rng, 40000.0),
+        "kind": "thermal_mass",
+        "where": "tank",
+        "driver": "history",
+        "capacity_J_per_K": _size(rng, 40000.0),
         "conductance_W_per_K": float(round(rng.uniform(10.0, 80.0))),
-    }  # fmt: skip
+    }
     return table, ("thermal_mass", "tank", "history")
 
 
@@ -271,19 +304,36 @@ def _actuator(rng: np.random.Generator, end: float) -> tuple[dict[str, Any], tup
     if where == "pump_speed":
         gain = min(gain, 1.0 / gain)
     return {"kind": "actuator", "where": where, "driver": "constant", "gain": round(gain, 4)}, (
-        "actuator", where, "constant",
-    )  # fmt: skip
+        "actuator",
+        where,
+        "constant",
+    )
 
 
 _FORMS: tuple[Callable[[np.random.Generator, float], tuple[dict[str, Any], tuple[str, str, str]]], ...] = (
-    _source, _source, _source, _source_grows, _source_of_day, _source_driven, _loss, _loss, _rejection, _rejection,
-    _flow, _bypass, _mass, _bias, _bias, _lag, _actuator,
-)  # fmt: skip
-"""Heat sources, losses, rejection and biases are drawn more often than the rest, as they are met."""
+    _source,
+    _source,
+    _source,
+    _source_grows,
+    _source_of_day,
+    _source_driven,
+    _loss,
+    _loss,
+    _rejection,
+    _rejection,
+    _flow,
+    _bypass,
+    _mass,
+    _bias,
+    _bias,
+    _lag,
+    _actuator,
+)
+"""Forms of effects; heat sources, losses, rejection and biases have more weight, as in practice."""
 
 
 def _large(rng: np.random.Generator, usual: float) -> float:
-    """Something outside the catalogue must be seen before it can be left unnamed: no barely visible ones."""
+    """Draw a size above the barely visible ones, for an effect outside the catalogue."""
     return float(f"{usual * np.exp(rng.uniform(np.log(0.4), np.log(2.5))):.3g}")
 
 
@@ -292,25 +342,35 @@ def _periodic(rng: np.random.Generator, end: float) -> Outside:
     duty, power = float(round(rng.uniform(0.2, 0.7), 2)), _large(rng, 60.0)
     onset = _onset(rng, 0.8 * end)
     table = {
-        "kind": "heat_source", "where": where, "driver": "periodic", "power_W": power, "period_s": period,
-        "duty": duty, "onset_s": onset,
-    }  # fmt: skip
+        "kind": "heat_source",
+        "where": where,
+        "driver": "periodic",
+        "power_W": power,
+        "period_s": period,
+        "duty": duty,
+        "onset_s": onset,
+    }
     what = f"source of {power:g} W at {where}, on for {duty:.0%} of every {period:.0f} s"
     return what, (table,), ("heat_source", where, "periodic")
 
 
 _WARMER_K = {"heater": 3.0, "modules": 3.0, "radiator": 0.5, "tank": 0.0}
-"""Typical, above the tank."""
+"""Typical temperature above the tank, K."""
 
 
 def _latch(rng: np.random.Generator, end: float) -> Outside:
     where, power = _pick(rng, PLACES), _large(rng, 60.0)
-    # Between the coldest and the warmest that these places see on the loads drawn here.
+    # Between the coldest and the warmest temperature of these places on the loads drawn here.
     edge = float(round(rng.uniform(29.5, 33.0) + _WARMER_K[where], 1))
     table = {
-        "kind": "heat_source", "where": where, "driver": "threshold", "power_W": power, "threshold_C": edge,
-        "hysteresis_K": float(round(rng.uniform(0.5, 3.0), 1)), "onset_s": 0.0,
-    }  # fmt: skip
+        "kind": "heat_source",
+        "where": where,
+        "driver": "threshold",
+        "power_W": power,
+        "threshold_C": edge,
+        "hysteresis_K": float(round(rng.uniform(0.5, 3.0), 1)),
+        "onset_s": 0.0,
+    }
     return f"source of {power:g} W at {where} above {edge:g} degC", (table,), ("heat_source", where, "threshold")
 
 
@@ -358,13 +418,20 @@ def _stuck(rng: np.random.Generator, end: float) -> Outside:
 
 
 _OUTSIDE: tuple[Callable[[np.random.Generator, float], Outside], ...] = (
-    _periodic, _periodic, _latch, _flow_for_a_time, _rejection_for_a_time, _comes_and_goes, _comes_and_goes,
-    _bias_for_a_time, _stuck,
-)  # fmt: skip
+    _periodic,
+    _periodic,
+    _latch,
+    _flow_for_a_time,
+    _rejection_for_a_time,
+    _comes_and_goes,
+    _comes_and_goes,
+    _bias_for_a_time,
+    _stuck,
+)
 
 
 def profile(case: Setting) -> Profile:
-    """Load profile of a case: set-points that hold until they change, ending at its length."""
+    """Return the load profile of a case: constant set-points between changes, ending at its length."""
     rng = np.random.default_rng([case.seed, 4])
     end = case.hours * 3600.0
     power = {"battle": (620.0, 880.0), "busy": (350.0, 850.0)}.get(case.load, (450.0, 850.0))
@@ -386,7 +453,7 @@ def profile(case: Setting) -> Profile:
 def _course(
     rng: np.random.Generator, end: float, low: float, high: float, step: float, shortest: float, longest: float
 ) -> Array:
-    """Times, s, and levels (n, 2), levels in multiples of `step`."""
+    """Return times, s, and levels (n, 2), in multiples of `step`."""
     times, t = [0.0], 0.0
     while (t := t + float(np.exp(rng.uniform(np.log(shortest), np.log(longest))))) < end - 60.0:
         times.append(float(round(t)))
@@ -395,13 +462,13 @@ def _course(
 
 
 def profile_text(profile: Profile) -> str:
-    """The profile as the CSV file that `hil run` reads."""
+    """Return the profile as a CSV file for `hil run`."""
     rows = [",".join(f"{v:g}" for v in (t, *row)) for t, row in zip(profile.time_s, profile.values, strict=True)]
     return "\n".join([",".join(("time_s", *profile.columns)), *rows]) + "\n"
 
 
 def effects_text(effects: tuple[dict[str, Any], ...]) -> str:
-    """The effect file of a case."""
+    """Return the effect file of a case."""
     lines = []
     for table in effects:
         lines.append("[[effect]]")

@@ -1,4 +1,4 @@
-"""A record of the virtual rig without its wires: the same plant, instruments and thermocouple module, stepped here.
+"""Simulated record of the virtual rig without protocols: the same plant, instruments and thermocouple module.
 
 What the wires do is repeated: the slew rates of the set-points, the resolution of registers and frames. What is left
 out are the protocols, the engine and its interlocks; the thermostat ends the record, as it would end the run.
@@ -26,11 +26,11 @@ from hil.run.outputs.setpoints import Setpoints, bind
 
 READ = ("T_ambient_C", "heater_power_W", "flow_L_per_min", "pump_speed_pct", "fan_speed_pct")
 RESOLUTION = (0.01, 0.0, 0.0, 0.1, 0.1)
-"""Of the registers; power and flow travel as floats."""
+"""Resolution of the registers; power and flow are floats."""
 COUNTS_PER_K = 100.0
 WORDS = 4 * len(FRAME_IDS)
 _START = (0.0, 1.0, 1.0)
-"""Heater W, pump and fans before the first tick: the rig is found as a run leaves it."""
+"""Heater W, pump and fans before the first tick: the state in which a run leaves the rig."""
 
 
 def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: tuple[Effect, ...] = ()) -> Record:
@@ -46,7 +46,9 @@ def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: 
 def direct_run(
     profile: Profile, rig: Rig, plant: Plant, *, seed: int, unit: int, effects: tuple[Effect, ...] = ()
 ) -> tuple[Record, Array]:
-    """The same on a given plant; also the true temperatures of its junctions, (n, 9) degC, ordered as `CHANNELS`."""
+    """Replay as `direct_record` on a given plant; return also the true temperatures of its junctions, (n, 9) degC,
+    ordered as `CHANNELS`.
+    """
     period = rig.period_s
     instruments = Instruments(seed, period, effects, unit)
     module = ThermocoupleModule(seed, effects, unit)

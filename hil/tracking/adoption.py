@@ -1,9 +1,9 @@
-"""What becomes of parameters that the network's gates let through: nothing, a sentence, or the twin's next revision.
+"""Adoption of parameters that the network's gates accept: none, a sentence, or the twin's next revision.
 
-The live twin of the network takes them on in any case: it is one of several that are compared, and steers nothing. The
-twin file is another matter. *shadow* leaves it alone and says nothing; *advisory* says what would change; *controlled*
-saves one revision at the end, of what several proposals in a row agreed on before a last part of the record that
-neither saw, and only where that part is then foretold as well as of a calibrated twin, or clearly better.
+The live twin of the network takes the parameters in any case: it is one of several twins under comparison and has no
+effect on the rig. The mode governs the twin file. *shadow* does not change it and reports nothing; *advisory* reports
+the changes; *controlled* saves one revision at the end. That revision has the parameters on which several proposals in
+a row agree. It is saved only if its prediction of a held-out last segment is calibrated or clearly better.
 """
 
 from __future__ import annotations
@@ -30,25 +30,28 @@ NetworkMode = Literal["shadow", "advisory", "controlled"]
 MODES: tuple[NetworkMode, ...] = get_args(NetworkMode)
 NETWORK = "hiera_unet"
 HELD = ": held"
-"""How a reason ends that holds one parameter."""
+"""End of a reason that holds one parameter."""
 HELD_OUT_S = 3600.0
 HELD_OUT_SHARE = 0.2
 WORSE = 1.02
-"""Times its error before that a sensor may have afterwards, for noise alone."""
+"""Largest ratio of a sensor's error after adoption to its error before: room for noise alone."""
 IN_A_ROW = 3
-"""Open proposals of a parameter, one after the other, that have to agree."""
+"""Consecutive accepted proposals of a parameter that have to agree."""
 CLEARLY = 0.75
-"""Share of the mean square before that a twin may leave which is better but not calibrated, sure to `SURE`."""
+"""Largest ratio of the mean square after to that before, of a twin that is better but not calibrated, with probability
+`SURE`.
+"""
 SURE = 0.95
 BLOCK_S = 300.0
-"""Length of the blocks that are drawn again to tell how sure that is: errors within minutes are alike."""
+"""Length in s of the blocks of the bootstrap of `SURE`: errors within minutes are correlated."""
 DRAWS = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """A parameter as accepted last: value and half width of its 90 % interval; since when, when last, how often in a
-    row."""
+    """Parameter as accepted last: value, half width of its 90 % interval, times of first and last acceptance, count in
+    a row.
+    """
 
     value: float
     half_width: float
@@ -59,17 +62,17 @@ class Accepted:
 
 @dataclass(frozen=True, slots=True)
 class Adoption:
-    """The revision that was saved, or None and why not."""
+    """Revision that was saved, or None with the reason."""
 
     path: Path | None
     sentence: str
 
 
 def accepted(proposals: Iterable[Proposed], in_a_row: int = 1) -> dict[str, Accepted]:
-    """Parameters that the gates let through in the latest `in_a_row` proposals of theirs, which agree.
+    """Return the parameters whose latest `in_a_row` proposals passed the gates and agree.
 
-    Two agree where each lies within the other's interval. What is only held since stands; what was let through since
-    and does not agree is a parameter that nobody knows.
+    Two proposals agree if each lies within the other's interval. A parameter that is only held since then keeps its
+    value. One that passed since then without agreement is left out.
     """
     rows: dict[str, Accepted] = {}
     settled: dict[str, Accepted] = {}
@@ -91,14 +94,16 @@ def accepted(proposals: Iterable[Proposed], in_a_row: int = 1) -> dict[str, Acce
 
 
 class Advice:
-    """Says what would change in the twin file, where that is news."""
+    """Reporter of new changes that adoption would make in the twin file."""
 
     def __init__(self, network: Network) -> None:
         self._units = {name: p.unit for name, p in network.parameters.items()}
         self._said = {name: p.value for name, p in network.parameters.items()}
 
     def news(self, proposed: Proposed) -> str | None:
-        """A sentence where an accepted value has left what was said before by more than its own 90 % interval."""
+        """Return a sentence if an accepted value left the last reported one by more than its own 90 % interval, else
+        None.
+        """
         told = []
         for name, now in accepted([proposed]).items():
             if abs(now.value - self._said[name]) > now.half_width:
@@ -109,7 +114,7 @@ class Advice:
 
 
 def adopt(twin: Path, record: Record, proposals: list[Proposed], made_by: str) -> Adoption:
-    """Save what was accepted as the next revision of `twin`, if it is worth it.
+    """Save the accepted parameters as the next revision of `twin`, if it predicts better.
 
     Raises:
         TwinFileError: the twin or its folder cannot be used.
@@ -124,13 +129,13 @@ def adopt(twin: Path, record: Record, proposals: list[Proposed], made_by: str) -
     seen = [proposed for proposed in proposals if proposed.time_s <= until_s]
     taken = accepted(seen, IN_A_ROW)
     if not taken:
-        none = f"no parameter was let through {IN_A_ROW} times in a row with values that agree"
+        none = f"no parameter passed the gates {IN_A_ROW} times in a row with values that agree"
         return Adoption(None, f"no revision is saved: {none}; {closed_gates(seen)}")
     values = {name: a.value for name, a in taken.items()}
     late = record.time_s > until_s
-    misses = [_misses(n, record) for n in (network, with_elements(network, {}, values))]
-    for a in _aside(proposals):
-        # What was left aside speaks neither for a revision nor against it.
+    misses = [_prediction_errors(n, record) for n in (network, with_elements(network, {}, values))]
+    for a in _excluded_intervals(proposals):
+        # Excluded sensors count neither for nor against a revision.
         rows = (record.time_s >= a.since_s) & (record.time_s <= a.until_s)
         for miss in misses:
             miss[rows, network.sensor_names.index(a.sensor)] = np.nan
@@ -145,7 +150,7 @@ def adopt(twin: Path, record: Record, proposals: list[Proposed], made_by: str) -
         error_before_K=before,
         error_after_K=after,
         held_out_s=(until_s, end_s),
-        evidence=f"{NETWORK} proposed {len(seen)} times and its gates let through {len(taken)} of "
+        evidence=f"{NETWORK} proposed {len(seen)} times and its gates accepted {len(taken)} of "
         f"{len(seen[-1].document['values'])} parameters between {first / 3600:.2f} and {last / 3600:.2f} h",
         notes=(*(_note(name, a, network) for name, a in taken.items()), closed_gates(seen)),
     )
@@ -154,7 +159,7 @@ def adopt(twin: Path, record: Record, proposals: list[Proposed], made_by: str) -
     return Adoption(
         path,
         f"{NETWORK}: {len(taken)} accepted parameters are saved as {path} ({worst} {before[worst]:.3f} -> "
-        f"{after[worst]:.3f} K on the end of the record, which none of them saw); `hil twin revert` undoes it",
+        f"{after[worst]:.3f} K on the held-out end of the record); `hil twin revert` undoes it",
     )
 
 
@@ -165,24 +170,26 @@ def _objection(
     time_s: NDArray[np.float64],
     network: Network,
 ) -> str | None:
-    """Why a revision is not worth saving, from RMSE in K by sensor and misses (n, m) K, before and after; or None."""
+    """Return the objection to a revision, from RMSE in K by sensor and prediction errors (n, m) K before and after, or
+    None.
+    """
     worse = [s for s in before if after[s] > WORSE * before[s]]
     if worse:
-        return f"{worse[0]} is foretold worse"
+        return f"{worse[0]} is predicted worse"
     squares = [np.nansum((m / network.sigma) ** 2, axis=1) for m in misses]
     if not before or squares[1].sum() >= squares[0].sum():
-        return "nothing is foretold better"
+        return "no sensor is predicted better"
     was_K, is_K = (float(np.sqrt(np.nanmean(m**2))) for m in misses)
     if is_K <= network.rules.calibrated_K or clearly_better(squares[0], squares[1], time_s):
         return None
     return (
-        f"it is foretold with an error of {is_K:.3f} K, which is neither within {network.rules.calibrated_K:g} K nor "
+        f"its prediction error is {is_K:.3f} K, which is neither within {network.rules.calibrated_K:g} K nor "
         f"clearly better than {was_K:.3f} K"
     )
 
 
 def clearly_better(before: NDArray[np.float64], after: NDArray[np.float64], time_s: NDArray[np.float64]) -> bool:
-    """Whether squares (n,) at times (n,) s fell to `CLEARLY` of what they were, however blocks of them are drawn."""
+    """Return True if squares (n,) at times (n,) s fell to `CLEARLY` of their former values in a block bootstrap."""
     block = ((time_s - time_s[0]) // BLOCK_S).astype(np.intp)
     sums = np.stack([np.bincount(block, weights=squares) for squares in (before, after)], axis=1)
     drawn = np.random.default_rng(0).integers(len(sums), size=(DRAWS, len(sums)))
@@ -190,26 +197,28 @@ def clearly_better(before: NDArray[np.float64], after: NDArray[np.float64], time
     return bool(np.quantile(now - CLEARLY * was, SURE) <= 0.0)
 
 
-def _misses(network: Network, record: Record) -> NDArray[np.float64]:
-    """Predicted minus measured (n, m) K of a free run over the whole record, begun anew after gaps."""
+def _prediction_errors(network: Network, record: Record) -> NDArray[np.float64]:
+    """Return predicted minus measured (n, m) K of a free run over the whole record, restarted after gaps."""
     from twin.kernel import Kernel, hold_inputs
     from twin.segments import find_segments, segment_rows, simulate_segments
 
     inputs, measured = network.select(record.columns)
     known, time_s = find_segments(network, record.time_s, inputs), record.time_s
     measured[known.lost] = np.nan
-    firsts = [slice(r.start, max(r.start + 1, int(np.searchsorted(time_s, time_s[r.start] + 30.0))))
-              for r in segment_rows(known.begins, len(time_s))]  # fmt: skip
+    firsts = [
+        slice(r.start, max(r.start + 1, int(np.searchsorted(time_s, time_s[r.start] + 30.0))))
+        for r in segment_rows(known.begins, len(time_s))
+    ]
     start = np.concatenate([network.initial_state(measured[first]) for first in firsts])
     run = simulate_segments(
         Kernel(network, ()), network.values[None], start[None], time_s, hold_inputs(network, inputs), known.begins
-    )[0]  # fmt: skip
+    )[0]
     miss: NDArray[np.float64] = run - measured
     return miss
 
 
 def _errors(miss: NDArray[np.float64], network: Network) -> dict[str, float]:
-    """Sensor -> RMSE in K of misses (n, m) K, where anything was measured."""
+    """Return RMSE in K by sensor of prediction errors (n, m) K, for sensors with readings."""
     good = np.isfinite(miss)
     return {
         sensor: float(np.sqrt(np.mean(miss[good[:, j], j] ** 2)))
@@ -228,8 +237,7 @@ def _note(name: str, a: Accepted, network: Network) -> str:
 
 
 def closed_gates(proposals: list[Proposed]) -> str:
-    """How often gates held everything, and why, the commonest reason first; what holds single parameters; which
-    thermometers were left aside."""
+    """Return the share and reasons of closed gates, most frequent first, held parameters, and excluded sensors."""
     if not proposals:
         return f"{NETWORK} has proposed nothing"
     whole: Counter[str] = Counter()
@@ -245,11 +253,11 @@ def closed_gates(proposals: list[Proposed]) -> str:
     parts += [f"{code} in {n} ({latest[code]})" for code, n in whole.most_common()]
     if single:
         parts.append("single parameters: " + ", ".join(f"{code} in {n}" for code, n in single.most_common()))
-    return "; ".join([*parts, *_left_aside(proposals)])
+    return "; ".join([*parts, *_exclusions(proposals)])
 
 
-class _Aside(NamedTuple):
-    """A spell in which a thermometer was left aside; `until_s` is infinite where it still was in the last proposal."""
+class _Exclusion(NamedTuple):
+    """Interval in which a sensor was excluded; `until_s` is infinite if it still was in the last proposal."""
 
     sensor: str
     since_s: float
@@ -257,36 +265,36 @@ class _Aside(NamedTuple):
     off_K: float
 
 
-def _aside(proposals: list[Proposed]) -> list[_Aside]:
-    spells: dict[tuple[str, float], _Aside] = {}
+def _excluded_intervals(proposals: list[Proposed]) -> list[_Exclusion]:
+    intervals: dict[tuple[str, float], _Exclusion] = {}
     last_s = proposals[-1].time_s if proposals else 0.0
     for proposed in proposals:
         until_s = math.inf if proposed.time_s == last_s else proposed.time_s
         for doubt in proposed.document.get("doubted", ()):
             sensor, since_s = doubt["sensor"], doubt["since_s"]
-            spells[sensor, since_s] = _Aside(sensor, since_s, until_s, doubt["off_K"])
-    return list(spells.values())
+            intervals[sensor, since_s] = _Exclusion(sensor, since_s, until_s, doubt["off_K"])
+    return list(intervals.values())
 
 
-def _left_aside(proposals: list[Proposed]) -> list[str]:
-    """Every spell in which a thermometer was left aside, in words."""
+def _exclusions(proposals: list[Proposed]) -> list[str]:
+    """Describe every interval in which a sensor was excluded."""
     told = []
-    for a in _aside(proposals):
+    for a in _excluded_intervals(proposals):
         until = "on" if math.isinf(a.until_s) else f"to {a.until_s / 3600:.2f} h"
         told.append(
-            f"{a.sensor} left aside from {a.since_s / 3600:.2f} h {until}: it had come to read {away(a.off_K)} than "
+            f"{a.sensor} excluded from {a.since_s / 3600:.2f} h {until}: it read {offset_text(a.off_K)} than "
             "the other thermometers and any parameter allow"
         )
     return told
 
 
-def away(off_K: float) -> str:
-    """By how much a thermometer reads off, in words."""
+def offset_text(off_K: float) -> str:
+    """Describe the offset of a thermometer."""
     return f"{abs(off_K):.2f} K {'more' if off_K > 0.0 else 'less'}"
 
 
 def manifest(adoption: Adoption | None) -> dict[str, Any] | None:
-    """For `run.json`."""
+    """Return the adoption as plain data for `run.json`."""
     if adoption is None:
         return None
     return {key: None if value is None else str(value) for key, value in dataclasses.asdict(adoption).items()}

@@ -1,7 +1,7 @@
-"""How far a twin's predictions may be off: bands from its own misses, the same rule for every twin.
+"""Bands of a twin's prediction errors: from its own past errors, the same rule for every twin.
 
-The band of ten minutes is what held 90 % of the twin's misses in the two hours before, so it is known before the data
-comes, whatever calibrates the twin and whatever that says of itself. Whether it holds is counted.
+The band of ten minutes is the interval that held 90 % of the twin's errors in the two hours before. It is known before
+the data comes, independent of the calibrator and its own claims. Its coverage is counted.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Ten minutes of a twin: sensor -> mean of measured minus predicted, and the half width foretold, K; None where
-    nothing was measured or nothing is known yet."""
+    """Ten minutes of a twin: sensor -> mean of measured minus predicted, and the predicted half width, K; None without
+    readings or history.
+    """
 
     twin: str
     start_s: float
@@ -33,16 +34,16 @@ class Band:
 
 
 class _Twin:
-    """Misses (n, m) K of one twin."""
+    """Prediction errors (n, m) K of one twin."""
 
     def __init__(self, sensors: int) -> None:
         self.open: list[Array] = []
         self.past: deque[Array] = deque(maxlen=SPANS)
         self.half = np.full(sensors, np.nan)
-        self.sums = np.zeros((4, sensors))  # half widths and their number, readings inside and all of them
+        self.sums = np.zeros((4, sensors))  # Half widths and their number, readings inside and all readings.
 
     def close(self) -> tuple[Array, Array]:
-        """End a span: its mean miss and the half width that was foretold, both (m,)."""
+        """Close a span: return its mean error and its predicted half width, both (m,)."""
         miss = np.concatenate(self.open)
         self.open = []
         half, good = self.half, np.isfinite(miss)
@@ -67,7 +68,9 @@ class Bands:
         self._last_s = 0.0
 
     def push(self, time_s: Array, measured: Array, outputs: dict[str, Array]) -> tuple[Band, ...]:
-        """Samples (n,) s, (n, m) degC, and the readings (n, m) of each twin: the bands of the spans that end."""
+        """Add samples (n,) s, (n, m) degC, and the predictions (n, m) of each twin; return the bands of the spans that
+        end.
+        """
         if self._origin is None:
             self._origin = self._last_s = float(time_s[0])
         span = np.maximum(np.maximum.accumulate((time_s - self._origin) // SPAN_S), self._span).astype(np.int64)
@@ -93,7 +96,7 @@ class Bands:
         return found
 
     def table(self) -> dict[str, dict[str, tuple[float, float]]]:
-        """Twin -> sensor -> mean half width, K, and the share of readings that the bands held; of whole spans."""
+        """Return twin -> sensor -> mean half width, K, and the coverage of the bands, over whole spans."""
         rows = {}
         for name, twin in self._twins.items():
             half, spans, inside, count = twin.sums
@@ -104,8 +107,8 @@ class Bands:
 
 
 def _quantile(misses: Array) -> Array:
-    """The ceil((n + 1) 0.9)-th smallest of the finite entries of each column; NaN where there are too few."""
-    ordered = np.sort(misses, axis=0)  # NaN comes last
+    """Return the ceil((n + 1) 0.9)-th smallest finite entry of each column; NaN if there are too few."""
+    ordered = np.sort(misses, axis=0)  # NaN comes last.
     count = np.isfinite(misses).sum(axis=0)
     rank = np.ceil((count + 1) * CONFIDENCE).astype(np.int64)
     picked = np.take_along_axis(ordered, np.clip(rank - 1, 0, len(misses) - 1)[None, :], axis=0)[0]

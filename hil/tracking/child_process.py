@@ -1,4 +1,4 @@
-"""A process of its own that talks over a pipe: started, listened to on the event loop, ended whatever it does."""
+"""Child process with a pipe: start, events on the event loop, and an end in any state."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 
 
 class Sender:
-    """Thread that sends objects over a pipe in their order: a process that does not read keeps nobody else waiting.
+    """Thread that sends objects over a pipe in order: a process that does not read blocks nobody else.
 
     `failed` is called in that thread with the reason where the pipe is gone.
     """
@@ -27,25 +27,25 @@ class Sender:
         threading.Thread(target=self._work, name="blocks for the calibrators", daemon=True).start()
 
     def put(self, item: Any) -> None:
-        """Have `item` sent; returns at once."""
+        """Queue `item` for sending; return at once."""
         self._queue.put((item,))
 
     def end(self) -> None:
-        """Let the thread end when all is sent."""
+        """Let the thread end after all items are sent."""
         self._queue.put(())
 
     def _work(self) -> None:
         while packed := self._queue.get():
             try:
                 self._connection.send(*packed)
-            except Exception as error:  # a pipe that was closed meanwhile raises errors of several types
-                with contextlib.suppress(RuntimeError):  # the loop is gone with the run
+            except Exception as error:  # A pipe that was closed meanwhile raises errors of several types.
+                with contextlib.suppress(RuntimeError):  # The loop is gone with the run.
                     self._failed(str(error) or type(error).__name__)
                 return
 
 
 class Child:
-    """Runs ``serve(connection, config)`` in a fresh interpreter; it does not outlive this process."""
+    """Child process that runs ``serve(connection, config)`` in a fresh interpreter; it never outlives this process."""
 
     def __init__(self, serve: Callable[[Connection, Any], None], config: object, name: str) -> None:
         context = multiprocessing.get_context("spawn")
@@ -56,15 +56,15 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Id of the process."""
+        """Return the id of the process."""
         return int(self._process.pid)
 
     def listen(self, receive: Callable[[], None]) -> None:
-        """Call `receive` on the running event loop whenever there is something on `connection`."""
+        """Call `receive` on the running event loop for every object on `connection`."""
         asyncio.get_running_loop().add_reader(self.connection.fileno(), receive)
 
     def ignore(self) -> None:
-        """Listen no longer; harmless when repeated."""
+        """Stop listening; harmless when repeated."""
         asyncio.get_running_loop().remove_reader(self.connection.fileno())
 
     def work_s(self) -> float:
@@ -77,7 +77,7 @@ class Child:
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def kill(self) -> None:
-        """Kill the process; a stopped one, too."""
+        """Kill the process, even if it is stopped."""
         if self._process.is_alive():
             self._process.kill()
 

@@ -1,8 +1,8 @@
-"""The calibrators in processes of their own, so that none ever delays a tick.
+"""Calibrators in processes of their own, so that none ever delays a tick.
 
 Blocks of ticks go there over a pipe, predictions and calibrations come back and are journaled. In lockstep the engine
 waits when a process falls behind; in real time blocks queue here instead. Calibrators that fit share a process, those
-that ask a network have another: a slow forward pass holds up neither the engine nor them.
+with a network have another: a slow forward pass delays neither the engine nor them.
 """
 
 from __future__ import annotations
@@ -27,24 +27,25 @@ MOST_OUTSTANDING = 4
 START_TIMEOUT_S = 120.0
 FINISH_TIMEOUT_S = 120.0
 IDLE_AT_MOST_S = 5.0
-"""A process that owes a result and had no processor time for so long is stopped or hangs, s. One that works on is
-waited for: a fit may take a minute, and a loaded machine gives it some time in every second."""
+"""Longest time in s without processor time before a process with a result due counts as stopped or hung. A process that
+works is waited for: a fit may take a minute, and a loaded machine gives it some time in every second.
+"""
 IDLE_SHARE = 0.002
-"""Share of one processor below which a process does not work."""
+"""Share of one processor below which a process counts as idle."""
 CLOSE_TIMEOUT_S = 5.0
 
 Ticks = tuple[list[int], list[float], list[list[float]]]
 GAP: Ticks = ([], [], [])
-"""In place of a block: nobody saw the rig since the one before."""
+"""Mark in place of a block: the rig was not observed since the block before."""
 
 
 class TrackingError(Exception):
-    """The calibrators could not start; the message says why."""
+    """Error of calibrators that could not start; the message states the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Ready:
-    """What the process runs, and what it leaves out and why."""
+    """Calibrators that the process runs, and those left out with the reason."""
 
     calibrators: tuple[str, ...]
     left_out: dict[str, str]
@@ -59,7 +60,7 @@ class _Reply:
 
 def _serve(connection: Connection, config: TrackingConfig) -> None:
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
-        signal.signal(number, signal.SIG_IGN)  # these belong to the engine, which ends this process in order
+        signal.signal(number, signal.SIG_IGN)  # These signals belong to the engine, which ends this process in order.
     try:
         twins = Twins(config)
         connection.send(_Ready(twins.calibrators, twins.left_out))
@@ -89,7 +90,7 @@ def _first_answer(connection: Connection) -> Any:
 
 
 class TrackingProcess:
-    """A `hil.run.engine.recording.Publisher` that calibrates twins in another process and journals what comes back.
+    """Publisher (`hil.run.engine.engine.Publisher`) that calibrates twins in another process and journals the results.
 
     `wait`: whether it may keep the engine waiting, as in lockstep; `in_step`: for every block, so that what the engine
     reads from `off_K` depends on the samples alone. `speaks`: the calibrator of which disturbances become events, so
@@ -141,25 +142,25 @@ class TrackingProcess:
 
     @property
     def calibrators(self) -> tuple[str, ...]:
-        """Those that run."""
+        """Return the calibrators that run."""
         return self._ready.calibrators
 
     @property
     def left_out(self) -> dict[str, str]:
-        """Optional calibrators that do not run, and why."""
+        """Return the optional calibrators that do not run, with the reason."""
         return self._ready.left_out
 
     @property
     def pid(self) -> int | None:
-        """Id of the process while it lives."""
+        """Return the id of the process while it lives."""
         return None if self._child is None else self._child.pid
 
     def attach(self, journal: Results) -> None:
-        """Where results go; before the first block."""
+        """Set the receiver of results; before the first block."""
         self._journal = journal
 
     async def publish(self, ticks: list[int], time_s: list[float], rows: list[list[float]]) -> None:
-        """Hand over a block; in lockstep wait while the process is behind."""
+        """Send a block; in lockstep wait while the process is behind."""
         if self._failure is not None or self._child is None:
             return
         self._queue.append((ticks, time_s, rows))
@@ -167,21 +168,21 @@ class TrackingProcess:
         await self._until(lambda: not self._wait or len(self._queue) + self._outstanding <= self._most)
 
     def begin_again(self) -> None:
-        """After a time in which nobody saw the rig: what comes next says anew where it stands."""
+        """Restart after a time without observation: the next samples give the state of the rig."""
         self.off_K = {}
         if self._failure is None and self._child is not None:
             self._queue.append(GAP)
             self._pump()
 
     async def settled(self) -> None:
-        """Wait for the results of all that was handed over; a process that takes too long counts as failed."""
+        """Wait for the results of all blocks sent; a process that takes too long counts as failed."""
         await self._until(self._is_caught_up)
 
     def _is_caught_up(self) -> bool:
         return not self._queue and not self._outstanding
 
     async def _until(self, condition: Callable[[], bool]) -> None:
-        """Wait for results until `condition` is true; fail where the process does nothing, or takes too long."""
+        """Wait for results until `condition` is true; fail if the process is idle or takes too long."""
         loop = asyncio.get_running_loop()
         end_s = loop.time() + FINISH_TIMEOUT_S
         looked_s, worked_s = loop.time(), self._work_s()
@@ -205,7 +206,9 @@ class TrackingProcess:
         return math.nan if self._child is None else self._child.work_s()
 
     async def finish(self) -> Comparison | None:
-        """Wait for all results and end the process; how the twins compare, or None where the calibrators failed."""
+        """Wait for all results, end the process and return the comparison of the twins, or None if the calibrators
+        failed.
+        """
         await self._until(self._is_caught_up)
         if self._failure is None and self._sender is not None:
             self._sender.put(None)
@@ -215,7 +218,7 @@ class TrackingProcess:
 
     @property
     def failure(self) -> str | None:
-        """Why the calibrators stopped before the run did, or None."""
+        """Return the reason why the calibrators stopped before the run did, or None."""
         return self._failure
 
     def _pump(self) -> None:
@@ -283,7 +286,7 @@ class TrackingProcess:
 
 
 class Tracking:
-    """All calibrators of a run as one publisher of the engine: the fits in one process, the network in another."""
+    """Publisher of all calibrators of a run: the fits in one process, the network in another."""
 
     def __init__(
         self,
@@ -311,7 +314,7 @@ class Tracking:
         ]
 
     async def start(self) -> None:
-        """Start the processes at the same time; raises what `TrackingProcess.start` raises, with none left running."""
+        """Start the processes at the same time; raise as `TrackingProcess.start` does, with none left running."""
         done = await asyncio.gather(*(process.start() for process in self._all), return_exceptions=True)
         for error in done:
             if isinstance(error, BaseException):
@@ -320,21 +323,21 @@ class Tracking:
 
     @property
     def calibrators(self) -> tuple[str, ...]:
-        """Those that run, in the order in which they were named."""
+        """Return the calibrators that run, in the order in which they were named."""
         running = {name for process in self._all for name in process.calibrators}
         return tuple(name for name in self._order if name in running)
 
     def off_K(self) -> dict[tuple[str, str], float]:
-        """(twin, sensor) -> mean of measured minus predicted over the latest block, K."""
+        """Return (twin, sensor) -> mean of measured minus predicted over the latest block, K."""
         return {key: value for process in self._all for key, value in process.off_K.items()}
 
     @property
     def left_out(self) -> dict[str, str]:
-        """Those that do not, and why."""
+        """Return the calibrators that do not run, with the reason."""
         return {name: why for process in self._all for name, why in process.left_out.items()}
 
     def attach(self, journal: Results) -> None:
-        """Where results go; before the first block."""
+        """Set the receiver of results; before the first block."""
         for process in self._all:
             process.attach(journal)
 
@@ -344,20 +347,20 @@ class Tracking:
             await process.publish(ticks, time_s, rows)
 
     def begin_again(self) -> None:
-        """Tell every process that nobody saw the rig since the last block."""
+        """Inform every process that the rig was not observed since the last block."""
         for process in self._running():
             process.begin_again()
 
     async def settled(self) -> None:
-        """Wait until every process has answered all that it was handed."""
+        """Wait until every process has returned the results of all its blocks."""
         await asyncio.gather(*(process.settled() for process in self._running()))
 
     async def finish(self) -> Comparison | None:
-        """Wait for all results; how the twins compare, without those that failed."""
+        """Wait for all results; return the comparison of the twins, without those that failed."""
         found = await asyncio.gather(*(process.finish() for process in self._running()))
         whole = None
         for part in found:
-            whole = part if whole is None else whole if part is None else whole.beside(part)
+            whole = part if whole is None else whole if part is None else whole.joined_with(part)
         return whole
 
     def _running(self) -> list[TrackingProcess]:
@@ -365,12 +368,12 @@ class Tracking:
 
     @property
     def processes(self) -> tuple[int, ...]:
-        """Ids of the processes, that of the fits first."""
+        """Return the ids of the processes, that of the fits first."""
         return tuple(process.pid for process in self._all if process.pid is not None)
 
     @property
     def failures(self) -> list[str]:
-        """A sentence for each process that stopped before the run did."""
+        """Return a sentence for each process that stopped before the run did."""
         stopped = [process for process in self._all if process.failure is not None]
         return [f"{', '.join(process.calibrators)} stopped: {process.failure}" for process in stopped]
 

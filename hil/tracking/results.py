@@ -1,4 +1,4 @@
-"""Where the results of calibrators go."""
+"""Receiver of the calibrators' results."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 class Results(Protocol):
-    """Where calibrators' results go: what `JournalWriter` has for them."""
+    """Receiver of the calibrators' results, as `JournalWriter` implements it."""
 
     def twin_outputs(self, twin: str, ticks: Sequence[int], time_s: Sequence[float], values: NDArray[Any]) -> None: ...
 

@@ -1,4 +1,4 @@
-"""Twins side by side on one stream of samples: what they predict, what their calibrators find, how they compare."""
+"""Twins side by side on one stream of samples: predictions, calibrations and their comparison."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from twin.tracking import TwinTracker
 
 DEFAULT = ("pso", "least_squares", "hiera_unet")
-"""Calibrators that run where none is named; the network is left out where there is none for the twin."""
+"""Calibrators that run if none is named; the network is left out if there is none for the twin."""
 STATIC = "static"
 OUTDONE = "no better than static"
-"""What a window is called in place of calibrated where the static twin outdoes the calibrator's; see `Misses`."""
+"""Label in place of calibrated for a window in which the static twin predicts better; see `PredictionErrors`."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingConfig:
-    """Which twins: the twin file, the record columns of a row, which calibrators, the seed.
+    """Settings of the twins: the twin file, the record columns of a row, the calibrators, the seed.
 
     `optional`: calibrators that are left out, with the reason, where they cannot be made. `static`: whether the twin
     as commissioned is among those that are handed on. `card`: of a trained ensemble in place of the shipped one.
@@ -45,7 +45,9 @@ class TrackingConfig:
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """A calibrator's finished window; `document` as of `calibration_document`, and whether it is `outdone`."""
+    """Finished window of a calibrator; `document` as of `calibration_document`, and `outdone` if the static twin is
+    better.
+    """
 
     calibrator: str
     start_s: float
@@ -55,7 +57,7 @@ class Finished:
 
 @dataclass(frozen=True, slots=True)
 class Proposed:
-    """What a calibrator proposed at `time_s`, within a window or at its end, with the reasons for what it holds."""
+    """Proposal of a calibrator at `time_s`, within a window or at its end, with the reasons for held parameters."""
 
     calibrator: str
     time_s: float
@@ -64,7 +66,7 @@ class Proposed:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """What a block of n samples yielded: readings (n, m) degC by twin, and whatever was finished inside it.
+    """Result of a block of n samples: predictions (n, m) degC by twin, and everything that was finished in it.
 
     `off_K`: (twin, sensor) -> mean of measured minus predicted, where anything was measured.
     """
@@ -78,7 +80,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class ErrorTable:
-    """RMSE in K per twin sensor: `rows[sensor][column]`, columns in reading order, and the sensors' noise."""
+    """RMSE in K by twin and sensor: `rows[sensor][column]`, columns in reading order, and the sensors' noise."""
 
     columns: tuple[str, ...]
     rows: dict[str, tuple[float, ...]]
@@ -86,33 +88,33 @@ class ErrorTable:
 
 
 @dataclass(slots=True)
-class Misses:
-    """What the static twin and a calibrator's missed in its windows so far, in units of the noise.
+class PredictionErrors:
+    """Prediction errors of the static twin and a calibrator's twin in its windows so far, in units of the noise.
 
     Each number is the root mean square of measured minus predicted over a window's readings, each sensor in units of
     its own noise; both twins predict. A calibrator is outdone in a window where the square of its number exceeds that
     of the static twin by more than 1, which is the noise, and by more than that square itself, so that a few per cent
     do not count where both are wrong or the noise is given too small. It is outdone as a whole where that holds of all
-    windows together. A disturbance that came and went does not discredit it: it surprises both twins at first, and
+    windows together. A transient disturbance does not discredit it: it surprises both twins at first, and
     misleads the calibrator's for about as much again when it goes.
     """
 
     windows: list[tuple[float, float]] = field(default_factory=list)
 
     def add(self, static: float, tracked: float) -> bool:
-        """One more window; whether the calibrator is outdone in it and as a whole."""
+        """Add a window; return whether the calibrator is outdone in it, and as a whole."""
         self.windows.append((static, tracked))
         return self.outdone and _worse(static, tracked)
 
     @property
     def whole(self) -> tuple[float, float]:
-        """Both numbers of all windows together."""
+        """Return both numbers over all windows together."""
         static, tracked = np.sqrt(np.mean(np.square(self.windows), axis=0)).tolist()
         return static, tracked
 
     @property
     def outdone(self) -> bool:
-        """Whether the calibrator is outdone as a whole."""
+        """Return True if the calibrator is outdone as a whole."""
         return bool(self.windows) and _worse(*self.whole)
 
 
@@ -122,13 +124,13 @@ def _worse(static: float, tracked: float) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The twins at the end, side by side.
+    """Comparison of the twins at the end.
 
     Attributes:
         bands: twin -> sensor -> mean half width, K, of the bands that promised 90 %, and the share that they held.
         parameters: twin -> parameter -> value, half width of its 90 % interval (None without one), and whether
-            it is held because the record does not tell it.
-        outdone: calibrator -> a sentence, where the twin as commissioned foretells better; see `Misses`.
+            it is held because it is not identifiable.
+        outdone: calibrator -> a sentence, where the commissioned twin predicts better; see `PredictionErrors`.
     """
 
     errors: ErrorTable
@@ -136,8 +138,8 @@ class Comparison:
     parameters: dict[str, dict[str, tuple[float, float | None, bool]]] = field(default_factory=dict)
     outdone: dict[str, str] = field(default_factory=dict)
 
-    def beside(self, other: Comparison) -> Comparison:
-        """Both in one."""
+    def joined_with(self, other: Comparison) -> Comparison:
+        """Return both comparisons in one."""
         rows = {sensor: cells + other.errors.rows[sensor] for sensor, cells in self.errors.rows.items()}
         errors = ErrorTable(self.errors.columns + other.errors.columns, rows, self.errors.noise_K)
         parameters, outdone = self.parameters | other.parameters, self.outdone | other.outdone
@@ -145,9 +147,9 @@ class Comparison:
 
 
 class Twins:
-    """One live twin a calibrator, and the static one, on the same samples.
+    """Live twins, one for each calibrator, and the static one, on the same samples.
 
-    Results depend on the samples alone, not on how they are cut into blocks.
+    Results depend on the samples alone, not on the blocks.
 
     Raises:
         TwinFileError: the twin file, or a calibrator that is not optional, cannot be used. HieraError: there is no
@@ -174,16 +176,16 @@ class Twins:
                 if name not in config.optional:
                     raise
                 self.left_out[name] = str(error)
-        self._misses = {name: Misses() for name in self._trackers}
+        self._prediction_errors = {name: PredictionErrors() for name in self._trackers}
         self._bands = Bands(self.network.sensor_names)
 
     @property
     def calibrators(self) -> tuple[str, ...]:
-        """Those that are not left out."""
+        """Return the calibrators that are not left out."""
         return tuple(self._trackers)
 
     def push(self, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]) -> Block:
-        """A block of samples, time (n,) s and columns (n,), past every twin."""
+        """Process a block of samples, time (n,) s and columns (n,), with every twin."""
         outputs: dict[str, NDArray[np.float64]] = {}
         calibrations: list[Finished] = []
         proposals: list[Proposed] = []
@@ -195,7 +197,7 @@ class Twins:
             outputs[name] = update.tracked
             proposals += [Proposed(name, p["time_s"], p) for p in update.proposals]
             for c, missed in zip(update.calibrations, update.window_errors, strict=True):
-                outdone = c.kind != "skipped" and self._misses[name].add(*missed)
+                outdone = c.kind != "skipped" and self._prediction_errors[name].add(*missed)
                 document = calibration_document(c) | {"outdone": outdone}
                 calibrations.append(Finished(name, c.start_s, c.end_s, document))
         self._last |= {done.calibrator: done.document for done in calibrations if done.document["kind"] != "skipped"}
@@ -214,16 +216,17 @@ class Twins:
         return found
 
     def begin_again(self) -> None:
-        """After a time in which nobody saw the rig; see `TwinTracker.restart`."""
+        """Restart after a time without observation; see `TwinTracker.restart`."""
         for tracker in self._trackers.values():
             tracker.restart()
 
     def over(
         self, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]], rows: int
     ) -> Iterator[tuple[int, Block]]:
-        """A whole record in blocks of so many rows: how many samples are done, and what the block yielded.
+        """Process a whole record in blocks of this many rows; yield the number of samples done and the result of each
+        block.
 
-        After a gap in which nothing tells what drove the rig, twins begin again.
+        After a gap without inputs, the twins restart.
         """
         from twin.segments import find_segments
 
@@ -236,7 +239,7 @@ class Twins:
             yield part.stop, self.push(time_s[part], {name: values[part] for name, values in columns.items()})
 
     def comparison(self) -> Comparison:
-        """The twins on everything that was pushed."""
+        """Return the comparison of the twins on all samples so far."""
         columns: list[str] = []
         rows: dict[str, list[float]] = {}
         noise: dict[str, float] = {}
@@ -255,11 +258,15 @@ class Twins:
                 name: (self.network.parameters[name].value, None, False) for name in ids
             }
             parameters = {STATIC: as_commissioned, **parameters}
-        outdone = {name: self._outdone_words(name) for name, misses in self._misses.items() if misses.outdone}
+        outdone = {
+            name: self._outdone_words(name)
+            for name, errors_so_far in self._prediction_errors.items()
+            if errors_so_far.outdone
+        }
         return Comparison(errors, self._bands.table(), parameters, outdone)
 
     def tuning(self) -> list[str]:
-        """Which parameters are tuned on windows of what length, one sentence for all calibrators that agree."""
+        """Describe the tuned parameters and window lengths, one sentence for all calibrators that agree."""
         alike: dict[tuple[str, ...], list[str]] = {}
         for name, tracker in self._trackers.items():
             alike.setdefault(tracker.calibrator.ids, []).append(name)
@@ -270,31 +277,31 @@ class Twins:
         ]
 
     def _outdone_words(self, name: str) -> str:
-        ids, misses = self._trackers[name].calibrator.ids, self._misses[name]
-        static, tracked = misses.whole
+        ids, errors_so_far = self._trackers[name].calibrator.ids, self._prediction_errors[name]
+        static, tracked = errors_so_far.whole
         tuned, fewer = self._tuned(ids)
-        windows, parameters = _counted("window", misses.windows), _counted("parameter", ids)
+        windows, parameters = _counted("window", errors_so_far.windows), _counted("parameter", ids)
         return (
-            f"as commissioned the twin foretells better than {name}: over the same {windows} it misses {static:.1f} "
-            f"times the noise, {name} {tracked:.1f} times, probably since windows of {self.network.rules.window_s:g} s "
-            f"tell too little of the {parameters} that {name} tunes ({tuned}), so what it says of unknown heat there "
-            f"is left out; {fewer}, or set window_s under [windows] of the twin file to more"
+            f"the commissioned twin predicts better than {name}: over the same {windows} its error is {static:.1f} "
+            f"times the noise, that of {name} {tracked:.1f} times; windows of {self.network.rules.window_s:g} s "
+            f"probably do not identify the {parameters} that {name} tunes ({tuned}), so its estimates of unknown heat "
+            f"are left out; {fewer}, or set window_s under [windows] of the twin file to more"
         )
 
     def _tuned(self, ids: tuple[str, ...]) -> tuple[str, str]:
-        """What the tuned parameters are called, and how to tune fewer of them."""
+        """Return the name of the set of tuned parameters, and the way to tune fewer of them."""
         from twin.calibrators import default_tunables
 
         chosen = default_tunables(self.network)
         names = [*([chosen] if isinstance(chosen, str) else []), *self.network.sets]
         for name in names:
             if self.network.sets[name].members == ids:
-                return f"[sets.{name}] of the twin file", f"take some out of [sets.{name}]"
-        return "all of status tunable", "give some another status than tunable"
+                return f"[sets.{name}] of the twin file", f"remove some from [sets.{name}]"
+        return "all of status tunable", "change the status tunable of some"
 
 
 def parameter_cell(cell: Sequence[Any] | None) -> str:
-    """A parameter of `Comparison.parameters` as it stands in a table."""
+    """Format a parameter of `Comparison.parameters` for a table."""
     if cell is None:
         return ""
     value, half, held = cell
@@ -302,7 +309,7 @@ def parameter_cell(cell: Sequence[Any] | None) -> str:
 
 
 def _final(document: dict[str, Any]) -> dict[str, tuple[float, float | None, bool]]:
-    """Parameters of a window; what is held has no interval of its own."""
+    """Return the parameters of a window; a held one has no interval of its own."""
     held = set(document["frozen"])
     errors = document["standard_errors"] or {}
     found: dict[str, tuple[float, float | None, bool]] = {}
@@ -313,7 +320,7 @@ def _final(document: dict[str, Any]) -> dict[str, tuple[float, float | None, boo
 
 
 def calibration_document(calibration: Calibration) -> dict[str, Any]:
-    """A finished window as plain data for the journal: kind, cost, errors in K, parameters with standard errors."""
+    """Return a finished window as plain data for the journal, with errors in K and standard errors of parameters."""
     errors = None
     if calibration.covariance is not None:
         variances = np.diag(calibration.covariance)
@@ -341,10 +348,10 @@ def calibration_document(calibration: Calibration) -> dict[str, Any]:
 
 
 def disturbance(document: dict[str, Any]) -> str | None:
-    """What a calibration says of an unknown power in one of the rig's volumes, as a sentence, or None.
+    """Return an unknown power in one of the rig's volumes as a sentence, or None.
 
-    Also None where it is outdone: what such a twin misses is of its own making, not of the rig's. And where a gate
-    found that the record is none of a rig: nothing follows from it.
+    Return None, too, if the calibrator is outdone, since its errors are not those of the rig, or if a gate found the
+    record implausible for a rig.
     """
     from twin.calibrators.hiera_unet.gates import BROKEN
 
@@ -358,16 +365,16 @@ def disturbance(document: dict[str, Any]) -> str | None:
     since = document.get("disturbed_since_s")
     when = f" since {since / 3600:.2f} h" if since is not None else ""
     gives = "takes up" if power < 0 else "gives off"
-    return f"{where} {gives} {_watts(abs(power))} W{spread} that the twin does not know of{when}"
+    return f"{where} {gives} {_watts(abs(power))} W{spread} that the twin does not model{when}"
 
 
 def _watts(power: float) -> str:
-    """Whole watts; of less than ten two digits, for rigs on a board."""
+    """Format whole watts; below ten two digits, for small rigs."""
     return f"{power:.0f}" if abs(power) >= 9.5 else f"{power:.2g}"
 
 
 def window_kind(document: dict[str, Any]) -> str:
-    """What a finished window is called in a table."""
+    """Return the label of a finished window in a table."""
     kind = str(document.get("kind", "window"))
     return OUTDONE if kind == "calibrated" and document.get("outdone") else kind
 
@@ -377,7 +384,7 @@ def _counted(noun: str, items: Sequence[Any]) -> str:
 
 
 def window_words(kinds: Collection[str], rules: WindowRules) -> str:
-    """What the kinds of windows of a table mean, in one line; see `twin.calibrators.windows`."""
+    """Describe the kinds of windows of a table in one line; see `twin.calibrators.windows`."""
     from twin.calibrators.windows import LEAST_ROWS, LEAST_SPAN
 
     near = f"within {rules.calibrated_K:g} K"
@@ -385,14 +392,16 @@ def window_words(kinds: Collection[str], rules: WindowRules) -> str:
         "calibrated": f"the twin ahead was {near} at its start or over the whole of it",
         "stall": f"the twin ahead was {near} neither at its start nor over the whole of it",
         "recovery": f"the twin ahead was more than {rules.large_K:g} K off at its start",
-        OUTDONE: f"the twin ahead was {near} like a calibrated one, but the static twin foretold it clearly better",
+        OUTDONE: f"the twin ahead was {near} like a calibrated one, but the static twin predicted it clearly better",
         "skipped": f"fewer than {LEAST_ROWS} samples are there, or they span less than {LEAST_SPAN:.0%} of it",
     }
-    return "a window is called " + "; ".join(f"{kind} where {what}" for kind, what in means.items() if kind in kinds)
+    return "the label of a window is " + "; ".join(
+        f"{kind} where {what}" for kind, what in means.items() if kind in kinds
+    )
 
 
 def too_coarse(period_s: float, rules: WindowRules) -> str | None:
-    """Why no window of a record with a sample every `period_s` is fitted and what to do, or None where some may be."""
+    """Return the reason why no window of a record with this `period_s` is fitted, with the remedy, or None."""
     from twin.calibrators.windows import LEAST_ROWS
 
     if period_s * LEAST_ROWS <= rules.window_s:

@@ -1,1 +1,1 @@
-"""Training data for the network calibrator: simulated rigs and the virtual rig's plant, never recorded ones."""
+"""Training of the network calibrator on simulated rigs and the virtual rig's plant, never on recorded ones."""

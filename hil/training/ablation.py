@@ -1,4 +1,4 @@
-"""Trainings with a piece left out, to see what the piece is worth."""
+"""Ablations: trainings without a part of the network, to measure its contribution."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from hil.training.data import Data
+from hil.training.data import TrainingData
 from twin.calibrators.hiera_unet import evidence
 from twin.calibrators.hiera_unet.windows import Windows
 
 PIECES = {
-    "hierarchy": "no stage merges: all four see the record at its own steps, so nothing coarse is ever looked at",
+    "hierarchy": "no stage merges: all four have the record at its own steps, without a coarse scale",
     "gates": "skips are concatenated directly",
     "evidence": "no Gauss-Newton estimate among the inputs",
     "residuals": "no channel compares measurement and twin",
-    "hiding": "the target's own measurements are always in sight",
+    "hiding": "the target's own measurements are always among the inputs",
     "structure": "healthy windows do not come first",
-    "balance": "no price on power from nowhere",
+    "balance": "no penalty on power of unknown origin",
 }
 
 
-def without(pieces: tuple[str, ...], config: Any, plan: Any, data: Data) -> tuple[Any, Any, Data]:
-    """Configuration, plan and data without the named `PIECES`."""
+def without(pieces: tuple[str, ...], config: Any, plan: Any, data: TrainingData) -> tuple[Any, Any, TrainingData]:
+    """Return configuration, plan and data without the named `PIECES`."""
     if "hierarchy" in pieces:
         config = replace(config, merges=(1,) * len(config.merges))
     if "gates" in pieces:
@@ -44,7 +44,7 @@ def without(pieces: tuple[str, ...], config: Any, plan: Any, data: Data) -> tupl
     return config, plan, data
 
 
-def _every(data: Data, change: Callable[[Windows], Windows]) -> Data:
+def _every(data: TrainingData, change: Callable[[Windows], Windows]) -> TrainingData:
     return replace(
         data,
         train=change(data.train),

@@ -1,9 +1,9 @@
-"""What anybody could do without a network: its rivals on the windows that it is scored on.
+"""Baselines without a network, on the windows of the network's score.
 
-The cheapest is the evidence itself, shrunk: each deviation of the fit is what remains of it if most parameters have not
-moved. How much to shrink is learned from the training windows, a law a parameter. The nearest is what the network
-starts from, untrained (`sparse`). And a network that gains nothing from a record would be as good with the record of
-another rig, or with none.
+The cheapest baseline is the evidence with shrinkage: each deviation of the fit under the prior that most parameters
+have not moved. The amount of shrinkage is learned from the training windows, one law for each parameter. The nearest
+baseline is the untrained start of the network (`sparse`). A network that gains nothing from a record would be as good
+with the record of another rig, or with none.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ Z90 = 1.645
 LEAST_SD = 0.003
 """Standard deviation, as a share of the bound, that is added to that of an estimate."""
 FEWEST = 30
-"""Labels from which a law is learned; below, an estimate stays as it is."""
+"""Fewest labels to fit a law from; with fewer an estimate is unchanged."""
 
 
 @dataclass(frozen=True)
 class Shrinkage:
-    """Spike and slab: theta is 0, or with the chance `moved` N(0, slab^2); the estimate errs by N(0, (wide sd)^2 +
-    floor^2). All (P,)."""
+    """Spike-and-slab prior: theta is 0, or with probability `moved` N(0, slab^2); the estimate has error N(0, (wide
+    sd)^2 + floor^2). All (P,).
+    """
 
     moved: Array
     slab: Array
@@ -36,7 +37,7 @@ class Shrinkage:
     floor: Array
 
     def of(self, estimate: Array, sd: Array) -> tuple[Array, Array]:
-        """Posterior mean and standard deviation (N, P) of estimates (N, P) with standard errors (N, P)."""
+        """Return posterior mean and standard deviation (N, P) of estimates (N, P) with standard errors (N, P)."""
         noise = (self.wide * sd) ** 2 + self.floor**2
         total = noise + self.slab**2
         odds = np.log(self.moved / (1.0 - self.moved)) + 0.5 * (
@@ -50,7 +51,7 @@ class Shrinkage:
 
     @classmethod
     def learned(cls, estimate: Array, sd: Array, true: Array, known: np.ndarray) -> Shrinkage:
-        """The laws with the least squared error on known labels (N, P)."""
+        """Return the laws with the least squared error on known labels (N, P)."""
         count = estimate.shape[1]
         found = np.tile(np.array([0.5, 1e3, 1e-3, 1e-3]), (count, 1))
         for k in range(count):
@@ -62,27 +63,28 @@ class Shrinkage:
             def missed(v: Array, e: Array = e, s: Array = s, t: Array = t) -> float:
                 return float(np.mean((cls(*_laws(v)).of(e, s)[0] - t) ** 2))
 
-            starts = [np.array([-2.0, np.log(slab), np.log(wide), np.log(0.02)]) for slab in (0.1, 0.4)
-                      for wide in (1.0, 4.0)]  # fmt: skip
+            starts = [
+                np.array([-2.0, np.log(slab), np.log(wide), np.log(0.02)]) for slab in (0.1, 0.4) for wide in (1.0, 4.0)
+            ]
             best = min((minimize(missed, v, method="Nelder-Mead") for v in starts), key=lambda r: float(r.fun))
             found[k] = _laws(best.x)
         return cls(*found.T)
 
 
 def _laws(v: Array) -> tuple[Array, Array, Array, Array]:
-    """Chance, slab, widening, floor of free variables (4,)."""
+    """Return probability, slab, widening and floor of free variables (4,)."""
     rest = np.exp(np.clip(v[1:], -9.0, 5.0))
     return 1.0 / (1.0 + np.exp(-np.clip(v[0], -9.0, 9.0))), rest[0], rest[1], rest[2]
 
 
 def shuffled(windows: Windows) -> Windows:
-    """Channels of the windows half a split away, with their availability; the evidence stays."""
+    """Return the channels of the windows half a split away, with their availability; the evidence is unchanged."""
     rows = np.roll(np.arange(len(windows)), len(windows) // 2)
     return replace(windows, x=windows.x[rows], m=windows.m[rows])
 
 
 def noisy(windows: Windows) -> Windows:
-    """Channels of white noise, as wide as the channels are over all windows."""
+    """Return channels of white noise, as wide as the channels over all windows."""
     rng = np.random.default_rng(0)
     seen = np.where(windows.m, windows.x, np.nan)[:: max(len(windows) // 50, 1)]
     width = np.nan_to_num(np.nanstd(seen.reshape(-1, seen.shape[-1]), axis=0))
@@ -91,7 +93,7 @@ def noisy(windows: Windows) -> Windows:
 
 
 def judged(theta: Array, sd: Array, true: Array, known: np.ndarray) -> dict[str, float | None]:
-    """How good estimates (N, P) with standard deviations are where labels are known, parameters counting alike.
+    """Score estimates (N, P) with standard deviations against known labels, with equal weight for each parameter.
 
     Winkler's score is of 90 % intervals mean -+ 1.645 sd (Gneiting & Raftery, JASA 102 (2007) 359), less is better;
     `nll` is the mean negative log-likelihood of a normal law.
@@ -114,7 +116,7 @@ def judged(theta: Array, sd: Array, true: Array, known: np.ndarray) -> dict[str,
 
 
 def _mean(values: Array, good: np.ndarray) -> float:
-    """Mean over parameters of their means over windows; NaN where nothing counts."""
+    """Return the mean over parameters of their means over windows; NaN without any entry."""
     told = good.any(axis=0)
     if not told.any():
         return float("nan")
@@ -122,11 +124,12 @@ def _mean(values: Array, good: np.ndarray) -> float:
 
 
 def estimates(config: Any, train: Windows, windows: Windows) -> dict[str, tuple[Array, Array]]:
-    """Rival -> means and standard deviations (N, P) of deviations, from the evidence of `windows` alone."""
+    """Return baseline -> means and standard deviations (N, P) of deviations, from the evidence of `windows` alone."""
 
     def told(rows: Windows) -> list[Array]:
-        """Of the fit, deviations and standard errors; if few have moved, means, standard deviations and chances: (N, P)
-        each, from the end of the static numbers."""
+        """Return deviations and standard errors of the fit, and the sparse estimates with their probabilities: (N, P)
+        each, from the end of the static numbers.
+        """
         return np.split(rows.meta[:, -config.told : -1].astype(np.float64), 5, axis=1)
 
     least = LEAST_SD * np.array(config.bounds)

@@ -1,4 +1,4 @@
-"""The windows of a training: generated campaigns of a folder, in parts that share no campaign."""
+"""Windows of a training: generated campaigns of a folder, in parts that share no campaign."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from twin.calibrators.hiera_unet.windows import Windows
 from twin.network import Network, TwinFileError
 
 FEWEST = 6
-"""Campaigns from which intervals are set: an interval of 90 % needs nine windows that know each output."""
+"""Fewest campaigns for intervals: a 90 % interval needs nine windows that label each output."""
 
 
 @dataclass(frozen=True)
-class Data:
-    """What one training is fed with.
+class TrainingData:
+    """Data of one training.
 
     Attributes:
-        train: seen by the optimiser. validation: looked at for the curves. conformal: sets intervals and envelope.
+        train: seen by the optimiser. validation: used for the curves. conformal: sets intervals and envelope.
         test: scored once, at the end. manifest, digest: how they were made, and its SHA-256.
     """
 
@@ -39,8 +39,8 @@ class Data:
     digest: str
 
 
-def read(folder: Path, features: Features, *, most: int | None = None) -> Data:
-    """The data of a folder.
+def read(folder: Path, features: Features, *, most: int | None = None) -> TrainingData:
+    """Read the data of a folder.
 
     Args:
         most: campaigns of the training split, for a short look.
@@ -56,7 +56,7 @@ def read(folder: Path, features: Features, *, most: int | None = None) -> Data:
             f"{folder} holds {len(unseen)} campaigns to set intervals with, which are of too few rigs; give `hil train "
             f"loop` --windows {least_windows()} or more"
         )
-    return Data(
+    return TrainingData(
         network=features.network,
         table=features.table,
         deviations=features.deviations,
@@ -70,12 +70,12 @@ def read(folder: Path, features: Features, *, most: int | None = None) -> Data:
 
 
 def looked_at(count: int) -> list[bool]:
-    """Which of so many campaigns are for the curves; the others set intervals. Those of one rig follow each other."""
+    """Return True for campaigns of the curves; the others set intervals. Those of one rig are consecutive."""
     return [k // PER_RIG % 3 == 0 for k in range(count)]
 
 
 def least_windows() -> int:
-    """The fewest windows, in tens, that a training can be given."""
+    """Return the fewest windows, in tens, for a training."""
     count = 10
     while (found := sum(campaigns_of(count, "conformal").values())) - sum(looked_at(found)) < FEWEST:
         count += 10

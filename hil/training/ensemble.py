@@ -1,7 +1,7 @@
-"""The members of a folder as one calibrator: intervals that hold, and how good it is on windows that nothing has seen.
+"""Ensemble of the members of a folder: calibrated intervals, and scores on held-out windows.
 
-`<name>.json` names the members with their checksums, the conformal factors, and what they do on the test split, beside
-what can be had there without them.
+`<name>.json` names the members with their checksums, the conformal factors, and the scores on the test split, with
+those of the baselines.
 """
 
 from __future__ import annotations
@@ -12,17 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from hil.training.data import Data
+from hil.training.data import TrainingData
 
 MODES = {"blind": (False, True), "online": (True, False)}
-"""Symmetric with the target hidden, as a report may use it; causal with the target seen, as the service runs."""
+"""Modes: symmetric with the target hidden, as a report may use it; causal with the target as input, as the service
+runs.
+"""
 RESAMPLES = 200
 
 
-def assemble(data: Data, folder: Path, name: str) -> Path | None:
-    """Write the card of the ensemble of all members `<name>_<seed>` in `folder`; None where there is none.
+def assemble(data: TrainingData, folder: Path, name: str) -> Path | None:
+    """Write the card of the ensemble of all members `<name>_<seed>` in `folder`; return None if there is none.
 
-    Members of other data or another leakage than is allowed are left out, and the card says so.
+    Members of other data or another leakage than is allowed are left out, and the card reports it.
     """
     from twin.calibrators.hiera_unet import conformal
     from twin.calibrators.hiera_unet.binding import identity_of, physics_of
@@ -76,8 +78,8 @@ def assemble(data: Data, folder: Path, name: str) -> Path | None:
     return card
 
 
-def _rivals(networks: list[Any], data: Data, physics: Any, blind: Any) -> dict[str, Any]:
-    """Parameters and outputs of the evidence, of what can be made of it, and of the networks with and without channels.
+def _rivals(networks: list[Any], data: TrainingData, physics: Any, blind: Any) -> dict[str, Any]:
+    """Return parameters and outputs of the evidence, its baselines, and the networks with and without channels.
 
     On the test split, target hidden; outputs: mean absolute error, K.
     """
@@ -110,7 +112,7 @@ def _outputs(networks: list[Any], windows: Any, physics: Any, causal: bool, hidd
 
 
 def _coverage(error: np.ndarray, half: np.ndarray, regime: np.ndarray) -> dict[str, Any]:
-    """Share inside and mean width of intervals, with a bootstrap over windows; by regime as well."""
+    """Return coverage and mean width of intervals, with a bootstrap over windows; by regime as well."""
     found = _inside(error, half)
     rng = np.random.default_rng(0)
     shares = [
@@ -123,8 +125,7 @@ def _coverage(error: np.ndarray, half: np.ndarray, regime: np.ndarray) -> dict[s
 
 
 def _parameters(test: Any, factors: Any, chance: np.ndarray) -> dict[str, Any] | None:
-    """Shares of parameters inside their intervals, and mean widths: of all, of those that moved, of those that stayed,
-    and by bin; None without factors."""
+    """Return coverage and mean widths of parameters: all, deviating, unchanged, and by bin; None without factors."""
     from twin.calibrators.hiera_unet.conformal import by_chance
     from twin.calibrators.hiera_unet.score import MOVED
 

@@ -2,8 +2,8 @@
 
     python -m hil.training.generate --out DIR [--count 3000] [--seed 0]
 
-Splits have seeds of their own, so that no rig, load or weather is in two of them. What is finished is kept: a run that
-was interrupted goes on where it was, and one that asks for more adds to what is there.
+Splits have seeds of their own, so that no rig, load or weather is in two of them. Finished files are kept: an
+interrupted run continues, and a larger count adds to the existing files.
 """
 
 from __future__ import annotations
@@ -42,20 +42,20 @@ TWIN = Path(__file__).resolve().parents[2] / "profiles" / "twins" / "virtual.tom
 SHARES = {"train": 0.8, "conformal": 0.1, "test": 0.1}
 SIMULATED = 0.6
 SHARD = 120
-"""Campaigns a file."""
+"""Campaigns in each file."""
 ASKED = "asked.json"
 """Seed and number of windows that a folder is being filled with."""
 PLANT_WINDOWS = 4
 
 
 def features_of(network: Network | None = None, tunables: str = "nine") -> Features:
-    """What the coolant loop's network reads, for a twin of the shipped structure."""
+    """Return the inputs of the coolant loop's network, for a twin of the shipped structure."""
     twin = load(TWIN) if network is None else network
     return Features(twin, table(twin), Deviations.of(twin, tunables))
 
 
 def campaigns_of(count: int, split: str) -> dict[str, int]:
-    """Source -> how many campaigns at least `count` windows in all ask of a split."""
+    """Return source -> number of campaigns of a split that give at least `count` windows in all."""
     sources = {"twin": (SIMULATED, WINDOWS), "plant": (1.0 - SIMULATED, PLANT_WINDOWS)}
     return {name: -(-int(count * SHARES[split] * share) // each) for name, (share, each) in sources.items()}
 
@@ -63,12 +63,12 @@ def campaigns_of(count: int, split: str) -> dict[str, int]:
 def generate(
     seed: int, count: int, out: Path, say: Callable[[float, str], None] | None = None, stop: Stop | None = None
 ) -> Store | None:
-    """At least `count` windows in all, in the folder `out`, on top of what it has of them; None where it was cut.
+    """Generate windows until the folder `out` has at least `count` in all; return None if interrupted.
 
-    What is complete has a manifest. What is not has `ASKED`, and is gone on with by the same call.
+    A complete folder has a manifest. An incomplete one has `ASKED`, and the same call continues it.
 
     Args:
-        say: told how much is done, 0 to 1, and what is under way. stop: when to leave off.
+        say: called with the share done, 0 to 1, and the stage. stop: ends the work in order.
 
     Raises:
         TwinFileError: the folder has windows of another seed, or more of them.
@@ -107,7 +107,7 @@ def generate(
 
 
 def _files(count: int) -> list[tuple[str, str, range]]:
-    """Split, source and campaigns of every file that at least `count` windows take."""
+    """Return split, source and campaigns of every file of at least `count` windows."""
     return [
         (split, source, range(first, min(first + SHARD, campaigns)))
         for split in SPLITS
@@ -121,7 +121,7 @@ def _name(split: str, source: str, numbers: range) -> str:
 
 
 def _refuse_others(folder: Path, seed: int, count: int) -> None:
-    """Raises TwinFileError where a folder has windows that these would replace."""
+    """Raise TwinFileError if a folder has windows that these would replace."""
     old = asked_of(folder)
     if old is not None and old[0] != seed:
         raise TwinFileError(
@@ -134,7 +134,7 @@ def _refuse_others(folder: Path, seed: int, count: int) -> None:
 
 
 def begun(folder: Path, count: int) -> float:
-    """Share, 0 to 1, of at least `count` windows that a folder has."""
+    """Return the share, 0 to 1, of at least `count` windows that a folder has."""
     there = whole = 0
     for split, source, numbers in _files(count):
         about = folder / f"{_name(split, source, numbers)}.json"
@@ -145,15 +145,15 @@ def begun(folder: Path, count: int) -> float:
 
 
 def complete(folder: Path, seed: int, count: int) -> bool:
-    """Whether a folder has all windows of a seed; see `generate`, which says why where it has not."""
+    """Return True if a folder has all windows of a seed; `generate` reports the reason otherwise."""
     return (folder / MANIFEST).is_file() and not (folder / ASKED).exists() and asked_of(folder) == (seed, count)
 
 
 def asked_of(folder: Path) -> tuple[int, int] | None:
-    """Seed and windows that a folder was or is being filled with; None where nothing was begun.
+    """Return seed and windows that a folder was or is being filled with; None for a folder without any.
 
     Raises:
-        TwinFileError: what says so cannot be read.
+        TwinFileError: its file cannot be read.
     """
     for name in (ASKED, MANIFEST):
         try:
@@ -176,7 +176,7 @@ def _shard(
     each: int,
     step: Callable[[int], bool],
 ) -> dict[str, Any] | None:
-    """One file, with what is there of it already; None where `step`, told how many there are, says that it is over."""
+    """Complete one file; return None if `step`, called with the count so far, ends the work."""
     path, about = out / name, out / f"{name}.json"
     made_by = {"seed": seed, "each": each, "made_for": identity(features)}
     old = json.loads(about.read_text(encoding="utf-8")) if path.is_file() and about.is_file() else {}
@@ -216,7 +216,7 @@ def _sha256(path: Path) -> str:
 
 
 def main() -> None:
-    """Entry point."""
+    """Generate training data from the command line."""
     parser = argparse.ArgumentParser(prog="python -m hil.training.generate", description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder for the data; kept outside the repository")
     parser.add_argument("--count", type=int, default=3000, help="windows in all splits together")

@@ -1,4 +1,4 @@
-"""The curves of a training as a picture beside its card."""
+"""Learning curves of a training as a figure next to its card."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def draw(curves: Sequence[dict[str, Any]], path: Path, title: str) -> Path:
         middle.plot(at, [average(u["mae"]) for _, u in seen], color="C0", label="calibrated, target hidden")
         right.axhline(average(seen[-1][1]["theta_mae_evidence"]), color="0.6", label="Gauss-Newton evidence")
         right.plot(at, [average(u["theta_mae"]) for _, u in seen], color="C3", label="network")
-    middle.set(title="error on unseen windows, K", xlabel="step", ylim=(0, None))
-    right.set(title="parameter error on unseen windows", xlabel="step", ylim=(0, None))
+    middle.set(title="error on held-out windows, K", xlabel="step", ylim=(0, None))
+    right.set(title="parameter error on held-out windows", xlabel="step", ylim=(0, None))
     for axes in (middle, right):
         axes.legend(frameon=False, fontsize=8)
     for axes in (left, middle, right):

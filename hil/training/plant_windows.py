@@ -1,4 +1,4 @@
-"""Campaigns of the virtual rig's plant, whose equations are not the twin's: the other half of the training data.
+"""Campaigns of the virtual rig's plant, whose equations differ from the twin's: the other half of the training data.
 
 Half of the rigs are other specimens: films, losses and masses scattered about the built ones, each commissioned on a
 record of its own as a user would. Hidden effects are those of `hil bench discovery`; where one is a parameter that the
@@ -33,14 +33,14 @@ RIG = PROFILES / "rigs" / "virtual.toml"
 TWIN = PROFILES / "twins" / "virtual.toml"
 HOURS = 4.0
 HEALTHY = 0.15
-"""Besides the healthy quarter that the hidden effects hold."""
+"""Share of healthy campaigns, in addition to the healthy quarter of the hidden effects."""
 TRACKED = 0.4
-"""Share of the others whose hidden effect is one that the loop's twin tracks."""
+"""Share of the others whose hidden effect is a parameter of the loop's twin."""
 SHIPPED = 0.35
 """Share of campaigns on the rig as built, with the twin as shipped."""
 PER_RIG = 8
 SCATTER = {"film": 0.25, "film_floor": 0.25, "outer": 0.4, "solid_J_per_K": 0.25, "water_kg": 0.1}
-"""Standard deviations of the logarithms of what differs from specimen to specimen, by section."""
+"""Standard deviations of the logarithms of quantities that differ between specimens, by section."""
 COMMISSION_H = 8.0
 START_HOUR = 8.0
 WARM_C = (20.0, 34.0)
@@ -48,7 +48,7 @@ WARM_C = (20.0, 34.0)
 
 @dataclass(frozen=True)
 class Specimen:
-    """A rig of the plant's kind: its cells, its sensors' offsets by number, and its commissioned vector (p,)."""
+    """Specimen of the plant's kind: its cells, its sensors' offsets by number, and its commissioned vector (p,)."""
 
     cells: Cells | None
     unit: int
@@ -56,7 +56,7 @@ class Specimen:
 
 
 def campaign(features: Features, seed: int, number: int) -> Campaign:
-    """Campaign `number` of a seed."""
+    """Return campaign `number` of a seed."""
     rng = np.random.default_rng([seed, number, 7])
     specimen = specimen_of(features, seed, number // PER_RIG)
     case = Setting(number, int(rng.integers(1_000_000, 2**31)), specimen.unit, _load(rng), HOURS)
@@ -68,13 +68,13 @@ def campaign(features: Features, seed: int, number: int) -> Campaign:
     inputs, measured, gaps = damaged(rng, made.inputs, made.measured)
     extra = made.extra if rng.uniform() < 0.6 else {}
     kept = Series(made.time, inputs, measured, made.spread, extra, made.hour if rng.uniform() < 0.7 else float("nan"))
-    theta, amiss = told(features, effects, made.time)
+    theta, amiss = equivalent_deviations(features, effects, made.time)
     words = () if not hidden.effects else (hidden.what,)
     return Campaign(kept, clean, theta, amiss, specimen.nominal, "plant", (*words, *gaps))
 
 
 def _tracked(rng: np.random.Generator) -> Truth:
-    """One or two powers and losses where the loop's twin has parameters for them."""
+    """Draw one or two powers and losses that are parameters of the loop's twin."""
     tables: list[dict[str, Any]] = []
     for _ in range(1 + int(rng.uniform() < 0.35)):
         onset = 0.0 if rng.uniform() < 0.2 else float(round(rng.uniform(0.1, 0.9) * HOURS * 3600.0))
@@ -99,7 +99,7 @@ def _load(rng: np.random.Generator) -> str:
 def recorded(
     features: Features, case: Setting, specimen: Specimen, effects: tuple[Effect, ...], start_C: float | None = None
 ) -> tuple[Series, Array]:
-    """A record on the network's own steps, and what fault-free sensors would read there (n, Y)."""
+    """Return a record on the network's own steps, and fault-free sensor readings there (n, Y)."""
     columns, junctions, time = run(case, specimen, effects, start_C)
     made = series(features.network, time, columns, extra=features.table.extra, hour=START_HOUR)
     at = np.minimum(np.round(made.time - time[0]).astype(np.intp), len(junctions) - 1)
@@ -111,7 +111,7 @@ def recorded(
 def run(
     case: Setting, specimen: Specimen, effects: tuple[Effect, ...], start_C: float | None = None
 ) -> tuple[dict[str, Array], Array, Array]:
-    """Columns, true junctions and stamps of a record."""
+    """Return columns, true junctions and stamps of a record."""
     rig = load_rig(RIG)
     plant = Plant(seed=case.seed, period_s=rig.period_s, effects=effects, cells=specimen.cells, start_C=start_C)
     record, junctions = direct_run(profile(case), rig, plant, seed=case.seed, unit=case.unit, effects=effects)
@@ -119,14 +119,14 @@ def run(
 
 
 def readings(network: Network, junctions: Array) -> Array:
-    """What the twin's sensors would read of true junctions (n, 9), (n, Y)."""
+    """Return the sensor readings (n, Y) of true junctions (n, 9)."""
     where = {name: k for k, name in enumerate(CHANNELS)}
     return np.column_stack([junctions[:, [where[c] for c in s.measured]].mean(axis=1) for s in network.sensors])
 
 
 @lru_cache(maxsize=2)
 def specimen_of(features: Features, seed: int, number: int) -> Specimen:
-    """A specimen, commissioned on a healthy record of its own.
+    """Return a specimen, commissioned on a healthy record of its own.
 
     Raises:
         TwinFileError: none of several could be commissioned.
@@ -153,7 +153,7 @@ def specimen_of(features: Features, seed: int, number: int) -> Specimen:
 
 
 def scattered(rng: np.random.Generator) -> Cells:
-    """Another specimen of the plant: every section's conductances and masses by factors of their own."""
+    """Return another specimen of the plant: conductances and masses of every section by factors of their own."""
     built = build_cells()
     changed = {}
     for name, sd in SCATTER.items():
@@ -169,8 +169,8 @@ def _loaded(text: str) -> tuple[Effect, ...]:
         return load_effects(Path(file.name))
 
 
-def told(features: Features, effects: tuple[Effect, ...], time: Array) -> tuple[Array, np.ndarray]:
-    """Deviations (n, P) that the effects amount to, NaN where they stand in for one, and where anything is amiss."""
+def equivalent_deviations(features: Features, effects: tuple[Effect, ...], time: Array) -> tuple[Array, np.ndarray]:
+    """Return deviations (n, P) equivalent to the effects, NaN for approximate ones, and the presence of a fault."""
     deviations = features.deviations
     theta: Array = np.zeros((len(time), len(deviations)))
     amiss = np.zeros(len(time), dtype=bool)
@@ -190,7 +190,7 @@ def told(features: Features, effects: tuple[Effect, ...], time: Array) -> tuple[
 
 
 def _law(effect: Effect, time: Array) -> Array:
-    """A heat source's course (n,) besides its envelope; NaN where it follows something that is not known here."""
+    """Return a heat source's course (n,) without its envelope; NaN if it follows an unknown variable."""
     if effect.driver == "constant":
         return np.ones(len(time))
     if effect.driver == "elapsed_time":
@@ -200,7 +200,7 @@ def _law(effect: Effect, time: Array) -> Array:
 
 
 def _stands_in(effect: Effect, where: str, parameter: str) -> bool:
-    """Whether an effect does to the rig what the twin expresses by this parameter, though not exactly."""
+    """Return True if an effect acts as this parameter of the twin, though not exactly."""
     if effect.kind == "heat_rejection" or (effect.kind == "flow" and where == "radiator"):
         return parameter == "UA_100"
     return effect.kind == "flow" and parameter == f"effectiveness_{where}"

@@ -1,6 +1,7 @@
-"""One training from its data to its card, in as many pieces as it takes.
+"""Session of one training from its data to its card, in as many parts as it takes.
 
-A folder holds what it goes on from: `training.pt`, `curves.jsonl`. A finished network is weights, card and picture.
+The folder holds the state to continue from: `training.pt`, `curves.jsonl`. A finished network has weights, card and
+figure.
 """
 
 from __future__ import annotations
@@ -17,29 +18,29 @@ import numpy as np
 
 from hil import __version__
 from hil.training.ablation import without as leave_out
-from hil.training.data import Data
+from hil.training.data import TrainingData
 from hil.training.ensemble import assemble
 from hil.training.learning_curve import draw
 from hil.training.stopping import Stop
 
 LOOK_EVERY = 250
-"""Steps between looks at unseen windows."""
+"""Steps between scores on held-out windows."""
 KEEP_EVERY_S = 60.0
 LIBRARIES = ("torch", "numpy")
 LOOKED_AT = 192
-"""Unseen windows that a look takes: the same ones each time."""
+"""Held-out windows of each score, always the same."""
 LEAKED = 24
 """Windows of the leakage diagnostic."""
 
 Say = Callable[[int, str], None]
-"""Called with the steps done and a note."""
+"""Callback with the steps done and a note."""
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """How far a training came: `done` of `steps`, `made` of them now in `seconds`; `simulated`, the share of its data.
+class TrainingProgress:
+    """Progress of a training: `done` of `steps`, `made` of them now in `seconds`; `simulated`, the share of its data.
 
-    At its end `card` and `picture` are what was written, and `lines` say how good it is.
+    At its end `card` and `picture` are the written files, and `lines` report its scores.
     """
 
     done: int
@@ -53,14 +54,23 @@ class Outcome:
 
 
 def train(
-    data: Data, name: str, plan: Any, folder: Path, out: Path, *, stop: Stop, command: str, say: Say,
-    device: str = "cpu", without: tuple[str, ...] = (),
-) -> Outcome:  # fmt: skip
-    """Go on with the training in `folder` until it is stopped, or to its end; then write the network to `out`.
+    data: TrainingData,
+    name: str,
+    plan: Any,
+    folder: Path,
+    out: Path,
+    *,
+    stop: Stop,
+    command: str,
+    say: Say,
+    device: str = "cpu",
+    without: tuple[str, ...] = (),
+) -> TrainingProgress:
+    """Continue the training in `folder` until it is stopped, or to its end; then write the network to `out`.
 
     Args:
         name: of the configuration. plan: `twin.calibrators.hiera_unet.plan.Plan`. out: the weights' path.
-        stop: when to leave off. command: that makes this training again, for the card.
+        stop: ends the work in order. command: that makes this training again, for the card.
         without: pieces to leave out, see `hil.training.ablation`.
 
     Raises:
@@ -95,16 +105,16 @@ def train(
     keep(trainer.state(), at)
     came = (trainer.done, plan.steps, trainer.done - first, time.monotonic() - began)
     if trainer.done < plan.steps:
-        return Outcome(*came)
+        return TrainingProgress(*came)
     identity = identity_of(data.network, data.table, data.deviations)
     card, metrics = _finish(trainer, data, identity, curves, out, command, without)
     assemble(data, out.parent, out.stem.rpartition("_")[0])
     drawn = draw(curves, out.with_suffix(".png"), f"{data.table.name} {name}, seed {plan.seed}: {plan.steps} steps")
-    return Outcome(*came, card, drawn, tuple(_sentence(mode, m) for mode, m in metrics.items()))
+    return TrainingProgress(*came, card, drawn, tuple(_sentence(mode, m) for mode, m in metrics.items()))
 
 
-def _look(trainer: Any, data: Data, gathered: list[dict[str, float]]) -> dict[str, Any]:
-    """One entry of the curves: means of the losses since the last, and how unseen windows fare."""
+def _look(trainer: Any, data: TrainingData, gathered: list[dict[str, float]]) -> dict[str, Any]:
+    """Return one entry of the curves: means of the losses since the last entry, and scores on held-out windows."""
     from twin.calibrators.hiera_unet.score import outcome
 
     names = {n for parts in gathered for n in parts}
@@ -114,9 +124,12 @@ def _look(trainer: Any, data: Data, gathered: list[dict[str, float]]) -> dict[st
         trainer.average, data.validation.take(rows), trainer.physics.simulate, trainer.physics.told
     ).metrics()
     return {
-        "step": trainer.done, "loss": means.pop("loss", float("nan")), "rate": trainer.rate(), "parts": means,
+        "step": trainer.done,
+        "loss": means.pop("loss", float("nan")),
+        "rate": trainer.rate(),
+        "parts": means,
         "unseen": unseen,
-    }  # fmt: skip
+    }
 
 
 def _note(curves: list[dict[str, Any]]) -> str:
@@ -124,7 +137,7 @@ def _note(curves: list[dict[str, Any]]) -> str:
         return ""
     now, fitted, _, theta, rival = _figures(curves[-1]["unseen"])
     return (
-        f"loss {curves[-1]['loss']:.3f}, unseen {now:.4f} K (Gauss-Newton {fitted:.4f}), parameters {theta:.4f} "
+        f"loss {curves[-1]['loss']:.3f}, held-out {now:.4f} K (Gauss-Newton {fitted:.4f}), parameters {theta:.4f} "
         f"({rival:.4f})"
     )
 
@@ -137,10 +150,15 @@ def _figures(metrics: dict[str, Any]) -> tuple[float, ...]:
 
 
 def _finish(
-    trainer: Any, data: Data, identity: Any, curves: list[dict[str, Any]], out: Path, command: str,
+    trainer: Any,
+    data: TrainingData,
+    identity: Any,
+    curves: list[dict[str, Any]],
+    out: Path,
+    command: str,
     without: tuple[str, ...],
-) -> tuple[Path, dict[str, Any]]:  # fmt: skip
-    """Envelope, leakage and metrics of the averaged weights, and everything written."""
+) -> tuple[Path, dict[str, Any]]:
+    """Compute envelope, leakage and metrics of the averaged weights, and write all files."""
     from twin.calibrators.hiera_unet.batches import Batch
     from twin.calibrators.hiera_unet.checkpoint import Member, save
     from twin.calibrators.hiera_unet.envelope import envelope, place
@@ -154,10 +172,8 @@ def _finish(
     probe = Batch.of(data.conformal.take(slice(0, LEAKED)), trainer.device)
     metrics = {
         mode: outcome(network, data.test, simulate, told, causal=causal, hidden=hidden).metrics()
-        for mode, causal, hidden in (
-            ("blind", False, True), ("blind_causal", True, True), ("seen_causal", True, False)
-        )
-    }  # fmt: skip
+        for mode, causal, hidden in (("blind", False, True), ("blind_causal", True, True), ("seen_causal", True, False))
+    }
     card = {
         "name": out.stem,
         "seed": trainer.plan.seed,
@@ -177,16 +193,16 @@ def _finish(
 def _sentence(mode: str, metrics: dict[str, Any]) -> str:
     now, fitted, before, theta, rival = _figures(metrics)
     return (
-        f"{mode.replace('_', ', ')}: {now:.4f} K mean absolute error on {metrics['windows']} unseen windows, "
+        f"{mode.replace('_', ', ')}: {now:.4f} K mean absolute error on {metrics['windows']} held-out windows, "
         f"Gauss-Newton {fitted:.4f} K, commissioned {before:.4f} K; parameters {theta:.4f}, Gauss-Newton {rival:.4f}"
     )
 
 
 def begun(folder: Path) -> int:
-    """Steps after which the training in `folder` goes on.
+    """Return the number of steps of the training in `folder` so far.
 
     Raises:
-        HieraError: what was kept of it cannot be read.
+        HieraError: its stored state cannot be read.
     """
     from twin.calibrators.hiera_unet.checkpoint import kept
 

@@ -1,4 +1,4 @@
-"""When long work stops: its minutes are over, or somebody interrupts it. What is under way is finished and kept."""
+"""Stop of long work: at its time limit or at a signal, with the current step completed."""
 
 from __future__ import annotations
 

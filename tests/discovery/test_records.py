@@ -203,7 +203,7 @@ def test_the_public_records_grow_what_is_published_of_them() -> None:
     tables = {t.key: t for t in measure(folder, 0)[0]}
 
     def rungs(key: str) -> list[str]:
-        return [str(row[0]) for row in tables[key].rows if row[0] not in ("as it is, fitted", "published")]
+        return [str(row[0]) for row in tables[key].rows if row[0] not in ("baseline, fitted", "published")]
 
     assert set(rungs("tclab")) == {"sensor, heaters", "coupling, heater_2", "heat loss, heaters"}
     assert rungs("heated_pipe") == ["delay, water", "thermal mass, water"]

@@ -99,9 +99,9 @@ def test_a_thermometer_that_was_left_aside_speaks_neither_for_a_revision_nor_aga
     assert done.path is not None
     revision = load(done.path).revision
     assert "T_tank_C" not in revision.error_after_K and max(revision.error_after_K.values()) < 0.06
-    assert "T_tank_C left aside from 1.50 h on: it had come to read 0.80 K less than the other" in revision.notes[-1]
+    assert "T_tank_C excluded from 1.50 h on: it read 0.80 K less than the other" in revision.notes[-1]
     until = closed_gates(doubting(proposals(TRUE), since, 7200.0))
-    assert until.endswith("T_tank_C left aside from 1.50 h to 2.00 h: it had come to read 0.80 K less than the other "
+    assert until.endswith("T_tank_C excluded from 1.50 h to 2.00 h: it read 0.80 K less than the other "
                           "thermometers and any parameter allow")  # fmt: skip
 
 
@@ -149,7 +149,7 @@ def test_a_record_in_another_order_is_not_the_twins_fault(twin: Path, record: Re
             proposals(TRUE, closed="MISSING_REQUIRED"),
             "held everything in 28 of 28 proposals; MISSING_REQUIRED in 28 (why)",
         ),
-        (proposals({"fins.UA_100": 75.0}), "foretold worse"),
+        (proposals({"fins.UA_100": 75.0}), "predicted worse"),
     ],
 )
 def test_a_closed_gate_or_a_worse_twin_saves_nothing(twin: Path, record: Record, given: Any, words: str) -> None:

@@ -65,7 +65,7 @@ def test_speed_tables_name_what_was_left_out(monkeypatch):
 
     monkeypatch.setattr(contestants, "_torch_steps", gone)
     monkeypatch.setattr(contestants, "_jax", gone)
-    tiny = speed.Size(
+    tiny = speed.SpeedSize(
         samples=30, counts=(1, 40), schedules=("each s",), whole_h=0.05, slow=False, processes=False, budget_s=1e-3
     )
     tables, skipped = speed.measure(tiny, seed=0)
@@ -76,8 +76,10 @@ def test_speed_tables_name_what_was_left_out(monkeypatch):
 
 
 def test_tables_fit_into_a_hundred_columns_and_numbers_stay_legible(capsys):
-    wide = report.Table("t", "title", tuple(f"a column {i}" for i in range(9)), ((*(1.23456e5 for _ in range(9)),),))
-    document = report.Report("x", (wide,), ("nothing",), MANIFEST)
+    wide = report.ReportTable(
+        "t", "title", tuple(f"a column {i}" for i in range(9)), ((*(1.23456e5 for _ in range(9)),),)
+    )
+    document = report.BenchReport("x", (wide,), ("nothing",), MANIFEST)
     report.show(document)
     assert max(len(line) for line in capsys.readouterr().out.splitlines()) <= report.WIDTH
     assert [report.number(x) for x in (1.0e6, 123456.0, 12.345, 0.05, 7e-8, None, float("nan"), 3)] == [
@@ -86,8 +88,8 @@ def test_tables_fit_into_a_hundred_columns_and_numbers_stay_legible(capsys):
 
 
 def test_a_report_is_written_with_its_manifest(tmp_path):
-    table = report.Table("t", "A title", ("what", "K"), (("a", 0.5), ("b", float("nan"))), ("a note",))
-    paths = report.write(report.Report("x", (table,), (), MANIFEST), tmp_path / "new")
+    table = report.ReportTable("t", "A title", ("what", "K"), (("a", 0.5), ("b", float("nan"))), ("a note",))
+    paths = report.write(report.BenchReport("x", (table,), (), MANIFEST), tmp_path / "new")
     assert [p.name for p in paths] == ["x.json", "x.md", "x.manifest.json"]
     assert json.loads(paths[0].read_text())["tables"]["t"]["rows"] == [["a", 0.5], ["b", None]]
     assert "| a | 0.500 |" in paths[1].read_text()
@@ -102,7 +104,7 @@ def test_positions_and_values_are_inverse():
 
 def test_fits_are_measured_against_the_best_known(monkeypatch):
     monkeypatch.setattr(fit, "PEERS", (("scipy least_squares", optimisers.least_squares), ("gone", gone)))
-    tables, skipped = fit.measure(fit.Size(windows=2, samples=120, sets=("paper4",), whole_h=0.4), seed=0)
+    tables, skipped = fit.measure(fit.FitSize(windows=2, samples=120, sets=("paper4",), whole_h=0.4), seed=0)
     assert skipped == ("gone: not installed",)
     rows = {row[0].removesuffix(" *"): row for row in tables[0].rows}
     assert {f"ours: {name}" for name in UNTRAINED_CALIBRATORS} <= rows.keys()
@@ -124,7 +126,7 @@ def test_peers_that_are_here_find_the_optimum():
 
 
 def test_the_papers_experiments_run_beside_its_figures(tmp_path):
-    size = paper.Size(
+    size = paper.PaperSize(
         rigs=("inverse", "stranger"),
         calibrators=("pso", "least_squares"),
         hours=2.5,

@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed: the network
 from hil.bench.commands.bench import command  # noqa: E402
 from hil.bench.hiera import ablations  # noqa: E402
 from hil.training.ablation import PIECES  # noqa: E402
-from hil.training.data import Data  # noqa: E402
+from hil.training.data import TrainingData  # noqa: E402
 from tests.twin.hiera import fake  # noqa: E402
 from twin.calibrators.hiera_unet import binding  # noqa: E402
 from twin.calibrators.hiera_unet.train import Physics  # noqa: E402
@@ -25,15 +25,15 @@ class Table:
 
 
 @pytest.fixture
-def data(monkeypatch: pytest.MonkeyPatch) -> Data:
+def data(monkeypatch: pytest.MonkeyPatch) -> TrainingData:
     monkeypatch.setattr(binding, "config_for", lambda *_: fake.config())
     monkeypatch.setattr(binding, "physics_of", lambda *_: Physics(fake.simulate, fake.TOLD))
     parts = [fake.windows(n, seed) for seed, n in enumerate((24, 6, 6, 12))]
-    return Data(None, Table(), None, *parts, manifest={}, digest="d")  # type: ignore[arg-type]
+    return TrainingData(None, Table(), None, *parts, manifest={}, digest="d")  # type: ignore[arg-type]
 
 
 def test_every_variant_is_trained_for_the_same_time_and_its_row_says_how_far_it_came(
-    data: Data, monkeypatch: pytest.MonkeyPatch
+    data: TrainingData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ablations, "PROBED", 1)
     monkeypatch.setattr(ablations, "FEWEST", 2)

@@ -21,8 +21,8 @@ from hil.bench.discovery import trial as discovery
 from hil.bench.discovery.detectability import course_of, visible
 from hil.bench.discovery.injector import RIG, opened, seal
 from hil.bench.discovery.ledger import Ledger, LedgerError, sha256_of
-from hil.bench.discovery.repeated import Chain
-from hil.bench.discovery.score import Outcome, alike, judge, risk_at_coverage, volume, wilson
+from hil.bench.discovery.repeated import RigRecords
+from hil.bench.discovery.score import AnswerScore, alike, judge, risk_at_coverage, volume, wilson
 from hil.bench.discovery.tables import failure, tables
 from hil.bench.discovery.worker import Worker, WorkerError
 from hil.cli import group
@@ -54,7 +54,7 @@ HIDDEN = {
 }  # fmt: skip
 
 
-def judged(said: dict[str, Any], hidden: dict[str, Any] | None = None) -> Outcome:
+def judged(said: dict[str, Any], hidden: dict[str, Any] | None = None) -> AnswerScore:
     return judge("case_0", "steps", hidden or HIDDEN, said, (1.0, 1.0), 12.0, ((40.0, "W"),))
 
 
@@ -106,7 +106,7 @@ def test_outside_the_catalogue_only_abstention_is_right() -> None:
     assert unknown.right and unknown.place
     named = judged(answer("effect found", effect()), hidden)
     assert not named.right
-    assert failure(named) == "named what it cannot know"
+    assert failure(named) == "named a cause outside the catalogue"
 
 
 def test_what_came_and_went_may_be_told_by_two_steps() -> None:
@@ -253,14 +253,14 @@ def test_two_cases_from_end_to_end(tmp_path: Path) -> None:
 def test_a_crash_counts_as_no_answer() -> None:
     o = judged(discovery._no_answer("LinAlgError: Singular matrix"))
     assert failure(o) == "no answer"
-    size = discovery.Size((0,), (), 4.0, True)
-    found = tables([discovery.Finished(o, {}, None)], size)
+    size = discovery.TrialSize((0,), (), 4.0, True)
+    found = tables([discovery.FinishedCase(o, {}, None)], size)
     assert any("error" in str(row[0]) for table in found for row in table.rows)
 
 
 def test_a_direct_record_is_like_one_over_the_wire(tmp_path: Path) -> None:
-    size = discovery.Size((5,), (), 0.5, direct=False, ablations=False)
-    trial = discovery.Trial(size, 0, tmp_path)
+    size = discovery.TrialSize((5,), (), 0.5, direct=False, ablations=False)
+    trial = discovery.BlindTrial(size, 0, tmp_path)
     case = setting(5, 0, 0.5)
     path = tmp_path / "record.parquet"
     try:
@@ -292,7 +292,7 @@ def test_a_twin_that_took_up_an_effect_is_counted_by_its_later_records() -> None
     calm = judged(answer("adequate"), {**HIDDEN, "group": "none", "labels": [], "effects": []})
     alarm = judged(answer("effect found", effect()), {**HIDDEN, "group": "none", "labels": [], "effects": []})
     wrong = judged(answer("effect found", effect(where="heater")))
-    chains = [Chain(found, calm, found), Chain(found, alarm, wrong), Chain(found)]
+    chains = [RigRecords(found, calm, found), RigRecords(found, alarm, wrong), RigRecords(found)]
     scores, failures = discovery_again.tables(chains, 24.0)
     counts = {row[0]: row[1:3] for row in scores.rows}
     assert counts["first record: right but for equivalents"] == (3, 3)

@@ -74,7 +74,7 @@ def test_the_command_counts_every_kind_and_fails_where_one_does(monkeypatch):
     done = CliRunner().invoke(command, ["files", "--count", "3", "--json"])
     assert done.exit_code == 0, done.output
     assert '"data sheet"' in done.output
-    bad = fuzz_files.Fuzzed()
+    bad = fuzz_files.ReaderOutcomes()
     bad.counts[TRACEBACK] += 1
     monkeypatch.setattr(files, "fuzz_files", lambda count, seed, progress: {"rig file": bad})
     assert CliRunner().invoke(command, ["files", "--count", "3", "--json"]).exit_code == 1

@@ -13,7 +13,7 @@ from hil.bench.commands.bench import command
 from hil.bench.hiera import cases as hiera_cases
 from hil.bench.hiera import score as hiera_score
 from hil.bench.hiera import trial as hiera
-from hil.bench.hiera.contestants import Answer, commissioned, fitted, roster, sheet, tracked
+from hil.bench.hiera.contestants import BlindPredictions, commissioned, fitted, roster, sheet, tracked
 from hil.bench.hiera.tables import goals
 from hil.training.generate import features_of
 from twin.calibrators.hiera_unet.windows import TARGET
@@ -35,7 +35,7 @@ def given():
     return sheet(features(), heated())
 
 
-def scored(contestant) -> hiera_score.Score:
+def scored(contestant) -> hiera_score.HieraScore:
     answer = contestant(features(), given())
     return hiera_score.score(given(), answer, commissioned(features(), given()), 0.1)
 
@@ -65,7 +65,7 @@ def test_a_tracker_predicts_ahead_with_what_it_knew_before():
 
 def test_a_perfect_answer_scores_nought_and_recovers_at_once():
     truth = heated().truth()
-    right = Answer(truth, given().theta, np.ones(len(truth), dtype=bool), 0.0)
+    right = BlindPredictions(truth, given().theta, np.ones(len(truth), dtype=bool), 0.0)
     found = hiera_score.score(given(), right, commissioned(features(), given()), 0.1)
     assert found.recovered == 1.0
     assert np.nanmax(found.rmse) == 0.0 and np.nanmax(np.abs(found.off)) == 0.0
@@ -113,7 +113,7 @@ def test_own_widths_are_brought_to_their_promise():
 
 
 def test_parameters_inside_their_own_intervals_are_counted_where_the_data_tells_them():
-    right = Answer(heated().truth(), given().theta, np.ones(len(heated().targets), dtype=bool), 0.0)
+    right = BlindPredictions(heated().truth(), given().theta, np.ones(len(heated().targets), dtype=bool), 0.0)
     plain = commissioned(features(), given())
     wide, off = np.full(given().theta.shape, 0.1), np.where(np.arange(given().theta.shape[1]) % 2, 0.05, 0.2)
     shares = [
@@ -146,7 +146,7 @@ def test_hiding_channels_hides_them_from_everyone_but_not_from_the_score():
 
 
 def test_the_tables_of_a_small_run_name_every_contestant(tmp_path):
-    size = hiera.Size(
+    size = hiera.HieraSize(
         seeds=(0,), simulated=2, virtual=1, rigs=("simulated", "virtual", "stranger"), trackers=("least_squares",),
         lost=(0.25,), calibrating=4,
     )  # fmt: skip
@@ -190,13 +190,13 @@ def test_an_untrained_network_predicts_what_its_evidence_does_and_a_fit_from_it_
 def test_on_strangers_alone_only_what_is_known_of_them_is_asked():
     one = replace(scored(commissioned), rig="stranger")
     own = replace(one, half=np.ones_like(one.error))
-    found = hiera.Everything({"network": [own, own], "fit of 2 h": [one, one]}, {}, {"network": [own] * 12}, 0.1)
+    found = hiera.HieraResults({"network": [own, own], "fit of 2 h": [one, one]}, {}, {"network": [own] * 12}, 0.1)
     (table,) = goals(found)
     assert [row[1] for row in table.rows] == ["changes recovered by 2", "changes in which worse than fit of 2 h"]
 
 
 def test_without_its_rival_a_contestant_is_measured_against_none():
     one = replace(scored(commissioned), rig="stranger")
-    found = hiera.Everything({"network": [one]}, {}, {"network": [one] * 12}, 0.1)
+    found = hiera.HieraResults({"network": [one]}, {}, {"network": [one] * 12}, 0.1)
     (table,) = goals(found)
     assert [row[1] for row in table.rows] == ["changes recovered by 2"]

@@ -14,7 +14,7 @@ from hil.bench.loop import bus
 
 def test_the_bus_is_measured_beside_others_and_pipelined_requests_are_answered_in_order():
     told: list[float] = []
-    tables, skipped = bus.measure(bus.Size(slices=2, trips=20, steps=40, pipelined=50), 0, told.append)
+    tables, skipped = bus.measure(bus.BusSize(slices=2, trips=20, steps=40, pipelined=50), 0, told.append)
     trips, lockstep, pipelined = tables
     names = [row[0] for row in trips.rows]
     assert names[:2] == ["raw socket, nothing checked", "ours, registers"]

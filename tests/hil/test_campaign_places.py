@@ -13,7 +13,7 @@ import pytest
 
 from hil.bench.faults.judge import tries_on
 from hil.bench.faults.places import PROJECT, take_places_out, without_places
-from hil.errors import explained, lacking
+from hil.errors import exhausted_resource, explained
 from hil.run.session.event_loop import finished
 
 
@@ -56,13 +56,13 @@ def test_a_guardian_tries_on_only_where_its_log_says_so_even_after_that_was_dele
     "error", [MemoryError(), RuntimeError("can't start new thread"), OSError(24, "Too many open files")]
 )
 def test_a_machine_without_memory_threads_or_descriptors_is_a_sentence(error, capsys):
-    assert lacking(error) is not None
+    assert exhausted_resource(error) is not None
     with pytest.raises(SystemExit) as caught, explained():
         raise error
     assert caught.value.code == 1
     said = capsys.readouterr().err
     assert said.startswith("hil: this machine has no memory") and len(said.splitlines()) == 1
-    assert lacking(RuntimeError("a defect")) is None
+    assert exhausted_resource(RuntimeError("a defect")) is None
 
 
 def test_a_loop_that_cannot_be_closed_costs_no_result(monkeypatch):

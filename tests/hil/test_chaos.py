@@ -171,7 +171,7 @@ def test_a_terminal_keeps_what_is_written_until_its_reader_stops(tmp_path, shape
 def _event(*names_and_times: tuple[str, float], asked_s: float = math.inf, left_s: float | None = None) -> Any:
     strikes = [(CHAOS_KINDS[name], at_s) for name, at_s in names_and_times]
     states = () if left_s is None else ((left_s, "running", "finishing", ""),)
-    journal = judge.Journal(wall_s=(9.0, 12.5), states=states)
+    journal = judge.JournalContent(wall_s=(9.0, 12.5), states=states)
     return verdict.event_of(strikes, SimpleNamespace(asked_s=asked_s), journal)  # type: ignore[arg-type]
 
 

@@ -128,4 +128,4 @@ def test_a_scale_of_the_clock_is_understood_by_every_command(tmp_path: Path, mad
 
 def test_options_of_a_record_are_refused_for_other_files() -> None:
     code, printed = hil("check", LOOP, "--decimal", ",")
-    assert code == 2 and "--decimal, --dates, --time-column and --time-scale are of a record" in printed
+    assert code == 2 and "--decimal, --dates, --time-column and --time-scale describe a record" in printed

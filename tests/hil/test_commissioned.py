@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.diagnosis.healthy_record import beside, commissioned_on, copy_record, save_with_record
+from hil.diagnosis.healthy_record import commissioned_on, copy_record, healthy_path, save_with_record
 from hil.record.reader import Record, read_record
 from twin.network import TwinFileError
 from twin.revisions import save_revision
@@ -36,8 +36,8 @@ def twin(tmp_path: Path) -> Path:
 
 def test_what_the_twin_reads_is_kept_with_the_time_of_day(twin: Path) -> None:
     kept = commissioned_on(twin)
-    assert kept.path == beside(twin) == twin.with_name("rig.healthy.parquet") and not kept.why
-    record = read_record(beside(twin))
+    assert kept.path == healthy_path(twin) == twin.with_name("rig.healthy.parquet") and not kept.why
+    record = read_record(healthy_path(twin))
     assert "door_open" not in record.columns and np.isnan(record.columns["T_tank_C"]).sum() == 10
     assert record.columns["time_of_day_h"][[0, -1]] == pytest.approx([8.5, 8.5 + 7198.0 / 3600.0])
 
@@ -46,7 +46,7 @@ def test_a_revision_has_the_record_of_what_it_was_made_of(twin: Path) -> None:
     network = load(twin)
     revision = save_revision(network.with_values({"tank.capacitance": 1.5e5}), twin)
     assert load(revision).revision.record == ""
-    assert commissioned_on(revision).path == beside(twin)
+    assert commissioned_on(revision).path == healthy_path(twin)
 
 
 def test_a_run_folder_holds_it_beside_its_copies(twin: Path, tmp_path: Path) -> None:
@@ -60,11 +60,11 @@ def test_a_run_folder_holds_it_beside_its_copies(twin: Path, tmp_path: Path) -> 
 
 
 def test_a_record_that_is_gone_or_another_is_not_used_and_said(twin: Path) -> None:
-    content = beside(twin).read_bytes()
-    beside(twin).write_bytes(content + b" ")
+    content = healthy_path(twin).read_bytes()
+    healthy_path(twin).write_bytes(content + b" ")
     kept = commissioned_on(twin)
-    assert kept.path is None and "no longer what rig.toml was commissioned on" in kept.why
-    beside(twin).unlink()
+    assert kept.path is None and "has changed since rig.toml was commissioned on it" in kept.why
+    healthy_path(twin).unlink()
     kept = commissioned_on(twin)
     assert kept.path is None and "rig.healthy.parquet" in kept.why and "--healthy" in kept.why
 

@@ -47,7 +47,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ),
         (["{}/hot.parquet", "--healthy", "{}/short.csv"], ["short.csv", "two windows"]),
         (["{}/hot.parquet", "--healthy", "{}/good.parquet", "--with", "{}/short.csv"], ["short.csv", "two windows"]),
-        (["{}/hot.parquet", "--healthy", "{}/good.parquet", "--at-rest"], ["--at-rest goes without --healthy"]),
+        (["{}/hot.parquet", "--healthy", "{}/good.parquet", "--at-rest"], ["--at-rest excludes --healthy"]),
         (["{}/hot.parquet", "--clock", "25:00"], ["25:00", "08:00"]),
     ],
 )
@@ -74,7 +74,7 @@ def test_a_table_of_steady_states_grows_a_twin(tmp_path: Path) -> None:
     document = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
     assert document["method"] == "growth at rest" and len(document["left_out"]) == 12
     page = (out / "diagnosis.html").read_text(encoding="utf-8")
-    assert "Why believe it" in page and "twin at rest" in page and "groups of states" in page
+    assert "Significance and cross-validation" in page and "twin at rest" in page and "groups of states" in page
     grown = load(tmp_path / "cooler.r1.toml")
     assert grown.parameters["fins.fan_exponent"].value == pytest.approx(0.65, abs=0.05)
     assert grown.revision.error_after_K["T_out_C"] < 0.3 * grown.revision.error_before_K["T_out_C"]

@@ -94,7 +94,7 @@ def test_a_curve_is_offered_and_adopted_only_when_asked(place: Mapping[str, Path
     assert not (tmp_path / "twin.r1.toml").exists() and len(list(tmp_path.glob("twin*.toml"))) == 1
     proposal = load(tmp_path / "out/empirical.toml")
     assert proposal.parameters["unexplained_at_tank.q_3"].value > 50.0
-    assert "A curve instead of a cause" in (tmp_path / "out/diagnosis.html").read_text(encoding="utf-8")
+    assert "Empirical curve" in (tmp_path / "out/diagnosis.html").read_text(encoding="utf-8")
     done = typed(*asked, "--empirical")
     assert done.returncode == 1 and "adopted: as a curve of fan_speed_pct" in done.stdout
     (revision,) = list(tmp_path.glob("twin.r*.toml"))
@@ -155,7 +155,7 @@ def test_a_plan_is_forecast_before_it_is_run(place: Mapping[str, Path], tmp_path
 def test_a_catalogue_is_checked(place: Mapping[str, Path]) -> None:
     done = typed("check", place["twin"], "--catalogue")
     assert done.returncode == 0, done.stderr
-    groups = [line for line in done.stdout.splitlines() if line.startswith("no input separates: ")]
+    groups = [line for line in done.stdout.splitlines() if line.startswith("no input distinguishes: ")]
     assert any("actuator at pump_speed (constant)" in x and "flow at loop (constant)" in x for x in groups)
     refused = typed("check", RIG, "--catalogue")
     assert refused.returncode == 2 and "--catalogue" in refused.stderr

@@ -22,7 +22,7 @@ from hil.diagnosis.store import (
     read_findings,
     write_curves,
 )
-from hil.diagnosis.wording import after_label, often, reasons
+from hil.diagnosis.wording import after_label, frequency, reasons
 from hil.review import read_columns, read_words, write_findings_review, write_review
 from hil.review.styles import path
 from tests.hil.made_diagnosis import SAYS, SENSORS, made
@@ -109,14 +109,14 @@ def test_it_is_said_why_the_answer_should_be_believed(folder):
     document = read_findings(folder).document
     by_chance, blocks = reasons(document)
     assert "less than once in a million" in by_chance and "reaches 4.8" in by_chance
-    assert "the effect foretells 3 of 4 blocks of time better" in blocks
+    assert "the effect predicts 3 of 4 folds better" in blocks
     text = (folder / "diagnosis.html").read_text(encoding="utf-8")
-    assert text.index("Where the unknown acts") < text.index(by_chance) < text.index(blocks) < text.index("Evidence")
+    assert text.index("Unknown input by place") < text.index(by_chance) < text.index(blocks) < text.index("Evidence")
     # What no scan found has no probability, and a verdict without effects or blocks needs no reasons.
     unscanned = dataclasses.replace(made().effects[0], family_wise=float("nan"))
     assert reasons(made(effects=(unscanned,)).document()) == [blocks]
     assert reasons(dataclasses.replace(made("adequate"), folds=()).document()) == []
-    assert [often(p) for p in (0.3, 0.004)] == ["in 30 of a hundred records", "once in 250 records"]
+    assert [frequency(p) for p in (0.3, 0.004)] == ["in 30 of a hundred records", "once in 250 records"]
 
 
 def test_the_next_experiment_is_told_step_by_step():
@@ -182,6 +182,6 @@ def test_the_chance_and_the_limit_of_noise_are_of_the_same_effect():
 
 def test_what_is_worse_than_re_tuning_is_not_said_to_foretell():
     tried = made("unexplained", errors={"T_tank_C": SensorError(2.26, 1.82, 85.7, 0.2)})
-    (blocks,) = (reason for reason in reasons(tried.document()) if "blocks" in reason)
-    assert "85.7 K with the best effect tried and by 1.82 K re-tuned alone: it does not foretell that" in blocks
+    (blocks,) = (reason for reason in reasons(tried.document()) if "held-out" in reason)
+    assert "85.7 K with the best effect tried and by 1.82 K re-tuned alone: the answer does not predict it" in blocks
     assert "better" not in blocks

@@ -15,7 +15,7 @@ from hil.bench.faults.campaign import campaign, pair_tables, tables
 from hil.bench.faults.kinds import KINDS
 from hil.bench.faults.plan import AND, case_of, pairs, singles
 from hil.bench.faults.rig import STALE_LIMIT_S, WATCHDOG_S, rig_text
-from hil.bench.faults.verdict import Result
+from hil.bench.faults.verdict import FaultResult
 
 SEED = 20_261
 COSTLY = ("calibrator crash", "viewer killed", "SIGKILL")
@@ -30,7 +30,7 @@ def cases() -> list[tuple[str, int]]:
 
 
 @pytest.fixture(scope="module")
-def results() -> list[Result]:
+def results() -> list[FaultResult]:
     return asyncio.run(campaign(cases(), SEED, jobs=3, resume=False))
 
 
@@ -142,12 +142,12 @@ TRUE = {
 }  # fmt: skip
 
 
-def journal(tank: list[float], quality: list[int] | None = None, **others: object) -> judge.Journal:
+def journal(tank: list[float], quality: list[int] | None = None, **others: object) -> judge.JournalContent:
     count = len(tank)
     values = {name: [value] * count for name, value in TRUE.items()} | {"T_tank_C": tank}
     good = {name: [0] * count for name in TRUE} | {"T_tank_C": quality or [0] * count}
     raw = tuple(bytes([good["T_tank_C"][k]]) for k in range(count))
-    return judge.Journal(
+    return judge.JournalContent(
         tuple(range(count)),
         tuple(0.1 * k for k in range(count)),
         values,
@@ -172,7 +172,7 @@ def test_a_value_may_be_as_old_as_the_staleness_limit_and_no_older():
 
 def test_a_lost_and_a_changed_sample_are_counted():
     kept = journal([30.0] * 4)
-    seen = judge.PointState({k: (0.1 * k, b"\0") for k in range(4)})
+    seen = judge.AcknowledgedSamples({k: (0.1 * k, b"\0") for k in range(4)})
     assert judge.lost(seen, kept) == 0
     seen.rows[4] = (0.4, b"\0")
     seen.rows[1] = (0.1, b"\3")

@@ -104,7 +104,7 @@ def test_thermocouples_on_modbus_and_several_of_a_kind(tmp_path):
         ),
         (["--socketcand", "here", "--dbc", str(DBC)], "is no host:port"),
         (["--from", str(DBC), "--heater", "holding:0"], "--from takes the rig from a file"),
-        ([], "say what is on the rig"),
+        ([], "describe the rig"),
     ],
 )
 def test_what_cannot_be_understood_is_one_sentence_and_nothing_is_written(tmp_path, options, words):
@@ -120,7 +120,7 @@ def test_nothing_is_written_over_unasked(tmp_path):
     out.write_text("mine", encoding="utf-8")
     refused = made("--heater", "holding:0", "--out", out)
     assert (refused.exit_code, out.read_text(encoding="utf-8")) == (2, "mine")
-    assert "is there already" in refused.output
+    assert "exists already" in refused.output
     assert made("--heater", "holding:0", "--out", out, "--force").exit_code == 0
     assert len(accepted(out).point) == 1
 

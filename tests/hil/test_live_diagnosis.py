@@ -16,12 +16,12 @@ import pytest
 
 from drivers.signals.points import ConfigurationError, Signal
 from hil.diagnosis.live import (
-    Found,
+    InterimFinding,
     LiveConfig,
     LiveDiagnosis,
     Reply,
     changed,
-    found_of,
+    interim_finding,
     interval_of,
     refusal,
 )
@@ -48,8 +48,8 @@ LOAD = """time_s,heater_power_W,pump_speed_pct,fan_speed_pct
 HEAT = '[[effect]]\nkind = "heat_source"\nwhere = "modules"\ndriver = "constant"\npower_W = 180\nonset_s = 1805\n'
 
 
-def found(**changes: Any) -> Found:
-    return found_of(made(effects=(effect(**changes),)), 10_000.0)
+def found(**changes: Any) -> InterimFinding:
+    return interim_finding(made(effects=(effect(**changes),)), 10_000.0)
 
 
 @pytest.mark.parametrize(
@@ -66,20 +66,22 @@ def test_another_interval_is_one_sentence(text):
 
 
 def test_only_news_is_told():
-    healthy = found_of(made("adequate"), 10_000.0)
+    healthy = interim_finding(made("adequate"), 10_000.0)
     assert not changed(None, healthy)
     assert changed(None, found())
     assert not changed(found(), found(value=184.0, onset_s=7300.0))
     assert changed(found(), found(value=240.0))
     assert changed(found(), found(where="tank"))
     assert changed(found(), found(onset_s=20_000.0))
-    assert changed(found(), found_of(made("ambiguous"), 10_000.0))
+    assert changed(found(), interim_finding(made("ambiguous"), 10_000.0))
     assert changed(found(), healthy)
 
 
 def test_an_ambiguous_finding_names_what_it_may_be_as_well():
     assert found().sentence == SAYS
-    assert found_of(made("ambiguous"), 1.0).sentence.endswith("cannot tell that from heat source at heater")
+    assert interim_finding(made("ambiguous"), 1.0).sentence.endswith(
+        "is not distinguishable from heat source at heater"
+    )
 
 
 def error(before: float, after: float) -> SensorError:
@@ -166,15 +168,15 @@ def test_no_block_waits_and_one_diagnosis_is_asked_for_at_a_time(live):
 
 def test_an_event_only_where_there_is_news(live):
     for reply in (
-        Reply(), Reply(problem="too short"), Reply(found_of(made("adequate"), 3600.0)), Reply(found()),
+        Reply(), Reply(problem="too short"), Reply(interim_finding(made("adequate"), 3600.0)), Reply(found()),
         Reply(found(value=182.0)), Reply(found(), adopted=Path("my runs/twin.r2.toml")),
-        Reply(found_of(made("adequate"), 9e3)),
+        Reply(interim_finding(made("adequate"), 9e3)),
     ):  # fmt: skip
         live._tell(reply)
     told = events(live)
     assert [line.split()[0] for line in told] == ["WARN", "INFO", "INFO"]
     assert SAYS in told[0]
-    assert "static twin of this run goes on" in told[1]
+    assert "static twin of this run is unchanged" in told[1]
     assert told[1].endswith("adopted as 'my runs/twin.r2.toml'")  # as a shell takes it
 
 

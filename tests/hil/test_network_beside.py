@@ -76,7 +76,7 @@ def test_shadow_writes_nothing_and_controlled_writes_one_revision(record: Path, 
     assert done.exit_code == 0 and "are saved as" in done.output
     (revision,) = (path for path in tmp_path.iterdir() if path != twin)
     log = hil("twin", "log", revision).output
-    assert "hil track record.parquet" in log and "its gates let through" in log
+    assert "hil track record.parquet" in log and "its gates accepted" in log
     assert "fins.UA_100" in hil("twin", "diff", revision).output
     assert hil("twin", "revert", revision).exit_code == 0
 
@@ -289,7 +289,7 @@ def test_lockstep_with_the_network_is_the_same_every_time(tmp_path: Path) -> Non
         bands = [(r.twin, r.start_s, r.document) for r in reader.bands()]
         proposals = [(r.time_s, r.document) for r in reader.proposals()]
         reader.close()
-        assert "What the network" in folder.report.read_text(encoding="utf-8")
+        assert "Parameters accepted by the network" in folder.report.read_text(encoding="utf-8")
         order = {name: k for k, name in enumerate(twins)}
         seen.append(
             (twins, sorted(rows, key=lambda r: (order[r[0]], r[1])), sorted(bands, key=lambda r: r[:2]), proposals)

@@ -124,7 +124,7 @@ def test_a_missing_file_and_a_truncated_copy_are_refused(tmp_path: Path) -> None
         ("time_s,fan_speed_pct\n0,0.6\n1,0.7\n", "fan_speed_pct is 0.6 to 0.7: is it a fraction of 1?"),
         ("time_s,fan_speed_rpm\n0,600\n1,700\n", "fan_speed_rpm is in rpm where a record has fan_speed_pct"),
         ("time_s,T_tank_degC\n0,20\n1,21\n", "column 'T_tank_degC' is read as T_tank_C"),
-        ("time_s,m_flow_kg_s\n0,1\n1,1\n", "m_flow_kg_s: its unit would be told from the name m_flow_kg_per_s"),
+        ("time_s,m_flow_kg_s\n0,1\n1,1\n", "m_flow_kg_s: its unit would follow from the name m_flow_kg_per_s"),
         ("Time,T_tank_C\n0,20\n1,21\n", "column 'Time' is taken for time_s, in seconds"),
         ("time_min,T_tank_C\n0,20\n1,21\n", "column 'time_min' is taken for time_s, in minutes"),
         ("time_s,T_tank_C,T_heater_C\n0,20,1\n1,21,1\n2,2", "1 line has not the 3 fields of the header (the last one"),

@@ -332,8 +332,9 @@ def test_a_run_that_was_cut_is_told_from_one_that_goes_on(story):
         assert not cut.was_cut
     refused = typed("diagnose", cut.path, "--dry")
     assert refused.returncode == 2
-    assert f"was cut and has no record yet; `hil resume {cut.path}` goes on with it" in refused.stderr
-    assert f"the run was cut: what there is of it; `hil resume {cut.path}`" in typed("review", cut.path).stderr
+    assert f"was interrupted and has no record yet; `hil resume {cut.path}` continues it" in refused.stderr
+    shown = typed("review", cut.path).stderr
+    assert f"the run was interrupted: shown as far as it came; `hil resume {cut.path}`" in shown
 
 
 def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_cost(story):
@@ -347,7 +348,7 @@ def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_co
     assert left == record.time_s[first][-1]
     assert anew > left + LONG_GAP_S
     assert not np.isfinite(columns.measured[~first & (record.time_s < anew)]).any()
-    assert not any("longest part" in message for message in messages)
+    assert not any("longest segment" in message for message in messages)
     whole, messages = read_columns(network, story.whole.record, None)
     assert len(whole.time_s) == 8401
     assert not any("cut" in message for message in messages)

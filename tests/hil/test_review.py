@@ -31,7 +31,7 @@ from hil.review import (
 from hil.review import show as show_module
 from hil.review.plan import make_plan
 from hil.review.styles import path
-from hil.review.twin_bands import told
+from hil.review.twin_bands import proposal_text
 from hil.review.viewer import HOST, _free_port, binary, listens
 from hil.tracking.twins import Proposed
 from tests.hil.synthetic_journal import COMMISSIONED, SENSORS, Truth, make, put_ticks, write
@@ -112,7 +112,7 @@ def test_bands_and_proposals_equal_the_journal(truth: Truth, journal: Path, rrd:
     assert [state for _, state in read_words(rrd, "/gates/pso")] == ["SHORT_RECORD", "some held"]
     words = [text or "" for _, text in read_words(rrd, "/proposals/pso")]
     assert words[0] == "SHORT_RECORD: withheld: all held"
-    assert all(text.startswith("takes on ") and "LOW_SENSITIVITY holds " in text for text in words[1:])
+    assert all(text.startswith("accepts ") and "LOW_SENSITIVITY holds " in text for text in words[1:])
 
 
 def test_a_proposal_of_a_twin_that_is_far_off_says_so() -> None:
@@ -120,12 +120,12 @@ def test_a_proposal_of_a_twin_that_is_far_off_says_so() -> None:
         "values": {"fan": 2.0, "loss": 1.0}, "standard_errors": {"fan": 0.1, "loss": 0.1},
         "held": {"loss": "LOW_SENSITIVITY"}, "reasons": ["LOW_SENSITIVITY: the record does not tell loss: held"],
     }  # fmt: skip
-    still, adrift = (told(Proposed("pso", 9.0, {**document, "adrift": far})) for far in (False, True))
+    still, adrift = (proposal_text(Proposed("pso", 9.0, {**document, "adrift": far})) for far in (False, True))
     assert "LOW_SENSITIVITY holds loss" in still and "far off" not in still
-    assert adrift == f"{still}; the live twin is far off, and takes on what is held too"
+    assert adrift == f"{still}; the live twin is far off, and accepts held parameters too"
     doubted = {"sensor": "T_tank_C", "since_s": 3.0, "off_K": -0.48}
-    aside = told(Proposed("pso", 9.0, {**document, "doubted": [doubted]}))
-    assert aside == f"{still}; T_tank_C is left aside: 0.48 K less"
+    aside = proposal_text(Proposed("pso", 9.0, {**document, "doubted": [doubted]}))
+    assert aside == f"{still}; T_tank_C is excluded: 0.48 K less"
 
 
 def test_stamps_are_kept_to_the_nanosecond(tmp_path: Path) -> None:

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from hil.review.residuals import LATE_TICKS, Residuals
-from hil.review.thinning import GROUP, kept
+from hil.review.thinning import GROUP, needed_rows
 
 
 def drawn(time_s: np.ndarray, values: np.ndarray, tolerance: float) -> tuple[np.ndarray, int]:
-    found = kept(time_s, values[:, None], tolerance)
+    found = needed_rows(time_s, values[:, None], tolerance)
     return np.interp(time_s, time_s[found], values[found]), int(found.sum())
 
 
 def test_a_line_is_told_by_the_first_rows_of_its_groups():
     time_s = np.arange(10.0 * GROUP + 5.0)
-    found = kept(time_s, (2.0 * time_s + 1.0)[:, None], 1e-9)
+    found = needed_rows(time_s, (2.0 * time_s + 1.0)[:, None], 1e-9)
     assert np.flatnonzero(found[: 10 * GROUP]).tolist() == list(range(0, 10 * GROUP, GROUP))
     assert found[10 * GROUP :].all()
 
@@ -36,7 +36,7 @@ def test_straight_lines_between_kept_rows_miss_nothing_by_more_than_the_toleranc
 def test_a_gap_keeps_its_rows():
     time_s, values = np.arange(20.0 * GROUP), np.full((20 * GROUP, 1), 5.0)
     values[100:103] = np.nan
-    found = kept(time_s, values, 0.1)
+    found = needed_rows(time_s, values, 0.1)
     assert found[100:103].all() and found[99] and found[103]
 
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 import hil.run.session.terminal
-from hil.diagnosis.live import Reply, found_of
+from hil.diagnosis.live import Reply, interim_finding
 from hil.run.engine.status import Outcome
 from hil.run.session.run import RunResult
 from hil.run.session.terminal import ProgressBar, RunProgress, closing_advice
@@ -55,12 +55,12 @@ def test_a_run_that_was_diagnosed_ends_with_verdict_errors_and_files(tmp_path, c
     review, page = tmp_path / "review.rrd", tmp_path / "diagnosis" / "diagnosis.html"
     review.touch()
     diagnosis = made()
-    told = Reply(found_of(diagnosis, 36_000.0), page=page, document=diagnosis.document())
+    told = Reply(interim_finding(diagnosis, 36_000.0), page=page, document=diagnosis.document())
     folder = SimpleNamespace(path=tmp_path, review=review, read_manifest=dict)
     RunProgress().show_result(RunResult(folder, Outcome("done", "", safe=True), None, 1.0, 1.0, False, told))
     out = capsys.readouterr().out
     end = out[out.index(f"effect found: {SAYS}.") :]
-    for words in ("free run from 7 h 30 min to 10 h, ", "as it was", "re-tuned", "with the effect", "noise", *SENSORS):
+    for words in ("free run from 7 h 30 min to 10 h, ", "baseline", "re-tuned", "with the effect", "noise", *SENSORS):
         assert words in end
     assert end.splitlines()[-2:] == [f"diagnosis with pictures: {page}", f"run in Rerun: {review}"]
 

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from hil.cli import group
 from hil.record.reader import Record, read_record, write_record
-from hil.tracking.twins import OUTDONE, Misses, TrackingConfig, Twins, disturbance, window_kind
+from hil.tracking.twins import OUTDONE, PredictionErrors, TrackingConfig, Twins, disturbance, window_kind
 from twin.kernel import simulate
 from twin.twinfile import load
 
@@ -78,10 +78,13 @@ def test_too_many_parameters_on_short_windows_are_said_in_place_of_heat(tmp_path
     assert "pso" in found["outdone"] and found["windows"]["pso"][OUTDONE] >= 2
     assert not [d for d in found["disturbed"] if d["calibrator"] in found["outdone"]]
     sentence = found["outdone"]["pso"]
-    assert sentence in printed and "that the twin does not know of" not in printed
-    assert "as commissioned the twin foretells better than pso: over the same 10 windows it misses 1" in sentence
-    assert "windows of 120 s tell too little of the 9 parameters that pso tunes ([sets.commission] of the" in sentence
-    assert "take some out of [sets.commission], or set window_s under [windows] of the twin file to more" in sentence
+    assert sentence in printed and "that the twin does not model" not in printed
+    assert "the commissioned twin predicts better than pso: over the same 10 windows its error is 1" in sentence
+    assert (
+        "windows of 120 s probably do not identify the 9 parameters that pso tunes ([sets.commission] of the"
+        in sentence
+    )
+    assert "remove some from [sets.commission], or set window_s under [windows] of the twin file to more" in sentence
     assert f"{OUTDONE} where the twin ahead was within 0.3 K" in printed
     assert "tuned by pso, least_squares: 9 parameters ([sets.commission] of the twin file) on windows of" in printed
 
@@ -112,7 +115,7 @@ def test_what_is_outdone_does_not_depend_on_the_cut(tmp_path: Path) -> None:
 
 
 def test_a_calibrator_is_outdone_in_a_window_and_on_the_whole() -> None:
-    healthy, fooled_once, no_good, both_wrong = Misses(), Misses(), Misses(), Misses()
+    healthy, fooled_once, no_good, both_wrong = (PredictionErrors() for _ in range(4))
     assert [healthy.add(1.0, tracked) for tracked in (1.0, 1.3, 1.4, 1.1)] == [False] * 4
     assert [no_good.add(1.0, tracked) for tracked in (1.0, 4.0, 1.1, 5.0)] == [False, True, False, True]
     assert no_good.outdone and no_good.whole == pytest.approx((1.0, np.sqrt((1 + 16 + 1.21 + 25) / 4)))
@@ -120,12 +123,12 @@ def test_a_calibrator_is_outdone_in_a_window_and_on_the_whole() -> None:
         fooled_once.add(static, tracked)
     assert not fooled_once.outdone
     assert [both_wrong.add(20.0, 24.0) for _ in range(3)] == [False] * 3
-    assert not Misses().outdone
+    assert not PredictionErrors().outdone
 
 
 def test_an_outdone_window_is_no_calibrated_one_and_says_nothing_of_heat() -> None:
     document = {"kind": "calibrated", "disturbed": "tank", "disturbed_W": 44.0, "disturbed_interval90_W": (32.0, 57.0)}
-    assert disturbance(document) == "tank gives off 44 W (32 to 57) that the twin does not know of"
+    assert disturbance(document) == "tank gives off 44 W (32 to 57) that the twin does not model"
     assert window_kind(document) == "calibrated" and window_kind(document | {"outdone": True}) == OUTDONE
     assert disturbance(document | {"outdone": True}) is None
     assert disturbance(document | {"flags": ["SHORT_RECORD: why", "a flag"]}) is not None

@@ -22,7 +22,7 @@ from hil.cli.train import PIECES as command_pieces  # noqa: E402
 from hil.cli.train import again, anywhere, command, loop_command, wanted  # noqa: E402
 from hil.training import generate, session  # noqa: E402
 from hil.training.ablation import PIECES, without  # noqa: E402
-from hil.training.data import Data, least_windows, read  # noqa: E402
+from hil.training.data import TrainingData, least_windows, read  # noqa: E402
 from hil.training.ensemble import assemble  # noqa: E402
 from hil.training.generate import features_of  # noqa: E402
 from hil.training.stopping import Stop  # noqa: E402
@@ -41,7 +41,7 @@ IDENTITY = Identity("t", "c", ("a", "b"), ("T_a_C", "T_b_C"))
 
 
 @pytest.fixture
-def data(monkeypatch: pytest.MonkeyPatch) -> Data:
+def data(monkeypatch: pytest.MonkeyPatch) -> TrainingData:
     """Fake windows, and a binding to their fake twin."""
     monkeypatch.setattr(binding, "config_for", lambda *_: fake.config())
     monkeypatch.setattr(binding, "physics_of", lambda *_: Physics(fake.simulate, fake.TOLD))
@@ -49,12 +49,16 @@ def data(monkeypatch: pytest.MonkeyPatch) -> Data:
     monkeypatch.setattr(session, "LOOK_EVERY", 2)
     table = type("Table", (), {"name": "fake"})()
     parts = [fake.windows(n, seed) for seed, n in enumerate((12, 6, 30, 6))]
-    return Data(None, table, None, *parts, manifest={"seed": 0}, digest="d")  # type: ignore[arg-type]
+    return TrainingData(None, table, None, *parts, manifest={"seed": 0}, digest="d")  # type: ignore[arg-type]
 
 
 def trained(
-    data: Data, folder: Path, seed: int, minutes: float | None = None, say: Callable[[int, Stop], None] | None = None
-) -> session.Outcome:
+    data: TrainingData,
+    folder: Path,
+    seed: int,
+    minutes: float | None = None,
+    say: Callable[[int, Stop], None] | None = None,
+) -> session.TrainingProgress:
     stop = Stop(minutes)
     plan = Plan(steps=4, batch=5, pairs=1, seed=seed)
     return session.train(
@@ -63,7 +67,7 @@ def trained(
     )  # fmt: skip
 
 
-def test_a_training_in_pieces_ends_with_card_picture_and_ensemble(data: Data, tmp_path: Path) -> None:
+def test_a_training_in_pieces_ends_with_card_picture_and_ensemble(data: TrainingData, tmp_path: Path) -> None:
     cut = trained(data, tmp_path, 0, minutes=0.0)
     assert (cut.done, cut.card) == (0, None)
     assert session.begun(tmp_path / "fake_small_0") == 0
@@ -86,7 +90,7 @@ def test_a_training_in_pieces_ends_with_card_picture_and_ensemble(data: Data, tm
     assert all(r["outputs"] > 0.0 and r["parameters"] >= 0.0 for r in rivals.values())
 
 
-def test_an_interrupt_in_the_first_step_keeps_that_step(data: Data, tmp_path: Path) -> None:
+def test_an_interrupt_in_the_first_step_keeps_that_step(data: TrainingData, tmp_path: Path) -> None:
     def interrupt(done: int, stop: Stop) -> None:
         with stop:
             os.kill(os.getpid(), signal.SIGINT)
@@ -150,7 +154,7 @@ def test_the_command_of_a_card_simulates_and_trains_the_same_again(tmp_path: Pat
         assert (given["seed"], given["steps"]) == (document["seed"], document["plan"]["steps"])
 
 
-def test_members_of_other_data_and_leaking_ones_are_left_out(data: Data, tmp_path: Path) -> None:
+def test_members_of_other_data_and_leaking_ones_are_left_out(data: TrainingData, tmp_path: Path) -> None:
     trained(data, tmp_path, 0)
     for change in ({"data": {"sha256": "other"}}, {"leakage": 0.2}):
         card = tmp_path / "fake_small_0.json"
@@ -169,7 +173,7 @@ def test_what_is_left_out_is_gone_and_the_rest_is_not() -> None:
     base = fake.windows(2)
     some = replace(base, x=rng.normal(size=(2, 1440, n)), m=np.ones((2, 1440, n), dtype=bool),
                    meta=np.ones((2, config.meta)))  # fmt: skip
-    data = Data(features.network, features.table, features.deviations, some, some, some, some, {}, "d")
+    data = TrainingData(features.network, features.table, features.deviations, some, some, some, some, {}, "d")
     same = without((), config, plan, data)
     assert same == (config, plan, data)
     one, two, less = without(tuple(PIECES), config, plan, data)
@@ -189,7 +193,7 @@ def test_what_is_left_out_is_gone_and_the_rest_is_not() -> None:
     assert set(PIECES) == set(command_pieces)
 
 
-def test_without_the_hierarchy_everything_is_at_the_steps_of_the_record_and_still_causal(data: Data) -> None:
+def test_without_the_hierarchy_everything_is_at_the_steps_of_the_record_and_still_causal(data: TrainingData) -> None:
     config, _, _ = without(("hierarchy",), fake.config(), Plan(), data)
     torch.manual_seed(0)
     network = HieraUNet(config).eval()
@@ -224,7 +228,7 @@ def test_what_cannot_run_is_refused_in_plain_words(monkeypatch: pytest.MonkeyPat
     assert found.exit_code == 2 and "small" in found.output
 
 
-def test_curves_of_a_training_never_hold_what_json_does_not_know(data: Data, tmp_path: Path) -> None:
+def test_curves_of_a_training_never_hold_what_json_does_not_know(data: TrainingData, tmp_path: Path) -> None:
     data.validation.known[:] = False
     trained(data, tmp_path, 0)
     lines = (tmp_path / "fake_small_0" / "curves.jsonl").read_text().splitlines()

@@ -19,7 +19,7 @@ IDS = FEATURES.deviations.ids
 
 
 def told(*effects: Effect) -> tuple[np.ndarray, np.ndarray]:
-    return plant_windows.told(FEATURES, effects, np.arange(0.0, 7200.0, 5.0))
+    return plant_windows.equivalent_deviations(FEATURES, effects, np.arange(0.0, 7200.0, 5.0))
 
 
 def test_a_campaign_is_the_same_again_and_its_twin_nearly_right():

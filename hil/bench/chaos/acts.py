@@ -21,18 +21,22 @@ from hil.bench.measure import processes
 Act = Callable[[ChaosStage], Awaitable[None]]
 
 BRIEF_S = (0.3, 0.7)
-"""Pause that the run has to ride through, s: the guardian waits for a beat for 1 s, and beats are 0.2 s apart."""
+"""Pause in s that the run must survive: the guardian waits for a beat for 1 s, and beats are 0.2 s apart."""
 LONG_S = (1.5, 6.0)
-"""Pause that ends the run, s: well over the 1 s that the guardian waits for a beat."""
+"""Pause in s that ends the run: well over the 1 s that the guardian waits for a beat."""
 LOCK_S = (1.0, 10.0)
 CLOCK_STEPS_S = (600, 3600, 86_400, 315_360_000)
-"""A step must be longer than a case lasts, so that times before and after it can be told apart."""
+"""Steps of the clock, s: longer than a case, so that times before and after a step are distinguishable."""
 MEMORY_MB = (2, 12)
 FOREIGN_EVERY_S = 0.05
-"""Between writes of another master, s: twice in a tick, so that its value is there at every read-back of set-points."""
+"""Interval between writes of another master, s: twice in a tick, so that its value is present at every read-back of
+set-points.
+"""
 FOREIGN_ONCE_S = (0.0, 0.15)
 FOREIGN_ON_S = (1.5, 3.0)
-"""A master that writes on; set-points are read back once a second (`hil.run.outputs.readback`)."""
+"""Duration of repeated writes of another master, s; set-points are read back once a second
+(`hil.run.outputs.readback`).
+"""
 _LOCK = """
 import sqlite3, sys, time
 database = sqlite3.connect(sys.argv[1], isolation_level=None, timeout=5)
@@ -44,7 +48,7 @@ database.execute("ROLLBACK")
 
 
 class NotPossibleError(RuntimeError):
-    """The machine does not allow this attack; the message says why."""
+    """Error of an attack that the machine does not allow; the message states the reason."""
 
 
 def _send(pid: int, number: signal.Signals) -> None:
@@ -65,7 +69,7 @@ def sent(number: signal.Signals) -> Act:
 
 
 def guardian_sent(*numbers: signal.Signals) -> Act:
-    """Return the act that sends signals to the guardian; RuntimeError where there is none."""
+    """Return the act that sends signals to the guardian; raise RuntimeError if there is none."""
 
     async def act(stage: ChaosStage) -> None:
         found = stage.guardians()
@@ -79,7 +83,7 @@ def guardian_sent(*numbers: signal.Signals) -> Act:
 
 
 def paused(seconds: tuple[float, float], *, everything: bool = False) -> Act:
-    """Return the act that stops the harness, or `everything` that it started too, and lets it continue later."""
+    """Return the act that stops the harness, or `everything` that it started too, and continues it later."""
 
     async def act(stage: ChaosStage) -> None:
         length_s = stage.generator.uniform(*seconds)
@@ -135,7 +139,7 @@ async def reader_gone(stage: ChaosStage) -> None:
 
 
 async def reader_stops(stage: ChaosStage) -> None:
-    """Let the reader of the run's output read no more."""
+    """Stop the reader of the run's output."""
     assert stage.terminal is not None
     stage.terminal.stop_reading()
 
@@ -147,7 +151,7 @@ async def ctrl_s(stage: ChaosStage) -> None:
 
 
 async def terminal_lost(stage: ChaosStage) -> None:
-    """Lose the terminal as an ssh session that drops does: it is gone, and SIGHUP comes."""
+    """Lose the terminal like a dropped ssh session: it is gone, and SIGHUP comes."""
     assert stage.terminal is not None
     stage.terminal.hang_up()
     _send(stage.pid, signal.SIGHUP)
@@ -176,12 +180,12 @@ async def folder_deleted(stage: ChaosStage) -> None:
     """Delete the run's folder."""
     stage.look()
     stage.destroyed = True
-    for _ in range(3):  # a file that the run makes meanwhile leaves the folder behind
+    for _ in range(3):  # A file that the run makes meanwhile leaves the folder behind.
         shutil.rmtree(stage.folder(), ignore_errors=True)
 
 
 async def folder_renamed(stage: ChaosStage) -> None:
-    """Give the run's folder another name."""
+    """Rename the run's folder."""
     folder = stage.folder()
     moved = folder.with_name("moved_away")
     folder.rename(moved)
@@ -190,7 +194,7 @@ async def folder_renamed(stage: ChaosStage) -> None:
 
 
 async def folder_read_only(stage: ChaosStage) -> None:
-    """Let nothing be made, renamed or deleted in the run's folder, not even by root."""
+    """Prevent all changes in the run's folder, even by root."""
     folder = stage.folder()
     if os.geteuid() != 0:
         mode = folder.stat().st_mode
@@ -210,7 +214,7 @@ async def folder_read_only(stage: ChaosStage) -> None:
 
 
 def deleted(*patterns: str, samples: bool = False) -> Act:
-    """Return the act that deletes files of the run's folder; `samples` where the journal is among them."""
+    """Return the act that deletes files of the run's folder; `samples` if the journal is among them."""
 
     async def act(stage: ChaosStage) -> None:
         stage.look()
@@ -223,7 +227,7 @@ def deleted(*patterns: str, samples: bool = False) -> Act:
 
 
 async def disk_full(stage: ChaosStage) -> None:
-    """Leave not a byte on the run's disk."""
+    """Fill the run's disk."""
     stage.fill_disk()
 
 
@@ -238,14 +242,14 @@ async def link_blip(stage: ChaosStage) -> None:
 
 
 async def descriptors_gone(stage: ChaosStage) -> None:
-    """Leave the harness no descriptor to open, then drop its link briefly."""
+    """Use up all descriptors of the harness, then drop its link briefly."""
     limit = stage.generator.choice((3, max(processes.descriptors(stage.pid), default=2) + 1))
     _limit(stage.pid, resource.RLIMIT_NOFILE, limit)
     await link_blip(stage)
 
 
 async def memory_gone(stage: ChaosStage) -> None:
-    """Leave the harness a few MB of address space."""
+    """Limit the harness to a few MB of address space."""
     limit = processes.address_space_bytes(stage.pid) + (stage.generator.randint(*MEMORY_MB) << 20)
     _limit(stage.pid, resource.RLIMIT_AS, limit)
 
@@ -259,7 +263,7 @@ def _limit(pid: int, what: int, value: int) -> None:
 
 
 def device_is(mode: Mode) -> Act:
-    """Return the act that makes the device lie from now on."""
+    """Return the act that makes the device disobey from now on."""
 
     async def act(stage: ChaosStage) -> None:
         assert stage.device is not None
@@ -269,7 +273,7 @@ def device_is(mode: Mode) -> Act:
 
 
 def second_master(register: int, value: int, for_s: tuple[float, float]) -> Act:
-    """Return the act of another master that writes a set-point, once and then every `FOREIGN_EVERY_S` for so long."""
+    """Return the act of another master that writes a set-point, once and then every `FOREIGN_EVERY_S` for this time."""
 
     async def act(stage: ChaosStage) -> None:
         until = time.monotonic() + stage.generator.uniform(*for_s)

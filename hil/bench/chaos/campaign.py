@@ -1,4 +1,5 @@
-"""`hil bench faults --chaos`: attacks at random instants, alone and in pairs, half of them without the rig's watchdog.
+"""Campaign of `hil bench faults --chaos`: attacks at random instants, alone and in pairs, half of them without the
+rig's watchdog.
 
 Each case is `hil run` in a process of its own on a virtual rig of its own, in real time at ten hertz. The rig's own log
 says when the heater was off (`drivers.virtual.devices.truth`). Finished cases are kept and not run again.
@@ -20,11 +21,11 @@ from hil.bench.chaos.verdict import LIMIT_S, ROUGH_S, ChaosResult, as_document
 from hil.bench.faults.campaign import fingerprint
 from hil.bench.faults.case import STALL_S
 from hil.bench.faults.rig import WATCHDOG_S
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.files.atomic import replacing
 
 RESUME_EVERY = 5
-"""One case of so many is resumed: a resume takes as long as the case itself."""
+"""Cases for each resumed case: a resume takes as long as the case itself."""
 _BY_WATCHDOG = ("unguarded", "lies")
 
 
@@ -37,7 +38,7 @@ async def campaign(
     resume: bool = True,
     done: Callable[[ChaosResult], None] = lambda result: None,
 ) -> list[ChaosResult]:
-    """Run `cases`, `jobs` at a time; with `keep`, those whose result lies in that folder are not run again."""
+    """Run `cases`, `jobs` at a time; with `keep`, cases with a result in that folder are not run again."""
     room = asyncio.Semaphore(jobs)
 
     async def one(case: ChaosCase) -> ChaosResult:
@@ -64,8 +65,8 @@ def measure(
     *,
     kinds: Sequence[str] = (),
     jobs: int = 2,
-) -> tuple[tuple[Table, ...], tuple[str, ...], bool]:
-    """Return the campaign's tables, a line for all that was left out, and whether every must was kept."""
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...], bool]:
+    """Return the campaign's tables, a line for everything left out, and True if no requirement was broken."""
     keep = work / f"chaos_{fingerprint()}_{seed}"
     keep.mkdir(parents=True, exist_ok=True)
     names, skipped = list(kinds) or list(CHAOS_KINDS), []
@@ -87,13 +88,13 @@ def measure(
     return chaos_tables(results), tuple(skipped), not any(result.failures for result in results)
 
 
-def chaos_tables(results: Sequence[ChaosResult]) -> tuple[Table, ...]:
-    """Return the musts, the outcomes by kind, the kinds themselves, and every case that broke a must."""
+def chaos_tables(results: Sequence[ChaosResult]) -> tuple[ReportTable, ...]:
+    """Return the requirements, the outcomes by kind, the kinds themselves, and every case that broke a requirement."""
     tried = [result for result in results if not result.left_out]
     names = [name for name in CHAOS_KINDS if any(name in result.names for result in tried)]
     rows = [_row(name, [result for result in tried if name in result.names]) for name in names]
     rows.append(_row("all", tried))
-    kinds = Table(
+    kinds = ReportTable(
         "kinds",
         "Outcomes by kind",
         ("kind", "runs", "in pairs", "safe s", "worst", "in time", "lost", "wrong", "readable", "resumed"),
@@ -108,17 +109,17 @@ def chaos_tables(results: Sequence[ChaosResult]) -> tuple[Table, ...]:
             "that an attack itself deleted do not count.",
             "Wrong: values recorded as good that were not true within the staleness limit, and rows with values of "
             "another time than theirs.",
-            f"Resumed: `hil resume` leads the rig back, or refuses in a sentence; one case of {RESUME_EVERY}.",
+            f"Resumed: `hil resume` restores the thermal state, or refuses in a sentence; one case of {RESUME_EVERY}.",
         ),
     )
-    about = Table(
+    about = ReportTable(
         "about",
         "The kinds",
         ("kind", "outcome", "attack"),
         tuple((name, CHAOS_KINDS[name].ending, CHAOS_KINDS[name].about) for name in names),
     )
     broken = tuple((_title(r), "; ".join(r.failures), r.reason[-200:]) for r in tried if r.failures)
-    found = Table("broken", "Cases that broke a must", ("case", "must", "last words"), broken)
+    found = ReportTable("broken", "Cases that broke a must", ("case", "must", "last words"), broken)
     return (_musts(tried), kinds, about, *((found,) if broken else ()))
 
 
@@ -144,8 +145,8 @@ def _row(name: str, results: Sequence[ChaosResult]) -> tuple[Cell, ...]:
     )
 
 
-def _musts(results: Sequence[ChaosResult]) -> Table:
-    """Return each must with the count of the cases that kept it."""
+def _musts(results: Sequence[ChaosResult]) -> ReportTable:
+    """Return each requirement with the count of the cases that met it."""
     heated = [r for r in results if r.heated and r.ending not in _BY_WATCHDOG]
     rows: list[tuple[Cell, ...]] = []
     for on in (False, True):
@@ -180,7 +181,7 @@ def _musts(results: Sequence[ChaosResult]) -> Table:
         f"{again} cases were repeated: a must was broken while rig, harness or relays waited {STALL_S:g} s or longer "
         "for a processor, or no heater was on when the attack came."
     )
-    return Table("musts", f"Musts of {len(results)} cases", ("must", "found"), tuple(rows), (note,))
+    return ReportTable("musts", f"Musts of {len(results)} cases", ("must", "found"), tuple(rows), (note,))
 
 
 def _kept(path: Path) -> ChaosResult | None:

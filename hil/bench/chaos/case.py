@@ -1,4 +1,4 @@
-"""The course of one chaos case: the run started, attacked, followed to its end, and perhaps resumed."""
+"""Course of one chaos case: start of the run, attack, its end, and perhaps a resume."""
 
 from __future__ import annotations
 
@@ -26,29 +26,30 @@ from hil.bench.measure import processes
 
 START_S = 60.0
 EARLY_S = (0.5, 8.0)
-"""An early attack comes so long after the command was started, s."""
+"""Earliest and latest early attack after the command, s."""
 STRIKE_S = (0.3, 4.0)
-"""Any other so long after the heater went on, s."""
+"""Earliest and latest other attack after the heater went on, s."""
 RIDE_S = (1.5, 7.0)
-"""A run that goes on is ended so long after the attack, s: it has a line for its terminal every 5 s."""
+"""Time from the attack to the end of a run that goes on, s: it writes to its terminal every 5 s."""
 END_S = 45.0
-"""A run on a device that does not obey tries for 30 s."""
+"""Time for a run to end, s: a run on a device that does not obey tries for 30 s."""
 LEAVE_S = 60.0
 STUCK_S = 10.0
-"""A terminal that is stuck is let go so long after the run has ended, or after the heater is off, s."""
+"""Time after the end of the run, or after the heater is off, until a stuck terminal is released, s."""
 CUT_S = 6.0
-"""A heater that has not been cut so long after its limit is called never cut, s."""
+"""Time after its limit at which a heater that is still on counts as never cut, s."""
 SETTLED_S = 1.0
-"""The heater is watched for so long after all is over, s: nothing may switch it on again."""
+"""Observation of the heater after everything is over, s: nothing may switch it on again."""
 NOBODY_LEFT_S = 8.0
-"""Every process that a run has started is gone so long after its end, s."""
+"""Time after the end by which every process of a run is gone, s."""
 RESUME_S = 60.0
 SAMPLES_AGE_S = 2.0
-"""Age of the newest sample that a run which goes on may have, s: it commits twice a second."""
+"""Largest age of the newest sample of a run that goes on, s: it commits twice a second."""
 
 
 async def run_chaos_case(case: ChaosCase, seed: int, *, resume: bool = False, retries: int = 2) -> ChaosResult:
-    """Run one case, again where the machine stood still meanwhile and a must was broken or no heater was on to attack.
+    """Run one case; repeat it if the machine stood still and a requirement was broken, or if no heater was on to
+    attack.
 
     With `resume`, `hil resume` is tried on what is left.
     """
@@ -61,7 +62,7 @@ async def run_chaos_case(case: ChaosCase, seed: int, *, resume: bool = False, re
                     await _attempt(case, stage, result, resume)
             except NotPossibleError as error:
                 result.left_out = str(error)
-            except Exception as error:  # a case that cannot be carried out is no reason to leave out the others
+            except Exception as error:  # A case that fails to run is no reason to skip the others.
                 result.failures.append(f"not carried out: {type(error).__name__}: {error}")
         result.attempts = attempt
         take_places_out(result)
@@ -85,7 +86,7 @@ async def _attempt(case: ChaosCase, stage: ChaosStage, result: ChaosResult, resu
 
 
 async def _strike(case: ChaosCase, stage: ChaosStage, result: ChaosResult) -> list[Strike]:
-    """Attack; return each kind with its wall time, nothing where there was no run to attack."""
+    """Attack; return each kind with its wall time, nothing if there was no run to attack."""
     draw = stage.generator
     if case.early:
         await stage.until(lambda: not stage.harness.running, draw.uniform(*EARLY_S))
@@ -124,7 +125,7 @@ async def _act(kind: ChaosKind, stage: ChaosStage) -> None:
         raise
     except Exception:
         await asyncio.sleep(0.2)
-        if not _is_over(stage):  # else the other attack has ended what this one was after
+        if not _is_over(stage):  # Otherwise the other attack has ended the target of this one.
             raise
 
 
@@ -133,7 +134,7 @@ def _is_over(stage: ChaosStage) -> bool:
 
 
 async def _follow(case: ChaosCase, stage: ChaosStage, result: ChaosResult, strikes: list[Strike]) -> None:
-    """Wait until the heater is off and the run has ended; end one that goes on."""
+    """Wait until the heater is off and the run has ended; end a run that goes on."""
     ending = gravest(kind.ending for kind, _ in strikes)
     gone = [kind.ending for kind, _ in strikes if kind.ending in ("frozen", "killed", "unguarded")]
     if gone:
@@ -142,7 +143,7 @@ async def _follow(case: ChaosCase, stage: ChaosStage, result: ChaosResult, strik
         stage.release_all()
     elif ending != "stops":
         await stage.until(lambda: _is_over(stage), stage.generator.uniform(*RIDE_S))
-        is_ending = ending == "either" and stage.heater_W == 0.0  # and cannot say so, or still waits for the meters
+        is_ending = ending == "either" and stage.heater_W == 0.0  # It cannot report it, or still waits for the meters.
         if not _is_over(stage) and not is_ending:
             result.ended = "rode through"
             _check_ride(case, stage, result, ending)
@@ -156,10 +157,10 @@ async def _follow(case: ChaosCase, stage: ChaosStage, result: ChaosResult, strik
         await stage.until(lambda: stage.heater_W == 0.0, LIMIT_S)
         stage.release_all()
         if stage.terminal is not None and not await stage.until(lambda: _is_over(stage), STUCK_S):
-            stage.terminal.let_go()  # a disk that is full leaves the terminal alone to say that the run has ended
+            stage.terminal.let_go()  # A full disk leaves only the terminal to report the end of the run.
         if not await stage.until(lambda: _is_over(stage), END_S):
             result.failures.append(f"the run has not ended within {END_S:g} s")
-        stage.waited_s = math.inf  # what is slow from now on harms nothing
+        stage.waited_s = math.inf  # Slowness from now on is harmless.
         await _leave(stage, result)
         result.ended = result.ended or stage.harness.ended_as() or "ended"
     await stage.until(lambda: False, SETTLED_S)
@@ -173,7 +174,7 @@ async def _follow(case: ChaosCase, stage: ChaosStage, result: ChaosResult, strik
 
 
 def _left(stage: ChaosStage) -> list[int]:
-    """Return what runs on although the harness has ended.
+    """Return the processes that still run although the harness has ended.
 
     What the case itself has stopped does not count, nor does a guardian that states in its log that the rig is not safe
     and that it goes on: on a device that does not obey it has to.
@@ -187,7 +188,7 @@ def _said(pid: int) -> str:
 
 
 def _check_ride(case: ChaosCase, stage: ChaosStage, result: ChaosResult, ending: str) -> None:
-    """Note what a run that goes on does not do: heat, and record."""
+    """Note missing heating or recording of a run that goes on."""
     if ending in ("rides", "either") and stage.heater_W <= 0.0:
         result.failures.append("the run goes on and nothing heats")
     if "journal locked" in case.names or stage.destroyed or ending != "rides":
@@ -199,7 +200,7 @@ def _check_ride(case: ChaosCase, stage: ChaosStage, result: ChaosResult, ending:
 
 
 async def _leave(stage: ChaosStage, result: ChaosResult) -> None:
-    """Let the run write its record and report; a stuck terminal is let go after a while."""
+    """Let the run write its record and report; a stuck terminal is released after a while."""
     if stage.terminal is not None and stage.terminal.shape != "files":
         await stage.until(lambda: not stage.harness.running, STUCK_S)
         stage.terminal.let_go()
@@ -208,7 +209,7 @@ async def _leave(stage: ChaosStage, result: ChaosResult) -> None:
 
 
 async def _resume(stage: ChaosStage, result: ChaosResult, begun: bool) -> None:
-    """Try `hil resume` with the attack over: it leads the rig back, or says in a sentence why it cannot."""
+    """Try `hil resume` after the attack: it restores the thermal state, or refuses with a reason."""
     folder = stage.harness.folder()
     if folder is None:
         return
@@ -226,9 +227,14 @@ async def _resume(stage: ChaosStage, result: ChaosResult, begun: bool) -> None:
     said_before = log.stat().st_size
     with log.open("ab") as err:
         stage.harness.process = await asyncio.create_subprocess_exec(
-            *command, stdin=asyncio.subprocess.DEVNULL, stdout=err, stderr=err, cwd=stage.place,
-            env=environment(stage.marker, stage.clock), start_new_session=True,
-        )  # fmt: skip
+            *command,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=err,
+            stderr=err,
+            cwd=stage.place,
+            env=environment(stage.marker, stage.clock),
+            start_new_session=True,
+        )
 
     def led_back() -> bool:
         rows = judge.read_states(stage.look())

@@ -1,4 +1,4 @@
-"""A wall clock of its own for one process: a library that is loaded before libc shifts what that process is told.
+"""Wall clock for one process: a library loaded before libc shifts the time that the process reads.
 
 The clock of the machine is never touched. Monotonic time stays as it is, as it does when a real wall clock is set.
 """
@@ -59,11 +59,11 @@ time_t time(time_t *t) {
 
 
 class NoCompilerError(RuntimeError):
-    """There is no C compiler to make the library with."""
+    """Error of a missing C compiler for the library."""
 
 
 def need_compiler() -> str:
-    """Return the path of a C compiler; raises NoCompilerError."""
+    """Return the path of a C compiler; raise NoCompilerError."""
     found = shutil.which("gcc") or shutil.which("cc")
     if found is None:
         raise NoCompilerError("a wall clock for one process needs a C compiler, and none is installed; install gcc")
@@ -71,7 +71,7 @@ def need_compiler() -> str:
 
 
 class SteppedClock:
-    """The wall clock of one run, whose files are in `place`; `offset_s` is its lead over the machine's, whole s."""
+    """Wall clock of one run, whose files are in `place`; `offset_s` is its lead over the machine's, whole s."""
 
     def __init__(self, place: Path) -> None:
         source, self._library, self._path = place / "clock.c", place / "clock.so", place / "clock.offset"
@@ -85,11 +85,11 @@ class SteppedClock:
 
     @property
     def environment(self) -> dict[str, str]:
-        """Variables for the process that is to have this clock."""
+        """Return the variables of a process with this clock."""
         return {"LD_PRELOAD": str(self._library), VARIABLE: str(self._path)}
 
     def step(self, seconds: int) -> None:
-        """Set the clock forward by so many seconds, back where negative."""
+        """Set the clock forward by this number of seconds, back if negative."""
         self.offset_s += seconds
         handle = os.open(self._path, os.O_RDWR)
         try:

@@ -1,4 +1,4 @@
-"""Attacks of the chaos campaign by way of the socket on which a run listens to `hil ctl`."""
+"""Attacks of the chaos campaign on the control socket of a run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hil.bench.measure import processes
 
 LEAKED = 300
 SPARE_DESCRIPTORS = 40
-"""Descriptors that the run is left when connections leak: fewer than leak, more than a run needs."""
+"""Free descriptors of a run whose connections leak: fewer than leak, more than a run needs."""
 FLOOD_S = 2.0
 REASONS = (
     "K\udcfchlung",
@@ -29,12 +29,22 @@ REASONS = (
     "\x1b[2J\x07",
     "{}[]\"'%s%n",
 )
-"""Lone surrogates as a Latin-1 terminal gives them, NUL, line ends, a long one, escapes of a terminal."""
+"""Odd reasons: lone surrogates of a Latin-1 terminal, NUL, line ends, a long text, terminal escapes."""
 GARBAGE = (
-    b"[" * 4000 + b"\n", b"\xff\xfe\n", b"{}\n", b"null\n", b'{"verb": 1e999}\n', b'{"verb": {"a": 1}}\n',
-    b"x" * 100_000 + b"\n", b'{"verb": "abort", "reason": "' + b"y" * 1_000_000 + b'"}\n', b'{"verb":"status"',
-    b"\n" * 5000, b'{"verb": "\\ud800"}\n', b'{"verb": "status", "reason": [[[]]]}\n', b"\x00" * 300,
-)  # fmt: skip
+    b"[" * 4000 + b"\n",
+    b"\xff\xfe\n",
+    b"{}\n",
+    b"null\n",
+    b'{"verb": 1e999}\n',
+    b'{"verb": {"a": 1}}\n',
+    b"x" * 100_000 + b"\n",
+    b'{"verb": "abort", "reason": "' + b"y" * 1_000_000 + b'"}\n',
+    b'{"verb":"status"',
+    b"\n" * 5000,
+    b'{"verb": "\\ud800"}\n',
+    b'{"verb": "status", "reason": [[[]]]}\n',
+    b"\x00" * 300,
+)
 
 
 def _connected(path: Path) -> socket.socket:
@@ -49,7 +59,7 @@ def _connected(path: Path) -> socket.socket:
 
 
 def _say(path: Path, line: bytes) -> bytes:
-    """Send a line and return what is answered, nothing where nothing is."""
+    """Send a line and return the answer, "" if there is none."""
     with contextlib.suppress(OSError), _connected(path) as client:
         client.sendall(line)
         return client.recv(65536)
@@ -57,7 +67,7 @@ def _say(path: Path, line: bytes) -> bytes:
 
 
 def asked(verb: str) -> Act:
-    """Return the act that asks for `verb` with an odd reason."""
+    """Return the act that requests `verb` with an odd reason."""
 
     async def act(stage: ChaosStage) -> None:
         line = json.dumps({"verb": verb, "reason": stage.generator.choice(REASONS)[:600]}).encode() + b"\n"
@@ -67,7 +77,7 @@ def asked(verb: str) -> Act:
 
 
 async def garbage(stage: ChaosStage) -> None:
-    """Send what no client sends."""
+    """Send requests that no client sends."""
     lines = stage.generator.sample(GARBAGE, 6)
 
     def send() -> None:
@@ -81,7 +91,7 @@ async def garbage(stage: ChaosStage) -> None:
 
 
 async def flood(stage: ChaosStage) -> None:
-    """Ask for the status as fast as can be, and read no answer."""
+    """Request the status at the highest rate, and read no answer."""
 
     def send() -> None:
         with contextlib.suppress(OSError), _connected(stage.folder() / "control.sock") as client:
@@ -89,7 +99,7 @@ async def flood(stage: ChaosStage) -> None:
             until = time.monotonic() + FLOOD_S
             while time.monotonic() < until:
                 client.sendall(b'{"verb": "status"}\n' * 50)
-                time.sleep(0.01)  # leave this machine to the others, too
+                time.sleep(0.01)  # Leave processor time to the other processes.
 
     await asyncio.to_thread(send)
 

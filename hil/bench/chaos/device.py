@@ -1,4 +1,4 @@
-"""A Modbus device that does not do as it is told, and a second master on the same rig.
+"""Modbus device that disobeys, and a second master on the same rig.
 
 `LyingDevice` relays between the harness and the virtual rig and alters requests and replies. Register addresses are
 those of `drivers.virtual.devices.registers`. The relay also notes when a heartbeat passed, which the verdict asks for.
@@ -20,12 +20,13 @@ DELAY_S = 3.0
 _WRITE_ONE, _WRITE_MANY, _READ_HOLDING = 6, 16, 3
 
 Mode = Literal["honest", "echo", "lie", "delay", "deaf"]
-"""`echo` acknowledges a heater set-point and does not apply it; `lie` also reads it back as asked; `delay` applies it
-`DELAY_S` later; `deaf` acknowledges heartbeats and does not apply them."""
+"""Modes: `echo` acknowledges a heater set-point and does not apply it; `lie` also reads it back as written; `delay`
+applies it `DELAY_S` later; `deaf` acknowledges heartbeats and does not apply them.
+"""
 
 
 class LyingDevice:
-    """A relay on `port` to the Modbus server on `target`, honest until `mode` is changed."""
+    """Relay on `port` to the Modbus server on `target`, transparent until `mode` is changed."""
 
     def __init__(self, target: int) -> None:
         self.target = target
@@ -74,7 +75,7 @@ class LyingDevice:
                     end.transport.abort()
 
     def _altered(self, head: bytes, body: bytes) -> bytes:
-        """Return the request as the rig gets it; `body` is unit, function code and data."""
+        """Return the altered request; `body` is unit, function code and data."""
         places = _written(body)
         changed = bytearray(body)
         for register, at in places.items():
@@ -100,7 +101,7 @@ class LyingDevice:
         return register == HEARTBEAT and self.mode == "deaf"
 
     def _reply(self, asked: bytes, reply: bytes) -> bytes:
-        """Return the reply as the harness gets it."""
+        """Return the altered reply."""
         if reply[1] & 0x80 or self.mode == "honest":
             return reply
         if asked[1] == _WRITE_ONE:
@@ -136,7 +137,7 @@ def _written(body: bytes) -> dict[int, int]:
 
 
 async def write_register(port: int, register: int, value: int, *, unit: int = 1) -> None:
-    """Write one holding register over a connection of its own, as another master does; raises OSError."""
+    """Write one holding register over its own connection, as another master does; raise OSError."""
     reader, writer = await asyncio.open_connection(HOST, port)
     try:
         writer.write(struct.pack(">HHHBBHH", 1, 0, 6, unit, _WRITE_ONE, register, value))

@@ -1,7 +1,7 @@
-"""The kinds of attack of the chaos campaign: each with its act and with the outcome that has to follow.
+"""Kinds of attack of the chaos campaign: each with its act and its required outcome.
 
 Nobody but the rig's watchdog or a person can cut the heater where the device does not apply its set-point, or where
-harness and guardian are gone at once. These kinds have musts of their own.
+harness and guardian are gone at once. These kinds have requirements of their own.
 """
 
 from __future__ import annotations
@@ -16,20 +16,21 @@ from hil.bench.chaos import acts, control
 from hil.bench.chaos.acts import Act
 
 Ending = Literal["rides", "either", "pauses", "stops", "killed", "frozen", "unguarded", "lies"]
-"""The run goes on; goes on or ends; is made safe and goes on; ends by itself; is gone; stands still for ever; is gone
-with its guardian; ends on a device that does not obey. From the mildest to the gravest."""
+"""Endings: the run goes on; goes on or ends; is made safe and goes on; ends by itself; is gone; stands still for ever;
+is gone with its guardian; ends on a device that does not obey. From the mildest to the gravest.
+"""
 SEVERITY: tuple[Ending, ...] = ("rides", "either", "pauses", "stops", "frozen", "killed", "unguarded", "lies")
 
 
 @dataclass(frozen=True, slots=True)
 class ChaosKind:
-    """`group`: two kinds of one group make no pair. `needs`: `pipe` or `pty` for a terminal of that type, `tmpfs` for a
-    disk of its own, `twin` for a calibrator, `device` for a relay that can lie, `clock` for a wall clock of its own.
+    """Kind of attack of the chaos campaign.
 
-    `disables` names who cannot act any more. `early`: it may come before anything heats. `spoils`: record and report
-    cannot be demanded. `alarm`: an event of level WARN or ERROR
-    with one of these words has to be recorded within `chaos_verdict.ALARM_S`. `last` is the signal that ends a
-    run which rode through. `watched`: only with the rig's watchdog on.
+    Two kinds of one `group` make no pair. `needs`: `pipe` or `pty` for a terminal of that type, `tmpfs` for a disk of
+    its own, `twin` for a calibrator, `device` for a relay that can lie, `clock` for a wall clock of its own. `disables`
+    names the agents that cannot act any more. `early`: it may come before anything heats. `spoils`: record and report
+    cannot be demanded. `alarm`: an event of level WARN or ERROR with one of these words must be recorded within
+    `verdict.ALARM_S`. `last` is the signal that ends a run which rode through. `watched`: only with the rig's watchdog.
     """
 
     about: str
@@ -44,9 +45,9 @@ class ChaosKind:
     last: signal.Signals = signal.SIGTERM
     watched: bool = False
     alone: bool = False
-    """It makes no pair at all."""
+    """True for a kind that makes no pair."""
     status: str = ""
-    """Exit status that the run has to record where this kind struck alone; any but `running` where empty."""
+    """Exit status that the run must record after this kind alone; any but `running` if empty."""
 
 
 def gravest(endings: Iterable[Ending]) -> Ending:

@@ -1,4 +1,4 @@
-"""Cases of the chaos campaign: one attack or two at a time, the rig's watchdog on in one half and off in the other."""
+"""Cases of the chaos campaign: one or two attacks, with the rig's watchdog on in one half and off in the other."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from hil.bench.chaos.kinds import CHAOS_KINDS, SEVERITY, ChaosKind, Ending
 
 AND = " + "
 APART_S = 2.0
-"""The second attack comes up to this long after the first, s."""
+"""Longest time from the first to the second attack, s."""
 APART_OF_ENDING_S = 0.4
-"""The same where the first one ends the run: later there would be nothing left to attack."""
+"""Longest time if the first attack ends the run: later there would be no target."""
 EARLY_SHARE = 0.2
-"""Share of the cases of an early kind in which it comes at any instant after the command was started."""
+"""Share of the cases of an early kind that come at any instant after the command."""
 _TERMINALS = frozenset({"pipe", "pty"})
 
 
 @dataclass(frozen=True, slots=True)
 class ChaosCase:
-    """One case: attacks by name, the second `apart_s` after the first; `index` is its place in the campaign."""
+    """Case of one or two attacks by name, the second `apart_s` later; `index` is its place in the campaign."""
 
     names: tuple[str, ...]
     index: int
@@ -32,22 +32,22 @@ class ChaosCase:
 
     @property
     def name(self) -> str:
-        """Names of its kinds, joined."""
+        """Return the names of its kinds, joined."""
         return AND.join(self.names)
 
     @property
     def kinds(self) -> tuple[ChaosKind, ...]:
-        """Its kinds, in the order in which they strike."""
+        """Return its kinds, in order of time."""
         return tuple(CHAOS_KINDS[name] for name in self.names)
 
     @property
     def needs(self) -> frozenset[str]:
-        """Needs of all its kinds."""
+        """Return the needs of all its kinds."""
         return frozenset().union(*(kind.needs for kind in self.kinds))
 
 
 def chaos_case(names: Sequence[str], index: int, seed: int, *, watchdog: bool) -> ChaosCase:
-    """Return the case of these kinds; KeyError where there is no such kind."""
+    """Return the case of these kinds; raise KeyError for an unknown one."""
     kinds = [CHAOS_KINDS[name] for name in names]
     draw = random.Random(f"{seed} chaos {AND.join(names)} {index}")
     early = len(kinds) == 1 and kinds[0].early and draw.random() < EARLY_SHARE
@@ -67,7 +67,7 @@ def chaos_cases(runs: int, seed: int, names: Sequence[str] = ()) -> list[ChaosCa
     draw = random.Random(f"{seed} chaos")
     drawn = _pairs(runs // 2, chosen, draw)
     singles = [(chosen[k % len(chosen)],) for k in range(runs - len(drawn))]
-    # A kind's occurrences alternate between watchdog on and off, which of them first is drawn.
+    # A kind's occurrences alternate between watchdog on and off, from a random first one.
     first = {name: draw.random() < 0.5 for name in chosen}
     seen: Counter[str] = Counter()
     plan: list[tuple[tuple[str, ...], bool]] = []
@@ -89,14 +89,14 @@ def _pairs(count: int, names: Sequence[str], draw: random.Random) -> list[tuple[
         left.remove(pair)
         used.update(pair)
         first, second = draw.sample(pair, 2)
-        if CHAOS_KINDS[first].ending == "killed":  # nothing is left that a second attack could strike
+        if CHAOS_KINDS[first].ending == "killed":  # A second attack would have no target.
             first, second = second, first
         found.append((first, second))
     return found
 
 
 def compatible(one: str, other: str) -> bool:
-    """Return whether two kinds make a pair."""
+    """Return True if two kinds make a pair."""
     a, b = CHAOS_KINDS[one], CHAOS_KINDS[other]
     terminals = (a.needs | b.needs) & _TERMINALS
     nobody_left = {"harness", "guardian"} <= a.disables | b.disables
@@ -104,5 +104,5 @@ def compatible(one: str, other: str) -> bool:
 
 
 def order(ending: Ending) -> int:
-    """Return the place of an ending in `SEVERITY`."""
+    """Return the rank of an ending in `SEVERITY`."""
     return SEVERITY.index(ending)

@@ -1,4 +1,4 @@
-"""The stage of a chaos case: a virtual rig with or without its watchdog, `hil run` on it, and all that may be attacked.
+"""Stage of a chaos case: a virtual rig with or without its watchdog, `hil run` on it, and all targets of attacks.
 
 Every process that the run starts carries a marker in its environment, by which the guardian is found, whatever started
 it, and by which nothing is left behind.
@@ -33,19 +33,20 @@ from hil.bench.faults.stage import FANS_PCT, LOOK_EVERY_S, ROOT, Harness, Stage
 
 MARKER = "HIL_BENCH_CASE"
 WATCHDOG_OFF_S = 600.0
-"""A watchdog that never cuts while a case lasts: as good as none, and the rig still takes heartbeats and arming."""
+"""Time-out of a watchdog that never cuts within a case: the rig still takes heartbeats and arming."""
 READBACK_WITHIN_S = 10.0
-"""Time that measured values are given to follow, s: the heater's meter falls with a time constant of its own, and a run
-must not be called unsafe for that, nor a device that lies be given up at once."""
+"""Time in s for measured values to follow: the heater's meter has a time constant, and a slow meter must not count as
+unsafe. A lying device must not be given up at once either.
+"""
 
 
 class ChaosHarness(Harness):
-    """`hil run` whose folder may be moved or deleted while it goes on."""
+    """Process `hil run` whose folder may be moved or deleted meanwhile."""
 
     known: Path | None = None
 
     def folder(self) -> Path | None:
-        """The run's folder as it was called first, or as it is called now where a case has renamed it."""
+        """Return the run's folder under its present name."""
         if self.known is None:
             self.known = Harness.folder(self)
         return self.known
@@ -53,49 +54,49 @@ class ChaosHarness(Harness):
 
 @dataclass(slots=True)
 class ChaosStage(Stage):
-    """What an attack may lay hands on."""
+    """Targets of an attack."""
 
     terminal: Terminal | None = None
     device: LyingDevice | None = None
     clock: SteppedClock | None = None
     marker: str = ""
     stepped_s: float | None = None
-    """Wall time at which the run's clock was stepped."""
+    """Wall time of the step of the run's clock."""
     nobody: list[tuple[float, float]] = field(default_factory=list)
     """Intervals of wall time in which neither harness nor guardian could run or reach the rig."""
     code: int | None = None
-    """Exit code of the run; None where the campaign had to kill it."""
+    """Exit code of the run; None if the campaign had to kill it."""
     destroyed: bool = False
-    """True where the case has deleted the samples themselves."""
+    """True if the case has deleted the samples themselves."""
     helpers: list[subprocess.Popen[bytes]] = field(default_factory=list)
     leaks: list[socket.socket] = field(default_factory=list)
     undo: list[Callable[[], None]] = field(default_factory=list)
-    """Done before the verdict."""
+    """Steps before the verdict."""
     release: list[Callable[[], None]] = field(default_factory=list)
-    """Done once the heater is off: what would otherwise keep a run from its record for minutes."""
+    """Steps after the heater is off: they release a run that would otherwise wait minutes for its record."""
 
     @property
     def place(self) -> Path:
-        """Folder of the case."""
+        """Return the folder of the case."""
         return self.truth.parent
 
     def folder(self) -> Path:
-        """The run's folder; RuntimeError where there is none."""
+        """Return the run's folder; raise RuntimeError if there is none."""
         found = self.harness.folder()
         if found is None:
             raise RuntimeError("the run has no folder yet")
         return found
 
     def descendants(self) -> list[int]:
-        """Processes that the run has started and that still live, itself not among them."""
+        """Return the live processes that the run has started, without itself."""
         return [pid for pid in marked(self.marker) if pid != self.pid]
 
     def guardians(self) -> list[int]:
-        """The run's guardian; an empty list where there is none."""
+        """Return the run's guardian; an empty list if there is none."""
         return [pid for pid in self.descendants() if b"guardian" in _command(pid)]
 
     def release_all(self) -> None:
-        """Let continue what was stopped."""
+        """Continue everything that was stopped."""
         for release in self.release:
             release()
         self.release.clear()
@@ -108,7 +109,7 @@ class ChaosStage(Stage):
         self.undo.clear()
 
     def clear_up(self) -> None:
-        """Undo what outlives the run: leaked connections, immutable folders, helpers, processes left over."""
+        """Remove leaked connections, immutable folders, helpers and remaining processes."""
         self.undo_all()
         for leak in self.leaks:
             leak.close()
@@ -123,7 +124,7 @@ class ChaosStage(Stage):
 
 
 def marked(marker: str) -> list[int]:
-    """Return the processes whose environment holds `marker`; those that have ended and not been waited for excluded."""
+    """Return the processes whose environment holds `marker`, without ended ones."""
     word = f"{MARKER}={marker}".encode()
     found = []
     for entry in Path("/proc").iterdir():
@@ -187,7 +188,7 @@ async def set_chaos_stage(
 
 
 def chaos_rig_text(ports: dict[str, int], *, watchdog: bool) -> str:
-    """Return the rig file; without `watchdog` the rig's own waits for longer than any case lasts."""
+    """Return the rig file; without `watchdog` the rig's own waits longer than any case."""
     text = rig_text(ports)
     seconds = WATCHDOG_S if watchdog else WATCHDOG_OFF_S
     text = _replaced(r"(?m)^watchdog_s = .*$", f"watchdog_s = {seconds}", text)
@@ -240,7 +241,7 @@ def environment(marker: str, clock: SteppedClock | None = None, *, is_terminal: 
 
 
 def unstepped(wall_s: float, stage: ChaosStage) -> float:
-    """Return a wall time of the run's stepped clock as one of this machine's; steps are longer than any case."""
+    """Convert a wall time of the run's stepped clock to this machine's clock; steps are longer than any case."""
     if stage.clock is None or not stage.clock.offset_s:
         return wall_s
     plain, now = wall_s - stage.clock.offset_s, time.time()

@@ -1,4 +1,4 @@
-"""The terminal of a run in the chaos campaign: two files, a pipe to a reader, or a pseudo-terminal.
+"""Terminal of a run in the chaos campaign: two files, a pipe to a reader, or a pseudo-terminal.
 
 All that a reader gets is kept in `err.txt`, as with files. The reader can stop reading, go away, or press Ctrl-S.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 SMALL_PIPE_BYTES = 4096
-"""The smallest pipe that Linux makes: a reader that stops is felt after some 30 lines instead of 500."""
+"""Smallest pipe of Linux: a reader that stops takes effect after some 30 lines instead of 500."""
 _SET_PIPE_SIZE = 1031
 
 TerminalType = Literal["files", "pipe", "pty"]
@@ -46,7 +46,7 @@ class Terminal:
         self._read_on()
 
     def started(self) -> None:
-        """Let go of what belongs to the process alone, once that runs; the end of a pty is kept for Ctrl-S."""
+        """Close the descriptors of the process after its start; the end of a pty is kept for Ctrl-S."""
         if self.shape == "files":
             os.close(self.out)
         elif self.shape == "pipe" and self._far is not None:
@@ -54,7 +54,7 @@ class Terminal:
             self._far = None
 
     def stop_reading(self) -> None:
-        """Read no more: what is written fills the pipe and then blocks."""
+        """Stop reading: the output fills the pipe and then blocks."""
         if self._reading and self._near is not None:
             asyncio.get_running_loop().remove_reader(self._near)
             self._reading = False
@@ -65,7 +65,7 @@ class Terminal:
         termios.tcflow(self._far, termios.TCOOFF)
 
     def let_go(self) -> None:
-        """Read on, and start the output again as Ctrl-Q does; nothing where the reader has gone."""
+        """Continue reading, and start the output again as Ctrl-Q does; do nothing if the reader has gone."""
         if self.shape == "pty" and self._far is not None and self._near is not None:
             termios.tcflow(self._far, termios.TCOON)
         if self._near is not None and not self._reading:

@@ -1,4 +1,4 @@
-"""The verdict on one chaos case: time to safe by the rig's own log, samples, values, times, and the run folder."""
+"""Verdict on one chaos case: time to safe by the rig's own log, samples, values, times, and the run folder."""
 
 from __future__ import annotations
 
@@ -21,28 +21,31 @@ from hil.bench.faults.rig import PERIOD_S, WATCHDOG_S
 from hil.run.outputs.heaters import DEAD_TIME_S
 
 LIMIT_S = 2.0
-"""From the event to nothing heats any more, whoever acts; the rig's own watchdog is not needed for it."""
+"""Time from the event until nothing heats, by any agent but the rig's own watchdog, s."""
 ROUGH_S = 2.0 * PERIOD_S
-"""The rig looks at its watchdog once a period, and its last heartbeat may be younger than the event."""
+"""Tolerance for the rig's watchdog, s: it is checked once a period, and its last heartbeat may follow the event."""
 WITHHELD_AFTER_S = DEAD_TIME_S + 0.5
-"""A heartbeat that comes later than this after the event, while the heater has power, holds the watchdog off, s.
+"""Delay in s after the event beyond which a heartbeat, with the heater still powered, counts as holding the watchdog
+off. A run allows the meter its dead time; half a second is for ticks and for the meter's noise.
 
-A run allows the meter its dead time; half a second is for ticks and for the meter's noise."""
+A run allows the meter its dead time; half a second is for ticks and for the meter's noise.
+"""
 ALARM_S = 5.0
-"""From a set-point that another master has written to the alarm, at most, s."""
+"""Longest time from a set-point of another master to the alarm, s."""
 TIME_TOLERANCE_S = 0.5
-"""Difference between a row's time and the instant of its recording, s. A stall of the machine of up to 0.4 s counts as
-the machine's."""
+"""Largest difference between a row's time and the instant of its recording, s. A stall of the machine of up to 0.4 s
+counts as the machine's.
+"""
 _NOT_OF_TIME = ("a traceback", "a resume ended with a traceback", "another master", "exit code", "run.json", "ended as")
 _ENDED = ("finishing", "faulted", "aborted", "done")
 
 Strike = tuple[ChaosKind, float]
-"""A kind and the wall time at which it struck, s."""
+"""Kind and wall time of an attack, s."""
 
 
 @dataclass(slots=True)
 class ChaosResult:
-    """The outcome of one case. `safe` is in s after the event, None where the heater stays on.
+    """Result of one case.
 
     `event_s` is how long after the first attack the run could no longer go on as it should. `by_rig`: the rig's own
     watchdog cut. `misplaced` counts rows whose time is not that of their values. `left_out` says why an attack was not
@@ -67,7 +70,7 @@ class ChaosResult:
     misplaced: int = 0
     readable: bool = True
     claimed: bool | None = None
-    """The run's own word on being safe, from `run.json`."""
+    """Return the run's own statement on being safe, from `run.json`."""
     resumed: bool | None = None
     failures: list[str] = field(default_factory=list)
     left_out: str = ""
@@ -77,17 +80,17 @@ class ChaosResult:
 
     @property
     def name(self) -> str:
-        """Names of the kinds, joined."""
+        """Return the names of the kinds, joined."""
         return " + ".join(self.names)
 
 
 def as_document(result: ChaosResult) -> dict[str, Any]:
-    """Return the result as JSON has it."""
+    """Return the result as JSON data."""
     return asdict(result)
 
 
-def judged(result: ChaosResult, case: ChaosCase, stage: ChaosStage, strikes: list[Strike]) -> judge.Journal:
-    """Fill in `result` from what rig and run left; return the journal, its times on this machine's clock."""
+def judged(result: ChaosResult, case: ChaosCase, stage: ChaosStage, strikes: list[Strike]) -> judge.JournalContent:
+    """Complete `result` from the rig's log and the run's files; return the journal in this machine's time."""
     truth, path = stage.moments(), stage.look()
     raw = judge.read_journal(path)
     journal = _on_our_clock(raw, stage)
@@ -120,12 +123,12 @@ def judged(result: ChaosResult, case: ChaosCase, stage: ChaosStage, strikes: lis
 
 
 def is_of_the_machine(result: ChaosResult) -> bool:
-    """Return whether a machine that stood still may be the cause of a failure; of a traceback or a claim it is not."""
+    """Return True if a stall of the machine may cause a failure; a traceback or a claim has another cause."""
     return any(not failure.startswith(_NOT_OF_TIME) for failure in result.failures)
 
 
 def traceback_in(said: str) -> str:
-    """Return the last lines of the first traceback in `said`; empty where there is none."""
+    """Return the last lines of the first traceback in `said`; "" if there is none."""
     _, found, after = said.partition("Traceback (most recent call last)")
     if not found:
         return ""
@@ -134,8 +137,8 @@ def traceback_in(said: str) -> str:
     return " / ".join(line.strip() for line in lines[max(end - 3, 0) : end + 1])[-400:]
 
 
-def event_of(strikes: list[Strike], stage: ChaosStage, journal: judge.Journal) -> tuple[Ending, float]:
-    """Return what has to follow from the attacks, and the wall time from which on the heater has to be cut, s.
+def event_of(strikes: list[Strike], stage: ChaosStage, journal: judge.JournalContent) -> tuple[Ending, float]:
+    """Return the required ending of the attacks, and the wall time by which the heater must be cut, s.
 
     That is the attack, where it ends the run; the signal at the end, where the run has to go on; the last sample, where
     the run may end and did.
@@ -148,13 +151,13 @@ def event_of(strikes: list[Strike], stage: ChaosStage, journal: judge.Journal) -
     if stage.asked_s < math.inf:
         must.append(stage.asked_s)
     if ending == "lies" and left < math.inf:
-        must.append(left)  # it has ended of something else, and from then on the heater ought to obey
+        must.append(left)  # The run has ended for another reason, and from then on the heater must obey.
     if must:
         return ending, min(must)
     return ending, max([began, *journal.wall_s[-1:]])
 
 
-def _on_our_clock(journal: judge.Journal, stage: ChaosStage) -> judge.Journal:
+def _on_our_clock(journal: judge.JournalContent, stage: ChaosStage) -> judge.JournalContent:
     if stage.clock is None:
         return journal
     return replace(
@@ -186,7 +189,7 @@ def misplaced_rows(journal: Path, stage: ChaosStage, began_s: float) -> int:
 
 
 def read_manifest(stage: ChaosStage) -> dict[str, Any] | None:
-    """Return the run's `run.json`; None where there is none or it is damaged."""
+    """Return the run's `run.json`; None if it is missing or damaged."""
     folder = stage.harness.folder()
     with contextlib.suppress(OSError, ValueError):
         document = json.loads(((folder or stage.place) / "run.json").read_text(encoding="utf-8"))
@@ -195,9 +198,9 @@ def read_manifest(stage: ChaosStage) -> dict[str, Any] | None:
 
 
 def _unreadable(
-    case: ChaosCase, stage: ChaosStage, ending: Ending, journal: judge.Journal, manifest: dict[str, Any] | None
+    case: ChaosCase, stage: ChaosStage, ending: Ending, journal: judge.JournalContent, manifest: dict[str, Any] | None
 ) -> list[str]:
-    """Return what is wrong with the run folder."""
+    """Return the defects of the run folder."""
     if not journal.sound and not stage.destroyed:
         return ["the journal is damaged"]
     if stage.destroyed or (case.early and not journal.ticks):
@@ -220,7 +223,7 @@ def _unreadable(
 def _power(
     result: ChaosResult, case: ChaosCase, stage: ChaosStage, ending: Ending, truth: list[Moment], event_s: float
 ) -> list[str]:
-    """Return which limits on the heater were missed."""
+    """Return the limits on the heater that were exceeded."""
     if not result.heated:
         wrong = [] if case.early else ["nothing heated when the attack came"]
         result.struck = case.early
@@ -234,7 +237,7 @@ def _power(
 
 
 def _lied(result: ChaosResult, case: ChaosCase, stage: ChaosStage, truth: list[Moment], event_s: float) -> list[str]:
-    """Return the musts that were broken on a device that does not obey: only the rig's watchdog can cut there."""
+    """Return the broken requirements on a device that disobeys: only the rig's watchdog can cut there."""
     assert stage.device is not None
     broken = []
     off_s = event_s + math.inf if result.safe is None else event_s + result.safe
@@ -260,7 +263,7 @@ def _claims(
     truth: list[Moment],
     manifest: dict[str, Any] | None,
 ) -> list[str]:
-    """Return what the run said of itself and is not so."""
+    """Return the false statements of the run about itself."""
     broken, code = [], stage.code
     result.claimed = None if manifest is None else manifest.get("safe")
     has_power = bool(truth) and truth[-1].heater_W > 0.0
@@ -281,12 +284,12 @@ def _claims(
 
 
 def _harness_gone(case: ChaosCase) -> bool:
-    """Return whether an attack, or the guardian in the place of a harness that is stopped, may have killed it."""
+    """Return True if an attack, or the guardian in place of a stopped harness, may have killed it."""
     return any("harness" in kind.disables for kind in case.kinds)
 
 
-def _records(result: ChaosResult, strikes: list[Strike], journal: judge.Journal, asked_s: float) -> list[str]:
-    """Return what is wrong with samples, values and events."""
+def _records(result: ChaosResult, strikes: list[Strike], journal: judge.JournalContent, asked_s: float) -> list[str]:
+    """Return the defects of samples, values and events."""
     broken = []
     if result.lost:
         broken.append(f"{result.lost} acknowledged samples lost")

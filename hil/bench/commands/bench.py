@@ -1,4 +1,4 @@
-"""`hil bench`: speed, fits and the paper's experiments, beside other people's tools and figures."""
+"""Command `hil bench`: speed, fits and the paper's experiments, with other tools and published figures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from hil.run.session.terminal import invocation
 
 
 def _one_thread() -> None:
-    """One thread for numpy's and scipy's linear algebra, or its idle threads count as CPU time. Before numpy loads."""
+    """Limit numpy's and scipy's linear algebra to one thread, since idle threads count as CPU time. Call it before
+    numpy loads.
+    """
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
 
@@ -36,7 +38,19 @@ def command(context: click.Context) -> None:
 
 
 for _bench in (
-    twin_command, fit_command, paper_command, records_command, hiera_command, ablations_command, discovery_command,
-    again_command, structure_command, faults_command, loop_command, bus_command, wire_command, files_command,
-):  # fmt: skip
+    twin_command,
+    fit_command,
+    paper_command,
+    records_command,
+    hiera_command,
+    ablations_command,
+    discovery_command,
+    again_command,
+    structure_command,
+    faults_command,
+    loop_command,
+    bus_command,
+    wire_command,
+    files_command,
+):
     command.add_command(_bench)

@@ -1,4 +1,4 @@
-"""Benches on rigs that nothing was made for: the network beside the calibrators, its pieces, the diagnosis."""
+"""Blind benchmarks on unseen rigs: the network and the calibrators, its ablations, the diagnosis."""
 
 from __future__ import annotations
 
@@ -11,9 +11,13 @@ from hil.cli.options.paths import INPUT_FILE
 
 
 @click.command("hiera")
-@click.option("--network", type=INPUT_FILE, help="Card (.json) of a trained ensemble; without, it takes no part.")
-@click.option("--rig", "rigs", multiple=True, help="simulated, virtual or stranger; may be repeated.")
-@click.option("--calibrator", "calibrators", multiple=True, help="Of `hil track`; may be repeated; default: all.")
+@click.option(
+    "--network", type=INPUT_FILE, help="Card (.json) of a trained ensemble; without it the network takes no part."
+)
+@click.option("--rig", "rigs", multiple=True, help="Rig: simulated, virtual or stranger; may be repeated.")
+@click.option(
+    "--calibrator", "calibrators", multiple=True, help="Calibrator of `hil track`; may be repeated; default: all."
+)
 @QUICK
 @SEED
 @OUT
@@ -27,7 +31,7 @@ def hiera_command(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Who keeps a twin true on rigs that no network was trained on: swarm, least squares, filter, network.
+    """Compare calibrators on rigs that no network was trained on: swarm, least squares, filter, network.
 
     \b
     Example:
@@ -54,16 +58,19 @@ def hiera_command(
 
 @click.command("ablations")
 @click.option(
-    "--data", type=click.Path(exists=True, file_okay=False, path_type=Path), default=Path("training/loop"),
-    show_default=True, help="Folder of generated campaigns, as `hil train loop` leaves it.",
-)  # fmt: skip
+    "--data",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    default=Path("training/loop"),
+    show_default=True,
+    help="Folder of generated campaigns, as `hil train loop` leaves it.",
+)
 @click.option("--config", "name", type=click.Choice(["small", "full"]), default="small", show_default=True)
 @click.option("--minutes", default=5.0, show_default=True, help="CPU time of each training.")
 @SEED
 @OUT
 @JSON
 def ablations_command(data: Path, name: str, minutes: float, seed: int, out: Path | None, as_json: bool) -> None:
-    """Train the network without each of its pieces, for the same CPU time, and compare on unseen windows.
+    """Train the network without each of its parts, for the same CPU time, and compare on held-out windows.
 
     \b
     Example:
@@ -83,28 +90,35 @@ def ablations_command(data: Path, name: str, minutes: float, seed: int, out: Pat
 
 
 @click.command("discovery")
-@click.option("--blind", is_flag=True, help="Seal the truth and the answers before comparing them; always done.")
+@click.option("--blind", is_flag=True, help="Seal the truth and the answers before their comparison; always done.")
 @click.option("--cases", default=40, show_default=True, help="Number of cases, a quarter of them healthy.")
-@click.option("--case", "only", multiple=True, type=int, help="This case alone; may be repeated.")
-@click.option("--healthy", default=0, show_default=True, help="Further records without any effect.")
-@click.option("--healthy-case", "only_healthy", multiple=True, type=int, help="This healthy record alone.")
-@click.option("--doubles", default=0, show_default=True, help="Further records with two effects of the catalogue.")
-@click.option("--double-case", "only_doubles", multiple=True, type=int, help="This record with two effects alone.")
+@click.option("--case", "only", multiple=True, type=int, help="Run only this case; may be repeated.")
+@click.option("--healthy", default=0, show_default=True, help="Number of further records without any effect.")
+@click.option("--healthy-case", "only_healthy", multiple=True, type=int, help="Run only this healthy record.")
+@click.option(
+    "--doubles", default=0, show_default=True, help="Number of further records with two effects of the catalogue."
+)
+@click.option("--double-case", "only_doubles", multiple=True, type=int, help="Run only this record with two effects.")
 @click.option("--hours", default=24.0, show_default=True, help="Length of each record.")
 @click.option(
-    "--direct/--wire", default=True, show_default=True,
+    "--direct/--wire",
+    default=True,
+    show_default=True,
     help="Step the virtual rig's parts here, or run the loop over Modbus and CAN.",
-)  # fmt: skip
+)
 @click.option("--twin", default="loop", show_default=True, help="Twin of profiles/twins to commission.")
 @click.option(
-    "--records", is_flag=True, help="Public records ($HIL_DATA) from twins that lack most, in place of the trial."
+    "--records", is_flag=True, help="Grow incomplete twins on public records ($HIL_DATA), in place of the trial."
 )
 @click.option("--no-healthy", is_flag=True, help="Keep the healthy records from the diagnosis.")
-@click.option("--no-ablations", is_flag=True, help="Leave out the comparison with parts of the method left out.")
+@click.option("--no-ablations", is_flag=True, help="Skip the ablations of the method.")
 @click.option(
-    "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/discovery"),
-    show_default=True, help="Finished cases are kept here.",
-)  # fmt: skip
+    "--work",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("runs/bench/discovery"),
+    show_default=True,
+    help="Folder for finished cases.",
+)
 @QUICK
 @SEED
 @OUT
@@ -129,7 +143,7 @@ def discovery_command(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Blind trial: hidden effects in the virtual rig, answers sealed before the truth is opened, then scored.
+    """Run a blind trial: hidden effects in the virtual rig, answers sealed before the truth is opened, then scored.
 
     \b
     Example:
@@ -152,7 +166,7 @@ def discovery_command(
     numbers = only if alone else tuple(range(12 if quick else cases))
     further = only_healthy if alone else tuple(range(healthy))
     pairs = only_doubles if alone else tuple(range(doubles))
-    size = discovery.Size(numbers, further, hours, direct, twin, not no_ablations, pairs, not no_healthy)
+    size = discovery.TrialSize(numbers, further, hours, direct, twin, not no_ablations, pairs, not no_healthy)
     with ProgressBar("diagnosing", 1.0, quiet=as_json) as steps:
         done = discovery.measure(size, seed, work, steps.update)
     finish("discovery", seed, tables(done, size), discovery.left_out(), out, as_json)
@@ -162,14 +176,17 @@ def discovery_command(
 @click.option("--cases", default=24, show_default=True, help="Number of rigs.")
 @click.option("--hours", default=24.0, show_default=True, help="Length of each record.")
 @click.option(
-    "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/again"),
-    show_default=True, help="Finished cases are kept here.",
-)  # fmt: skip
+    "--work",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("runs/bench/again"),
+    show_default=True,
+    help="Folder for finished cases.",
+)
 @SEED
 @OUT
 @JSON
 def again_command(cases: int, hours: float, work: Path, seed: int, out: Path | None, as_json: bool) -> None:
-    """A twin that took up an effect, asked again: later records with nothing new, and with a second effect.
+    """Diagnose later records with a revised twin: without a new effect, and with a second effect.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""What the benches of `hil bench` share: options, where recordings of other rigs lie, the report at the end."""
+"""Common parts of the commands of `hil bench`: options, the folder of recordings, the final report."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ import click
 from hil.cli.options.paths import PROJECT
 
 if TYPE_CHECKING:
-    from hil.bench.measure.report import Table
+    from hil.bench.measure.report import ReportTable
 
 OUT = click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path), help="Also write JSON, Markdown and manifest there."
+    "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for JSON, Markdown and manifest."
 )
-QUICK = click.option("--quick", is_flag=True, help="Small sizes, for a look or for CI.")
-SEED = click.option("--seed", default=0, show_default=True, help="Seed of everything random.")
+QUICK = click.option("--quick", is_flag=True, help="Use small sizes, for a trial run or for CI.")
+SEED = click.option("--seed", default=0, show_default=True, help="Seed of all random numbers.")
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the tables as JSON.")
 
 
 def data_folder() -> Path:
-    """Recordings of rigs that the project did not write."""
+    """Return the folder of recordings of other rigs."""
     return Path(os.environ.get("HIL_DATA", PROJECT.parent / "shared" / "data"))
 
 
 def finish(
-    name: str, seed: int, tables: tuple[Table, ...], skipped: tuple[str, ...], out: Path | None, as_json: bool
+    name: str, seed: int, tables: tuple[ReportTable, ...], skipped: tuple[str, ...], out: Path | None, as_json: bool
 ) -> None:
-    """Print the report, and write it where that was asked for."""
+    """Print the report, and write it if requested."""
     from hil.bench.measure.machine import manifest
-    from hil.bench.measure.report import Report, show, write
+    from hil.bench.measure.report import BenchReport, show, write
     from hil.bench.measure.report import as_json as json_of
 
-    report = Report(name, tables, skipped, manifest(_typed(name), seed))
+    report = BenchReport(name, tables, skipped, manifest(_typed(name), seed))
     if as_json:
         click.echo(json_of(report), nl=False)
     else:
@@ -46,7 +46,7 @@ def finish(
 
 
 def _typed(name: str) -> str:
-    """The command as it was typed, without the folders that it writes to."""
+    """Return the command as typed, without its output folders."""
     if Path(sys.argv[0]).name not in ("hil", "__main__.py"):
         return f"hil bench {name}"
     words = sys.argv[1:]

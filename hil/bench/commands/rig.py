@@ -1,4 +1,4 @@
-"""Benches of what touches the rig: faults, the loop's timing, the buses."""
+"""Benchmarks of the rig interface: faults, the loop's timing, the buses."""
 
 from __future__ import annotations
 
@@ -13,14 +13,25 @@ from hil.bench.commands.output import JSON, OUT, QUICK, SEED, finish
 
 @click.command("faults")
 @click.option("--runs", default=200, show_default=True, type=click.IntRange(1), help="Number of faults, of all kinds.")
-@click.option("--pairs", type=click.IntRange(1), help="Instead: so many pairs of faults, the second while one lasts.")
-@click.option("--chaos", is_flag=True, help="Instead: attacks, alone and in pairs, half without the rig's watchdog.")
-@click.option("--kind", "kinds", multiple=True, help="This kind alone; may be repeated.")
-@click.option("--jobs", default=2, show_default=True, type=click.IntRange(1), help="Cases at a time, a rig each.")
 @click.option(
-    "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/faults"), show_default=True,
-    help="Finished cases are kept here.",
-)  # fmt: skip
+    "--pairs", type=click.IntRange(1), help="Number of pairs of faults instead, the second while the first lasts."
+)
+@click.option("--chaos", is_flag=True, help="Run attacks instead, alone and in pairs, half without the rig's watchdog.")
+@click.option("--kind", "kinds", multiple=True, help="Run only this kind; may be repeated.")
+@click.option(
+    "--jobs",
+    default=2,
+    show_default=True,
+    type=click.IntRange(1),
+    help="Number of parallel cases, each with its own rig.",
+)
+@click.option(
+    "--work",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("runs/bench/faults"),
+    show_default=True,
+    help="Folder for finished cases.",
+)
 @SEED
 @OUT
 @JSON
@@ -35,9 +46,9 @@ def faults_command(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Faults of wires, rig and harness at random instants: is the heater off in time, is anything lost or wrong?
+    """Inject faults of wires, rig and harness at random instants; measure time to safe, lost samples and wrong values.
 
-    Real time: some 15 s a fault. Exit code 1 where a must was broken.
+    Each fault takes some 15 s of real time. The exit code is 1 if a requirement was broken.
 
     \b
     Example:
@@ -67,7 +78,7 @@ def faults_command(
 def _chaos(
     runs: int, kinds: tuple[str, ...], jobs: int, work: Path, seed: int, out: Path | None, as_json: bool
 ) -> None:
-    """Run the chaos campaign, and exit with 1 where a must was broken."""
+    """Run the chaos campaign, and exit with 1 if a requirement was broken."""
     from hil.bench.chaos import campaign as chaos
     from hil.bench.chaos.kinds import CHAOS_KINDS
     from hil.run.session.terminal import ProgressBar
@@ -81,7 +92,7 @@ def _chaos(
 
 
 def _require_known(kinds: Iterable[str], known: Collection[str]) -> None:
-    """Raise UsageError for a kind that there is not."""
+    """Raise UsageError for an unknown kind."""
     unknown = [kind for kind in kinds if kind not in known]
     if unknown:
         raise click.UsageError(f"no kind {unknown[0]!r}; there are {', '.join(map(repr, known))}")
@@ -89,15 +100,18 @@ def _require_known(kinds: Iterable[str], known: Collection[str]) -> None:
 
 @click.command("loop")
 @click.option(
-    "--work", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench/loop"),
-    show_default=True, help="Its runs are kept here.",
-)  # fmt: skip
+    "--work",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("runs/bench/loop"),
+    show_default=True,
+    help="Folder for its runs.",
+)
 @QUICK
 @SEED
 @OUT
 @JSON
 def loop_command(work: Path, quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
-    """The loop in real time at 10 Hz; its memory over 40 hours in lockstep; the same run killed and resumed.
+    """Measure the loop in real time at 10 Hz, its memory over 40 hours in lockstep, and a killed and resumed run.
 
     \b
     Example:
@@ -118,7 +132,7 @@ def loop_command(work: Path, quick: bool, seed: int, out: Path | None, as_json: 
 @OUT
 @JSON
 def bus_command(quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
-    """Round trips and latency of our Modbus client against raw sockets, pyModbusTCP, pymodbus and libmodbus.
+    """Measure round trips and latency of our Modbus client, raw sockets, pyModbusTCP, pymodbus and libmodbus.
 
     \b
     Example:
@@ -133,13 +147,15 @@ def bus_command(quick: bool, seed: int, out: Path | None, as_json: bool) -> None
 
 
 @click.command("wire")
-@click.option("--count", type=click.IntRange(min=1), help="Mutations of each kind of wire.  [default: 100000]")
+@click.option(
+    "--count", type=click.IntRange(min=1), help="Number of mutations of each kind of wire.  [default: 100000]"
+)
 @QUICK
 @SEED
 @OUT
 @JSON
 def wire_command(count: int | None, quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
-    """Mutated Modbus replies and CAN frames, in memory: is a wrong value ever taken for a good one?
+    """Read mutated Modbus replies and CAN frames, in memory, and count wrong values accepted as good.
 
     \b
     Example:
@@ -156,13 +172,13 @@ def wire_command(count: int | None, quick: bool, seed: int, out: Path | None, as
 
 
 @click.command("files")
-@click.option("--count", type=click.IntRange(min=1), help="Mutations of each kind of file.  [default: 20000]")
+@click.option("--count", type=click.IntRange(min=1), help="Number of mutations of each kind of file.  [default: 20000]")
 @QUICK
 @SEED
 @OUT
 @JSON
 def files_command(count: int | None, quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
-    """Mutated rig files, twins, tables, configurations, DBCs, cards and journals: is each read, or refused clearly?
+    """Read mutated rig files, twins, tables, configurations, DBCs, cards and journals, and count unclear refusals.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""Benches of the twin and its fits: speed, fits, the paper's experiments, structure, public records."""
+"""Benchmarks of the twin: speed, fits, the paper's experiments, structure, public records."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hil.cli.options.paths import INPUT_FILE
 @OUT
 @JSON
 def twin_command(quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
-    """One ten-minute window of the coolant loop: our kernel against scipy, numpy, torch, jax and C.
+    """Simulate a ten-minute window of the coolant loop with our kernel, scipy, numpy, torch, jax and C.
 
     \b
     Example:
@@ -39,7 +39,7 @@ def twin_command(quick: bool, seed: int, out: Path | None, as_json: bool) -> Non
 def fit_command(
     record: Path | None, twin: Path | None, quick: bool, seed: int, out: Path | None, as_json: bool
 ) -> None:
-    """The same ten-minute windows fitted by our calibrators and by other people's optimisers.
+    """Fit the same ten-minute windows with our calibrators and with other optimisers.
 
     With RECORD, a record or the folder of a run, windows of that are fitted too.
 
@@ -56,8 +56,8 @@ def fit_command(
         path = record / "record.parquet" if record.is_dir() else record
         file = twin or record / "twin.toml"
         if not file.is_file():
-            raise click.UsageError(f"{record} brings no twin.toml; name a twin with --twin")
-        source = fit.Record(path, load(file))
+            raise click.UsageError(f"{record} has no twin.toml; name a twin with --twin")
+        source = fit.MeasuredRecord(path, load(file))
     tables, skipped = fit.measure(fit.QUICK if quick else fit.FULL, seed, source)
     finish("fit", seed, tables, skipped, out, as_json)
 
@@ -65,11 +65,14 @@ def fit_command(
 @click.command("paper")
 @click.option("--only", multiple=True, type=click.Choice(EXPERIMENTS), help="Experiment; may be repeated.")
 @click.option("--rig", "rigs", multiple=True, type=click.Choice(RIGS), help="Rig; may be repeated.")
-@click.option("--calibrator", "calibrators", multiple=True, help="May be repeated; default: all.")
+@click.option("--calibrator", "calibrators", multiple=True, help="Calibrator; may be repeated; default: all.")
 @click.option(
-    "--cache", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/bench"), show_default=True,
-    help="Records of the virtual rig are kept here.",
-)  # fmt: skip
+    "--cache",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("runs/bench"),
+    show_default=True,
+    help="Folder for records of the virtual rig.",
+)
 @QUICK
 @SEED
 @OUT
@@ -84,7 +87,7 @@ def paper_command(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """The experiments of Energies 2026, 19, 2452, beside its figures.
+    """Repeat the experiments of Energies 2026, 19, 2452, with its figures.
 
     Rigs: `virtual`, whose equations are not the twin's; `stranger`, recordings of another maker's in $HIL_DATA;
     `inverse`, synthesised by the twin itself, as in the paper.
@@ -117,7 +120,7 @@ def paper_command(
 @OUT
 @JSON
 def structure_command(seed: int, out: Path | None, as_json: bool) -> None:
-    """How true commissioned twins of four and of ten volumes stay over forty healthy hours of other rigs ($HIL_DATA).
+    """Measure the error of commissioned twins of four and ten volumes on healthy records of other rigs ($HIL_DATA).
 
     \b
     Example:
@@ -134,7 +137,7 @@ def structure_command(seed: int, out: Path | None, as_json: bool) -> None:
 @OUT
 @JSON
 def records_command(seed: int, out: Path | None, as_json: bool) -> None:
-    """Public records of other rigs ($HIL_DATA), beside the published figures.
+    """Fit public records of other rigs ($HIL_DATA), and compare with the published figures.
 
     \b
     Example:

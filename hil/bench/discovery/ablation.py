@@ -1,4 +1,4 @@
-"""The same records with parts of the method left out, and how visible the truth was; run after answers are sealed.
+"""Ablations of the method on the same records, and the visibility of the truth; run after answers are sealed.
 
     python -m hil.bench.discovery.ablation
 
@@ -29,12 +29,12 @@ from twin.discovery.scoring.search import Entry, scan
 from twin.network import Array, Network
 
 STIFF = 1e12
-"""Precision of a prior that lets nothing move."""
+"""Precision of a prior that fixes a parameter."""
 NEAR = 4
 
 
 def answer(request: Request) -> Request:
-    """Both ablations over one record, and forecasts of the true effects."""
+    """Return both ablations over one record, and forecasts of the true effects."""
     from hil.diagnosis.columns import read_columns, with_clock
     from twin.twinfile import load
 

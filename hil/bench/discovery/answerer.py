@@ -1,4 +1,5 @@
-"""The side that does not know: a record, a twin and a healthy record (or none) in, `diagnosis.json` out.
+"""Answering side of the trial, without the truth: a record, a twin and a healthy record (or none) in, `diagnosis.json`
+out.
 
 python -m hil.bench.discovery.answerer
 """

@@ -1,4 +1,4 @@
-"""How visible a true effect was in a record, and its size in the catalogue's unit; asked once answers are sealed."""
+"""Visibility of a true effect in a record, and its size in the catalogue's unit; computed after answers are sealed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _UNITS = {"bias": "K", "drift_per_h": "K", "lag_s": "s"}
 
 
 def signature(contest: Contest, shown: Array, without: Array) -> Array:
-    """What an effect did to the readings, whitened (b * m,), from readings (n, m) with it and without it.
+    """Return the whitened signature (b * m,) of an effect, from readings (n, m) with it and without it.
 
     A record that was ended early has fewer rows; what it lacks counts as no difference.
     """
@@ -28,7 +28,7 @@ def signature(contest: Contest, shown: Array, without: Array) -> Array:
 
 
 def visible(contest: Contest, signatures: Sequence[Array]) -> tuple[list[float], list[float]]:
-    """Scores of true effects: each for itself, and each with the sizes of the others fitted along.
+    """Return scores of true effects: each alone, and each with the sizes of the others fitted.
 
     Tunables and initial state are projected out, with their prior. What is not visible beside the others has a score
     of 0.
@@ -46,11 +46,13 @@ def visible(contest: Contest, signatures: Sequence[Array]) -> tuple[list[float],
 def true_size(
     found: Sequence[Law], network: Network, table: Mapping[str, Any], label: tuple[str, str, str], span_s: float
 ) -> tuple[float, str] | None:
-    """Size and unit of a true effect at the end of a record of `span_s`, as its candidate's; None if none is."""
+    """Return size and unit of a true effect at the end of a record of `span_s`, as of its candidate; None if it has
+    none.
+    """
     laws_of: list[Law] = []
     for where in dict.fromkeys((label[1], family(label[1]))):
         laws_of = laws_of or [w for w in found if (w.candidate.kind, w.candidate.where) == (label[0], where)]
-    # What grows with time is the steady law in a growing shape.
+    # A growing effect is the steady law in a growing shape.
     driver = "constant" if table.get("driver") == "elapsed_time" else str(table.get("driver"))
     reached = float(course_of(table, np.array([span_s - 1.0, span_s]))[-1])
     for law in [w for w in laws_of if same_driver(w.candidate.driver, driver)] or laws_of:
@@ -61,7 +63,7 @@ def true_size(
 
 
 def course_of(table: Mapping[str, Any], edges_s: Array) -> Array:
-    """Share of its size that an effect has in each block."""
+    """Return the share of its size that an effect has in each block."""
     middle = 0.5 * (edges_s[1:] + edges_s[:-1])
     since = np.maximum(middle - table.get("onset_s", 0.0), 0.0)
     course = np.clip((edges_s[1:] - table.get("onset_s", 0.0)) / np.diff(edges_s), 0.0, 1.0)
@@ -77,7 +79,7 @@ def course_of(table: Mapping[str, Any], edges_s: Array) -> Array:
 
 
 def catalogue_size(table: Mapping[str, Any], law: Law, network: Network) -> float | None:
-    """Size of an effect in the unit of its candidate; None where the two measure different things.
+    """Return the size of an effect in the unit of its candidate; None if the two measure different quantities.
 
     So it is with the radiator's conductance and the fan's exponent, of the fins in the rig and of the whole way from
     water to air in the twin, and with a mass, whose capacity the catalogue has in steps.

@@ -1,4 +1,4 @@
-"""The side that knows: draws a hidden effect, seals it, and lets a rig that has it make a record.
+"""Knowing side of the trial: draws a hidden effect, seals it, and makes a record of a rig that has it.
 
     python -m hil.bench.discovery.injector SEALED
 
@@ -27,7 +27,7 @@ RIG = Path(__file__).resolve().parents[3] / "profiles" / "rigs" / "virtual.toml"
 
 
 class Injector:
-    """Keeps truths in the folder `sealed`."""
+    """Keeper of the truths in the folder `sealed`."""
 
     def __init__(self, sealed: Path) -> None:
         self._sealed = sealed
@@ -35,7 +35,7 @@ class Injector:
         self._rig: VirtualRig | None = None
 
     def answer(self, request: Request) -> Request:
-        """Do what is asked; the answer holds nothing of the truth but its hash."""
+        """Carry out a request; the answer holds only the hash of the truth."""
         if request["do"] == "stop":
             self._stop()
             return {}
@@ -76,7 +76,9 @@ class Injector:
     def _without(
         self, case: Setting, hidden: Truth, effects: Path | None, folder: Path, made: Path | None
     ) -> list[str]:
-        """Records with everything, `made` where it is, then without each of the labelled effects; none for nothing."""
+        """Return records with all effects, `made` if it exists, then without each labelled effect; none for a healthy
+        rig.
+        """
         if effects is None:
             return []
         count = len(hidden.effects)
@@ -100,13 +102,13 @@ class Injector:
             self._rig = None
 
     def close(self) -> None:
-        """End what still runs."""
+        """End all remaining processes."""
         self._stop()
         self._loop.close()
 
 
 def seal(hidden: Truth, path: Path) -> str:
-    """Write a truth; returns the SHA-256 of the file."""
+    """Write a truth; return the SHA-256 of the file."""
     text = json.dumps(hidden.document(), indent=1) + "\n"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
@@ -114,13 +116,13 @@ def seal(hidden: Truth, path: Path) -> str:
 
 
 def opened(path: Path) -> dict[str, Any]:
-    """A sealed truth."""
+    """Return a sealed truth."""
     found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return found
 
 
 def main() -> None:
-    """Entry point."""
+    """Serve requests from the command line."""
     injector = Injector(Path(sys.argv[1]))
     try:
         serve(injector.answer)

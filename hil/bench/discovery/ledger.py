@@ -1,4 +1,4 @@
-"""Who wrote what down first: a chain of lines, each with the hash of the one before.
+"""Ledger of the trial: a chain of lines, each with the hash of the one before.
 
 Of every case it holds that the truth was sealed, that the answer was handed in, and that the truth was opened, in this
 order; it refuses any other.
@@ -14,11 +14,11 @@ EVENTS = ("sealed", "answered", "opened")
 
 
 class LedgerError(RuntimeError):
-    """Something was to be written down out of order, or a file is not what was written down."""
+    """Error of an entry out of order, or of a file that differs from its entry."""
 
 
 class Ledger:
-    """Appends to the file at `path`."""
+    """Ledger in the file at `path`, which it appends to."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -37,7 +37,7 @@ class Ledger:
         self._state[entry["case"]][entry["event"]] = entry["sha256"]
 
     def write(self, case: str, event: str, sha256: str) -> None:
-        """Append a line; raises LedgerError where its turn has not come."""
+        """Append a line; raise LedgerError if it is out of order."""
         have = self._state.get(case, {})
         turn = EVENTS.index(event)
         if event != "sealed" and tuple(have) != EVENTS[:turn]:
@@ -51,5 +51,5 @@ class Ledger:
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file."""
+    """Return the SHA-256 of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

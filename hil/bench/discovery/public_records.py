@@ -1,4 +1,4 @@
-"""Public records of other people's rigs, from twins that lack most of what matters: what the diagnosis adds, in order.
+"""Public records of other rigs, with incomplete twins: the effects that the diagnosis adds, in order.
 
 Each twin begins with less than textbook physics and grows on one record; every rung is then simulated on records that
 no fit and no choice saw. No healthy record exists for any of them.
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.bench.experiments.public_records import FITTED_TEST, TWINS
-from hil.bench.measure.report import Cell, Table, number
+from hil.bench.measure.report import Cell, ReportTable, number
 from hil.record.public import PIPE_TESTS, Columns, dry_cooler, heated_pipe, tclab, wet_tower
 from hil.run.session.terminal import ProgressBar
 from twin.discovery.growing.growth import Added, Growth, grow, grow_at_rest
@@ -27,25 +27,25 @@ Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
 LADDER = ("rung", "driver", "size", "90 %", "gain", "elsewhere", "hidden")
-"""Columns that every ladder begins with."""
+"""Columns at the beginning of every ladder."""
 GAIN = (
     "gain: fall of -2 log likelihood when the effect joins its rung; elsewhere: how much worse the last twin would "
-    "foretell the further records without it; hidden: of four parts of the record, each hidden from the fit in turn, "
-    "how many the last twin foretells no worse with it"
+    "predict the further records without it; hidden: of four parts of the record, each hidden from the fit in turn, "
+    "how many the last twin predicts no worse with it"
 )
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """A record on which every rung is simulated, and the published figure for it."""
+class EvaluationRecord:
+    """Record with a simulation of every rung, and its published figure."""
 
     column: str
     error: Callable[[Network], float]
     published: float | None = None
 
 
-def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """A ladder for each record, what was not added, and a line where there is nothing to run. Nothing here is random.
+def measure(data: Path, seed: int) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
+    """Return a ladder for each record, the effects not added, and a line if there is no record.
 
     Raises:
         PublicRecordError: a record is absent or not what it should be.
@@ -54,7 +54,7 @@ def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
     real = data / "real"
     if not real.is_dir():
         return (), (f"records: no {real}; set HIL_DATA to the folder that holds 'real'",)
-    tables: list[Table] = []
+    tables: list[ReportTable] = []
     refused: list[tuple[Cell, ...]] = []
     with ProgressBar("growing twins", float(len(PARTS))) as steps:
         for done, (name, part) in enumerate(PARTS.items()):
@@ -65,34 +65,40 @@ def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
             growth, table = part(real, say)
             tables.append(table)
             refused += [(name, r.kind, r.where, r.driver, r.why) for r in growth.refused]
-    tables.append(Table("refused", "Not added", ("record", "effect", "at", "driver", "why"), tuple(refused)))
+    tables.append(ReportTable("refused", "Not added", ("record", "effect", "at", "driver", "why"), tuple(refused)))
     return tuple(tables), LEFT_OUT
 
 
-def _tclab(real: Path, say: Say) -> tuple[Growth, Table]:
+def _tclab(real: Path, say: Say) -> tuple[Growth, ReportTable]:
     network = load(TWINS / "tclab_bare.toml")
     train, validation = (tclab(real, f"mimo_{part}") for part in ("train", "validation"))
     single = tclab(real, "siso_train")
     growth = grow(
-        network, train.time_s, *network.select(train.columns),
-        more=((single.time_s, *network.select(single.columns)),), say=say,
-    )  # fmt: skip
+        network,
+        train.time_s,
+        *network.select(train.columns),
+        more=((single.time_s, *network.select(single.columns)),),
+        say=say,
+    )
 
     def summed(record: Columns) -> Callable[[Network], float]:
         return lambda net: float(np.nansum(np.abs(_free_run(net, record))))
 
-    judged = (Judged("train", summed(train), 270.26), Judged("validation", summed(validation), 840.95))
+    judged = (
+        EvaluationRecord("train", summed(train), 270.26),
+        EvaluationRecord("validation", summed(validation), 840.95),
+    )
     notes = (
         "train, validation: sum over all samples and both sensors of |simulated - measured|, K, free run from the "
         "first reading, of mimo_train and mimo_validation; published: the balance with radiation, exchange and lag of "
         "Park et al. 2020, fitted by them to mimo_train",
-        "fitted on mimo_train alone; siso_train, without another fit, chooses between sets that mimo_train cannot tell "
-        "apart, and what both together ask for is added",
+        "fitted on mimo_train alone; siso_train, without another fit, chooses between sets that mimo_train does not "
+        "distinguish, and effects that both together need are added",
     )
     return growth, ladder("tclab", "Temperature Control Lab, from a balance of two heaters", growth, judged, notes)
 
 
-def _heated_pipe(real: Path, say: Say) -> tuple[Growth, Table]:
+def _heated_pipe(real: Path, say: Say) -> tuple[Growth, ReportTable]:
     network = load(TWINS / "heated_pipe_mixed.toml")
     tests = {test: heated_pipe(real, test) for test in PIPE_TESTS}
     own = tests[FITTED_TEST]
@@ -102,20 +108,23 @@ def _heated_pipe(real: Path, say: Say) -> tuple[Growth, Table]:
     def rmse(record: Columns) -> Callable[[Network], float]:
         return lambda net: float(np.sqrt(np.nanmean(_free_run(net, record) ** 2)))
 
-    judged = tuple(Judged(name.removeprefix("ulg_"), rmse(test)) for name, test in tests.items())
+    judged = tuple(EvaluationRecord(name.removeprefix("ulg_"), rmse(test)) for name, test in tests.items())
     notes = (
         "columns by test: RMSE of the outlet's water, K, free run from the first reading, flow and inlet as measured",
         f"fitted on {FITTED_TEST} alone; the others, at other flows, only choose between sets of effects that it "
-        "cannot tell apart, without another fit",
+        "does not distinguish, without another fit",
     )
     return growth, ladder("heated_pipe", "Heated pipe, from one mixed volume", growth, judged, notes)
 
 
-def _dry_cooler(real: Path, say: Say) -> tuple[Growth, Table]:
+def _dry_cooler(real: Path, say: Say) -> tuple[Growth, ReportTable]:
     network = load(TWINS / "dry_cooler_constant.toml")
     calibration, validation = (dry_cooler(real, f"dc_{part}") for part in ("exp1", "exp3"))
     growth = grow_at_rest(network, *network.select(calibration.columns), say=say)
-    judged = (Judged("dc_exp1", _at_rest(calibration)), Judged("dc_exp3", _at_rest(validation), 0.50))
+    judged = (
+        EvaluationRecord("dc_exp1", _at_rest(calibration)),
+        EvaluationRecord("dc_exp3", _at_rest(validation), 0.50),
+    )
     notes = (
         "dc_exp1, dc_exp3: RMSE of the outlet over steady states, K; grown and fitted on dc_exp1 alone",
         "published for dc_exp3: 0.50 K by its authors' physical model, 0.32 K by their Gaussian process",
@@ -123,11 +132,14 @@ def _dry_cooler(real: Path, say: Say) -> tuple[Growth, Table]:
     return growth, ladder("dry_cooler", "Dry cooler, steady states, from a constant conductance", growth, judged, notes)
 
 
-def _wet_tower(real: Path, say: Say) -> tuple[Growth, Table]:
+def _wet_tower(real: Path, say: Say) -> tuple[Growth, ReportTable]:
     network = load(TWINS / "wet_tower_constant.toml")
     calibration, validation = (wet_tower(real, f"wct_{part}") for part in ("exp1", "exp3"))
     growth = grow_at_rest(network, *network.select(calibration.columns), say=say)
-    judged = (Judged("wct_exp1", _at_rest(calibration)), Judged("wct_exp3", _at_rest(validation), 0.33))
+    judged = (
+        EvaluationRecord("wct_exp1", _at_rest(calibration)),
+        EvaluationRecord("wct_exp3", _at_rest(validation), 0.33),
+    )
     notes = (
         "wct_exp1, wct_exp3: RMSE of the outlet over steady states, K; grown and fitted on wct_exp1 alone; flow ratio: "
         "that of air to water",
@@ -136,26 +148,28 @@ def _wet_tower(real: Path, say: Say) -> tuple[Growth, Table]:
     return growth, ladder("wet_tower", "Wet tower, steady states, from a constant Merkel number", growth, judged, notes)
 
 
-def ladder(key: str, title: str, growth: Growth, judged: tuple[Judged, ...], notes: tuple[str, ...]) -> Table:
-    """One row a rung: what was added, why, and the error of the twin so far on each record."""
+def ladder(
+    key: str, title: str, growth: Growth, judged: tuple[EvaluationRecord, ...], notes: tuple[str, ...]
+) -> ReportTable:
+    """Return one row for each rung: the effect, its evidence, and the error of the twin so far on each record."""
     rows = []
     for rung in growth.rungs:
         rows.append((*_added(rung.added), *(one.error(rung.network) for one in judged)))
     if any(one.published is not None for one in judged):
         rows.append(("published", *[""] * (len(LADDER) - 1), *(one.published for one in judged)))
     same = tuple(
-        f"{_name(a)} cannot be told from {', '.join(' '.join(o).replace('_', ' ') for o in a.others)}"
+        f"{_name(a)} is not distinguishable from {', '.join(' '.join(o).replace('_', ' ') for o in a.others)}"
         for rung in growth.rungs
         if (a := rung.added) is not None and a.others
     )
-    return Table(
+    return ReportTable(
         key, title, (*LADDER, *(one.column for one in judged)), tuple(rows), (growth.summary, *same, GAIN, *notes)
     )
 
 
 def _added(added: Added | None) -> tuple[Cell, ...]:
     if added is None:
-        return ("as it is, fitted", *[""] * (len(LADDER) - 1))
+        return ("baseline, fitted", *[""] * (len(LADDER) - 1))
     low, high = (number(v) for v in added.interval90)
     size = f"{number(added.value)} {added.unit}"
     return (
@@ -174,7 +188,7 @@ def _name(added: Added) -> str:
 
 
 def _free_run(network: Network, record: Columns) -> Array:
-    """Simulated less measured (n, m), K."""
+    """Return simulated less measured (n, m), K."""
     inputs, measured = network.select(record.columns)
     difference: Array = simulate(network, record.time_s, inputs, network.initial_state(measured[:1])) - measured
     return difference
@@ -188,7 +202,7 @@ def _at_rest(states: Columns) -> Callable[[Network], float]:
     return error
 
 
-PARTS: dict[str, Callable[[Path, Say], tuple[Growth, Table]]] = {
+PARTS: dict[str, Callable[[Path, Say], tuple[Growth, ReportTable]]] = {
     "tclab": _tclab,
     "heated_pipe": _heated_pipe,
     "dry_cooler": _dry_cooler,

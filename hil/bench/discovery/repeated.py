@@ -1,4 +1,4 @@
-"""What a twin is worth that has taken up an effect: later records of the same rig, with nothing new and with more.
+"""Value of a revised twin: later records of the same rig, without and with a further effect.
 
 The first record has one lasting effect that the twin does not know of. Where the diagnosis finds it, the revision that
 it saves is asked with two further records, in which the effect is there from the beginning: one without anything else,
@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.bench.discovery.injector import RIG
-from hil.bench.discovery.score import Outcome, judge, wilson
+from hil.bench.discovery.score import AnswerScore, judge, wilson
 from hil.bench.discovery.tables import failure
 from hil.bench.discovery.trial import HOUR, commissioned
 from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.synthetic.hidden_effects import Setting, Truth, effects_text, lasting, profile, setting
 from hil.synthetic.plant_record import direct_record
 
@@ -28,16 +28,18 @@ TWIN = "loop"
 
 
 @dataclass(frozen=True, slots=True)
-class Chain:
-    """The records of one rig in their order; None for those that there was nothing to ask with."""
+class RigRecords:
+    """Records of one rig in order; None for those without a twin to diagnose them."""
 
-    first: Outcome
-    same: Outcome | None = None
-    more: Outcome | None = None
+    first: AnswerScore
+    same: AnswerScore | None = None
+    more: AnswerScore | None = None
 
 
-def measure(count: int, hours: float, seed: int, work: Path, progress: Callable[[float, str], None]) -> list[Chain]:
-    """So many rigs. `progress` is told the share done and what came out last."""
+def measure(
+    count: int, hours: float, seed: int, work: Path, progress: Callable[[float, str], None]
+) -> list[RigRecords]:
+    """Measure this number of rigs. `progress` is called with the share done and the last result."""
     done = []
     for number in range(count):
         kept = work / f"again-{hours:g}h-seed{seed}" / f"{number}.json"
@@ -45,13 +47,13 @@ def measure(count: int, hours: float, seed: int, work: Path, progress: Callable[
             kept.parent.mkdir(parents=True, exist_ok=True)
             kept.write_text(json.dumps(dataclasses.asdict(_chain(number, hours, seed, kept.parent))), encoding="utf-8")
         found = json.loads(kept.read_text(encoding="utf-8"))
-        same, more = (Outcome(**found[key]) if found[key] else None for key in ("same", "more"))
-        done.append(Chain(Outcome(**found["first"]), same, more))
+        same, more = (AnswerScore(**found[key]) if found[key] else None for key in ("same", "more"))
+        done.append(RigRecords(AnswerScore(**found["first"]), same, more))
         progress((number + 1) / count, " / ".join(o.verdict for o in _outcomes(done[-1:])))
     return done
 
 
-def _chain(number: int, hours: float, seed: int, work: Path) -> Chain:
+def _chain(number: int, hours: float, seed: int, work: Path) -> RigRecords:
     before = setting(number, seed, hours, "again")
     after = dataclasses.replace(setting(number, seed, hours, "later"), unit=before.unit)
     first, second = lasting(number, seed, hours)
@@ -63,17 +65,17 @@ def _chain(number: int, hours: float, seed: int, work: Path) -> Chain:
     twin = Path(shutil.copyfile(own, folder / "twin.toml"))
     found, revision = _asked(before, first, first, twin, good)
     if revision is None:
-        return Chain(found)
+        return RigRecords(found)
     stays = tuple({**table, "onset_s": 0.0} for table in first.effects)
-    nothing = Truth("none", f"what was there: {first.what}", stays, ())
+    nothing = Truth("none", f"true effect:  {first.what}", stays, ())
     both = Truth("one", f"{second.what}, beside {first.what}", (*second.effects, *stays), second.labels)
     same, _ = _asked(after, nothing, nothing, revision, good)
     more, _ = _asked(after, both, second, revision, good)
-    return Chain(found, same, more)
+    return RigRecords(found, same, more)
 
 
-def _asked(case: Setting, there: Truth, new: Truth, twin: Path, good: Path) -> tuple[Outcome, Path | None]:
-    """What a twin file says of a record with what is `there`, of which some is `new`; and its next revision."""
+def _asked(case: Setting, there: Truth, new: Truth, twin: Path, good: Path) -> tuple[AnswerScore, Path | None]:
+    """Diagnose a record with the effects `there`, of which `new` are new; return also the twin's next revision."""
     from drivers.rig_file import load_rig
     from drivers.virtual.plant import load_effects
     from hil.diagnosis.columns import columns_of, read_healthy, with_clock
@@ -93,12 +95,12 @@ def _asked(case: Setting, there: Truth, new: Truth, twin: Path, good: Path) -> t
     return outcome, revise(found, network, twin, twin.with_suffix(".parquet"))
 
 
-def _outcomes(chains: Sequence[Chain]) -> list[Outcome]:
+def _outcomes(chains: Sequence[RigRecords]) -> list[AnswerScore]:
     return [o for c in chains for o in (c.first, c.same, c.more) if o is not None]
 
 
-def tables(chains: Sequence[Chain], hours: float) -> tuple[Table, ...]:
-    """Counts with 90 % Wilson intervals, and every failure by name."""
+def tables(chains: Sequence[RigRecords], hours: float) -> tuple[ReportTable, ...]:
+    """Return counts with 90 % Wilson intervals, and every failure by name."""
     same = [c.same for c in chains if c.same is not None]
     more = [c.more for c in chains if c.more is not None]
     told = [o for o in more if o.alarmed]
@@ -112,16 +114,19 @@ def tables(chains: Sequence[Chain], hours: float) -> tuple[Table, ...]:
         row("first record: a revision saved", len(same), len(chains)),
         row("later record, nothing new: adequate", sum(o.verdict == "adequate" for o in same), len(same)),
         row("later record, a second effect: something found", len(told), len(more)),
-        row("later record, a second effect: right but for equivalents, of found", sum(bool(o.class1) for o in told),
-            len(told)),
-    )  # fmt: skip
+        row(
+            "later record, a second effect: right but for equivalents, of found",
+            sum(bool(o.class1) for o in told),
+            len(told),
+        ),
+    )
     seconds = median([o.seconds for o in _outcomes(chains)])
     note = (
         f"records of {hours:g} h from the virtual rig's parts, twin {TWIN}.toml; effects of all sizes, so some of the "
         f"second ones are too faint to be seen; {seconds:.0f} s a record (median)"
     )
     columns = ("what", "cases", "of", "%", "90 % from", "to")
-    scores = Table("again", "A twin that took up an effect, asked again", columns, rows, (note,))
+    scores = ReportTable("again", "A revised twin on later records", columns, rows, (note,))
     wrong = [(o.case, what, o.what, o.verdict, o.said, o.z) for o in _outcomes(chains) if (what := failure(o))]
     told_of = ("case", "failure", "truth", "verdict", "answer", "z")
-    return scores, Table("failures", "Failures", told_of, tuple(wrong))
+    return scores, ReportTable("failures", "Failures", told_of, tuple(wrong))

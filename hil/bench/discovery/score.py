@@ -1,4 +1,4 @@
-"""What an answer is worth beside the truth: names, places, drivers, sizes, onsets, errors."""
+"""Score of an answer against the truth: names, places, drivers, sizes, onsets, errors."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Label = tuple[str, str]
 
 NAMED = ("effect found", "ambiguous")
 CLASSES: tuple[frozenset[Label], ...] = (
-    # All temperatures follow heat over flow: scaling one down is scaling the other up.
+    # All temperatures follow heat over flow: scaling one down equals scaling the other up.
     frozenset({("flow", "loop"), ("actuator", "pump_speed"), ("actuator", "heater_power")}),
     # All change the conductance from radiator to room.
     frozenset({("heat_rejection", "radiator"), ("actuator", "fan_speed"), ("heat_loss", "radiator")}),
 )
-"""Causes that no record of temperatures tells apart, or hardly."""
+"""Causes that are not or hardly distinguishable in any record of temperatures."""
 _SAME_DRIVER = (
     frozenset({"history", "rate_of_change"}),
     frozenset({"temperature", "temperature_difference"}),
@@ -28,8 +28,8 @@ SECONDS_PER_MINUTE = 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """One case, opened and judged; None where a question does not arise.
+class AnswerScore:
+    """Score of one opened case; None if a question does not apply.
 
     Attributes:
         z, confidence: of the answer's first effect. z_truth: forecast for the true effect, see `discovery_ablation`.
@@ -42,7 +42,7 @@ class Outcome:
             told from what it is, a switch that a temperature turned.
         onset_min: error of the onset, minutes. size: relative error. errors_K: RMSE on the held-out part, re-tuned,
             with the effects, and the thermometers' noise, over all sensors.
-        seconds, cpu_s: what the diagnosis took by the clock, and of all processors, whatever else ran beside it.
+        seconds, cpu_s: duration of the diagnosis by the clock, and processor time.
         excess: share of the squared error above the floor that the effects took away.
         size_held, onset_held: the answer's 90 % interval holds the true one.
     """
@@ -75,17 +75,19 @@ class Outcome:
 
     @property
     def named(self) -> bool:
-        """A cause was named."""
+        """Return True if a cause was named."""
         return self.verdict in NAMED
 
     @property
     def alarmed(self) -> bool:
-        """Something was found, whatever it was called."""
+        """Return True if any effect was found."""
         return self.named or self.verdict == "unexplained"
 
     @property
     def right(self) -> bool:
-        """Nothing that was said is wrong, equivalents taken as equal; for `unexplained`, that nothing fits."""
+        """Return True if the answer has no error, with equivalents counted as equal; for `unexplained`, if no cause
+        fits.
+        """
         if self.group == "none":
             return self.verdict == "adequate"
         if self.group == "outside":
@@ -94,10 +96,16 @@ class Outcome:
 
 
 def judge(
-    case: str, load: str, hidden: Mapping[str, Any], answer: Mapping[str, Any], took: tuple[float, float],
-    z_truth: float | None = None, sizes: Sequence[tuple[float, str] | None] = (), z_beside: Sequence[float] = (),
-) -> Outcome:  # fmt: skip
-    """Compare an answer, `diagnosis.json`, with a truth as it was sealed.
+    case: str,
+    load: str,
+    hidden: Mapping[str, Any],
+    answer: Mapping[str, Any],
+    took: tuple[float, float],
+    z_truth: float | None = None,
+    sizes: Sequence[tuple[float, str] | None] = (),
+    z_beside: Sequence[float] = (),
+) -> AnswerScore:
+    """Score an answer, `diagnosis.json`, against a sealed truth.
 
     Args:
         took: s, by the clock and of processors.
@@ -131,15 +139,33 @@ def judge(
         if true is not None and true[1] == first["unit"] and true[0]:
             size = abs(first["value"] - true[0]) / abs(true[0])
             size_held = _held(first["interval90"], true[0])
-    return Outcome(
-        case=case, group=group, what=str(hidden["what"]), load=load, verdict=verdict,
+    return AnswerScore(
+        case=case,
+        group=group,
+        what=str(hidden["what"]),
+        load=load,
+        verdict=verdict,
         said="; ".join(spoken(e) for e in effects) or "-",
-        z=first["z"] if first else None, confidence=first["confidence"] if first else None,
-        seconds=took[0], cpu_s=took[1], z_truth=z_truth,
-        exact=exact, top1=top1, class1=class1, in_set=in_set, set_size=set_size,
-        place=right_place, driver=right_driver, in_words=in_words, onset_min=onset, size=size, errors_K=pooled(answer),
-        z_least=min(z_beside, default=None), size_held=size_held, onset_held=onset_held,
-    )  # fmt: skip
+        z=first["z"] if first else None,
+        confidence=first["confidence"] if first else None,
+        seconds=took[0],
+        cpu_s=took[1],
+        z_truth=z_truth,
+        exact=exact,
+        top1=top1,
+        class1=class1,
+        in_set=in_set,
+        set_size=set_size,
+        place=right_place,
+        driver=right_driver,
+        in_words=in_words,
+        onset_min=onset,
+        size=size,
+        errors_K=pooled(answer),
+        z_least=min(z_beside, default=None),
+        size_held=size_held,
+        onset_held=onset_held,
+    )
 
 
 def _held(interval: Sequence[float], true: float) -> bool:
@@ -149,28 +175,32 @@ def _held(interval: Sequence[float], true: float) -> bool:
 def _in_words(
     effects: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]], label: tuple[str, str, str]
 ) -> bool:
-    """Whether something that came and went is told by steps of one kind, place and driver, a stuck one as stuck, or
-    what switched on, by its place and by that it cannot be told from a switch."""
+    """Return True if steps of one kind, place and driver describe a transient effect, a stuck sensor is called stuck,
+    or a switch has its place and its ambiguity.
+    """
     switch = label[2] == "threshold" and tuple(label) in {(a["kind"], a["where"], a["driver"]) for a in others}
     if len(effects) == 1 and (switch or effects[0]["shape"] == "stuck"):
         return (effects[0]["kind"], effects[0]["where"]) == (label[0], label[1])
     told = {(e["kind"], e["where"], e["driver"], e["shape"]) for e in effects}
     kind, where, _, shape = next(iter(told))
     return (
-        label[2] == "history" and len(told) == 1 and len(effects) > 1 and shape == "step"
+        label[2] == "history"
+        and len(told) == 1
+        and len(effects) > 1
+        and shape == "step"
         and alike((kind, where), (label[0], label[1]), ())
-    )  # fmt: skip
+    )
 
 
 def spoken(effect: Mapping[str, Any]) -> str:
-    """An effect of an answer in one line."""
+    """Return an effect of an answer in one line."""
     size = f"{effect['value']:.3g} {effect['unit']}" if effect["value"] is not None else ""
     since = f"{effect['onset_s'] / 3600.0:.1f} h"
     return f"{effect['kind']} at {effect['where']} ({effect['driver']}) {size} {effect['shape']} since {since}"
 
 
 def alike(said: Label, truth: Label, others: Sequence[Label]) -> bool:
-    """Named, named as indistinguishable, or of the same class."""
+    """Return True if it was named, named as indistinguishable, or is of the same class."""
     if said == truth or truth in others:
         return True
     a, b = (said[0], family(said[1])), (truth[0], family(truth[1]))
@@ -178,23 +208,23 @@ def alike(said: Label, truth: Label, others: Sequence[Label]) -> bool:
 
 
 def family(where: str) -> str:
-    """A module counts as the modules, its sensor as theirs."""
+    """Return the family of a place: a module counts as the modules, its sensor as theirs."""
     return _MODULE.sub("modules", where)
 
 
 def volume(where: str) -> str:
-    """The volume that a place or a sensor belongs to."""
+    """Return the volume of a place or a sensor."""
     inner = where.removeprefix("T_").removesuffix("_C") if where.startswith("T_") else where
     return "heater" if family(inner) == "element" else family(inner)
 
 
 def same_driver(a: str, b: str) -> bool:
-    """Whether two words mean one driver."""
+    """Return True if two words mean one driver."""
     return a == b or any({a, b} <= c for c in _SAME_DRIVER)
 
 
 def pooled(answer: Mapping[str, Any]) -> tuple[float, float, float] | None:
-    """RMSE over all sensors of an answer, K: re-tuned, with its effects, noise."""
+    """Return the RMSE over all sensors of an answer, K: re-tuned, with its effects, noise."""
     rows = list(answer["error"]["sensors"].values())
     found = []
     for key in ("before", "after", "noise"):
@@ -206,7 +236,7 @@ def pooled(answer: Mapping[str, Any]) -> tuple[float, float, float] | None:
 
 
 def wilson(hits: int, of: int, z: float = 1.6449) -> tuple[float, float]:
-    """90 % interval of a share. Wilson, J. Am. Stat. Assoc. 22 (1927) 209."""
+    """Return the 90 % interval of a share. Wilson, J. Am. Stat. Assoc. 22 (1927) 209."""
     if not of:
         return float("nan"), float("nan")
     p = hits / of
@@ -216,8 +246,10 @@ def wilson(hits: int, of: int, z: float = 1.6449) -> tuple[float, float]:
     return max((middle - half) / scale, 0.0), min((middle + half) / scale, 1.0)
 
 
-def risk_at_coverage(outcomes: Iterable[Outcome], shares: Sequence[float]) -> list[tuple[float, int, int, float]]:
-    """For shares of the cases in which a cause was named, surest first: share, cases, wrong ones, least confidence."""
+def risk_at_coverage(outcomes: Iterable[AnswerScore], shares: Sequence[float]) -> list[tuple[float, int, int, float]]:
+    """Return for shares of the cases with a named cause, highest confidence first: share, cases, wrong ones, least
+    confidence.
+    """
     ranked = sorted((o for o in outcomes if o.named), key=lambda o: (-(o.confidence or 0.0), -(o.z or 0.0)))
     rows = []
     for share in shares:

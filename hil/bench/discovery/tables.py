@@ -1,4 +1,4 @@
-"""The tables of `hil bench discovery`: counts with 90 % Wilson intervals, and every failure by name."""
+"""Tables of `hil bench discovery`: counts with 90 % Wilson intervals, and every failure by name."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from hil.bench.discovery.score import Outcome, alike, risk_at_coverage, wilson
-from hil.bench.discovery.trial import Finished, Size
+from hil.bench.discovery.score import AnswerScore, alike, risk_at_coverage, wilson
+from hil.bench.discovery.trial import FinishedCase, TrialSize
 from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, Table, number
+from hil.bench.measure.report import Cell, ReportTable, number
 
 Z_EDGES = (0.0, 3.0, 6.0, 10.0, 20.0, 50.0, math.inf)
 SEEN = 5.0
-"""Score of the truth from which it is asked to be named."""
+"""Score of the truth above which it should be named."""
 CLEAR = 20.0
-"""Score from which chance has little to say in an effect's size."""
+"""Score above which chance has little influence on an effect's size."""
 COVERAGES = (0.25, 0.5, 0.75, 0.9, 1.0)
 GROUP_NAMES = {
     "none": "nothing", "one": "one effect of the catalogue", "two": "two of them", "outside": "not in the catalogue",
 }  # fmt: skip
 
 
-def tables(done: Sequence[Finished], size: Size) -> tuple[Table, ...]:
-    """Everything that is reported."""
+def tables(done: Sequence[FinishedCase], size: TrialSize) -> tuple[ReportTable, ...]:
+    """Return all tables of the report."""
     outcomes = [f.outcome for f in done]
     how = _how(size)
     return tuple(
@@ -36,13 +36,13 @@ def tables(done: Sequence[Finished], size: Size) -> tuple[Table, ...]:
     )  # fmt: skip
 
 
-def _how(size: Size) -> str:
+def _how(size: TrialSize) -> str:
     wires = (
         "plant, instruments and thermocouple module stepped directly, without Modbus and CAN"
         if size.direct
         else "replayed by the loop of `hil run` over Modbus and CAN"
     )
-    kept = "" if size.known_healthy else ", which the diagnosis is not given"
+    kept = "" if size.known_healthy else ", which the diagnosis does not get"
     return f"records of {size.hours:g} h, {wires}; twin {size.twin}.toml, commissioned on ten healthy hours{kept}"
 
 
@@ -51,12 +51,12 @@ def _share(name: str, hits: int, of: int) -> tuple[Cell, ...]:
     return (name, hits, of, 100.0 * hits / of if of else None, 100.0 * low, 100.0 * high)
 
 
-def _count(name: str, outcomes: Sequence[Outcome], test: Callable[[Outcome], bool | None]) -> tuple[Cell, ...]:
+def _count(name: str, outcomes: Sequence[AnswerScore], test: Callable[[AnswerScore], bool | None]) -> tuple[Cell, ...]:
     found = [bool(v) for o in outcomes if (v := test(o)) is not None]
     return _share(name, sum(found), len(found))
 
 
-def _scores(outcomes: Sequence[Outcome], how: str) -> Table:
+def _scores(outcomes: Sequence[AnswerScore], how: str) -> ReportTable:
     none = [o for o in outcomes if o.group == "none"]
     inside = [o for o in outcomes if o.group in ("one", "two")]
     one = [o for o in inside if o.group == "one"]
@@ -84,7 +84,7 @@ def _scores(outcomes: Sequence[Outcome], how: str) -> Table:
         _count("catalogue, something found: left unexplained", seen, lambda o: o.verdict == "unexplained"),
         _count("not in the catalogue: left unexplained (recall)", outside, lambda o: o.verdict == "unexplained"),
         _count("left unexplained: rightly (precision)", abstained, lambda o: o.group == "outside"),
-        _count("not in the catalogue: told by effects of the right kind and place", outside, lambda o: o.in_words),
+        _count("not in the catalogue: described by effects of the right kind and place", outside, lambda o: o.in_words),
         _count("not in the catalogue: a wrong cause named", outside, lambda o: o.named and not o.in_words),
         _count("not in the catalogue, left unexplained: place right",
                [o for o in outside if o.verdict == "unexplained"], lambda o: o.place),
@@ -93,11 +93,11 @@ def _scores(outcomes: Sequence[Outcome], how: str) -> Table:
         _count("no answer (an error)", outcomes, lambda o: o.verdict == "crashed"),
     ]  # fmt: skip
     columns = ("what", "cases", "of", "%", "90 % from", "to")
-    return Table("scores", "Scores", columns, tuple(r for r in rows if r[2]), (how,))
+    return ReportTable("scores", "Scores", columns, tuple(r for r in rows if r[2]), (how,))
 
 
-def _visible(one: Sequence[Outcome]) -> tuple[tuple[Cell, ...], ...]:
-    """What is asked of single effects that the record can show."""
+def _visible(one: Sequence[AnswerScore]) -> tuple[tuple[Cell, ...], ...]:
+    """Return the counts of single effects that the record can show."""
     name = f"one effect with a score of {SEEN:g} or more"
     return (
         _count(f"{name}: right but for equivalents", one, lambda o: bool(o.class1)),
@@ -106,17 +106,17 @@ def _visible(one: Sequence[Outcome]) -> tuple[tuple[Cell, ...], ...]:
     )
 
 
-def _verdicts(outcomes: Sequence[Outcome]) -> Table:
+def _verdicts(outcomes: Sequence[AnswerScore]) -> ReportTable:
     names = ("adequate", "effect found", "ambiguous", "unexplained", "crashed")
     rows: list[tuple[Cell, ...]] = []
     for group, name in GROUP_NAMES.items():
         found = [o.verdict for o in outcomes if o.group == group]
         if found:
             rows.append((name, len(found), *(found.count(v) for v in names)))
-    return Table("verdicts", "Verdicts", ("truth", "cases", *names), tuple(rows))
+    return ReportTable("verdicts", "Verdicts", ("truth", "cases", *names), tuple(rows))
 
 
-def _numbers(outcomes: Sequence[Outcome]) -> Table:
+def _numbers(outcomes: Sequence[AnswerScore]) -> ReportTable:
     inside = [o for o in outcomes if o.group in ("one", "two") and o.named]
     one = [o for o in inside if o.group == "one"]
     errors = [o.errors_K for o in inside if o.errors_K]
@@ -142,10 +142,10 @@ def _numbers(outcomes: Sequence[Outcome]) -> Table:
         ("seconds a record", median(times), max(times, default=float("nan")), len(times)),
         ("seconds of processors a record", median(used), max(used, default=float("nan")), len(used)),
     ]  # fmt: skip
-    return Table("numbers", "Sizes, onsets, errors and time", ("what", "median", "worst", "cases"), tuple(rows))
+    return ReportTable("numbers", "Sizes, onsets, errors and time", ("what", "median", "worst", "cases"), tuple(rows))
 
 
-def _by_z(outcomes: Sequence[Outcome]) -> Table:
+def _by_z(outcomes: Sequence[AnswerScore]) -> ReportTable:
     rows = []
     for low, high in zip(Z_EDGES[:-1], Z_EDGES[1:], strict=True):
         found = [o for o in outcomes if o.group == "one" and o.z_truth is not None and low <= o.z_truth < high]
@@ -158,17 +158,17 @@ def _by_z(outcomes: Sequence[Outcome]) -> Table:
             ))  # fmt: skip
     note = "score that the true effect would get at its true size, tunables projected out"
     columns = ("z of the truth", "cases", "found", "right", "but for equivalents", "in the set", "unexplained")
-    return Table("z", "One effect, by how visible it is", columns, tuple(rows), (note,))
+    return ReportTable("z", "One effect, by its visibility", columns, tuple(rows), (note,))
 
 
-def _risk(outcomes: Sequence[Outcome]) -> Table:
+def _risk(outcomes: Sequence[AnswerScore]) -> ReportTable:
     rows = [
         (f"surest {share:.0%}", n, wrong, 100.0 * wrong / n if n else None, least)
         for share, n, wrong, least in risk_at_coverage(outcomes, COVERAGES)
     ]
     columns = ("of all cases with a named cause", "cases", "wrong", "%", "least confidence")
     note = "a cause named on a healthy record, or for something outside the catalogue, counts as wrong"
-    return Table("risk", "Risk and coverage", columns, tuple(rows), (note,))
+    return ReportTable("risk", "Risk and coverage", columns, tuple(rows), (note,))
 
 
 METHODS = (
@@ -178,15 +178,15 @@ METHODS = (
 )
 
 
-def _ablations(done: Sequence[Finished]) -> Table:
+def _ablations(done: Sequence[FinishedCase]) -> ReportTable:
     tried = [f for f in done if f.ablation and not f.ablation.get("failed")]
     one = [f for f in tried if f.outcome.group == "one"]
     none = [f for f in tried if f.outcome.group == "none"]
     outside = [f for f in tried if f.outcome.group == "outside"]
     if not tried:
-        return Table("ablations", "Parts left out", (), ())
+        return ReportTable("ablations", "Ablations", (), ())
     rows: list[tuple[Cell, ...]] = [(
-        "as it is", len(one), sum(bool(f.outcome.top1) for f in one), sum(bool(f.outcome.class1) for f in one),
+        "complete", len(one), sum(bool(f.outcome.top1) for f in one), sum(bool(f.outcome.class1) for f in one),
         len(none), sum(f.outcome.alarmed for f in none), len(outside),
         sum(f.outcome.named and not f.outcome.in_words for f in outside),
     )]  # fmt: skip
@@ -201,16 +201,16 @@ def _ablations(done: Sequence[Finished]) -> Table:
     columns = (
         "method", "one effect", "right", "but for equivalents", "healthy", "alarms", "not in the catalogue", "named",
     )  # fmt: skip
-    return Table("ablations", "Parts of the method left out, on the same records", columns, tuple(rows))
+    return ReportTable("ablations", "Ablations of the method, on the same records", columns, tuple(rows))
 
 
-def _seen(finished: Finished, key: str) -> bool:
+def _seen(finished: FinishedCase, key: str) -> bool:
     assert finished.ablation is not None
     rows = finished.ablation.get(key, ())
     return bool(rows) and rows[0]["z"] >= (1.0 if key == "sindy" else finished.ablation["threshold"])
 
 
-def _first(finished: Finished, key: str) -> tuple[bool, bool]:
+def _first(finished: FinishedCase, key: str) -> tuple[bool, bool]:
     assert finished.ablation is not None
     if not _seen(finished, key):
         return False, False
@@ -220,12 +220,12 @@ def _first(finished: Finished, key: str) -> tuple[bool, bool]:
     return said == truth, alike(said, truth, ())
 
 
-def _truth_label(outcome: Outcome) -> tuple[str, str]:
+def _truth_label(outcome: AnswerScore) -> tuple[str, str]:
     kind, _, rest = outcome.what.partition(" at ")
     return kind, rest.split(" (")[0]
 
 
-def _by_load(outcomes: Sequence[Outcome]) -> Table:
+def _by_load(outcomes: Sequence[AnswerScore]) -> ReportTable:
     rows = []
     for load in dict.fromkeys(o.load for o in outcomes):
         one = [o for o in outcomes if o.load == load and o.group == "one"]
@@ -235,11 +235,11 @@ def _by_load(outcomes: Sequence[Outcome]) -> Table:
             sum(bool(o.class1) for o in one), len(none), sum(o.alarmed for o in none),
         ))  # fmt: skip
     columns = ("load", "one effect", "found", "right", "but for equivalents", "healthy", "alarms")
-    return Table("loads", "By kind of load", columns, tuple(rows))
+    return ReportTable("loads", "By kind of load", columns, tuple(rows))
 
 
-def failure(o: Outcome) -> str | None:
-    """What went wrong, None where nothing did; an effect too faint to be seen is no failure."""
+def failure(o: AnswerScore) -> str | None:
+    """Return the error of an answer, None if there is none; an undetectable effect is no failure."""
     if o.verdict == "crashed":
         return "no answer"
     if o.group == "none":
@@ -248,7 +248,7 @@ def failure(o: Outcome) -> str | None:
         return "missed" if (o.z_truth or 0.0) >= Z_EDGES[2] or o.group == "outside" else None
     if o.group == "outside":
         if o.named:
-            return None if o.in_words else "named what it cannot know"
+            return None if o.in_words else "named a cause outside the catalogue"
         return "wrong place" if o.place is False else None
     if o.verdict == "unexplained":
         return "left unexplained"
@@ -259,7 +259,7 @@ def failure(o: Outcome) -> str | None:
     return "equivalent only" if not o.top1 else "one too many" if not o.exact else None
 
 
-def _failures(done: Sequence[Finished], size: Size) -> Table:
+def _failures(done: Sequence[FinishedCase], size: TrialSize) -> ReportTable:
     rows: list[tuple[Cell, ...]] = []
     for f in done:
         o = f.outcome
@@ -271,4 +271,4 @@ def _failures(done: Sequence[Finished], size: Size) -> Table:
     named = "--case NUMBER, --healthy-case NUMBER or --double-case NUMBER"
     named = named if size.known_healthy else f"--no-healthy {named}"
     again = f"one again: --{how} --hours {size.hours:g} --twin {size.twin} {named}"
-    return Table("failures", "Failures", columns, tuple(rows), (again,))
+    return ReportTable("failures", "Failures", columns, tuple(rows), (again,))

@@ -1,4 +1,4 @@
-"""Blind trial of the diagnosis: effects that it was not told of, answers sealed before the truth is opened.
+"""Blind trial of the diagnosis: hidden effects, with answers sealed before the truth is opened.
 
 Per case: the injector (a process) draws an effect, seals it and makes a record; the answerer (another) gets that
 record, the twin and a healthy record, and nothing else; the hash of its answer goes into a ledger; then the truth is
@@ -22,7 +22,7 @@ from typing import Any
 
 from hil.bench.discovery.injector import RIG, opened
 from hil.bench.discovery.ledger import Ledger, sha256_of
-from hil.bench.discovery.score import Outcome, judge
+from hil.bench.discovery.score import AnswerScore, judge
 from hil.bench.discovery.worker import PROJECT, Worker, WorkerError
 from hil.files.atomic import replacing
 from hil.synthetic.hidden_effects import Setting, profile, profile_text, setting
@@ -34,9 +34,10 @@ COMMISSIONING_SEED = 77
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
-    """How much is tried: numbers of cases, of further healthy records and of further ones with two effects, length in
-    h, with or without the wires, and whether the diagnosis is given the healthy records."""
+class TrialSize:
+    """Size of a trial: numbers of cases, of further healthy records and of further ones with two effects, length in h,
+    use of the wires, and use of healthy records.
+    """
 
     cases: tuple[int, ...]
     healthy: tuple[int, ...]
@@ -49,24 +50,24 @@ class Size:
 
     @property
     def jobs(self) -> tuple[tuple[str, int], ...]:
-        """Kind and number of each record."""
+        """Return kind and number of each record."""
         each = (("case", self.cases), ("healthy", self.healthy), ("double", self.doubles))
         return tuple((kind, number) for kind, numbers in each for number in numbers)
 
 
 @dataclass(frozen=True, slots=True)
-class Finished:
-    """One case with everything that was said about it; `ablation` None where it was not tried."""
+class FinishedCase:
+    """Finished case with its answers and scores; `ablation` is None if it was not run."""
 
-    outcome: Outcome
+    outcome: AnswerScore
     answer: dict[str, Any]
     ablation: dict[str, Any] | None
 
 
-class Trial:
-    """Runs cases in the folder `work`, one after the other."""
+class BlindTrial:
+    """Trial that runs cases in the folder `work`, one after the other."""
 
-    def __init__(self, size: Size, seed: int, work: Path) -> None:
+    def __init__(self, size: TrialSize, seed: int, work: Path) -> None:
         self.size, self.seed = size, seed
         how = "direct" if size.direct else "wire"
         rig_key = sources(PROJECT / "drivers", [PROJECT / "hil" / "synthetic" / "hidden_effects.py", COMMISSIONING])
@@ -87,8 +88,8 @@ class Trial:
         for worker in (self._injector, self._answerer, self._ablation):
             worker.close()
 
-    def run(self, kind: str, number: int) -> Finished:
-        """One record of a kind, unless it is there already."""
+    def run(self, kind: str, number: int) -> FinishedCase:
+        """Run one record of a kind, unless it is finished already."""
         name = f"{kind}_{number}"
         kept = self._base / f"{name}.json"
         if kept.is_file():
@@ -138,7 +139,7 @@ class Trial:
             z = max((v for v in told.get("z_truth", []) if v is not None), default=None)
             beside = [v for v in told.get("z_beside", []) if v is not None]
             outcome = judge(name, case.load, hidden, answer, took, z, told.get("sizes", ()), beside)
-            done = Finished(outcome, answer, ablation)
+            done = FinishedCase(outcome, answer, ablation)
             _write(done, kept)
             return done
         finally:
@@ -158,9 +159,16 @@ class Trial:
             loads = Path(folder) / f"case_{case.number}.csv"
             loads.write_text(profile_text(profile(case)), encoding="utf-8")
             request = RunRequest(
-                profile=loads, rig=rig, twin=None, runs=Path(folder), mode="lockstep", seed=case.seed, viewer=False,
-                use_twin=False, control=("127.0.0.1", ports["control"]),
-            )  # fmt: skip
+                profile=loads,
+                rig=rig,
+                twin=None,
+                runs=Path(folder),
+                mode="lockstep",
+                seed=case.seed,
+                viewer=False,
+                use_twin=False,
+                control=("127.0.0.1", ports["control"]),
+            )
             try:
                 result = asyncio.run(run_session(request))
                 shutil.move(result.folder.record, record)
@@ -170,7 +178,7 @@ class Trial:
 
 
 def commissioned(folder: Path, unit: int, twin: str) -> tuple[Path, Path]:
-    """Healthy record and commissioned twin of a specimen in a folder, made once; `twin` of `profiles/twins`."""
+    """Make the healthy record and the commissioned twin of a specimen in a folder, once; `twin` of `profiles/twins`."""
     good, own = folder / f"unit_{unit}.parquet", folder / f"unit_{unit}.toml"
     if not good.is_file():
         from drivers.rig_file import load_rig
@@ -191,9 +199,9 @@ def commissioned(folder: Path, unit: int, twin: str) -> tuple[Path, Path]:
     return good, own
 
 
-def measure(size: Size, seed: int, work: Path, progress: Callable[[float, str], None]) -> list[Finished]:
-    """All records. `progress` is told the share done and what came out last."""
-    trial = Trial(size, seed, work)
+def measure(size: TrialSize, seed: int, work: Path, progress: Callable[[float, str], None]) -> list[FinishedCase]:
+    """Run all records. `progress` is called with the share done and the last result."""
+    trial = BlindTrial(size, seed, work)
     done = []
     try:
         for k, (kind, number) in enumerate(size.jobs):
@@ -206,13 +214,13 @@ def measure(size: Size, seed: int, work: Path, progress: Callable[[float, str], 
 
 
 def sources(folder: Path, more: Iterable[Path]) -> str:
-    """A key of a package's source and of some files."""
+    """Return a hash of a package's source and of some files."""
     paths = [*sorted(folder.rglob("*.py")), *more]
     return hashlib.sha256(b"\0".join(p.read_bytes() for p in paths)).hexdigest()[:10]
 
 
 def left_out() -> tuple[str, ...]:
-    """What could not be compared here."""
+    """Return the comparisons that are not possible here."""
     if importlib.util.find_spec("pysindy") is None:
         return ("pysindy on the same records: it is not installed",)
     return ()
@@ -222,7 +230,7 @@ _NOT_IN_A_TRIAL = ("twin = ", "stuck_after_s = ")
 
 
 def _with_ports(rig: Path, ports: dict[str, int]) -> str:
-    """The rig file with other ports, its data files found from anywhere; a stuck sensor does not end a trial's run."""
+    """Return the rig file with other ports and absolute data files; a stuck sensor does not end a trial's run."""
     text = rig.read_text(encoding="utf-8")
     known = tomllib.loads(text)["bus"]
     for bus in known.values():
@@ -235,19 +243,23 @@ def _with_ports(rig: Path, ports: dict[str, int]) -> str:
 
 def _no_answer(error: str) -> dict[str, Any]:
     return {
-        "verdict": "crashed", "summary": error, "effects": [], "indistinguishable": [], "alternatives": [],
+        "verdict": "crashed",
+        "summary": error,
+        "effects": [],
+        "indistinguishable": [],
+        "alternatives": [],
         "error": {"sensors": {}},
-    }  # fmt: skip
+    }
 
 
-def _write(done: Finished, path: Path) -> None:
+def _write(done: FinishedCase, path: Path) -> None:
     with replacing(path) as unfinished:
         unfinished.write_text(json.dumps(dataclasses.asdict(done), indent=1) + "\n", encoding="utf-8")
 
 
-def _read(path: Path) -> Finished:
+def _read(path: Path) -> FinishedCase:
     data = json.loads(path.read_text(encoding="utf-8"))
     outcome = data["outcome"]
     if outcome["errors_K"] is not None:
         outcome["errors_K"] = tuple(outcome["errors_K"])
-    return Finished(Outcome(**outcome), data["answer"], data["ablation"])
+    return FinishedCase(AnswerScore(**outcome), data["answer"], data["ablation"])

@@ -1,4 +1,4 @@
-"""A process of its own that answers one request a line: JSON in on stdin, JSON out on stdout.
+"""Worker process that answers one request in each line: JSON in on stdin, JSON out on stdout.
 
 Both sides of `hil bench discovery` are such processes, so that neither shares memory with the other: what the one that
 diagnoses gets to know is what stands in its requests.
@@ -20,11 +20,11 @@ Request = dict[str, Any]
 
 
 class WorkerError(RuntimeError):
-    """A worker ended or could not do what it was asked; the message is its own."""
+    """Error of a worker that ended or failed; the message is its own."""
 
 
 class Worker:
-    """Asks a module run as `python -m`; starts it at the first request and again after it died."""
+    """Client of a module run as `python -m`; starts it at the first request and again after its end."""
 
     def __init__(self, module: str, *arguments: str) -> None:
         self._command = [sys.executable, "-m", module, *arguments]
@@ -37,7 +37,7 @@ class Worker:
         self.close()
 
     def ask(self, **request: Any) -> Request:
-        """The answer to one request; raises WorkerError."""
+        """Return the answer to one request; raise WorkerError."""
         if self._process is None or self._process.poll() is not None:
             self.close()
             one_thread = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
@@ -68,7 +68,7 @@ class Worker:
 
 def serve(answer: Callable[[Request], Request]) -> None:
     """Answer requests until stdin ends; an exception becomes an answer with its text."""
-    # Whatever a library prints must not stand between the answers.
+    # Output of a library must not appear among the answers.
     out = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     for line in sys.stdin:

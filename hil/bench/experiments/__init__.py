@@ -1,1 +1,1 @@
-"""Experiments of the paper and public records, beside published figures."""
+"""Experiments of the paper and public records, with published figures."""

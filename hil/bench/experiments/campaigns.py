@@ -1,4 +1,4 @@
-"""Where the paper's experiments get their forty hours: the virtual rig, stranger rigs, and the twin itself.
+"""Campaigns of the paper's experiments, forty hours each: the virtual rig, stranger rigs, and the twin itself.
 
 The virtual rig is run for it, over Modbus and CAN in lockstep; its record is kept by seed and by what it depends on.
 """
@@ -36,7 +36,7 @@ INSULATION_W_PER_K = 6.0
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """A record and the twins that meet it.
+    """Record and the twins for it.
 
     Attributes:
         rig: name in the tables. change: one of `CHANGES`. onset_s: when it begins.
@@ -54,23 +54,29 @@ class Campaign:
     measured: Array
 
     def part(self, start_s: float, end_s: float) -> Campaign:
-        """The samples of [start_s, end_s)."""
+        """Return the samples of [start_s, end_s)."""
         rows = slice(*np.searchsorted(self.time, [start_s, end_s]))
         return Campaign(
-            self.rig, self.change, self.onset_s, self.commissioned, self.by_hand,
-            self.time[rows], self.inputs[rows], self.measured[rows],
-        )  # fmt: skip
+            self.rig,
+            self.change,
+            self.onset_s,
+            self.commissioned,
+            self.by_hand,
+            self.time[rows],
+            self.inputs[rows],
+            self.measured[rows],
+        )
 
 
 def virtual(change: str, seed: int, cache: Path, say: Callable[[str], None]) -> Campaign:
-    """Forty battle hours of the virtual rig, whose equations are not the twin's."""
+    """Return forty battle hours of the virtual rig, whose equations differ from the twin's."""
     record = virtual_record(PROFILES / "loads" / "battle_40h.csv", change, seed, cache, say)
     commissioned = load(PROFILES / "twins" / "virtual.toml")
     return _read("virtual", change, record, commissioned, load(PROFILES / "twins" / "loop.toml"))
 
 
 def virtual_record(profile: Path, change: str, seed: int, cache: Path, say: Callable[[str], None]) -> Path:
-    """Path of the record of one run, made unless `cache` has it."""
+    """Return the path of the record of one run, made unless `cache` has it."""
     rig = PROFILES / "rigs" / "virtual.toml"
     effects = None if change == "healthy" else PROFILES / "effects" / f"{change}.toml"
     files = [profile, rig, *([effects] if effects else []), *sorted((PROJECT / "drivers").rglob("*.py"))]
@@ -102,7 +108,7 @@ def virtual_record(profile: Path, change: str, seed: int, cache: Path, say: Call
 
 
 def stranger(change: str, data: Path) -> Campaign:
-    """Forty hours of a rig that this project did not write, commissioned on its own healthy ten; or Absent."""
+    """Return forty hours of a rig of another maker, commissioned on its own healthy ten hours; raise Absent."""
     folder = data / "stranger" / STRANGERS[change]
     if not folder.is_dir():
         raise Absent(f"stranger rigs: no {folder}; set HIL_DATA to the folder that holds 'stranger'")
@@ -113,7 +119,7 @@ def stranger(change: str, data: Path) -> Campaign:
 
 
 def inverse_crime(change: str, hours: float, seed: int, onset_s: float = ONSET_S) -> Campaign:
-    """The paper's way: synthesised by the very model that is then fitted, with white noise of the declared size.
+    """Return a synthetic record of the fitted model itself, as in the paper, with white noise of the declared size.
 
     The twin by hand is off by up to 15 % in each of the nine tunables of Table 1.
     """
@@ -130,7 +136,7 @@ def inverse_crime(change: str, hours: float, seed: int, onset_s: float = ONSET_S
     state = steady_start(network)
     clean = simulate(network, time_s, inputs, state)
     if after and split < len(time_s):
-        # Each volume of the loop has a sensor of its own, so the readings at the onset are the state.
+        # Each volume of the loop has its own sensor, so the readings at the onset are the state.
         at_onset = network.initial_state(clean[split])
         clean[split:] = simulate(network.with_values(after), time_s[split:], inputs[split:], at_onset)
     measured = clean + network.sigma * rng.standard_normal(clean.shape)
@@ -143,7 +149,7 @@ def inverse_crime(change: str, hours: float, seed: int, onset_s: float = ONSET_S
 
 
 def _battle(network: Network, time_s: Array) -> Array:
-    """Inputs (n, c) of the ten-hour battle profile, repeated, in a room that breathes by a kelvin a day."""
+    """Return inputs (n, c) of the ten-hour battle profile, repeated, in a room with a daily swing of a kelvin."""
     profile = read_profile(PROFILES / "loads" / "battle_10h.csv")
     row = np.searchsorted(profile.time_s, time_s % profile.time_s[-1], side="right") - 1
     columns = {name: profile.values[row, k] for k, name in enumerate(profile.columns)}

@@ -1,4 +1,4 @@
-"""`hil bench paper`: the experiments of Energies 2026, 19, 2452, sections 3.1 and 3.2, beside its figures."""
+"""Benchmark `hil bench paper`: the experiments of Energies 2026, 19, 2452, sections 3.1 and 3.2, with its figures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hil.bench.experiments.published import (
     TRACKED_RMSE_K,
 )
 from hil.bench.experiments.tracked import Tracked, after, first_error, follow, heat_balance, windows_to_recover
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.bench.peers import Absent
 from hil.run.session.terminal import ProgressBar
 from twin.calibrators import UNTRAINED_CALIBRATORS
@@ -29,12 +29,12 @@ from twin.network import Network
 
 CALIBRATORS = tuple(name for name in ("pso_paper", "pso", "least_squares", "kalman") if name in UNTRAINED_CALIBRATORS)
 CALM_S = 3600.0
-"""An hour after the change every excursion counts as a later one."""
+"""Time in s after the change from which every excursion counts as a later one."""
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
-    """Which experiments on which rigs, hours of the synthesised record, randomised starts, hours that they get."""
+class PaperSize:
+    """Size of the benchmark: experiments and rigs, hours of the synthetic record, random starts and their hours."""
 
     experiments: tuple[str, ...] = EXPERIMENTS
     rigs: tuple[str, ...] = RIGS
@@ -45,12 +45,12 @@ class Size:
     onset_s: float = ONSET_S
 
 
-FULL = Size()
-QUICK = Size(rigs=("inverse",), hours=6.0, draws=2, recovery_h=2.0)
+FULL = PaperSize()
+QUICK = PaperSize(rigs=("inverse",), hours=6.0, draws=2, recovery_h=2.0)
 
 
-def measure(size: Size, seed: int, cache: Path, data: Path) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """The tables of all experiments asked for, and a line for every rig that is not here."""
+def measure(size: PaperSize, seed: int, cache: Path, data: Path) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
+    """Return the tables of all requested experiments, and a line for every missing rig."""
     absent: dict[str, None] = {}
     records: dict[tuple[str, str], Campaign] = {}
     changes = [c for c in campaigns.CHANGES if c in size.experiments or (c == "healthy" and _needs_healthy(size))]
@@ -61,7 +61,7 @@ def measure(size: Size, seed: int, cache: Path, data: Path) -> tuple[tuple[Table
                 records[rig, change] = _campaign(rig, change, size, seed, cache, data, bar.print_line)
             except Absent as why:
                 absent[str(why)] = None
-    jobs: list[tuple[str, Callable[[], Table]]] = []
+    jobs: list[tuple[str, Callable[[], ReportTable]]] = []
     for experiment in size.experiments:
         change = experiment if experiment in campaigns.CHANGES else "healthy"
         here = [records[rig, change] for rig in size.rigs if (rig, change) in records]
@@ -82,12 +82,12 @@ def measure(size: Size, seed: int, cache: Path, data: Path) -> tuple[tuple[Table
     return (*tables, goals(tables, size.calibrators)), tuple(absent)
 
 
-def _needs_healthy(size: Size) -> bool:
+def _needs_healthy(size: PaperSize) -> bool:
     return bool({"tracking", "randomised"} & set(size.experiments))
 
 
 def _campaign(
-    rig: str, change: str, size: Size, seed: int, cache: Path, data: Path, say: Callable[[str], None]
+    rig: str, change: str, size: PaperSize, seed: int, cache: Path, data: Path, say: Callable[[str], None]
 ) -> Campaign:
     if rig == "virtual":
         return campaigns.virtual(change, seed + 1, cache, say)
@@ -96,12 +96,12 @@ def _campaign(
     return campaigns.inverse_crime(change, size.hours, seed, size.onset_s)
 
 
-def _tracking_job(campaign: Campaign, size: Size, seed: int, first: bool) -> Callable[[], Table]:
+def _tracking_job(campaign: Campaign, size: PaperSize, seed: int, first: bool) -> Callable[[], ReportTable]:
     return lambda: tracking(campaign, size, seed, first)
 
 
-def tracking(campaign: Campaign, size: Size, seed: int, first: bool = True) -> Table:
-    """Static against tracked at four points: Tables 3 and 4."""
+def tracking(campaign: Campaign, size: PaperSize, seed: int, first: bool = True) -> ReportTable:
+    """Compare static and tracked twin at four points: Tables 3 and 4."""
     noise = campaign.commissioned.sigma
     pooled_noise = float(np.sqrt(np.mean(noise**2)))
     rows: list[tuple[Cell, ...]] = [
@@ -121,14 +121,14 @@ def tracking(campaign: Campaign, size: Size, seed: int, first: bool = True) -> T
                 last = f"{share:.0f} %" if kind == "fitted" else None
                 rows.append((f"  {name}, {word}", *values, better, result.pooled(kind) / pooled_noise, last))
     hours = (campaign.time[-1] - campaign.time[0]) / 3600.0
-    return Table(
+    return ReportTable(
         f"tracking_{campaign.rig.replace(' ', '_')}",
         f"Static against tracked, {campaign.rig}, {hours:.0f} h healthy: RMSE in K",
         ("twin", *PLACES, "better by", "x noise", "< 0.1 K"),
         tuple(rows),
         (
             *((TABLE_4_NOTE,) if first else ()),
-            "ahead: predicted with what earlier windows told. fitted: the same window after its calibration. "
+            "ahead: predicted with the parameters of earlier windows. fitted: the same window after its calibration. "
             "< 0.1 K: share of windows calibrated. by hand: the twin before it was commissioned.",
         ),
     )
@@ -139,8 +139,8 @@ def _better(now: tuple[float, ...], before: tuple[float, ...]) -> str:
     return f"{min(shares):.0f} to {max(shares):.0f} %"
 
 
-def randomised(here: list[Campaign], size: Size, seed: int) -> Table:
-    """A twin whose tunables are drawn at random at 3.5 h: windows until it is back."""
+def randomised(here: list[Campaign], size: PaperSize, seed: int) -> ReportTable:
+    """Measure the windows until a twin with random tunables at 3.5 h is back."""
     rows: list[tuple[Cell, ...]] = [("paper", "pso_paper", None, RANDOMISED_WINDOWS, *(None,) * 6)]
     for campaign in here:
         part = campaign.part(campaign.onset_s, campaign.onset_s + 3600.0 * size.recovery_h)
@@ -159,7 +159,7 @@ def randomised(here: list[Campaign], size: Size, seed: int) -> Table:
             rows.append((campaign.rig, name, float(np.median(first)), *cells, float(np.median(last))))
     near_K = f"{INITIAL_ACCURACY_K:g} K"
     columns = ("rig", "calibrator", "first K", near_K, "worst", "0.1 K", "worst", "ahead", "worst", "last K")
-    return Table(
+    return ReportTable(
         "randomised",
         f"Tunables drawn at random at 3.5 h, {size.draws} draws: windows until back, median and worst",
         columns,
@@ -176,7 +176,7 @@ def randomised(here: list[Campaign], size: Size, seed: int) -> Table:
 
 
 def _drawn(network: Network, calibrator: str, seed: int) -> Network:
-    """The network with a calibrator's tunables uniform in the set's initial ranges."""
+    """Return the network with a calibrator's tunables uniform in the set's initial ranges."""
     from twin.calibrators import make_calibrator
 
     ids = make_calibrator(calibrator, network).ids
@@ -195,8 +195,8 @@ def _middle_and_worst(windows: list[int | None]) -> tuple[Cell, Cell]:
     return tuple("never" if not np.isfinite(x) else round(x) for x in (middle, worst))  # type: ignore[return-value]
 
 
-def changed(experiment: str, here: list[Campaign], size: Size, seed: int) -> Table:
-    """The rig changes at 3.5 h: how fast each calibrator follows, where the error shows, what happens later."""
+def changed(experiment: str, here: list[Campaign], size: PaperSize, seed: int) -> ReportTable:
+    """Measure the response of each calibrator to a change at 3.5 h: delay, place of the error, later errors."""
     rows: list[tuple[Cell, ...]] = []
     paper = ("a few", None, "heater" if experiment == "tank_insulation" else None)
     rows.append(("paper", "pso_paper", *paper, None, None, None, None, 4.5 if experiment == "modules_heat" else None))
@@ -205,7 +205,7 @@ def changed(experiment: str, here: list[Campaign], size: Size, seed: int) -> Tab
             result = follow(campaign.commissioned, campaign, name, seed)
             rows.append((campaign.rig, name, *_change_row(campaign, result)))
     words = experiment.replace("_", " ")
-    return Table(
+    return ReportTable(
         experiment,
         f"{words.capitalize()} at 3.5 h: windows until back below 0.1 K, and RMSE in K after the change",
         ("rig", "calibrator", "fitted", "ahead", "first at", "static K", "ahead K", "fit K", "later K", "at h"),
@@ -247,8 +247,8 @@ def _static_after(result: Tracked, campaign: Campaign) -> float:
     return float(np.sqrt(np.nanmean((result.static[rows] - campaign.measured[rows]) ** 2)))
 
 
-def goals(tables: list[Table], calibrators: tuple[str, ...]) -> Table:
-    """The worst over all rigs of what the tables say, beside the goals of this project."""
+def goals(tables: list[ReportTable], calibrators: tuple[str, ...]) -> ReportTable:
+    """Compare the worst figures over all rigs with the goals of this project."""
     by_key = {table.key: table for table in tables}
     rows: list[tuple[Cell, ...]] = []
 
@@ -272,7 +272,7 @@ def goals(tables: list[Table], calibrators: tuple[str, ...]) -> Table:
             found, words = by_key[change].rows[1:], change.replace("_", " ")
             row(f"windows until back, {words}", "1", _by_calibrator(found, 2))
             row(f"worst later K, {words}", "< 0.1", _by_calibrator(found, 8))
-    return Table(
+    return ReportTable(
         "goals",
         "Against the goals: the worst of all rigs",
         ("what", "goal", *calibrators),
@@ -295,8 +295,8 @@ def _worst(cells: list[Cell]) -> Cell:
     return max(known, default=None)
 
 
-def placed(experiment: str, here: list[Campaign]) -> Table:
-    """Heat balance of the first window after the change: which volume it names."""
+def placed(experiment: str, here: list[Campaign]) -> ReportTable:
+    """Return the volume that the heat balance of the first window after the change names."""
     truth = {"modules_heat": "modules", "tank_insulation": "tank"}[experiment]
     rows: list[tuple[Cell, ...]] = []
     for campaign in here:
@@ -304,7 +304,7 @@ def placed(experiment: str, here: list[Campaign]) -> Table:
         named = campaign.commissioned.nodes[int(np.nanargmax(np.abs(z)))]
         cells = [f"{w:+.0f} ({s:+.0f})" for w, s in zip(watts, z, strict=True)]
         rows.append((campaign.rig, *cells, named, "yes" if named == truth else "no"))
-    return Table(
+    return ReportTable(
         f"{experiment}_place",
         f"{experiment.replace('_', ' ').capitalize()}: W (and z) that the first ten minutes lack, by volume",
         ("rig", *here[0].commissioned.nodes, "named", "right"),

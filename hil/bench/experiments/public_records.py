@@ -1,4 +1,4 @@
-"""Public records of other people's rigs, simulated and fitted with the twins that ship, beside published figures.
+"""Public records of other rigs, simulated and fitted with the shipped twins, with published figures.
 
 The rules: a twin is fitted on the calibration part of a record alone, judged on the other; "unfitted" are the values
 in the twin file, which are published ones or come from geometry and textbooks.
@@ -28,9 +28,10 @@ FITTED_TEST = PIPE_TESTS[0]
 RUN_IN_ROWS = 100
 DRAWS = 500
 AT_REST_K = 0.1
-"""The heaters' record begins at rest: its first readings, in steps of 0.32 K, tell the state this well."""
+"""Standard deviation in K of the initial state: the heaters' record begins at rest, with readings in steps of 0.32 K.
+"""
 HELD_OUT = 0.05
-"""The least that commissioning keeps back; the records have their own validation part."""
+"""Least held-out share of commissioning; the records have their own validation part."""
 
 DEFINITIONS = {
     "tclab": "sum over all samples and both sensors of |simulated - measured|, free run from the first reading; the "
@@ -44,7 +45,7 @@ DEFINITIONS = {
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: as published, with the twin file's own values, and fitted; None where there is none."""
+    """Error figure: as published, with the twin file's own values, and fitted; None if there is none."""
 
     record: str
     figure: str
@@ -56,7 +57,7 @@ class Row:
 
 @dataclass(frozen=True)
 class FittedValue:
-    """One fitted parameter: before, after, and the 90 % interval, in its unit."""
+    """Fitted parameter: before, after, and the 90 % interval, in its unit."""
 
     parameter: str
     before: float
@@ -75,7 +76,7 @@ class Definition:
 
 @dataclass(frozen=True)
 class RecordsResult:
-    """What `run` found. `messages` is what reading the records met, a sentence each."""
+    """Result of `run`. `messages` are those of the records' readers, a sentence each."""
 
     errors: tuple[Row, ...]
     parameters: tuple[FittedValue, ...]
@@ -83,7 +84,7 @@ class RecordsResult:
     messages: tuple[str, ...] = field(default=())
 
     def error(self, record: str, figure: str) -> Row:
-        """The row of one record and figure."""
+        """Return the row of one record and figure."""
         return next(row for row in self.errors if row.record == record and row.figure == figure)
 
 
@@ -190,13 +191,18 @@ PARTS: dict[str, Callable[[Path, Path, int], _Part]] = {
 def _fitted(network: Network, record: Columns, seed: int, initial_sd: float = INITIAL_SD_K) -> CommissionResult:
     inputs, measured = network.select(record.columns)
     return commission(
-        network, record.time_s, inputs, measured,
+        network,
+        record.time_s,
+        inputs,
+        measured,
         CommissionOptions(held_out=HELD_OUT, seed=seed, initial_sd=initial_sd, made_by=record.name),
-    )  # fmt: skip
+    )
 
 
 def band(fit: CommissionResult, record: Columns) -> tuple[float, float]:
-    """The middle 90 % of sum |error| on `record` over parameters that the fit cannot tell from its best ones."""
+    """Return the middle 90 % of sum |error| on `record` over parameters that the fit does not distinguish from its best
+    ones.
+    """
     inputs, measured = fit.network.select(record.columns)
     state = fit.network.initial_state(measured[:1])
     kernel = Kernel(fit.network, tuple(fit.values))
@@ -206,7 +212,7 @@ def band(fit: CommissionResult, record: Columns) -> tuple[float, float]:
 
 
 def _residual(network: Network, record: Columns) -> Array:
-    """Simulated less measured (n, m), free run from the first reading; NaN where nothing was measured."""
+    """Return simulated less measured (n, m), free run from the first reading; NaN without a measurement."""
     inputs, measured = network.select(record.columns)
     readings = simulate(network, record.time_s, inputs, network.initial_state(measured[:1]))
     difference: Array = readings - measured
@@ -214,7 +220,7 @@ def _residual(network: Network, record: Columns) -> Array:
 
 
 def _from_linear_profile(network: Network, record: Columns) -> Array:
-    """As `_residual`, with water in the pipe whose temperature falls evenly from the first inlet to the outlet reading.
+    """Return `_residual` for a pipe whose water falls evenly from the first inlet to the outlet reading.
 
     A pipe holds what entered before the record. The profile is made by letting the inlet go from the one reading to
     the other during one transit before the record begins.
@@ -231,7 +237,7 @@ def _from_linear_profile(network: Network, record: Columns) -> Array:
 
 
 def _transit_s(network: Network, record: Columns) -> float:
-    """How long a change of the inlet takes to the outlet, s: water and wall pass at the record's first flow."""
+    """Return the transport delay from inlet to outlet, s: water and wall pass at the record's first flow."""
     volume, wall = (network.parameters[f"pipe.{name}"].value for name in ("volume", "wall_capacity"))
     cp = network.parameters["supply.cp"].value
     return 60.0 * (volume + wall / (WATER_DENSITY * cp)) / float(record.columns["flow_pct"][0])
@@ -242,7 +248,7 @@ def _rmse(residual: Array) -> float:
 
 
 def _implicit_euler(network: Network, record: Columns) -> Array:
-    """As `_residual`, with one implicit Euler step from a sample to the next; sensors follow with their lag."""
+    """Return `_residual` with one implicit Euler step between samples; sensors follow with their lag."""
     inputs, measured = network.select(record.columns)
     rhs, values = right_hand_side(network), network.values
     lag = values[network.index(f"{s.name}.lag_s" for s in network.sensors)]
@@ -288,4 +294,4 @@ kind = "sensor"
 node = "water"
 columns = ["T_water_out_C"]
 """
-"""The heated pipe as one well-mixed volume, for comparison."""
+"""Heated pipe as one well-mixed volume, for comparison."""

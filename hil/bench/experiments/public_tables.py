@@ -1,4 +1,4 @@
-"""`hil bench records`: the tables of `hil.bench.experiments.public_records`, whatever dataclasses it returns."""
+"""Tables of `hil bench records`, from the dataclasses of `hil.bench.experiments.public_records`."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.run.session.terminal import ProgressBar
 
 
-def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """Tables of the public records under `data`, and a line where there is nothing to run."""
+def measure(data: Path, seed: int) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
+    """Return tables of the public records under `data`, and a line if there are none."""
     if not (data / "real").is_dir():
         return (), (f"records: no {data / 'real'}; set HIL_DATA to the folder that holds 'real'",)
     from hil.bench.experiments.public_records import PARTS, run
@@ -26,14 +26,14 @@ def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
     return tuple(tables), ()
 
 
-def tables_of(key: str, title: str, found: Any) -> Iterable[Table]:
-    """A table of every list of alike dataclasses that is found, and one of what stands alone."""
-    if isinstance(found, Table):
+def tables_of(key: str, title: str, found: Any) -> Iterable[ReportTable]:
+    """Return a table for every list of equal dataclasses, and one of all single values."""
+    if isinstance(found, ReportTable):
         yield found
         return
     items = [found] if dataclasses.is_dataclass(found) else list(found)
-    if any(isinstance(item, Table) for item in items):
-        yield from (item for item in items if isinstance(item, Table))
+    if any(isinstance(item, ReportTable) for item in items):
+        yield from (item for item in items if isinstance(item, ReportTable))
         return
     nested = [_nested(item) for item in items]
     if any(nested):
@@ -41,7 +41,7 @@ def tables_of(key: str, title: str, found: Any) -> Iterable[Table]:
             name = str(getattr(item, "name", getattr(item, "title", title)))
             alone = {k: v for k, v in _fields(item).items() if k not in inner and k != "messages"}
             if alone:
-                yield Table(_key(name), name, ("what", "value"), tuple((k, _cell(v)) for k, v in alone.items()))
+                yield ReportTable(_key(name), name, ("what", "value"), tuple((k, _cell(v)) for k, v in alone.items()))
             for field, rows in inner.items():
                 yield from tables_of(f"{_key(name)}_{field}", f"{name}: {field.replace('_', ' ')}", rows)
         return
@@ -51,7 +51,7 @@ def tables_of(key: str, title: str, found: Any) -> Iterable[Table]:
     for kind, rows in groups.items():
         columns = tuple(field.name.replace("_", " ") for field in dataclasses.fields(kind))
         cells = tuple(tuple(_cell(v) for v in _fields(row).values()) for row in rows)
-        yield Table(key if len(groups) == 1 else f"{key}_{_key(kind.__name__)}", title, columns, cells)
+        yield ReportTable(key if len(groups) == 1 else f"{key}_{_key(kind.__name__)}", title, columns, cells)
 
 
 def _fields(item: Any) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def _fields(item: Any) -> dict[str, Any]:
 
 
 def _nested(item: Any) -> dict[str, list[Any]]:
-    """Fields that hold lists of dataclasses."""
+    """Return the fields that hold lists of dataclasses."""
     found = {}
     for name, value in _fields(item).items():
         if isinstance(value, list | tuple) and value and all(dataclasses.is_dataclass(v) for v in value):

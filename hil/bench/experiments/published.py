@@ -1,4 +1,4 @@
-"""Figures of Energies 2026, 19, 2452 that the experiments stand beside, in K."""
+"""Published figures of Energies 2026, 19, 2452 for the experiments, in K."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ TABLE_4_NOTE = (
     "an improvement of 87 %, not 96 %."
 )
 ONSET_S = 12_600.0
-"""Every change of section 3 begins at three and a half hours."""
+"""Onset of every change of section 3, s: three and a half hours."""
 RANDOMISED_WINDOWS = 2
-"""Windows until the twin with randomised parameters is back at its initial accuracy, section 3.1."""
+"""Windows until the twin with random parameters is back at its initial accuracy, section 3.1."""
 INITIAL_ACCURACY_K = 0.54
-"""That accuracy: Table 3 over all four points."""
+"""Initial accuracy, K: Table 3 over all four points."""

@@ -1,4 +1,4 @@
-"""How true a commissioned twin stays: two structures on healthy rigs that this project did not write.
+"""Model error of commissioned twins: two structures on healthy rigs of another maker.
 
 Each twin is made from the rig's data sheet, fitted to the first four fifths of its commissioning record, and simulated
 freely over the last fifth and over a healthy campaign of forty hours that it never saw. What is left above the noise
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.experiments.campaigns import PROFILES
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.record.reader import read_record
 from hil.run.session.terminal import ProgressBar
 from twin.commissioning import CommissionOptions, commission
@@ -24,11 +24,11 @@ from twin.kernel import Kernel, simulate
 from twin.network import Array
 
 TEMPLATES = {"four volumes": "loop.toml", "ten volumes": "loop_six.toml"}
-"""How a twin is called in the tables -> its template."""
+"""Name of a twin in the tables -> its template."""
 MEAN_S = 10.0
 HELD_OUT = 0.2
 START_ROWS = 30
-"""Readings of a campaign that its simulation starts from."""
+"""Readings of a campaign that set the initial state of its simulation."""
 PROTOTYPE = (
     "A prototype of nine volumes left 19 to 50 mK in means over 10 s over forty healthy hours of these rigs, one of "
     "four volumes 20 to 170 mK."
@@ -36,8 +36,8 @@ PROTOTYPE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
-    """What one twin leaves on one rig: RMSE in K per sensor (m,).
+class ModelError:
+    """Model error of one twin on one rig: RMSE in K per sensor (m,).
 
     Attributes:
         held_out, campaign: free runs; `_10s` of means over `MEAN_S`. noise: declared, of single readings.
@@ -56,14 +56,14 @@ class Left:
     forward_s: float
 
 
-def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """A summary and a table a rig, or a line where there are no rigs."""
+def measure(data: Path, seed: int) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
+    """Return a summary and a table for each rig, or a line if there are no rigs."""
     rigs = healthy_rigs(data / "stranger")
     if not rigs:
         return (), (
             f"structure: no {data / 'stranger' / 'KEY.json'}; set HIL_DATA to the folder that holds 'stranger'",
         )
-    found: list[Left] = []
+    found: list[ModelError] = []
     with ProgressBar("commissioning", len(rigs) * len(TEMPLATES)) as bar:
         for rig in rigs:
             for name, template in TEMPLATES.items():
@@ -73,7 +73,7 @@ def measure(data: Path, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
 
 
 def healthy_rigs(folder: Path) -> list[Path]:
-    """Rigs whose campaign has nothing to find, as their key says."""
+    """Return the rigs whose campaign is healthy, by their key."""
     key = folder / "KEY.json"
     if not key.is_file():
         return []
@@ -81,8 +81,8 @@ def healthy_rigs(folder: Path) -> list[Path]:
     return [folder / rig for rig, entry in answers.items() if entry["answer"]["kind"] == "none"]
 
 
-def judge(rig: Path, name: str, template: Path, seed: int) -> Left:
-    """Commission the twin of `template` on `rig` and see what it leaves."""
+def judge(rig: Path, name: str, template: Path, seed: int) -> ModelError:
+    """Commission the twin of `template` on `rig` and return its model error."""
     sheet = from_datasheet(rig / "datasheet.json", template)
     healthy = read_record(rig / "commissioning.parquet")
     inputs, measured = sheet.select(healthy.columns)
@@ -104,10 +104,18 @@ def judge(rig: Path, name: str, template: Path, seed: int) -> Left:
     forward_s = time.process_time() - began
     both = [(healthy.time_s[late], residual[late]), (record.time_s, readings - measured)]
     (held_out, campaign), (held_out_10s, campaign_10s) = ([f(t, r) for t, r in both] for f in (_rmse, _rmse_of_means))
-    return Left(
-        rig.name, name, network.sensor_names, network.sigma,
-        held_out, held_out_10s, campaign, campaign_10s, fit_s, forward_s,
-    )  # fmt: skip
+    return ModelError(
+        rig.name,
+        name,
+        network.sensor_names,
+        network.sigma,
+        held_out,
+        held_out_10s,
+        campaign,
+        campaign_10s,
+        fit_s,
+        forward_s,
+    )
 
 
 def _rmse(time_s: Array, residual: Array) -> Array:
@@ -116,7 +124,7 @@ def _rmse(time_s: Array, residual: Array) -> Array:
 
 
 def _rmse_of_means(time_s: Array, residual: Array) -> Array:
-    """RMSE (m,) of means over `MEAN_S` of residuals (n, m); missing readings are left out of their mean."""
+    """Return the RMSE (m,) of means over `MEAN_S` of residuals (n, m); missing readings are left out of their mean."""
     block = np.floor((time_s - time_s[0]) / MEAN_S).astype(int)
     good = np.isfinite(residual)
     count = np.stack([np.bincount(block, weights=g) for g in good.T])
@@ -126,17 +134,22 @@ def _rmse_of_means(time_s: Array, residual: Array) -> Array:
     return found
 
 
-def _summary(found: list[Left]) -> Table:
+def _summary(found: list[ModelError]) -> ReportTable:
     def spread(values: Array) -> str:
         return f"{1e3 * values.min():.0f} to {1e3 * values.max():.0f}"
 
     rows: list[tuple[Cell, ...]] = [
         (
-            left.rig, left.twin, spread(left.noise / np.sqrt(MEAN_S)), spread(left.held_out_10s),
-            spread(left.campaign_10s), left.fit_s, left.forward_s * 1e3,
+            left.rig,
+            left.twin,
+            spread(left.noise / np.sqrt(MEAN_S)),
+            spread(left.held_out_10s),
+            spread(left.campaign_10s),
+            left.fit_s,
+            left.forward_s * 1e3,
         )
         for left in found
-    ]  # fmt: skip
+    ]
     columns = ("rig", "twin", "noise mK", "held out mK", "40 h mK", "fit CPU s", "40 h CPU ms")
     notes = (
         "RMSE of means over 10 s, least to greatest over the sensors. Held out: the last fifth of commissioning. 40 h: "
@@ -144,17 +157,17 @@ def _summary(found: list[Left]) -> Table:
         PROTOTYPE,
     )
     title = "Two structures, commissioned on ten hours: error of free runs"
-    return Table("structure", title, columns, tuple(rows), notes)
+    return ReportTable("structure", title, columns, tuple(rows), notes)
 
 
-def _table(rig: str, found: list[Left]) -> Table:
+def _table(rig: str, found: list[ModelError]) -> ReportTable:
     rows = [row for left in found if left.rig == rig for row in _rows(left)]
     columns = ("twin", "sensor", "noise mK", "held out", "40 h", "noise of 10 s", "held out, 10 s", "40 h, 10 s")
     title = f"Rig {rig}, every sensor: RMSE in mK of readings and of means over 10 s"
-    return Table(f"structure_{rig}", title, columns, tuple(rows))
+    return ReportTable(f"structure_{rig}", title, columns, tuple(rows))
 
 
-def _rows(left: Left) -> list[tuple[Cell, ...]]:
+def _rows(left: ModelError) -> list[tuple[Cell, ...]]:
     of_means = left.noise / np.sqrt(MEAN_S)
     figures = (left.noise, left.held_out, left.campaign, of_means, left.held_out_10s, left.campaign_10s)
     table = 1e3 * np.column_stack(figures)

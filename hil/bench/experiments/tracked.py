@@ -1,4 +1,4 @@
-"""One calibrator over one campaign, and what a reader wants to know of it: errors, recovery, place."""
+"""Tracking of one campaign by one calibrator: errors, recovery, place."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ IN_A_ROW = 2
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """What a tracker left behind.
+    """Result of a tracker.
 
     Attributes:
         rmse: sensor -> K, rows `static`, `tracked` (predicted ahead), `fitted` (same window).
@@ -35,11 +35,11 @@ class Tracked:
     threshold_K: float
 
     def row(self, kind: str) -> tuple[float, ...]:
-        """RMSE of one kind at every sensor, K."""
+        """Return the RMSE of one kind at every sensor, K."""
         return tuple(sensor[kind] for sensor in self.rmse.values())
 
     def pooled(self, kind: str) -> float:
-        """RMSE of one kind over all sensors, K."""
+        """Return the RMSE of one kind over all sensors, K."""
         return float(np.sqrt(np.mean(np.square(self.row(kind)))))
 
 
@@ -51,7 +51,7 @@ def follow(network: Network, campaign: Campaign, calibrator: str, seed: int) -> 
 
 
 def windows_to_recover(calibrations: list[Calibration], threshold_K: float, *, ahead: bool) -> int | None:
-    """Windows, the first after the change counting as 1, until the error is below the threshold and stays there.
+    """Return the number of windows until the error stays below the threshold, the first after the change counting as 1.
 
     Args:
         ahead: judge the prediction, made before the window was seen, rather than the fit.
@@ -64,19 +64,19 @@ def windows_to_recover(calibrations: list[Calibration], threshold_K: float, *, a
 
 
 def after(calibrations: tuple[Calibration, ...], onset_s: float) -> list[Calibration]:
-    """Windows that begin at the change or later; half a minute of settling in the first window is forgiven."""
+    """Return the windows that begin at the change or later, with half a minute of settling allowed in the first."""
     return [c for c in calibrations if c.start_s >= onset_s - 1.0 and c.kind != "skipped"]
 
 
 def first_error(campaign: Campaign, tracked: Tracked, window: Calibration) -> str:
-    """Sensor whose prediction errs most, in K, over the first window after the change."""
+    """Return the sensor with the largest prediction error, with its error in K, in the first window after a change."""
     rows = slice(*np.searchsorted(campaign.time, [window.start_s, window.end_s + 0.5]))
     error = np.sqrt(np.nanmean((tracked.ahead[rows] - campaign.measured[rows]) ** 2, axis=0))
     return campaign.commissioned.sensor_names[int(np.nanargmax(error))]
 
 
 def heat_balance(campaign: Campaign) -> tuple[Array, Array]:
-    """Heat in W that the first window after the change needs and the twin has not, by volume, and its z.
+    """Return the heat in W that the twin lacks in the first window after the change, by volume, and its z.
 
         E_j = C_j dT_j/dt - (heat into j by the twin's formulas at the measured temperatures)
 

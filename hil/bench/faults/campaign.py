@@ -1,8 +1,8 @@
-"""`hil bench faults`: seeded faults of every kind on the virtual rig, and what became of heater, samples and values.
+"""Campaign of `hil bench faults`: seeded faults of every kind on the virtual rig, and their consequences.
 
-With `--pairs` two of them at a time, the second while the first lasts. The musts are the same.
-Each case is `hil run` in a process of its own against a virtual rig of its own, in real time at ten hertz. What was
-true is told by the rig (`devices.truth`), never by the harness. Finished cases are kept and not run again.
+With `--pairs` two of them at a time, the second while the first lasts. The requirements are the same.
+Each case is `hil run` in a process of its own against a virtual rig of its own, in real time at ten hertz. The
+truth comes from the rig (`devices.truth`), never from the harness. Finished cases are kept and not run again.
 """
 
 from __future__ import annotations
@@ -20,15 +20,19 @@ from hil.bench.faults.kinds import KINDS
 from hil.bench.faults.plan import AND, case_of, pairs, singles
 from hil.bench.faults.rig import PERIOD_S, STALE_LIMIT_S, WATCHDOG_S
 from hil.bench.faults.tls import NoOpenSSLError
-from hil.bench.faults.verdict import REACT_S, Result, as_document
-from hil.bench.measure.report import Cell, Table
+from hil.bench.faults.verdict import REACT_S, FaultResult, as_document
+from hil.bench.measure.report import Cell, ReportTable
 from hil.files.atomic import replacing
 
 ROOT = Path(__file__).resolve().parents[3]
 _SOURCES = (
-    "hil/*.py", "hil/bench/faults*.py", "hil/bench/chaos*.py", "drivers/*.py",
-    "drivers/virtual/*.py", "profiles/rigs/*",
-)  # fmt: skip
+    "hil/*.py",
+    "hil/bench/faults*.py",
+    "hil/bench/chaos*.py",
+    "drivers/*.py",
+    "drivers/virtual/*.py",
+    "profiles/rigs/*",
+)
 
 
 async def campaign(
@@ -38,21 +42,21 @@ async def campaign(
     jobs: int = 2,
     keep: Path | None = None,
     resume: bool = True,
-    done: Callable[[Result], None] = lambda result: None,
-) -> list[Result]:
-    """Run `cases`, `jobs` at a time; with `keep`, those whose result lies in that folder are not run again.
+    done: Callable[[FaultResult], None] = lambda result: None,
+) -> list[FaultResult]:
+    """Run `cases`, `jobs` at a time; with `keep`, cases with a result in that folder are not run again.
 
     With `resume` the first of each kind, and each that a signal struck, goes on once its fault is over, which takes it
     a minute.
     """
     room = asyncio.Semaphore(jobs)
 
-    async def one(kind: str, number: int) -> Result:
+    async def one(kind: str, number: int) -> FaultResult:
         path = None if keep is None else keep / f"{kind.replace(', ', '_').replace(' ', '_')}_{number}.json"
         async with room:
             result = None if path is None else _kept(path)
             if result is None:
-                # The first of each kind is followed to its record and report, the others are spared that.
+                # The first of each kind is followed to its record and report, the others are not.
                 thorough = number == 0 and AND not in kind
                 result = await run_case(kind, number, seed, thorough=thorough, resume=resume)
                 if path is not None:
@@ -73,8 +77,9 @@ def measure(
     kinds: Sequence[str] = (),
     jobs: int = 2,
     two: bool = False,
-) -> tuple[tuple[Table, ...], tuple[str, ...], bool]:
-    """The campaign's tables, what was left out, and whether every must was kept. `progress`: share done, last case.
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...], bool]:
+    """Return the campaign's tables, everything left out, and True if no requirement was broken. `progress`: share done,
+    last case. `two`: `runs` pairs of faults.
 
     `two`: `runs` pairs of faults.
     """
@@ -88,9 +93,9 @@ def measure(
         names = [name for name in names if KINDS[name].place != "tls"]
         skipped.append(f"faults beneath TLS: {error}")
     cases = pairs(runs, seed, names) if two else singles(runs, names)
-    finished: list[Result] = []
+    finished: list[FaultResult] = []
 
-    def done(result: Result) -> None:
+    def done(result: FaultResult) -> None:
         finished.append(result)
         said = "; ".join(result.failures) or result.ended
         progress(len(finished) / len(cases), f"{result.kind}: {said}")
@@ -102,34 +107,45 @@ def measure(
     return found, tuple(skipped), not any(result.failures for result in results)
 
 
-def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
-    """What happened by kind, the musts, what the kinds are, and every case that broke a must."""
+def tables(results: list[FaultResult], cpu_s: float) -> tuple[ReportTable, ...]:
+    """Return the outcomes by kind, the requirements, the kinds themselves, and every case that broke a requirement."""
     names = [name for name in KINDS if any(result.kind == name for result in results)]
     rows = [_row(name, [result for result in results if result.kind == name]) for name in names]
     rows.append(_row("all", results))
-    happened = Table(
+    happened = ReportTable(
         "kinds",
         f"{len(results)} faults on the virtual rig",
         (
-            "kind", "runs", "seen", "rode through", "ended", "safe after detection s", "worst",
-            "safe after fault s", "worst", "samples", "lost", "wrong", "resumed",
+            "kind",
+            "runs",
+            "seen",
+            "rode through",
+            "ended",
+            "safe after detection s",
+            "worst",
+            "safe after fault s",
+            "worst",
+            "samples",
+            "lost",
+            "wrong",
+            "resumed",
         ),
         tuple(rows),
         (
-            "Safe: nothing reaches the heater any more, told by the rig's own log. Medians and worst.",
+            "Safe: nothing reaches the heater any more, by the rig's own log. Medians and worst.",
             "Detected: the harness left its running state, its guardian acted or the rig's watchdog cut; the earliest.",
             "PointState: a value was recorded as not good, or a warning told, or it was detected.",
             "Samples: acknowledged, that is read by another process from the live journal; lost: not in it afterwards.",
             "Resumed: the first of each kind, and each that came at any instant, by `hil resume` with the fault over: "
             "wire, disk, sensor, pump or fan in order again, the rig back from its reboot, what hung killed. The "
-            "rig is led back, the profile goes on, and nothing is lost.",
+            "thermal state is restored, the profile goes on, and nothing is lost.",
             "Wrong: recorded as good and not true, by the rig's log, at any time within the staleness limit.",
             f"{cpu_s:.1f} CPU seconds a run, those kept from before not counted.",
         ),
-    )  # fmt: skip
-    about = Table(
+    )
+    about = ReportTable(
         "about",
-        "What the kinds are",
+        "Kinds of fault",
         ("kind", "what happens"),
         tuple((name, KINDS[name].about) for name in names),
         ("Two of them at a time: `hil bench faults --pairs 80`, `faults_pairs.md`.",),
@@ -137,25 +153,40 @@ def tables(results: list[Result], cpu_s: float) -> tuple[Table, ...]:
     return (happened, _musts(results), about, *_broken(results))
 
 
-def pair_tables(results: list[Result], seed: int) -> tuple[Table, ...]:
-    """What happened by pair, the musts, and every pair that broke one."""
+def pair_tables(results: list[FaultResult], seed: int) -> tuple[ReportTable, ...]:
+    """Return the outcomes by pair, the requirements, and every pair that broke one."""
     rows: list[tuple[Cell, ...]] = []
     for r in results:
         ended = r.heated and r.safe is not None and r.detected is not None and r.ended != "rode through"
         resumed = None if r.resumed is None else "yes" if r.resumed else "no"
         rows.append(
             (
-                r.kind, case_of(r.kind, r.number, seed).apart_s, r.ended, r.by or None,
-                max((r.safe or 0.0) - (r.detected or 0.0), 0.0) if ended else None, r.safe if ended else None,
-                r.acknowledged, r.lost, len(r.wrong), resumed,
+                r.kind,
+                case_of(r.kind, r.number, seed).apart_s,
+                r.ended,
+                r.by or None,
+                max((r.safe or 0.0) - (r.detected or 0.0), 0.0) if ended else None,
+                r.safe if ended else None,
+                r.acknowledged,
+                r.lost,
+                len(r.wrong),
+                resumed,
             )
-        )  # fmt: skip
-    happened = Table(
+        )
+    happened = ReportTable(
         "pairs",
         f"{len(results)} pairs of faults on the virtual rig",
         (
-            "first + second", "apart s", "ended", "by", "safe after detection s", "safe after fault s", "samples",
-            "lost", "wrong", "resumed",
+            "first + second",
+            "apart s",
+            "ended",
+            "by",
+            "safe after detection s",
+            "safe after fault s",
+            "samples",
+            "lost",
+            "wrong",
+            "resumed",
         ),
         tuple(rows),
         (
@@ -165,16 +196,16 @@ def pair_tables(results: list[Result], seed: int) -> tuple[Table, ...]:
             "By: who detected, the harness, its guardian or the rig's watchdog.",
             "With the wire to the heater down only the rig can act, whoever detects: see decision 0013.",
         ),
-    )  # fmt: skip
+    )
     return (happened, _musts(results), *_broken(results))
 
 
-def _broken(results: list[Result]) -> tuple[Table, ...]:
+def _broken(results: list[FaultResult]) -> tuple[ReportTable, ...]:
     broken = tuple((f"{r.kind} {r.number}", "; ".join(r.failures)) for r in results if r.failures)
-    return (Table("broken", "Cases that broke a must", ("case", "what"), broken),) if broken else ()
+    return (ReportTable("broken", "Cases that broke a must", ("case", "what"), broken),) if broken else ()
 
 
-def _row(name: str, results: list[Result]) -> tuple[Cell, ...]:
+def _row(name: str, results: list[FaultResult]) -> tuple[Cell, ...]:
     ended = [result for result in results if result.heated and result.safe is not None]
     reacted = [max(r.safe - r.detected, 0.0) for r in ended if r.safe is not None and r.detected is not None]
     after = [r.safe for r in ended if r.safe is not None]
@@ -196,10 +227,10 @@ def _row(name: str, results: list[Result]) -> tuple[Cell, ...]:
     )
 
 
-def _musts(results: list[Result]) -> Table:
-    """Each must with what was found."""
+def _musts(results: list[FaultResult]) -> ReportTable:
+    """Return each requirement with its result."""
     heated = [r for r in results if r.heated and r.ended != "rode through"]
-    # Nobody was left to detect what a rig that began anew cut by itself.
+    # No agent was left to detect the watchdog's cut on a rig that restarted.
     told = [r for r in heated if r.ended != "killed" or r.detected is not None]
     deaf = [r for r in told if r.wire_down]
     reacted = [r for r in told if r.safe is not None and r.detected is not None]
@@ -244,18 +275,18 @@ def _musts(results: list[Result]) -> Table:
         f"{again} cases were repeated: a limit was missed while rig, harness or relays waited {STALL_S:g} s or "
         "longer for a processor, or the fault came before the run."
     )
-    return Table("musts", "Musts", ("must", "found"), tuple(rows), (note,))
+    return ReportTable("musts", "Musts", ("must", "found"), tuple(rows), (note,))
 
 
-def _kept(path: Path) -> Result | None:
+def _kept(path: Path) -> FaultResult | None:
     try:
-        return Result(**json.loads(path.read_text(encoding="utf-8")))
+        return FaultResult(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
         return None
 
 
 def fingerprint() -> str:
-    """Return a digest of all that a case's outcome depends on: a change of it makes kept cases void."""
+    """Return a digest of everything that a case's outcome depends on: its change invalidates finished cases."""
     digest = hashlib.sha256()
     for pattern in _SOURCES:
         for path in sorted(ROOT.glob(pattern)):

@@ -1,4 +1,4 @@
-"""The course of one case of the fault campaign: the run started, its fault, what follows, and perhaps a resume."""
+"""Course of one case of the fault campaign: start of the run, its fault, the consequences, and perhaps a resume."""
 
 from __future__ import annotations
 
@@ -13,42 +13,45 @@ import time
 from pathlib import Path
 
 from hil.bench.faults import judge
-from hil.bench.faults.kinds import MENDED_AFTER_S, Kind
+from hil.bench.faults.kinds import MENDED_AFTER_S, FaultKind
 from hil.bench.faults.places import take_places_out
-from hil.bench.faults.plan import Case, case_of
+from hil.bench.faults.plan import FaultCase, case_of
 from hil.bench.faults.rig import STALE_LIMIT_S
 from hil.bench.faults.stage import Stage, last_line, last_words, set_stage, spawn
-from hil.bench.faults.verdict import REACT_S, Result, Strike, judged
+from hil.bench.faults.verdict import REACT_S, FaultResult, Strike, judged
 from hil.bench.measure import processes
 
 START_S = 40.0
 END_S = 30.0
 RESUME_S = 150.0
-"""A run that goes on first stands still within its band for a minute."""
+"""Time for a resume, s: a run that goes on first stands still within its band for a minute."""
 EARLY_S = (1.0, 8.0)
-"""A fault that may come at any instant strikes this long after the command was started, s."""
+"""Earliest and latest strike of a fault at any instant after the command, s."""
 EARLIEST_S, LATEST_S = 0.5, 2.5
-"""A fault strikes this long after the heater went on, s."""
+"""Earliest and latest strike of another fault after the heater went on, s."""
 AFTER_S = 1.5
-"""A wire stays broken for this long after the heater is off, unless the run ends before."""
+"""Time for which a wire stays broken after the heater is off, unless the run ends before, s."""
 STALL_S = 0.4
-"""A machine on which rig, harness or relays waited this long for a processor while it mattered cannot keep a limit of a
-second. Of the rig its own log tells, of the harness the kernel (/proc/PID/schedstat), of the relays our own clock."""
+"""Wait of rig, harness or relays for a processor, s, from which a machine cannot keep a limit of a second. The rig's
+own log shows its wait, the kernel that of the harness (/proc/PID/schedstat), our clock that of the relays.
+"""
 
 
 async def run_case(
     kind_name: str, number: int, seed: int, *, thorough: bool = False, resume: bool = True, retries: int = 2
-) -> Result:
-    """One case. It is repeated where the fault came before the run, and where the machine stood still and a must was
-    broken, but not where the run was not resumed. `thorough` waits for record and report; with `resume` such a case,
-    one that struck at any instant and a resumable one of two faults go on with `hil resume`."""
+) -> FaultResult:
+    """Run one case; repeat it if the fault preceded the run, or if the machine stood still and a requirement broke.
+
+    A case whose run was not resumed is not repeated. `thorough` waits for record and report. With `resume` such a case,
+    a case that struck at any instant and a resumable one of two faults continue with `hil resume`.
+    """
     for attempt in range(1, retries + 2):
         generator = random.Random(f"{seed} {kind_name} {number}")
         with tempfile.TemporaryDirectory(prefix="hil-fault-") as folder:
             try:
                 result = await _attempt(kind_name, number, seed, generator, Path(folder), thorough, resume, attempt)
-            except Exception as error:  # a case that cannot be carried out is no reason to leave out the others
-                result = Result(kind_name, number, failures=[f"not carried out: {type(error).__name__}: {error}"])
+            except Exception as error:  # A case that fails to run is no reason to skip the others.
+                result = FaultResult(kind_name, number, failures=[f"not carried out: {type(error).__name__}: {error}"])
         result.attempts = attempt
         take_places_out(result)
         if result.struck and (not result.failures or result.stall_s < STALL_S or result.resumed is False):
@@ -58,8 +61,8 @@ async def run_case(
 
 async def _attempt(
     name: str, number: int, seed: int, generator: random.Random, place: Path, thorough: bool, resume: bool, attempt: int
-) -> Result:
-    case, result = case_of(name, number, seed), Result(name, number)
+) -> FaultResult:
+    case, result = case_of(name, number, seed), FaultResult(name, number)
     onset_s = generator.uniform(9.0, 12.0) + 8.0 * (attempt - 1)
     async with set_stage(case, generator, place, onset_s) as stage:
         strikes = await _strike(stage, case, onset_s, result)
@@ -67,7 +70,7 @@ async def _attempt(
             return result
         await _follow(stage, case, result, thorough)
         journal = await asyncio.to_thread(judged, result, case, stage, strikes)
-        # A resumed run stands still for a minute, so of the kinds that leave much the same only the first goes on.
+        # A resumed run stands still for a minute, so of kinds with equal consequences only the first one resumes.
         if resume and case.resumable and (thorough or case.early or len(case.kinds) > 1) and not result.failures:
             await _go_on(stage, result, bool(journal.ticks), onset_s + case.apart_s + MENDED_AFTER_S)
         if result.failures:
@@ -75,8 +78,8 @@ async def _attempt(
     return result
 
 
-async def _strike(stage: Stage, case: Case, onset_s: float, result: Result) -> list[Strike]:
-    """Let the faults occur; each with its wall time. Nothing where there was no run to strike."""
+async def _strike(stage: Stage, case: FaultCase, onset_s: float, result: FaultResult) -> list[Strike]:
+    """Let the faults occur; return each with its wall time, or nothing if there was no run."""
     if case.early:
         await stage.until(lambda: not stage.harness.running, stage.generator.uniform(*EARLY_S))
     elif not await stage.until(lambda: stage.heater_W > 100.0 or not stage.harness.running, START_S):
@@ -97,8 +100,8 @@ async def _strike(stage: Stage, case: Case, onset_s: float, result: Result) -> l
     return await _occur(stage, case, onset_s)
 
 
-async def _occur(stage: Stage, case: Case, onset_s: float) -> list[Strike]:
-    """Let the first fault occur now and the second `apart_s` later, if there is still a run then."""
+async def _occur(stage: Stage, case: FaultCase, onset_s: float) -> list[Strike]:
+    """Let the first fault occur now and the second `apart_s` later, if the run still exists."""
     strikes: list[Strike] = []
     acting: list[asyncio.Task[None]] = []
     for number, kind in enumerate(case.kinds):
@@ -117,9 +120,9 @@ async def _occur(stage: Stage, case: Case, onset_s: float) -> list[Strike]:
     return strikes
 
 
-async def _act(kind: Kind, stage: Stage) -> None:
+async def _act(kind: FaultKind, stage: Stage) -> None:
     assert kind.act is not None
-    with contextlib.suppress(ProcessLookupError):  # the other fault has ended it meanwhile
+    with contextlib.suppress(ProcessLookupError):  # The other fault has ended it meanwhile.
         await kind.act(stage)
 
 
@@ -127,8 +130,8 @@ def _after(stage: Stage, rig_s: float) -> float | None:
     return next((moment.wall_s for moment in stage.moments() if moment.rig_s >= rig_s - 1e-6), None)
 
 
-async def _follow(stage: Stage, case: Case, result: Result, thorough: bool) -> None:
-    """Until the heater is off and the run has ended; a run that goes on is ended by SIGTERM."""
+async def _follow(stage: Stage, case: FaultCase, result: FaultResult, thorough: bool) -> None:
+    """Wait until the heater is off and the run has ended; end a run that goes on by SIGTERM."""
     harness, began, ending = stage.harness, time.monotonic(), case.ending
 
     def over() -> bool:
@@ -137,7 +140,7 @@ async def _follow(stage: Stage, case: Case, result: Result, thorough: bool) -> N
         return not harness.running or harness.ended_as() != ""
 
     if ending in ("rides", "either"):
-        # Long enough for any limit to run out on a fault that lasts as long as these.
+        # Long enough for any limit to be exceeded by a fault of this length.
         await stage.until(over, STALE_LIMIT_S + (4.0 if ending == "either" else 0.0))
         if harness.running and harness.ended_as() == "":
             result.ended = "rode through"
@@ -148,7 +151,7 @@ async def _follow(stage: Stage, case: Case, result: Result, thorough: bool) -> N
             await _ended(stage, result)
             await _leave(stage, thorough, result)
             return
-    # A wire that is in order again lets a run end that could not reach its rig; nothing may heat because of it.
+    # A repaired wire lets a run end that could not reach its rig; nothing may heat because of it.
     if await stage.until(lambda: over() or stage.heater_W == 0.0, STALE_LIMIT_S + END_S) and harness.running:
         await stage.until(over, AFTER_S)
         await stage.plc.restore()
@@ -161,7 +164,7 @@ async def _follow(stage: Stage, case: Case, result: Result, thorough: bool) -> N
     await _leave(stage, thorough and ending != "killed", result)
 
 
-async def _ended(stage: Stage, result: Result) -> None:
+async def _ended(stage: Stage, result: FaultResult) -> None:
     harness, asked_s = stage.harness, stage.asked_s
     if not await stage.until(lambda: not harness.running or harness.ended_as() != "", END_S):
         result.failures.append(f"the run did not end within {END_S:g} s of SIGTERM")
@@ -172,8 +175,8 @@ async def _ended(stage: Stage, result: Result) -> None:
         result.failures.append(f"the heater was off {after} after SIGTERM")
 
 
-async def _go_on(stage: Stage, result: Result, begun: bool, mended_s: float) -> None:
-    """`hil resume` on what is left, once the fault is over: it goes on, or says in a sentence why it cannot."""
+async def _go_on(stage: Stage, result: FaultResult, begun: bool, mended_s: float) -> None:
+    """Try `hil resume` after the fault: it continues, or refuses with a reason."""
     folder = stage.harness.folder()
     if folder is None:
         return
@@ -185,7 +188,7 @@ async def _go_on(stage: Stage, result: Result, begun: bool, mended_s: float) -> 
     if begun:
         result.resumed = await _resumed(stage, result)
     else:
-        # Of a run that was over before its first sample there is nothing to go on with.
+        # A run that was over before its first sample cannot be continued.
         ended = await stage.until(lambda: not stage.harness.running, START_S)
         said = last_line(stage.truth.parent)
         result.refused = ended and stage.harness.process.returncode != 0 and "start a new run" in said
@@ -196,8 +199,8 @@ async def _go_on(stage: Stage, result: Result, begun: bool, mended_s: float) -> 
     await stage.harness.finish()
 
 
-async def _resumed(stage: Stage, result: Result) -> bool:
-    """Whether the run went on, with everything that was acknowledged before."""
+async def _resumed(stage: Stage, result: FaultResult) -> bool:
+    """Return True if the run went on, with all acknowledged samples."""
     before, asked_s = dict(stage.seen.rows), time.time()
 
     def running() -> bool:
@@ -224,8 +227,8 @@ async def _resumed(stage: Stage, result: Result) -> bool:
     return went_on
 
 
-async def _leave(stage: Stage, thorough: bool, result: Result) -> None:
-    """Let the run write its record and report where that is looked at, else spare the machine that."""
+async def _leave(stage: Stage, thorough: bool, result: FaultResult) -> None:
+    """Let the run write its record and report if they are checked, otherwise end it at once."""
     harness = stage.harness
     if thorough and harness.running and not await stage.until(lambda: not harness.running, 60.0):
         result.failures.append("record and report were not written within 60 s")

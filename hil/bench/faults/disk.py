@@ -1,4 +1,4 @@
-"""A disk of its own for one case, which can be filled: a tmpfs in a mount namespace that goes with its holder.
+"""Disk for one case, which can be filled: a tmpfs in a mount namespace of its holder.
 
 Where the system does not let us have one, the harness's files may not grow instead (RLIMIT_FSIZE).
 """
@@ -17,7 +17,7 @@ _START_S = 5.0
 
 
 class OwnDisk:
-    """`inside` is its path for the harness, `path` the same seen from here."""
+    """Disk of one case: `inside` is its path for the harness, `path` the same path from outside."""
 
     def __init__(self, inside: Path) -> None:
         inside.mkdir()
@@ -29,7 +29,7 @@ class OwnDisk:
 
     @property
     def real(self) -> bool:
-        """Whether it is a file system of its own."""
+        """Return True if it is a file system of its own."""
         return self._holder is not None
 
     def _mount(self, inside: Path) -> subprocess.Popen[bytes] | None:
@@ -51,13 +51,13 @@ class OwnDisk:
         return None
 
     def command(self, command: list[str]) -> list[str]:
-        """The command that runs `command` where the disk is seen."""
+        """Return the command that runs `command` with access to the disk."""
         if self._holder is None:
             return command
         return ["nsenter", "-t", str(self._holder.pid), "-U", "-m", "--preserve-credentials", "--", *command]
 
     def fill(self, pid: int) -> None:
-        """Not a byte more; `pid` is the process that writes there."""
+        """Fill the disk; `pid` is the process that writes there."""
         if self._holder is None:
             resource.prlimit(pid, resource.RLIMIT_FSIZE, (4096, resource.RLIM_INFINITY))
             return
@@ -73,12 +73,12 @@ class OwnDisk:
                 break
 
     def clear(self) -> None:
-        """Room again."""
+        """Free the disk."""
         with contextlib.suppress(OSError):
             (self.path / "ballast").unlink()
 
     def copied(self, journal: Path, to: Path) -> Path:
-        """The journal as it is now: SQLite would follow the way to another namespace back to ours.
+        """Copy the present journal: SQLite would resolve the path to another namespace in our own.
 
         The database before its log: a short run never folds the one into the other before it ends.
         """
@@ -91,7 +91,7 @@ class OwnDisk:
         return to / journal.name
 
     def close(self) -> None:
-        """Give it back."""
+        """Release the disk."""
         if self._holder is not None:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self._holder.pid, 9)

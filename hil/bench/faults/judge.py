@@ -1,4 +1,4 @@
-"""What a case of the fault campaign came to: the rig's own log of what was true, beside the journal of the run.
+"""Judgement of a case of the fault campaign: the rig's own log as the truth, and the journal of the run.
 
 The harness is asked only for what it believed and when; whether the heater was off, and what the temperatures were,
 is told by the rig.
@@ -29,21 +29,21 @@ _TOLERANCE: dict[str, float] = {
     "flow_L_per_min": _SIGMAS * 0.006 + 0.002,
     "pump_speed_pct": _SIGMAS * 0.05 + 0.1,
     "fan_speed_pct": _SIGMAS * 0.08 + 0.1,
-    "T_ambient_C": _SIGMAS * 0.03 + 0.5,  # the room's sensor lags by 20 s
+    "T_ambient_C": _SIGMAS * 0.03 + 0.5,  # The room's sensor lags by 20 s.
     **dict.fromkeys(CHANNELS, _SIGMAS * 0.05 + 0.03 + 0.01),
 }
-"""How far a good reading may be from the truth: offset, noise and resolution of the instrument."""
+"""Largest error of a good reading: offset, noise and resolution of the instrument."""
 _ENDINGS = ("finishing", "paused", "suspended", "faulted", "aborted", "done")
 
 
 @dataclass(slots=True)
-class PointState:
-    """Samples that a reader saw in the live journal, and which are so acknowledged: tick -> (wall_s, quality)."""
+class AcknowledgedSamples:
+    """Samples in the live journal that a reader has read, and which are so acknowledged: tick -> (wall_s, quality)."""
 
     rows: dict[int, tuple[float, bytes]] = field(default_factory=dict)
 
     def look(self, journal: Path) -> None:
-        """See what is new."""
+        """Read new samples."""
         try:
             database = connect_read_only(journal, timeout_s=1.0)
         except sqlite3.Error:
@@ -53,14 +53,14 @@ class PointState:
             for tick, wall_s, quality in database.execute(query, (max(self.rows, default=-1),)):
                 self.rows[tick] = (wall_s, quality)
         except sqlite3.Error:
-            pass  # not made yet, or its disk is gone
+            pass  # The file does not exist yet, or its disk is gone.
         finally:
             database.close()
 
 
 @dataclass(frozen=True, slots=True)
-class Journal:
-    """What the run left: samples as columns, states and events with their wall times."""
+class JournalContent:
+    """Content of a run's journal: samples as columns, states and events with their wall times."""
 
     ticks: tuple[int, ...] = ()
     wall_s: tuple[float, ...] = ()
@@ -72,18 +72,18 @@ class Journal:
     sound: bool = True
 
 
-def read_journal(path: Path) -> Journal:
-    """A journal, whole or as a kill has left it; an empty one where none was begun."""
+def read_journal(path: Path) -> JournalContent:
+    """Read a journal, complete or as a kill has left it; return an empty one if there is none."""
     if not path.is_file():
-        return Journal()
+        return JournalContent()
     database = connect_read_only(path)
     try:
         sound = database.execute("PRAGMA integrity_check").fetchone()[0] == "ok"
         if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'samples'").fetchone() is None:
-            return Journal(sound=sound)  # cut while it was made, before anything moved
+            return JournalContent(sound=sound)  # Interrupted at its creation, before anything moved.
         rows = database.execute("SELECT tick, wall_s, quality FROM samples ORDER BY tick").fetchall()
     except sqlite3.Error:
-        return Journal(sound=False)
+        return JournalContent(sound=False)
     finally:
         database.close()
     reader = JournalReader(path)
@@ -94,7 +94,7 @@ def read_journal(path: Path) -> Journal:
         events = tuple((row.wall_s, row.level, row.text) for row in reader.events())
     finally:
         reader.close()
-    return Journal(
+    return JournalContent(
         tuple(row[0] for row in rows),
         tuple(row[1] for row in rows),
         {name: samples.values[:, k].tolist() for k, name in enumerate(columns)},
@@ -107,7 +107,7 @@ def read_journal(path: Path) -> Journal:
 
 
 def read_states(path: Path) -> list[tuple[float, str]]:
-    """Wall time and target of every transition so far, of a live journal too."""
+    """Return wall time and target of every transition so far, of a live journal too."""
     try:
         database = connect_read_only(path, timeout_s=1.0)
     except sqlite3.Error:
@@ -120,14 +120,14 @@ def read_states(path: Path) -> list[tuple[float, str]]:
         database.close()
 
 
-def lost(seen: PointState, journal: Journal) -> int:
-    """Samples that were acknowledged and are not in the journal any more, or not the same."""
+def lost(seen: AcknowledgedSamples, journal: JournalContent) -> int:
+    """Return the acknowledged samples that are missing in the journal, or different."""
     kept = dict(zip(journal.ticks, zip(journal.wall_s, journal.raw_quality, strict=True), strict=True))
     return sum(kept.get(tick) != row for tick, row in seen.rows.items())
 
 
 def safe_since(truth: list[Moment], occurred_s: float) -> float | None:
-    """Wall time from which on nothing heats any more, not before `occurred_s`; None where it heats to the end."""
+    """Return the wall time from which nothing heats, not before `occurred_s`; None if something heats to the end."""
     if not truth or truth[-1].heater_W > 0.0:
         return None
     last = next((k for k in range(len(truth) - 1, -1, -1) if truth[k].heater_W > 0.0), None)
@@ -137,12 +137,12 @@ def safe_since(truth: list[Moment], occurred_s: float) -> float | None:
 
 
 def watchdog_at(truth: list[Moment], occurred_s: float) -> float | None:
-    """When the rig's own watchdog cut the heater, after `occurred_s`."""
+    """Return the time at which the rig's own watchdog cut the heater, after `occurred_s`."""
     return next((m.wall_s for m in truth if m.wall_s >= occurred_s and m.status & WATCHDOG_TRIPPED), None)
 
 
 def guardian_at(folder: Path | None, occurred_s: float) -> float | None:
-    """Return when the run's guardian began to make the rig safe, after `occurred_s`."""
+    """Return the time at which the run's guardian began to make the rig safe, after `occurred_s`."""
     try:
         lines = (folder or Path()).joinpath("guardian.log").read_text(encoding="utf-8").splitlines()
         rows = [json.loads(line) for line in lines]
@@ -152,7 +152,7 @@ def guardian_at(folder: Path | None, occurred_s: float) -> float | None:
 
 
 def tries_on(pid: int) -> bool:
-    """Return whether the guardian `pid` states that the rig is not safe and that it goes on.
+    """Return True if the guardian `pid` states that the rig is not safe and that it goes on.
 
     Its log is read by its own descriptor: the attack may have deleted the run's folder.
     """
@@ -167,13 +167,13 @@ def tries_on(pid: int) -> bool:
     return False
 
 
-def ended_at(journal: Journal, occurred_s: float) -> float | None:
-    """When the harness left its running state, after `occurred_s`."""
+def ended_at(journal: JournalContent, occurred_s: float) -> float | None:
+    """Return the time at which the harness left its running state, after `occurred_s`."""
     return next((row[0] for row in journal.states if row[0] >= occurred_s and row[2] in _ENDINGS), None)
 
 
-def noticed_at(journal: Journal, occurred_s: float, until_s: float) -> float | None:
-    """When the harness first recorded a value as not good, or a warning, between the two times."""
+def noticed_at(journal: JournalContent, occurred_s: float, until_s: float) -> float | None:
+    """Return the time of the first value that is not good, or of the first warning, between the two times."""
     samples = zip(journal.wall_s, journal.raw_quality, strict=True)
     bad = (wall_s for wall_s, quality in samples if occurred_s <= wall_s < until_s and any(quality))
     told = (row[0] for row in journal.events if occurred_s <= row[0] < until_s and row[1] in ("WARN", "ERROR"))
@@ -184,8 +184,8 @@ def _first(times: Any) -> list[float]:
     return [time for time in [next(iter(times), None)] if time is not None]
 
 
-def wrong_values(journal: Journal, truth: list[Moment]) -> list[str]:
-    """Values recorded as good that were not true at any time within the staleness limit, a sentence each."""
+def wrong_values(journal: JournalContent, truth: list[Moment]) -> list[str]:
+    """Return the values recorded as good that were not true at any time within the staleness limit, a sentence each."""
     times = [moment.wall_s for moment in truth]
     found = []
     for row, wall_s in enumerate(journal.wall_s):
@@ -218,6 +218,6 @@ def _true(moment: Moment, name: str) -> float:
 
 
 def longest_stall_s(truth: list[Moment], since_s: float) -> float:
-    """How long the rig itself got no time from the machine, beyond its period, after `since_s`."""
+    """Return the longest wait of the rig for a processor, beyond its period, after `since_s`."""
     times = [moment.wall_s for moment in truth if moment.wall_s >= since_s]
     return max((b - a for a, b in zip(times, times[1:], strict=False)), default=0.0) - PERIOD_S

@@ -1,4 +1,4 @@
-"""The kinds of fault of the campaign: what is done to rig, wires or harness, and what has to come of it."""
+"""Kinds of fault of the campaign: the act on rig, wires or harness, and the required outcome."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from drivers.virtual.faults import FaultyLink
 from drivers.virtual.faults import faulty_replies as replies
 
 Ending = Literal["stops", "rides", "either", "killed"]
-"""The run ends by itself; goes on; one of the two, by how long the fault lasts; the harness is gone."""
+"""Endings: the run ends by itself; goes on; one of the two, depending on the length of the fault; the harness is gone.
+"""
 
 
 class Stage(Protocol):
-    """What a fault may lay hands on."""
+    """Targets of a fault."""
 
     generator: random.Random
     plc: FaultyLink
@@ -37,11 +38,11 @@ class Stage(Protocol):
 Act = Callable[[Stage], Awaitable[None]]
 
 MENDED_AFTER_S = 15.0
-"""A sensor, pump or fan is mended so long after it failed, s: many times as long as it may take the run to end."""
+"""Time after which a failed sensor, pump or fan is repaired, s: many times as long as the run may take to end."""
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class FaultKind:
     """`act` is None where the rig itself has the fault, by `effect`, a TOML table without onset.
 
     `early`: it may come at any instant, also before anything is moved. `place`: `tmpfs` for a disk of its own,
@@ -59,7 +60,7 @@ class Kind:
 
 
 def _lasting(change: Callable[[random.Random], replies.Change], wire: str = "plc") -> Act:
-    """Every frame is changed from now on."""
+    """Change every frame from now on."""
 
     async def act(stage: Stage) -> None:
         link = stage.plc if wire == "plc" else stage.can
@@ -69,7 +70,7 @@ def _lasting(change: Callable[[random.Random], replies.Change], wire: str = "plc
 
 
 def _brief(change: Callable[[random.Random], replies.Change], wire: str = "plc") -> Act:
-    """Frames are changed for 0.1 to 0.5 s."""
+    """Change frames for 0.1 to 0.5 s."""
 
     async def act(stage: Stage) -> None:
         link = stage.plc if wire == "plc" else stage.can
@@ -95,7 +96,7 @@ async def _half_open(stage: Stage) -> None:
 
 
 async def _server_restart(stage: Stage) -> None:
-    """The Modbus server of the gateway goes and comes again; the PLC behind it goes on."""
+    """Restart the Modbus server of the gateway; the PLC behind it goes on."""
     stage.plc.drop()
     await asyncio.sleep(stage.generator.uniform(0.3, 4.0))
     await stage.plc.restore()
@@ -119,7 +120,7 @@ async def _bus_off(stage: Stage) -> None:
 
 
 async def _error_frames(stage: Stage) -> None:
-    """Error frames among good ones: a disturbed bus that copes."""
+    """Insert error frames among good ones: a disturbed bus that still works."""
     for _ in range(stage.generator.randint(3, 12)):
         stage.can.say(f"< error 200000{stage.generator.choice(('04', '08', '80'))} 1.000000 >".encode())
         await asyncio.sleep(stage.generator.uniform(0.0, 0.1))
@@ -150,77 +151,79 @@ async def _viewer_killed(stage: Stage) -> None:
 
 _TC = 'kind = "sensor"\nwhere = "{channel}"\n'
 _ACTUATOR = 'kind = "actuator"\nwhere = "{}"\ngain = 0.0\n'
-KINDS: dict[str, Kind] = {
-    "link drop": Kind("Modbus connection reset, port closed", "stops", _drop, wire="plc"),
-    "link drop, brief": Kind("the same for 0.05 to 0.3 s", "rides", _drop_briefly, wire="plc"),
-    "half-open link": Kind("Modbus connections stay open, nothing passes", "stops", _half_open, wire="plc"),
-    "late replies": Kind(
+KINDS: dict[str, FaultKind] = {
+    "link drop": FaultKind("Modbus connection reset, port closed", "stops", _drop, wire="plc"),
+    "link drop, brief": FaultKind("the same for 0.05 to 0.3 s", "rides", _drop_briefly, wire="plc"),
+    "half-open link": FaultKind("Modbus connections stay open, nothing passes", "stops", _half_open, wire="plc"),
+    "late replies": FaultKind(
         "every reply 0.4 to 2 s late", "stops", _lasting(lambda g: replies.late(g, 1.0, 0.4, 2.0)), wire="plc",
     ),
-    "late replies, brief": Kind(
+    "late replies, brief": FaultKind(
         "some replies 0.1 to 0.6 s late, for up to 0.5 s", "either", _brief(lambda g: replies.late(g, 0.3, 0.1, 0.6)),
         wire="plc",
     ),
-    "garbled replies": Kind(
+    "garbled replies": FaultKind(
         "other bits in header, function or count of every reply", "stops",
         _lasting(lambda g: replies.garbled_header(g, 1.0)), wire="plc",
     ),
-    "garbled replies, brief": Kind(
+    "garbled replies, brief": FaultKind(
         "the same of every other reply for up to 0.5 s", "either", _brief(lambda g: replies.garbled_header(g, 0.5)),
         wire="plc",
     ),
-    "garbled over TLS": Kind(
+    "garbled over TLS": FaultKind(
         "other bits anywhere in every TLS record", "stops", _lasting(lambda g: replies.garbled_anywhere(g, 1.0)),
         place="tls", wire="plc",
     ),
-    "garbled over TLS, brief": Kind(
+    "garbled over TLS, brief": FaultKind(
         "the same of a third of them for up to 0.5 s", "either", _brief(lambda g: replies.garbled_anywhere(g, 0.34)),
         place="tls", wire="plc",
     ),
-    "cut-off replies": Kind(
+    "cut-off replies": FaultKind(
         "the end of every reply is missing", "stops", _lasting(lambda g: replies.cut_off(g, 1.0)), wire="plc",
     ),
-    "too few registers": Kind(
+    "too few registers": FaultKind(
         "well-formed replies with too few registers", "stops", _lasting(lambda g: replies.too_few_registers(g, 1.0)),
         wire="plc",
     ),
-    "wrong function": Kind(
+    "wrong function": FaultKind(
         "replies to another function", "stops", _lasting(lambda g: replies.wrong_function(g, 1.0)), wire="plc",
     ),
-    "replies in pieces": Kind(
+    "replies in pieces": FaultKind(
         "single bytes: no fault, to be put together", "rides", _brief(lambda g: replies.split_up(g, 1.0)), wire="plc",
     ),
-    "server restart": Kind("Modbus port gone for 0.3 to 4 s", "either", _server_restart, wire="plc"),
-    "CAN link drop": Kind("connection to the CAN daemon reset, port closed", "stops", _can_drop, wire="can"),
-    "CAN link drop, brief": Kind("connection to the CAN daemon reset once", "either", _can_drop_briefly, wire="can"),
-    "CAN silent": Kind("no frames any more, connection open", "stops", _can_silent, wire="can"),
-    "CAN bus-off": Kind("error frame of bus-off, then silence", "stops", _bus_off, wire="can"),
-    "CAN error frames": Kind("error frames among good ones", "rides", _error_frames, wire="can"),
-    "CAN text garbled": Kind(
+    "server restart": FaultKind("Modbus port gone for 0.3 to 4 s", "either", _server_restart, wire="plc"),
+    "CAN link drop": FaultKind("connection to the CAN daemon reset, port closed", "stops", _can_drop, wire="can"),
+    "CAN link drop, brief": FaultKind(
+        "connection to the CAN daemon reset once", "either", _can_drop_briefly, wire="can",
+    ),
+    "CAN silent": FaultKind("no frames any more, connection open", "stops", _can_silent, wire="can"),
+    "CAN bus-off": FaultKind("error frame of bus-off, then silence", "stops", _bus_off, wire="can"),
+    "CAN error frames": FaultKind("error frames among good ones", "rides", _error_frames, wire="can"),
+    "CAN text garbled": FaultKind(
         "characters missing in a third of the daemon's lines, for up to 0.5 s", "either",
         _brief(lambda g: replies.without_a_digit(g, 0.34), "can"), wire="can",
     ),
-    "thermocouple stuck": Kind("repeats its last value", "stops", effect=_TC + "stuck = true\n"),
-    "thermocouple open": Kind("reads the code of an open circuit", "stops", effect=_TC + "open_circuit = true\n"),
-    "thermocouple jumps": Kind(
+    "thermocouple stuck": FaultKind("repeats its last value", "stops", effect=_TC + "stuck = true\n"),
+    "thermocouple open": FaultKind("reads the code of an open circuit", "stops", effect=_TC + "open_circuit = true\n"),
+    "thermocouple jumps": FaultKind(
         "loose contact: 8 to 30 K up or down, there and back", "stops",
         effect=_TC + "jump_K = {jump}\nperiod_s = {period}\nduty = 0.9\n",
     ),
-    "pump stop": Kind("pump stands still whatever it is told", "stops", effect=_ACTUATOR.format("pump_speed")),
-    "fan stop": Kind("fans stand still whatever they are told", "stops", effect=_ACTUATOR.format("fan_speed")),
-    "rig reboot": Kind("PLC loses its memory, gone for 0 to 3 s", "stops", _reboot),
-    "calibrator crash": Kind("kill -9 of the calibrators' process", "rides", _calibrator_crash, place="twin"),
-    "viewer killed": Kind("kill -9 of the process that feeds Rerun", "rides", _viewer_killed, place="viewer"),
-    "disk full": Kind("no byte can be written any more", "stops", _disk_full, place="tmpfs"),
-    "SIGTERM": Kind("at any instant from the start of the command on", "stops", _sent(signal.SIGTERM), early=True),
-    "SIGINT": Kind("the same", "stops", _sent(signal.SIGINT), early=True),
-    "SIGKILL": Kind("the same", "killed", _sent(signal.SIGKILL), early=True),
-    "loop hangs": Kind("SIGSTOP: process there, loop not", "killed", _sent(signal.SIGSTOP)),
+    "pump stop": FaultKind("pump stands still whatever it is told", "stops", effect=_ACTUATOR.format("pump_speed")),
+    "fan stop": FaultKind("fans stand still whatever they are told", "stops", effect=_ACTUATOR.format("fan_speed")),
+    "rig reboot": FaultKind("PLC loses its memory, gone for 0 to 3 s", "stops", _reboot),
+    "calibrator crash": FaultKind("kill -9 of the calibrators' process", "rides", _calibrator_crash, place="twin"),
+    "viewer killed": FaultKind("kill -9 of the process that feeds Rerun", "rides", _viewer_killed, place="viewer"),
+    "disk full": FaultKind("no byte can be written any more", "stops", _disk_full, place="tmpfs"),
+    "SIGTERM": FaultKind("at any instant from the start of the command on", "stops", _sent(signal.SIGTERM), early=True),
+    "SIGINT": FaultKind("the same", "stops", _sent(signal.SIGINT), early=True),
+    "SIGKILL": FaultKind("the same", "killed", _sent(signal.SIGKILL), early=True),
+    "loop hangs": FaultKind("SIGSTOP: process there, loop not", "killed", _sent(signal.SIGSTOP)),
 }  # fmt: skip
 
 
-def effect_text(kind: Kind, generator: random.Random, channels: tuple[str, ...], onset_s: float) -> str:
-    """The effects file of a fault that the rig itself has, from `onset_s` of rig time on, for `MENDED_AFTER_S`."""
+def effect_text(kind: FaultKind, generator: random.Random, channels: tuple[str, ...], onset_s: float) -> str:
+    """Return the effects file of a fault of the rig itself, from `onset_s` of rig time on, for `MENDED_AFTER_S`."""
     values = {
         "channel": generator.choice(channels),
         "jump": f"{generator.choice((-1, 1)) * generator.uniform(8.0, 30.0):.2f}",

@@ -1,4 +1,4 @@
-"""Places of the machine that ran a campaign, taken out of what is published of it."""
+"""Removal of local paths from published results."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Protocol
 PROJECT = Path(__file__).resolve().parents[3]
 _PATH = re.compile(r"(?<![\w.:/])/(?:[\w.+@~-]+/)+")
 _KEPT = ("/dev/", "/proc/", "/sys/")
-"""These are the same on every machine."""
+"""Paths that are the same on every machine."""
 
 
 class Published(Protocol):
-    """The texts of a result."""
+    """Result with texts."""
 
     failures: list[str]
     wrong: list[str]
@@ -30,7 +30,7 @@ def without_places(text: str) -> str:
 
 
 def take_places_out(result: Published) -> None:
-    """Clean the texts of a result."""
+    """Remove local paths from the texts of a result."""
     result.failures = [without_places(text) for text in result.failures]
     result.wrong = [without_places(text) for text in result.wrong]
     result.reason = without_places(result.reason)

@@ -1,4 +1,4 @@
-"""Which faults a case of the campaign has: one, or two at a time."""
+"""Faults of a case of the campaign: one, or two at a time."""
 
 from __future__ import annotations
 
@@ -8,40 +8,40 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from hil.bench.faults.kinds import KINDS, Ending, Kind
+from hil.bench.faults.kinds import KINDS, Ending, FaultKind
 
 AND = " + "
 APART_S = 1.0
-"""The second fault of a pair strikes up to this long after the first, which then has not ended the run yet."""
+"""Longest time from the first to the second fault of a pair, s: the first has not ended the run yet."""
 _SEVERITY: tuple[Ending, ...] = ("rides", "either", "stops", "killed")
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
-    """One case by its name, `a` or `a + b`: the first strikes, and perhaps a second after `apart_s`."""
+class FaultCase:
+    """Case by its name, `a` or `a + b`: the first fault, and perhaps a second after `apart_s`."""
 
     name: str
-    kinds: tuple[Kind, ...]
+    kinds: tuple[FaultKind, ...]
     apart_s: float = 0.0
 
     @property
     def ending(self) -> Ending:
-        """What has to come of it."""
+        """Return the required outcome."""
         return worst(kind.ending for kind in self.kinds)
 
     @property
     def early(self) -> bool:
-        """Whether it may strike before anything is moved; of two faults none does."""
+        """Return True if it may strike before anything is moved; of two faults none does."""
         return len(self.kinds) == 1 and self.kinds[0].early
 
     @property
     def places(self) -> frozenset[str]:
-        """What it needs, see `Kind.place`."""
+        """Return its needs, see `FaultKind.place`."""
         return frozenset(kind.place for kind in self.kinds)
 
     @property
     def resumable(self) -> bool:
-        """Whether the run that it leaves can go on once the fault is over; of two, that it can although one is not."""
+        """Return True if the run can continue after the fault; of two, although one of them persists."""
         names = self.name.split(AND)
         if len(names) == 1:
             return True
@@ -50,25 +50,25 @@ class Case:
 
 
 def worst(endings: Iterable[Ending]) -> Ending:
-    """What comes of faults together: what comes of the gravest of them."""
+    """Return the outcome of several faults: that of the gravest."""
     return max(endings, key=_SEVERITY.index)
 
 
-def case_of(name: str, number: int, seed: int) -> Case:
-    """The case called `name`; KeyError where there is no such kind."""
+def case_of(name: str, number: int, seed: int) -> FaultCase:
+    """Return the case called `name`; raise KeyError for an unknown kind."""
     kinds = tuple(KINDS[part] for part in name.split(AND))
     apart_s = random.Random(f"{seed} {name} {number} apart").uniform(0.0, APART_S) if len(kinds) > 1 else 0.0
-    return Case(name, kinds, apart_s)
+    return FaultCase(name, kinds, apart_s)
 
 
 def singles(runs: int, kinds: Sequence[str] = ()) -> list[tuple[str, int]]:
-    """Name and number of each case: all kinds in turn until there are `runs`."""
+    """Return name and number of each case: all kinds in turn, up to `runs` cases."""
     names = list(kinds) or list(KINDS)
     return [(names[k % len(names)], k // len(names)) for k in range(runs)]
 
 
 def pairs(count: int, seed: int, kinds: Sequence[str] = ()) -> list[tuple[str, int]]:
-    """`count` pairs of different kinds in random order, drawn so that every kind comes about equally often.
+    """Return `count` pairs of different kinds in random order, with about equal counts of every kind.
 
     Two faults of one wire are no pair: the second would replace the first, or mend it.
     """
@@ -82,7 +82,7 @@ def pairs(count: int, seed: int, kinds: Sequence[str] = ()) -> list[tuple[str, i
         left.remove(pair)
         used.update(pair)
         first, second = generator.sample(pair, 2)
-        if first == "SIGKILL":  # nothing is left that a second fault could strike
+        if first == "SIGKILL":  # A second fault would have no target.
             first, second = second, first
         found.append((f"{first}{AND}{second}", 0))
     return found

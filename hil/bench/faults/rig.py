@@ -1,4 +1,4 @@
-"""The rig of the fault campaign: the shipped rig file at ten hertz, with short limits, behind wires that can fail.
+"""Rig of the fault campaign: the shipped rig file at ten hertz, with short limits, and wires that can fail.
 
 Everything is in real time: half a second of time-out, a second of staleness and the watchdog of two keep their
 proportions, which they would not in scaled time, where the wire is slower than the rig.
@@ -18,10 +18,11 @@ STALE_AFTER_S = 1.0
 STUCK_AFTER_S = 1.0
 ABORT_AFTER_S = 1.5
 STALE_LIMIT_S = 3.0
-"""From an occurrence to safe: staleness, the wait before a trip, and half a second for ticks, write and read-back."""
+"""Time from an occurrence to safe, s: staleness, the delay of a trip, and half a second for ticks, write and read-back.
+"""
 WATCHDOG_S = 2.0
 METER_WITHIN_S = 10.0
-"""The virtual power meter lags by 1.6 s: from 1000 W it is below 10 W after 7.4 s."""
+"""Time for the virtual power meter, s: its lag is 1.6 s, so from 1000 W it is below 10 W after 7.4 s."""
 _PUMP, _FAN = 1, 2
 LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,{0},100,100\n600,{0},100,100\n"
 
@@ -53,7 +54,7 @@ on_delay_s = 0.8
 
 
 def rig_text(ports: dict[str, int], tls: dict[str, Path] | None = None) -> str:
-    """The rig file, with the port of each bus; `tls` has the paths of ca, certificate and key."""
+    """Return the rig file, with the port of each bus; `tls` has the paths of ca, certificate and key."""
     text = (PROFILES / "rigs" / "virtual.toml").read_text(encoding="utf-8")
     head, *points = text.split("[[point]]\n")
     head = _set(head, "period_s", PERIOD_S)
@@ -81,14 +82,14 @@ def _point(text: str) -> str:
     )
     text = re.sub(r"(?m)^readback_within_s = .*\n", "", text)
     if "readback = " in text:
-        # The power meter follows with a second's lag and must be below 10 W before the rig is called safe.
+        # The power meter has a lag and must be below 10 W before the rig counts as safe.
         within_s = METER_WITHIN_S if 'readback = "heater_power"' in text else 0.3
         text = text.replace("readback = ", f"readback_within_s = {within_s}\nreadback = ", 1)
     return re.sub(r"(?m)^max_rate = 100\.0$", "max_rate = 1000.0", text)
 
 
 def _set(text: str, key: str, value: float, after: str = "") -> str:
-    """`text` with the first `key` after `after` at `value`."""
+    """Set the first `key` after `after` in `text` to `value`."""
     at = text.index(after) + len(after)
     changed, count = re.subn(rf"(?m)^{key} = \S+", f"{key} = {value}", text[at:], count=1)
     if count != 1:
@@ -97,7 +98,7 @@ def _set(text: str, key: str, value: float, after: str = "") -> str:
 
 
 async def prepare(port: int, tls: ssl.SSLContext | None = None) -> None:
-    """Leave pump and fans at full speed, as the run before has done."""
+    """Set pump and fans to full speed, as after a run."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=tls)
     for register, value in ((_PUMP, 1000), (_FAN, 1000)):
         writer.write(struct.pack(">HHHBBHH", 1, 0, 6, 1, 6, register, value))

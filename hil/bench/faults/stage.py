@@ -1,4 +1,4 @@
-"""The stage of a case of the fault campaign: a virtual rig of its own, wires that can fail, `hil run` in a process."""
+"""Stage of a case of the fault campaign: its virtual rig, wires that can fail, `hil run` in a process."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drivers.virtual.plant import CHANNELS
 from hil.bench.faults import judge
 from hil.bench.faults.disk import OwnDisk
 from hil.bench.faults.kinds import effect_text
-from hil.bench.faults.plan import Case
+from hil.bench.faults.plan import FaultCase
 from hil.bench.faults.rig import LOAD, PERIOD_S, prepare, rig_text
 from hil.bench.faults.tls import Certificates, make_certificates
 from hil.bench.measure import processes
@@ -30,13 +30,13 @@ from hil.bench.measure import processes
 ROOT = Path(__file__).resolve().parents[3]
 LOOK_EVERY_S = 0.2
 SPIN_UP_S = 30.0
-"""No fan takes longer than this to get there."""
+"""Time in s in which every fan reaches its speed."""
 FANS_PCT = 70.0
-"""Fans that are this fast when the command is started are at full speed when it has a rig."""
+"""Fan speed at the start of the command from which fans reach full speed before the run has a rig, %."""
 
 
 class Harness:
-    """`hil run` as a user starts it, in a process of its own whose output goes to files."""
+    """Process `hil run` as a user starts it, with its output in files."""
 
     def __init__(self, place: Path, terminal: Path, process: asyncio.subprocess.Process) -> None:
         self.place, self.terminal, self.process = place, terminal, process
@@ -44,29 +44,29 @@ class Harness:
 
     @property
     def running(self) -> bool:
-        """Whether the process is there."""
+        """Return True while the process exists."""
         return self.process.returncode is None
 
     @property
     def pid(self) -> int:
-        """Id of the process."""
+        """Return the id of the process."""
         return self.process.pid
 
     def folder(self) -> Path | None:
-        """The run's folder, once there is one."""
+        """Return the run's folder, or None before it exists."""
         return next(iter(sorted(self.place.glob("runs/*-load"))), None)
 
     @property
     def journal(self) -> Path:
-        """The run's journal; a path that is not there while there is none."""
+        """Return the path of the run's journal; before it exists, a path without a file."""
         return (self.folder() or self.place) / "journal.sqlite"
 
     def said(self) -> str:
-        """What it has written to its terminal."""
+        """Return the output in its terminal."""
         return (self.terminal / "err.txt").read_text(encoding="utf-8", errors="replace")
 
     def ended_as(self) -> str:
-        """Exit status that the run wrote of itself, empty while it goes on."""
+        """Return the exit status that the run recorded, "" while it goes on."""
         folder = self.folder()
         try:
             status = json.loads(((folder or self.place) / "run.json").read_text(encoding="utf-8"))["exit_status"]
@@ -75,7 +75,7 @@ class Harness:
         return "" if status == "running" else str(status)
 
     async def finish(self) -> None:
-        """Kill what is left of it."""
+        """Kill the remaining processes."""
         if self.running:
             with contextlib.suppress(ProcessLookupError):
                 self.process.kill()
@@ -84,7 +84,7 @@ class Harness:
 
 @dataclass(slots=True)
 class Stage:
-    """What the fault of a case may lay hands on; see `hil.bench.faults.kinds`."""
+    """Targets of a case's fault; see `hil.bench.faults.kinds`."""
 
     generator: random.Random
     rig: VirtualRig
@@ -96,19 +96,20 @@ class Stage:
     asked_s: float = math.inf
     waited_s: float = math.inf
     starved_s: float = 0.0
-    """How long the harness had waited for a processor when the fault came; the longest that it has since, or that our
-    own relays have stood still."""
+    """Wait of the harness for a processor at the fault, s; the longest since then, or the longest stall of our own
+    relays.
+    """
     told_s: float | None = None
-    """When the harness said on its terminal that it ends."""
-    seen: judge.PointState = field(default_factory=judge.PointState)
+    """Time at which the harness reported its end on its terminal."""
+    seen: judge.AcknowledgedSamples = field(default_factory=judge.AcknowledgedSamples)
 
     @property
     def pid(self) -> int:
-        """Process of the harness."""
+        """Return the process of the harness."""
         return self.harness.pid
 
     async def reboot(self, seconds: float) -> None:
-        """Power-cut of the PLC."""
+        """Power-cycle the PLC."""
         reader, writer = await asyncio.open_connection(self.rig.host, self.rig.control_port)
         await reader.readline()
         writer.write(f"reboot {seconds:g}\n".encode())
@@ -118,7 +119,7 @@ class Stage:
             raise RuntimeError(f"the virtual rig did not reboot: {answer!r}")
 
     def fill_disk(self) -> None:
-        """No byte more for the harness."""
+        """Fill the harness's disk."""
         assert self.disk is not None
         self.disk.fill(self.pid)
 
@@ -139,11 +140,11 @@ class Stage:
         await self.until(mended, rig_s + SPIN_UP_S)
 
     def seen_here(self, folder: Path) -> Path:
-        """A folder of the run's as the run itself sees it."""
+        """Return a folder of the run as its process sees it."""
         return folder if self.disk is None else self.disk.inside / folder.relative_to(self.disk.path)
 
     def kill_child(self, words: str) -> None:
-        """SIGKILL to the harness's children with `words` in their command."""
+        """Send SIGKILL to the harness's children with `words` in their command."""
         found = [pid for pid in processes.children(self.pid) if words.encode() in processes.command(pid)]
         if not found:
             raise RuntimeError(f"the harness has no process of {words}")
@@ -151,7 +152,7 @@ class Stage:
             os.kill(pid, signal.SIGKILL)
 
     def look(self) -> Path:
-        """See what the run has acknowledged; returns a path by which its journal can be opened."""
+        """Read newly acknowledged samples; return a path at which the journal can be opened."""
         journal = self.harness.journal
         if self.disk is not None and self.disk.real:
             journal = self.disk.copied(journal, self.truth.parent / "journal")
@@ -159,17 +160,17 @@ class Stage:
         return journal
 
     def moments(self) -> list[Moment]:
-        """What was true so far."""
+        """Return the true states so far."""
         return read_truth(self.truth)
 
     @property
     def heater_W(self) -> float:
-        """What reaches the heater now."""
+        """Return the present power of the heater."""
         moments = self.moments()
         return moments[-1].heater_W if moments else 0.0
 
     async def until(self, condition: Callable[[], bool], seconds: float) -> bool:
-        """Wait for `condition`, looking into the journal meanwhile; whether it came true in time."""
+        """Wait for `condition`, and read the journal meanwhile; return True if it came true in time."""
         deadline = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > deadline:
@@ -186,10 +187,10 @@ class Stage:
 
 
 @contextlib.asynccontextmanager
-async def set_stage(case: Case, generator: random.Random, place: Path, onset_s: float) -> AsyncIterator[Stage]:
-    """Rig, wires and a run on it, all in `place`; a first fault of the rig's own begins at `onset_s` of its time."""
+async def set_stage(case: FaultCase, generator: random.Random, place: Path, onset_s: float) -> AsyncIterator[Stage]:
+    """Start rig, wires and a run in `place`; a first fault of the rig itself begins at `onset_s` of its time."""
     async with contextlib.AsyncExitStack() as stack:
-        # What takes long goes to a thread: the relays of the cases beside this one must not stand still for it.
+        # Long work goes to a thread: the relays of parallel cases must not wait for it.
         certificates: Certificates | None = None
         if "tls" in case.places:
             certificates = await asyncio.to_thread(make_certificates, place)
@@ -228,7 +229,7 @@ async def set_stage(case: Case, generator: random.Random, place: Path, onset_s: 
         yield Stage(generator, rig, plc, can, harness, truth, disk)
 
 
-async def _start(case: Case, place: Path, disk: OwnDisk | None) -> Harness:
+async def _start(case: FaultCase, place: Path, disk: OwnDisk | None) -> Harness:
     command = [sys.executable, "-m", "hil", "run", str(place / "load.csv"), "--rig", str(place / "rig.toml")]
     command += ["--calibrator", "least_squares"] if "twin" in case.places else ["--no-twin"]
     command += ["--viewer"] if "viewer" in case.places else ["--no-viewer"]
@@ -240,27 +241,34 @@ async def _start(case: Case, place: Path, disk: OwnDisk | None) -> Harness:
 
 
 async def spawn(command: list[str], place: Path) -> asyncio.subprocess.Process:
-    """A command of ours with a terminal that is two files."""
+    """Start a command of ours with two files as its terminal."""
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         environment.pop(name, None)
     with (place / "out.txt").open("ab") as out, (place / "err.txt").open("ab") as err:
         return await asyncio.create_subprocess_exec(
-            *command, stdin=asyncio.subprocess.DEVNULL, stdout=out, stderr=err, cwd=place, env=environment,
+            *command,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=out,
+            stderr=err,
+            cwd=place,
+            env=environment,
             start_new_session=True,
-        )  # fmt: skip
+        )
 
 
 def last_line(place: Path) -> str:
-    """What was said last on the terminal in `place`; nothing where nothing was."""
+    """Return the last line of the terminal in `place`; "" if there is none."""
     return next(iter((place / "err.txt").read_text(encoding="utf-8", errors="replace").splitlines()[-1:]), "")
 
 
 def last_words(place: Path) -> str:
-    """The last lines of the run's terminal, which is in `place`."""
+    """Return the last lines of the run's terminal, which is in `place`."""
     lines = [
-        line for name in ("err.txt", "out.txt") if (place / name).is_file()
+        line
+        for name in ("err.txt", "out.txt")
+        if (place / name).is_file()
         for line in (place / name).read_text(encoding="utf-8", errors="replace").splitlines()[-4:]
-    ]  # fmt: skip
+    ]
     return " / ".join(lines)[-400:]

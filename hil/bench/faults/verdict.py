@@ -1,4 +1,4 @@
-"""The verdict on one case of the fault campaign: what it came to, and which musts it broke."""
+"""Verdict on one case of the fault campaign: its outcome, and the broken requirements."""
 
 from __future__ import annotations
 
@@ -8,22 +8,23 @@ from typing import Any
 
 from drivers.virtual.devices import Moment
 from hil.bench.faults import judge
-from hil.bench.faults.kinds import Ending, Kind
-from hil.bench.faults.plan import Case, worst
+from hil.bench.faults.kinds import Ending, FaultKind
+from hil.bench.faults.plan import FaultCase, worst
 from hil.bench.faults.rig import PERIOD_S, STALE_LIMIT_S, WATCHDOG_S
 from hil.bench.faults.stage import Stage
 
-Strike = tuple[Kind, float]
-"""A fault and the wall time at which it occurred, s."""
+Strike = tuple[FaultKind, float]
+"""Fault and the wall time of its occurrence, s."""
 REACT_S = 1.0
-"""From detection to safe."""
+"""Time from detection to safe, s."""
 TRUTH_STEP_S = 2.0 * PERIOD_S
-"""The watchdog looks once a period, and its last heartbeat may be younger than the fault."""
+"""Tolerance for the watchdog, s: it is checked once a period, and its last heartbeat may follow the fault."""
 
 
 @dataclass(slots=True)
-class Result:
-    """What one case came to. Times in s after the occurrence; `detected` and `safe` are None where that never was.
+class FaultResult:
+    """Result of one case. Times in s after the occurrence; `detected` and `safe` are None if that never happened. `by`
+    is the detecting agent: the harness, its guardian or the rig's watchdog. `acknowledged` and `lost` count samples.
 
     `by` is who detected: the harness, its guardian or the rig's watchdog. `acknowledged` and `lost` count samples.
     """
@@ -46,27 +47,31 @@ class Result:
     attempts: int = 1
     resumed: bool | None = None
     refused: bool | None = None
-    """Whether a resume of a run that was over before its first sample was refused in a sentence with a remedy."""
+    """True if a resume of a run that was over before its first sample was refused in a sentence with a remedy."""
     wire_down: bool = False
-    """Of two faults: whether the harness knew while its wire to the heater was down, so that only the rig could act."""
+    """True if, of two faults, the harness detected while its wire to the heater was down, so that only the rig could
+    act.
+    """
     struck: bool = True
-    """Whether the fault came while something heated, where it had to."""
+    """True if the fault came while something heated, for kinds that require it."""
 
 
-def as_document(result: Result) -> dict[str, Any]:
-    """As JSON has it."""
+def as_document(result: FaultResult) -> dict[str, Any]:
+    """Return the result as JSON data."""
     return asdict(result)
 
 
-def judged(result: Result, case: Case, stage: Stage, strikes: list[Strike]) -> judge.Journal:
-    """Fill in `result` from what rig and harness left; the journal."""
+def judged(result: FaultResult, case: FaultCase, stage: Stage, strikes: list[Strike]) -> judge.JournalContent:
+    """Complete `result` from the files of rig and harness; return the journal."""
     truth, journal = stage.moments(), judge.read_journal(stage.look())
     _judge(result, case, stage, journal, truth, strikes)
     return journal
 
 
-def _blamed(case: Case, stage: Stage, journal: judge.Journal, strikes: list[Strike]) -> tuple[Ending, float]:
-    """What has to come of the faults that struck a run which went on, and since when: the gravest one's occurrence."""
+def _blamed(
+    case: FaultCase, stage: Stage, journal: judge.JournalContent, strikes: list[Strike]
+) -> tuple[Ending, float]:
+    """Return the required outcome of the faults on a run that went on, and its time: the gravest one's occurrence."""
     left = judge.ended_at(journal, strikes[0][1])
     if left is None and "tmpfs" in case.places:
         left = stage.told_s
@@ -76,7 +81,12 @@ def _blamed(case: Case, stage: Stage, journal: judge.Journal, strikes: list[Stri
 
 
 def _judge(
-    result: Result, case: Case, stage: Stage, journal: judge.Journal, truth: list[Moment], strikes: list[Strike]
+    result: FaultResult,
+    case: FaultCase,
+    stage: Stage,
+    journal: judge.JournalContent,
+    truth: list[Moment],
+    strikes: list[Strike],
 ) -> None:
     harness = stage.harness
     ending, occurred_s = _blamed(case, stage, journal, strikes)
@@ -92,7 +102,7 @@ def _judge(
     rode = result.ended == "rode through"
     result.reason = next((row[3] for row in reversed(journal.states) if row[2] in ("finishing", "faulted")), "")
     if left is None and "tmpfs" in case.places:
-        left = stage.told_s  # its journal cannot say so any more
+        left = stage.told_s  # Its journal cannot record it any more.
     detected = noticed if rode else min((t for t in (left, guardian, watchdog) if t is not None), default=None)
     if not rode:
         by = {left: "harness", guardian: "guardian", watchdog: "rig"}
@@ -111,8 +121,8 @@ def _judge(
     result.failures += _broken(result, ending, case.early, journal, rode)
 
 
-def _broken(result: Result, ending: Ending, early: bool, journal: judge.Journal, rode: bool) -> list[str]:
-    """Which of the musts this case broke."""
+def _broken(result: FaultResult, ending: Ending, early: bool, journal: judge.JournalContent, rode: bool) -> list[str]:
+    """Return the requirements that this case broke."""
     broken = []
     if ending == "rides" and not rode:
         broken.append("the run ended of a fault that it has to ride through")
@@ -126,7 +136,7 @@ def _broken(result: Result, ending: Ending, early: bool, journal: judge.Journal,
             broken.append(f"safe {result.safe:.2f} s after the fault, the limit is {limit:g} s")
         react_s = WATCHDOG_S + TRUTH_STEP_S if result.wire_down else REACT_S
         if result.detected is None:
-            # Of a harness that hangs on a rig that began anew there is nothing left to detect.
+            # A harness that hangs on a rig that restarted has nothing left to detect.
             broken += [] if ending == "killed" and result.safe is not None else ["never detected"]
         elif result.safe is not None and result.safe - result.detected > react_s:
             broken.append(f"safe {result.safe - result.detected:.2f} s after detection")

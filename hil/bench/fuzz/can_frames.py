@@ -23,9 +23,18 @@ LAYOUT = {0x181: "<4h", 0x281: "<4h", 0x381: "<hHI"}
 SCALES = {0x381: (0.01, 1.0, 0.001)}
 RANGES = {0x381: ((-40.0, 150.0), (0.0, 511.0), (0.0, 4294967.295))}
 KINDS = (
-    "none", "any data", "another identifier", "extended identifier", "remote", "error", "shorter", "longer", "DLC lies",
-    "CAN FD", "no data",
-)  # fmt: skip
+    "none",
+    "any data",
+    "another identifier",
+    "extended identifier",
+    "remote",
+    "error",
+    "shorter",
+    "longer",
+    "DLC lies",
+    "CAN FD",
+    "no data",
+)
 _APART_S = 1000.0
 
 
@@ -61,7 +70,7 @@ def _mutated(kind: str, pick: random.Random, identifier: int) -> can.Message:
 
 
 async def mutate_can(count: int, seed: int) -> dict[str, tuple[int, int, int, int]]:
-    """By kind of mutation: frames, values that came as good, values of a frame that did not, and wrong ones."""
+    """Return by kind of mutation: frames, good values, values of a frame that were not good, and wrong ones."""
     pick = random.Random(seed)
     points = tuple(
         point.model_copy(update={"bus": "c", "max_change_per_s": None, "stuck_after_s": None, "plausible": None})
@@ -77,7 +86,7 @@ async def mutate_can(count: int, seed: int) -> dict[str, tuple[int, int, int, in
         kind = KINDS[number % len(KINDS)]
         identifier = pick.choice(tuple(LAYOUT))
         frame = _mutated(kind, pick, identifier)
-        now[0] += _APART_S  # whatever came before is stale, so that a good value is this frame's
+        now[0] += _APART_S  # Everything before is stale, so that a good value is this frame's.
         bus._take(frame)
         readings = await bus.read()
         tally = found[kind]
@@ -94,7 +103,7 @@ async def mutate_can(count: int, seed: int) -> dict[str, tuple[int, int, int, in
 
 
 def _allowed(frame: can.Message) -> dict[str | None, list[float]]:
-    """What points of this frame's message may read; nothing where the frame is none that may be used."""
+    """Return the allowed readings of this frame's points; nothing if the frame is unusable."""
     layout = LAYOUT.get(frame.arbitration_id)
     odd = frame.is_extended_id or frame.is_remote_frame or frame.is_error_frame
     if layout is None or odd or len(frame.data) != 8 or frame.dlc != 8:

@@ -1,4 +1,4 @@
-"""Mutated frames of a J1939 message, which is read by its PGN: senders, priorities, data pages, lengths and data.
+"""Mutated frames of a J1939 message, which is identified by its PGN: senders, priorities, data pages, lengths and data.
 
 Wrong is a value that is good and not what the bytes of a frame of this PGN say, or beyond its range, or of a message
 that two send at the time.
@@ -20,9 +20,21 @@ from drivers.signals import Quality
 
 PGN, HEARD, OTHER = 0xFEEE, 0x00, 0x21
 KINDS = (
-    "none", "another priority", "any data", "another source", "two sources", "another PGN", "data page",
-    "standard identifier", "remote", "error", "shorter", "DLC lies", "no value", "no data",
-)  # fmt: skip
+    "none",
+    "another priority",
+    "any data",
+    "another source",
+    "two sources",
+    "another PGN",
+    "data page",
+    "standard identifier",
+    "remote",
+    "error",
+    "shorter",
+    "DLC lies",
+    "no value",
+    "no data",
+)
 HARMLESS = ("none", "another priority")
 DBC = """VERSION ""
 
@@ -79,7 +91,9 @@ def _frames(kind: str, pick: random.Random) -> list[can.Message]:
 
 
 def _allowed(frames: list[can.Message]) -> list[float]:
-    """What the three signals may read: nothing that is no number of the PGN's, nothing where two have sent it."""
+    """Return the allowed readings of the three signals; nothing for a code of the PGN that is no number, or for two
+    senders.
+    """
     if len(frames) > 1:
         return [math.nan] * 3
     (frame,) = frames
@@ -92,7 +106,7 @@ def _allowed(frames: list[can.Message]) -> list[float]:
 
 
 async def mutate_j1939(count: int, seed: int) -> dict[str, tuple[int, int, int, int]]:
-    """By kind of mutation: frames, values that came as good, values that did not, and wrong ones."""
+    """Return by kind of mutation: frames, good values, values that were not good, and wrong ones."""
     pick = random.Random(seed)
     points = tuple(Point(name=n, bus="c", unit="degC", message="ET1", signal=n) for n in ("T_a", "T_b", "T_c"))
     now = [0.0]
@@ -101,7 +115,7 @@ async def mutate_j1939(count: int, seed: int) -> dict[str, tuple[int, int, int, 
         dbc.write_text(DBC, encoding="utf-8")
         bus = CanReceiver("c", CanBus(transport="virtual", dbc=dbc), points, lambda: now[0])
     found = {kind: [0, 0, 0, 0] for kind in KINDS}
-    bus._take(_frames("none", pick)[0])  # who is heard first is the one that is read
+    bus._take(_frames("none", pick)[0])  # The first sender that is received is the one that is read.
     for number in range(count):
         kind = KINDS[number % len(KINDS)]
         frames = _frames(kind, pick)

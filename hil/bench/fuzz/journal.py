@@ -1,4 +1,4 @@
-"""Damaged journals: another value in a cell, a table or a column that is gone, bytes that a disk has lost."""
+"""Damaged journals: another value in a cell, a missing table or column, lost bytes of a disk."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def damaged(sound: bytes, path: Path, pick: random.Random) -> None:
         for _ in range(pick.randint(1, 2)):
             try:
                 _damage(database, pick)
-            except (sqlite3.Error, OverflowError):  # the schema itself refuses some: the next one then
+            except (sqlite3.Error, OverflowError):  # The schema itself refuses some: try the next one.
                 continue
     finally:
         database.close()
@@ -101,7 +101,7 @@ def _damage(database: sqlite3.Connection, pick: random.Random) -> None:
         row = database.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
         try:
             document = json.loads(row[0]) if row else None
-        except (ValueError, TypeError, RecursionError):  # damaged by the mutation before this one
+        except (ValueError, TypeError, RecursionError):  # Damaged by the mutation before this one.
             document = None
         value = mutated_json(document, pick).decode("utf-8", "replace")
         database.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))

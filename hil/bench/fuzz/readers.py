@@ -30,18 +30,18 @@ from hil.errors import exit_code
 
 READ, REFUSED, UNCLEAR, TRACEBACK, HANG = "read", "refused", "refused unclearly", "traceback", "too slow"
 LONGEST_S = 2.0
-"""Seconds of this process's own computing that a reader may take for a file of a few kilobytes."""
+"""Processor time in s that a reader may take for a file of a few kilobytes."""
 _FOREIGN = re.compile(
     r"Input should|Field required|Extra inputs|validation error|pydantic|object has no attribute|NoneType|"
     r"not subscriptable|unhashable|positional argument|Traceback|is not iterable|could not convert string"
 )
-"""Words of pydantic and of Python's own errors, which a user cannot act on."""
+"""Words of pydantic and of Python's own errors, which give a user no remedy."""
 _MOST_EXAMPLES = 20
 
 
 @dataclass
-class Fuzzed:
-    """Outcomes of one reader: counts by outcome, and the first files that ended in another than read or refused."""
+class ReaderOutcomes:
+    """Outcomes of one reader: counts by outcome, and the first files with a failure."""
 
     counts: Counter[str] = field(default_factory=Counter)
     examples: list[str] = field(default_factory=list)
@@ -53,16 +53,16 @@ class Fuzzed:
 
 
 @dataclass(frozen=True)
-class Reader:
-    """One reader: `make` writes a mutated file to a path, `read` reads it."""
+class FuzzedReader:
+    """Reader under test: `make` writes a mutated file to a path, `read` reads it."""
 
     suffix: str
     make: Callable[[Path, random.Random], object]
     read: Callable[[Path], object]
 
 
-def readers(folder: Path) -> dict[str, Reader]:
-    """Return every reader by the kind of its files; `folder` holds what a journal is copied from."""
+def readers(folder: Path) -> dict[str, FuzzedReader]:
+    """Return every reader by the kind of its files; `folder` holds the journal that is copied."""
     from hil.bench.fuzz.journal import damaged, read_all, sound_journal
     from hil.diagnosis.store import CURVES, Curves, Unknown, write_curves
     from hil.profile.scenario import read_scenario
@@ -91,20 +91,20 @@ def readers(folder: Path) -> dict[str, Reader]:
         "model card": _json(_card, fuzz_texts.CARD),
         "run.json": _json(_run, fuzz_texts.RUN),
         "diagnosis.json": _json(_diagnosis, {"format": 1, "findings": [{"label": "a", "p": 0.1}], "sensors": {}}),
-        "journal": Reader("sqlite", lambda path, pick: damaged(journal, path, pick), read_all),
+        "journal": FuzzedReader("sqlite", lambda path, pick: damaged(journal, path, pick), read_all),
     }
 
 
 def fuzz_files(
     count: int, seed: int, *, kinds: tuple[str, ...] = (), progress: Callable[[float], None] = lambda share: None
-) -> dict[str, Fuzzed]:
+) -> dict[str, ReaderOutcomes]:
     """Return by kind of file the outcomes of `count` mutated ones of each kind (all where `kinds` is empty).
 
     Kinds whose reader needs a library that is not installed are left out.
     """
-    found: dict[str, Fuzzed] = {}
+    found: dict[str, ReaderOutcomes] = {}
     with tempfile.TemporaryDirectory(prefix="hil-fuzz-") as name, warnings.catch_warnings():
-        warnings.simplefilter("error")  # a library's warning is a fault that nobody looked at
+        warnings.simplefilter("error")  # A library's warning is an unhandled fault.
         folder = Path(name)
         chosen = {kind: one for kind, one in readers(folder).items() if not kinds or kind in kinds}
         if not _has_yaml():
@@ -112,10 +112,10 @@ def fuzz_files(
         for at, (kind, reader) in enumerate(chosen.items()):
             pick = random.Random(f"{seed} {kind}")
             path = folder / f"fuzzed.{reader.suffix}"
-            outcomes = found[kind] = Fuzzed()
+            outcomes = found[kind] = ReaderOutcomes()
             reader.make(path, random.Random(0))
             with contextlib.suppress(Exception):
-                reader.read(path)  # imports of large libraries are no part of the time that a file takes
+                reader.read(path)  # Imports of large libraries do not count as time of a file.
             for number in range(count):
                 reader.make(path, pick)
                 outcome, said = outcome_of(reader.read, path)
@@ -135,7 +135,7 @@ def outcome_of(read: Callable[[Path], object], path: Path) -> tuple[str, str]:
             read(path)
     except _SlowError:
         return HANG, f"took more than {LONGEST_S:g} s"
-    except Exception as error:  # whatever a reader raises is what is looked for
+    except Exception as error:  # Any exception of a reader is a finding.
         said = str(error)
         if exit_code(error) is None:
             return TRACEBACK, f"{type(error).__name__}: {said}"
@@ -146,12 +146,12 @@ def outcome_of(read: Callable[[Path], object], path: Path) -> tuple[str, str]:
 
 
 class _SlowError(BaseException):
-    """A reader that takes too long."""
+    """Error of a reader that takes too long."""
 
 
 @contextlib.contextmanager
 def _limited() -> Iterator[None]:
-    """Raise _SlowError after `LONGEST_S` of computing; signals reach the main thread alone, others go unlimited."""
+    """Raise _SlowError after `LONGEST_S` of computing; only the main thread gets signals."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -168,12 +168,12 @@ def _limited() -> Iterator[None]:
         signal.signal(signal.SIGVTALRM, before)
 
 
-def _text(suffix: str, read: Callable[[Path], object], *texts: str) -> Reader:
-    return Reader(suffix, lambda path, pick: path.write_bytes(mutated(pick.choice(texts), pick)), read)
+def _text(suffix: str, read: Callable[[Path], object], *texts: str) -> FuzzedReader:
+    return FuzzedReader(suffix, lambda path, pick: path.write_bytes(mutated(pick.choice(texts), pick)), read)
 
 
-def _json(read: Callable[[Path], object], document: Any) -> Reader:
-    return Reader("json", lambda path, pick: path.write_bytes(mutated_json(document, pick)), read)
+def _json(read: Callable[[Path], object], document: Any) -> FuzzedReader:
+    return FuzzedReader("json", lambda path, pick: path.write_bytes(mutated_json(document, pick)), read)
 
 
 def _has_yaml() -> bool:
@@ -209,7 +209,7 @@ def _effects(path: Path) -> None:
 
 
 _READ_AGAIN = 4
-"""Every so many drafts are written and read as a rig file, which takes longer than the import."""
+"""Drafts for each draft that is written and read as a rig file, which takes longer than the import."""
 
 
 def _accepted(draft: Any) -> None:

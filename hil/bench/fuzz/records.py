@@ -23,8 +23,9 @@ from hil.profile.load_profile import ProfileError, read_profile
 from hil.record.reader import Record, RecordError, read_record
 
 READ, REFUSED, UNCLEAR, IMPOSSIBLE, TRACEBACK = "read", "refused", "refused unclearly", "read wrongly", "traceback"
-"""Outcomes. Unclear is a refusal that does not name the file or is more than one line; wrongly, a record whose times do
-not increase, or with a number that is infinite or outside the plausible range of its unit."""
+"""Outcomes. Unclear is a refusal that does not name the file or has more than one line; wrong is a record whose times
+do not increase, or with a number that is infinite or outside the plausible range of its unit.
+"""
 KINDS = ("csv", "parquet", "profile")
 
 CELLS = (
@@ -42,22 +43,22 @@ LINES = (
 
 
 @dataclass
-class Fuzzed:
-    """Outcomes of one reader: counts by outcome, and the first few files that ended in another than read or refused."""
+class RecordOutcomes:
+    """Outcomes of one reader: counts by outcome, and the first few files with a failure."""
 
     counts: Counter[str] = field(default_factory=Counter)
     examples: list[str] = field(default_factory=list)
 
     @property
     def failures(self) -> int:
-        """Files that were neither read rightly nor refused with one sentence."""
+        """Return the number of files that were neither read rightly nor refused with one sentence."""
         return self.counts[TRACEBACK] + self.counts[UNCLEAR] + self.counts[IMPOSSIBLE]
 
 
 def fuzz_records(
     count: int, seed: int, *, kinds: tuple[str, ...] = KINDS, progress: Callable[[float], None] = lambda share: None
-) -> dict[str, Fuzzed]:
-    """Return by kind of file what became of `count` mutated ones of each kind."""
+) -> dict[str, RecordOutcomes]:
+    """Return by kind of file the outcomes of `count` mutated files of each kind."""
     pick = random.Random(seed)
     found = {}
     makers: dict[str, tuple[Callable[[random.Random], bytes], str, Callable[[Path], object]]] = {
@@ -66,11 +67,11 @@ def fuzz_records(
         "profile": (mutated_profile, "csv", read_profile),
     }
     with tempfile.TemporaryDirectory(prefix="hil-fuzz-") as folder, warnings.catch_warnings():
-        warnings.simplefilter("error")  # a warning of numpy is a number that nobody looked at
+        warnings.simplefilter("error")  # A warning of numpy is an unchecked number.
         for at, kind in enumerate(kinds):
             make, suffix, read = makers[kind]
             path = Path(folder) / f"fuzzed.{suffix}"
-            found[kind] = Fuzzed()
+            found[kind] = RecordOutcomes()
             for number in range(count):
                 content = make(pick)
                 path.write_bytes(content)
@@ -90,13 +91,13 @@ def _outcome(read: Callable[[Path], object], path: Path) -> tuple[str, str]:
     except (RecordError, ProfileError) as error:
         said = str(error)
         return (REFUSED if path.name in said and "\n" not in said and "\r" not in said else UNCLEAR), said
-    except Exception as error:  # every exception that is not the reader's own is the finding
+    except Exception as error:  # Every exception except the reader's own is a finding.
         return TRACEBACK, f"{type(error).__name__}: {error}"
     return (READ, "") if not isinstance(found, Record) or _possible(found) else (IMPOSSIBLE, str(found.messages))
 
 
 def _possible(record: Record) -> bool:
-    """Return True where times increase and every number is missing or in the plausible range of its unit.
+    """Return True if times increase and every number is missing or in the plausible range of its unit.
 
     A range that the file itself declares is wider only where it says so, which the mutations do not.
     """

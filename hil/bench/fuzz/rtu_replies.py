@@ -1,4 +1,4 @@
-"""Mutated RTU replies against the guard that reads a serial line, in memory.
+"""Mutated RTU replies against the reader of a serial line, in memory.
 
 An RTU frame has a checksum, so its values are mutated, too: up to three bits, or a burst of sixteen, which CRC-16 is
 bound to find; of changes beyond that it misses one in 65,536, whoever looks. A late reply of the same device, function
@@ -15,14 +15,25 @@ from drivers.signals import ProtocolError
 
 DEVICE, COUNT = 3, 12
 KINDS = (
-    "none", "in segments", "noise of a turning line before", "one to three bits", "a burst of bits", "device",
-    "function", "byte count", "truncated", "trailing bytes", "twice", "the reply of another length before", "noise",
-)  # fmt: skip
+    "none",
+    "in segments",
+    "noise of a turning line before",
+    "one to three bits",
+    "a burst of bits",
+    "device",
+    "function",
+    "byte count",
+    "truncated",
+    "trailing bytes",
+    "twice",
+    "the reply of another length before",
+    "noise",
+)
 HARMLESS = ("none", "in segments", "noise of a turning line before", "the reply of another length before")
 
 
 def mutate_rtu(count: int, seed: int) -> dict[str, tuple[int, int, int, int]]:
-    """By kind of mutation: replies, those that were used, those that were not, and wrong ones that were used."""
+    """Return by kind of mutation: replies, used ones, unused ones, and wrong ones that were used."""
     pick = random.Random(seed)
     found = {kind: [0, 0, 0, 0] for kind in KINDS}
     request = struct.pack(">BHH", 4, 0, COUNT)

@@ -1,23 +1,23 @@
-"""`hil bench files`: mutated files of every kind against their readers, as tables."""
+"""Tables of `hil bench files`: mutated files of every kind against their readers."""
 
 from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Mapping
 
-from hil.bench.fuzz.readers import HANG, READ, REFUSED, TRACEBACK, UNCLEAR, Fuzzed, fuzz_files
-from hil.bench.measure.report import Table
+from hil.bench.fuzz.readers import HANG, READ, REFUSED, TRACEBACK, UNCLEAR, ReaderOutcomes, fuzz_files
+from hil.bench.measure.report import ReportTable
 
 QUICK, FULL = 300, 20_000
 RECORDS = "hil.bench.fuzz.records"
-"""Records and load profiles have mutations of their own: columns, stamps and separators, and Parquet's types."""
+"""Records and load profiles have their own mutations: columns, stamps and separators, and Parquet's types."""
 _COLUMNS = (READ, REFUSED, UNCLEAR, TRACEBACK, HANG)
 
 
 def measure(
     count: int, seed: int, progress: Callable[[float], None]
-) -> tuple[tuple[Table, ...], tuple[str, ...], bool]:
-    """Return tables of `count` mutations of each kind of file, what was left out, and whether nothing failed."""
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...], bool]:
+    """Return tables of `count` mutations of each kind of file, everything left out, and True if nothing failed."""
     found = fuzz_files(count, seed, progress=lambda share: progress(0.8 * share))
     skipped = [] if "Home Assistant" in found else ["Home Assistant: PyYAML is not installed"]
     rows = _rows(found)
@@ -25,9 +25,9 @@ def measure(
     if importlib.util.find_spec(RECORDS) is not None:
         records = importlib.import_module(RECORDS).fuzz_records(count, seed)
         rows += _rows({f"record: {kind}": one for kind, one in records.items()})
-        failures += sum(one.failures for one in records.values())  # records that are read wrongly among them
+        failures += sum(one.failures for one in records.values())  # With records that are read wrongly.
     progress(1.0)
-    table = Table(
+    table = ReportTable(
         "files",
         f"{sum(sum(map(int, row[1:])) for row in rows):,} mutated files and their readers",
         ("file", *_COLUMNS),
@@ -42,5 +42,5 @@ def measure(
     return (table,), tuple(skipped), not failures
 
 
-def _rows(found: Mapping[str, Fuzzed]) -> list[tuple[str | int, ...]]:
+def _rows(found: Mapping[str, ReaderOutcomes]) -> list[tuple[str | int, ...]]:
     return [(kind, *(one.counts[outcome] for outcome in _COLUMNS)) for kind, one in found.items()]

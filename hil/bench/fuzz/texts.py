@@ -14,7 +14,7 @@ VALUES = (
     "!secret k", "!include k.yaml", "${VAR}", "*a", "&a", "0,1", "1/10", "x10", "-", "|", ">", "<<", "<<:",
     "1.000,5", "٣", "é", "\x7f",
 )  # fmt: skip
-"""Texts that take the place of a value: wrong types, ends of ranges, other tools' placeholders, decimal commas."""
+"""Replacements of a value: wrong types, ends of ranges, other tools' placeholders, decimal commas."""
 MARKS = (
     '"',
     "'",
@@ -40,9 +40,9 @@ MARKS = (
 )
 _TOKEN = re.compile(r"\"[^\"\n]*\"|'[^'\n]*'|[-+]?\d[\w.]*|[A-Za-z_][\w./°-]*")
 _MOST_DIGITS = 300
-"""Of a number that is counted up: Python reads some thousands."""
+"""Most digits of a counted number: Python reads some thousands."""
 _DEEP = 3000
-"""Levels of lists in lists, beyond what Python's stack of calls holds."""
+"""Levels of nested lists, beyond Python's call stack."""
 
 RIG = """\
 [rig]
@@ -304,7 +304,7 @@ def _changed(node: Any, pick: random.Random) -> Any:
 
 
 def _word(text: str, pick: random.Random) -> str:
-    """Put another value in the place of a word or a number."""
+    """Replace a word or a number by another value."""
     words = list(_TOKEN.finditer(text))
     if not words:
         return text + pick.choice(VALUES)
@@ -314,7 +314,7 @@ def _word(text: str, pick: random.Random) -> str:
 
 
 def _number(text: str, pick: random.Random) -> str:
-    """Put another number in the place of one."""
+    """Replace a number by another."""
     numbers = list(re.finditer(r"\d+", text))
     if not numbers:
         return text
@@ -325,7 +325,7 @@ def _number(text: str, pick: random.Random) -> str:
 
 
 def _line(text: str, pick: random.Random) -> str:
-    """Take a line out, write it twice, or put it elsewhere."""
+    """Delete, repeat or move a line."""
     lines = text.splitlines(keepends=True)
     if not lines:
         return text
@@ -340,7 +340,7 @@ def _line(text: str, pick: random.Random) -> str:
 
 
 def _mark(text: str, pick: random.Random) -> str:
-    """Add or take out a mark of the format's syntax."""
+    """Insert or delete a mark of the format's syntax."""
     at = pick.randrange(len(text) + 1)
     if pick.random() < 0.5:
         return text[:at] + pick.choice(MARKS) + text[at:]
@@ -360,7 +360,7 @@ def _letter(text: str, pick: random.Random) -> str:
 
 
 def _odd(text: str, pick: random.Random) -> str:
-    """Do what few files do: lists without end, long words, another line end, nothing at all."""
+    """Apply a rare change: lists without end, long words, another line end, an empty file."""
     kind = pick.random()
     if kind < 0.1:
         return ""
@@ -384,4 +384,4 @@ def _word_by(text: str, pick: random.Random, new: str) -> str:
 _CHANGES: tuple[Callable[[str, random.Random], str], ...] = (
     _word, _word, _word, _number, _number, _line, _line, _mark, _letter, _letter, _odd,
 )  # fmt: skip
-"""The first are chosen more often: they keep most of the file as it is."""
+"""Changes; the first have more weight: they keep most of the file unchanged."""

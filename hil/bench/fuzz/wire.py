@@ -1,4 +1,5 @@
-"""`hil bench wire`: mutated replies and frames against the Modbus client and the CAN receiver, from a fixed seed.
+"""Benchmark `hil bench wire`: mutated replies and frames against the Modbus client and the CAN receiver, from a fixed
+seed.
 
 TCP's checksum guards the bytes of a value; what it cannot guard against is a device or a gateway that answers the wrong
 thing: another transaction, unit, function or length, half a reply, two, or the one before. Those are what is made here.
@@ -19,7 +20,7 @@ from drivers.signals import Quality
 from hil.bench.fuzz.can_frames import mutate_can
 from hil.bench.fuzz.j1939_frames import mutate_j1939
 from hil.bench.fuzz.rtu_replies import mutate_rtu
-from hil.bench.measure.report import Table
+from hil.bench.measure.report import ReportTable
 
 QUICK, FULL = 1_700, 100_000
 REGISTERS = 12
@@ -28,11 +29,11 @@ POINTS = tuple(
     for a in range(2)
     for k in range(REGISTERS)
 )
-"""Two blocks of the same length, so that the reply to one could pass for the reply to the other."""
+"""Two blocks of equal length, so that the reply to one could pass for the reply to the other."""
 
 
 HARMLESS = ("none", "twice", "in segments")
-"""What a client must put up with: these replies are right, and must be used."""
+"""Mutations that a client must accept: these replies are right, and must be used."""
 
 
 Found = dict[str, tuple[int, int, int, int]]
@@ -40,8 +41,8 @@ Found = dict[str, tuple[int, int, int, int]]
 
 def measure(
     count: int, seed: int, progress: Callable[[float], None]
-) -> tuple[tuple[Table, ...], tuple[str, ...], bool]:
-    """Tables of `count` mutations each, what was left out, and whether no wrong value was ever taken for a good one."""
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...], bool]:
+    """Return tables of `count` mutations each, everything left out, and True if no wrong value was accepted as good."""
     modbus = asyncio.run(mutate_modbus(count, seed, progress=lambda share: progress(0.8 * share)))
     rtu = mutate_rtu(count, seed)
     progress(0.9)
@@ -50,25 +51,43 @@ def measure(
     frames |= {f"J1939: {kind}": numbers for kind, numbers in groups.items()}
     progress(1.0)
     tables = (
-        _table("modbus", "reads over Modbus/TCP with mutated replies", "reads", "values", modbus,
-               "Wrong: good and not what the register held, or a number that is not good. A read asks for two blocks."),
-        _table("rtu", "mutated RTU replies", "replies", "replies", rtu,
-               "Wrong: passed on, and other registers than the device sent. The checksum covers these, too."),
-        _table("can", "mutated CAN frames", "frames", "values", frames,
-               "Wrong: good, and not what the bytes of a usable frame of its message say, or beyond its range. "
-               "J1939: of a message that is read by its PGN; wrong, too, of another sender, or while two send it."),
-    )  # fmt: skip
+        _table(
+            "modbus",
+            "reads over Modbus/TCP with mutated replies",
+            "reads",
+            "values",
+            modbus,
+            "Wrong: good and not what the register held, or a number that is not good. A read asks for two blocks.",
+        ),
+        _table(
+            "rtu",
+            "mutated RTU replies",
+            "replies",
+            "replies",
+            rtu,
+            "Wrong: passed on, and other registers than the device sent. The checksum covers these, too.",
+        ),
+        _table(
+            "can",
+            "mutated CAN frames",
+            "frames",
+            "values",
+            frames,
+            "Wrong: good, and not what the bytes of a usable frame of its message say, or beyond its range. "
+            "J1939: of a message that is read by its PGN; wrong, too, of another sender, or while two send it.",
+        ),
+    )
     return tables, (), not any(wrong for found in (modbus, rtu, frames) for *_, wrong in found.values())
 
 
-def _table(key: str, what: str, unit: str, of: str, found: Found, note: str) -> Table:
+def _table(key: str, what: str, unit: str, of: str, found: Found, note: str) -> ReportTable:
     rows = tuple((kind, *numbers) for kind, numbers in found.items())
     columns = ("mutation", unit, f"{of} used", f"{of} not used", "wrong")
-    return Table(key, f"{sum(row[1] for row in rows):,} {what}", columns, rows, (note,))
+    return ReportTable(key, f"{sum(row[1] for row in rows):,} {what}", columns, rows, (note,))
 
 
 class _MemoryWire:
-    """A wire in memory: what is sent is answered by `answer`, in as many segments as it returns."""
+    """Wire in memory: `answer` replies to each request, in any number of segments."""
 
     def __init__(self, answer: Callable[[bytes], list[bytes]], received: Received) -> None:
         self._answer = answer
@@ -91,12 +110,12 @@ class _MemoryWire:
 
 
 def truth(address: int, epoch: int) -> int:
-    """What register `address` holds in a given read: it differs from every other register and read nearby."""
+    """Return the content of register `address` in a given read: it differs from all nearby registers and reads."""
     return (address * 251 + epoch * 7919 + 13) & 0xFFFF
 
 
 class Mutator:
-    """Answers requests as a device would, but for one mutation a read; `made` counts them by kind."""
+    """Device that answers with one mutation in each read; `made` counts them by kind."""
 
     KINDS = (
         "none",
@@ -126,7 +145,7 @@ class Mutator:
         self._before = b""
 
     def answer(self, request: bytes) -> list[bytes]:
-        """Segments that come back for a request frame."""
+        """Return the segments of the reply to a request frame."""
         tid, _, _, unit, code, address, count = struct.unpack(">HHHBBHH", request[:12])
         values = [truth(address + k, self.epoch) for k in range(count)]
         pdu = struct.pack(f">BB{count}H", code, 2 * count, *values)
@@ -150,7 +169,7 @@ class Mutator:
         if kind == "truncated":
             end = pick.randrange(len(good))
             cut = good[:end]
-            if pick.random() < 0.5 and end > 8:  # the header agrees with what is left of it
+            if pick.random() < 0.5 and end > 8:  # The header agrees with the remaining bytes.
                 cut = cut[:4] + struct.pack(">H", end - 6) + cut[6:]
             return [cut]
         if kind == "trailing bytes":
@@ -176,7 +195,7 @@ class Mutator:
 async def mutate_modbus(
     count: int, seed: int, *, timeout_s: float = 0.004, progress: Callable[[float], None] = lambda share: None
 ) -> Found:
-    """By kind of mutation: reads, values that came as good, values that did not, and wrong ones (of either).
+    """Return by kind of mutation: reads, good values, values that were not good, and wrong ones (of either).
 
     A value is wrong that is good and not the register's, or not good and yet a number. Whatever the driver raises is
     let through: a lost link is a quality.
@@ -206,7 +225,7 @@ async def mutate_modbus(
 
 
 def _memory_bus(mutator: Mutator, timeout_s: float) -> ModbusBus:
-    """The driver as it is, but for the socket."""
+    """Return the driver with a socket in memory."""
     config = ModbusTcpBus(transport="modbus_tcp", port=1, timeout_s=timeout_s)
 
     async def opened(_: ModbusBusSection, tls: object, received: Received, lost: Lost) -> Wire:

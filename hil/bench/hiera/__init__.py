@@ -1,1 +1,1 @@
-"""Trials of the network calibrator beside the other calibrators."""
+"""Trials of the network calibrator and the other calibrators."""

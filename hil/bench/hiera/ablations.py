@@ -1,4 +1,4 @@
-"""`hil bench ablations`: what each piece of the network is worth, when all variants are trained for the same CPU time.
+"""Benchmark `hil bench ablations`: contribution of each part of the network, with equal CPU time for all variants.
 
 Every variant has the same data, seed and schedule; a variant whose step costs more takes fewer of them. What is left
 out is left out of the unseen windows as well.
@@ -13,21 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.training.ablation import PIECES, without
-from hil.training.data import Data
+from hil.training.data import TrainingData
 from twin.network import Array
 
 LEFT_OUT = ("hierarchy", "residuals", "gates", "evidence", "hiding")
 PROBED = 8
-"""Steps that tell what one costs."""
+"""Steps that measure the cost of one."""
 FEWEST = 20
 RESAMPLES = 400
 
 
 @dataclass(frozen=True)
-class Trial:
-    """One trained variant on N unseen windows.
+class TrainedVariant:
+    """Variant trained without one part, on N held-out windows.
 
     Attributes:
         name: the piece that it lacks, or "nothing". weights, steps: how many. cpu_s: of its training.
@@ -51,12 +51,12 @@ class Trial:
 
 
 def measure(
-    data: Data, name: str, seed: int, minutes: float, say: Callable[[float, str], None]
-) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """The table, and what was left out.
+    data: TrainingData, name: str, seed: int, minutes: float, say: Callable[[float, str], None]
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
+    """Return the table, and everything left out.
 
     Args:
-        name: configuration. minutes: CPU time that every variant is trained for. say: told what is under way.
+        name: configuration. minutes: CPU time that every variant is trained for. say: called with each stage.
     """
     pieces = ((), *((piece,) for piece in LEFT_OUT))
     trials = []
@@ -67,8 +67,8 @@ def measure(
     return (table(trials, rigs(data.test.nominal), minutes, len(data.train)), meanings()), ()
 
 
-def trial(data: Data, name: str, seed: int, budget_s: float, less: tuple[str, ...]) -> Trial:
-    """Train a variant without the pieces `less` for so much CPU time and score it on the test windows."""
+def trial(data: TrainingData, name: str, seed: int, budget_s: float, less: tuple[str, ...]) -> TrainedVariant:
+    """Train a variant without the parts `less` for this CPU time and score it on the test windows."""
     from twin.calibrators.hiera_unet.binding import config_for, physics_of
     from twin.calibrators.hiera_unet.plan import Plan
     from twin.calibrators.hiera_unet.score import MOVED, NINETY, outcome
@@ -77,11 +77,11 @@ def trial(data: Data, name: str, seed: int, budget_s: float, less: tuple[str, ..
     parts = (data.network, data.table, data.deviations)
     physics = physics_of(*parts)
 
-    def trainer(steps: int) -> tuple[Any, Data]:
+    def trainer(steps: int) -> tuple[Any, TrainingData]:
         config, plan, own = without(less, config_for(name, *parts), Plan(steps=steps, seed=seed), data)
         return Trainer(config, own.train, physics, plan, digest=data.digest), own
 
-    # Half of the probe belongs to the structure and half does not: its mean step is a little cheaper than the rest.
+    # Half of the probe belongs to the structure and half does not: its mean step is slightly cheaper than the rest.
     probe, _ = trainer(2 * PROBED)
     each = _cpu_s(probe, PROBED) / PROBED
     work, own = trainer(max(round(budget_s / each), FEWEST))
@@ -93,7 +93,7 @@ def trial(data: Data, name: str, seed: int, budget_s: float, less: tuple[str, ..
     moved = np.where(np.abs(blind.theta - blind.theta_error) > MOVED, 1.0, np.nan)
     wrong, fitted = np.abs(blind.theta_error), np.abs(blind.evidence_error)
     known = np.isfinite(blind.error)
-    return Trial(
+    return TrainedVariant(
         less[0] if less else "nothing",
         sum(p.numel() for p in work.network.parameters()),
         work.plan.steps,
@@ -109,7 +109,7 @@ def trial(data: Data, name: str, seed: int, budget_s: float, less: tuple[str, ..
 
 
 def _cpu_s(trainer: Any, steps: int) -> float:
-    """CPU seconds of so many steps."""
+    """Return the CPU seconds of this number of steps."""
     began = time.process_time()
     for _ in range(steps):
         trainer.step()
@@ -117,7 +117,7 @@ def _cpu_s(trainer: Any, steps: int) -> float:
 
 
 def mean(values: Array) -> Array:
-    """Mean (N,) over all but the first axis of what is finite; NaN where nothing is."""
+    """Return the mean (N,) over all but the first axis of finite values; NaN if there is none."""
     flat = values.reshape(len(values), -1)
     good = np.isfinite(flat)
     count = good.sum(axis=1)
@@ -125,13 +125,13 @@ def mean(values: Array) -> Array:
 
 
 def rigs(nominal: Array) -> np.ndarray:
-    """Number (N,) of the rig that each window is of, by its commissioned values (N, p)."""
+    """Return the number (N,) of the rig of each window, by its commissioned values (N, p)."""
     found: np.ndarray = np.unique(nominal, axis=0, return_inverse=True)[1].reshape(-1)
     return found
 
 
-def table(trials: list[Trial], rig: np.ndarray, minutes: float, seen: int) -> Table:
-    """All variants beside the first, which lacks nothing."""
+def table(trials: list[TrainedVariant], rig: np.ndarray, minutes: float, seen: int) -> ReportTable:
+    """Compare all variants with the first, which is complete."""
     whole = trials[0]
     rows: list[tuple[Cell, ...]] = []
     for t in trials:
@@ -144,12 +144,20 @@ def table(trials: list[Trial], rig: np.ndarray, minutes: float, seen: int) -> Ta
     error = [float(np.nanmean(values)) for values in whole.fit]
     rows.append(("the network", 0, error[0], error[0], error[1], more[0], error[2], more[1], None, None))
     weights = ", ".join(f"{t.name} {t.weights}" for t in trials if t is whole or t.weights != whole.weights)
-    return Table(
+    return ReportTable(
         "ablations",
         f"Trained for {minutes:g} CPU minutes each, then on {len(rig)} unseen windows",
         (
-            "without", "steps", "outputs K", "online K", "parameters", "more, from to", "moved", "more, from to ",
-            "inside", "width K",
+            "without",
+            "steps",
+            "outputs K",
+            "online K",
+            "parameters",
+            "more, from to",
+            "moved",
+            "more, from to ",
+            "inside",
+            "width K",
         ),
         tuple(rows),
         (
@@ -161,11 +169,11 @@ def table(trials: list[Trial], rig: np.ndarray, minutes: float, seen: int) -> Ta
             "More: than with everything, middle 90 % when rigs are drawn again. One seed: it says nothing of how "
             "another training would end.",
         ),
-    )  # fmt: skip
+    )
 
 
 def _span(more: Array, rig: np.ndarray) -> Cell:
-    """Middle 90 % of the mean of differences (N,) when rigs are drawn again."""
+    """Return the middle 90 % of the mean of differences (N,) in a bootstrap over rigs."""
     rng = np.random.default_rng(43)
     good = np.isfinite(more)
     count = np.bincount(rig[good], minlength=rig.max() + 1)
@@ -176,7 +184,7 @@ def _span(more: Array, rig: np.ndarray) -> Cell:
     return f"{low:+.3f} to {high:+.3f}"
 
 
-def meanings() -> Table:
-    """What it means to leave a piece out."""
+def meanings() -> ReportTable:
+    """Describe the parts that are left out."""
     rows = tuple((piece, PIECES[piece]) for piece in LEFT_OUT)
-    return Table("meanings", "What is left out", ("without", "meaning"), rows)
+    return ReportTable("meanings", "What is left out", ("without", "meaning"), rows)

@@ -1,4 +1,4 @@
-"""Records that `hil bench hiera` scores: rigs never trained on, with a change at a known moment or none.
+"""Records of `hil bench hiera`: rigs never trained on, with a change at a known moment or none.
 
 simulated   networks with more in them than the twin, from seeds of the benchmark's own
 virtual     the virtual rig's plant, built and other specimens, with the shipped effects
@@ -18,7 +18,7 @@ from drivers.virtual.plant import load_effects
 from hil.bench.peers import Absent
 from hil.record.reader import read_record
 from hil.synthetic.hidden_effects import Setting
-from hil.training.plant_windows import PROFILES, recorded, specimen_of, told
+from hil.training.plant_windows import PROFILES, equivalent_deviations, recorded, specimen_of
 from twin.calibrators.hiera_unet import changes
 from twin.calibrators.hiera_unet.campaigns import Campaign, rig_of
 from twin.calibrators.hiera_unet.campaigns import recorded as logged
@@ -33,22 +33,22 @@ from twin.network import Array
 
 RIGS = ("simulated", "virtual", "stranger")
 FIRST = 13
-"""Target from which a case is scored: two hours and ten minutes into the record."""
+"""First target of the score: two hours and ten minutes into the record."""
 BEFORE, AFTER = 3, 8
-"""Targets before the change and after it, which lies somewhere in the target between."""
+"""Targets before and after the change, which lies within the target between."""
 STEPS = TARGET * (FIRST + BEFORE + 1 + AFTER)
 LEAST = 0.1
-"""Smallest deviation of a tracked parameter that is worth following."""
+"""Least deviation of a tracked parameter in these cases."""
 EFFECTS = ("modules_heat", "tank_insulation", "radiator_fouling", "pump_heat", "tank_sensor_lag")
 STRANGERS = ("d0", "d1", "d2", "d3", "d4", "d5", "d6", "d7")
 STRANGER_TARGETS = 36
 BENCH = 7_000_000
-"""Added to seeds, so that no campaign is one of training's."""
+"""Offset of seeds, so that no campaign is one of training's."""
 
 
 @dataclass(frozen=True)
-class Case:
-    """One record.
+class HieraCase:
+    """Record of the benchmark.
 
     Attributes:
         rig: one of RIGS. kind: healthy, tracked (a parameter that the twin has moved) or other. seed: what made it.
@@ -66,18 +66,18 @@ class Case:
 
     @property
     def first_after(self) -> int:
-        """Number of the first target that lies after the change altogether."""
+        """Return the number of the first target after the change."""
         return -(-self.onset // TARGET)
 
     def truth(self) -> Array:
-        """(n, 120, Y) degC, what the targets are scored against: measured where nothing better is known."""
+        """Return (n, 120, Y) degC, the truth of the targets' score: measurements if nothing better is known."""
         c = self.campaign
         source = np.where(np.isfinite(c.truth), c.truth, c.series.measured)
         return np.stack([source[TARGET * k : TARGET * (k + 1)] for k in self.targets])
 
 
 def _window_of_change(rng: np.random.Generator) -> int:
-    """Step of a change somewhere inside target FIRST + BEFORE."""
+    """Draw the step of a change within target FIRST + BEFORE."""
     return TARGET * (FIRST + BEFORE) + int(rng.integers(1, TARGET))
 
 
@@ -85,8 +85,8 @@ def _targets() -> tuple[int, ...]:
     return tuple(range(FIRST, FIRST + BEFORE + 1 + AFTER))
 
 
-def simulated(family: Family, seed: int, count: int) -> Iterator[Case]:
-    """Cases of simulated rigs: healthy, tracked and other in turn."""
+def simulated(family: Family, seed: int, count: int) -> Iterator[HieraCase]:
+    """Return cases of simulated rigs: healthy, tracked and other in turn."""
     for number in range(count):
         rng = np.random.default_rng([seed + BENCH, number, 23])
         rig = rig_of(family, seed + BENCH, number)
@@ -104,13 +104,13 @@ def simulated(family: Family, seed: int, count: int) -> Iterator[Case]:
             found, onset = _other(family, rig.plant, rng, inputs, hour)
         campaign = logged(family, rig, rng, inputs, hour, found, gaps=False)
         name = "; ".join(c.what for c in found) or "healthy"
-        yield Case(name, "simulated", kind, seed, campaign, _targets(), onset)
+        yield HieraCase(name, "simulated", kind, seed, campaign, _targets(), onset)
 
 
 def _other(
     family: Family, plant: Array, rng: np.random.Generator, inputs: Array, hour: float
 ) -> tuple[tuple[changes.Change, ...], int]:
-    """Something that the twin lacks, coming in at once inside the right window."""
+    """Draw an effect that the twin lacks, with its onset within the right window."""
     low, high = TARGET * (FIRST + BEFORE) + 1, TARGET * (FIRST + BEFORE + 1)
     while True:
         drawn = changes.untracked(family, plant, rng, inputs, hour)
@@ -119,8 +119,8 @@ def _other(
             return (drawn,), onset
 
 
-def virtual(features: Features, seed: int, count: int) -> Iterator[Case]:
-    """Cases of the virtual rig's plant: every other one healthy, the rest with a shipped effect at its moment."""
+def virtual(features: Features, seed: int, count: int) -> Iterator[HieraCase]:
+    """Return cases of the virtual rig's plant: every other one healthy, the rest with a shipped effect at its onset."""
     for number in range(count):
         rng = np.random.default_rng([seed + BENCH, number, 29])
         specimen = specimen_of(features, seed + BENCH, number)
@@ -132,14 +132,14 @@ def virtual(features: Features, seed: int, count: int) -> Iterator[Case]:
         known = load_effects(PROFILES / "effects" / f"{effect}.toml") if effect else ()
         moved = tuple(replace(e, onset_s=5.0 * onset, ramp_s=min(e.ramp_s, 1.0)) for e in known)
         made, clean = recorded(features, setting, specimen, moved, start_C=float(rng.uniform(24.0, 32.0)))
-        theta, amiss = told(features, moved, made.time)
+        theta, amiss = equivalent_deviations(features, moved, made.time)
         campaign = Campaign(made, clean, theta, amiss, specimen.nominal, "plant", (effect,) if effect else ())
         kind = "healthy" if not effect else "tracked" if effect in EFFECTS[:2] else "other"
-        yield Case(effect.replace("_", " ") or "healthy", "virtual", kind, seed, campaign, _targets(), onset)
+        yield HieraCase(effect.replace("_", " ") or "healthy", "virtual", kind, seed, campaign, _targets(), onset)
 
 
-def strangers(features: Features, data: Path, names: tuple[str, ...] = STRANGERS) -> Iterator[Case]:
-    """Rigs that this project did not write, each commissioned on its own healthy record.
+def strangers(features: Features, data: Path, names: tuple[str, ...] = STRANGERS) -> Iterator[HieraCase]:
+    """Return rigs of another maker, each commissioned on its own healthy record.
 
     Raises:
         Absent: their records are not here.
@@ -160,15 +160,20 @@ def strangers(features: Features, data: Path, names: tuple[str, ...] = STRANGERS
         start = max(FIRST, 0 if quiet else onset // TARGET - BEFORE)
         unknown = np.full((len(made), len(features.deviations)), np.nan)
         campaign = Campaign(
-            made, np.full(made.measured.shape, np.nan), unknown, np.arange(len(made)) >= onset, twin.values.copy(),
-            "stranger", () if quiet else (answer,),
-        )  # fmt: skip
+            made,
+            np.full(made.measured.shape, np.nan),
+            unknown,
+            np.arange(len(made)) >= onset,
+            twin.values.copy(),
+            "stranger",
+            () if quiet else (answer,),
+        )
         targets = tuple(range(start, min(start + STRANGER_TARGETS, len(made) // TARGET)))
-        yield Case(name, "stranger", "healthy" if quiet else "other", 0, campaign, targets, onset)
+        yield HieraCase(name, "stranger", "healthy" if quiet else "other", 0, campaign, targets, onset)
 
 
-def hidden(case: Case, share: float, seed: int) -> Case:
-    """The same case with a share of its channels lost, half an hour into the record."""
+def hidden(case: HieraCase, share: float, seed: int) -> HieraCase:
+    """Return the same case with a share of its channels lost, half an hour into the record."""
     s = case.campaign.series
     rng = np.random.default_rng([seed, 31])
     inputs, measured = s.inputs.copy(), s.measured.copy()

@@ -1,4 +1,4 @@
-"""Who takes part in `hil bench hiera`: each predicts ten minutes from what was known before they began.
+"""Contestants of `hil bench hiera`: each predicts ten minutes from earlier data.
 
 The network's calibrators take on what they find within windows, too, and predict the second half from there.
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.bench.hiera.cases import Case
+from hil.bench.hiera.cases import HieraCase
 from twin.calibrators import CALIBRATOR_NAMES, make_calibrator
 from twin.calibrators.base import Calibration, Calibrator
 from twin.calibrators.hiera_unet.campaigns import Label
@@ -27,12 +27,12 @@ from twin.tracking import TwinTracker
 
 TRAINED = Path(__file__).resolve().parents[3] / "profiles" / "trained" / "loop_small.json"
 SAME = 0.03
-"""Deviations that differ by less are one, for where a label holds from."""
+"""Largest difference of equal deviations, for the start of a label."""
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """What all contestants are given of one case, and what only the scorer may look at.
+class CaseInputs:
+    """Input of all contestants for one case, and data for the scorer alone.
 
     Attributes:
         frames, evidence: of each target, made without looking at it. known, floor: (n, P) which labels count, and the
@@ -40,7 +40,7 @@ class Sheet:
         cpu_s: for one frame, and for one evidence.
     """
 
-    case: Case
+    case: HieraCase
     frames: tuple[Frame, ...]
     evidence: tuple[Evidence, ...]
     known: np.ndarray
@@ -51,7 +51,7 @@ class Sheet:
 
 
 @dataclass(frozen=True)
-class Answer:
+class BlindPredictions:
     """Predictions of one case's n targets.
 
     Attributes:
@@ -68,11 +68,11 @@ class Answer:
     theta_half: Array | None = None
 
 
-Contestant = Callable[[Features, Sheet], Answer]
+Contestant = Callable[[Features, CaseInputs], BlindPredictions]
 
 
-def sheet(features: Features, case: Case) -> Sheet:
-    """Everything about a case that is worked out once."""
+def sheet(features: Features, case: HieraCase) -> CaseInputs:
+    """Compute everything about a case that is needed once."""
     nominal, series = case.campaign.nominal, case.campaign.series
     ends = [TARGET * (k + 1) for k in case.targets]
     began = time.process_time()
@@ -87,11 +87,11 @@ def sheet(features: Features, case: Case) -> Sheet:
         for end, t, k, e in zip(ends, theta, known, evidence, strict=True)
     )
     n = max(len(frames), 1)
-    return Sheet(case, frames, evidence, known, floor, theta, labels, ((middle - began) / n, (done - middle) / n))
+    return CaseInputs(case, frames, evidence, known, floor, theta, labels, ((middle - began) / n, (done - middle) / n))
 
 
-def _labelled(features: Features, case: Case, frame: Frame, end: int) -> tuple[Array, np.ndarray, Array]:
-    """True deviations (P,), which count, and their Cramer-Rao bounds."""
+def _labelled(features: Features, case: HieraCase, frame: Frame, end: int) -> tuple[Array, np.ndarray, Array]:
+    """Return true deviations (P,), a mask of those that count, and their Cramer-Rao bounds."""
     campaign = case.campaign
     rows = campaign.theta[end - TARGET : end]
     theta = rows.mean(axis=0)
@@ -105,38 +105,38 @@ def _labelled(features: Features, case: Case, frame: Frame, end: int) -> tuple[A
     return theta, known, least_error(features, frame, campaign.nominal, theta, since)
 
 
-def commissioned(features: Features, given: Sheet) -> Answer:
-    """The twin as commissioned, begun at the state that the last readings say."""
+def commissioned(features: Features, given: CaseInputs) -> BlindPredictions:
+    """Return the predictions of the commissioned twin, begun at the state of the last readings."""
     readings = np.stack([frame.base for frame in given.frames])
     none = np.zeros((len(readings), len(features.deviations)))
-    return Answer(readings, none, np.zeros(len(readings), dtype=bool), given.cpu_s[0])
+    return BlindPredictions(readings, none, np.zeros(len(readings), dtype=bool), given.cpu_s[0])
 
 
-def fitted(features: Features, given: Sheet) -> Answer:
-    """Least squares over the last minutes to two hours: the evidence."""
+def fitted(features: Features, given: CaseInputs) -> BlindPredictions:
+    """Return the predictions of least squares over the last minutes to two hours: the evidence."""
     return refit(features, given, given.evidence, sum(given.cpu_s))
 
 
-def refit(features: Features, given: Sheet, found: tuple[Evidence, ...], cpu_s: float) -> Answer:
-    """What fits of every target's context predict."""
+def refit(features: Features, given: CaseInputs, found: tuple[Evidence, ...], cpu_s: float) -> BlindPredictions:
+    """Return the predictions of fits of every target's context."""
     readings = np.stack([free_run(features, given, i, e.theta, e.state) for i, e in enumerate(found)])
     noise = float(np.sqrt(np.mean(step_noise(features) ** 2)))
     calibrated = np.array([np.sqrt(e.chi) * noise < features.network.rules.calibrated_K for e in found])
     half = np.stack([np.where(e.told, SE90 * e.sd, np.nan) for e in found])
-    return Answer(readings, np.stack([e.theta for e in found]), calibrated, cpu_s, theta_half=half)
+    return BlindPredictions(readings, np.stack([e.theta for e in found]), calibrated, cpu_s, theta_half=half)
 
 
-def free_run(features: Features, given: Sheet, i: int, theta: Array, state: Array) -> Array:
-    """Readings (120, Y) over target `i`."""
+def free_run(features: Features, given: CaseInputs, i: int, theta: Array, state: Array) -> Array:
+    """Return readings (120, Y) over target `i`."""
     frame, nominal = given.frames[i], given.case.campaign.nominal
     full = features.deviations.full(theta, nominal)
     return features.kernel.trace(full, state, frame.time[-TARGET:], frame.held[-TARGET:])[0][0]
 
 
 def tracked(name: str) -> Contestant:
-    """A calibrator of `hil track`, over the whole record, predicting ahead."""
+    """Return the predictions of a calibrator of `hil track` over the whole record, always ahead."""
 
-    def contestant(features: Features, given: Sheet) -> Answer:
+    def contestant(features: Features, given: CaseInputs) -> BlindPredictions:
         campaign, targets = given.case.campaign, given.case.targets
         values = dict(zip(features.network.ids, campaign.nominal.tolist(), strict=True))
         own = {k: v for k, v in values.items() if not features.network.parameters[k].same_as}
@@ -150,13 +150,13 @@ def tracked(name: str) -> Contestant:
         done = {_number(c, part.time[0]): c for c in update.calibrations}
         readings = np.stack([update.tracked[TARGET * k : TARGET * (k + 1)] for k in targets])
         theta, half, calibrated = zip(*(_before(features, campaign.nominal, done, k) for k in targets), strict=True)
-        return Answer(readings, np.stack(theta), np.array(calibrated), spent, theta_half=np.stack(half))
+        return BlindPredictions(readings, np.stack(theta), np.array(calibrated), spent, theta_half=np.stack(half))
 
     return contestant
 
 
 def _calibrator(name: str, network: Network, seed: int) -> Calibrator:
-    """A calibrator that is told the noise of the rows it gets, which are means over a step's readings.
+    """Return a calibrator with the noise of its rows, which are means over a step's readings.
 
     The network knows that of itself: its steps are such means whatever it is fed with.
     """
@@ -177,7 +177,7 @@ def _number(calibration: Calibration, origin: float) -> int:
 
 
 def _before(features: Features, nominal: Array, done: dict[int, Calibration], target: int) -> tuple[Array, Array, bool]:
-    """What a tracker predicted a target with: deviations and half widths (P,), and whether it said to be calibrated."""
+    """Return the tracker's deviations and half widths (P,) for a target, and its own calibrated flag before it."""
     earlier = [k for k in done if k < target]
     unknown = np.full(len(features.deviations), np.nan)
     if not earlier:
@@ -195,12 +195,14 @@ def _before(features: Features, nominal: Array, done: dict[int, Calibration], ta
 
 
 def _shipped() -> tuple[str, ...]:
-    """The network's calibrators, where a trained ensemble and what it needs are at hand."""
+    """Return the network's calibrators, if a trained ensemble and its libraries are installed."""
     there = TRAINED.is_file() and all(importlib.util.find_spec(name) for name in ("torch", "safetensors"))
     return ("hiera_unet", "hiera_ls") if there else ()
 
 
 def roster(names: tuple[str, ...] = ()) -> dict[str, Contestant]:
-    """Name -> contestant, in the order of the tables; `names` of the trackers, all that are here by default."""
+    """Return name -> contestant, in the order of the tables; `names` of the trackers, by default all that are
+    installed.
+    """
     trackers = names or tuple(n for n in ("pso", "least_squares", "kalman", *_shipped()) if n in CALIBRATOR_NAMES)
     return {"commissioned": commissioned, **{n.replace("_", " "): tracked(n) for n in trackers}, "fit of 2 h": fitted}

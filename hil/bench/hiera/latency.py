@@ -1,4 +1,4 @@
-"""What one causal forward of the network costs, for `hil bench hiera`. Needs torch."""
+"""Latency of one causal forward pass of the network, for `hil bench hiera`. Needs torch."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from twin.calibrators.hiera_unet.device import ready
 
 @dataclass(frozen=True)
 class Latency:
-    """One causal forward of one window, on one thread.
+    """Causal forward pass of one window, on one thread.
 
     Attributes:
         config: small or full. weights: how many it has. repetitions: timed forwards. minimum_ms, median_ms: of them.

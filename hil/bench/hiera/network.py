@@ -1,4 +1,4 @@
-"""The network's part in `hil bench hiera`: alone, and as the prior of a fit. Needs torch and a trained ensemble."""
+"""Network as a contestant of `hil bench hiera`: alone, and as the prior of a fit. Needs torch and an ensemble."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.bench.hiera.contestants import Answer, Contestant, Sheet, refit
+from hil.bench.hiera.contestants import BlindPredictions, CaseInputs, Contestant, refit
 from twin.calibrators.hiera_unet.binding import identity_of, physics_of
 from twin.calibrators.hiera_unet.ensemble import together
 from twin.calibrators.hiera_unet.evidence import Belief, estimate
@@ -25,7 +25,7 @@ Z90 = 1.645
 
 
 def contestants(card: Path, features: Features) -> dict[str, Contestant]:
-    """The network alone, and then a fit, for the ensemble of a card.
+    """Return the network alone, and the network with a fit, for the ensemble of a card.
 
     Raises:
         HieraError: there is none, or it belongs to another twin or channel table.
@@ -36,38 +36,40 @@ def contestants(card: Path, features: Features) -> dict[str, Contestant]:
 
 
 class _Network:
-    """Asks an ensemble once for each case."""
+    """Ensemble with one evaluation for each case."""
 
     def __init__(self, ensemble: Ensemble, physics: Physics) -> None:
         self._ensemble, self._physics = ensemble, physics
-        self._latest: tuple[Sheet, Outcome, float] | None = None
+        self._latest: tuple[CaseInputs, Outcome, float] | None = None
 
-    def _ask(self, features: Features, given: Sheet) -> tuple[Outcome, float]:
+    def _ask(self, features: Features, given: CaseInputs) -> tuple[Outcome, float]:
         if self._latest is None or self._latest[0] is not given:
             windows = _windows(features, given)
             began = time.process_time()
-            said = together([
-                outcome(m.network, windows, self._physics.simulate, self._physics.told, causal=True)
-                for m in self._ensemble.members
-            ])  # fmt: skip
+            said = together(
+                [
+                    outcome(m.network, windows, self._physics.simulate, self._physics.told, causal=True)
+                    for m in self._ensemble.members
+                ]
+            )
             said = replace(said, theta_sd=self._ensemble.calibrated(said.theta_sd, windows.meta))
             self._latest = (given, said, (time.process_time() - began) / len(windows))
         return self._latest[1], self._latest[2]
 
-    def alone(self, features: Features, given: Sheet) -> Answer:
-        """Deviations and corrections as they come, target hidden, causal branch."""
+    def alone(self, features: Features, given: CaseInputs) -> BlindPredictions:
+        """Return deviations and corrections of the network, target hidden, causal branch."""
         said, spent = self._ask(features, given)
-        # Against a truth of nought, the errors are the predictions.
+        # Against a truth of zero, the errors are the predictions.
         certain = np.sqrt(np.mean((NINETY * said.scale) ** 2, axis=(1, 2)))
         calm = certain < features.network.rules.calibrated_K
         half = NINETY * said.scale
         if not np.isfinite(given.case.campaign.truth).any():
-            # Intervals are for the rig; what is known of it here are readings with their noise.
+            # Intervals are for the rig; here only readings with their noise are known.
             half = np.hypot(half, Z90 * features.network.sigma / np.sqrt(STEP_S))
-        return Answer(said.error, said.theta, calm, sum(given.cpu_s) + spent, half, Z90 * said.theta_sd)
+        return BlindPredictions(said.error, said.theta, calm, sum(given.cpu_s) + spent, half, Z90 * said.theta_sd)
 
-    def then_fit(self, features: Features, given: Sheet) -> Answer:
-        """Least squares with the network's deviations and their spread as the prior."""
+    def then_fit(self, features: Features, given: CaseInputs) -> BlindPredictions:
+        """Return least squares with the network's deviations and their spread as the prior."""
         said, spent = self._ask(features, given)
         least = NARROWEST * features.deviations.prior_sd
         began = time.process_time()
@@ -79,7 +81,7 @@ class _Network:
         return refit(features, given, found, sum(given.cpu_s) + spent)
 
 
-def _windows(features: Features, given: Sheet) -> Windows:
+def _windows(features: Features, given: CaseInputs) -> Windows:
     nominal = given.case.campaign.nominal
     rows = [
         one(features, features.explained(frame, nominal, found.theta, found.steps), found, nominal)

@@ -1,4 +1,4 @@
-"""What the answers of `hil bench hiera` are worth: errors, recovery, parameters, coverage, with their scatter."""
+"""Scores of the predictions of `hil bench hiera`: errors, recovery, parameters, coverage, with their scatter."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.bench.hiera.contestants import Answer, Sheet
+from hil.bench.hiera.contestants import BlindPredictions, CaseInputs
 from twin.network import Array
 
 IN_A_ROW = 2
@@ -19,8 +19,8 @@ CONFIDENCE = 0.90
 
 
 @dataclass(frozen=True)
-class Score:
-    """One contestant on one case.
+class HieraScore:
+    """Score of one contestant on one case.
 
     Attributes:
         rmse: (n,) K of each target, over sensors. after: (n,) bool, targets with at least one whole window after the
@@ -49,8 +49,8 @@ class Score:
     cpu_s: float
 
 
-def score(given: Sheet, answer: Answer, plain: Answer, threshold_K: float) -> Score:
-    """Score an answer; `plain` is that of the commissioned twin, which says whether there is anything to recover."""
+def score(given: CaseInputs, answer: BlindPredictions, plain: BlindPredictions, threshold_K: float) -> HieraScore:
+    """Score predictions; `plain` is that of the commissioned twin, which shows if there is anything to recover from."""
     case = given.case
     truth = case.truth()
     error = answer.readings - truth
@@ -66,10 +66,22 @@ def score(given: Sheet, answer: Answer, plain: Answer, threshold_K: float) -> Sc
         wrong = np.where(given.known, answer.theta - given.theta, np.nan)
         off = np.where(np.isfinite(given.floor), wrong / given.floor, np.nan)
         sure = np.full(wrong.shape, np.nan) if answer.theta_half is None else wrong / answer.theta_half
-    return Score(
-        case.rig, case.kind, case.seed, case.name, rmse, before, after, recovered, off, sure, error, answer.half,
-        answer.calibrated, answer.cpu_s,
-    )  # fmt: skip
+    return HieraScore(
+        case.rig,
+        case.kind,
+        case.seed,
+        case.name,
+        rmse,
+        before,
+        after,
+        recovered,
+        off,
+        sure,
+        error,
+        answer.half,
+        answer.calibrated,
+        answer.cpu_s,
+    )
 
 
 def _rmse(error: Array) -> Array:
@@ -87,31 +99,31 @@ def _recovered(rmse: Array, threshold_K: float) -> float:
     return float("inf")
 
 
-def pooled(scores: Iterable[Score], which: Callable[[Score], np.ndarray]) -> float:
-    """RMSE over the chosen targets of all cases, K."""
+def pooled(scores: Iterable[HieraScore], which: Callable[[HieraScore], np.ndarray]) -> float:
+    """Return the RMSE over the chosen targets of all cases, K."""
     chosen = [s.rmse[which(s)] for s in scores]
     squares = np.concatenate(chosen) ** 2 if chosen else np.zeros(0)
     squares = squares[np.isfinite(squares)]
     return float(np.sqrt(squares.mean())) if squares.size else float("nan")
 
 
-def typical(scores: Iterable[Score], which: Callable[[Score], np.ndarray]) -> float:
-    """Median of the targets' RMSE, K."""
+def typical(scores: Iterable[HieraScore], which: Callable[[HieraScore], np.ndarray]) -> float:
+    """Return the median of the targets' RMSE, K."""
     chosen = [s.rmse[which(s)] for s in scores]
     values = np.concatenate(chosen) if chosen else np.zeros(0)
     values = values[np.isfinite(values)]
     return float(np.median(values)) if values.size else float("nan")
 
 
-def share_recovered(scores: Iterable[Score], within: float) -> float:
-    """Share of the changes that were recovered from within so many targets; NaN without any change."""
+def share_recovered(scores: Iterable[HieraScore], within: float) -> float:
+    """Return the share of changes that were recovered from within this number of targets; NaN without any change."""
     needed = np.array([s.recovered for s in scores])
     needed = needed[~np.isnan(needed)]
     return float((needed <= within).mean()) if needed.size else float("nan")
 
 
-def worse(scores: list[Score], rival: list[Score]) -> float:
-    """Share of the changes after which the error is clearly larger than the rival's on the same case."""
+def worse(scores: list[HieraScore], rival: list[HieraScore]) -> float:
+    """Return the share of changes after which the error is clearly larger than the rival's on the same case."""
     lost = []
     for own, other in zip(scores, rival, strict=True):
         if np.isnan(own.recovered):
@@ -121,8 +133,8 @@ def worse(scores: list[Score], rival: list[Score]) -> float:
     return float(np.mean(lost)) if lost else float("nan")
 
 
-def over_bound(scores: Iterable[Score], *, accepted: bool = False, told: bool = False) -> float:
-    """Root mean square of parameter errors over their Cramer-Rao bounds: 1 is as good as can be.
+def over_bound(scores: Iterable[HieraScore], *, accepted: bool = False, told: bool = False) -> float:
+    """Return the root mean square of parameter errors over their Cramer-Rao bounds: 1 is the optimum.
 
     Args:
         accepted: only of windows before which the contestant said that it was calibrated. told: only of parameters that
@@ -132,13 +144,13 @@ def over_bound(scores: Iterable[Score], *, accepted: bool = False, told: bool = 
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
-def median_over_bound(scores: Iterable[Score], *, accepted: bool = False) -> float:
-    """Median of |error| over bound; 0.67 for an efficient estimate. The arguments are those of `over_bound`."""
+def median_over_bound(scores: Iterable[HieraScore], *, accepted: bool = False) -> float:
+    """Return the median of |error| over bound; 0.67 for an efficient estimate. Arguments are as of `over_bound`."""
     values = np.abs(_over_bound(scores, accepted, told=False))
     return float(np.median(values)) if values.size else float("nan")
 
 
-def _over_bound(scores: Iterable[Score], accepted: bool, told: bool) -> Array:
+def _over_bound(scores: Iterable[HieraScore], accepted: bool, told: bool) -> Array:
     chosen = []
     for s in scores:
         rows = (s.after | s.before) & (s.calibrated | (not accepted))
@@ -147,22 +159,22 @@ def _over_bound(scores: Iterable[Score], accepted: bool, told: bool) -> Array:
     return values[np.isfinite(values)]
 
 
-def sure(scores: Iterable[Score], which: Callable[[Score], np.ndarray]) -> float:
-    """Share of parameters that lie inside their own 90 % intervals, over the chosen targets; NaN without any."""
+def sure(scores: Iterable[HieraScore], which: Callable[[HieraScore], np.ndarray]) -> float:
+    """Return the share of parameters inside their own 90 % intervals, over the chosen targets; NaN without any."""
     values = np.concatenate([s.sure[which(s)].ravel() for s in scores] or [np.zeros(0)])
     values = np.abs(values[~np.isnan(values)])
     return float((values <= 1.0).mean()) if values.size else float("nan")
 
 
-def falsely_calibrated(scores: Iterable[Score], threshold_K: float) -> float:
-    """Of the targets before which a contestant called itself calibrated, the share that it then missed."""
+def falsely_calibrated(scores: Iterable[HieraScore], threshold_K: float) -> float:
+    """Return the share of targets with a calibrated flag before them that the contestant then missed."""
     missed = [s.rmse[s.calibrated] > threshold_K for s in scores]
     values = np.concatenate(missed) if missed else np.zeros(0)
     return float(values.mean()) if values.size else float("nan")
 
 
-def constant_widths(scores: Iterable[Score], seed: int) -> Array:
-    """Half width (Y,), K, that split conformal prediction gives from other cases: one score a target and sensor.
+def constant_widths(scores: Iterable[HieraScore], seed: int) -> Array:
+    """Return half widths (Y,), K, of split conformal prediction from other cases: one score for each target and sensor.
 
     Shafer & Vovk, J. Mach. Learn. Res. 9 (2008) 371; the step within a target is drawn at random, since errors within
     one are alike.
@@ -182,14 +194,14 @@ def constant_widths(scores: Iterable[Score], seed: int) -> Array:
     return np.array(widths)
 
 
-def own_factors(scores: Iterable[Score], seed: int) -> Array:
-    """Factors (Y,) that bring a contestant's own half widths to what they promise: normalised split conformal."""
+def own_factors(scores: Iterable[HieraScore], seed: int) -> Array:
+    """Return factors (Y,) that calibrate a contestant's own half widths: normalised split conformal."""
     relative = [replace(s, error=s.error / s.half) for s in scores if s.half is not None]
     return constant_widths(relative, seed)
 
 
-def tally(s: Score, widths: Array, *, own: bool = False) -> tuple[float, float, int]:
-    """How many errors lie inside half widths (Y,), K, the sum of full widths, and how many errors there are.
+def tally(s: HieraScore, widths: Array, *, own: bool = False) -> tuple[float, float, int]:
+    """Return the number of errors inside half widths (Y,), K, the sum of full widths, and the number of errors.
 
     Args:
         own: `widths` are factors on the contestant's own half widths; without those, all is nought.
@@ -201,14 +213,16 @@ def tally(s: Score, widths: Array, *, own: bool = False) -> tuple[float, float, 
     return float((np.abs(s.error) <= half)[good].sum()), float(2.0 * half[good].sum()), int(good.sum())
 
 
-def coverage(scores: Iterable[Score], widths: Array, *, own: bool = False) -> tuple[float, float]:
-    """Share inside and mean full width, K; the arguments are those of `tally`."""
+def coverage(scores: Iterable[HieraScore], widths: Array, *, own: bool = False) -> tuple[float, float]:
+    """Return coverage and mean full width, K; the arguments are those of `tally`."""
     inside, total, known = np.sum([(0.0, 0.0, 0), *(tally(s, widths, own=own) for s in scores)], axis=0).tolist()
     return (inside / known, total / known) if known else (float("nan"), float("nan"))
 
 
-def interval(scores: list[Score], figure: Callable[[list[Score]], float], seed: int = 0) -> tuple[float, float, float]:
-    """A figure and the middle 90 % of it when cases are drawn again (bootstrap over cases)."""
+def interval(
+    scores: list[HieraScore], figure: Callable[[list[HieraScore]], float], seed: int = 0
+) -> tuple[float, float, float]:
+    """Return a figure and its middle 90 % in a bootstrap over cases."""
     value = figure(scores)
     if len(scores) < 2:
         return value, float("nan"), float("nan")

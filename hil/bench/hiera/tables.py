@@ -1,4 +1,4 @@
-"""The tables of `hil bench hiera`."""
+"""Tables of `hil bench hiera`."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.bench.hiera import score as judge
-from hil.bench.hiera.score import Score
-from hil.bench.measure.report import Cell, Table
+from hil.bench.hiera.score import HieraScore
+from hil.bench.measure.report import Cell, ReportTable
 
 if TYPE_CHECKING:
     from hil.bench.hiera.latency import Latency
-    from hil.bench.hiera.trial import Everything, Results
+    from hil.bench.hiera.trial import HieraResults, Results
 
 BETWEEN = "Middle 90 % when cases are drawn again (bootstrap over cases)."
 AHEAD = (
-    "Each ten minutes are predicted from what was known before they began; hiera unet and hiera ls also take on what "
-    "they find at their middle, for the second half."
+    "Each ten minutes are predicted from earlier data; hiera unet and hiera ls also use their "
+    "estimates at the middle, for the second half."
 )
 
 
-def tables(found: Everything, rigs: tuple[str, ...]) -> tuple[Table, ...]:
-    """All tables, in reading order."""
+def tables(found: HieraResults, rigs: tuple[str, ...]) -> tuple[ReportTable, ...]:
+    """Return all tables, in reading order."""
     return (
         errors(found.whole, rigs),
         recovery(found.whole, rigs),
@@ -37,7 +37,7 @@ def tables(found: Everything, rigs: tuple[str, ...]) -> tuple[Table, ...]:
     )
 
 
-def _of(results: Results, rig: str) -> dict[str, list[Score]]:
+def _of(results: Results, rig: str) -> dict[str, list[HieraScore]]:
     return {name: [s for s in scores if s.rig == rig] for name, scores in results.items()}
 
 
@@ -45,8 +45,8 @@ def _range(low: float, high: float, form: str = "{:.3f}") -> Cell:
     return None if not np.isfinite([low, high]).all() else f"{form.format(low)} to {form.format(high)}"
 
 
-def errors(results: Results, rigs: tuple[str, ...]) -> Table:
-    """Errors of blind predictions, healthy and changed."""
+def errors(results: Results, rigs: tuple[str, ...]) -> ReportTable:
+    """Return errors of blind predictions, healthy and changed."""
     rows: list[tuple[Cell, ...]] = []
     for rig in rigs:
         for name, scores in _of(results, rig).items():
@@ -54,11 +54,19 @@ def errors(results: Results, rigs: tuple[str, ...]) -> Table:
                 continue
             healthy = judge.interval(scores, lambda x: judge.pooled(x, lambda s: s.before))
             changed = judge.interval(scores, lambda x: judge.pooled(x, lambda s: s.after))
-            rows.append((
-                rig, name, healthy[0], _range(*healthy[1:]), judge.typical(scores, lambda s: s.before), changed[0],
-                _range(*changed[1:]), judge.typical(scores, lambda s: s.after),
-            ))  # fmt: skip
-    return Table(
+            rows.append(
+                (
+                    rig,
+                    name,
+                    healthy[0],
+                    _range(*healthy[1:]),
+                    judge.typical(scores, lambda s: s.before),
+                    changed[0],
+                    _range(*changed[1:]),
+                    judge.typical(scores, lambda s: s.after),
+                )
+            )
+    return ReportTable(
         "errors",
         "RMSE of predictions ten minutes ahead, K",
         ("rig", "by", "healthy", "from to", "median", "changed", "from to ", "median "),
@@ -71,8 +79,8 @@ def errors(results: Results, rigs: tuple[str, ...]) -> Table:
     )
 
 
-def recovery(results: Results, rigs: tuple[str, ...]) -> Table:
-    """How soon predictions are right again after a change."""
+def recovery(results: Results, rigs: tuple[str, ...]) -> ReportTable:
+    """Return the delay until predictions are right again after a change."""
     rows: list[tuple[Cell, ...]] = []
     for rig in rigs:
         for name, scores in _of(results, rig).items():
@@ -82,12 +90,21 @@ def recovery(results: Results, rigs: tuple[str, ...]) -> Table:
             one = judge.interval(scores, lambda x: judge.share_recovered(x, 2.0))
             tracked = [s for s in scores if s.kind == "tracked"]
             count = sum(not np.isnan(s.recovered) for s in tracked)
-            rows.append((
-                rig, name, len(needed), _count(float(np.median(needed))), judge.share_recovered(scores, 1.0), one[0],
-                _range(*one[1:], "{:.2f}"), float(np.mean(np.isinf(needed))), count,
-                judge.share_recovered(tracked, 2.0) if count else None,
-            ))  # fmt: skip
-    return Table(
+            rows.append(
+                (
+                    rig,
+                    name,
+                    len(needed),
+                    _count(float(np.median(needed))),
+                    judge.share_recovered(scores, 1.0),
+                    one[0],
+                    _range(*one[1:], "{:.2f}"),
+                    float(np.mean(np.isinf(needed))),
+                    count,
+                    judge.share_recovered(tracked, 2.0) if count else None,
+                )
+            )
+    return ReportTable(
         "recovery",
         "Targets until predictions are below 0.1 K again, the first whole one after the change being 1",
         ("rig", "by", "changes", "median", "at 1", "by 2", "from to", "never", "tracked", "by 2 "),
@@ -96,7 +113,7 @@ def recovery(results: Results, rigs: tuple[str, ...]) -> Table:
             "By 2: after one whole window of the changed rig. Only changes that put the commissioned twin above 0.1 K "
             "count.",
             "Tracked: changes of a parameter that the twin tracks. The others are heat or physics that it lacks, and "
-            "thermometers that err, of which the true reading is asked.",
+            "biased sensors, whose true reading is the target.",
             BETWEEN,
         ),
     )
@@ -106,13 +123,13 @@ def _count(value: float) -> Cell:
     return "never" if np.isinf(value) else value
 
 
-def _sound(scores: list[Score]) -> list[Score]:
-    """Cases of rigs without physics that the twin lacks: elsewhere no value of its parameters is right."""
+def _sound(scores: list[HieraScore]) -> list[HieraScore]:
+    """Return cases of rigs without physics that the twin lacks: elsewhere no value of its parameters is right."""
     return [s for s in scores if s.kind in ("healthy", "tracked")]
 
 
-def parameters(results: Results) -> Table:
-    """Errors of deviations over their Cramer-Rao bounds."""
+def parameters(results: Results) -> ReportTable:
+    """Return errors of deviations over their Cramer-Rao bounds."""
     rows: list[tuple[Cell, ...]] = []
     for rig in ("simulated", "virtual"):
         for name, scores in _of(results, rig).items():
@@ -128,7 +145,7 @@ def parameters(results: Results) -> Table:
                 judge.over_bound(_sound(told), accepted=True),
             )
             rows.append((rig, name, count, value, _range(low, high, "{:.2f}"), *figures))
-    return Table(
+    return ReportTable(
         "parameters",
         "Parameter errors over their Cramer-Rao bounds, where the data tells them",
         ("rig", "by", "numbers", "median", "from to", "RMS", "accepted", "not held", "as the twin"),
@@ -144,8 +161,8 @@ def parameters(results: Results) -> Table:
     )
 
 
-def parameter_intervals(results: Results) -> Table:
-    """How often parameters lie inside the intervals that calibrators give with them."""
+def parameter_intervals(results: Results) -> ReportTable:
+    """Return the coverage of parameters by the intervals of their calibrators."""
     rows: list[tuple[Cell, ...]] = []
     for rig in ("simulated", "virtual"):
         for name, scores in _of(results, rig).items():
@@ -154,11 +171,18 @@ def parameter_intervals(results: Results) -> Table:
                 continue
             healthy = judge.interval(told, lambda x: judge.sure(x, lambda one: one.before))
             changed = judge.interval(told, lambda x: judge.sure(x, lambda one: one.after))
-            rows.append((
-                rig, name, int(sum(np.isfinite(s.sure[s.before | s.after]).sum() for s in told)), healthy[0],
-                _range(*healthy[1:], "{:.2f}"), changed[0], _range(*changed[1:], "{:.2f}"),
-            ))  # fmt: skip
-    return Table(
+            rows.append(
+                (
+                    rig,
+                    name,
+                    int(sum(np.isfinite(s.sure[s.before | s.after]).sum() for s in told)),
+                    healthy[0],
+                    _range(*healthy[1:], "{:.2f}"),
+                    changed[0],
+                    _range(*changed[1:], "{:.2f}"),
+                )
+            )
+    return ReportTable(
         "parameter_intervals",
         "Parameters inside their own 90 % intervals",
         ("rig", "by", "numbers", "healthy", "from to", "changed", "from to "),
@@ -167,8 +191,8 @@ def parameter_intervals(results: Results) -> Table:
     )
 
 
-def intervals(results: Results, calibrating: Results, rigs: tuple[str, ...]) -> Table:
-    """Coverage and width of 90 % intervals."""
+def intervals(results: Results, calibrating: Results, rigs: tuple[str, ...]) -> ReportTable:
+    """Return coverage and width of 90 % intervals."""
     rows: list[tuple[Cell, ...]] = []
     for rig in rigs:
         for name, scores in _of(results, rig).items():
@@ -182,7 +206,7 @@ def intervals(results: Results, calibrating: Results, rigs: tuple[str, ...]) -> 
                 value, low, high = judge.interval(scores, _share(factors, own=True))
                 width = judge.coverage(scores, factors, own=True)[1]
                 rows.append((rig, name, "its own", value, _range(low, high, "{:.2f}"), width))
-    return Table(
+    return ReportTable(
         "intervals",
         "Intervals that promise 90 %",
         ("rig", "by", "width is", "inside", "from to", "mean width K"),
@@ -195,11 +219,11 @@ def intervals(results: Results, calibrating: Results, rigs: tuple[str, ...]) -> 
     )
 
 
-def _share(widths: np.ndarray, *, own: bool = False) -> Callable[[list[Score]], float]:
-    """Share inside of a list of scores; each is counted once, however often it is drawn again."""
+def _share(widths: np.ndarray, *, own: bool = False) -> Callable[[list[HieraScore]], float]:
+    """Return the share inside of a list of scores; each is counted once, also in a bootstrap."""
     counted: dict[int, tuple[float, float, int]] = {}
 
-    def share(scores: list[Score]) -> float:
+    def share(scores: list[HieraScore]) -> float:
         for s in scores:
             if id(s) not in counted:
                 counted[id(s)] = judge.tally(s, widths, own=own)
@@ -209,8 +233,8 @@ def _share(widths: np.ndarray, *, own: bool = False) -> Callable[[list[Score]], 
     return share
 
 
-def lost(found: Everything) -> Table:
-    """Errors with channels hidden."""
+def lost(found: HieraResults) -> ReportTable:
+    """Return errors with channels hidden."""
     rows: list[tuple[Cell, ...]] = []
     shares = sorted(found.lost)
     for rig in ("simulated", "virtual"):
@@ -227,15 +251,15 @@ def lost(found: Everything) -> Table:
         columns += ["RMSE", "median"] if share == 0.0 else [f"RMSE -{share:.0%}", f"median -{share:.0%}"]
     count = max((len(scores) for scores in found.lost[0.0].values()), default=0)
     notes = (f"Sensors and inputs alike, from half an hour on, in {count} cases. A lost input holds its last value.",)
-    return Table("lost", "With a share of the channels lost, K", tuple(columns), tuple(rows), notes)
+    return ReportTable("lost", "With a share of the channels lost, K", tuple(columns), tuple(rows), notes)
 
 
-def _all(s: Score) -> np.ndarray:
+def _all(s: HieraScore) -> np.ndarray:
     return np.ones(len(s.rmse), dtype=bool)
 
 
-def false_flags(found: Everything) -> Table:
-    """How often `calibrated` was said in vain."""
+def false_flags(found: HieraResults) -> ReportTable:
+    """Return the share of false `calibrated` flags."""
     rows: list[tuple[Cell, ...]] = []
     for name, scores in found.whole.items():
         said = np.concatenate([s.calibrated for s in scores])
@@ -243,10 +267,10 @@ def false_flags(found: Everything) -> Table:
             continue
         value, low, high = judge.interval(scores, lambda x: judge.falsely_calibrated(x, found.threshold_K))
         rows.append((name, float(said.mean()), value, _range(low, high, "{:.2f}")))
-    return Table(
+    return ReportTable(
         "flags",
         f"Said to be calibrated, and the next ten minutes missed by more than {found.threshold_K:g} K",
-        ("by", "said", "in vain", "from to"),
+        ("by", "said", "false", "from to"),
         tuple(rows),
         (BETWEEN,),
     )
@@ -258,11 +282,11 @@ RIVALS = {
     "hiera unet": "least squares",
     "hiera ls": "least squares",
 }
-"""Who a contestant must not be worse than: the same fit without the network."""
+"""Rival that a contestant must not be worse than: the same fit without the network."""
 
 
-def goals(found: Everything) -> tuple[Table, ...]:
-    """What the network set out to reach, beside what it did; no table without a network."""
+def goals(found: HieraResults) -> tuple[ReportTable, ...]:
+    """Return the network's goals and results; no table without a network."""
     rows: list[tuple[Cell, ...]] = []
     for name in (n for n in RIVALS if n in found.whole):
         scores = [s for s in found.whole[name] if s.rig != "stranger"]
@@ -284,7 +308,7 @@ def goals(found: Everything) -> tuple[Table, ...]:
             ),
             (name, "changes of tracked parameters recovered by 2", ">= 0.95", judge.share_recovered(moved, 2.0)),
         ]
-        rows += simulated if scores else []  # of a stranger's rig neither truth nor bound is known
+        rows += simulated if scores else []  # Neither truth nor bound of a stranger's rig is known.
         rows.append((name, "changes recovered by 2", ">= 0.95", judge.share_recovered(found.whole[name], 2.0)))
         if rival is not None:
             rows.append(
@@ -293,22 +317,22 @@ def goals(found: Everything) -> tuple[Table, ...]:
     if not rows:
         return ()
     notes = (f"Worse: RMSE after the change larger by more than {judge.WORSE - 1.0:.0%} and by {judge.WORSE_K:g} K.",)
-    return (Table("goals", "Against the goals", ("by", "what", "goal", "found"), tuple(rows), notes),)
+    return (ReportTable("goals", "Against the goals", ("by", "what", "goal", "found"), tuple(rows), notes),)
 
 
-def cost(results: Results) -> Table:
-    """CPU time of one window."""
+def cost(results: Results) -> ReportTable:
+    """Return the CPU time of one window."""
     rows = tuple((name, 1e3 * float(np.median([s.cpu_s for s in scores]))) for name, scores in results.items())
-    return Table("cost", "CPU time, ms a window of ten minutes (one thread)", ("by", "ms"), rows)
+    return ReportTable("cost", "CPU time, ms a window of ten minutes (one thread)", ("by", "ms"), rows)
 
 
 LIMITS_MS = {"small": 10.0, "full": 50.0}
-"""What one causal forward may take."""
+"""Longest time of one causal forward pass, ms."""
 
 
-def forwards(timed: Iterable[Latency]) -> tuple[Table, ...]:
-    """One causal forward of each configuration, on one thread."""
+def forwards(timed: Iterable[Latency]) -> tuple[ReportTable, ...]:
+    """Return the time of one causal forward pass of each configuration, on one thread."""
     rows = tuple((t.config, t.weights, t.minimum_ms, t.median_ms, LIMITS_MS[t.config]) for t in timed)
     notes = ("Of random weights; the least of many says what it costs where nothing else runs.",)
     columns = ("configuration", "weights", "least", "median", "goal <=")
-    return (Table("forwards", "One causal forward, ms (one thread)", columns, rows, notes),)
+    return (ReportTable("forwards", "One causal forward, ms (one thread)", columns, rows, notes),)

@@ -1,4 +1,4 @@
-"""`hil bench hiera`: who keeps a twin true, on rigs that no network has seen: swarm, least squares, filter, network."""
+"""Benchmark `hil bench hiera`: calibrators on rigs that no network has seen: swarm, least squares, filter, network."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 
 from hil.bench.hiera import cases
 from hil.bench.hiera import tables as drawn
-from hil.bench.hiera.cases import Case
-from hil.bench.hiera.contestants import Contestant, Sheet, commissioned, roster, sheet
-from hil.bench.hiera.score import Score, score
-from hil.bench.measure.report import Table
+from hil.bench.hiera.cases import HieraCase
+from hil.bench.hiera.contestants import CaseInputs, Contestant, commissioned, roster, sheet
+from hil.bench.hiera.score import HieraScore, score
+from hil.bench.measure.report import ReportTable
 from hil.bench.peers import Absent
 from hil.training.generate import features_of
 from twin.calibrators.hiera_unet.features import Features
@@ -21,12 +21,14 @@ from twin.calibrators.hiera_unet.plants import Family
 LOST = (0.10, 0.25)
 """Shares of the channels that are hidden from all contestants."""
 CALIBRATING = 900_001
-"""Added to seeds for the cases that constant intervals are calibrated on."""
+"""Offset of seeds for the cases that calibrate constant intervals."""
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
-    """Seeds; simulated and virtual cases a seed; which rigs; trackers by name, all that are here if empty.
+class HieraSize:
+    """Size of the benchmark: seeds; simulated and virtual cases for each seed; rigs; trackers by name, all if empty.
+    `lost_every`: number of cases for each one with lost channels. `calibrating`: simulated cases that set constant
+    intervals; of virtual ones a third as many, as in the score.
 
     `lost_every`: of so many cases one is given with channels lost too. `calibrating`: simulated cases that set constant
     intervals; of virtual ones a third as many, as in what is scored.
@@ -44,17 +46,18 @@ class Size:
 
 
 FORWARDS = ("small", "full")
-"""Configurations whose causal forward is timed."""
-FULL = Size(simulated=16, virtual=6, lost_every=7, calibrating=12)
-QUICK = Size(seeds=(0,), simulated=3, virtual=2, rigs=("simulated", "virtual"), lost=(0.25,))
+"""Configurations whose causal forward pass is timed."""
+FULL = HieraSize(simulated=16, virtual=6, lost_every=7, calibrating=12)
+QUICK = HieraSize(seeds=(0,), simulated=3, virtual=2, rigs=("simulated", "virtual"), lost=(0.25,))
 
-Results = dict[str, list[Score]]
-"""Contestant -> its scores, a case each."""
+Results = dict[str, list[HieraScore]]
+"""Contestant -> its scores, one for each case."""
 
 
 @dataclass(frozen=True)
-class Everything:
-    """What was measured: on all cases, with channels lost, and on the cases that set constant intervals.
+class HieraResults:
+    """Results on all cases, with channels lost, and on the cases that set constant intervals. `lost`: by share; 0 has
+    the same cases whole.
 
     `lost`: by share; 0 has the same cases whole.
     """
@@ -66,12 +69,12 @@ class Everything:
 
 
 def measure(
-    size: Size, seed: int, data: Path, say: Callable[[float, str], None], network: Path | None = None
-) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """The tables, and a line for everything that was left out.
+    size: HieraSize, seed: int, data: Path, say: Callable[[float, str], None], network: Path | None = None
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
+    """Return the tables, and a line for everything left out.
 
     Args:
-        seed: added to those of `size`. data: folder with the stranger rigs. say: told what is under way.
+        seed: added to those of `size`. data: folder with the stranger rigs. say: called with each stage.
         network: card of a trained ensemble; without, the network takes no part.
     """
     features = features_of()
@@ -83,7 +86,7 @@ def measure(
         contestants |= with_network(network, features)
     else:
         left_out.append("network: name the card of a trained one with --network")
-    everything = Everything({}, {share: {} for share in (0.0, *size.lost)}, {}, features.network.rules.calibrated_K)
+    everything = HieraResults({}, {share: {} for share in (0.0, *size.lost)}, {}, features.network.rules.calibrated_K)
     third = -(-size.calibrating // 3)
     total = len(size.seeds) * (size.simulated + size.virtual) + len(size.strangers) + size.calibrating + third
     done = 0
@@ -108,7 +111,7 @@ def measure(
             done += 1
     except Absent as why:
         left_out.append(str(why))
-    timed: tuple[Table, ...] = ()
+    timed: tuple[ReportTable, ...] = ()
     if network is not None:
         from hil.bench.hiera.latency import latency
 
@@ -116,7 +119,7 @@ def measure(
     return (*drawn.tables(everything, size.rigs), *timed), tuple(left_out)
 
 
-def _cases(size: Size, seed: int, features: Features, family: Family, data: Path) -> Iterator[Case]:
+def _cases(size: HieraSize, seed: int, features: Features, family: Family, data: Path) -> Iterator[HieraCase]:
     for own in size.seeds:
         if "simulated" in size.rigs:
             yield from cases.simulated(family, seed + own, size.simulated)
@@ -127,9 +130,9 @@ def _cases(size: Size, seed: int, features: Features, family: Family, data: Path
 
 
 def _judge(
-    features: Features, case: Case, contestants: dict[str, Contestant], into: Results, threshold_K: float
+    features: Features, case: HieraCase, contestants: dict[str, Contestant], into: Results, threshold_K: float
 ) -> None:
-    given: Sheet = sheet(features, case)
+    given: CaseInputs = sheet(features, case)
     plain = commissioned(features, given)
     for name, contestant in contestants.items():
         into.setdefault(name, []).append(score(given, contestant(features, given), plain, threshold_K))

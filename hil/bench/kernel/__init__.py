@@ -1,1 +1,1 @@
-"""Cost of the twin's kernel and of its fits, beside other tools."""
+"""Cost of the twin's kernel and of its fits, and that of other tools."""

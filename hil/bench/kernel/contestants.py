@@ -1,4 +1,4 @@
-"""Who takes part in `hil bench twin`: name, how to prepare a job, and how large a swarm each is asked for."""
+"""Contestants of `hil bench twin`: name, preparation of a job, and largest swarm."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HELD = ("constant", "stepped")
 
 @dataclass(frozen=True, slots=True)
 class Single:
-    """One vector: `prepare` gives a call that returns states (n, k). `slow` ones are left out of a quick run."""
+    """One parameter vector: `prepare` gives a call that returns states (n, k). A quick run omits `slow` ones."""
 
     name: str
     prepare: Callable[[Job], Callable[[], Array]]
@@ -31,7 +31,7 @@ class Single:
 
 @dataclass(frozen=True, slots=True)
 class Swarm:
-    """Many vectors: `prepare` gives a call that returns costs (P,); `most` is the largest swarm to ask for."""
+    """Many parameter vectors: `prepare` gives a call that returns costs (P,); `most` is the largest swarm."""
 
     name: str
     prepare: Callable[[Job], Callable[[], Array]]
@@ -40,7 +40,7 @@ class Swarm:
 
 
 def ours(job: Job) -> Callable[[], Array]:
-    """Costs (P,) by the generated kernel."""
+    """Return costs (P,) of the generated kernel."""
     kernel = Kernel(job.network, job.ids)
 
     def cost() -> Array:
@@ -52,13 +52,13 @@ def ours(job: Job) -> Callable[[], Array]:
 
 
 def our_readings(job: Job) -> Callable[[], Array]:
-    """Readings (n, m) of particle 0 by the generated kernel."""
+    """Return readings (n, m) of particle 0 of the generated kernel."""
     kernel = Kernel(job.network, job.ids)
     return lambda: kernel.trace(job.particles[:1], job.state, job.time, job.inputs)[0][0]
 
 
 def our_error(job: Job) -> float:
-    """Largest error of our readings over all particles, K; infinite where one is not finite."""
+    """Return the largest error of our readings over all particles, K; infinite if one is not finite."""
     kernel, reads = Kernel(job.network, job.ids), sensor_rows(job.network)
     readings, _ = kernel.trace(job.particles, job.state, job.time, job.inputs)
     exact = np.stack([oracle(replace(job, particles=row[None]))[:, reads] for row in job.particles])
@@ -67,7 +67,7 @@ def our_error(job: Job) -> float:
 
 
 def singles() -> list[Single]:
-    """In the order of the table."""
+    """Return the contestants with one vector, in the order of the table."""
     from hil.bench.peers import scipy_ode
 
     def ivp(method: str, **options: float) -> Callable[[Job], Callable[[], Array]]:
@@ -97,7 +97,7 @@ def singles() -> list[Single]:
 
 
 def swarms() -> list[Swarm]:
-    """In the order of the table; ours first."""
+    """Return the contestants with swarms, in the order of the table; ours first."""
     return [
         Swarm("ours", ours, 100_000),
         Swarm("C, 16 lanes", lambda job: _c(job, 16)[0], 100_000),
@@ -110,12 +110,14 @@ def swarms() -> list[Swarm]:
 
 
 def remembers(network: Network) -> bool:
-    """Whether the network's state is more than its temperatures (pipes, lags), so that no oracle here covers it."""
+    """Return True if the network's state is more than its temperatures (pipes, lags), so that no reference here covers
+    it.
+    """
     return Kernel(network, ()).size != len(network.nodes)
 
 
 def oracle(job: Job) -> Array:
-    """States (n, k) of particle 0, exact for a linear network, else by tight steps that never cross a jump."""
+    """Return states (n, k) of particle 0, exact for a linear network, else by tight steps that never cross a jump."""
     p = job.particles[0]
     try:
         return simulate_exact(job.network, job.time, job.inputs, job.state, p)
@@ -124,7 +126,7 @@ def oracle(job: Job) -> Array:
 
 
 def tight(network: Network, time: Array, inputs: Array, state: Array, p: Array) -> Array:
-    """States (n, k) by eight Runge-Kutta steps a sample: the reference where no exponential exists."""
+    """Return states (n, k) by eight Runge-Kutta steps a sample: the reference if no exponential exists."""
     rhs, out = right_hand_side(network), np.empty((len(time), len(state)))
     x = out[0] = state
     for i in range(len(time) - 1):

@@ -1,4 +1,4 @@
-"""`hil bench fit`: who finds the best fit of a ten-minute window, how surely, and for how much CPU time."""
+"""Benchmark `hil bench fit`: quality, reliability and CPU time of fits of a ten-minute window."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from hil.bench.kernel.problems import Problem, box, made_up, measured
 from hil.bench.kernel.whole_record import whole_table
 from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.bench.peers import Absent, filter_peer, optimisers
 from hil.run.session.terminal import ProgressBar
 from twin.calibrators import UNTRAINED_CALIBRATORS, make_calibrator
@@ -24,12 +24,12 @@ from twin.twinfile import load
 
 TWINS = Path(__file__).resolve().parents[3] / "profiles" / "twins"
 AT_OPTIMUM = 5e-4
-"""Relative distance from the best known RMSE within which a fit counts as there."""
+"""Relative distance from the best known RMSE within which a fit counts as optimal."""
 DESCENT = "ours: Gauss-Newton alone"
 NO_PRIOR = 1e-10
 """Precision of the descent's prior as a share of the calibrators': enough to keep its equations regular."""
 MOST, TOLERANCE = 100, 1.0e-6
-"""Linearisations of the descent, at most, and the relative decrease at which it ends."""
+"""Most linearisations of the descent, and the relative decrease at which it ends."""
 SETS = ("paper4", "nine", "twelve")
 
 Peer = Callable[[Problem, int], Array]
@@ -45,8 +45,8 @@ PEERS: tuple[tuple[str, Peer], ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
-    """How many windows, of how many samples, for which sets of tunables; hours of the record that is tracked."""
+class FitSize:
+    """Size of the benchmark: windows, samples of each, sets of tunables; hours of the tracked record."""
 
     windows: int = 20
     samples: int = 600
@@ -54,13 +54,13 @@ class Size:
     whole_h: float = 40.0
 
 
-FULL = Size()
-QUICK = Size(windows=3, sets=("paper4", "nine"), whole_h=2.0)
+FULL = FitSize()
+QUICK = FitSize(windows=3, sets=("paper4", "nine"), whole_h=2.0)
 
 
 @dataclass(slots=True)
-class _Score:
-    """One method over the windows: RMSE in K, ratio to the best known, simulations, CPU ms."""
+class _MethodScore:
+    """Results of one method over the windows: RMSE in K, ratio to the best known, simulations, CPU ms."""
 
     rmse: list[float] = field(default_factory=list)
     ratio: list[float] = field(default_factory=list)
@@ -70,15 +70,17 @@ class _Score:
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
-    """A measured record to cut windows from, and the twin that is fitted to them."""
+class MeasuredRecord:
+    """Measured record to cut windows from, and the twin that is fitted to them."""
 
     path: Path
     twin: Network
 
 
-def measure(size: Size, seed: int, record: Record | None = None) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """A table a set of tunables (and one of measured windows), and one of a whole record."""
+def measure(
+    size: FitSize, seed: int, record: MeasuredRecord | None = None
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
+    """Return a table for each set of tunables (and one of measured windows), and one of a whole record."""
     network = load(TWINS / "loop.toml")
     absent: dict[str, None] = {}
     groups: list[tuple[str, str, list[Problem]]] = []
@@ -92,7 +94,7 @@ def measure(size: Size, seed: int, record: Record | None = None) -> tuple[tuple[
     with ProgressBar("fitting", sum(len(problems) for _, _, problems in groups)) as bar:
         done = 0
         for key, title, problems in groups:
-            scores: dict[str, _Score] = {}
+            scores: dict[str, _MethodScore] = {}
             for number, problem in enumerate(problems):
                 bar.update(done, title)
                 _one_window(problem, seed + number, scores, absent)
@@ -103,11 +105,11 @@ def measure(size: Size, seed: int, record: Record | None = None) -> tuple[tuple[
     return tuple(tables), tuple(absent)
 
 
-def _one_window(problem: Problem, seed: int, scores: dict[str, _Score], absent: dict[str, None]) -> None:
-    """Everyone fits one window; then all are measured against the best that anyone found."""
+def _one_window(problem: Problem, seed: int, scores: dict[str, _MethodScore], absent: dict[str, None]) -> None:
+    """Fit one window with every method; then compare all with the best fit of any method."""
     found: dict[str, tuple[float, bool]] = {}
     for name in UNTRAINED_CALIBRATORS:
-        # The first call fetches the calibrator's machine code; the clock runs for one as fresh that has it.
+        # The first call loads the calibrator's machine code; the clock runs for a new calibrator with loaded code.
         calibrator = make_calibrator(name, problem.network, problem.tunables, seed)
         fresh = calibrator.state()
         calibrator.calibrate(problem.window)
@@ -123,7 +125,7 @@ def _one_window(problem: Problem, seed: int, scores: dict[str, _Score], absent: 
         free = not np.array_equal(calibration.state, problem.window.state)
         found[f"ours: {name}"] = (rmse, free)
         _note(scores, f"ours: {name}", rmse, calibration.evaluations, took, free)
-    _descent(problem, seed)  # likewise: fetches the machine code
+    _descent(problem, seed)  # This call loads the machine code, too.
     for name, peer in ((DESCENT, _descent), *PEERS):
         problem.evaluations = 0
         began = time.process_time()
@@ -143,7 +145,8 @@ def _one_window(problem: Problem, seed: int, scores: dict[str, _Score], absent: 
 
 
 def _descent(problem: Problem, seed: int) -> Array:
-    """Positions (q,) by the calibrators' own Gauss-Newton on the window alone: state given, no prior, nothing held.
+    """Return positions (q,) by the calibrators' own Gauss-Newton on the window alone: state given, no prior, nothing
+    held.
 
     One start, the live twin's values. What `least_squares` stays above this is what its prior and its holding cost.
     """
@@ -161,8 +164,8 @@ def _descent(problem: Problem, seed: int) -> Array:
     return problem.positions(fit.values)
 
 
-def _note(scores: dict[str, _Score], name: str, rmse: float, evaluations: int, took: float, free: bool) -> None:
-    score = scores.setdefault(name, _Score())
+def _note(scores: dict[str, _MethodScore], name: str, rmse: float, evaluations: int, took: float, free: bool) -> None:
+    score = scores.setdefault(name, _MethodScore())
     score.rmse.append(rmse)
     score.evaluations.append(float(evaluations))
     score.cpu_ms.append(1e3 * took)
@@ -170,7 +173,9 @@ def _note(scores: dict[str, _Score], name: str, rmse: float, evaluations: int, t
 
 
 def _best_known(problem: Problem, found: dict[str, tuple[float, bool]]) -> dict[bool, float]:
-    """Least RMSE known with the initial state given (False) and free (True): all methods, and TRF from three starts."""
+    """Return the least known RMSE with the initial state given (False) and free (True): all methods, and TRF from three
+    starts.
+    """
     starts = [problem.start, np.full_like(problem.start, 0.5)]
     starts += [] if problem.truth is None else [problem.truth]
     best = {False: np.inf, True: np.inf}
@@ -185,7 +190,7 @@ def _best_known(problem: Problem, found: dict[str, tuple[float, bool]]) -> dict[
     return best
 
 
-def _table(key: str, title: str, scores: dict[str, _Score]) -> Table:
+def _table(key: str, title: str, scores: dict[str, _MethodScore]) -> ReportTable:
     rows: list[tuple[Cell, ...]] = []
     for name, score in scores.items():
         there = 100.0 * float(np.mean([r <= 1.0 + AT_OPTIMUM for r in score.ratio]))
@@ -207,13 +212,13 @@ def _table(key: str, title: str, scores: dict[str, _Score]) -> Table:
         "Everyone simulates with our kernel; the filter with its own steps. lanes: with a Jacobian out of one "
         "call of the kernel.",
         f"{DESCENT.removeprefix('ours: ')}: the calibrators' descent with neither their prior nor their holding of "
-        "what the window cannot tell; what least_squares stays above its best is the price of these two.",
+        "parameters that the window does not identify; the excess of least_squares over its best is the cost of both.",
     )
-    return Table(key, title, columns, tuple(rows), notes)
+    return ReportTable(key, title, columns, tuple(rows), notes)
 
 
-def _goals(tables: list[Table], *, full: bool) -> Table:
-    """Our calibrator, and its descent alone, beside the goals."""
+def _goals(tables: list[ReportTable], *, full: bool) -> ReportTable:
+    """Compare our calibrator, and its descent alone, with the goals."""
     by_key = {table.key: table for table in tables}
     rows: list[tuple[Cell, ...]] = []
     for key, most_ms in (("paper4", 2.0), ("twelve", 3.0)):
@@ -229,4 +234,4 @@ def _goals(tables: list[Table], *, full: bool) -> Table:
             here = [row for row in by_key["whole"].rows if row[1] == tunables]
             ours = min(here, key=lambda row: float(row[3] or 0.0))
             rows.append((f"{ours[0]}, {tunables} tunables: CPU s for 240 windows", ours[3], f"<= {most_s:g}"))
-    return Table("goals", "Against the goals", ("what", "measured", "goal"), tuple(rows))
+    return ReportTable("goals", "Against the goals", ("what", "measured", "goal"), tuple(rows))

@@ -1,4 +1,4 @@
-"""Long runs, memory and the cost of starting: the parts of `hil bench twin` that need a process of their own."""
+"""Long runs, memory and start-up cost: the parts of `hil bench twin` that need a process of their own."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from hil.bench.kernel import contestants
 from hil.bench.kernel.windows import Job, drive, job
 from hil.bench.measure.machine import cpu_s, in_new_process
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.bench.peers.formulas import sensor_rows
 from twin.network import Network
 
 if TYPE_CHECKING:
-    from hil.bench.kernel.speed import Size
+    from hil.bench.kernel.speed import SpeedSize
 
 LEVEL_S = 600
-"""In the long run the inputs keep a level for this long."""
+"""Time in s for which inputs keep a level in the long run."""
 
 _START = """
 import time, numpy as np
@@ -59,7 +59,7 @@ print(asked - bare, status("VmHWM") - asked)
 
 
 def process_steps(count: int, facts: dict[str, float]) -> Iterable[tuple[str, Callable[[], None]]]:
-    """Memory of a swarm of `count`, and the first call in a new process without and with compiled code on disk."""
+    """Measure memory of a swarm of `count`, and the first call in a new process without and with cached code."""
 
     def start() -> None:
         with tempfile.TemporaryDirectory(prefix="hil-bench-") as folder:
@@ -73,18 +73,25 @@ def process_steps(count: int, facts: dict[str, float]) -> Iterable[tuple[str, Ca
 
 
 def whole_steps(
-    network: Network, size: Size, seed: int, rows: list[tuple[Cell, ...]]
+    network: Network, size: SpeedSize, seed: int, rows: list[tuple[Cell, ...]]
 ) -> Iterable[tuple[str, Callable[[], None]]]:
-    """Rows (method, CPU ms, error K, ratio) of one vector over `size.whole_h` hours."""
+    """Return rows (method, CPU ms, error K, ratio) of one vector over `size.whole_h` hours."""
     from hil.bench.peers import scipy_ode
 
     samples = int(size.whole_h * 3600)
     window = job(network, "constant", count=1, samples=samples, seed=seed)
     inputs = np.repeat(drive(network, "each s", -(-samples // LEVEL_S), seed)[1], LEVEL_S, axis=0)[:samples]
     window = Job(
-        network, window.ids, "levels", window.time, inputs, window.measured, window.weight, window.state,
+        network,
+        window.ids,
+        "levels",
+        window.time,
+        inputs,
+        window.measured,
+        window.weight,
+        window.state,
         window.particles,
-    )  # fmt: skip
+    )
     reads = sensor_rows(network)
     exact: list[np.ndarray] = []
 
@@ -113,17 +120,16 @@ def whole_steps(
         ("ours, cost only", lambda: contestants.ours(window), False),
         ("C, all states", c, True),
         ("ivp LSODA, defaults", lambda: scipy_ode.ivp(window, "LSODA"), True),
-        ("ivp LSODA 1e-9, restarted",
-         lambda: scipy_ode.ivp_restarted(window, "LSODA", rtol=1e-9, atol=1e-9), True),
+        ("ivp LSODA 1e-9, restarted", lambda: scipy_ode.ivp_restarted(window, "LSODA", rtol=1e-9, atol=1e-9), True),
         ("odeint, defaults", lambda: scipy_ode.lsoda(window), True),
-    ]  # fmt: skip
+    ]
     for name, prepare, states in plan:
         yield f"{size.whole_h:g} h, {name}", step(name, prepare, states=states)
 
 
-def whole_table(rows: list[tuple[Cell, ...]], hours: float) -> Table:
-    """The long run as a table."""
-    return Table(
+def whole_table(rows: list[tuple[Cell, ...]], hours: float) -> ReportTable:
+    """Return the table of the long run."""
+    return ReportTable(
         "whole",
         f"{hours:g} h at 1 Hz in one go, one parameter vector",
         ("method", "CPU ms", "error K", "x ours"),

@@ -1,4 +1,4 @@
-"""Windows to be fitted: made up from a loop that has changed, or cut from a record."""
+"""Windows to be fitted: synthetic ones of a changed loop, or cut from a record."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from twin.network import Array, Network
 
 SIGMA_K = 0.05
 LEAST_RESISTANCE = 0.1
-"""K/W; below it lies only the stiff corner of the box, where every method pays with substeps."""
+"""Least resistance, K/W; below it lies only the stiff corner of the box, where every method needs substeps."""
 
 
 @dataclass(slots=True)
 class Problem:
-    """One window, the tunables `ids` (q,) and their box; counts the simulations that are asked for.
+    """Window, the tunables `ids` (q,) and their box; counts the requested simulations.
 
     Positions lie in [0, 1]: shares of a parameter's range, of its logarithm where the bounds span a decade.
 
@@ -51,18 +51,18 @@ class Problem:
 
     @property
     def start(self) -> Array:
-        """(q,) positions of the twin before the fit."""
+        """Return positions (q,) of the twin before the fit."""
         return self.positions(self.window.parameters[self.network.index(self.ids)])
 
     def values(self, positions: Array) -> Array:
-        """Positions (..., q) in [0, 1] to physical values."""
+        """Convert positions (..., q) in [0, 1] to physical values."""
         x = np.clip(positions, 0.0, 1.0)
         safe = np.where(self._log, self._low, 1.0)
         ratio = np.where(self._log, self._high, 1.0) / safe
         return np.where(self._log, safe * ratio**x, self._low + (self._high - self._low) * x)
 
     def positions(self, values: Array) -> Array:
-        """Physical values (..., q) to positions."""
+        """Convert physical values (..., q) to positions."""
         safe = np.where(self._log, self._low, 1.0)
         ratio = np.where(self._log, self._high, np.e) / safe
         logarithmic = np.log(np.where(self._log, np.maximum(values, 1e-300), 1.0) / safe) / np.log(ratio)
@@ -70,14 +70,14 @@ class Problem:
         return np.clip(found, 0.0, 1.0)
 
     def full(self, positions: Array) -> Array:
-        """Full parameter vectors (P, p) at positions (P, q)."""
+        """Return full parameter vectors (P, p) at positions (P, q)."""
         rows = np.atleast_2d(positions)
         full = np.tile(self.window.parameters, (len(rows), 1))
         full[:, self.network.index(self.ids)] = self.values(rows)
         return full
 
     def rmse(self, positions: Array, state: Array | None = None) -> Array:
-        """RMSE in K (P,) over all finite readings, at positions (P, q)."""
+        """Return the RMSE in K (P,) over all finite readings, at positions (P, q)."""
         full, w = self.full(positions), self.window
         self.evaluations += len(full)
         y, weight = self._data
@@ -87,7 +87,9 @@ class Problem:
         return np.where(np.isfinite(found), found, 1e6)
 
     def residuals(self, positions: Array, states: Array | None = None) -> Array:
-        """Residuals (P, r) in K at positions (P, q), over finite readings, each divided by the root of their number."""
+        """Return residuals (P, r) in K at positions (P, q), over finite readings, each divided by the root of their
+        number.
+        """
         w = self.window
         full = self.full(positions)
         self.evaluations += len(full)
@@ -99,19 +101,19 @@ class Problem:
 
 
 def box(network: Network, ids: tuple[str, ...]) -> tuple[Array, Array]:
-    """Bounds (q,) that all contestants share: the twin file's, without the stiff corner."""
+    """Return bounds (q,) that all contestants share: the twin file's, without the stiff corner."""
     low, high = network.bounds(ids)
     stiff = np.array([name.endswith("resistance") for name in ids])
     return np.where(stiff, np.maximum(low, LEAST_RESISTANCE), low), high
 
 
 def equal_noise(network: Network) -> Network:
-    """The network with the same noise at every sensor, so that weighted and plain squares have one optimum."""
+    """Return the network with the same noise at every sensor, so that weighted and plain squares have one optimum."""
     return network.with_values({f"{s.name}.sigma": SIGMA_K * np.sqrt(len(s.measured)) for s in network.sensors})
 
 
 def made_up(network: Network, tunables: str, count: int, seed: int, samples: int = 600) -> list[Problem]:
-    """`count` windows of a loop whose tunables have moved, with noise; the twin still has the network's values.
+    """Return `count` windows of a loop whose tunables have moved, with noise; the twin still has the network's values.
 
     Each tunable moves by a uniform share of its range (of its logarithm) of up to 0.15 either way.
     """
@@ -131,7 +133,7 @@ def made_up(network: Network, tunables: str, count: int, seed: int, samples: int
 
 
 def measured(network: Network, tunables: str, record: Path, count: int) -> list[Problem]:
-    """`count` whole windows, evenly spread over a record; each starts at what its first readings say."""
+    """Return `count` whole windows, evenly spread over a record; each starts at the state of its first readings."""
     from hil.record.reader import read_record
 
     network = equal_noise(network)

@@ -1,4 +1,4 @@
-"""`hil bench twin`: what one window costs, ours against everyone else's, and how near that is to the goals."""
+"""Benchmark `hil bench twin`: cost of one window, ours and that of peers, and the distance to the goals."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hil.bench.kernel import contestants, footprint
 from hil.bench.kernel.contestants import Single, Swarm, oracle
 from hil.bench.kernel.windows import Job, corners, job
 from hil.bench.measure.machine import cpu_s
-from hil.bench.measure.report import Cell, Table, number
+from hil.bench.measure.report import Cell, ReportTable, number
 from hil.bench.peers import Absent
 from hil.bench.peers.formulas import sensor_rows
 from hil.run.session.terminal import ProgressBar
@@ -22,7 +22,7 @@ from twin.twinfile import load
 
 TWINS = Path(__file__).resolve().parents[3] / "profiles" / "twins"
 MATCHED_K = 1e-6
-"""A solver counts as matched in accuracy when it errs by no more than this, K."""
+"""Largest error of a solver of matched accuracy, K."""
 FINE = 200
 """Steps a second of the slow simulation that judges networks with pipes."""
 JUDGED = 20
@@ -30,8 +30,8 @@ JUDGED = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
-    """How much to measure. `samples` of one second make a window; `whole_h` is the long forward run."""
+class SpeedSize:
+    """Size of the benchmark. `samples` of one second make a window; `whole_h` is the long forward run."""
 
     samples: int = 600
     counts: tuple[int, ...] = (1, 100, 1_000, 10_000, 100_000)
@@ -43,12 +43,12 @@ class Size:
     budget_s: float = 1.5
 
 
-FULL = Size()
-QUICK = Size(counts=(1, 100, 1_000), schedules=("each s",), whole_h=4.0, slow=False, budget_s=0.3)
+FULL = SpeedSize()
+QUICK = SpeedSize(counts=(1, 100, 1_000), schedules=("each s",), whole_h=4.0, slow=False, budget_s=0.3)
 
 
 @dataclass(slots=True)
-class _Found:
+class _Measured:
     """Figures by contestant and schedule, and lines about what is missing."""
 
     single: dict[str, dict[str, tuple[float, float]]]
@@ -58,10 +58,10 @@ class _Found:
     worst: dict[str, float]
 
 
-def measure(size: Size, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """All tables, and a line for everything that could not take part."""
+def measure(size: SpeedSize, seed: int) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
+    """Return all tables, and a line for every absent contestant."""
     network = load(TWINS / "loop.toml")
-    found = _Found({}, {}, {}, {}, {})
+    found = _Measured({}, {}, {}, {}, {})
     extra = _other_networks(found)
     steps: list[tuple[str, Callable[[], None]]] = []
     for schedule in size.schedules:
@@ -102,8 +102,10 @@ def measure(size: Size, seed: int) -> tuple[tuple[Table, ...], tuple[str, ...]]:
     return tables, tuple(found.absent)
 
 
-def _other_networks(found: _Found) -> list[tuple[str, Network]]:
-    """Networks beside the four-volume loop that this version can simulate: a nonlinear one, one of more volumes."""
+def _other_networks(found: _Measured) -> list[tuple[str, Network]]:
+    """Measure other networks than the four-volume loop that this version can simulate: a nonlinear one, one of more
+    volumes.
+    """
     from hil.bench.kernel.variants import nine_volumes, nonlinear
 
     out = []
@@ -117,7 +119,9 @@ def _other_networks(found: _Found) -> list[tuple[str, Network]]:
     return out
 
 
-def _single_steps(window: Job, exact: Array, size: Size, found: _Found) -> Iterable[tuple[str, Callable[[], None]]]:
+def _single_steps(
+    window: Job, exact: Array, size: SpeedSize, found: _Measured
+) -> Iterable[tuple[str, Callable[[], None]]]:
     reads, one = sensor_rows(window.network), window.of(1)
 
     def mine() -> None:
@@ -143,7 +147,7 @@ def _single_steps(window: Job, exact: Array, size: Size, found: _Found) -> Itera
 
 
 def _swarm_step(
-    peer: Swarm, window: Job, count: int, exact: Array | None, size: Size, found: _Found
+    peer: Swarm, window: Job, count: int, exact: Array | None, size: SpeedSize, found: _Measured
 ) -> Callable[[], None]:
     key = (peer.name, window.schedule)
 
@@ -160,7 +164,7 @@ def _swarm_step(
     return step
 
 
-def _own_error_step(name: str, window: Job, found: _Found) -> Callable[[], None]:
+def _own_error_step(name: str, window: Job, found: _Measured) -> Callable[[], None]:
     def step() -> None:
         if contestants.remembers(window.network):
             exact = simulate_fine_steps(window.network, window.time, window.inputs, window.state, FINE)
@@ -179,7 +183,7 @@ def _exact_costs(window: Job) -> Array:
     return exact(window.of(JUDGED))()
 
 
-def _single_table(found: _Found, size: Size) -> Table:
+def _single_table(found: _Measured, size: SpeedSize) -> ReportTable:
     last = size.schedules[-1]
     mine = found.single.get("ours, one vector", {}).get(last, (np.nan, np.nan))[0]
     best = _per_window(found, "ours", last)
@@ -192,7 +196,7 @@ def _single_table(found: _Found, size: Size) -> Table:
         here = by_schedule.get(last, (np.nan, np.nan))[0]
         rows.append((name, *(1e3 * t for t in times), 1.0 / here, error, here / mine, here / best))
     columns = ("one vector", *size.schedules, "windows/s", "error K", "x ours", "x swarm")
-    return Table(
+    return ReportTable(
         "single",
         f"One window of {size.samples} s, one parameter vector: CPU ms where the inputs are ..",
         columns,
@@ -208,12 +212,12 @@ def _single_table(found: _Found, size: Size) -> Table:
     )
 
 
-def _per_window(found: _Found, name: str, schedule: str) -> float:
-    """CPU seconds of a window in the best swarm."""
+def _per_window(found: _Measured, name: str, schedule: str) -> float:
+    """Return the CPU seconds of a window in the best swarm."""
     return 1.0 / max(found.swarm.get((name, schedule), {}).values(), default=float("nan"))
 
 
-def _swarm_table(found: _Found, size: Size) -> Table:
+def _swarm_table(found: _Measured, size: SpeedSize) -> ReportTable:
     rows: list[tuple[Cell, ...]] = []
     for (name, schedule), by_count in found.swarm.items():
         own = found.swarm.get(("ours", schedule), {})
@@ -222,7 +226,7 @@ def _swarm_table(found: _Found, size: Size) -> Table:
         error = found.cost_error.get((name, schedule))
         rows.append((name, schedule, *(by_count.get(c) for c in size.counts), error, ratio))
     rows.sort(key=lambda row: contestants.ALL.index(str(row[1])))
-    return Table(
+    return ReportTable(
         "swarm",
         f"Swarms: windows of {size.samples} s per CPU second, cost only, one thread",
         ("method", "inputs", *(f"N={_short(c)}" for c in size.counts), "cost off", "ours is x"),
@@ -236,11 +240,13 @@ def _swarm_table(found: _Found, size: Size) -> Table:
 
 
 def _short(count: int) -> str:
-    """`10k` for ten thousand."""
+    """Format ten thousand as `10k`."""
     return f"{count // 1000}k" if count >= 1000 else str(count)
 
 
-def _goal_table(found: _Found, size: Size, whole: list[tuple[Cell, ...]], facts: dict[str, float]) -> Table:
+def _goal_table(
+    found: _Measured, size: SpeedSize, whole: list[tuple[Cell, ...]], facts: dict[str, float]
+) -> ReportTable:
     rows: list[tuple[Cell, ...]] = []
 
     def row(name: str, value: float | None, goal: float, *, most: bool = False) -> None:
@@ -274,4 +280,4 @@ def _goal_table(found: _Found, size: Size, whole: list[tuple[Cell, ...]], facts:
     row(f"memory of a swarm of {size.memory_count:,}, MB", facts.get("memory_MB"), 50.0, most=True)
     row("first call in a new process, nothing cached, CPU s", facts.get("cold_s"), 2.0, most=True)
     row("first call in a new process, cached, CPU s", facts.get("cached_s"), 0.6, most=True)
-    return Table("goals", "Against the goals", ("what", "measured", "goal", "met"), tuple(rows))
+    return ReportTable("goals", "Against the goals", ("what", "measured", "goal", "met"), tuple(rows))

@@ -1,4 +1,4 @@
-"""Other networks than the shipped four-volume loop, for the kernel to be measured on."""
+"""Networks other than the shipped four-volume loop, for measurements of the kernel."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ area = 1.5
 
 
 def nonlinear() -> Network:
-    """The loop with radiation from the tank; raises Absent where this version has no such element."""
+    """Return the loop with radiation from the tank; raise Absent if this version has no such element."""
     if "radiation" not in KINDS:
         raise Absent("nonlinear network: this version has no element 'radiation'")
     text = (TWINS / "loop.toml").read_text(encoding="utf-8")
@@ -32,7 +32,7 @@ def nonlinear() -> Network:
 
 
 def nine_volumes() -> Network:
-    """The loop of six modules one by one; raises Absent where it does not ship."""
+    """Return the loop of six separate modules; raise Absent if it is not shipped."""
     path = TWINS / "loop_six.toml"
     if not path.is_file():
         raise Absent("six modules one by one: no profiles/twins/loop_six.toml")

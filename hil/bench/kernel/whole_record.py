@@ -1,4 +1,4 @@
-"""Forty hours tracked window by window: what the calibrators cost when they go on from the window before."""
+"""Forty hours tracked window by window: cost of calibrators that continue from the window before."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.bench.kernel.windows import drive, steady_start
 from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.run.session.terminal import ProgressBar
 from twin.calibrators import UNTRAINED_CALIBRATORS, Calibration, Calibrator, Window, make_calibrator
 from twin.kernel import simulate
@@ -23,7 +23,7 @@ LEVEL_S = 900
 
 @dataclass(slots=True)
 class Clocked:
-    """A calibrator whose CPU seconds are counted; satisfies `Calibrator`."""
+    """Calibrator whose CPU seconds are counted; satisfies `Calibrator`."""
 
     inner: Calibrator
     cpu_s: list[float] = field(default_factory=list)
@@ -47,7 +47,7 @@ class Clocked:
 
 
 def drifting(network: Network, hours: float, seed: int) -> tuple[Array, Array, Array]:
-    """Time (n,), inputs (n, c) and noisy readings (n, m) of a loop whose radiator loses a fifth on the way."""
+    """Return time (n,), inputs (n, c) and noisy readings (n, m) of a loop whose radiator loses a fifth on the way."""
     samples = int(hours * 3600)
     time_s = np.arange(samples, dtype=np.float64)
     inputs = np.repeat(drive(network, "each s", -(-samples // LEVEL_S), seed)[1], LEVEL_S, axis=0)[:samples]
@@ -64,8 +64,8 @@ def drifting(network: Network, hours: float, seed: int) -> tuple[Array, Array, A
     return time_s, inputs, np.vstack(readings) + network.sigma * noise
 
 
-def whole_table(network: Network, hours: float, seed: int) -> Table:
-    """Every calibrator with every set of tunables over one drifting record."""
+def whole_table(network: Network, hours: float, seed: int) -> ReportTable:
+    """Measure every calibrator with every set of tunables over one drifting record."""
     time_s, inputs, readings = drifting(network, hours, seed)
     plan = [
         (name, tunables)
@@ -95,7 +95,7 @@ def whole_table(network: Network, hours: float, seed: int) -> Table:
                 )
             )
     noise = float(np.sqrt(np.mean(network.sigma**2)))
-    return Table(
+    return ReportTable(
         "whole",
         f"{hours:g} h in sequence, radiator slowly fouling: CPU time of all windows",
         ("calibrator", "tunables", "windows", "fits s", "all s", "a fit ms", "RMSE K", "worst K"),

@@ -1,4 +1,4 @@
-"""Seeded windows of the coolant loop: how the inputs move, swarms of parameter vectors, noisy measurements."""
+"""Seeded windows of the coolant loop: courses of the inputs, swarms of parameter vectors, noisy measurements."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LEVELS = 8
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One window and a swarm: what every contestant gets.
+    """Window and swarm, the input of every contestant.
 
     Attributes:
         ids: parameters that differ between particles. particles: (P, p) full vectors in the network's order.
@@ -34,12 +34,12 @@ class Job:
     particles: Array
 
     def of(self, count: int) -> Job:
-        """The same job for the first `count` particles."""
+        """Return the same job for the first `count` particles."""
         return replace(self, particles=np.ascontiguousarray(self.particles[:count]))
 
 
 def drive(network: Network, schedule: str, samples: int, seed: int) -> tuple[Array, Array]:
-    """Stamps (n,) at 1 Hz and inputs (n, c): heater power, pump, fan, room; anything else stays nominal."""
+    """Return stamps (n,) at 1 Hz and inputs (n, c): heater power, pump, fan, room; anything else stays nominal."""
     rng = np.random.default_rng(seed)
     hold = {"constant": samples, "stepped": -(-samples // LEVELS), "each s": 1}[schedule]
     count = -(-samples // hold)
@@ -60,7 +60,7 @@ def drive(network: Network, schedule: str, samples: int, seed: int) -> tuple[Arr
 
 
 def swarm(network: Network, tunables: str, count: int, seed: int) -> tuple[tuple[str, ...], Array]:
-    """Ids of a set of the twin and particles (P, p); particle 0 is the network as it is.
+    """Return ids of a set of the twin and particles (P, p); particle 0 is the network itself.
 
     Positions are uniform in the set's initial ranges, held inside the parameters' bounds. A resistance keeps
     away from 0, where every explicit method pays with substeps.
@@ -79,7 +79,7 @@ def swarm(network: Network, tunables: str, count: int, seed: int) -> tuple[tuple
 def job(
     network: Network, schedule: str, *, count: int, samples: int = 600, tunables: str = "paper4", seed: int = 0
 ) -> Job:
-    """A window measured on the network itself with its declared noise, and a swarm to be judged against it."""
+    """Return a window measured on the network itself with its declared noise, and a swarm to be compared with it."""
     time, inputs = drive(network, schedule, samples, seed)
     state = steady_start(network)
     rng = np.random.default_rng(seed + 1)
@@ -90,7 +90,7 @@ def job(
 
 
 def corners(window: Job) -> Job:
-    """The same job with a particle in every corner of the bounds of its tunables."""
+    """Return the same job with a particle in every corner of the bounds of its tunables."""
     low, high = window.network.bounds(window.ids)
     q = len(window.ids)
     upper = (np.arange(2**q)[:, None] >> np.arange(q)) & 1
@@ -100,5 +100,5 @@ def corners(window: Job) -> Job:
 
 
 def steady_start(network: Network) -> Array:
-    """A plausible warm state (k,): falling along the network's order of nodes."""
+    """Return a plausible warm state (k,): falling along the network's order of nodes."""
     return np.linspace(38.0, 34.0, len(network.nodes))

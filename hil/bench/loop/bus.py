@@ -1,4 +1,4 @@
-"""`hil bench bus`: round trips of the Modbus driver beside other people's clients, on the same server in the same run.
+"""Benchmark `hil bench bus`: round trips of the Modbus driver and of other clients, on the same server in the same run.
 
 The server is the virtual rig in a process of its own. A round trip reads its twelve input registers; contestants take
 turns, a slice each, so that whatever else the machine does falls on all of them. What each library does by itself to
@@ -20,7 +20,7 @@ from pathlib import Path
 from drivers.modbus import ModbusBus
 from drivers.rig_file import ModbusRtuTcpBus, ModbusTcpBus, Point, load_rig
 from drivers.virtual import VirtualRig, start_virtual_rig
-from hil.bench.measure.report import Table
+from hil.bench.measure.report import ReportTable
 from hil.bench.peers import libmodbus, modbus_peer
 
 RIG = Path(__file__).resolve().parents[3] / "profiles" / "rigs" / "virtual.toml"
@@ -34,8 +34,10 @@ AIM_S = 15.0
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
-    """`slices` of `trips` round trips for each contestant; `steps` in lockstep; `pipelined` requests in one segment."""
+class BusSize:
+    """Size of the benchmark: `slices` of `trips` round trips for each contestant; `steps` in lockstep; `pipelined`
+    requests in one segment.
+    """
 
     slices: int
     trips: int
@@ -43,8 +45,8 @@ class Size:
     pipelined: int = 200
 
 
-FULL = Size(slices=25, trips=2000, steps=STEPS_OF_FORTY_HOURS)
-QUICK = Size(slices=4, trips=300, steps=2000)
+FULL = BusSize(slices=25, trips=2000, steps=STEPS_OF_FORTY_HOURS)
+QUICK = BusSize(slices=4, trips=300, steps=2000)
 
 Progress = Callable[[float], None]
 
@@ -63,13 +65,13 @@ class _Contestant:
 
 
 def measure(
-    size: Size, seed: int, progress: Progress = lambda share: None
-) -> tuple[tuple[Table, ...], tuple[str, ...]]:
+    size: BusSize, seed: int, progress: Progress = lambda share: None
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
     """Return the tables, and what was left out."""
     return asyncio.run(_measure(size, seed, progress))
 
 
-async def _measure(size: Size, seed: int, progress: Progress) -> tuple[tuple[Table, ...], tuple[str, ...]]:
+async def _measure(size: BusSize, seed: int, progress: Progress) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
     skipped: list[str] = []
     async with await start_virtual_rig(mode="lockstep", seed=seed, rtu_port=0) as rig:
         trips = await _round_trips(rig, size, skipped, lambda share: progress(0.6 * share))
@@ -82,7 +84,7 @@ def _points() -> tuple[Point, ...]:
     return tuple(point for point in load_rig(RIG).point if point.bus == "plc")
 
 
-async def _round_trips(rig: VirtualRig, size: Size, skipped: list[str], progress: Progress) -> Table:
+async def _round_trips(rig: VirtualRig, size: BusSize, skipped: list[str], progress: Progress) -> ReportTable:
     async with contextlib.AsyncExitStack() as stack:
         contestants = await _contestants(rig, skipped, stack)
         for number in range(size.slices):
@@ -93,7 +95,7 @@ async def _round_trips(rig: VirtualRig, size: Size, skipped: list[str], progress
 
 
 async def _slice(one: _Contestant, trips: int) -> None:
-    """One slice; each trip is timed by itself."""
+    """Run one slice; each trip is timed by itself."""
     now, kept, ask = time.perf_counter, one.latencies_s, one.ask
     began = before = now()
     for _ in range(trips):
@@ -154,18 +156,23 @@ async def _contestants(rig: VirtualRig, skipped: list[str], stack: contextlib.As
     return found
 
 
-def _rates_table(contestants: list[_Contestant], size: Size) -> Table:
+def _rates_table(contestants: list[_Contestant], size: BusSize) -> ReportTable:
     medians = {one.name: statistics.median(one.rates) for one in contestants}
     fastest = max((one for one in contestants if one.is_peer and one.is_python), key=lambda one: medians[one.name])
     rows = []
     for one in contestants:
         ordered = sorted(one.latencies_s)
         share = statistics.median(a / b for a, b in zip(one.rates, fastest.rates, strict=True))
-        rows.append((
-            one.name, medians[one.name], share, 1e6 * ordered[len(ordered) // 2],
-            1e6 * ordered[int(0.99 * len(ordered))],
-        ))  # fmt: skip
-    return Table(
+        rows.append(
+            (
+                one.name,
+                medians[one.name],
+                share,
+                1e6 * ordered[len(ordered) // 2],
+                1e6 * ordered[int(0.99 * len(ordered))],
+            )
+        )
+    return ReportTable(
         "round_trips",
         f"Round trips of {COUNT} registers, one after the other, on the virtual rig's server",
         ("client", "a second", f"of {fastest.name}", "p50 us", "p99 us"),
@@ -178,8 +185,8 @@ def _rates_table(contestants: list[_Contestant], size: Size) -> Table:
     )
 
 
-def _pipelined(rig: VirtualRig, count: int) -> Table:
-    """Requests in one segment, answered in order and each with its own transaction."""
+def _pipelined(rig: VirtualRig, count: int) -> ReportTable:
+    """Send requests in one segment, answered in order and each with its own transaction."""
     with socket.create_connection((rig.host, rig.modbus_port), timeout=5.0) as wire:
         wire.sendall(b"".join(struct.pack(">HHHBBHH", n, 0, 6, 1, 4, n % COUNT, 1) for n in range(count)))
         got = b""
@@ -194,7 +201,7 @@ def _pipelined(rig: VirtualRig, count: int) -> Table:
     right = sum(
         frame[:2] == struct.pack(">H", n) and frame[9:] == one_by_one[n % COUNT] for n, frame in enumerate(frames)
     )
-    return Table(
+    return ReportTable(
         "pipelined",
         "Requests sent to the virtual rig in one segment",
         ("server", "requests", "answers", "right and in order"),
@@ -203,7 +210,7 @@ def _pipelined(rig: VirtualRig, count: int) -> Table:
     )
 
 
-async def _lockstep(rig: VirtualRig, size: Size, progress: Progress) -> Table:
+async def _lockstep(rig: VirtualRig, size: BusSize, progress: Progress) -> ReportTable:
     """Return the time that the bus takes of a replay in lockstep: all points read, four registers written a step."""
     bus = ModbusBus("plc", ModbusTcpBus(transport="modbus_tcp", port=rig.modbus_port), _points(), time.monotonic)
     await bus.connect()
@@ -229,7 +236,7 @@ async def _lockstep(rig: VirtualRig, size: Size, progress: Progress) -> Table:
     finally:
         await bus.close()
     forty = STEPS_OF_FORTY_HOURS / size.steps
-    return Table(
+    return ReportTable(
         "lockstep",
         "Bus time of forty hours in lockstep: 144,000 reads and writes, one after the other",
         ("client", "s", "CPU s", "aim s"),

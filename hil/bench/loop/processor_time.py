@@ -17,7 +17,7 @@ from drivers.bus import Clock
 from drivers.rig import RigConnection
 from drivers.rig_file import Rig
 from drivers.signals import Snapshot
-from hil.bench.measure.report import Table
+from hil.bench.measure.report import ReportTable
 from hil.guardian.client import GuardianClient
 from hil.journal.writer import Header, JournalWriter
 from hil.run.engine.clock import MonotonicClock
@@ -167,7 +167,7 @@ class CountedGuardian(GuardianClient):
         return found
 
 
-def table(counts: Counts) -> Table:
+def table(counts: Counts) -> ReportTable:
     """Return the processor time a tick, in ms and as a share of the process's; raises RuntimeError of a short run."""
     ticks = counts.ticks - WARM_UP_TICKS - 1
     if ticks < 1 or counts.process <= 0.0:
@@ -185,7 +185,7 @@ def table(counts: Counts) -> Table:
             if name != threading.main_thread().name and spent > 0.0
         ),
     ]
-    return Table(
+    return ReportTable(
         "processor_time",
         "Processor time of the engine's process at 10 Hz, guarded, ms a tick",
         ("part", "ms a tick", "share"),

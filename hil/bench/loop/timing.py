@@ -23,7 +23,7 @@ from drivers.virtual import start_virtual_rig
 from hil.bench.loop import processor_time
 from hil.bench.loop.processor_time import CountedClock, CountedConnection, CountedGuardian, CountedJournal, Counts
 from hil.bench.measure import processes
-from hil.bench.measure.report import Cell, Table
+from hil.bench.measure.report import Cell, ReportTable
 from hil.journal.profile_clock import profile_times
 from hil.journal.writer import Header, JournalReader
 from hil.profile.load_profile import Profile
@@ -37,28 +37,28 @@ RIG = PROFILES / "rigs" / "virtual.toml"
 PERIOD_S = 0.1
 GOAL_MS = 5.0
 BEGUN = 0.05
-"""Memory counts from this part of the profile on: before, libraries are still being loaded."""
+"""Part of the profile from which memory counts: before, libraries are still being loaded."""
 SETTLED_S = 7200.0
-"""So long after the cut a kelvin that the soak left has gone."""
+"""Time after the interruption at which an error of a kelvin after the thermal restore has decayed, s."""
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
-    """Size of the measurement: seconds of real time, and the profile that is run in lockstep."""
+class TimingSize:
+    """Size of the benchmark: seconds of real time, and the profile that is run in lockstep."""
 
     real_s: float = 60.0
     profile: Path = PROFILES / "loads" / "battle_40h.csv"
     hours: float = 40.0
 
 
-FULL = Size()
-QUICK = Size(real_s=10.0, profile=PROFILES / "loads" / "battle_10h.csv", hours=10.0)
+FULL = TimingSize()
+QUICK = TimingSize(real_s=10.0, profile=PROFILES / "loads" / "battle_10h.csv", hours=10.0)
 
 
 def measure(
-    size: Size, seed: int, work: Path, progress: Callable[[float, str], None]
-) -> tuple[tuple[Table, ...], tuple[str, ...]]:
-    """All tables; the runs' folders are kept in a new folder of `work`. Raises RuntimeError where one goes wrong."""
+    size: TimingSize, seed: int, work: Path, progress: Callable[[float, str], None]
+) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
+    """Return all tables; the runs' folders are kept in a new folder of `work`. Raise RuntimeError if a run fails."""
     work = work / datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%SZ")
     work.mkdir(parents=True)
     progress(0.0, "10 Hz in real time")
@@ -68,14 +68,14 @@ def measure(
     cut_s = random.Random(seed).uniform(0.2, 0.8) * size.hours * 3600.0
     progress(0.5, "the same, killed")
     killed, _, _ = _watched(size, seed, work / "cut", cut_s)
-    before = _Journal.read(killed)
+    before = _RunRows.read(killed)
     progress(0.65, "resumed")
     manifest = _hil("resume", killed, "--no-viewer", "--json")
     tables = (
         _timing_table(outcome, samples),
         processor_time.table(counts),
         _memory_table(memory, size, wall_s),
-        *_resume_tables(_Journal.read(whole), before, _Journal.read(killed), manifest),
+        *_resume_tables(_RunRows.read(whole), before, _RunRows.read(killed), manifest),
     )
     return tables, ()
 
@@ -83,7 +83,7 @@ def measure(
 # In real time ----------------------------------------------------------------------------------
 
 
-async def _real_time(size: Size, seed: int, path: Path) -> tuple[Outcome, NDArray[np.float64], Counts]:
+async def _real_time(size: TimingSize, seed: int, path: Path) -> tuple[Outcome, NDArray[np.float64], Counts]:
     """Run the engine at 10 Hz, guarded; return its outcome, per tick (n, 3) its number, when its work began, s, and how
     long that took, s, and its processor time. Raises RuntimeError where the run does not end as done."""
     counts = Counts()
@@ -113,7 +113,7 @@ async def _real_time(size: Size, seed: int, path: Path) -> tuple[Outcome, NDArra
         reader.close()
 
 
-def _timing_table(outcome: Outcome, timing: NDArray[np.float64]) -> Table:
+def _timing_table(outcome: Outcome, timing: NDArray[np.float64]) -> ReportTable:
     tick, began, took = timing.T
     late = began - tick * PERIOD_S
     off_ms = 1e3 * np.abs(late - np.median(late))
@@ -132,7 +132,7 @@ def _timing_table(outcome: Outcome, timing: NDArray[np.float64]) -> Table:
         f"Goal: 99 % within {GOAL_MS:g} ms of the grid on a quiet machine of two cores: "
         f"{'met' if np.percentile(off_ms, 99) < GOAL_MS else 'not met'} here. The manifest has the machine's load.",
     )
-    return Table("timing", "10 Hz in real time", ("what", "median", "99 %", "longest"), rows, notes)
+    return ReportTable("timing", "10 Hz in real time", ("what", "median", "99 %", "longest"), rows, notes)
 
 
 # In lockstep -----------------------------------------------------------------------------------
@@ -147,8 +147,10 @@ class _Memory:
     calibrators_MB: float
 
 
-def _watched(size: Size, seed: int, runs: Path, kill_s: float | None) -> tuple[Path, list[_Memory], float]:
-    """Folder, memory over time and wall time of a run as a user starts it; `kill_s`: SIGKILL at that profile time."""
+def _watched(size: TimingSize, seed: int, runs: Path, kill_s: float | None) -> tuple[Path, list[_Memory], float]:
+    """Return folder, memory over time and wall time of a run as a user starts it; `kill_s`: SIGKILL at that profile
+    time.
+    """
     began = time.monotonic()
     command = ["run", str(size.profile), "--virtual", "--lockstep", "--no-viewer", "--seed", str(seed)]
     process = subprocess.Popen(
@@ -188,7 +190,7 @@ def _calibrators_MB(pid: int) -> float:
     return sum(processes.resident_MB(child) for child in named)
 
 
-def _memory_table(memory: list[_Memory], size: Size, wall_s: float) -> Table:
+def _memory_table(memory: list[_Memory], size: TimingSize, wall_s: float) -> ReportTable:
     first = next(m for m in memory if m.profile_s >= BEGUN * size.hours * 3600.0)
     last = memory[-1]
     rows: tuple[tuple[Cell, ...], ...] = tuple(
@@ -200,7 +202,7 @@ def _memory_table(memory: list[_Memory], size: Size, wall_s: float) -> Table:
     )
     columns = ("process", f"at {first.profile_s / 3600:.1f} h", f"at {last.profile_s / 3600:.1f} h", "grown")
     note = f"{size.hours:g} h in {wall_s:.0f} s with record, review and report: {3600 * size.hours / wall_s:.0f} times."
-    return Table("memory", f"Resident memory over {size.hours:g} h in lockstep, MB", columns, rows, (note,))
+    return ReportTable("memory", f"Resident memory over {size.hours:g} h in lockstep, MB", columns, rows, (note,))
 
 
 # Killed and resumed ----------------------------------------------------------------------------
@@ -217,8 +219,8 @@ def _hil(*arguments: object) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Journal:
-    """A run's rows (n, k) by tick, profile time, and what the static twin makes of them (n, m)."""
+class _RunRows:
+    """Rows (n, k) of a run by tick, profile time, and the static twin's predictions (n, m)."""
 
     header: Header
     tick: NDArray[np.int64]
@@ -227,7 +229,7 @@ class _Journal:
     static: NDArray[np.float64]
 
     @classmethod
-    def read(cls, folder: Path) -> _Journal:
+    def read(cls, folder: Path) -> _RunRows:
         reader = JournalReader(folder / "journal.sqlite")
         try:
             samples = reader.samples()
@@ -238,14 +240,16 @@ class _Journal:
             reader.close()
 
     def moving(self) -> NDArray[np.int64]:
-        """Rows on which the profile's clock went."""
+        """Return the rows with a running clock of the profile."""
         return np.flatnonzero(np.diff(self.profile_s, prepend=-1.0) > 0)
 
     def column(self, name: str) -> int:
         return [signal.column for signal in self.header.signals].index(name)
 
 
-def _resume_tables(whole: _Journal, before: _Journal, after: _Journal, manifest: dict[str, Any]) -> tuple[Table, ...]:
+def _resume_tables(
+    whole: _RunRows, before: _RunRows, after: _RunRows, manifest: dict[str, Any]
+) -> tuple[ReportTable, ...]:
     segment, count = manifest["segments"][0], len(before.tick)
     kept = np.array_equal(after.tick[:count], before.tick) and np.array_equal(
         after.values[:count], before.values, equal_nan=True
@@ -264,7 +268,7 @@ def _resume_tables(whole: _Journal, before: _Journal, after: _Journal, manifest:
         ("seconds with another set-point", int(away.sum())),
         ("windows calibrated after it", sum(1 for _ in _later_windows(manifest))),
     )
-    story = Table("resumed", "Killed at a random instant and resumed", ("what", "found"), facts)
+    story = ReportTable("resumed", "Killed at a random instant and resumed", ("what", "found"), facts)
     if not same_grid:
         return (story,)
     at = whole.profile_s[theirs]
@@ -290,7 +294,9 @@ def _resume_tables(whole: _Journal, before: _Journal, after: _Journal, manifest:
         "noise: of the difference of two readings. within: room out is at most 1.25 times that.",
     )
     columns_ = ("sensor", *parts, "later, room out", "noise", "within")
-    return story, Table("difference", "RMS difference to a run that nothing disturbed, K", columns_, tuple(rows), notes)
+    return story, ReportTable(
+        "difference", "RMS difference to a run that nothing disturbed, K", columns_, tuple(rows), notes
+    )
 
 
 def _later_windows(manifest: dict[str, Any]) -> list[float]:

@@ -1,4 +1,4 @@
-"""What a figure was measured on, and how: the manifest, CPU time, memory."""
+"""Conditions of a measurement: the manifest, CPU time, memory."""
 
 from __future__ import annotations
 
@@ -17,10 +17,19 @@ from typing import Any
 from hil import __version__
 
 LIBRARIES = (
-    "numpy", "scipy", "numba", "llvmlite", "torch", "jax", "pyswarms", "pymoo", "cma", "filterpy",
-)  # fmt: skip
+    "numpy",
+    "scipy",
+    "numba",
+    "llvmlite",
+    "torch",
+    "jax",
+    "pyswarms",
+    "pymoo",
+    "cma",
+    "filterpy",
+)
 LEAST_CALL_S = 2e-3
-"""Shorter calls are repeated until they last this long, and divided."""
+"""Least duration of a measurement, s: shorter calls are repeated until they last this long, and divided."""
 
 
 def manifest(command: str, seed: int) -> dict[str, Any]:
@@ -43,7 +52,7 @@ def manifest(command: str, seed: int) -> dict[str, Any]:
 
 
 def commit() -> str | None:
-    """Return the commit of the measured code, with "+ changes" where its tree is not clean; None without git."""
+    """Return the commit of the measured code, with "+ changes" if its tree is not clean; None without git."""
     here = Path(__file__).resolve().parent
 
     def git(*arguments: str) -> str:
@@ -57,7 +66,7 @@ def commit() -> str | None:
 
 
 def cpu_model() -> str:
-    """Marketing name of the processor, and its widest vectors where that is known."""
+    """Return the marketing name of the processor, with its widest vectors if known."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -74,7 +83,7 @@ def _pair(line: str) -> tuple[str, str]:
 
 
 def cpu_s(function: Callable[[], object], *, repeats: int = 7, budget_s: float = 2.0, warm: bool = True) -> float:
-    """Median CPU seconds (all threads of this process) of one call.
+    """Return the median CPU seconds (all threads of this process) of one call.
 
     The first call is not counted where `warm`. At least three repeats unless one alone spends `budget_s`.
     """
@@ -97,7 +106,7 @@ def cpu_s(function: Callable[[], object], *, repeats: int = 7, budget_s: float =
 
 
 def in_new_process(code: str, environment: dict[str, str] | None = None) -> list[float]:
-    """Numbers that a Python program prints on its last line; raises RuntimeError with its last words."""
+    """Return the numbers that a Python program prints on its last line; raise RuntimeError with its last words."""
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,
@@ -111,5 +120,5 @@ def in_new_process(code: str, environment: dict[str, str] | None = None) -> list
 
 
 def median(values: Sequence[float]) -> float:
-    """Median; NaN of nothing."""
+    """Return the median; NaN of an empty list."""
     return statistics.median(values) if values else float("nan")

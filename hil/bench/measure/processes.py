@@ -1,4 +1,4 @@
-"""What Linux tells of other processes (`/proc`). Of one that has gone: nothing, no error."""
+"""Data of other processes from Linux (`/proc`), empty for a process that has gone."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from pathlib import Path
 
 
 def children(pid: int) -> list[int]:
-    """Processes that any of its threads has started."""
+    """Return the processes that any of its threads has started."""
     found: list[int] = []
     with contextlib.suppress(OSError):
         for task in Path(f"/proc/{pid}/task").iterdir():
-            with contextlib.suppress(OSError):  # a thread that has just ended
+            with contextlib.suppress(OSError):  # The thread has just ended.
                 found += map(int, (task / "children").read_text().split())
     return found
 
 
 def command(pid: int) -> bytes:
-    """Its command line, words ended by zero bytes."""
+    """Return its command line, words ended by zero bytes."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
@@ -25,7 +25,7 @@ def command(pid: int) -> bytes:
 
 
 def descriptors(pid: int) -> list[int]:
-    """Return its open descriptors; an empty list where it has gone."""
+    """Return its open descriptors; an empty list if it has gone."""
     try:
         return [int(entry.name) for entry in Path(f"/proc/{pid}/fd").iterdir()]
     except OSError:
@@ -33,7 +33,7 @@ def descriptors(pid: int) -> list[int]:
 
 
 def address_space_bytes(pid: int) -> int:
-    """Return the size of its address space; 0 where it has gone."""
+    """Return the size of its address space; 0 if it has gone."""
     try:
         lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -42,7 +42,7 @@ def address_space_bytes(pid: int) -> int:
 
 
 def resident_MB(pid: int) -> float:
-    """Resident memory, MB (2^20 bytes)."""
+    """Return the resident memory, MB (2^20 bytes)."""
     try:
         lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -51,7 +51,7 @@ def resident_MB(pid: int) -> float:
 
 
 def waited_s(pid: int) -> float:
-    """How long the main thread was ready to run and did not, s; 0 where the kernel does not tell."""
+    """Return the time for which the main thread was ready to run and did not, s; 0 if the kernel does not report it."""
     try:
         return int(Path(f"/proc/{pid}/schedstat").read_text().split()[1]) * 1e-9
     except (OSError, IndexError, ValueError):
@@ -59,7 +59,7 @@ def waited_s(pid: int) -> float:
 
 
 def is_stopped(pid: int) -> bool:
-    """Return whether a process stands still by SIGSTOP, or has ended and not been waited for."""
+    """Return True if a process stands still by SIGSTOP, or has ended and not been waited for."""
     try:
         return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0] in (b"T", b"Z", b"X")
     except OSError:

@@ -1,4 +1,4 @@
-"""Tables as a person reads them (terminal, Markdown) and as a program does (JSON), with a manifest beside them."""
+"""Tables for a person (terminal, Markdown) and a program (JSON), with their manifest."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from hil.run.session.terminal import console
 
 Cell = str | float | int | None
 WIDTH = 100
-"""Columns that every table fits into."""
+"""Most columns of a printed table's width."""
 LONG_FIGURE = 14
-"""A longer cell is prose, and stands to the left."""
+"""Length from which a cell is prose, aligned to the left."""
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
-    """One table: `rows` hold numbers in the units that `columns` name, None where there is no figure."""
+class ReportTable:
+    """Table: `rows` hold numbers in the units that `columns` name, None without a figure."""
 
     key: str
     title: str
@@ -34,17 +34,17 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
-    """What a benchmark found: its tables, and a plain line for everything that was left out."""
+class BenchReport:
+    """Report of a benchmark: its tables, and a plain line for everything left out."""
 
     name: str
-    tables: tuple[Table, ...]
+    tables: tuple[ReportTable, ...]
     skipped: tuple[str, ...]
     manifest: dict[str, Any]
 
 
 def number(value: Cell) -> str:
-    """Three significant digits, thousands as k and M; text as it is, `-` where there is nothing."""
+    """Format three significant digits, thousands as k and M; text unchanged, `-` for None."""
     if value is None:
         return "-"
     if isinstance(value, str):
@@ -73,7 +73,7 @@ def number(value: Cell) -> str:
     return f"{value:.0e}" if size >= 1e-12 else "0"
 
 
-def show(report: Report, to: Console | None = None) -> None:
+def show(report: BenchReport, to: Console | None = None) -> None:
     """Print every table, at most `WIDTH` columns wide."""
     out = to or console()
     for table in report.tables:
@@ -96,14 +96,14 @@ def show(report: Report, to: Console | None = None) -> None:
     out.print(f"{machine['cpu']}, {machine['cores']} cores; {report.manifest['date']}", markup=False)
 
 
-def _is_prose(table: Table, position: int) -> bool:
-    """Whether a column holds words rather than figures; the first always does."""
+def _is_prose(table: ReportTable, position: int) -> bool:
+    """Return True if a column holds words; the first always does."""
     words = [row[position] for row in table.rows if isinstance(row[position], str)]
     return position == 0 or any(len(str(word)) > LONG_FIGURE for word in words)
 
 
-def as_json(report: Report) -> str:
-    """All figures unrounded."""
+def as_json(report: BenchReport) -> str:
+    """Return all figures unrounded."""
     tables = {
         t.key: {
             "title": t.title,
@@ -116,8 +116,8 @@ def as_json(report: Report) -> str:
     return json.dumps({"name": report.name, "tables": tables, "skipped": list(report.skipped)}, indent=1) + "\n"
 
 
-def as_markdown(report: Report) -> str:
-    """The tables as a person reads them, for `docs/results`."""
+def as_markdown(report: BenchReport) -> str:
+    """Return the tables as Markdown, for `docs/results`."""
     machine, manifest = report.manifest["machine"], report.manifest
     lines = [f"# hil bench {report.name}", "", f"`{manifest['command']}`", ""]
     of = f", commit {manifest['commit']}" if manifest.get("commit") else ""
@@ -133,8 +133,8 @@ def as_markdown(report: Report) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def write(report: Report, folder: Path) -> list[Path]:
-    """`<name>.json`, `<name>.md` and `<name>.manifest.json` in `folder`, each in one step."""
+def write(report: BenchReport, folder: Path) -> list[Path]:
+    """Write `<name>.json`, `<name>.md` and `<name>.manifest.json` into `folder`, each atomically."""
     folder.mkdir(parents=True, exist_ok=True)
     texts = {
         f"{report.name}.json": as_json(report),

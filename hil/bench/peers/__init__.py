@@ -1,7 +1,7 @@
-"""Other people's tools on the same windows. Each is imported when it is used, and skipped where it is absent."""
+"""Peers: other tools on the same windows. Each is imported on use, and skipped if it is not installed."""
 
 from __future__ import annotations
 
 
 class Absent(Exception):
-    """A peer cannot take part here; the message says why in one line."""
+    """Error of a peer that cannot take part; the message states the reason in one line."""

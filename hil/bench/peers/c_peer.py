@@ -1,4 +1,4 @@
-"""Compiles the C reference with the system's compiler and calls it."""
+"""Compiler and caller of the C reference, with the system's compiler."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hil.bench.peers import Absent
 from hil.bench.peers.c_source import C_INPUTS, C_PARAMETERS, C_SOURCE
 from twin.network import Array
 
-# What -ffast-math allows, without naming it: linked with that flag, a library turns denormal numbers off for the whole
+# The options of -ffast-math without that flag: linked with it, a library disables denormal numbers for the whole
 # process that loads it.
 FAST_MATH = (
     "-fno-math-errno",
@@ -36,7 +36,7 @@ FLAGS = ("-O3", "-march=native", *FAST_MATH, "-std=gnu11", "-shared", "-fPIC", "
 
 @functools.cache
 def library(lanes: int, order: int) -> Any:
-    """The compiled reference; raises Absent without a compiler."""
+    """Return the compiled reference; raise Absent without a compiler."""
     compiler = os.environ.get("CC") or shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
         raise Absent("plain C: no compiler here")
@@ -55,7 +55,7 @@ def library(lanes: int, order: int) -> Any:
 
 
 def prepared(job: Job, lanes: int, order: int) -> tuple[Callable[[], Array], Callable[[], Array]]:
-    """Two calls: costs (P,) of all particles, and states (n, 4) of particle 0."""
+    """Return two calls: costs (P,) of all particles, and states (n, 4) of particle 0."""
     network = job.network
     with contextlib.suppress(ValueError):
         network.index(C_PARAMETERS)
@@ -70,9 +70,16 @@ def prepared(job: Job, lanes: int, order: int) -> tuple[Callable[[], Array], Cal
     def call(rows: Array, states: Array | None) -> Array:
         total = np.empty(len(rows))
         function(
-            _at(rows), ctypes.c_long(len(rows)), _at(state), _at(inputs), _at(measured), _at(weight),
-            ctypes.c_long(n), _at(total), None if states is None else _at(states),
-        )  # fmt: skip
+            _at(rows),
+            ctypes.c_long(len(rows)),
+            _at(state),
+            _at(inputs),
+            _at(measured),
+            _at(weight),
+            ctypes.c_long(n),
+            _at(total),
+            None if states is None else _at(states),
+        )
         return total
 
     def trace() -> Array:

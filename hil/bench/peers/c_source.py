@@ -1,4 +1,4 @@
-"""The four-volume loop in plain C, as a programmer would write it for this one job. No other network fits.
+"""Four-volume loop in plain C, as a programmer would write it for this one job. It fits no other network.
 
 dT/dt of heater, modules, radiator, tank with the numbers of `C_PARAMETERS`; one Taylor step of order `ORDER` a
 second, which for a linear system of order 4 is classical Runge-Kutta. `LANES` particles advance together in vector

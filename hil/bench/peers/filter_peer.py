@@ -1,4 +1,4 @@
-"""filterpy's unscented Kalman filter over state and parameters together, one pass through the window."""
+"""Unscented Kalman filter of filterpy over state and parameters together, one pass through the window."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twin.reference_simulation import right_hand_side
 
 
 def joint_ukf(problem: Problem, seed: int) -> Array:
-    """Positions (q,) that the filter believes in at the end; NaN where it loses positive definiteness."""
+    """Return the positions (q,) of the filter at the end; NaN if it loses positive definiteness."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

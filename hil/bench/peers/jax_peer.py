@@ -1,4 +1,4 @@
-"""jax on the processor, jit and scan, double precision: one classical Runge-Kutta step a second."""
+"""Solver with jax on the processor, jit and scan, double precision: one classical Runge-Kutta step a second."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twin.network import Array
 
 
 def runge_kutta(job: Job) -> Callable[[], Array]:
-    """Costs (P,). The state is one array (P,) a node, which compiles to far faster code than matrices do."""
+    """Return costs (P,). The state is one array (P,) for each node: it compiles to far faster code than matrices."""
     jax.config.update("jax_enable_x64", True)
     rhs = right_side_of(job.network, jnp.exp, jnp.log, jnp.maximum)
     reads, count, k = sensor_rows(job.network), len(job.particles), len(job.state)

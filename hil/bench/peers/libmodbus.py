@@ -1,4 +1,4 @@
-"""libmodbus through ctypes, as a stranger: client and server of a C library that is not ours (Debian `libmodbus5`)."""
+"""Client and server of libmodbus through ctypes, an independent C library (Debian `libmodbus5`)."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import ctypes.util
 import socket
 from collections.abc import Sequence
 
-_NEEDED = 128  # more than MODBUS_TCP_MAX_ADU_LENGTH would ever ask of our requests, doubled below
+_NEEDED = 128  # Twice the largest frame of our requests, below MODBUS_TCP_MAX_ADU_LENGTH.
 
 
 class NoLibmodbusError(RuntimeError):
-    """There is no libmodbus on this machine."""
+    """Error of a missing libmodbus."""
 
 
 def library() -> ctypes.CDLL:
-    """The library with the types of the functions that are used here; raises NoLibmodbusError."""
+    """Return the library with the types of the functions used here; raise NoLibmodbusError."""
     for name in ("libmodbus.so.5", ctypes.util.find_library("modbus")):
         if name is None:
             continue
@@ -44,7 +44,7 @@ def library() -> ctypes.CDLL:
 
 
 class Client:
-    """A libmodbus client; device id 1. Raises OSError with the library's own words."""
+    """Client of libmodbus; device id 1. Raises OSError with the library's own words."""
 
     def __init__(self, context: int, lib: ctypes.CDLL) -> None:
         self._lib = lib
@@ -54,13 +54,13 @@ class Client:
 
     @classmethod
     def tcp(cls, port: int) -> Client:
-        """A client of a port of this machine."""
+        """Return a client of a port of this machine."""
         lib = library()
         return cls(lib.modbus_new_tcp(b"127.0.0.1", port), lib)
 
     @classmethod
     def rtu(cls, line: str) -> Client:
-        """A client on a serial line at 115200 bit/s, 8N1."""
+        """Return a client on a serial line at 115200 bit/s, 8N1."""
         lib = library()
         return cls(lib.modbus_new_rtu(line.encode(), 115200, b"N", 8, 1), lib)
 
@@ -70,13 +70,13 @@ class Client:
         return result
 
     def read_inputs(self, first: int, count: int) -> list[int]:
-        """Input registers."""
+        """Read input registers."""
         found = (ctypes.c_uint16 * count)()
         self._check(self._lib.modbus_read_input_registers(self._context, first, count, found))
         return list(found)
 
     def read_holdings(self, first: int, count: int) -> list[int]:
-        """Holding registers."""
+        """Read holding registers."""
         found = (ctypes.c_uint16 * count)()
         self._check(self._lib.modbus_read_registers(self._context, first, count, found))
         return list(found)
@@ -93,18 +93,27 @@ class Client:
 
 
 class _Mapping(ctypes.Structure):
-    """`modbus_mapping_t` of libmodbus 3.1."""
+    """Structure `modbus_mapping_t` of libmodbus 3.1."""
 
     _fields_ = (
-        *((name, ctypes.c_int) for name in (
-            "nb_bits", "start_bits", "nb_input_bits", "start_input_bits", "nb_input_registers",
-            "start_input_registers", "nb_registers", "start_registers",
-        )),
+        *(
+            (name, ctypes.c_int)
+            for name in (
+                "nb_bits",
+                "start_bits",
+                "nb_input_bits",
+                "start_input_bits",
+                "nb_input_registers",
+                "start_input_registers",
+                "nb_registers",
+                "start_registers",
+            )
+        ),
         ("bits", ctypes.POINTER(ctypes.c_uint8)),
         ("input_bits", ctypes.POINTER(ctypes.c_uint8)),
         ("input_registers", ctypes.POINTER(ctypes.c_uint16)),
         ("registers", ctypes.POINTER(ctypes.c_uint16)),
-    )  # fmt: skip
+    )
 
 
 def serve(line: str | None, count: int = 64) -> None:

@@ -1,4 +1,4 @@
-"""Other people's Modbus clients in Python, each as its documentation has it."""
+"""Other Modbus clients in Python, each used as its documentation shows."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """`ask` reads `count` input registers of device 1."""
+    """Client: `ask` reads `count` input registers of device 1."""
 
     ask: Callable[[], Any]
     close: Callable[[], object]
 
 
 def pymodbus_sync(port: int, count: int) -> Peer:
-    """pymodbus's blocking client."""
+    """Return pymodbus's blocking client."""
     from pymodbus.client import ModbusTcpClient
 
     client = ModbusTcpClient("127.0.0.1", port=port)
@@ -25,7 +25,7 @@ def pymodbus_sync(port: int, count: int) -> Peer:
 
 
 async def pymodbus_async(port: int, count: int) -> Peer:
-    """pymodbus's asyncio client."""
+    """Return pymodbus's asyncio client."""
     from pymodbus.client import AsyncModbusTcpClient
 
     client = AsyncModbusTcpClient("127.0.0.1", port=port)
@@ -34,7 +34,7 @@ async def pymodbus_async(port: int, count: int) -> Peer:
 
 
 def py_modbus_tcp(port: int, count: int) -> Peer:
-    """pyModbusTCP; raises ImportError."""
+    """Return the client of pyModbusTCP; raise ImportError."""
     from pyModbusTCP.client import ModbusClient
 
     client = ModbusClient("127.0.0.1", port=port, unit_id=1)

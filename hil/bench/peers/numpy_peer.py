@@ -1,4 +1,4 @@
-"""numpy: the exact solution by matrix exponentials, all particles at once, sample by sample."""
+"""Solver with numpy: the exact solution by matrix exponentials, all particles at once, sample by sample."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from twin.network import Array
 
 
 def exact(job: Job) -> Callable[[], Array]:
-    """Costs (P,), the sum of squared weighted residuals; one exponential a particle and level of the inputs."""
+    """Return costs (P,), the sum of squared weighted residuals; one exponential for each particle and level of the
+    inputs.
+    """
     reads, k = sensor_rows(job.network), len(job.state)
 
     def cost() -> Array:

@@ -1,4 +1,4 @@
-"""Other people's optimisers on a `Problem`. All of them simulate with our kernel, in whole populations if they can.
+"""Other optimisers on a `Problem`. All of them simulate with our kernel, in whole populations if they can.
 
 Each function returns the best positions (q,). Swarms get 200 x 50 simulations and the usual constriction
 coefficients, the others their own defaults; everyone starts from the live twin where the method takes a start.
@@ -23,8 +23,8 @@ PARTICLES, ITERATIONS = 200, 50
 
 
 def pyswarms_global(problem: Problem, seed: int) -> Array:
-    """`pyswarms.single.GlobalBestPSO`; importing it leaves a report.log in the working directory."""
-    with _elsewhere():
+    """Minimise with `pyswarms.single.GlobalBestPSO`; its import writes a report.log into the working directory."""
+    with _temporary_directory():
         try:
             import pyswarms
         except ImportError:
@@ -39,7 +39,7 @@ def pyswarms_global(problem: Problem, seed: int) -> Array:
 
 
 def pymoo_pso(problem: Problem, seed: int) -> Array:
-    """`pymoo`'s PSO, whole populations at a time."""
+    """Minimise with `pymoo`'s PSO, whole populations at a time."""
     try:
         from pymoo.algorithms.soo.nonconvex.pso import PSO
         from pymoo.core.problem import Problem as Base
@@ -59,7 +59,7 @@ def pymoo_pso(problem: Problem, seed: int) -> Array:
 
 
 def cma_es(problem: Problem, seed: int) -> Array:
-    """`cma`, ask and tell, from the live twin with a spread of 0.2."""
+    """Minimise with `cma`, ask and tell, from the live twin with a spread of 0.2."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -75,20 +75,28 @@ def cma_es(problem: Problem, seed: int) -> Array:
 
 
 def differential_evolution(problem: Problem, seed: int) -> Array:
-    """`scipy.optimize.differential_evolution`, vectorised, without its polish."""
+    """Minimise with `scipy.optimize.differential_evolution`, vectorised, without its polish."""
     from scipy.optimize import differential_evolution as evolve
 
     q = len(problem.ids)
     size = max(PARTICLES // q, 5)
     done = evolve(
-        lambda x: problem.rmse(np.atleast_2d(x.T)), [(0.0, 1.0)] * q, popsize=size, maxiter=ITERATIONS, tol=1e-8,
-        rng=seed, polish=False, vectorized=True, updating="deferred", x0=problem.start,
-    )  # fmt: skip
+        lambda x: problem.rmse(np.atleast_2d(x.T)),
+        [(0.0, 1.0)] * q,
+        popsize=size,
+        maxiter=ITERATIONS,
+        tol=1e-8,
+        rng=seed,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        x0=problem.start,
+    )
     return np.asarray(done.x)
 
 
 def least_squares(problem: Problem, seed: int) -> Array:
-    """`scipy.optimize.least_squares`, TRF, its own finite differences, from the live twin."""
+    """Minimise with `scipy.optimize.least_squares`, TRF, its own finite differences, from the live twin."""
     from scipy.optimize import least_squares as fit
 
     start = np.clip(problem.start, 1e-6, 1.0 - 1e-6)
@@ -97,12 +105,12 @@ def least_squares(problem: Problem, seed: int) -> Array:
 
 
 def least_squares_lanes(problem: Problem, seed: int) -> Array:
-    """The same with a Jacobian of central differences out of one call of the kernel."""
+    """Minimise in the same way with a Jacobian of central differences out of one call of the kernel."""
     return refine(problem, problem.start)
 
 
 def refine(problem: Problem, start: Array, *, state: bool = False) -> Array:
-    """TRF from positions (q,), with the initial state free where `state`: positions (q,), state offsets behind."""
+    """Refine positions (q,) by TRF, with the initial state free if `state`: positions (q,), state offsets behind."""
     from scipy.optimize import least_squares as fit
 
     q, k = len(problem.ids), len(problem.window.state) if state else 0
@@ -127,8 +135,8 @@ def refine(problem: Problem, start: Array, *, state: bool = False) -> Array:
 
 
 @contextlib.contextmanager
-def _elsewhere() -> Iterator[None]:
-    """A throw-away working directory, and no chatter."""
+def _temporary_directory() -> Iterator[None]:
+    """Change to a temporary working directory, and suppress output."""
     before = os.getcwd()
     with (
         tempfile.TemporaryDirectory(prefix="hil-bench-") as folder,

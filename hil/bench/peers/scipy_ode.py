@@ -1,4 +1,4 @@
-"""scipy's solvers on one particle. The right side is one matrix product with coefficients made beforehand."""
+"""Solvers of scipy on one particle. The right side is one matrix product with coefficients made beforehand."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Solve = Callable[[], Array]
 
 
 def coefficients(job: Job) -> tuple[Array, Array]:
-    """A (n, k, k) and b (n, k) of particle 0 in every sample interval."""
+    """Return A (n, k, k) and b (n, k) of particle 0 in every sample interval."""
     distinct, which = np.unique(job.inputs, axis=0, return_inverse=True)
     pairs = [affine(job.network, job.ids, job.particles[:1], row) for row in distinct]
     a = np.stack([pair[0][0] for pair in pairs])
@@ -24,7 +24,7 @@ def coefficients(job: Job) -> tuple[Array, Array]:
 
 
 def ivp(job: Job, method: str, **options: float) -> Solve:
-    """`solve_ivp` over the whole window, states (n, k)."""
+    """Solve the whole window with `solve_ivp`, states (n, k)."""
     a, b = coefficients(job)
     last = len(job.time) - 2
 
@@ -37,7 +37,7 @@ def ivp(job: Job, method: str, **options: float) -> Solve:
 
 
 def ivp_restarted(job: Job, method: str, **options: float) -> Solve:
-    """`solve_ivp` started again wherever an input changes, so that no step crosses a jump."""
+    """Solve with `solve_ivp`, restarted at every change of an input, so that no step crosses a jump."""
     a, b = coefficients(job)
     stretches = runs(job.inputs)
 
@@ -63,7 +63,7 @@ def ivp_restarted(job: Job, method: str, **options: float) -> Solve:
 
 
 def lsoda(job: Job, **options: float) -> Solve:
-    """`odeint` over the whole window."""
+    """Solve the whole window with `odeint`."""
     a, b = coefficients(job)
     last = len(job.time) - 2
 

@@ -1,4 +1,4 @@
-"""pysindy on the same data: a discrepancy model of the heat that a twin does not account for, node by node.
+"""Discrepancy model of pysindy on the same data: the heat that a twin does not account for, node by node.
 
 What the readings ask for, C dT/dt less the heat that the twin's own elements bring at the temperatures that were
 measured, is regressed sparsely on a constant, time, the temperature's distance to the room and the inputs
@@ -22,13 +22,17 @@ from twin.network import Array, Network
 MEAN_S = 300.0
 THRESHOLD_W = 2.0
 _KINDS = {
-    "constant": "heat_source", "elapsed_time": "heat_source", "temperature_difference": "heat_loss",
-    "heater_power": "heat_source", "pump_speed": "heat_source", "fan_speed": "heat_source",
-}  # fmt: skip
+    "constant": "heat_source",
+    "elapsed_time": "heat_source",
+    "temperature_difference": "heat_loss",
+    "heater_power": "heat_source",
+    "pump_speed": "heat_source",
+    "fan_speed": "heat_source",
+}
 
 
 def contributions(network: Network, grid: Grid, run: Run) -> list[dict[str, Any]]:
-    """Terms by falling contribution, W: `kind`, `where`, `driver`, and `z`, which here is the contribution itself."""
+    """Return terms by falling contribution, W: `kind`, `where`, `driver`, and `z`, which is the contribution itself."""
     every = max(round(MEAN_S / grid.step_s), 1)
     known = temperatures(network, grid, run)
     heat = Formulas(network).heats(known, grid.inputs, network.values, grid.step_s)
@@ -45,10 +49,13 @@ def contributions(network: Network, grid: Grid, run: Run) -> list[dict[str, Any]
     for k, node in enumerate(network.nodes):
         capacity = network.parameters[f"{node}.capacitance"].value
         missing = (capacity * rate[:, k] - bring[:, k])[:, None]
-        features = np.column_stack([
-            np.linspace(0.0, 1.0, count), warm[:, k] - room,
-            *(inputs[:, names.index(c)] for c in ("heater_power_W", "pump_speed_pct", "fan_speed_pct")),
-        ])  # fmt: skip
+        features = np.column_stack(
+            [
+                np.linspace(0.0, 1.0, count),
+                warm[:, k] - room,
+                *(inputs[:, names.index(c)] for c in ("heater_power_W", "pump_speed_pct", "fan_speed_pct")),
+            ]
+        )
         spread = features.std(axis=0)
         scaled = (features - features.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
         model = pysindy.SINDy(
@@ -57,7 +64,7 @@ def contributions(network: Network, grid: Grid, run: Run) -> list[dict[str, Any]
         )
         # The state is not to be predicted from itself alone: its own heat is the target, the rest are inputs.
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # that nothing is left is an answer
+            warnings.simplefilter("ignore", UserWarning)  # An empty result is an answer, too.
             model.fit(scaled[:, :1], t=MEAN_S, x_dot=missing, u=scaled[:, 1:])
         drivers = ("constant", "elapsed_time", "temperature_difference", "heater_power", "pump_speed", "fan_speed")
         for driver, size in zip(drivers, model.coefficients()[0], strict=True):

@@ -1,4 +1,4 @@
-"""torch, eager, double precision, one thread: exact steps where the inputs are held, else classical Runge-Kutta."""
+"""Solver with torch, eager, double precision, one thread: exact steps for held inputs, else classical Runge-Kutta."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twin.network import Array
 
 
 def exact(job: Job) -> Callable[[], Array]:
-    """Costs (P,) by `matrix_exp` a level and one batched product a sample."""
+    """Return costs (P,) by one `matrix_exp` for each level and one batched product for each sample."""
     torch.set_num_threads(1)
     reads, k = sensor_rows(job.network), len(job.state)
     measured, weight = torch.from_numpy(job.measured), torch.from_numpy(job.weight)
@@ -40,7 +40,7 @@ def exact(job: Job) -> Callable[[], Array]:
 
 
 def runge_kutta(job: Job) -> Callable[[], Array]:
-    """Costs (P,) by one classical Runge-Kutta step a second, whatever the inputs do."""
+    """Return costs (P,) by one classical Runge-Kutta step a second, for any inputs."""
     torch.set_num_threads(1)
 
     def largest(a: Any, b: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What `hil init` asks where nobody has told it what is on the rig; each answer is checked before the next question."""
+"""Questions of `hil init`, asked if no option describes the rig; each answer is checked before the next question."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _KINDS = (("heater", "W", 1000.0), ("pump", "%", 100.0), ("fan", "%", 100.0))
 
 
 def ask(name: str, period_s: float) -> Described:
-    """A rig as a person at the terminal describes it."""
-    click.echo("What is on the rig? Enter takes what is in [brackets]; Ctrl-C writes nothing.")
+    """Ask for a rig at the terminal and return its description."""
+    click.echo("Describe the rig. Enter takes the value in [brackets]; Ctrl-C writes nothing.")
     rig = Described(click.prompt("Name of the rig", default=name), period_s)
     host = click.prompt("Host of its Modbus/TCP server (- for none)", default="127.0.0.1")
     if host != "-":
@@ -35,9 +35,9 @@ def ask(name: str, period_s: float) -> Described:
             which = kind if number == 1 else f"{kind} {number}"
             written = _place(f"  {which}: set-point ({unit_of}) is written to")
             assert written is not None
-            read = _place(f"  {which}: what it really gets is read from (- for nowhere)", optional=True)
+            read = _place(f"  {which}: its actual value is read from (- for nowhere)", optional=True)
             highest = click.prompt(
-                f"  {which}: at most, {unit_of}", default=most, type=click.FloatRange(0, min_open=True)
+                f"  {which}: upper limit, {unit_of}", default=most, type=click.FloatRange(0, min_open=True)
             )
             rig.actuators.append(Actuator(kind, written, read, highest))  # type: ignore[arg-type]
     rig.flow = _place("Flow, L/min, is read from (- for nowhere)", optional=True)
@@ -51,15 +51,15 @@ def ask(name: str, period_s: float) -> Described:
         assert at is not None
         rig.thermocouples[name] = at
     rig.trip_C = click.prompt("Temperature that ends a run, degC", default=75.0, type=float)
-    beat = _place("Register that the rig watches for a heartbeat (- for none)", optional=True)
+    beat = _place("Register that the rig monitors for a heartbeat (- for none)", optional=True)
     if beat is not None:
         rig.heartbeat["point"] = beat
-        for key, what in (
+        for key, role in (
             ("counter", "counter of the rig that must advance"),
             ("arm", "register that lets outputs go live when 1 is written"),
             ("watchdog", "time-out of the rig's own watchdog, s (such as holding:4*0.1)"),
         ):
-            found = _place(f"  {what} (- for none)", optional=True)
+            found = _place(f"  {role} (- for none)", optional=True)
             if found is not None:
                 rig.heartbeat[key] = found
     return rig
@@ -76,7 +76,7 @@ def _place(question: str, *, optional: bool = False) -> Place | None:
 
 
 def _checked(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """`function`, whose mistakes click shows before it asks again."""
+    """Wrap `function` so that click shows its errors and asks again."""
 
     def value(text: Any) -> Any:
         try:

@@ -1,4 +1,4 @@
-"""Where files are looked for: as given, then beside the project's own profiles."""
+"""Parameter types for input files: searched as given, then in the project's own profiles."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PROJECT = Path(__file__).resolve().parents[3]
 
 
 class InputPath(click.ParamType[Path]):
-    """A file or a folder that exists; a file of the project's `profiles/` is found from any working directory."""
+    """Path of a file or folder that exists; a file of the project's `profiles/` is found from any working directory."""
 
     name = "path"
 
@@ -26,7 +26,7 @@ class InputPath(click.ParamType[Path]):
 
 
 class InputFile(click.ParamType[Path]):
-    """A file that exists; a path of the project's `profiles/` is found from any working directory."""
+    """Path of a file that exists; a file of the project's `profiles/` is found from any working directory."""
 
     name = "file"
 

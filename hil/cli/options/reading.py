@@ -1,4 +1,4 @@
-"""Options of every command that reads a record, for what the record does not show itself."""
+"""Options of every command that reads a record, for properties that the record does not show itself."""
 
 from __future__ import annotations
 
@@ -11,20 +11,25 @@ import click
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 _OPTIONS = (
-    click.option("--decimal", type=click.Choice([".", ","]), help="Decimal sign of RECORD, where it does not show it."),
+    click.option("--decimal", type=click.Choice([".", ","]), help="Decimal sign of RECORD, if ambiguous."),
     click.option(
         "--dates", type=click.Choice(["dmy", "mdy", "ymd"]), help="Order of day, month and year in its dates."
     ),
-    click.option("--time-column", metavar="NAME", help="Column of its times; DATES,TIMES where they are in two."),
     click.option(
-        "--time-scale", type=click.FloatRange(min=0.0, min_open=True), default=1.0, metavar="N",
+        "--time-column", metavar="NAME", help="Time column of RECORD; DATES,TIMES if date and time have two columns."
+    ),
+    click.option(
+        "--time-scale",
+        type=click.FloatRange(min=0.0, min_open=True),
+        default=1.0,
+        metavar="N",
         help="Seconds of the rig in a unit of that column: 60 for a rig that runs 60 times as fast as its clock.",
     ),
-)  # fmt: skip
+)
 
 
 def reading(command: Command) -> Command:
-    """Give `command` the options, as one argument `choice`, a `hil.record.raw.Reading`."""
+    """Add the options to `command`, as one argument `choice`, a `hil.record.raw.Reading`."""
 
     @wraps(command)
     def with_choice(

@@ -1,4 +1,4 @@
-"""What a command about a record works on: the record and its twin, named one by one or by the folder of a run."""
+"""Subject of a command about a record: the record and its twin, named one by one or by the folder of a run."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from hil.run_folder.folder import RunFolder, RunFolderError
 
 
 class SubjectError(ValueError):
-    """The record or its twin is not there; the message is one plain sentence."""
+    """Error of a record or twin that does not exist; the message is one plain sentence."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """The record's file, the twin's file, and the run's folder where they are of one."""
+    """Files of a record and its twin, and the folder of their run or None."""
 
     record: Path
     twin: Path
@@ -24,14 +24,14 @@ class Subject:
 
     @property
     def diagnosis(self) -> Path:
-        """Where a diagnosis of it is written, unless told otherwise."""
+        """Return the default folder for its diagnosis."""
         if self.run is not None:
             return RunFolder(self.run).diagnosis
         return Path(f"diagnosis-{self.record.parent.name or self.record.stem}-{self.record.stem}")
 
 
 def record_of(target: Path) -> Path:
-    """Resolve a record file, or a run folder to its record, which is made where an ended run has none.
+    """Resolve a record file, or a run folder to its record, which is made if an ended run has none.
 
     Raises:
         SubjectError: the folder has no record and none can be made.
@@ -41,20 +41,20 @@ def record_of(target: Path) -> Path:
     folder = RunFolder(target)
     if not folder.record.is_file():
         if folder.was_cut:
-            raise SubjectError(f"{target} was cut and has no record yet; `hil resume {target}` goes on with it")
+            raise SubjectError(f"{target} was interrupted and has no record yet; `hil resume {target}` continues it")
         _make_record(folder)
     return folder.record
 
 
 def subject_of(target: Path, twin: Path | None) -> Subject:
-    """Resolve a record file or a run folder; `twin` is another than the run's own.
+    """Resolve a record file or a run folder; `twin` replaces the run's own.
 
     Raises:
         SubjectError: a part is missing.
     """
     if not target.is_dir():
         if twin is None:
-            raise SubjectError(f"{target} is a record and does not say which twin it belongs to; name it with --twin")
+            raise SubjectError(f"{target} is a record and names no twin; name it with --twin")
         return Subject(target, twin, None)
     folder, record = RunFolder(target), record_of(target)
     chosen = twin or folder.twin
@@ -64,7 +64,7 @@ def subject_of(target: Path, twin: Path | None) -> Subject:
 
 
 def _make_record(folder: RunFolder) -> None:
-    """Make the record of a run that ended without one; raises SubjectError where that is not possible."""
+    """Make the record of a run that ended without one; raise SubjectError if that is not possible."""
     if not folder.manifest.is_file() or not folder.journal.is_file():
         raise SubjectError(f"{folder.path} holds no record.parquet; give a run folder of a finished run, or a record")
     try:

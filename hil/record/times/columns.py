@@ -13,11 +13,11 @@ from hil.record.times.text import is_date, is_moment, is_time_of_day
 from hil.record.values.numbers import Sign, parse, trimmed
 
 _SAMPLE = 9
-"""Cells from which a column of text is told to be one of dates or times."""
+"""Cells of a text column that show dates or times."""
 
 
 def scale_of(raw: RawRecord, column: str) -> float:
-    """Return seconds per unit of the time column: as its name says, else as the file does."""
+    """Return seconds per unit of the time column: from its name, else from the file."""
     named = seconds_per_unit(column)
     if named in (None, 1.0) and (unit := (raw.units or {}).get(column)):
         return SECONDS_PER.get(unit.lower(), 1.0)

@@ -1,4 +1,4 @@
-"""Local times that jump by an hour in the nights when clocks are changed, to times that go on."""
+"""Local times that jump by an hour at a change of clocks, converted to continuous times."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ HOUR_S = 3600.0
 _MONTHS = (3, 4, 9, 10, 11)
 """Months in which countries begin or end summer time (IANA time zone database, rules since 2007)."""
 _LAST_HOUR = 4
-"""Hour of the night before which clocks are changed."""
+"""Last hour of the night for a change of clocks."""
 _LONGEST_S = 12 * HOUR_S
-"""Longest typical step of which an hour more or less can be told from an ordinary one."""
+"""Longest typical step at which an hour more or less is distinguishable from an ordinary step."""
 _JITTER_S = HOUR_S / 4
 """Most that a step may differ from a typical one, so that an hour more or less is no jitter."""
 
@@ -22,7 +22,7 @@ _JITTER_S = HOUR_S / 4
 def unfolded(
     seconds: NDArray[np.float64], start: datetime.datetime, place: Callable[[int], str]
 ) -> tuple[NDArray[np.float64], list[str]]:
-    """Return `seconds (n,)` of local times, in the order of the file, without the hour lost or won by clocks.
+    """Return `seconds (n,)` of local times, in file order, without the hour lost or gained by a change of clocks.
 
     A step counts as a change of clocks only in the night to a Sunday of a month with such changes, before four o'clock,
     and where it differs from an ordinary step by an hour. Among rows an hour or more apart that step must be the only
@@ -55,7 +55,7 @@ def unfolded(
 
 
 def _in_such_a_night(start: datetime.datetime, last_s: float, typical: float) -> bool:
-    """Return True where clocks may change between the row at `last_s` and the next: at a full hour of such a night.
+    """Return True if clocks may change between the row at `last_s` and the next: at a full hour of such a night.
 
     Clocks are changed at a full hour; forward, the row before is in the hour that ends then, and back as well.
     """

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 _HALF_DAY = 43_200_000_000
 """Microseconds."""
 _NEXT_STEPS = 5
-"""A clock of twelve hours goes on after 12:59 within that many typical steps; later it is another record."""
+"""Typical steps within which a twelve-hour clock goes on after 12:59; a later time is another record."""
 
 
 class TimeTextError(ValueError):
-    """A column of times may be read in two ways; the message lacks file and column."""
+    """Error of an ambiguous time column; the message lacks file and column."""
 
 
 def require_full_clock(micros: NDArray[np.int64], hours: NDArray[np.int64], shown: Callable[[int], str]) -> None:
-    """Check that no clock of twelve hours without AM and PM wrote the times.
+    """Check that the times are not of a twelve-hour clock without AM and PM.
 
     Args:
         micros: microseconds (n,) in the order of the file. hours: hours (n,) as the clock shows them.

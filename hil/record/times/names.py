@@ -1,4 +1,4 @@
-"""Names under which records hold their time, with the unit where the name has one."""
+"""Names of time columns, with the unit if the name has one."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ _MOMENT = (
     *("servertimestamp", "server timestamp"),
     *("modified julian date", "modified julian day", "mjd", "julian date", "julian day", "jd", "datenum"),
     *("datum", "zeit", "uhrzeit", "zeitstempel", "datum/zeit", "datum uhrzeit", "date heure", "heure", "horodatage"),
-)  # fmt: skip
+)
 _UNIT = re.compile(r"(.+?)[ _]*[\[(]\s*([a-zµ]+)\s*[\])]|(.+?)\s*[/_ ]\s*(?:in\s+)?([a-zµ]+)|([a-zµ]+)")
 
 _ZONE = re.compile(r"(?<![A-Za-z])(?:GMT|UTC)(?![A-Za-z])(?:\s*([+-]\d{1,2})(?::?(\d{2}))?)?", re.IGNORECASE)
 
 
 def seconds_per_unit(name: str) -> float | None:
-    """Return seconds per unit of the time column called `name`, 1 where the name gives no unit; None for no time."""
+    """Return seconds per unit of the time column `name`, 1 if the name gives no unit; None if it names no time."""
     low = name.strip().lower()
     if _spelt(low) in (*_ELAPSED, *_MOMENT):
         return 1.0
@@ -53,7 +53,7 @@ def seconds_per_unit(name: str) -> float | None:
         return None
     stem, unit = (parts[1], parts[2]) if parts[1] else (parts[3], parts[4]) if parts[3] else ("", parts[5])
     if stem == "t" and not parts[1] and unit != "s":
-        return None  # T_min and T_h are temperatures
+        return None  # T_min and T_h are temperatures.
     alone = not stem and unit in ("seconds", "minutes", "hours")
     if unit in SECONDS_PER and (alone or _spelt(stem) in (*_ELAPSED, *_MOMENT)):
         return SECONDS_PER[unit]
@@ -77,13 +77,13 @@ def names_dates(name: str) -> bool:
 
 
 def names_days(name: str) -> bool:
-    """Return True for a name of days, as `Date` and `MJD` are; whole numbers of a `timestamp` may be seconds."""
+    """Return True for a name of days, such as `Date` and `MJD`; whole numbers of a `timestamp` may be seconds."""
     low = name.strip().lower()
     return is_time_name(name) and re.search(r"date|datum|julian|\bm?jd\b", low) is not None
 
 
 def zone_of(name: str) -> tuple[str, float] | None:
-    """Return the time zone that a name of times gives, as `Date Time, GMT+01:00` does, and its seconds ahead of UTC."""
+    """Return the time zone in a name of times, such as `Date Time, GMT+01:00`, and its seconds ahead of UTC."""
     found = _ZONE.search(name)
     if found is None:
         return None

@@ -21,7 +21,7 @@ from hil.record.values.numbers import trimmed
 EPOCH_S = (946_684_800.0, 4_102_444_800.0)
 """Seconds since 1970 of the years 2000 and 2100: a record with a date lies between them."""
 UPTIME_S = 1e8
-"""Three years: no rig counts longer from its start without a unit in the column's name."""
+"""Longest time from the start in s without a unit in the column's name: three years."""
 COUNTS = ((1e-9, "nanoseconds"), (1e-6, "microseconds"), (1e-3, "milliseconds"), (1.0, "seconds"))
 _WORDS = {60.0: "minutes", 3600.0: "hours"} | dict(COUNTS)
 _DAY_S = 86400.0
@@ -51,9 +51,12 @@ DAY_COUNTS = (
 )
 """Day counts in use. 51544 is 2000-01-01 as a modified Julian date and 2041-02-11 in a spreadsheet: no record is of the
 future, and none before 2000 has modified Julian dates. Spreadsheets count from 1899-12-30 (ECMA-376, 18.17.4.1), MATLAB
-from the year 0, Julian dates from noon."""
+from the year 0, Julian dates from noon.
+"""
 TINY_S = 0.5
-"""Steps of day numbers are below half a day, but for daily values: as seconds they would be below half a second."""
+"""Largest median step of day numbers, but for daily values, below half a day: as seconds it would be below half a
+second.
+"""
 _ROUND_S = tuple(k * unit for unit in (1, 60) for k in (1, 2, 5, 10, 15, 20, 30)) + tuple(
     3600 * k for k in (1, 2, 3, 4, 6, 8, 12)
 )
@@ -62,7 +65,7 @@ _REMEDY = "write the unit into the column's name (time_s, time_d), or give dates
 
 
 def count_of(middle: float, scale: float, unit_given: bool) -> tuple[float, str] | None:
-    """Return seconds per count and its word for numbers that count from 1970; None for a time since the beginning.
+    """Return seconds per count and its word for numbers that count from 1970; None for a time from the beginning.
 
     Args:
         middle: median of the numbers. scale: seconds per unit that the name or the file gives, 1 without one.

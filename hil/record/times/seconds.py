@@ -19,19 +19,19 @@ from hil.record.times.text import Stamps, TimeTextError, read_stamps, read_times
 from hil.record.values.numbers import Sign, parse, trimmed
 
 ZONELESS = "without a time zone, taken as UTC"
-"""End of what is said of dates and times that may be local."""
+"""End of a message on dates and times that may be local."""
 
 _COMPACT = (19_500_101_000000, 21_001_231_235959)
 """Dates and times written as one number, 20260304233000: as milliseconds since 1970 they would be after 2580."""
 _DAY_S = 86400.0
 _NO_CLOCK = 2.0**63
-"""No clock counts that far, not in nanoseconds either."""
+"""Number above any count of a clock, in nanoseconds too."""
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
 
 
 @dataclass(frozen=True, eq=False)
 class Seconds:
-    """Seconds of a column and the time of its zero, with how it is written."""
+    """Seconds of a column and the time of its zero, with their format."""
 
     seconds: NDArray[np.float64]
     start: datetime.datetime | None = None
@@ -49,7 +49,7 @@ def read_seconds(raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign
 
 
 def _pair(raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign], choice: Reading) -> Seconds | None:
-    """Return the times of a column of dates and one of times of day; as text, or as numbers of a spreadsheet."""
+    """Return the times of a column of dates and one of times of day, as text or as spreadsheet numbers."""
     dates, times = (raw.cells[raw.names.index(name)] for name in columns)
     numbers = [parse(cells, signs.get(name, ".")) for name, cells in zip(columns, (dates, times), strict=True)]
     if all(found is not None and found.present and not found.bad for found in numbers):
@@ -62,7 +62,7 @@ def _pair(raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign], choi
 
 
 def text_of(cells: Any) -> list[str | None]:
-    """Return the cells of a column as text, None where there is none."""
+    """Return the cells of a column as text, None if it has none."""
     import pyarrow as pa
 
     text = trimmed(cells)
@@ -71,7 +71,7 @@ def text_of(cells: Any) -> list[str | None]:
 
 
 def of_stamps(stamps: Stamps) -> Seconds | None:
-    """Return stamps as seconds from the first, None where no cell is one."""
+    """Return stamps as seconds from the first, None if no cell is one."""
     import pyarrow as pa
 
     micros = pa.chunked_array([stamps.micros], pa.int64())
@@ -159,7 +159,7 @@ def _seconds(name: str, cells: Any, sign: Sign, scale: float, choice: Reading, u
 
 
 def _since_1970(cells: Any, values: NDArray[np.float64], scale: float, unit_given: bool) -> Seconds:
-    """Return numbers that count from 1970 shifted to their first, and any other numbers as they are, in seconds."""
+    """Shift numbers that count from 1970 to their first, and return any other numbers unchanged, in seconds."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -168,7 +168,7 @@ def _since_1970(cells: Any, values: NDArray[np.float64], scale: float, unit_give
     if count is None:
         return Seconds(values * scale)
     unit, word = count
-    clock_set = 0.5 * middle  # earlier stamps are of a clock that had not been set yet
+    clock_set = 0.5 * middle  # Earlier stamps are of a clock that had not been set yet.
     kind = cells.type
     if pa.types.is_integer(kind) and not pa.types.is_uint64(kind):
         seconds, origin = _whole_numbers(pc.cast(cells, pa.int64()), unit, clock_set)

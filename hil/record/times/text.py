@@ -1,6 +1,6 @@
-"""Dates and times written as text to microseconds, one way of reading them for a whole column.
+"""Dates and times written as text to microseconds, in one format for a whole column.
 
-`03/04/2026` is in March to one writer and in April to another. A column shows which by a number above twelve, or by
+`03/04/2026` is in March or in April, depending on the writer. A column shows which by a number above twelve, or by
 days that follow each other at midnight; where neither does and the times between rows differ, it is refused.
 """
 
@@ -55,7 +55,7 @@ _DATE = (
 )
 _STAMP = re.compile(rf"{_DATE}(?:[T\s,_-]+{_TIME})?|(?P<long>(?:19|20|21)\d{{6}})[T_ -]?(?P<clock>\d{{6}})", re.ASCII)
 _CLOCK = re.compile(rf"(?:(?P<days>\d{{1,5}})\s*d(?:ays?)?,?\s+)?{_TIME}", re.ASCII)
-"""A time of day, or one since the beginning with its days before it: `1 days 02:03:04`, `0d 02:03:04`."""
+"""Time of day, or time from the beginning with its days before it: `1 days 02:03:04`, `0d 02:03:04`."""
 _FOUR = re.compile(r"(\d{1,3}):([0-5]\d):([0-5]\d):(\d\d)", re.ASCII)
 """Days, hours, minutes and seconds, or hours, minutes, seconds and hundredths."""
 _HOUR = re.compile(r"(?:^|[T\s,_-])(\d{1,2}):[0-5]\d")
@@ -64,7 +64,7 @@ _ZONES = {"z": 0, "utc": 0, "gmt": 0, "cet": 60, "cest": 120}
 
 @dataclass(frozen=True, eq=False)
 class Stamps:
-    """Microseconds `(n,)` since 1970, None where a cell is no date; how they are written, and if with a time zone.
+    """Microseconds `(n,)` since 1970, None for a cell that is no date; their format, and True for a time zone.
 
     `dated` is False for times of day without a date. `note` is a sentence about what stays open, or "".
     """
@@ -78,7 +78,7 @@ class Stamps:
 
 @dataclass(frozen=True, slots=True)
 class _Parts:
-    """A date as three numbers in the order of the cell, and the time after midnight UTC in microseconds."""
+    """Date as three numbers in the order of the cell, and the time after midnight UTC in microseconds."""
 
     numbers: tuple[int, int, int] | None
     fixed: tuple[int, int, int] | None
@@ -159,7 +159,7 @@ def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
 
 
 def _four_fields(cells: Sequence[str | None]) -> Stamps | None:
-    """Return times of four fields with colons where they begin with days; None where they end with hundredths.
+    """Return times of four fields with colons if they begin with days; None if they end with hundredths.
 
     Hours above 23 and hundredths above 59 decide, else equal steps between rows by one of the readings alone.
     """
@@ -278,7 +278,7 @@ def _full(year: int) -> int:
 
 
 def _orders(parts: Sequence[_Parts]) -> list[Order]:
-    """Return the orders of day, month and year that the writing allows."""
+    """Return the possible orders of day, month and year."""
     first = parts[0]
     if first.lengths[0] == 4:
         return ["ymd"]
@@ -303,7 +303,7 @@ def _moment(part: _Parts | None, order: Order) -> int | None:
 
 
 def _decided(read: dict[Order, list[int | None]], cells: Sequence[str | None]) -> tuple[Order, str]:
-    """Return the order to read by, and what stays open; raises TimeTextError where the times between rows differ."""
+    """Return the order to read by, and a note on the rest; raise TimeTextError if the times between rows differ."""
     orders = list(read)
     if len(orders) == 1:
         return orders[0], ""
@@ -320,6 +320,6 @@ def _decided(read: dict[Order, list[int | None]], cells: Sequence[str | None]) -
 
 
 def _goes_on(micros: NDArray[np.int64]) -> bool:
-    """Return True where no step is a day or longer and none goes back: a clock that went on over midnight."""
+    """Return True if no step is a day or longer and none goes back: a clock that went on over midnight."""
     steps = np.diff(micros)
     return bool(len(steps)) and bool((steps >= 0).all()) and int(steps.max()) < MICROS_PER_DAY

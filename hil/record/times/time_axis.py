@@ -1,4 +1,4 @@
-"""Time axis of a record: seconds of its rows, the date of the first, and messages about what is odd."""
+"""Time axis of a record: seconds of its rows, the date of the first, and messages on irregularities."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from hil.record.times.text import TimeTextError, is_date, is_moment, read_stamps
 from hil.record.values.numbers import Sign, may_be_lost, trimmed
 
 GAP_PERIODS = 5
-"""A step longer than this many typical steps is a gap."""
+"""Typical steps in a step that counts as a gap."""
 
 SAME_SPAN = 0.1
-"""Part by which the spans of two columns of times may differ: no clock is that wrong, and units differ by more."""
+"""Relative difference of the spans of two time columns: no clock is that wrong, and units differ by more."""
 
 
 @dataclass(frozen=True, eq=False)
 class TimeAxis:
-    """`seconds (n,)` as stored, NaN where unreadable; `start` is the UTC time of 0 s where the record tells.
+    """Time axis: `seconds (n,)` as stored, NaN if unreadable; `start` is the UTC time of 0 s if the record states it.
+    `zoneless`: dates and times without a time zone, which may be local. `columns` are all source columns of the times.
 
     `zoneless`: dates and times without a time zone, which may be local. `columns` are all that the times are read from.
     """
@@ -39,7 +40,7 @@ class TimeAxis:
 
 
 def span(seconds: float) -> str:
-    """Return `seconds` as a reader says it: 42 s, 5 min 20 s, 3 h 10 min."""
+    """Format `seconds` for a message: 42 s, 5 min 20 s, 3 h 10 min."""
     if abs(seconds) < 60:
         return f"{seconds:.3g} s"
     whole = round(abs(seconds))
@@ -98,7 +99,7 @@ def read_time(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> TimeAx
 def _checked(
     raw: RawRecord, columns: tuple[str, ...], read: Seconds, choice: Reading
 ) -> tuple[tuple[str, ...], Seconds, list[str]]:
-    """Return the times, or those of a column of dates that goes on at another rate than a column without a unit.
+    """Return the times, or those of a column of dates that runs at another rate than a column without a unit.
 
     A name with a unit keeps its times, since a simulated rig's clock may go faster than that of the dates.
     """
@@ -114,7 +115,7 @@ def _checked(
         both = np.isfinite(dated.seconds) & np.isfinite(read.seconds)
         rate = float(np.ptp(dated.seconds[both])) if both.any() else 0.0
         other = float(np.ptp(read.seconds[both])) if both.any() else 0.0
-        coarse = 2.0 * rate / max(int(both.sum()) - 1, 1)  # dates may be written to the minute, or be late by a row
+        coarse = 2.0 * rate / max(int(both.sum()) - 1, 1)  # Dates may be written to the minute, or be late by a row.
         if not rate or not other or abs(rate - other) <= max(coarse, SAME_SPAN * rate):
             continue
         spans = f"spans {span(other)} where '{name}' spans {span(rate)}"
@@ -134,7 +135,7 @@ def _unreadable(raw: RawRecord, column: str, seconds: NDArray[np.float64]) -> li
     for cells in raw.cells:
         text = trimmed(cells)
         held |= (cells if text is None else text).is_valid().to_numpy()
-    filled = int(held[rows].sum())  # a row without any cell is no loss
+    filled = int(held[rows].sum())  # A row without any cell is no loss.
     if filled > may_be_lost(len(seconds)):
         raise RecordError(
             f"{raw.path}: {filled} of {len(seconds)} rows have no readable time in column '{column}' {where}; write "
@@ -144,6 +145,6 @@ def _unreadable(raw: RawRecord, column: str, seconds: NDArray[np.float64]) -> li
 
 
 def numbered(raw: RawRecord) -> TimeAxis:
-    """Return rows by their number instead of a time; a column that could be one is left aside."""
+    """Return rows by their number instead of a time; a possible time column is ignored."""
     column = next((name for name in raw.names if is_time_name(name)), "")
     return TimeAxis(column, np.arange(len(raw.cells[0]), dtype=np.float64), None, (), columns=(column,))

@@ -19,7 +19,7 @@ _ANY = r"[0-9]\s*[A-Za-z°%µΩ]"
 
 
 def without_cell_units(raw: RawRecord) -> RawRecord:
-    """Return `raw` with numbers alone in the columns whose cells have the unit of the column's name behind them.
+    """Return `raw` with numbers alone in the columns whose cells contain the unit of the column's name.
 
     A column of a name without a unit gets the suffix of that unit.
 
@@ -76,7 +76,7 @@ def _stripped(name: str, cells: Any, raw: RawRecord) -> tuple[str, Any, str] | N
 
 
 def _number_and_unit(cell: str) -> tuple[str, str] | None:
-    """Return number and unit of a cell, "" for none; None where it is no number with a known unit."""
+    """Return number and unit of a cell, "" for none; None if it is no number with a known unit."""
     if readings(cell) != (None, None):
         return cell, ""
     match = _CELL.fullmatch(cell)

@@ -1,6 +1,6 @@
-"""Cells of a column to numbers: one decimal sign and one mark between thousands for all of them.
+"""Cells of a column to numbers: one decimal sign and one thousands separator for all of them.
 
-`1.234` is a little more than one to one writer and more than a thousand to another. A single cell does not show which,
+`1.234` is a little more than one, or more than a thousand, depending on the writer. A single cell does not show which,
 but a column does, or the other columns of the file: the sign is decided from cells that can be read in one way only.
 Where nothing decides and the two readings differ, the record is refused.
 """
@@ -26,15 +26,15 @@ Sign = Literal[".", ","]
 MISSING = (
     *("", "nan", "na", "n/a", "null", "none", "-", "--", "---", "#n/a", "nat", "n.a.", "#n/v", "1.#qnan", "-1.#ind"),
     *("nodata", "no data", "no value", "unavailable", "unknown", "invalid", "not available", "#value!", "#div/0!"),
-)  # fmt: skip
-"""Cells of a CSV, lower case, that mean: no value."""
+)
+"""Cells of a CSV, lower case, that mean no value."""
 
 MARKS = (
     *("err", "error", "err!", "bad", "bad input", "fail", "failed", "fault", "open", "short", "timeout", "offline"),
     *("ol", "o.l", "o.l.", "0.l", "ovl", "ovld", "over", "overload", "overflow", "ovr", "+over", "-over", "under"),
     *("i/o timeout", "calc failed", "shutdown", "comm fail", "configure", "out of range", "n.c.", "nc"),
 )
-"""Cells, lower case, with which instruments and historians say that there is no reading; they are counted."""
+"""Cells, lower case, by which instruments and historians mark a missing reading; they are counted."""
 
 LOST = 0.05
 """Share of the rows, or of a column's cells, that a step of reading may drop; more is refused."""
@@ -42,7 +42,7 @@ ALWAYS_LOST = 2
 """Rows that may be dropped from any record: its first and its last may be cut."""
 
 _GROUPING = re.compile(r"(?<=[0-9])[ \u00a0\u2009\u202f'\u2019](?=[0-9]{3}(?![0-9]))")
-"""Spaces and apostrophes between thousands, which are never decimal signs."""
+"""Thousands separators: spaces and apostrophes, which are never decimal signs."""
 _PLAIN = re.compile(r"[+-]?\d+([eE][+-]?\d+)?", re.ASCII)
 _ONE = re.compile(r"([+-]?)(\d*)([.,])(\d*)([eE][+-]?\d+)?", re.ASCII)
 _SEVERAL = re.compile(r"[+-]?[1-9]\d{0,2}(?:([.,])\d{2,3})*([.,])\d{3}", re.ASCII)
@@ -73,13 +73,14 @@ _UNDECIDED = r"^[+-]?[1-9][0-9]{0,2}\.[0-9]{3}$"
 
 
 def may_be_lost(total: int) -> int:
-    """Return how many of `total` rows or cells reading may drop before it must refuse."""
+    """Return the number of `total` rows or cells that reading may drop before it must refuse."""
     return max(ALWAYS_LOST, int(LOST * total))
 
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """Cells as `values (n,)`, NaN where there is none; `bad` cells of `present` were no numbers, the first in `row`.
+    """Cells as `values (n,)`, NaN if there is none; `bad` cells of `present` were no numbers, the first in `row`.
+    `commas` cells had a decimal comma, `thousands` had thousands separators. `marked` of the bad cells are `MARKS`.
 
     `commas` cells had a decimal comma, `thousands` had marks between thousands. `marked` of the bad cells are `MARKS`.
     """
@@ -96,7 +97,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Cells of a column that can be read with one decimal sign only, and those that differ by the sign.
+    """Cells of a column that are readable with one decimal sign only, and those that differ by the sign.
 
     `point`, `comma` and `either` are the row and the text of the first such cell, None where there is none; the counts
     follow. `numbers` cells can be read at all, of `present`.
@@ -113,7 +114,7 @@ class Evidence:
 
 
 def readings(cell: str) -> tuple[float | None, float | None]:
-    """Return the number in `cell` with a decimal point and with a decimal comma; None where it is no such number."""
+    """Return the number in `cell` with a decimal point and with a decimal comma; None if it is no such number."""
     cell = _GROUPING.sub("", cell.replace("\u2212", "-"))
     if _PLAIN.fullmatch(cell):
         return float(cell), float(cell)
@@ -137,7 +138,7 @@ def readings(cell: str) -> tuple[float | None, float | None]:
 
 
 def trimmed(cells: Any) -> pa.ChunkedArray | None:
-    """Return text cells without blanks around them and with null where they mean no value; None for other types."""
+    """Return text cells without surrounding blanks and with null for no value; None for other types."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -152,7 +153,7 @@ def trimmed(cells: Any) -> pa.ChunkedArray | None:
 
 
 def evidence_of(cells: Any) -> Evidence | None:
-    """Return what text `cells` show of their decimal sign; None for cells that are stored as numbers."""
+    """Return the evidence of text `cells` on their decimal sign; None for cells that are stored as numbers."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -206,7 +207,7 @@ def _by_cell(cells: list[str | None], present: int) -> Evidence:
 
 
 class DecimalSignError(ValueError):
-    """The decimal sign of a column cannot be decided; the message lacks only the file."""
+    """Error of an undecided decimal sign of a column; the message lacks only the file."""
 
 
 def decimal_signs(
@@ -245,7 +246,7 @@ def decimal_signs(
             if readings(seen.either[1])[signs[name] == ","] != readings(seen.either[1])[signs[name] != ","]:
                 _require_thousands(name, columns[name], seen, signs[name], place)
         elif not said and delimiter == "," and "," not in seen.either[1]:
-            # A writer whose decimal sign is the comma separates columns by something else, or quotes every number.
+            # A writer with a decimal comma separates columns by another sign, or quotes every number.
             signs[name] = "."
         else:
             raise DecimalSignError(_undecided(name, seen, place))
@@ -273,7 +274,7 @@ def _require_thousands(name: str, cells: Any, seen: Evidence, sign: Sign, place:
 
 
 def _by_unit(name: str, cells: Any) -> Sign | None:
-    """Return the only sign with which the column's numbers are plausible in its unit, None where both or neither is."""
+    """Return the only sign with which the column's numbers are plausible in its unit, or None."""
     parts = split_column(name)
     if parts is None:
         return None

@@ -1,4 +1,4 @@
-"""Units that a record's numbers do not bear out: remarks in the form of questions, since nothing is sure."""
+"""Questions about units that a record's numbers contradict; they are questions, since nothing is certain."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from twin.network import Network
 Columns = Mapping[str, NDArray[np.float64]]
 
 SHARE = 0.01
-"""Share of its declared range below which an input that is ever on may be in another unit."""
+"""Share of its declared range below which an active input may be in another unit."""
 COLDEST_K = 150.0
-"""Below this median a column of kelvin is none."""
+"""Lowest median of a column in kelvin."""
 FAR_K, NEAR_K, HOT_K = 20.0, 3.0, 30.0
-"""From the room: what no rig reads as it is switched on, what it does read, and what one that is off seldom does."""
+"""Distances from the room temperature: implausible at switch-on, plausible at switch-on, and rare for a rig that is
+off.
+"""
 _DRIVES = ("_W", "_kW", "_pct", "_L_per_min", "_kg_per_s", "_rpm")
 
 
 def of_a_room(name: str) -> bool:
-    """Return True for a column that is by its name the temperature of a room or of the air outdoors."""
+    """Return True for a column whose name is that of a room or outdoor air temperature."""
     return any(word.startswith(("amb", "room", "outdoor")) for word in name.lower().split("_"))
 
 
@@ -32,7 +34,7 @@ def remarks(columns: Columns) -> list[str]:
 
 
 def beyond_declared(network: Network, columns: Columns) -> list[str]:
-    """Return questions about inputs that use next to nothing of the range that their twin declares."""
+    """Return questions about inputs that use almost none of the range that their twin declares."""
     said = []
     for column, spec in network.inputs.items():
         values = _finite(columns.get(column))
