@@ -5,7 +5,9 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 PIP    := $(BIN)/python -m pip --quiet --disable-pip-version-check --require-virtualenv
 
-.PHONY: torch demo test check bench clean
+PYTEST :=
+
+.PHONY: torch demo test test-fast check docs bench clean
 
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -22,20 +24,33 @@ torch:
 	@rm -rf $(VENV)/wheels
 
 # The 40-hour battle-time profile on the virtual rig, over real Modbus and CAN, in accelerated time. From 3.5 h on the
-# power modules give off heat that the twin does not know of; `make demo WITH=` runs the healthy rig.
+# power modules give off heat that the twin does not know of; `make demo WITH=` runs the healthy rig. The run ends with
+# a diagnosis: the verdict, the errors before and after on the part that no fit saw, and where the pictures are.
 WITH ?= profiles/effects/modules_heat.toml
 demo: $(STAMP)
-	$(BIN)/hil run profiles/loads/battle_40h.csv --virtual --lockstep $(if $(WITH),--with $(WITH))
+	$(BIN)/hil run profiles/loads/battle_40h.csv --virtual --lockstep --diagnose end $(if $(WITH),--with $(WITH))
 
-# Two workers: many tests wait for clocks, and a file's fixtures (a rig, a run) are made once.
+# Three workers on two cores: many tests wait for clocks. A file's fixtures (a rig, a run) are made once, and the files
+# that take longest come first (tests/durations.txt, which `make test PYTEST=--write-durations` measures anew).
+XDIST := --dist loadfile --no-loadscope-reorder
 test: $(STAMP)
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 3 $(XDIST) $(PYTEST)
+
+# For the inner loop, under two minutes: everything but the slow tests. A part: `make test-fast PYTEST=tests/drivers`.
+test-fast: $(STAMP)
+	$(BIN)/python -m pytest -n 2 $(XDIST) -m "not slow" $(PYTEST)
 
 check: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tests.language
+
+# The documentation site, as docs/_build/index.html. A warning is an error. It needs no network, to build or to read.
+docs: $(STAMP)
+	rm -rf docs/_build
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
 
 bench: $(STAMP)
 	$(BIN)/hil bench twin --quick
@@ -43,4 +58,4 @@ bench: $(STAMP)
 	$(BIN)/hil bench paper --quick
 
 clean:
-	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) build docs/_build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

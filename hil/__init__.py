@@ -1,3 +1,3 @@
 """What an operator runs: command line, engine, journal, record, review and report."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import sys
 from collections.abc import Iterator
 
+_EXHAUSTED = (errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EAGAIN)
 FOUND = 1
 USAGE = 2
 
@@ -43,15 +45,29 @@ def exit_code(error: BaseException) -> int | None:
     return None
 
 
+def lacking(error: BaseException) -> str | None:
+    """Return what this machine lacks, as a sentence; None where an error has another cause."""
+    exhausted = isinstance(error, OSError) and error.errno in _EXHAUSTED
+    threads = isinstance(error, RuntimeError) and "can't start new thread" in str(error)
+    if not (exhausted or threads or isinstance(error, MemoryError)):
+        return None
+    return (
+        f"this machine has no memory, thread or file descriptor left ({error or type(error).__name__}); end other "
+        "programs. A run that was under way has been made safe first: `hil report RUN` makes its files"
+    )
+
+
 @contextlib.contextmanager
 def explained() -> Iterator[None]:
     """Turn a user's error into its sentences on standard error and its exit code; let bugs through."""
     try:
         yield
     except Exception as error:
-        code = exit_code(error)
+        code, said = exit_code(error), str(error)
+        if code is None and (lack := lacking(error)) is not None:
+            code, said = FOUND, lack
         if code is None:
             raise
-        for sentence in str(error).splitlines():
+        for sentence in said.splitlines():
             print(f"hil: {sentence}", file=sys.stderr)
         sys.exit(code)

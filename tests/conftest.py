@@ -7,9 +7,12 @@ import os
 import signal
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import pytest_asyncio
+
+from tests import durations
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `hil` has it, and for the same reason
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -44,3 +47,15 @@ def hil_data() -> Path:
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Options of single folders, which pytest takes from here only."""
     parser.addoption("--contract-table", help="write the table of tests/contract, transport by test, to this file")
+    parser.addoption("--write-durations", action="store_true", help="measure tests/durations.txt anew")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the slow tests and begin with their files."""
+    durations.mark_and_order(items, durations.read())
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Write the durations that were measured, where that was asked for."""
+    if config.getoption("--write-durations"):
+        durations.write(r for found in terminalreporter.stats.values() for r in found if hasattr(r, "duration"))

@@ -1,7 +1,7 @@
-"""Expressions taken apart: which part is affine in the temperatures, and with what coefficients.
+"""Affine forms of expressions: the part that is linear in the temperatures, and its coefficients.
 
-The coefficients come out as text again, in names that do not depend on temperature; the kernel computes them when
-an input changes and is left with sums of products in its innermost loop.
+Coefficients are text again, in names that do not depend on temperature. The kernel computes them when an input
+changes, so its innermost loop is left with sums of products.
 """
 
 from __future__ import annotations
@@ -13,26 +13,27 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 ONE, ZERO = "1.0", "0.0"
-PARSING = threading.Lock()
+PARSER_LOCK = threading.Lock()
+"""Lock for `ast.parse`: CPython counts the depth of a tree in a place that all threads share."""
 
 
-def parsed(text: str) -> ast.expr:
-    """An expression's syntax tree.
+def parse_expression(text: str) -> ast.expr:
+    """Return the syntax tree of an expression.
 
-    One thread at a time: CPython counts the depth of the tree that it builds in a place that all threads share, and
-    where one is interrupted by a finalizer another's count is off ("AST constructor recursion depth mismatch").
+    One thread parses at a time. Where a finalizer interrupts one, the depth count of another is wrong ("AST constructor
+    recursion depth mismatch").
     """
-    with PARSING:
+    with PARSER_LOCK:
         return ast.parse(text, mode="eval").body
 
 
-class NotAffine(Exception):
-    """The expression is not affine in the temperatures."""
+class NotAffineError(Exception):
+    """An expression that is not affine in the temperatures."""
 
 
 @dataclass(frozen=True)
 class Form:
-    """slopes[v] * v summed over the variables v, plus `offset`; all as text."""
+    """An affine form: ``slopes[v] * v`` summed over the variables v, plus `offset`; all of it text."""
 
     slopes: Mapping[str, str] = field(default_factory=dict)
     offset: str = ZERO
@@ -40,40 +41,42 @@ class Form:
     def __add__(self, other: Form) -> Form:
         slopes = dict(self.slopes)
         for name, text in other.slopes.items():
-            slopes[name] = plus(slopes.get(name, ZERO), text)
-        return Form({name: text for name, text in slopes.items() if text != ZERO}, plus(self.offset, other.offset))
+            slopes[name] = add(slopes.get(name, ZERO), text)
+        return Form({name: text for name, text in slopes.items() if text != ZERO}, add(self.offset, other.offset))
 
     def scaled(self, factor: str) -> Form:
-        """The form times a factor that does not depend on temperature."""
-        slopes = {name: times(text, factor) for name, text in self.slopes.items()}
-        return Form({name: text for name, text in slopes.items() if text != ZERO}, times(self.offset, factor))
+        """Return the form times a factor that does not depend on temperature."""
+        slopes = {name: multiply(text, factor) for name, text in self.slopes.items()}
+        return Form({name: text for name, text in slopes.items() if text != ZERO}, multiply(self.offset, factor))
 
     def text(self) -> str:
-        """The form as one expression."""
+        """Return the form as one expression, a chain of multiply-adds."""
         total = self.offset
         for name, slope in self.slopes.items():
-            total = plus(total, times(slope, name))
+            total = add(total, multiply(slope, name))
         return total
 
 
-def affine(text: str, variables: Iterable[str], known: Mapping[str, Form]) -> Form:
-    """Affine form of an expression in `variables`; names in `known` stand for forms of their own.
+def affine_form(text: str, variables: Iterable[str], known: Mapping[str, Form]) -> Form:
+    """Return the affine form of an expression in `variables`; names in `known` stand for forms of their own.
 
-    Raises:
-        NotAffine: a variable occurs other than linearly.
+    Raises
+    ------
+    NotAffineError
+        A variable occurs other than linearly.
     """
-    return _form(parsed(text), frozenset(variables), known)
+    return _form(parse_expression(text), frozenset(variables), known)
 
 
 @lru_cache(maxsize=20_000)  # networks that differ in one element share nearly all of their text
 def names_in(text: str) -> frozenset[str]:
-    """Names that occur in an expression."""
-    return frozenset(node.id for node in ast.walk(parsed(text)) if isinstance(node, ast.Name))
+    """Return the names that occur in an expression."""
+    return frozenset(node.id for node in ast.walk(parse_expression(text)) if isinstance(node, ast.Name))
 
 
-def shared_call(text: str, apart: Collection[str]) -> str | None:
-    """The first function call in an expression that uses none of the names `apart`, outermost first."""
-    queue: list[ast.AST] = [parsed(text)]
+def lane_free_call(text: str, apart: Collection[str]) -> str | None:
+    """Return the first function call, outermost first, that uses none of the names `apart`, or None."""
+    queue: list[ast.AST] = [parse_expression(text)]
     while queue:
         node = queue.pop(0)
         if isinstance(node, ast.Call) and not {n.id for n in ast.walk(node) if isinstance(n, ast.Name)} & set(apart):
@@ -82,7 +85,8 @@ def shared_call(text: str, apart: Collection[str]) -> str | None:
     return None
 
 
-def plus(a: str, b: str) -> str:
+def add(a: str, b: str) -> str:
+    """Return the text of a sum; a term of 0 is left out."""
     if a == ZERO:
         return b
     if b == ZERO:
@@ -90,7 +94,8 @@ def plus(a: str, b: str) -> str:
     return f"{a} + {b}"
 
 
-def times(a: str, b: str) -> str:
+def multiply(a: str, b: str) -> str:
+    """Return the text of a product; factors of 0, 1 and -1 are resolved."""
     if ZERO in (a, b):
         return ZERO
     if a == ONE:
@@ -98,13 +103,14 @@ def times(a: str, b: str) -> str:
     if b == ONE:
         return a
     if a == "-1.0":
-        return negative(b)
+        return negate(b)
     if b == "-1.0":
-        return negative(a)
+        return negate(a)
     return f"{_factor(a)} * {_factor(b)}"
 
 
-def negative(a: str) -> str:
+def negate(a: str) -> str:
+    """Return the text of the negative of an expression."""
     return ZERO if a == ZERO else f"-{_factor(a)}" if a != ONE else "-1.0"
 
 
@@ -131,16 +137,16 @@ def _form(node: ast.expr, variables: frozenset[str], known: Mapping[str, Form]) 
             return right.scaled(left.offset) if right.slopes else left.scaled(right.offset)
         if isinstance(node.op, ast.Div) and not right.slopes:
             return left.scaled(f"1.0 / {_factor(right.offset)}")
-    raise NotAffine(ast.unparse(node))
+    raise NotAffineError(ast.unparse(node))
 
 
 def _constant(node: ast.expr) -> str:
-    """Text of an expression without variables, with products by 0 and 1 and sums with 0 left out."""
+    """Return an expression without variables as text; products by 0 and 1 and sums with 0 are left out."""
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
-        return negative(_constant(node.operand))
+        return negate(_constant(node.operand))
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub | ast.Mult):
         left, right = _constant(node.left), _constant(node.right)
         if isinstance(node.op, ast.Mult):
-            return times(left, right)
-        return plus(left, right if isinstance(node.op, ast.Add) else negative(right))
+            return multiply(left, right)
+        return add(left, right if isinstance(node.op, ast.Add) else negate(right))
     return ast.unparse(node)

@@ -1,4 +1,4 @@
-"""A network's elements put together: one system of states, coefficients and affine rates, still as text.
+"""One system of states, coefficients and affine rates, assembled from a network's elements; all of it text.
 
 Identifiers in the text are those of `twin.elements.symbols`.
 """
@@ -12,20 +12,21 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from twin.affine import ZERO, Form, NotAffine, affine, names_in, parsed, plus, times
+from twin.affine import ZERO, Form, NotAffineError, add, affine_form, multiply, names_in, parse_expression
 from twin.elements import Fragment, Names
-from twin.elements.base import Drive
+from twin.elements.base import InputDrive
 from twin.elements.symbols import Stream, Symbols
 from twin.network import Network
 
-FEW = 5
-"""In networks of more states than this, shared intermediate results stay so: written out, a chain of volumes that
-hand on water has as many products as a full matrix."""
+FEW_STATES = 5
+"""Number of states above which shared intermediate results keep a name of their own. Written out, a chain of volumes
+that hand on water has as many products as a full matrix.
+"""
 
 
 @dataclass(frozen=True)
 class DelayLine:
-    """A delay: its index among those of the same flow, and its expressions."""
+    """A transport delay: its index among those of the same flow, and its expressions."""
 
     element: str
     line: int
@@ -36,8 +37,8 @@ class DelayLine:
 
 
 @dataclass(frozen=True)
-class Follower:
-    """A lag: weighted temperatures, time constant."""
+class FirstOrderLag:
+    """A first-order lag: the affine form that it follows, and its time constant."""
 
     name: str
     of: Form
@@ -45,14 +46,22 @@ class Follower:
 
 
 class System:
-    """Everything that a kernel has to compute, for a network with `free` parameters.
+    """The equations of a network in which the parameters `free` may vary.
 
-    Attributes:
-        states: names of the integrated states, nodes first. lags, drives, delays: what is remembered besides.
-        coefficients: name -> expression free of temperatures, each after those that it needs.
-        locals_: name -> expression of temperatures, likewise in order.
-        chain: name -> affine form, in order, of locals that forms refer to by name.
-        slopes: per state {variable: coefficient}, offset, and remainder (text or ""), of capacitance * dT/dt.
+    Attributes
+    ----------
+    states
+        Names of the integrated states, nodes first.
+    lags, drives, delays
+        The other memory of the elements.
+    coefficients
+        Name -> expression free of temperatures, each after those that it needs.
+    locals_
+        Name -> expression of temperatures, in the same order.
+    chain
+        Name -> affine form, in order, of locals to which forms refer by name.
+    slopes
+        Per state the affine form of its rate, and the text of the remainder.
     """
 
     def __init__(self, network: Network, free: tuple[str, ...]) -> None:
@@ -60,7 +69,7 @@ class System:
         self._named: dict[str, str] = {}
         parameters = {p.id: network.ids.index(p.same_as or p.id) for p in network.parameters.values()}
         self._symbols = symbols = Symbols(parameters, network.input_columns, network.nodes)
-        streams = streams_of(network)
+        streams = feeding_streams(network)
         neutral = {
             p.id: p.value
             for p in network.parameters.values()
@@ -75,11 +84,12 @@ class System:
         self.parts = tuple(parts)
         self.states = tuple(symbols.names["x"])
         self.lags = tuple(symbols.names["f"])
-        self.drives: tuple[tuple[str, Drive], ...] = tuple((name, f.drive) for name, f in parts if f.drive)
+        self.drives: tuple[tuple[str, InputDrive], ...] = tuple((name, f.drive) for name, f in parts if f.drive)
         self.driven = {network.input_columns.index(d.column) for _, d in self.drives}
 
     @cached_property
     def delays(self) -> tuple[DelayLine, ...]:
+        """Return the delays, in the order of the elements."""
         lines = []
         flows = self.flows
         for name, f in self.parts:
@@ -92,12 +102,14 @@ class System:
 
     @cached_property
     def flows(self) -> tuple[str, ...]:
-        """Names of the flows, L/s, that push water through delays."""
+        """Return the names of the flows, L/s, that push water through delays."""
         return tuple(dict.fromkeys(f.delay.flow for _, f in self.parts if f.delay))
 
     @cached_property
     def own_coefficients(self) -> dict[str, str]:
-        """What elements have worked out once a sample, and reciprocal capacitances: nothing taken apart."""
+        """Return the elements' own coefficients and the reciprocal capacitances, before affine forms are taken
+        apart.
+        """
         found = {name: value for _, f in self.parts for name, value in (*f.uniform, *f.sample)}
         for j, node in enumerate(self.network.nodes):
             found[f"c{j}"] = f"1.0 / {self._symbols.parameter(f'{node}.capacitance')}"
@@ -105,37 +117,40 @@ class System:
 
     @cached_property
     def coefficients(self) -> dict[str, str]:
-        for part in (self.chain, self.slopes, self.followers, self.waters):
+        """Return all coefficients, each after those that it needs."""
+        for part in (self.chain, self.slopes, self.lag_terms, self.inlet_forms):
             assert part is not None  # each names coefficients of its own
         return _in_order({**self.own_coefficients, **self._named})
 
     @cached_property
     def locals_(self) -> dict[str, str]:
+        """Return the elements' expressions of temperatures, each after those that it needs."""
         return _in_order({name: value for _, f in self.parts for name, value in f.stage})
 
     @cached_property
     def variables(self) -> frozenset[str]:
-        """Names that stand for temperatures: states and outlets of delays."""
+        """Return the names that stand for temperatures: states and outlets of delays."""
         count = len(self._symbols.names["D"])
         return frozenset((*(f"x{j}" for j in range(len(self.states))), *(f"D{k}" for k in range(count))))
 
     @cached_property
     def chain(self) -> dict[str, Form]:
+        """Return the affine locals that keep a name of their own."""
         return self._forms[2]
 
     @cached_property
     def _forms(self) -> tuple[dict[str, Form], dict[str, str], dict[str, Form]]:
-        """Stage locals that are affine, those that are not, and affine ones that stay names of their own."""
+        """Return the affine locals, the others, and the affine ones that keep a name of their own."""
         forms: dict[str, Form] = {}
         others: dict[str, str] = {}
         chain: dict[str, Form] = {}
-        used = self._uses() if len(self.states) > FEW else Counter[str]()
+        used = self._uses() if len(self.states) > FEW_STATES else Counter[str]()
         for name, value in self.locals_.items():
             try:
                 if names_in(value) & others.keys():
-                    raise NotAffine(name)
-                form = self._name_terms(affine(value, self.variables | chain.keys(), forms))
-            except NotAffine:
+                    raise NotAffineError(name)
+                form = self._name_terms(affine_form(value, self.variables | chain.keys(), forms))
+            except NotAffineError:
                 others[name] = value
                 continue
             if used[name] > 1 and len(form.slopes) > 1:
@@ -145,29 +160,31 @@ class System:
         return forms, others, chain
 
     def _uses(self) -> Counter[str]:
-        """How often each name stands in an expression of temperatures."""
+        """Count how often each name stands in an expression of temperatures."""
         texts = [*self.locals_.values(), *(h for _, f in self.parts for h in f.heat.values())]
         texts += [s.rate for _, f in self.parts for s in f.states] + [d.water for d in self.delays]
         found: Counter[str] = Counter()
         for text in texts:
-            for node in ast.walk(parsed(text)):
+            for node in ast.walk(parse_expression(text)):
                 if isinstance(node, ast.Name):
                     found[node.id] += 1
         return found
 
     def form(self, text: str) -> Form:
-        """Affine form of an expression.
+        """Return the affine form of an expression.
 
-        Raises:
-            NotAffine: it has none.
+        Raises
+        ------
+        NotAffineError
+            The expression has none.
         """
         forms, others, chain = self._forms
         if names_in(text) & others.keys():
-            raise NotAffine(text)
-        return affine(text, self.variables | chain.keys(), forms)
+            raise NotAffineError(text)
+        return affine_form(text, self.variables | chain.keys(), forms)
 
     def _name_terms(self, form: Form) -> Form:
-        """The form with a name for every coefficient that is more than a name, so that texts stay short."""
+        """Return the form with a name for every coefficient that is more than a name, so that texts stay short."""
         return Form({v: self._short(t) for v, t in form.slopes.items()}, self._short(form.offset))
 
     def _short(self, text: str) -> str:
@@ -182,11 +199,11 @@ class System:
 
     @cached_property
     def slopes(self) -> tuple[tuple[Form, str], ...]:
-        """Per state the affine form of its rate, K/s, and what is not affine, W or K/s."""
+        """Return the affine form of each state's rate, K/s, and the remainder that is not affine, W or K/s."""
         rows = []
         for j, node in enumerate(self.network.nodes):
             form, rest = self._sum([f.heat[node] for _, f in self.parts if node in f.heat])
-            rows.append((form.scaled(f"c{j}"), times(rest, f"c{j}")))
+            rows.append((form.scaled(f"c{j}"), multiply(rest, f"c{j}")))
         for _, f in self.parts:
             rows += [self._sum([s.rate]) for s in f.states]
         return tuple((self._name_terms(form), rest) for form, rest in rows)
@@ -196,13 +213,13 @@ class System:
         for term in terms:
             try:
                 form = form + self.form(term)
-            except NotAffine:
-                rest = plus(rest, f"({term})")
+            except NotAffineError:
+                rest = add(rest, f"({term})")
         return form, rest
 
     @cached_property
-    def curved(self) -> dict[str, str]:
-        """Stage locals, in order, that the parts which are not affine need."""
+    def nonaffine_locals(self) -> dict[str, str]:
+        """Return the locals, in order, that the non-affine remainders need."""
         wanted = set().union(*(names_in(rest) for _, rest in self.slopes))
         kept: dict[str, str] = {}
         for name, value in reversed(self.locals_.items()):
@@ -213,18 +230,21 @@ class System:
 
     @cached_property
     def linear(self) -> bool:
+        """Return True if every rate is affine in the temperatures."""
         return all(rest == ZERO for _, rest in self.slopes)
 
     @cached_property
     def rates(self) -> tuple[str, ...]:
-        """Bounds on each state's own rate, 1/s: of an affine row its own coefficient, else what elements declare."""
+        """Return bounds on each state's own rate, 1/s: the coefficient of an affine row, else the elements' declared
+        bound.
+        """
         speeds = [s.speed for _, f in self.parts for s in f.states]
         late = {d.late for d in self.delays}
         rows = []
         for j, (form, rest) in enumerate(self.slopes):
             own = form.slopes.get(f"x{j}", ZERO)
-            if rest == ZERO and not self.chain and not late & self.behind(own):
-                rows.append(times(own, "-1.0"))
+            if rest == ZERO and not self.chain and not late & self.dependencies(own):
+                rows.append(multiply(own, "-1.0"))
             elif j < len(self.network.nodes):
                 node = self.network.nodes[j]
                 found = [f"({f.conductance[node]})" for _, f in self.parts if node in f.conductance]
@@ -233,8 +253,8 @@ class System:
                 rows.append(speeds[j - len(self.network.nodes)])
         return tuple(rows)
 
-    def behind(self, text: str) -> set[str]:
-        """Names that an expression depends on, through coefficients too."""
+    def dependencies(self, text: str) -> set[str]:
+        """Return the names on which an expression depends, through coefficients too."""
         found: set[str] = set()
         queue = [text]
         while queue:
@@ -246,25 +266,26 @@ class System:
 
     @cached_property
     def readings(self) -> tuple[str, ...]:
-        """Each sensor's reading, in the network's order."""
+        """Return each sensor's reading, in the network's order."""
         return tuple(f.observe for _, f in self.parts if f.observe is not None)
 
     @cached_property
-    def followers(self) -> tuple[Follower, ...]:
+    def lag_terms(self) -> tuple[FirstOrderLag, ...]:
+        """Return the lags with the affine forms that they follow."""
         return tuple(
-            Follower(f"{name}.{lag.name}", self._name_terms(self.form(lag.of)), lag.constant)
+            FirstOrderLag(f"{name}.{lag.name}", self._name_terms(self.form(lag.of)), lag.constant)
             for name, f in self.parts
             for lag in f.lags
         )
 
     @cached_property
-    def waters(self) -> tuple[Form, ...]:
-        """Per delay, the water that enters."""
+    def inlet_forms(self) -> tuple[Form, ...]:
+        """Return the affine form of the water that enters each delay."""
         return tuple(self._name_terms(self.form(d.water)) for d in self.delays)
 
     @cached_property
-    def starts(self) -> tuple[str, ...]:
-        """Values at rest, in node temperatures: of the states after the nodes, then of the lags."""
+    def rest_values(self) -> tuple[str, ...]:
+        """Return the values at rest, in node temperatures: of the states after the nodes, then of the lags."""
         states = [s.start for _, f in self.parts for s in f.states]
         return (*states, *(lag.of for _, f in self.parts for lag in f.lags))
 
@@ -273,8 +294,8 @@ def _stays(network: Network, name: str, free: tuple[str, ...]) -> bool:
     return network.parameters[name].status == "fixed" and name not in free
 
 
-def streams_of(network: Network) -> Mapping[str, Stream]:
-    """Node -> the flow that feeds it, the node before it and the pipe between."""
+def feeding_streams(network: Network) -> Mapping[str, Stream]:
+    """Return, per node, the flow that feeds it, the node before it and the pipe between."""
     pipes = {e.to: e.name for e in network.elements if e.kind == "pipe"}  # type: ignore[attr-defined]
     return {
         node: Stream(e.name, before, pipes.get(node, ""))
@@ -284,12 +305,12 @@ def streams_of(network: Network) -> Mapping[str, Stream]:
 
 
 def python_source(network: Network) -> str:
-    """Source of ``rhs(T, u, p) -> list of dT/dt`` in plain Python: the reference for tests and oracles.
+    """Return the source of ``rhs(T, u, p) -> list of dT/dt`` in plain Python: the reference for tests and simulations.
 
-    `twin.generated_code.functions` runs it; it calls ``exp`` and ``log``.
+    `twin.generated_code.define_functions` runs it; it calls ``exp`` and ``log``.
 
-    T holds the node temperatures and the states of elements. It knows the present only: no dead time, no lag of an
-    actuator, and pipes without delay. Any parameter may differ from the network's, but for those of elements with
+    T holds the node temperatures and the states of elements. The function sees only the present: no dead time, no lag
+    of an actuator, and pipes without delay. Any parameter may differ from the network's, except those of elements with
     states, which are left out while they are neutral.
     """
     remembering = {name for name, f in System(network, network.ids).parts if f.states}
@@ -304,21 +325,21 @@ def python_source(network: Network) -> str:
     return _function("rhs(T, u, p)", [*body, *_locals(system)], f"[{', '.join(_plain_rates(system))}]")
 
 
-def remembering_source(system: System) -> str:
-    """Plain Python source of what a network with pipes and lags does at one instant, from the elements' formulas alone.
+def stateful_source(system: System) -> str:
+    """Return plain Python source of a network with pipes and lags at one instant, from the elements' formulas alone.
 
-    ``now(T, D, u, p)`` with states T and outlets of delays D gives dT/dt, the water that enters each delay and what
-    each lag follows. ``pushed(u, p)`` gives each delay's flow, L/s, and volume, L, and each lag's time constant, s.
-    ``read(T, F, p, now)`` gives the readings, with F the lagged values.
+    ``now(T, D, u, p)``, with states T and outlets of delays D, returns dT/dt, the water that enters each delay and the
+    input of each lag. ``pushed(u, p)`` returns each delay's flow, L/s, and volume, L, and each lag's time constant, s.
+    ``read(T, F, p, now)`` returns the readings, with F the lagged values.
     """
-    waters = [f.delay.water for _, f in system.parts if f.delay]
+    entering = [f.delay.water for _, f in system.parts if f.delay]
     followed = [lag.of for _, f in system.parts for lag in f.lags]
     late = [f"{line.late} = 1.0" for line in system.delays]
-    results = ", ".join(f"[{', '.join(texts)}]" for texts in (_plain_rates(system), waters, followed))
+    results = ", ".join(f"[{', '.join(texts)}]" for texts in (_plain_rates(system), entering, followed))
     pushes = [[system.flows[d.line] for d in system.delays], [d.volume for d in system.delays]]
-    pushes.append([f.constant for f in system.followers])
+    pushes.append([f.constant for f in system.lag_terms])
     pushed = ", ".join(f"[{', '.join(texts)}]" for texts in pushes)
-    needed = set().union(*(system.behind(t) for texts in pushes for t in texts)) if any(pushes) else set()
+    needed = set().union(*(system.dependencies(t) for texts in pushes for t in texts)) if any(pushes) else set()
     steps = [f"{name} = {value}" for name, value in system.coefficients.items() if name in needed]
     return "\n".join(
         [
@@ -335,7 +356,7 @@ def _locals(system: System) -> list[str]:
 
 
 def _plain_rates(system: System) -> list[str]:
-    """Rates of all states as the elements have them, nothing taken apart."""
+    """Return the rates of all states as the elements write them, nothing taken apart."""
     rows = []
     for j, node in enumerate(system.network.nodes):
         heat = " + ".join(f"({f.heat[node]})" for _, f in system.parts if node in f.heat) or ZERO
@@ -344,7 +365,7 @@ def _plain_rates(system: System) -> list[str]:
 
 
 def _function(signature: str, body: list[str], result: str) -> str:
-    """A function of vectors whose text uses entries by name: x3 of T, f1 of F, D0 of D, u2 of u, p7 of p."""
+    """Return a function of vectors whose text uses entries by name: x3 of T, f1 of F, D0 of D, u2 of u, p7 of p."""
     head = [f"def {signature}:"]
     used = "\n".join([*body, result])
     for letter, vector in (("x", "T"), ("f", "F"), ("D", "D"), ("u", "u"), ("p", "p")):
@@ -355,7 +376,7 @@ def _function(signature: str, body: list[str], result: str) -> str:
 
 
 def _in_order(expressions: Mapping[str, str]) -> dict[str, str]:
-    """The same, each after those that it needs."""
+    """Return the expressions in an order in which each stands after those that it needs."""
     needs = {name: names_in(value) & expressions.keys() for name, value in expressions.items()}
     done: dict[str, str] = {}
     while len(done) < len(expressions):
@@ -367,4 +388,4 @@ def _in_order(expressions: Mapping[str, str]) -> dict[str, str]:
     return done
 
 
-__all__ = ["DelayLine", "Follower", "System", "python_source", "streams_of"]
+__all__ = ["DelayLine", "FirstOrderLag", "System", "feeding_streams", "python_source"]

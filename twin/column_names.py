@@ -1,4 +1,4 @@
-"""What a column that a record lacks may be called in it: written otherwise, or in another unit."""
+"""Names of record columns: the unit in a name, and the column that was probably meant."""
 
 from __future__ import annotations
 
@@ -37,19 +37,21 @@ UNITS_OF_SUFFIX = {
     "m_per_s": ("m/s",),
     "s": ("s",),
 }
-"""Ways to write the unit that a column's last part says: a record's column is the signal's name and its unit."""
+"""Suffix of a column's name -> ways to write that unit: a record's column is the signal's name and its unit."""
 
 
-def contradicts(column: str, unit: str) -> str | None:
-    """Return the unit that a column has by its name where `unit` is another one, else None."""
+def contradicted_unit(column: str, unit: str) -> str | None:
+    """Return the unit in a column's name where `unit` is another one, else None."""
     suffix = max((end for end in UNITS_OF_SUFFIX if column.endswith(f"_{end}")), key=len, default=None)
     if suffix is None or unit.strip() in ("", *UNITS_OF_SUFFIX[suffix]):
         return None
     return UNITS_OF_SUFFIX[suffix][0]
 
 
-def converted(column: str) -> tuple[str, str, str] | None:
-    """Unit, remedy and new name of a column that by its name is a temperature in another unit than degC, or None."""
+def celsius_conversion(column: str) -> tuple[str, str, str] | None:
+    """Return unit, conversion and new name of a column whose name gives a temperature in another unit than degC, or
+    None.
+    """
     stem, _, tail = column.rpartition("_")
     if tail.lower() not in _TO_CELSIUS or not re.match(r"(.*_)?(t\d*|temp\w*)(_|$)", stem.lower()):
         return None
@@ -57,8 +59,8 @@ def converted(column: str) -> tuple[str, str, str] | None:
     return unit, how, f"{stem}_C"
 
 
-def hint(name: str, columns: Iterable[str]) -> str:
-    """How the column `name` may be meant by one that is there, or ""."""
+def column_hint(name: str, columns: Iterable[str]) -> str:
+    """Return a hint which of the columns may be the missing column `name`, or ""."""
     there = list(columns)
     stem, _, tail = name.rpartition("_")
     for column in there:
@@ -66,17 +68,17 @@ def hint(name: str, columns: Iterable[str]) -> str:
         if not stem or other.lower() != stem.lower() or unit.lower() == tail.lower():
             continue
         if tail == "C" and unit.lower() in _TO_CELSIUS:
-            said, how = _TO_CELSIUS[unit.lower()]
-            return f"{column} is in {said} by its name: {how}, and call it {name}"
+            written, how = _TO_CELSIUS[unit.lower()]
+            return f"{column} is in {written} by its name: {how}, and call it {name}"
         if unit.lower() in _OTHER_UNITS:
             return f"{column} is in another unit by its name: convert it, and call it {name}"
-    alike = [column for column in there if _spelt(column) == _spelt(name)]
+    alike = [column for column in there if _normalised(column) == _normalised(name)]
     near = alike or difflib.get_close_matches(name, there, n=1)
     return f"did you mean {near[0]}?" if near else ""
 
 
-def _spelt(column: str) -> str:
-    """A name without what people write differently: case, brackets, signs for units."""
+def _normalised(column: str) -> str:
+    """Return a name without variants of spelling: case, brackets, signs for units."""
     text = column.lower()
     for sign, word in _AS_WORDS:
         text = text.replace(sign, word)

@@ -1,9 +1,8 @@
-"""Fit a twin to a healthy record: the values from which everything later is judged.
+"""Commissioning: the fit of a twin to a healthy record, the reference for all later comparisons.
 
-A part of the record, the last one whose inputs stay within what the rest has seen, is split off before the fit and
-never seen by it; the errors quoted are of a free run through the whole record, read off over that part. Standard
-errors are widened for the fact that residuals are not white: by their size against the declared noise and by their
-autocorrelation time.
+A segment of the record, the last one whose inputs stay within the range of the rest, is held out before the fit. The
+quoted errors are of a free run through the whole record, over that segment. Standard errors are widened because
+residuals are not white: by their size against the declared noise and by their autocorrelation time.
 """
 
 from __future__ import annotations
@@ -15,38 +14,51 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.calibrators.base import rmse
-from twin.calibrators.identifiability import CANNOT_TELL, condition
-from twin.gauss_newton import SE90, Data, Fit, Prior, Scaling, descend
-from twin.kernel import Kernel, clean_time, held, masked
+from twin.calibrators.identifiability import UNIDENTIFIABLE_SHARE, condition_number
+from twin.gauss_newton import SE90, FitData, GaussianPrior, GaussNewtonFit, Scaling, fit_parameters
+from twin.kernel import Kernel, clean_time, hold_inputs, mask_measurements
 from twin.network import Array, Network, Revision, TwinFileError
-from twin.stretches import stretches, traced
+from twin.segments import find_segments, simulate_segments
 
 FIRST_SAMPLES = 30
 """Readings whose mean is the first guess of the initial state, unless an input moves before."""
 MOVED = 0.01
-"""An input has moved when it has changed by more than this share of its declared range."""
+"""Share of its declared range by which an input must change to count as moved."""
 BEYOND = 0.1
-"""Share of an input's declared range by which a part may leave the range that it has in the rest."""
+"""Share of an input's declared range by which a segment may leave the range of the rest."""
 FEWEST, FEWEST_IN_TIME = 10, 50
-"""Residuals from which their size says something, and from which their autocorrelation does."""
+"""Residuals from which a variance is estimated, and from which an autocorrelation time is."""
 INITIAL_SD_K = 5.0
-"""How little the first readings are taken to say about the initial state: most records begin in motion."""
+"""Standard deviation of the initial state's prior, K: wide, because most records begin in motion."""
 
 
 @dataclass(frozen=True)
-class Commission:
-    """A commissioned twin and how far to believe it. Per-parameter mappings go by parameter id.
+class CommissionResult:
+    """A commissioned twin and the uncertainty of its parameters. Per-parameter mappings go by parameter id.
 
-    Attributes:
-        network: the new revision, with its parent and errors entered; save it under a new name.
-        values, start: fitted and initial values. standard_error, interval90: same units.
-        cannot_tell: parameters that the record does not determine; their values come from the prior.
-        at_bound: parameters that ended on a bound.
-        rmse_before, rmse_after, rmse_fitted: K per sensor; the first two free-running over `held_out_s`,
-            the last over the part that was fitted. NaN for a sensor without a measurement there.
-        covariance: (q, q) of the fitted values in the optimiser's variables, as `gauss_newton.Scaling` maps them.
-        condition: condition number of the data's correlation matrix of the tunables.
-        state: (s * k,) at the beginning of each stretch that was fitted. evaluations: linearisations over all starts.
+    Attributes
+    ----------
+    network
+        The new revision, with its parent and errors entered; save it under a new name.
+    values, start
+        Fitted and initial values, in the parameters' units.
+    standard_error, interval90
+        Standard error and 90 % interval, in the same units.
+    unidentifiable
+        Parameters that the record does not determine; their values come from the prior.
+    at_bound
+        Parameters that ended on a bound.
+    rmse_before, rmse_after, rmse_fitted
+        K per sensor: free-running over `held_out_s` before and after the fit, and over the fitted segment. NaN for a
+        sensor without a measurement there.
+    covariance
+        (q, q) of the fitted values in the optimiser's variables, as `gauss_newton.Scaling` maps them.
+    condition
+        Condition number of the data's correlation matrix of the tunables.
+    state
+        (s * k,) degC at the beginning of each fitted segment.
+    evaluations
+        Linearisations over all starts.
     """
 
     network: Network
@@ -54,7 +66,7 @@ class Commission:
     start: Mapping[str, float]
     standard_error: Mapping[str, float]
     interval90: Mapping[str, tuple[float, float]]
-    cannot_tell: tuple[str, ...]
+    unidentifiable: tuple[str, ...]
     at_bound: tuple[str, ...]
     rmse_before: Mapping[str, float]
     rmse_after: Mapping[str, float]
@@ -66,8 +78,8 @@ class Commission:
     evaluations: int
     notes: tuple[str, ...] = field(default=())
 
-    def drawn(self, count: int, seed: int = 0) -> Array:
-        """Full parameter vectors (count, p) from the fit's own uncertainty, inside the bounds."""
+    def sample(self, count: int, seed: int = 0) -> Array:
+        """Draw full parameter vectors (count, p) from the fit's covariance, inside the bounds."""
         scaling = Scaling.of(self.network, tuple(self.values))
         rng = np.random.default_rng(seed)
         z = scaling.to_z(self.network.values[scaling.index])
@@ -77,37 +89,78 @@ class Commission:
         return full
 
 
+@dataclass(frozen=True)
+class CommissionOptions:
+    """Options of `commission`.
+
+    Attributes
+    ----------
+    tunables
+        Name of a set of the twin, ids, or None for every parameter of status tunable. A twin without a set "commission"
+        uses the latter.
+    held_out
+        Share of the record's time, 0.05 to 0.5, that is held out: its end. Where inputs there leave the range of the
+        rest (a fan that was only off at last), the last segment before in which they do not.
+    starts
+        Descents from different points: the twin's own values, then random ones by `seed`.
+    seed
+        Seed of the random starts.
+    initial_sd
+        Standard deviation of the initial state's prior, K; small for a record that begins at rest.
+    made_by
+        Origin for the twin file's revision.
+    """
+
+    tunables: str | Iterable[str] | None = "commission"
+    held_out: float = 0.2
+    starts: int = 4
+    seed: int = 0
+    initial_sd: float = INITIAL_SD_K
+    made_by: str = "commission"
+
+
+DEFAULT_OPTIONS = CommissionOptions()
+
+
 def commission(
     network: Network,
     time_s: ArrayLike,
     inputs: ArrayLike,
     measured: ArrayLike,
-    *,
-    tunables: str | Iterable[str] | None = "commission",
-    held_out: float = 0.2,
-    starts: int = 4,
-    seed: int = 0,
-    initial_sd: float = INITIAL_SD_K,
-    made_by: str = "commission",
-) -> Commission:
+    options: CommissionOptions = DEFAULT_OPTIONS,
+) -> CommissionResult:
     """Fit the tunables and the initial state to a healthy record.
 
-    Args:
-        network: the twin as it is; it stays untouched.
-        time_s: (N,) s, not decreasing.
-        inputs: (N, c) in the order of ``network.input_columns``; NaN holds the last good value.
-        measured: (N, m) degC in the order of ``network.sensor_names``; NaN is masked.
-        tunables: name of a set of the twin, ids, or None for every parameter of status tunable. A twin
-            without a set "commission" uses the latter.
-        held_out: share of the record's time kept out of the fit: its end, or where inputs go there as nowhere else (a
-            fan that was only off at last), the last part before in which they do not.
-        starts: descents from different points: the twin's own values, then random ones by `seed`.
-        initial_sd: K, how firmly the initial state is held to the first readings; small for a record that
-            begins at rest.
+    Parameters
+    ----------
+    network
+        The present twin; it stays unchanged.
+    time_s
+        (N,) s, not decreasing.
+    inputs
+        (N, c) in the order of ``network.input_columns``; NaN holds the last good value.
+    measured
+        (N, m) degC in the order of ``network.sensor_names``; NaN is masked.
+    options
+        Tunables, held-out share, starts and priors.
 
-    Raises:
-        TwinFileError: time goes back, too few samples, no finite measurement, unknown tunables.
+    Returns
+    -------
+    CommissionResult
+        The commissioned twin, errors in K over the held-out segment, and standard errors.
+
+    Raises
+    ------
+    TwinFileError
+        Time goes back, there are too few samples or no finite measurement, tunables are unknown, or an option is out of
+        range.
+
+    Notes
+    -----
+    Bounded Gauss-Newton descents (`twin.gauss_newton`) from several starts. The prior of the last descent is as strong
+    against the data as the residuals are far from white (`variance_inflation`).
     """
+    tunables, held_out, initial_sd = options.tunables, options.held_out, options.initial_sd
     if tunables == "commission" and "commission" not in network.sets:
         tunables = None
     ids = network.tunables(tunables)
@@ -115,8 +168,8 @@ def commission(
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
     if not 0.05 <= held_out <= 0.5:
         raise TwinFileError(f"held_out must be between 0.05 and 0.5, got {held_out:g}")
-    t, u = clean_time(time_s), held(network, inputs)
-    y, weight = masked(measured, network.sigma)
+    t, u = clean_time(time_s), hold_inputs(network, inputs)
+    y, weight = mask_measurements(measured, network.sigma)
     if not len(t) == len(u) == len(y):
         raise TwinFileError(f"time, inputs and measured differ in length: {len(t)}, {len(u)}, {len(y)}")
     if len(t) < 100 or t[-1] - t[0] < network.rules.window_s:
@@ -126,8 +179,8 @@ def commission(
         )
     if not initial_sd > 0.0:
         raise TwinFileError(f"initial_sd must be above 0 K, got {initial_sd:g}")
-    known = stretches(network, t, np.asarray(inputs, dtype=np.float64).reshape(u.shape))
-    weight = np.where(known.lost[:, None], 0.0, weight)
+    segments = find_segments(network, t, np.asarray(inputs, dtype=np.float64).reshape(u.shape))
+    weight = np.where(segments.lost[:, None], 0.0, weight)
     split, end = _held_out(network, t, u, held_out)
     seen = np.ones(len(t), dtype=bool)
     seen[split:end] = False
@@ -136,19 +189,19 @@ def commission(
 
     kernel, scaling = Kernel(network, ids), Scaling.of(network, ids)
     raw = np.where(weight > 0.0, y, np.nan)
-    firsts = [slice(b, b + _before_any_input_moves(network, u[b:])) for b in known.begins]
+    firsts = [slice(b, b + _before_any_input_moves(network, u[b:])) for b in segments.begins]
     every0 = np.concatenate([network.initial_state(raw[first]) for first in firsts])
     start = network.values[scaling.index]
     rows = split if end == len(t) else len(t)
-    begins = tuple(b for b in known.begins if b < rows)
+    begins = tuple(b for b in segments.begins if b < rows)
     state0 = every0[: len(begins) * len(network.nodes)]
-    data = Data(t[:rows], u[:rows], y[:rows], np.where(seen[:, None], weight, 0.0)[:rows], begins)
+    data = FitData(t[:rows], u[:rows], y[:rows], np.where(seen[:, None], weight, 0.0)[:rows], begins)
     prior = weak_prior(scaling, start, state0, initial_sd)
-    rng = np.random.default_rng(seed)
-    fits: list[Fit] = []
-    for k in range(max(starts, 1)):
+    rng = np.random.default_rng(options.seed)
+    fits: list[GaussNewtonFit] = []
+    for k in range(max(options.starts, 1)):
         z = scaling.to_z(start) + (rng.normal(0.0, scaling.prior_sd()) if k else 0.0)
-        fits.append(descend(kernel, scaling, network.values, data, scaling.to_values(z), state0, prior))
+        fits.append(fit_parameters(kernel, scaling, network.values, data, scaling.to_values(z), state0, prior))
     best = min(fits, key=lambda f: f.cost)
     agree = sum(f.cost < best.cost * 1.001 for f in fits)
 
@@ -156,31 +209,31 @@ def commission(
         full = network.values.copy()
         full[scaling.index] = values
         states = np.concatenate([state, every0[len(state) :]])
-        return traced(kernel, full[None], states[None], t, u, known.begins)[0]
+        return simulate_segments(kernel, full[None], states[None], t, u, segments.begins)[0]
 
     stale = np.where(weight > 0.0, free_run(start, state0) - y, np.nan)
     residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
-    widened = inflation(residual[seen], network.sigma)
+    widened = variance_inflation(residual[seen], network.sigma)
     # Residuals that are not white are worth fewer samples than there are. Without this, model error would
-    # drive a parameter that the record cannot tell to a bound.
-    tempered = Prior(prior.mean, prior.precision * widened)
-    best = descend(kernel, scaling, network.values, data, best.values, best.state, tempered)
+    # drive a parameter that the record does not identify to a bound.
+    tempered = GaussianPrior(prior.mean, prior.precision * widened)
+    best = fit_parameters(kernel, scaling, network.values, data, best.values, best.state, tempered)
     residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
     covariance = np.asarray(np.linalg.inv(best.normal / widened + prior.precision), dtype=np.float64)
     spread = np.sqrt(np.diag(covariance)[: len(ids)])
-    told = spread / scaling.prior_sd() < CANNOT_TELL
+    identified = spread / scaling.prior_sd() < UNIDENTIFIABLE_SHARE
     low, high = (scaling.to_values(scaling.to_z(best.values) + s * SE90 * spread) for s in (-1.0, 1.0))
     names = network.sensor_names
     errors = [dict(zip(names, rmse(r), strict=True)) for r in (stale[~seen], residual[~seen], residual[seen])]
-    notes = _notes(network, ids, (agree, len(fits)), best, told, u[seen], widened)
-    notes += [known.sentence] if known.gaps else []
+    notes = _notes(network, ids, (agree, len(fits)), best, identified, u[seen], widened)
+    notes += [segments.sentence] if segments.gaps else []
     silent = [name for j, name in enumerate(network.sensor_names) if not (weight[:, j] > 0.0).any()]
     notes += [f"{', '.join(silent)}: no reading in the record, so nothing was fitted to it"] if silent else []
     values = dict(zip(ids, best.values.tolist(), strict=True))
     revision = Revision(
         number=network.revision.number + 1,
         parent=network.digest,
-        made_by=made_by,
+        made_by=options.made_by,
         window_s=(float(t[0]), float(t[rows - 1])),
         held_out_s=(float(t[split]), float(t[end - 1])),
         error_before_K={k: v for k, v in errors[0].items() if np.isfinite(v)},
@@ -188,34 +241,36 @@ def commission(
         error_fitted_K={k: v for k, v in errors[2].items() if np.isfinite(v)},
         notes=tuple(notes),
     )
-    return Commission(
+    return CommissionResult(
         network=network.with_values(values, revision),
         values=values,
         start=dict(zip(ids, start.tolist(), strict=True)),
         standard_error=dict(zip(ids, (spread * scaling.slope(best.values)).tolist(), strict=True)),
         interval90={name: (float(a), float(b)) for name, a, b in zip(ids, low, high, strict=True)},
-        cannot_tell=tuple(name for name, ok in zip(ids, told, strict=True) if not ok),
+        unidentifiable=tuple(name for name, ok in zip(ids, identified, strict=True) if not ok),
         at_bound=tuple(name for name, hit in zip(ids, best.at_bound, strict=True) if hit),
         rmse_before=errors[0],
         rmse_after=errors[1],
         rmse_fitted=errors[2],
         held_out_s=(float(t[split]), float(t[end - 1])),
         covariance=covariance[: len(ids), : len(ids)],
-        condition=condition(best.normal[: len(ids), : len(ids)]),
+        condition=condition_number(best.normal[: len(ids), : len(ids)]),
         state=best.state,
         evaluations=sum(f.evaluations for f in fits) + best.evaluations,
         notes=tuple(notes),
     )
 
 
-def weak_prior(scaling: Scaling, values: Array, state: Array, state_sd: float) -> Prior:
-    """Prior centred on `values` (q,) and `state` (k,), as wide as `Scaling.prior_sd` and `state_sd` K."""
+def weak_prior(scaling: Scaling, values: Array, state: Array, state_sd: float) -> GaussianPrior:
+    """Return a prior centred on `values` (q,) and `state` (k,), as wide as `Scaling.prior_sd` and `state_sd` K."""
     sd = np.concatenate([scaling.prior_sd(), np.full(state.size, state_sd)])
-    return Prior(np.concatenate([scaling.to_z(values), state]), np.diag(sd**-2.0))
+    return GaussianPrior(np.concatenate([scaling.to_z(values), state]), np.diag(sd**-2.0))
 
 
 def _held_out(network: Network, time: Array, inputs: Array, share: float) -> tuple[int, int]:
-    """First row and the row after the last of the part that no fit is to see; the record's end where none is better."""
+    """Return the first row of the held-out segment and the row after its last; the record's end where none is
+    better.
+    """
     spans = np.array([spec.upper - spec.lower for spec in network.inputs.values()])
     beyond = BEYOND * np.where(np.isfinite(spans), spans, np.ptp(inputs, axis=0))
 
@@ -233,18 +288,25 @@ def _held_out(network: Network, time: Array, inputs: Array, share: float) -> tup
 
 
 def _before_any_input_moves(network: Network, inputs: Array) -> int:
-    """Rows at the beginning of inputs (n, c) that show the initial state: at most `FIRST_SAMPLES`, at least one."""
+    """Return the number of first rows of inputs (n, c) that show the initial state: 1 to `FIRST_SAMPLES`."""
     first = inputs[:FIRST_SAMPLES]
     width = np.array([spec.upper - spec.lower for spec in network.inputs.values()])
     moved = (np.abs(first - first[0]) > MOVED * np.where(np.isfinite(width), width, 0.0)).any(axis=1)
     return int(np.argmax(moved)) if moved.any() else len(first)
 
 
-def inflation(residual: Array, sigma: Array) -> float:
-    """How many declared-noise samples one sample of these residuals is worth, at least 1.
+def variance_inflation(residual: Array, sigma: Array) -> float:
+    """Return the number of declared-noise samples that one sample of these residuals is worth, at least 1.
 
-    The product of reduced chi-square and autocorrelation time (initial positive sequence, Geyer 1992), the
-    worst sensor counting.
+    The product of reduced chi-square and autocorrelation time (initial positive sequence, Geyer 1992), for the worst
+    sensor.
+
+    Parameters
+    ----------
+    residual
+        (n, m) K, NaN where missing.
+    sigma
+        (m,) K, declared noise.
     """
     worst = 1.0
     for j in range(residual.shape[1]):
@@ -257,7 +319,7 @@ def inflation(residual: Array, sigma: Array) -> float:
 
 
 def _correlation_time(r: Array) -> float:
-    """Autocorrelation time of r (n,) in samples, 1 for white noise."""
+    """Return the autocorrelation time of r (n,) in samples, 1 for white noise."""
     spectrum = np.abs(np.fft.rfft(r, 2 * r.size)) ** 2
     correlation = np.fft.irfft(spectrum)[: r.size // 2]
     correlation = correlation / max(correlation[0], 1e-300)
@@ -270,8 +332,8 @@ def _notes(
     network: Network,
     ids: tuple[str, ...],
     agree: tuple[int, int],
-    best: Fit,
-    told: np.ndarray,
+    best: GaussNewtonFit,
+    identified: np.ndarray,
     inputs: Array,
     widened: float,
 ) -> list[str]:
@@ -280,10 +342,11 @@ def _notes(
         notes.append(f"{agree[0]} of {agree[1]} starts reached the best fit; the others ended above it")
     constant = [c for c, column in zip(network.input_columns, inputs.T, strict=True) if np.ptp(column) == 0.0]
     if constant:
-        notes.append(f"{', '.join(constant)} did not vary in the record, so their effects cannot be told apart")
-    untold = [name for name, ok in zip(ids, told, strict=True) if not ok]
-    if untold:
-        notes.append(f"the record cannot tell {', '.join(untold)}; their values lean on the twin file")
+        notes.append(f"{', '.join(constant)} did not vary in the record, so their effects are not identifiable")
+    unidentified = [name for name, ok in zip(ids, identified, strict=True) if not ok]
+    if unidentified:
+        names = ", ".join(unidentified)
+        notes.append(f"the record does not identify {names}; their values come from the twin file")
     bound = [name for name, hit in zip(ids, best.at_bound, strict=True) if hit]
     if bound:
         notes.append(f"{', '.join(bound)} ended on a bound; the model may lack an effect")

@@ -1,29 +1,33 @@
-"""Checks of a commissioned twin before it is written: one that its record does not support is worse than none."""
+"""Checks of a commissioned twin before it is written: a twin that its record does not support is worse than none."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.commission import Commission
+from twin.commission import CommissionResult
 
 ABSURD_SIGMA = 10.0
 """Standard deviations of a sensor's noise below which an error is never absurd, however little the sensor moves."""
 CLOCK_FACTOR = 3.0
-"""Change of all heat capacities alike from which the record's clock is in question: a datasheet is that good."""
+"""Common factor of all heat capacities from which the record's clock is questionable: a datasheet is more accurate."""
 
 
-def reason_to_refuse(result: Commission, measured: ArrayLike) -> str:
-    """Return why the twin must not be used, a sentence, or "" where nothing speaks against it.
+def refusal_reason(result: CommissionResult, measured: ArrayLike) -> str:
+    """Return why the twin must not be used, one sentence, or "" where nothing speaks against it.
 
-    It must not where the record identifies none of the tunables, or where most sensors are predicted worse over the
-    part that no fit saw than by any constant within what they read in the whole record (their range), so that the twin
-    knows nothing of them. A single sensor so far off may be dead or wired to another place.
+    A twin is refused where the record identifies none of its tunables. It is also refused where most sensors are
+    predicted worse, over the held-out segment, than by any constant within the range of their readings. A single such
+    sensor may be dead or wired to another place.
 
-    Args:
-        measured: (n, m) degC, what was commissioned on, NaN where missing.
+    Parameters
+    ----------
+    result
+        The commissioned twin.
+    measured
+        (n, m) degC, the readings of the record, NaN where missing.
     """
-    if result.values and len(result.cannot_tell) == len(result.values):
+    if result.values and len(result.unidentifiable) == len(result.values):
         return (
             f"the record identifies none of the {len(result.values)} tunables: inputs that never move, readings of "
             "another rig or a clock at another rate do that; record the rig while its inputs are moved, or give "
@@ -41,23 +45,21 @@ def reason_to_refuse(result: Commission, measured: ArrayLike) -> str:
             absurd.append(f"{sensor} by {error:.3g} K where it moves by {span:.3g} K")
     if judged and len(absurd) > judged / 2:
         return (
-            f"the twin errs over the part that no fit saw by more than its sensors move at all ({'; '.join(absurd[:3])}"
+            f"the error over the held-out segment is larger than the range of the readings ({'; '.join(absurd[:3])}"
             f"{'; ...' if len(absurd) > 3 else ''}); check the units of the record's columns, its clock and the twin's "
             "structure"
         )
     return ""
 
 
-def clock_in_question(result: Commission) -> str:
-    """Return a sentence where the fitted heat capacities say that the record's clock runs at another rate, or "".
+def clock_warning(result: CommissionResult) -> str:
+    """Return a sentence where the fitted heat capacities suggest that the record's clock runs at another rate, or "".
 
     A clock that is N times too slow makes every capacity N times too small and leaves the rest of the fit as good. So
-    all capacities that the record identifies have then changed alike, by more than a datasheet is wrong.
+    all identifiable capacities then change by about the same factor, by more than a datasheet is wrong.
     """
-    heat = [
-        name for name in result.values
-        if result.network.parameters[name].unit == "J/K" and (name not in result.cannot_tell or name in result.at_bound)
-    ]  # fmt: skip
+    identified = [n for n in result.values if n not in result.unidentifiable or n in result.at_bound]
+    heat = [name for name in identified if result.network.parameters[name].unit == "J/K"]
     factors = np.array([result.values[name] / result.start[name] for name in heat])
     if len(factors) < 2 or not (factors > 0.0).all():
         return ""

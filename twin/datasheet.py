@@ -1,9 +1,8 @@
-"""A twin file out of what an operator knows of a rig: its data sheet.
+"""Twin file from a rig's data sheet.
 
-Volumes become capacitances, those of pipes go into the template's pipes (`pipe_heater_to_modules` and so on) or, where
-it has none, into the volumes downstream of them; the flow and the thermocouples' noise are
-taken over; everything that a data sheet does not say keeps the value of the shipped loop, for `commission` to
-find.
+Volumes become capacitances. Those of pipes go into the template's pipes (`pipe_heater_to_modules` and so on) or, where
+it has none, into the volumes downstream of them. The flow and the thermocouples' noise are taken over. All other
+parameters keep the value of the shipped loop until `commission` fits them.
 """
 
 from __future__ import annotations
@@ -19,17 +18,18 @@ from typing import Any
 
 from twin.elements.flow import WATER_DENSITY
 from twin.network import Network, Revision, TwinFileError, did_you_mean
+from twin.regular_file import read_regular
 from twin.twinfile import load
 
 WATER_CP = 4180.0
 """J/(kg K) at 30 degC (IAPWS-95)."""
 _PIPES = ("heater_to_modules", "modules_to_radiator", "radiator_to_tank", "tank_to_heater")
 _SOLID = {"heater": 900.0, "modules": 1250.0, "radiator": 350.0, "tank": 0.0}
-"""J/K of metal in the shipped loop's volumes: what is left of its capacitances without the water."""
+"""J/K of metal in the shipped loop's volumes: its capacitances without the water."""
 
 
 @dataclass(frozen=True)
-class Sheet:
+class DataSheet:
     """The entries of a data sheet that a loop twin uses; the others are ignored."""
 
     flow_L_per_min: float
@@ -41,34 +41,42 @@ class Sheet:
 
 
 def from_datasheet(path: str | Path, template: str | Path | None = None) -> Network:
-    """Loop twin of the rig whose data sheet (JSON) lies at `path`; save it with `twin.twinfile.save`.
+    """Build the loop twin of the rig whose data sheet (JSON) lies at `path`; save it with `twin.twinfile.save`.
 
-    Args:
-        template: twin file to fill in, the shipped ``profiles/twins/loop.toml`` by default.
+    Parameters
+    ----------
+    path
+        Path of the data sheet.
+    template
+        Twin file to fill in, the shipped ``profiles/twins/loop.toml`` by default.
 
-    Raises:
-        TwinFileError: unreadable sheet, missing or impossible entry, or a template that is not a loop.
+    Raises
+    ------
+    TwinFileError
+        The sheet is unreadable, an entry is missing or impossible, or the template is not a loop.
     """
     path = Path(path)
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(read_regular(path))
     except OSError as error:
         raise TwinFileError(f"{path}: cannot be read ({error.strerror}); give the path of a data sheet") from None
     except (ValueError, RecursionError) as error:
         raise TwinFileError(f"{path}: is not valid JSON: {error}; give the rig's data sheet") from None
     if not isinstance(data, dict):
         raise TwinFileError(f"{path}: must be a JSON object of the rig's data")
-    sheet = read_sheet(data, str(path))
+    sheet = read_data_sheet(data, str(path))
     base = load(template or Path(__file__).resolve().parent.parent / "profiles" / "twins" / "loop.toml")
     name = f"rig_{data['rig']}" if isinstance(data.get("rig"), str) else path.parent.name or "rig"
-    return fill(base, sheet, name=name, source=path.name)
+    return apply_data_sheet(base, sheet, name=name, source=path.name)
 
 
-def read_sheet(data: Mapping[str, Any], file: str = "data sheet") -> Sheet:
+def read_data_sheet(data: Mapping[str, Any], file: str = "data sheet") -> DataSheet:
     """Check the entries of a data sheet.
 
-    Raises:
-        TwinFileError: an entry is missing, not a number, or not positive.
+    Raises
+    ------
+    TwinFileError
+        An entry is missing, not a number, or not positive.
     """
 
     def number(table: Mapping[str, Any], key: str) -> float:
@@ -85,7 +93,7 @@ def read_sheet(data: Mapping[str, Any], file: str = "data sheet") -> Sheet:
     law = data.get("flow_is", "proportional to pump speed")
     if law != "proportional to pump speed":
         raise TwinFileError(f"{file}: flow_is {law!r} is not a pump law of this twin: 'proportional to pump speed'")
-    return Sheet(
+    return DataSheet(
         flow_L_per_min=number(data, "nominal_flow_L_per_min_at_pump_100pct"),
         tank_L=number(data, "tank_volume_L"),
         heater_L=number(data, "heater_water_volume_L"),
@@ -95,11 +103,13 @@ def read_sheet(data: Mapping[str, Any], file: str = "data sheet") -> Sheet:
     )
 
 
-def fill(base: Network, sheet: Sheet, name: str = "rig", source: str = "data sheet") -> Network:
-    """The loop `base` with the volumes, flow and noise of a data sheet.
+def apply_data_sheet(base: Network, sheet: DataSheet, name: str = "rig", source: str = "data sheet") -> Network:
+    """Return the loop `base` with the volumes, flow and noise of a data sheet.
 
-    Raises:
-        TwinFileError: `base` is not a loop of heater, modules, radiator and tank.
+    Raises
+    ------
+    TwinFileError
+        `base` is not a loop of heater, modules, radiator and tank.
     """
     if all(f"pipe_{p}.volume" in base.parameters for p in _PIPES):
         values = {f"pipe_{p}.volume": sheet.pipes_L.get(p, 0.0) for p in _PIPES}
@@ -145,7 +155,7 @@ def fill(base: Network, sheet: Sheet, name: str = "rig", source: str = "data she
 
 
 def _limits(network: Network, key: str) -> tuple[float, float]:
-    """Bounds that the kind of a parameter's element sets."""
+    """Return the bounds that the kind of a parameter's element sets."""
     element, name = key.split(".")
     for e in network.elements:
         if e.name == element:

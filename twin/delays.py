@@ -1,17 +1,18 @@
-"""Delay lines in the kernel: what the water was when it went in, looked up by the volume that followed it.
+"""Transport delays in the kernel: plug flow, looked up by the volume that has followed the water.
 
-Each flow counts the volume v that it has moved, each delay remembers its water in slots of that volume: a + r (m + r b)
-at the share r of a slot. As long as one step fills a slot, a, m and b are the water at its start, its slope there and
-what is missing to the water at its end, and the error is of third order in the step; where slower flows fill a slot in
-several steps, it has the water at both ends and the mean of what has gone in. Jumps lie between slots, or lose shape.
+Each flow counts the volume v that it has moved. Each delay stores its water in slots of that volume:
+a + r (m + r b) at the share r of a slot. While one step fills a slot, a, m and b are the water at its start, its slope
+there and the difference to the water at its end; the error is of third order in the step. Where slower flows fill a
+slot in several steps, it has the water at both ends and the mean of the water that has gone in. Jumps lie between
+slots, or lose their shape.
 
-The outlet at v is the water at v - volume. Where one step moves more than the volume, it is that at v minus what
-the step moves, and only the share `late` of the water is delayed (see `twin.elements.base.Delay`). So a look-up
-never needs the step under way. The outlet over a step runs through parts of slots; the kernel takes the quadratic in
-time that has the same mean and first two moments, so a jump in the middle of a step does what it should to whatever
-is slow beside the step, and no heat is lost on the way.
+The outlet at v is the water at v - volume. Where one step moves more than the volume, it is that at v minus the volume
+moved in the step, and only the share `late` of the water is delayed (see `twin.elements.base.PlugFlowDelay`). So a
+look-up never needs the step under way. The outlet over a step runs through parts of slots; the kernel takes the
+quadratic in time that has the same mean and first two moments. So a jump in the middle of a step acts correctly on
+everything that is slow against the step, and no heat is lost on the way.
 
-Where all lanes share flow and volumes the volumes are counted once and the weights of a look-up are scalars; where
+Where all lanes share flow and volumes, the volumes are counted once and the weights of a look-up are scalars. Where
 they do not, every lane has its own, and all lanes go through the slots that any of them needs.
 """
 
@@ -20,26 +21,27 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from twin.assembly import System
-from twin.kernel_functions import DELAY_STATE, LINES_ALIKE, LINES_APART
-
-if TYPE_CHECKING:
-    from twin.codegen import _Kernel
+from twin.kernel_functions import DELAY_STATE, SEPARATE_FLOW, SHARED_FLOW
+from twin.kernel_text import KernelText, indent
 
 SLOTS = 64
-"""Slots of a delay line, a power of two; the longest pipe of a flow never needs more than SLOTS - 4."""
+"""Number of slots of a delay line, a power of two; the longest pipe of a flow never needs more than SLOTS - 4."""
 NEVER = 1.0e6
 """Volume of a slot of water that was there from the beginning, L."""
 PARTS = 3
-"""Coefficients of a slot's water."""
+"""Number of coefficients of a slot's water."""
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Rows of what delay lines hand on: of each flow's volumes, followed by the steps since a slot was closed; of each
-    delay's water, one coefficient after the other."""
+class DelayLayout:
+    """Rows of the delay lines in a full state: volumes of each flow, steps since a slot was closed, then each delay's
+    water.
+
+    The rows of a delay's water hold one coefficient after the other.
+    """
 
     volumes: tuple[int, ...]
     waters: tuple[int, ...]
@@ -47,55 +49,56 @@ class Layout:
 
     @property
     def pushed(self) -> list[int]:
-        """Rows that are the same in all lanes where those share flow and volumes."""
+        """Return the rows that are the same in all lanes where those share flow and volumes."""
         return [row + e for row in self.volumes for e in range(SLOTS + 1)]
 
 
-def layout(system: System) -> Layout:
+def delay_layout(system: System) -> DelayLayout:
+    """Return the layout of a system's delay lines."""
     flows, count = len(system.flows), len(system.delays)
     waters = flows * (SLOTS + 1)
-    return Layout(
+    return DelayLayout(
         tuple(g * (SLOTS + 1) for g in range(flows)),
         tuple(waters + p * PARTS * SLOTS for p in range(count)),
         waters + count * PARTS * SLOTS,
     )
 
 
-def delay_lines(system: System, kernel: _Kernel, alike: bool) -> Delays:
-    """`alike`: whether all lanes share flow and volumes, in the past too."""
-    return AlikeLines(system, kernel) if alike else LinesApart(system, kernel)
+def delay_lines(system: System, text: KernelText, alike: bool) -> DelayLines:
+    """Return the delay lines of a kernel; `alike` says that all lanes share flow and volumes, in the past too."""
+    return SharedDelayLines(system, text) if alike else SeparateDelayLines(system, text)
 
 
-class Delays(ABC):
+class DelayLines(ABC):
     """Source lines of a kernel's delay lines.
 
-    V holds the volume at which each slot begins, SLOTS rows for each flow; H the water, 3 SLOTS rows for each delay.
-    Rows of the work array that a substep reads: Ds, Da, Db, the outlet over the step; that it writes: wb, ws, wn, the
-    water that enters at its start, the slope of that over the step, the water at its end.
+    V holds the volume at which each slot begins, SLOTS rows for each flow; H the water, 3 SLOTS rows for each delay. A
+    substep reads the rows Ds, Da, Db of the work array, the outlet over the step. It writes wb, ws, wn: the water that
+    enters at its start, its slope over the step, the water at its end.
     """
 
     functions: ClassVar[str]
     lanes: int
 
-    def __init__(self, system: System, kernel: _Kernel) -> None:
-        self.system, self.kernel = system, kernel
+    def __init__(self, system: System, text: KernelText) -> None:
+        self.system, self.text = system, text
         self.flows, self.delays = range(len(system.flows)), system.delays
         for p in range(len(self.delays)):
             for name in ("Ds", "Da", "Db", "wb", "ws", "wn"):
-                kernel.row(f"{name}{p}")
-        self._layout = layout(system)
+                text.row(f"{name}{p}")
+        self._layout = delay_layout(system)
 
     def head(self) -> list[str]:
-        """Arrays, once a call."""
+        """Return the lines that allocate the arrays, once a call."""
         return [
-            f"R = W.reshape(-1, {self.kernel.lanes})",
+            f"R = W.reshape(-1, {self.text.lanes})",
             f"V = np.zeros(({SLOTS * len(self.flows)}, {self.lanes}))",
-            f"H = np.zeros(({PARTS * SLOTS * len(self.delays)}, {self.kernel.lanes}))",
+            f"H = np.zeros(({PARTS * SLOTS * len(self.delays)}, {self.text.lanes}))",
         ]
 
     def enter(self) -> list[str]:
-        """Fill the lines: with what `past` holds, or with the water at rest."""
-        k, scalars = self.kernel, list[str]()
+        """Fill the lines with the contents of `past`, or with the water at rest."""
+        k, scalars = self.text, list[str]()
         for g in self.flows:
             row = self._layout.volumes[g]
             scalars += [
@@ -114,26 +117,28 @@ class Delays(ABC):
 
     @abstractmethod
     def begin(self) -> list[str]:
-        """No volume has been moved yet."""
+        """Set the volumes moved so far to zero."""
 
     @abstractmethod
     def refresh(self) -> list[str]:
-        """Reach of each delay for the flow and step of this interval, and how much volume closes a slot."""
+        """Return the reach of each delay for this interval's flow and step, and the volume that closes a slot."""
 
     @abstractmethod
     def look(self) -> list[str]:
-        """Outlets over the step."""
+        """Return the lines that look up the outlets over the step."""
 
     @abstractmethod
     def move(self, g: int) -> list[str]:
-        """Volume at the end of the step, and boundary j of flow g."""
+        """Return the lines that advance the volume of flow g over the step and set boundary j."""
 
     @abstractmethod
     def share(self, g: int) -> str:
-        """Share of the slot's volume that the step is: a number, or its row."""
+        """Return the step's share of the slot's volume: a number, or its row."""
 
     def reaches(self, own: Iterable[int]) -> list[str]:
-        """Of delays, what the water in them must still know of, and the share of the water that is delayed."""
+        """Return, per delay, the volume that the look-up must reach back, and the share of the water that is
+        delayed.
+        """
         out = []
         for p in own:
             delay = self.delays[p]
@@ -142,20 +147,22 @@ class Delays(ABC):
         return out
 
     def outlets(self) -> list[str]:
-        """Outlets in the middle and at the end of the step, for Runge-Kutta and for what hangs on the end."""
+        """Return the outlets in the middle and at the end of the step, for Runge-Kutta and for what depends on the
+        end.
+        """
         out = []
         for p in range(len(self.delays)):
             out += [f"Dm{p} = Ds{p} + 0.5 * (Da{p} + 0.5 * Db{p})", f"De{p} = Ds{p} + Da{p} + Db{p}"]
         return out
 
     def advance(self) -> list[str]:
-        """Remember what has entered, and close slots that are wide enough."""
+        """Return the lines that store the water that has entered, and close slots that are wide enough."""
         out = list[str]()
         for g in self.flows:
             out += self.move(g)
             for p, delay in enumerate(self.delays):
                 if delay.line == g:
-                    rows = f"{self.kernel.row(f'wb{p}')}, since{g}, {self.share(g)}"
+                    rows = f"{self.text.row(f'wb{p}')}, since{g}, {self.share(g)}"
                     out.append(f"note(H, R, {p * SLOTS} + i{g}, {rows})")
             out += [
                 f"since{g} += 1",
@@ -174,16 +181,16 @@ class Delays(ABC):
             lines.append(f"hand_volumes(V, future, b, {g * SLOTS}, {self._layout.volumes[g]}, tip{g}, since{g})")
         for p, delay in enumerate(self.delays):
             lines.append(f"hand_water(H, future, b, {p * SLOTS}, {self._layout.waters[p]}, tip{delay.line})")
-        return ["if future.shape[0] > 0:", *_in(lines)]
+        return ["if future.shape[0] > 0:", *indent(lines)]
 
 
-class AlikeLines(Delays):
-    """All lanes share flow and volumes."""
+class SharedDelayLines(DelayLines):
+    """Delay lines of lanes that all share flow and volumes."""
 
-    functions = DELAY_STATE + LINES_ALIKE
+    functions = DELAY_STATE + SHARED_FLOW
 
-    def __init__(self, system: System, kernel: _Kernel) -> None:
-        super().__init__(system, kernel)
+    def __init__(self, system: System, text: KernelText) -> None:
+        super().__init__(system, text)
         self.lanes = 1
 
     def begin(self) -> list[str]:
@@ -192,7 +199,7 @@ class AlikeLines(Delays):
     def refresh(self) -> list[str]:
         body = [f"q{g} = {flow}" for g, flow in enumerate(self.system.flows)] + self.reaches(range(len(self.delays)))
         # With one lane, what belongs to it is a row like any other.
-        out = self.kernel.loop(body, own=False) if self.kernel.lanes == 1 else body
+        out = self.text.loop(body, own=False) if self.text.lanes == 1 else body
         for g in self.flows:
             reaches = ", ".join([*(f"far{p}" for p, d in enumerate(self.delays) if d.line == g), "0.0"])
             out = [*out, f"span{g} = max(q{g} * h, 1e-12)", f"closing{g} = max({reaches}) / (SLOTS - 4)"]
@@ -201,7 +208,7 @@ class AlikeLines(Delays):
     def look(self) -> list[str]:
         return [
             f"s{p} = look(V, H, R, {d.line * SLOTS}, {p * SLOTS}, s{p}, v{d.line} - far{p}, span{d.line}, tip{d.line}, "
-            f"{self.kernel.row(f'Ds{p}')})"
+            f"{self.text.row(f'Ds{p}')})"
             for p, d in enumerate(self.delays)
         ]
 
@@ -213,25 +220,27 @@ class AlikeLines(Delays):
         return f"share{g}"
 
 
-class LinesApart(Delays):
-    """Every lane has a flow and volumes of its own. A slot is closed for all, by the volume of lane 0."""
+class SeparateDelayLines(DelayLines):
+    """Delay lines of lanes that have a flow and volumes of their own; a slot closes for all, by the volume of lane
+    0.
+    """
 
-    functions = DELAY_STATE + LINES_APART
+    functions = DELAY_STATE + SEPARATE_FLOW
 
-    def __init__(self, system: System, kernel: _Kernel) -> None:
-        super().__init__(system, kernel)
-        self.lanes = kernel.lanes
+    def __init__(self, system: System, text: KernelText) -> None:
+        super().__init__(system, text)
+        self.lanes = text.lanes
         for name in (f"{n}{g}" for n in ("v", "q", "share") for g in self.flows):
-            kernel.row(name)
+            text.row(name)
         for p, delay in enumerate(self.delays):
             for name in (f"far{p}", f"place{p}", f"span{p}", delay.late):
-                kernel.row(name)
+                text.row(name)
 
     def begin(self) -> list[str]:
-        return self.kernel.loop([f"{self.kernel.at(f'v{g}')} = 0.0" for g in self.flows])
+        return self.text.loop([f"{self.text.at(f'v{g}')} = 0.0" for g in self.flows])
 
     def refresh(self) -> list[str]:
-        k, body, out = self.kernel, list[str](), list[str]()
+        k, body, out = self.text, list[str](), list[str]()
         for g in self.flows:
             body += [f"q{g} = {self.system.flows[g]}", f"{k.at(f'q{g}')} = q{g}"]
         for p, delay in enumerate(self.delays):
@@ -244,11 +253,11 @@ class LinesApart(Delays):
             slower = f"max({slower}, 1.0) / (SLOTS - 4)"
             own = [k.at(f"far{p}") for p, d in enumerate(self.delays) if d.line == g]
             widest = [f"closing{g} = max(closing{g}, {far} * {slower})" for far in own]
-            out += [f"closing{g} = 0.0", f"for l in range({k.lanes}):", *_in(widest)]
+            out += [f"closing{g} = 0.0", f"for l in range({k.lanes}):", *indent(widest)]
         return out
 
     def look(self) -> list[str]:
-        k = self.kernel
+        k = self.text
         out = k.loop([f"{k.at(f'place{p}')} = v{d.line} - far{p}" for p, d in enumerate(self.delays)])
         for p, d in enumerate(self.delays):
             rows = f"{k.row(f'place{p}')}, tip{d.line}, {k.row(f'Ds{p}')}"
@@ -256,14 +265,10 @@ class LinesApart(Delays):
         return out
 
     def move(self, g: int) -> list[str]:
-        k = self.kernel
+        k = self.text
         body = [f"v{g} = v{g} + q{g} * h", f"{k.at(f'v{g}')} = v{g}", f"V[{g * SLOTS} + j{g}, l] = v{g}"]
         width = f"max(v{g} - V[{g * SLOTS} + i{g}, l], 1e-12)"
         return k.loop([*body, f"{k.at(f'share{g}')} = q{g} * h / {width}"])
 
     def share(self, g: int) -> str:
-        return str(self.kernel.row(f"share{g}"))
-
-
-def _in(lines: list[str], depth: int = 1) -> list[str]:
-    return ["    " * depth + line for line in lines]
+        return str(self.text.row(f"share{g}"))

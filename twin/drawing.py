@@ -1,8 +1,8 @@
-"""A network as a picture: volumes along the water, what acts on them, what is driven and what is read.
+"""Picture of a network: volumes along the water, the elements that act on them, inputs and sensors.
 
-Nodes of the flow stand on a ring (one row for an open path) in the order in which the water meets them, others beside
-the node that they exchange heat with. Sources and what reads stand outside the ring, losses and links inside or
-between their ends.
+Nodes of the flow stand on a ring (one row for an open path) in the order in which the water meets them; other nodes
+stand beside the node with which they exchange heat. Sources and sensors stand outside the ring, losses and links inside
+or between their ends.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _WIDE, _HIGH = 1.9, 0.62
 
 
 def draw(network: Network, path: str | Path) -> Path:
-    """Draw a network into a file; its ending says which format (svg, png, pdf)."""
+    """Draw a network into a file; its suffix gives the format (svg, png, pdf)."""
     import matplotlib
 
     with matplotlib.rc_context({"text.parse_math": False}):  # a $ in a title is a $
@@ -61,7 +61,7 @@ def _drawn(network: Network, path: Path) -> Path:
 
 
 def _places(network: Network) -> tuple[dict[str, Point], Point]:
-    """Node -> where its box stands, and the middle of the picture."""
+    """Return the position of each node's box, and the middle of the picture."""
     flows = [e for e in network.elements if isinstance(e, Flow)]
     order = list(dict.fromkeys(n for flow in flows for n in flow.path)) or list(network.nodes)
     closed = any(not flow.inlet for flow in flows) and len(order) > 2
@@ -95,7 +95,7 @@ def _neighbours(network: Network, node: str) -> Iterable[str]:
 
 
 def _outward(point: Point, centre: Point) -> float:
-    """1 where there is room above a box, -1 where there is room below."""
+    """Return 1 where there is room above a box, -1 where there is room below."""
     return 1.0 if point[1] >= centre[1] else -1.0
 
 
@@ -136,23 +136,31 @@ def _arrow(axes: Any, start: Point, end: Point, colour: str, width: float, **ext
     sx, sy = math.copysign(trim[0], end[0] - start[0]), math.copysign(trim[1], end[1] - start[1])
     axes.add_patch(
         FancyArrowPatch(
-            (start[0] + sx, start[1] + sy), (end[0] - sx, end[1] - sy), arrowstyle=extra.pop("style", "-|>"),
-            mutation_scale=14, color=colour, lw=width, zorder=1, shrinkA=0, shrinkB=0, **extra,
+            (start[0] + sx, start[1] + sy),
+            (end[0] - sx, end[1] - sy),
+            arrowstyle=extra.pop("style", "-|>"),
+            mutation_scale=14,
+            color=colour,
+            lw=width,
+            zorder=1,
+            shrinkA=0,
+            shrinkB=0,
+            **extra,
         )
-    )  # fmt: skip
+    )
 
 
 def _tag(axes: Any, at: Point, text: str, colour: str) -> None:
-    axes.text(
-        *at, text, color=colour, fontsize=7.5, ha="center", va="center", zorder=2,
-        bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": colour, "lw": 0.7},
-    )  # fmt: skip
+    box = {"boxstyle": "round,pad=0.2", "fc": "white", "ec": colour, "lw": 0.7}
+    axes.text(*at, text, color=colour, fontsize=7.5, ha="center", va="center", zorder=2, bbox=box)
 
 
 def _labels(
     network: Network, places: dict[str, Point]
 ) -> tuple[dict[str, list[tuple[str, str]]], dict[tuple[str, str], list[str]]]:
-    """Node -> (text, colour) of what acts on it alone; (node, node) -> what links them."""
+    """Return node -> (text, colour) of the elements that act on it alone, and (node, node) -> the elements that link
+    them.
+    """
     alone: dict[str, list[tuple[str, str]]] = {}
     between: dict[tuple[str, str], list[str]] = {}
     for e in network.elements:
@@ -171,7 +179,7 @@ def _labels(
 
 
 def _named(network: Network, e: Element) -> str:
-    """Name, first parameter and drivers of an element."""
+    """Return name, first parameter and drivers of an element."""
     specs = e.parameter_specs()
     value = ""
     if specs:
@@ -189,7 +197,7 @@ def _beside(axes: Any, at: Point, side: float, labels: list[tuple[str, str]]) ->
 
 
 def _link(axes: Any, a: Point, b: Point, texts: list[str], centre: Point) -> None:
-    """A dashed line that bows towards the middle of the picture, out of the water's way."""
+    """Draw a dashed line that bows towards the middle of the picture, away from the water."""
     x, y = (a[0] + b[0]) / 2, (a[1] + b[1]) / 2
     level = a[1] == b[1]
     inward = (0.0, -_outward(a, centre)) if level else (math.copysign(1.0, centre[0] - x), 0.0)

@@ -1,10 +1,9 @@
 """Bounded Gauss-Newton with Levenberg damping; the Jacobian is that of lane differences.
 
-Positive parameters whose bounds span a decade or more are varied in their logarithm, the others in fractions
-of their range, the initial state in kelvin. Bounds are handled by an active set: a variable that sits on a
-bound and is pushed outward leaves the step, and no parameter goes further at once than is plausible for it.
-The Gaussian prior keeps directions that the data cannot tell where they were, and its share in the answer is
-what names them.
+Positive parameters whose bounds span a decade or more vary in their logarithm, the others in fractions of their range,
+the initial state in kelvin. Bounds are handled by an active set: a variable that sits on a bound and is pushed outward
+leaves the step, and no parameter goes further at once than is plausible for it. The Gaussian prior holds directions
+that the data do not identify, and its share in the result names them.
 
 Source: Nocedal & Wright, Numerical Optimization, 2nd ed., secs. 10.3 and 16.7; Nielsen, IMM-REP-1999-05 for
 the damping.
@@ -19,14 +18,16 @@ import numpy as np
 from twin.codegen import LANES
 from twin.kernel import Kernel
 from twin.network import Array, Network, TwinFileError
-from twin.stretches import parts
+from twin.segments import segment_rows
 
 PRIOR_LOG = 0.5
-"""Prior standard deviation of a parameter varied in its logarithm: a factor of 1.65 either way."""
+"""Prior standard deviation of a parameter that varies in its logarithm: a factor of 1.65 either way."""
 PRIOR_RANGE = 0.25
-"""Prior standard deviation of a parameter varied linearly, as a fraction of its range."""
+"""Prior standard deviation of a parameter that varies linearly, as a fraction of its range."""
 REACH = 1.0
-"""Longest step, in prior standard deviations of each parameter: a flat direction has no derivative to trust beyond."""
+"""Longest step, in prior standard deviations of each parameter; beyond it the derivative of a flat direction is no
+guide.
+"""
 PIECE = 600
 """Samples linearised at once."""
 SE90 = 1.6449
@@ -36,7 +37,7 @@ _STEP = 1.0e-5
 
 @dataclass(frozen=True)
 class Scaling:
-    """Between physical values and the optimiser's variables z, for the named parameters (q,)."""
+    """The map between physical values and the optimiser's variables z, for the named parameters (q,)."""
 
     ids: tuple[str, ...]
     index: np.ndarray
@@ -48,6 +49,13 @@ class Scaling:
 
     @classmethod
     def of(cls, network: Network, ids: tuple[str, ...]) -> Scaling:
+        """Return the scaling of parameters by their bounds.
+
+        Raises
+        ------
+        TwinFileError
+            A parameter is unknown, or has no room between its bounds.
+        """
         low, high = network.bounds(ids)
         if (high <= low).any():
             name = ids[int(np.argmax(high <= low))]
@@ -57,30 +65,31 @@ class Scaling:
         return cls(ids, network.index(ids), log, offset, width, low, high)
 
     def to_z(self, values: Array) -> Array:
-        """Physical (..., q) to z."""
+        """Return physical values (..., q) as z."""
         safe = np.where(self.log, np.maximum(values, 1e-300), 1.0)
         z: Array = np.where(self.log, np.log(safe), (values - self.offset) / self.width)
         return z
 
     def to_values(self, z: Array) -> Array:
-        """z (..., q) to physical, inside the bounds to the last bit."""
+        """Return z (..., q) as physical values, inside the bounds to the last bit."""
         values = np.where(self.log, np.exp(np.where(self.log, z, 0.0)), self.offset + self.width * z)
         clipped: Array = np.clip(values, self.lower, self.upper)
         return clipped
 
     def slope(self, values: Array) -> Array:
-        """d value / d z at `values` (q,)."""
+        """Return d value / d z at `values` (q,)."""
         return np.where(self.log, values, self.width)
 
     def prior_sd(self) -> Array:
+        """Return the prior standard deviation (q,) of z."""
         return np.where(self.log, PRIOR_LOG, PRIOR_RANGE)
 
 
 @dataclass(frozen=True)
-class Data:
-    """One record or window, cleaned: time (n,), inputs (n, c), measured and weight (n, m).
+class FitData:
+    """A record or window, cleaned: time (n,) s, inputs (n, c), measured degC and weight 1/K (n, m).
 
-    `begins`: rows at which the rig is followed anew (`twin.stretches`); a state is then the node temperatures (s * k,)
+    `begins` are the rows at which the twin restarts (`twin.segments`). A state is then the node temperatures (s * k,)
     at each of them.
     """
 
@@ -90,19 +99,19 @@ class Data:
     weight: Array
     begins: tuple[int, ...] = (0,)
 
-    def stretches(self) -> tuple[Data, ...]:
-        """Each stretch by itself, up to the first row of the next one, which has no weight."""
+    def segments(self) -> tuple[FitData, ...]:
+        """Return each segment by itself, up to the first row of the next one, which has no weight."""
         found = []
-        for rows in parts(self.begins, len(self.time)):
+        for rows in segment_rows(self.begins, len(self.time)):
             r, weight = slice(rows.start, rows.stop + 1), self.weight[rows.start : rows.stop + 1].copy()
             weight[rows.stop - rows.start :] = 0.0
-            found.append(Data(self.time[r], self.inputs[r], self.measured[r], weight))
+            found.append(FitData(self.time[r], self.inputs[r], self.measured[r], weight))
         return tuple(found)
 
 
 @dataclass(frozen=True)
-class Prior:
-    """Gaussian prior of [parameters z, state K]: mean (q + k,), precision (q + k, q + k)."""
+class GaussianPrior:
+    """A Gaussian prior of [parameters z, state K]: mean (q + k,), precision (q + k, q + k)."""
 
     mean: Array
     precision: Array
@@ -110,11 +119,20 @@ class Prior:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Noise-weighted residuals and what a change of q quantities does to them.
+    """Noise-weighted residuals and their derivatives by q quantities.
 
-    Attributes:
-        readings: (n, m) degC at the centre. end: state at the last sample.
-        jtj: (q, q). jtr: (q,) gradient of half the squares. sse: (m,) weighted squares per sensor.
+    Attributes
+    ----------
+    readings
+        (n, m) degC at the centre.
+    end
+        State at the last sample.
+    jtj
+        (q, q) product J'J.
+    jtr
+        (q,) gradient of half the squares.
+    sse
+        (m,) weighted squares per sensor.
     """
 
     readings: Array
@@ -125,14 +143,25 @@ class Linearisation:
 
 
 @dataclass(frozen=True)
-class Fit:
+class GaussNewtonFit:
     """Result of one descent.
 
-    Attributes:
-        v: (q + s * k,) the minimum, [z, temperatures at the beginnings]. values: physical (q,). state: at the first
-            sample of each stretch.
-        data: residuals linearised there. cost: weighted squares plus prior.
-        at_bound: (q,) bool. evaluations: linearisations made.
+    Attributes
+    ----------
+    v
+        (q + s * k,) the minimum: [z, temperatures at the restarts].
+    values
+        Physical values (q,).
+    state
+        State at the first sample of each segment.
+    data
+        Residuals linearised at the minimum.
+    cost
+        Weighted squares plus prior.
+    at_bound
+        (q,) bool.
+    evaluations
+        Linearisations made.
     """
 
     v: Array
@@ -145,20 +174,30 @@ class Fit:
 
     @property
     def sse(self) -> Array:
-        """Weighted squares per sensor (m,)."""
+        """Return the weighted squares per sensor (m,)."""
         return self.data.sse
 
     @property
     def normal(self) -> Array:
-        """J'J of the data alone (q + s * k, q + s * k), in z and K."""
+        """Return J'J of the data alone (q + s * k, q + s * k), in z and K."""
         return self.data.jtj
 
 
-def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, data: Data) -> Linearisation:
-    """Normal equations by forward differences across lanes: row 0 is the centre, row a differs by steps[a - 1].
+def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, data: FitData) -> Linearisation:
+    """Return normal equations by forward differences across lanes: row 0 is the centre, row a differs by steps[a - 1].
 
-    Args:
-        parameters: (1 + q, p) full vectors. state: 1 + q states. steps: (q,) size of each row's difference.
+    Parameters
+    ----------
+    kernel
+        The compiled network.
+    parameters
+        (1 + q, p) full vectors.
+    state
+        1 + q states.
+    steps
+        (q,) size of each row's difference.
+    data
+        Samples and weights.
     """
     n, m = data.measured.shape
     q = steps.size
@@ -183,23 +222,35 @@ def linearise(kernel: Kernel, parameters: Array, state: Array, steps: Array, dat
     return Linearisation(readings, state[0].copy(), jtj / np.outer(steps, steps), jtr / steps, sse)
 
 
-class Problem:
-    """Weighted squares of a record as a function of v = [z (q,), node temperatures at each beginning (s * k,)].
+class FitProblem:
+    """Weighted squares of a record as a function of v = [z (q,), node temperatures at each restart (s * k,)].
 
-    Args:
-        base: full parameter vector (p,); entries of `scaling.index` are replaced.
-        state: (s * k,) at the beginnings; or, of a record in one stretch, a full state at the first sample, of which
-            what it holds beyond the k temperatures (`twin.memory`) is taken as known.
+    Parameters
+    ----------
+    kernel, scaling
+        The compiled network and the scaling of the parameters to fit.
+    base
+        Full parameter vector (p,); entries of `scaling.index` are replaced.
+    data
+        Samples and weights.
+    state
+        (s * k,) at the restarts. For a record in one segment also a full state at the first sample; its entries beyond
+        the k temperatures (`twin.state_layout`) are taken as known.
+
+    Raises
+    ------
+    TwinFileError
+        There are more tunables and nodes than lanes of the kernel.
     """
 
-    def __init__(self, kernel: Kernel, scaling: Scaling, base: Array, data: Data, state: Array) -> None:
+    def __init__(self, kernel: Kernel, scaling: Scaling, base: Array, data: FitData, state: Array) -> None:
         self.q, self.k = len(scaling.ids), len(kernel.network.nodes)
         if self.q + self.k >= LANES:
             raise TwinFileError(
                 f"{self.q} tunables and {self.k} nodes are too many for one fit; at most {LANES - 1} together"
             )
         self.kernel, self.scaling, self.data = kernel, scaling, data
-        self._pieces = data.stretches()
+        self._pieces = data.segments()
         states = len(self._pieces) * self.k
         self.low = np.concatenate([scaling.to_z(scaling.lower), np.full(states, -np.inf)])
         self.high = np.concatenate([scaling.to_z(scaling.upper), np.full(states, np.inf)])
@@ -207,10 +258,11 @@ class Problem:
         self._full = np.tile(base, (1 + self.q + self.k, 1))
         self._rest = state[states:] if len(self._pieces) == 1 else state[:0]
         self._reach = np.concatenate([REACH * scaling.prior_sd(), np.full(states, np.inf)])
+        self._own_row, self._own_column = np.arange(1, 1 + self.q), np.arange(self.q)
         self.evaluations = 0
 
     def linearise(self, v: Array) -> Linearisation:
-        """Residuals and their derivatives at v (q + s * k,)."""
+        """Return residuals and their derivatives at v (q + s * k,)."""
         steps = self._lanes(v)
         if len(self._pieces) == 1:
             return linearise(self.kernel, self._full, self._begun(v, 0, self._rest), steps, self.data)
@@ -223,52 +275,64 @@ class Problem:
             own = self._own(i)
             jtj[np.ix_(own, own)] += each.jtj
             jtr[own] += each.jtr
-        rows = parts(self.data.begins, len(self.data.time))
+        rows = segment_rows(self.data.begins, len(self.data.time))
         readings = np.concatenate([e.readings[: r.stop - r.start] for e, r in zip(found, rows, strict=True)])
         return Linearisation(readings, found[-1].end, jtj, jtr, np.sum([each.sse for each in found], axis=0))
 
     def jacobian(self, v: Array) -> Array:
-        """Derivatives (n, m, q + k) of the readings at v (q + k,), unweighted, of a record in one stretch."""
+        """Return derivatives (n, m, q + k) of the readings at v (q + k,), unweighted, of a record in one segment."""
         steps = self._lanes(v)
         traced, _ = self.kernel.trace(self._full, self._begun(v, 0, self._rest), self.data.time, self.data.inputs)
         derivatives: Array = np.moveaxis((traced[1:] - traced[0]) / steps[:, None, None], 0, 2)
         return derivatives
 
     def _own(self, i: int) -> np.ndarray:
-        """Places in v of what stretch i depends on."""
+        """Return the positions in v on which segment i depends."""
         return np.concatenate([np.arange(self.q), self.q + i * self.k + np.arange(self.k)])
 
     def _lanes(self, v: Array) -> Array:
-        """Set parameters that differ from v by a step each; the steps (q + k,), the last k of temperatures."""
+        """Set parameters that differ from v by a step each; return the steps (q + k,), the last k of temperatures."""
         self.evaluations += 1
         one = slice(0, self.q + self.k)
         steps = np.where(v[one] + self._steps[one] > self.high[one], -self._steps[one], self._steps[one])
-        rows = v[: self.q] + np.vstack([np.zeros(self.q), np.diag(steps[: self.q]), np.zeros((self.k, self.q))])
+        rows = np.repeat(v[None, : self.q], 1 + self.q + self.k, axis=0)
+        rows[self._own_row, self._own_column] += steps[: self.q]
         self._full[:, self.scaling.index] = self.scaling.to_values(rows)
         return steps
 
     def _begun(self, v: Array, i: int, rest: Array) -> Array:
-        """States (1 + q + k, ...) of stretch i, the last k rows a step away each; `rest` is what is remembered."""
+        """Return states (1 + q + k, ...) of segment i, the last k rows a step away each; `rest` is the other memory."""
         own = v[self.q + i * self.k : self.q + (i + 1) * self.k]
-        rows = np.tile(np.concatenate([own, rest]), (1 + self.q + self.k, 1))
+        rows = np.repeat(np.concatenate([own, rest])[None], 1 + self.q + self.k, axis=0)
         rows[1 + self.q :, : self.k] += np.diag(self._steps[self.q : self.q + self.k])
         return rows
 
     def minimise(
         self,
         v: Array,
-        prior: Prior,
+        prior: GaussianPrior,
         *,
         first: Linearisation | None = None,
         held: np.ndarray | None = None,
         most: int = 40,
         tolerance: float = 1e-6,
-    ) -> Fit:
-        """Descend from v (q + s * k,) on squares plus prior.
+    ) -> GaussNewtonFit:
+        """Minimise squares plus prior, from v (q + s * k,).
 
-        Args:
-            first: what `linearise` gave at v, if it is known. held: (q + s * k,) bool, variables that stay.
-            most: linearisations. tolerance: relative decrease of the cost below which the descent ends.
+        Parameters
+        ----------
+        v
+            Start.
+        prior
+            Gaussian prior of v.
+        first
+            Result of `linearise` at v, if it is known.
+        held
+            (q + s * k,) bool, variables that stay.
+        most
+            Largest number of linearisations.
+        tolerance
+            Relative decrease of the cost below which the descent ends.
         """
         low, high, q = self.low, self.high, self.q
         open_ = np.ones(v.size, dtype=bool) if held is None else ~held
@@ -311,34 +375,41 @@ class Problem:
                     break
         at_bound = (v[:q] <= low[:q] + 1e-9) | (v[:q] >= high[:q] - 1e-9)
         state = np.concatenate([v[q:], self._rest])
-        return Fit(v, self.scaling.to_values(v[:q]), state, out, cost, at_bound, self.evaluations)
+        return GaussNewtonFit(v, self.scaling.to_values(v[:q]), state, out, cost, at_bound, self.evaluations)
 
 
-def descend(
+def fit_parameters(
     kernel: Kernel,
     scaling: Scaling,
     base: Array,
-    data: Data,
+    data: FitData,
     values: Array,
     state: Array,
-    prior: Prior,
-    most: int = 40,
-    tolerance: float = 1e-6,
-) -> Fit:
+    prior: GaussianPrior,
+) -> GaussNewtonFit:
     """Minimise weighted squares plus prior over the scaled parameters and the initial state.
 
-    Args:
-        base: full parameter vector (p,); entries of `scaling.index` are replaced.
-        values, state: where to start, (q,) and a state.
+    Parameters
+    ----------
+    kernel, scaling
+        The compiled network and the scaling of the parameters to fit.
+    base
+        Full parameter vector (p,); entries of `scaling.index` are replaced.
+    data
+        Samples and weights.
+    values, state
+        Start: (q,) and a state.
+    prior
+        Gaussian prior of both.
     """
-    problem = Problem(kernel, scaling, base, data, state)
+    problem = FitProblem(kernel, scaling, base, data, state)
     temperatures = state[: len(data.begins) * problem.k]
     v = np.clip(np.concatenate([scaling.to_z(values), temperatures]), problem.low, problem.high)
-    return problem.minimise(v, prior, most=most, tolerance=tolerance)
+    return problem.minimise(v, prior)
 
 
 def _bounded_step(hessian: Array, gradient: Array, free: np.ndarray, damping: float, low: Array, high: Array) -> Array:
-    """Damped step inside [low, high]; variables that would leave are put on the bound and solved around."""
+    """Return a damped step inside [low, high]; variables that would leave are put on the bound and solved around."""
     diagonal = np.diag(hessian)
     scale = damping * np.maximum(diagonal, 1e-12 * max(diagonal.max(), 1e-300))
     damped = hessian + np.diag(scale)
@@ -362,8 +433,10 @@ def _bounded_step(hessian: Array, gradient: Array, free: np.ndarray, damping: fl
     return np.clip(step, low, high)
 
 
-def align(kernel: Kernel, base: Array, state: Array, data: Data, sd: Array | float, most: int = 3) -> Array:
-    """Initial state that fits `data` at fixed parameters, with a prior of `sd` K round the temperatures of `state`.
+def fit_initial_state(
+    kernel: Kernel, base: Array, state: Array, data: FitData, sd: Array | float, most: int = 3
+) -> Array:
+    """Fit the initial state to `data` at fixed parameters, with a prior of `sd` K around the temperatures of `state`.
 
     One step is exact for a linear network; the others are for elements that are not.
     """

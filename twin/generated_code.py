@@ -1,51 +1,58 @@
-"""Generated source, checked as a syntax tree before it is compiled, and run without builtins.
+"""Check of generated source as a syntax tree before it is compiled, and its execution without builtins.
 
 The generators write arithmetic and loops in identifiers of their own; names from files never enter (see
-`twin.elements.symbols`). This module does not rely on that. It admits only the syntax that the generators need: any
-import, attribute, string or call beyond that is refused, and what remains can reach nothing but arrays and arithmetic.
+`twin.elements.symbols`). This module does not rely on that. It admits only the syntax that the generators need. Any
+import, attribute, string or call beyond that is refused, and the rest can reach nothing but arrays and arithmetic.
 """
 
 from __future__ import annotations
 
 import ast
+import functools
 import math
 import re
 from collections.abc import Callable, Mapping
 from types import CodeType
 from typing import Any
 
-from twin.affine import PARSING
+from twin.affine import PARSER_LOCK
 
 MATH: Mapping[str, Callable[..., Any]] = {"exp": math.exp, "log": math.log}
 """Functions of plain numbers that formulas call."""
 BUILTINS: Mapping[str, Any] = {"abs": abs, "int": int, "max": max, "min": min, "range": range}
-"""All that generated code has of Python's builtins."""
+"""The Python builtins that generated code may use."""
 _ARRAY_FUNCTIONS = frozenset(("zeros", "empty", "ceil"))
 _OPTIONS = frozenset(("cache", "fastmath", "nogil", "error_model", "inline"))
 _IDENTIFIER = re.compile(r"(?!__)[A-Za-z_][A-Za-z0-9_]*")
 _SYNTAX: tuple[type[ast.AST], ...] = (
-    ast.Module, ast.FunctionDef, ast.arguments, ast.arg, ast.Return, ast.Expr, ast.Assign, ast.AugAssign, ast.For,
-    ast.While, ast.If, ast.Break, ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp, ast.Call, ast.keyword,
-    ast.Subscript, ast.Slice, ast.Tuple, ast.List, ast.Attribute, ast.Name, ast.Constant, ast.Load, ast.Store,
-    ast.operator, ast.unaryop, ast.boolop, ast.cmpop,
-)  # fmt: skip
+    *(ast.Module, ast.FunctionDef, ast.arguments, ast.arg, ast.Return, ast.Expr, ast.Assign, ast.AugAssign, ast.For),
+    *(ast.While, ast.If, ast.Break, ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp, ast.Call, ast.keyword),
+    *(ast.Subscript, ast.Slice, ast.Tuple, ast.List, ast.Attribute, ast.Name, ast.Constant, ast.Load, ast.Store),
+    *(ast.operator, ast.unaryop, ast.boolop, ast.cmpop),
+)
 
 
 class GeneratedCodeError(RuntimeError):
-    """Generated source that holds something which no formula needs: a defect of a generator, or an attack."""
+    """Generated source with a construct that no formula needs: a defect of a generator, or an attack."""
 
 
-def checked(source: str, given: Mapping[str, Any]) -> ast.Module:
+def check_source(source: str, given: Mapping[str, Any]) -> ast.Module:
     """Return the syntax tree of generated source that holds nothing but arithmetic on arrays.
 
-    Args:
-        source: a module of functions. given: names that it may use beside its own and `BUILTINS`.
+    Parameters
+    ----------
+    source
+        A module of functions.
+    given
+        Names that it may use beside its own and `BUILTINS`.
 
-    Raises:
-        GeneratedCodeError: anything else is in it.
+    Raises
+    ------
+    GeneratedCodeError
+        The source holds anything else.
     """
     try:
-        with PARSING:
+        with PARSER_LOCK:
             tree = ast.parse(source)
     except (SyntaxError, ValueError, RecursionError) as error:
         raise GeneratedCodeError(f"the generated source is no Python ({error}); please report it") from None
@@ -53,40 +60,57 @@ def checked(source: str, given: Mapping[str, Any]) -> ast.Module:
     return tree
 
 
-def code(tree: ast.Module, file: str) -> CodeType:
+def compile_tree(tree: ast.Module, file: str) -> CodeType:
     """Compile a checked tree; `file` stands in tracebacks."""
-    with PARSING:
+    with PARSER_LOCK:
         compiled: CodeType = compile(tree, file, "exec", dont_inherit=True)
     return compiled
 
 
-def functions(source: str, file: str, given: Mapping[str, Any] = MATH) -> dict[str, Any]:
-    """Run generated source and return what it defines.
+def define_functions(source: str, file: str, given: Mapping[str, Any] = MATH) -> dict[str, Any]:
+    """Run generated source and return the functions that it defines.
 
-    Args:
-        file: what tracebacks call it. given: the functions that it calls; they replace builtins of the same name.
+    Parameters
+    ----------
+    source
+        A module of functions.
+    file
+        Name of the source in tracebacks.
+    given
+        Functions that the source calls; they replace builtins of the same name.
 
-    Raises:
-        GeneratedCodeError: see `checked`.
+    Raises
+    ------
+    GeneratedCodeError
+        See `check_source`.
     """
     scope: dict[str, Any] = {"__builtins__": dict(BUILTINS), **given}
-    exec(code(checked(source, given), file), scope)
+    exec(_checked_code(source, file, frozenset(given)), scope)
     return scope
 
 
-def value(formula: str, names: Mapping[str, float]) -> float:
+@functools.lru_cache(maxsize=256)
+def _checked_code(source: str, file: str, given: frozenset[str]) -> CodeType:
+    """Check and compile; a search of effects asks for the same few dozen texts again and again, and the check of one
+    takes longer than its formulas on a whole record."""
+    return compile_tree(check_source(source, dict.fromkeys(given)), file)
+
+
+def evaluate_formula(formula: str, names: Mapping[str, float]) -> float:
     """Evaluate one formula with numbers for its names.
 
-    Raises:
-        GeneratedCodeError: see `checked`.
+    Raises
+    ------
+    GeneratedCodeError
+        See `check_source`.
     """
     arguments = ", ".join(names)
-    scope = functions(f"def formula({arguments}):\n    return {formula}\n", "<formula>")
+    scope = define_functions(f"def formula({arguments}):\n    return {formula}\n", "<formula>")
     return float(scope["formula"](**names))
 
 
 class _Check:
-    """One walk over a tree. Every kind of node, name, call and constant must be known."""
+    """A walk over a syntax tree in which every kind of node, name, call and constant must be known."""
 
     def __init__(self, tree: ast.Module, given: frozenset[str]) -> None:
         nodes = list(ast.walk(tree))
@@ -105,11 +129,13 @@ class _Check:
         for node in nodes:
             self.node(node)
 
-    def refuse(self, node: ast.AST, what: str) -> None:
+    def refuse(self, node: ast.AST, construct: str) -> None:
+        """Raise GeneratedCodeError for a node."""
         line = getattr(node, "lineno", 0)
-        raise GeneratedCodeError(f"line {line} of the generated source has {what}, which no formula needs")
+        raise GeneratedCodeError(f"line {line} of the generated source has {construct}, which no formula needs")
 
     def function(self, node: ast.FunctionDef) -> None:
+        """Check arguments and decorators of a function."""
         a = node.args
         if a.vararg or a.kwarg or a.defaults or a.kw_defaults or a.kwonlyargs or a.posonlyargs or node.returns:
             self.refuse(node, "a function with other than plain arguments")
@@ -123,6 +149,7 @@ class _Check:
             self.options |= {id(n) for n in ast.walk(decorator)}
 
     def node(self, node: ast.AST) -> None:
+        """Check one node of any kind."""
         if not isinstance(node, _SYNTAX):
             self.refuse(node, f"the syntax {type(node).__name__}")
         if isinstance(node, ast.Name | ast.arg | ast.FunctionDef):
@@ -141,6 +168,7 @@ class _Check:
                 self.refuse(node, f"the attribute {node.attr!r}")
 
     def call(self, node: ast.Call) -> None:
+        """Check the target of a call."""
         target = node.func
         if node.keywords:
             self.refuse(node, "a call with keywords")
@@ -155,4 +183,12 @@ class _Check:
             self.refuse(node, f"the call of {ast.unparse(target)}")
 
 
-__all__ = ["BUILTINS", "MATH", "GeneratedCodeError", "checked", "code", "functions", "value"]
+__all__ = [
+    "BUILTINS",
+    "MATH",
+    "GeneratedCodeError",
+    "check_source",
+    "compile_tree",
+    "define_functions",
+    "evaluate_formula",
+]

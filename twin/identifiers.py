@@ -15,8 +15,8 @@ LONGEST_SHOWN = 40
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
-def refusal(name: str) -> str:
-    """Return why a name cannot be used and what to write instead, or "" for one that can."""
+def name_problem(name: str) -> str:
+    """Return why a name cannot be used and what to write instead, or "" for a valid name."""
     if _IDENTIFIER.fullmatch(name):
         if keyword.iskeyword(name):
             return f"{name!r} is a word of Python, which no name may be; rename it, for example to {name}_1"

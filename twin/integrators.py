@@ -1,4 +1,4 @@
-"""One substep as source text: a Taylor series for networks that are affine in the temperatures, else Runge-Kutta.
+"""Source text of one substep: a Taylor series for networks that are affine in the temperatures, else Runge-Kutta.
 
 The inputs are constant in a substep, so x' = A x + b(t) with b constant or, behind pipes, quadratic in time. The terms
 
@@ -10,47 +10,47 @@ its terms beyond the third in a loop, in pairs, and as many as the stiffest lane
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
 
-from twin.affine import ZERO, Form, names_in, plus, times
-from twin.assembly import FEW
-
-if TYPE_CHECKING:
-    from twin.codegen import _Kernel
+from twin.affine import ZERO, Form, add, names_in
+from twin.assembly import FEW_STATES, System
+from twin.delays import DelayLines
+from twin.kernel_text import KernelText, renamed
 
 ORDER, STEP_LIMIT = 5, 0.2
 """Order of the series of a small network, and the largest step * rate for it; also the limit for Runge-Kutta."""
 PAIRS = ((0.3, 1), (0.67, 2), (1.14, 3), (1.67, 4))
 """Step * rate -> pairs of terms beyond the third, for a large network."""
-NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")  # not the e of 1.0e-5
 
 
 class Integrator:
     """Lines of the substeps of one kernel.
 
-    Attributes:
-        limit: largest substep * (bound on a state's own rate). paired: whether terms run in a loop.
+    Attributes
+    ----------
+    limit
+        Largest substep * (bound on a state's own rate).
+    paired
+        True if terms run in a loop.
     """
 
-    def __init__(self, kernel: _Kernel) -> None:
-        self.kernel, self.system = kernel, kernel.system
+    def __init__(self, system: System, text: KernelText, delays: DelayLines | None) -> None:
+        self.system, self.text, self.delays = system, text, delays
         self.count = len(self.system.states)
-        self.paired = self.system.linear and self.count > FEW
+        self.paired = self.system.linear and self.count > FEW_STATES
         self.limit = PAIRS[-1][0] if self.paired else STEP_LIMIT
-        self.constants = list(dict.fromkeys(f.constant for f in self.system.followers))
+        self.constants = list(dict.fromkeys(f.constant for f in self.system.lag_terms))
         if self.paired:
             for j in range(self.count):
-                kernel.row(f"e{j}")
-                kernel.row(f"n{j}")
-                kernel.row(f"m{j}")
-
-    # --- once an interval -----------------------------------------------------------------------------------
+                text.row(f"e{j}")
+                text.row(f"n{j}")
+                text.row(f"m{j}")
 
     def refresh(self) -> list[str]:
-        """Weights of the lags for the step: a lag's answer to a quadratic in time is known in closed form."""
-        k, body = self.kernel, list[str]()
+        """Return the weights of the lags for the step: the response of a lag to a quadratic in time is known in
+        closed form.
+        """
+        k, body = self.text, list[str]()
         for g, constant in enumerate(self.constants):
             lane = bool(names_in(constant) & k.rows.keys())
             lines = [
@@ -68,11 +68,11 @@ class Integrator:
                 body += lines
         return body
 
-    # --- once a substep -------------------------------------------------------------------------------------
-
     def substep(self) -> list[str]:
-        """Lines, loops over lanes included, that take the state from the start x to the end n of a step of h."""
-        k, delays, count = self.kernel, self.kernel.delays, range(self.count)
+        """Return the lines, loops over lanes included, that take the state from the start x to the end n of a step
+        of h.
+        """
+        k, delays, count = self.text, self.delays, range(self.count)
         outlets = delays.outlets() if delays else []
         end = [*self._lags(), *self._waters(), *self._store("x", "n")]
         if self.paired:
@@ -102,10 +102,10 @@ class Integrator:
         return [f"{letter}{j}" for j in range(self.count)]
 
     def _store(self, row: str, name: str) -> list[str]:
-        return [f"{self.kernel.at(f'{row}{j}')} = {name}{j}" for j in range(self.count)]
+        return [f"{self.text.at(f'{row}{j}')} = {name}{j}" for j in range(self.count)]
 
     def _sums(self, terms: list[str]) -> list[str]:
-        """The series and its mean over the step: n, m."""
+        """Return the series n and its mean m over the step."""
         lines = []
         for j in range(self.count):
             lines.append(f"n{j} = " + " + ".join([f"x{j}", *(f"{t}{j}" for t in terms)]))
@@ -114,22 +114,22 @@ class Integrator:
         return lines
 
     def _three(self, forms: list[Form], suffix: str) -> tuple[list[str], list[tuple[str, str, str]]]:
-        """Lines, and per form its values at the start and the end of the step and its mean."""
+        """Return lines, and per form its values at the start and the end of the step and its mean."""
         lines: list[str] = []
         found = []
-        if forms and self.kernel.delays:
+        if forms and self.delays:
             lines += [f"Dq{p} = Ds{p} + 0.5 * Da{p} + {1.0 / 3.0!r} * Db{p}" for p in range(len(self.system.delays))]
         for y, outlets, tail in (("x", "Ds", "b"), ("n", "De", "n"), ("m", "Dq", "m")):
             names, more = self._chained(self._names(y), outlets, f"_{suffix}{tail}", forms)
             lines += more
-            found.append([renamed(ordered(form), names) for form in forms])
+            found.append([renamed(form.text(), names) for form in forms])
         return lines, list(zip(*found, strict=True))
 
     def _lags(self) -> list[str]:
-        """Lags, which follow the quadratic through start and end that has the right mean."""
-        k = self.kernel
-        lines, values = self._three([f.of for f in self.system.followers], "l")
-        for j, ((start, end, mean), f) in enumerate(zip(values, self.system.followers, strict=True)):
+        """Return the lines of the lags, which follow the quadratic through start and end that has the right mean."""
+        k = self.text
+        lines, values = self._three([f.of for f in self.system.lag_terms], "l")
+        for j, ((start, end, mean), f) in enumerate(zip(values, self.system.lag_terms, strict=True)):
             g = self.constants.index(f.constant)
             lines += [
                 f"t0 = {start}",
@@ -141,9 +141,9 @@ class Integrator:
         return lines
 
     def _waters(self) -> list[str]:
-        """Water that enters delays: at the start, slope over the step, at the end."""
-        k = self.kernel
-        lines, values = self._three(list(self.system.waters), "w")
+        """Return the lines of the water that enters delays: at the start, slope over the step, at the end."""
+        k = self.text
+        lines, values = self._three(list(self.system.inlet_forms), "w")
         for p, (start, end, mean) in enumerate(values):
             lines += [
                 f"wb{p} = {start}",
@@ -154,12 +154,10 @@ class Integrator:
             ]
         return lines
 
-    # --- rates ----------------------------------------------------------------------------------------------
-
     def _chained(
         self, y: list[str], outlets: str, suffix: str, forms: Iterable[Form], offsets: bool = True
     ) -> tuple[dict[str, str], list[str]]:
-        """Names of everything that the forms need at temperatures `y`, and lines for the locals among it."""
+        """Return names of all that the forms need at temperatures `y`, and lines for the locals among it."""
         system = self.system
         names = {f"x{j}": y[j] for j in range(self.count)}
         names |= {f"D{p}": f"{outlets}{p}" if outlets else ZERO for p in range(len(system.delays))}
@@ -171,28 +169,28 @@ class Integrator:
         for name, form in system.chain.items():
             if name in wanted:
                 names[name] = f"{name}{suffix}"
-                lines.append(f"{names[name]} = {self._text(form, names, offsets)}")
+                lines.append(f"{names[name]} = {self._expression(form, names, offsets)}")
         return names, lines
 
-    def _text(self, form: Form, names: Mapping[str, str], offsets: bool) -> str:
+    def _expression(self, form: Form, names: Mapping[str, str], offsets: bool) -> str:
         slopes = {v: t for v, t in form.slopes.items() if names[v] != ZERO}
-        return renamed(ordered(Form(slopes, form.offset if offsets else ZERO)), names)
+        return renamed(Form(slopes, form.offset if offsets else ZERO).text(), names)
 
     def _rates(self, y: list[str], outlets: str, stage: str, offsets: bool = True) -> list[str]:
-        """Rates k0, k1, .. of a stage at temperatures `y`, with delay outlets named `outlets` + index."""
+        """Return the rates k0, k1, .. of a stage at temperatures `y`, with delay outlets named `outlets` + index."""
         system = self.system
         names, lines = self._chained(y, outlets, f"_{stage}", [form for form, _ in system.slopes], offsets)
-        staged = {name: f"{name}_{stage}" for name in system.curved}
-        lines += [f"{staged[n]} = {renamed(t, {**names, **staged})}" for n, t in system.curved.items()]
+        staged = {name: f"{name}_{stage}" for name in system.nonaffine_locals}
+        lines += [f"{staged[n]} = {renamed(t, {**names, **staged})}" for n, t in system.nonaffine_locals.items()]
         for j, (form, rest) in enumerate(system.slopes):
-            text = self._text(form, names, offsets)
+            text = self._expression(form, names, offsets)
             if rest != ZERO:
-                text = plus(text, renamed(rest, {**names, **staged}))
+                text = add(text, renamed(rest, {**names, **staged}))
             lines.append(f"k{j}{stage} = {text}")
         return lines
 
     def _term(self, y: list[str], to: str, step: str, outlets: str = "", offsets: bool = False) -> list[str]:
-        """One term of the series from the one before."""
+        """Return one term of the series from the one before."""
         lines = self._rates(y, outlets, to, offsets)
         return lines + [f"{to}{j} = {step} * k{j}{to}" for j in range(self.count)]
 
@@ -202,7 +200,7 @@ class Integrator:
         return lines + self._term(self._names("e2_"), "e3_", "h3", "Db")
 
     def _horner(self) -> list[str]:
-        """Taylor series for a right side that is constant in the step, as Horner's scheme of exp.
+        """Return the Taylor series for a right-hand side that is constant in the step, as Horner's scheme of exp.
 
         x_i = x + h/(s + 1 - i) f(x_(i-1)), i = 1 .. s, of order s.
         """
@@ -210,16 +208,16 @@ class Integrator:
         for i in range(ORDER, 0, -1):
             last = i == 1
             lines += self._rates(y, "D", f"s{i}")
-            if i == ORDER and self.system.followers:
+            if i == ORDER and self.system.lag_terms:
                 lines += [f"e{j} = h * k{j}s{i}" for j in k]
             y = [f"n{j}" if last else f"y{j}s{i}" for j in k]
             lines += [f"{y[j]} = x{j} + {'h' if last else f'h{i}'} * k{j}s{i}" for j in k]
-        if self.system.followers:
+        if self.system.lag_terms:
             lines += [f"m{j} = {1.0 / 3.0!r} * (2.0 * x{j} + n{j}) + {1.0 / 6.0!r} * e{j}" for j in k]
         return lines
 
     def _runge_kutta(self) -> list[str]:
-        """Classical fourth order."""
+        """Return the classical fourth-order method (Runge-Kutta)."""
         k, x = range(self.count), self._names("x")
         lines = self._rates(x, "Ds", "a")
         stages = (("a", "b", "h2", "Dm"), ("b", "c", "h2", "Dm"), ("c", "d", "h", "De"))
@@ -228,16 +226,3 @@ class Integrator:
             lines += self._rates([f"y{j}{here}" for j in k], outlets, here)
         lines += [f"n{j} = x{j} + h6 * (k{j}a + 2.0 * (k{j}b + k{j}c) + k{j}d)" for j in k]
         return lines + [f"m{j} = x{j} + h6 * (k{j}a + k{j}b + k{j}c)" for j in k]
-
-
-def ordered(form: Form) -> str:
-    """Text of a form as a chain of multiply-adds."""
-    total = form.offset
-    for name, slope in form.slopes.items():
-        total = plus(total, times(slope, name))
-    return total
-
-
-def renamed(text: str, names: Mapping[str, str]) -> str:
-    """The expression with whole names replaced."""
-    return NAME.sub(lambda m: names.get(m.group(), m.group()), text)

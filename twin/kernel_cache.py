@@ -1,9 +1,9 @@
-"""Machine code of generated kernels, kept in a folder that belongs to this user alone.
+"""Cache of compiled kernels, in a folder that belongs to this user alone.
 
-numba keeps its index and its machine code as pickles, which are executed when they are read. So the folder has to be
-this user's own, closed to everybody else, and it lies in no shared temporary place. Every file in it is checked before
-it is used: owner, permissions, and the SHA-256 that was noted when it was written. What does not pass is removed and
-compiled anew. Without such a folder a kernel is compiled in a temporary one and forgotten.
+numba stores its index and its machine code as pickles, which are executed when they are read. So the folder must be
+this user's own, closed to everybody else, and not in a shared temporary place. Every file in it is checked before use:
+owner, permissions, and the SHA-256 noted when it was written. A file that does not pass is removed and compiled anew.
+Without such a folder a kernel is compiled in a temporary one and forgotten.
 
 Writers hold a file lock and replace files atomically, so that several processes can share the cache.
 """
@@ -28,25 +28,28 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from twin.generated_code import BUILTINS, checked, code
+from twin.generated_code import BUILTINS, check_source, compile_tree
 
 FOLDER = "hil-twin"
+"""Name of the cache folder inside the user's cache directory."""
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _DIGESTS = "digests.json"
 _LAYOUT = 2
-"""Number of this module's layout of a kernel's folder; part of the key, so that folders of another one are left."""
+"""Version of a kernel folder's layout; part of the key, so that folders of another version are ignored."""
 FAST = {"contract", "nsz", "arcp"}
-"""Freedom of rounding that kernels are compiled with: fused multiply-adds, sign of zero, reciprocals."""
+"""Freedom of rounding with which kernels are compiled: fused multiply-adds, sign of zero, reciprocals."""
 _BUILDING = threading.Lock()
 _log = logging.getLogger(__name__)
 
 
 @functools.lru_cache(maxsize=64)
-def compiled(source: str) -> Callable[..., None]:
+def compile_kernel(source: str) -> Callable[..., None]:
     """Return machine code for a generated source, from the disk cache where possible.
 
-    Raises:
-        twin.generated_code.GeneratedCodeError: the source holds more than a kernel needs.
+    Raises
+    ------
+    twin.generated_code.GeneratedCodeError
+        The source holds more than a kernel needs.
     """
     import numba
 
@@ -81,7 +84,7 @@ def cache_root() -> Path | None:
         try:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             folder = folder.resolve()
-            reason = not_private(folder)
+            reason = privacy_problem(folder)
             if not reason and stat.S_IMODE(folder.stat().st_mode) != 0o700:
                 folder.chmod(0o700)
         except OSError as error:
@@ -93,13 +96,15 @@ def cache_root() -> Path | None:
     return None
 
 
-def not_private(folder: Path) -> str:
+def privacy_problem(folder: Path) -> str:
     """Return why other users may put files into a folder, or "" for one that only this user can write.
 
-    A folder above it counts where everybody may rename what is in it, which the sticky bit of /tmp forbids.
+    A folder above it counts where everybody may rename its contents, which the sticky bit of /tmp forbids.
 
-    Raises:
-        OSError: it cannot be looked at.
+    Raises
+    ------
+    OSError
+        The folder cannot be read.
     """
     status = folder.stat()
     if status.st_uid != os.getuid():
@@ -114,16 +119,16 @@ def not_private(folder: Path) -> str:
 
 
 def numba_may_cache() -> bool:
-    """Return whether numba may keep machine code where it is told to: beside the source, or in a private folder."""
+    """Return True if numba may store machine code where it is told to: beside the source, or in a private folder."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     try:
-        return not given or not not_private(Path(given))
+        return not given or not privacy_problem(Path(given))
     except OSError:
         return False
 
 
 def cache_folder(name: str) -> Path | None:
-    """A folder of that name in the cache, beside the kernels, or None where nothing can be kept."""
+    """Return a folder of that name in the cache, beside the kernels, or None where nothing can be stored."""
     root = cache_root()
     if root is None:
         return None
@@ -136,7 +141,7 @@ def cache_folder(name: str) -> Path | None:
 
 @functools.cache
 def _no_cache(reason: str) -> None:
-    """Report once that nothing is kept."""
+    """Report once that nothing is stored."""
     _log.warning(
         "No cache for compiled twins, so every start compiles them anew: %s. Set XDG_CACHE_HOME to a folder of your "
         "own that nobody else may write (chmod 700).",
@@ -145,7 +150,7 @@ def _no_cache(reason: str) -> None:
 
 
 def _intact(folder: Path, source: str) -> bool:
-    """Return whether a kernel's folder holds the source and just those files that were noted, unchanged and ours."""
+    """Return True if a kernel's folder holds the source and just the noted files, unchanged and this user's."""
     try:
         noted = json.loads(_bytes(folder / _DIGESTS))
         found = {path.name: hashlib.sha256(_bytes(path)).hexdigest() for path in _kept(folder)}
@@ -171,10 +176,12 @@ def _source_file(folder: Path) -> Path:
 
 
 def _bytes(path: Path) -> bytes:
-    """Content of a regular file of this user's that nobody else may write; links are not followed.
+    """Return the content of a regular file of this user that nobody else may write; links are not followed.
 
-    Raises:
-        OSError: it is something else, or is not there.
+    Raises
+    ------
+    OSError
+        The file is missing or is something else.
     """
     with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW), "rb") as file:
         if not _ours(path, os.fstat(file.fileno())):
@@ -199,7 +206,7 @@ def _load(folder: Path, key: str, source: str) -> Callable[..., None]:
     import numpy as np
 
     given = {"nb": numba, "np": np, "log": math.log, "FAST": FAST}
-    tree = checked(source, given)
+    tree = check_source(source, given)
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     (folder / "__pycache__").mkdir(exist_ok=True, mode=0o700)
     path = _source_file(folder)
@@ -210,15 +217,43 @@ def _load(folder: Path, key: str, source: str) -> Callable[..., None]:
     module.__dict__.update({"__builtins__": dict(BUILTINS), "__file__": str(path), **given})
     # numba's cached code refers to its module by name while it is being loaded.
     sys.modules[module.__name__] = module
-    with _BUILDING, _beside_the_source(numba.config):
-        exec(code(tree, str(path)), module.__dict__)
+    with _BUILDING, _beside_the_source(numba.config), _operators_resolved_once():
+        exec(compile_tree(tree, str(path)), module.__dict__)
     kernel: Callable[..., None] = module.__dict__["kernel"]
     return kernel
 
 
 @contextlib.contextmanager
+def _operators_resolved_once() -> Iterator[None]:
+    """Have numba resolve an operator on the same scalar types once a kernel; a third of the time of compiling one.
+
+    A kernel has some 1700 operations of 50 kinds, and numba searches its overloads for each of them. The signatures are
+    the same ones. Threads that compile other functions meanwhile may share them.
+    """
+    from numba.core import types
+
+    functions: Any = types.functions.BaseFunction
+    resolve = functions.get_call_type
+    known: dict[Any, Any] = {}
+
+    def remembered(function: Any, context: Any, args: Any, kws: Any) -> Any:
+        if kws or not all(isinstance(arg, types.Number | types.Boolean) for arg in args):
+            return resolve(function, context, args, kws)
+        key = (id(context), function, tuple(args))
+        if key not in known:
+            known[key] = resolve(function, context, args, kws)
+        return known[key]
+
+    functions.get_call_type = remembered
+    try:
+        yield
+    finally:
+        functions.get_call_type = resolve
+
+
+@contextlib.contextmanager
 def _beside_the_source(config: Any) -> Iterator[None]:
-    """Have numba keep its files beside the source, wherever NUMBA_CACHE_DIR points: that folder may be shared."""
+    """Make numba store its files beside the source, because the folder that NUMBA_CACHE_DIR names may be shared."""
     elsewhere, config.CACHE_DIR = config.CACHE_DIR, ""
     try:
         yield

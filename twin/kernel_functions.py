@@ -1,6 +1,6 @@
 """Functions that generated kernels call, as text: they are compiled beside each kernel, for its number of lanes.
 
-LANES, SLOTS and NEVER are constants of the generated module, FAST is `twin.kernel_cache.FAST`.
+LANES, SLOTS and NEVER are constants of the generated module; FAST is `twin.kernel_cache.FAST`.
 """
 
 EXP = '''
@@ -21,7 +21,7 @@ def exp(x):
 ARRIVED = '''
 @nb.njit('f8(f8[::1], f8[:,::1], i8, i8, f8)', cache=True, error_model='numpy')
 def arrived(time, inputs, column, i, dead):
-    """Mean of a held input over interval i, `dead` seconds ago; before the first sample it was as then."""
+    """Return the mean of a held input over interval i, `dead` seconds ago; before the first sample it was constant."""
     first, last = time[i] - dead, time[i + 1] - dead
     low, high = 0, i
     while low < high:
@@ -42,7 +42,7 @@ def arrived(time, inputs, column, i, dead):
 DELAY_STATE = '''
 @nb.njit('void(f8[:,::1], f8[:,:,::1], i8, i8, i8)', cache=True)
 def fill_volumes(V, past, b, line, row):
-    """Volumes of a flow at which its slots begin, counted from now; at rest all but the last slots are far away."""
+    """Set the volumes of a flow at which its slots begin, from now; at rest all but the last slots are far away."""
     for e in range(SLOTS):
         for l in range(V.shape[1]):
             V[line + e, l] = past[b, row + e, l] if past.shape[0] > 0 else (e - SLOTS + 1) * NEVER
@@ -50,7 +50,7 @@ def fill_volumes(V, past, b, line, row):
 
 @nb.njit('void(f8[:,::1], f8[:,::1], f8[:,:,::1], i8, i8, i8, i8)', cache=True)
 def fill_water(H, R, past, b, line, row, water):
-    """Water of a delay, slot by slot; at rest that in row `water`."""
+    """Set the water of a delay, slot by slot; at rest it is that in row `water`."""
     for e in range(SLOTS):
         for part in range(3):
             for l in range(LANES):
@@ -60,7 +60,7 @@ def fill_water(H, R, past, b, line, row, water):
 
 @nb.njit('void(f8[:,::1], f8[:,:,::1], i8, i8, i8, i8, i8)', cache=True)
 def hand_volumes(V, future, b, line, row, tip, since):
-    """What `fill_volumes` takes up, oldest slot first, counted from the newest boundary; steps since a slot closed."""
+    """Store the volumes for `fill_volumes`, oldest slot first, from the newest boundary; then steps since closing."""
     many = V.shape[1] > 1
     for l in range(LANES):
         own = l if many else 0
@@ -71,17 +71,19 @@ def hand_volumes(V, future, b, line, row, tip, since):
 
 @nb.njit('void(f8[:,::1], f8[:,:,::1], i8, i8, i8, i8)', cache=True)
 def hand_water(H, future, b, line, row, tip):
-    """What `fill_water` takes up."""
+    """Store the water for `fill_water`."""
     for e in range(SLOTS):
         for part in range(3):
             for l in range(LANES):
                 future[b, row + part * SLOTS + e, l] = H[3 * (line + ((tip + 1 + e) & (SLOTS - 1))) + part, l]
 '''
-LINES_ALIKE = '''
-@nb.njit('void(f8[:,::1], f8[:,::1], i8, i8, i8, f8)', cache=True, fastmath=FAST, error_model='numpy')
+_NOTE = '''
+@nb.njit('void(f8[:,::1], f8[:,::1], i8, i8, i8, {type})', cache=True, fastmath=FAST, error_model='numpy')
 def note(H, R, i, water, steps, share):
-    """Fill slot i. R: rows of the water that enters at the start, of its slope there, of the water at the end; the
-    share of the slot's volume that this step is."""
+    """Fill slot i from the rows of R: water that enters at the start, its slope there, water at the end.
+
+    The step takes up the share of the slot's volume.
+    """
     i = 3 * i
     if steps == 0:
         for l in range(LANES):  # one row to a loop: few rows to prove apart, and it stays vectorised
@@ -94,16 +96,26 @@ def note(H, R, i, water, steps, share):
         for l in range(LANES):
             new = 2.0 / 3.0 * R[water, l] + 1.0 / 6.0 * R[water + 1, l] + 1.0 / 3.0 * R[water + 2, l]
             mean = H[i, l] + 0.5 * H[i + 1, l] + 1.0 / 3.0 * H[i + 2, l]
-            mean += share * (new - mean)
+            mean += {share} * (new - mean)
             H[i + 1, l] = 6.0 * mean - 4.0 * H[i, l] - 2.0 * R[water + 2, l]
             H[i + 2, l] = R[water + 2, l] - H[i, l] - H[i + 1, l]
+'''
 
+
+def _note(kind: str, share: str) -> str:
+    """Return the function that fills a slot, for a share of the slot's volume of a type and an expression."""
+    return _NOTE.replace("{type}", kind).replace("{share}", share)
+
+
+SHARED_FLOW = (
+    _note("f8", "share")
+    + '''
 
 @nb.njit(
     'i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, f8, f8, i8, i8)', cache=True, fastmath=FAST, error_model='numpy'
 )
 def look(V, H, R, flow, line, s, y, span, tip, out):
-    """Quadratic in time of the water from volume y to y + span, into rows from `out` on; the slot that holds y."""
+    """Write the water from volume y to y + span as a quadratic in time into rows from `out`; return y's slot."""
     while s != ((tip + 1) & (SLOTS - 1)) and V[flow + s, 0] > y:
         s = (s - 1) & (SLOTS - 1)
     while ((s + 1) & (SLOTS - 1)) != tip and V[flow + ((s + 1) & (SLOTS - 1)), 0] <= y:
@@ -143,32 +155,17 @@ def look(V, H, R, flow, line, s, y, span, tip, out):
         low, keep, s = high, 1.0, after
     return cursor
 '''
-LINES_APART = '''
-@nb.njit('void(f8[:,::1], f8[:,::1], i8, i8, i8, i8)', cache=True, fastmath=FAST, error_model='numpy')
-def note(H, R, i, water, steps, share):
-    """Fill slot i. R: rows of the water that enters at the start, of its slope there, of the water at the end; the
-    share of the slot's volume that this step is."""
-    i = 3 * i
-    if steps == 0:
-        for l in range(LANES):  # one row to a loop: few rows to prove apart, and it stays vectorised
-            H[i, l] = R[water, l]
-        for l in range(LANES):
-            H[i + 1, l] = R[water + 1, l]
-        for l in range(LANES):
-            H[i + 2, l] = R[water + 2, l] - R[water, l] - R[water + 1, l]
-    else:
-        for l in range(LANES):
-            new = 2.0 / 3.0 * R[water, l] + 1.0 / 6.0 * R[water + 1, l] + 1.0 / 3.0 * R[water + 2, l]
-            mean = H[i, l] + 0.5 * H[i + 1, l] + 1.0 / 3.0 * H[i + 2, l]
-            mean += R[share, l] * (new - mean)
-            H[i + 1, l] = 6.0 * mean - 4.0 * H[i, l] - 2.0 * R[water + 2, l]
-            H[i + 2, l] = R[water + 2, l] - H[i, l] - H[i + 1, l]
-
+)
+SEPARATE_FLOW = (
+    _note("i8", "R[share, l]")
+    + '''
 
 @nb.njit('i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, i8, i8, i8)', cache=True, fastmath=FAST, error_model='numpy')
 def look(V, H, R, flow, line, s, place, tip, out):
-    """Quadratic in time of the water from each lane's volume y = R[place] to y + R[place + 1], into rows from `out` on;
-    a slot that no lane's y lies before."""
+    """Write each lane's water from volume y = R[place] to y + R[place + 1] as a quadratic in time into rows from `out`.
+
+    Return a slot that begins at or before every lane's y.
+    """
     while s != ((tip + 1) & (SLOTS - 1)):
         over = 0
         for l in range(LANES):
@@ -212,11 +209,12 @@ def look(V, H, R, flow, line, s, place, tip, out):
         first, s = 1.0, after
     return cursor
 '''
+)
 PIECES = '''
 @nb.njit('void(f8[::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[:,::1], f8[:,:,:,::1], '
          'f8[:,:,::1], f8[:,:,::1])', cache=True, nogil=True)
 def kernel(base, lanes, start, past, cuts, time, inputs, Y, end, future):
-    """One piece after the other, each from where the one before it ended; the sample at a cut is read by both."""
+    """Simulate one piece after the other, each from the end of the one before; both read the sample at a cut."""
     n = time.shape[0]
     for c in range(lanes.shape[0]):
         piece(base, lanes[c], start, past, cuts[c], min(cuts[c + 1] + 1, n), time, inputs, Y, end, future)

@@ -1,4 +1,4 @@
-"""A twin: nodes and elements with their parameters, frozen once it is known to make sense."""
+"""A twin: nodes and elements with their parameters, validated and frozen."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.column_names import hint
+from twin.column_names import column_hint
 from twin.elements import Element, Parameter
 from twin.elements.node import Node
 from twin.elements.sensor import Sensor
@@ -26,7 +26,7 @@ class TwinFileError(ValueError):
 
 @dataclass(frozen=True)
 class InputSpec:
-    """A driver column: its value until the first good sample, and the range it is declared for."""
+    """A driver column: its value until the first good sample, and the range for which it is declared."""
 
     column: str
     nominal: float
@@ -54,7 +54,7 @@ class TunableSet:
 
 @dataclass(frozen=True)
 class WindowRules:
-    """When a window is complete and what it is called (see docs/decisions/0003)."""
+    """Thresholds that decide when a window is complete and of which kind it is (see docs/decisions/0003)."""
 
     window_s: float = 600.0
     first_s: float = 60.0
@@ -64,19 +64,27 @@ class WindowRules:
 
 @dataclass(frozen=True)
 class Revision:
-    """Where a twin file comes from, and why it is believed.
+    """The origin of a twin file, and its evidence.
 
-    Attributes:
-        number: counts up within a family of files; 0 for a twin that was made of none.
-        parent: SHA-256 of the text of the file that it was made of, "" without one. It alone says who the parent
-            is; ``parent_file`` is the name that the file had, for messages.
-        window_s: the part of the record that was fitted. held_out_s: the part, never fitted, that the errors are of.
-        error_before_K, error_after_K: sensor -> RMSE of a free run in K.
-        error_fitted_K: the same of the part that was fitted.
-        record: SHA-256 of the file with the healthy record that it was commissioned on, "" where none was kept;
-            ``record_file`` is its name beside the twin file.
-        effects: what was added or altered, one phrase each. evidence: why, in one sentence.
-        checksum: SHA-256 of the file's text without this line; entered by `twin.twinfile.save`.
+    Attributes
+    ----------
+    number
+        Counts up within a family of files; 0 for a twin without a parent.
+    parent, parent_file
+        SHA-256 of the text of the parent's file, "" without one; it alone identifies the parent. The second is the name
+        that the file had, for messages.
+    window_s, held_out_s
+        The fitted segment of the record, and the segment, never fitted, to which the errors belong.
+    error_before_K, error_after_K, error_fitted_K
+        Sensor -> RMSE of a free run in K: over the held-out segment before and after, and over the fitted segment.
+    record, record_file
+        SHA-256 of the file with the healthy record, "" without one, and its name beside the twin file.
+    effects
+        What was added or altered, one phrase each.
+    evidence
+        The reason, in one sentence.
+    checksum
+        SHA-256 of the file's text without this line; `twin.twinfile.save` enters it.
     """
 
     number: int = 0
@@ -98,14 +106,20 @@ class Revision:
 
 @dataclass(frozen=True)
 class Network:
-    """A validated thermal network. Build it with `load` or `parse` of `twin.twinfile`, never by hand.
+    """A validated thermal network; `load` or `parse` of `twin.twinfile` build it, nothing else.
 
-    Attributes:
-        elements: every element, nodes first, in file order.
-        parameters: id ("element.parameter") -> Parameter, in element order.
-        inputs: input column -> InputSpec.
-        sets: name -> TunableSet.
-        digest: SHA-256 of the file's text, "" for a network that was not read from a file.
+    Attributes
+    ----------
+    elements
+        Every element, nodes first, in file order.
+    parameters
+        Id ("element.parameter") -> Parameter, in element order.
+    inputs
+        Input column -> InputSpec.
+    sets
+        Name -> TunableSet.
+    digest
+        SHA-256 of the file's text, "" for a network that was not read from a file.
     """
 
     name: str
@@ -120,54 +134,58 @@ class Network:
 
     @cached_property
     def nodes(self) -> tuple[str, ...]:
-        """Node names; the order of every state vector."""
+        """Return the node names; the order of every state vector."""
         return tuple(e.name for e in self.elements if isinstance(e, Node))
 
     @cached_property
     def sensors(self) -> tuple[Sensor, ...]:
+        """Return the sensors, in file order."""
         return tuple(e for e in self.elements if isinstance(e, Sensor))
 
     @cached_property
     def sensor_names(self) -> tuple[str, ...]:
-        """Order of every measured array."""
+        """Return the sensor names; the order of every measured array."""
         return tuple(s.name for s in self.sensors)
 
     @cached_property
     def input_columns(self) -> tuple[str, ...]:
-        """Order of every input array."""
+        """Return the input columns; the order of every input array."""
         return tuple(self.inputs)
 
     @cached_property
     def sensor_columns(self) -> Mapping[str, tuple[str, ...]]:
-        """Sensor -> the measured columns whose mean it is."""
+        """Return, per sensor, the measured columns that it averages."""
         return MappingProxyType({s.name: s.measured for s in self.sensors})
 
     @cached_property
     def sigma(self) -> Array:
-        """Noise of each sensor (m,), K: that of one thermometer over the root of how many are averaged."""
+        """Return the noise of each sensor (m,), K: one thermometer's over the root of the number that is averaged."""
         return np.array([self.parameters[f"{s.name}.sigma"].value / np.sqrt(len(s.measured)) for s in self.sensors])
 
     @cached_property
     def ids(self) -> tuple[str, ...]:
-        """Parameter ids; the order of every full parameter vector."""
+        """Return the parameter ids; the order of every full parameter vector."""
         return tuple(self.parameters)
 
     @cached_property
     def values(self) -> Array:
-        """Full parameter vector (p,) in the parameters' own units."""
+        """Return the full parameter vector (p,) in the parameters' own units."""
         values = np.array([p.value for p in self.parameters.values()])
         values.flags.writeable = False
         return values
 
     @cached_property
     def nominal_inputs(self) -> Array:
+        """Return the nominal value of each input (c,), in its own unit."""
         return np.array([spec.nominal for spec in self.inputs.values()])
 
     def index(self, ids: Iterable[str]) -> NDArray[np.intp]:
-        """Positions of parameter ids in the full vector.
+        """Return the positions of parameter ids in the full vector.
 
-        Raises:
-            TwinFileError: an id is unknown.
+        Raises
+        ------
+        TwinFileError
+            An id is unknown.
         """
         where = {name: k for k, name in enumerate(self.ids)}
         wanted = list(ids)
@@ -177,10 +195,12 @@ class Network:
         return np.array([where[name] for name in wanted], dtype=np.intp)
 
     def tunables(self, which: str | Iterable[str] | None = None) -> tuple[str, ...]:
-        """Parameter ids of a named set, of a list of ids, or (None) all of status tunable.
+        """Return the parameter ids of a named set, of a list of ids, or (None) all of status tunable.
 
-        Raises:
-            TwinFileError: no such set or parameter.
+        Raises
+        ------
+        TwinFileError
+            There is no such set or parameter.
         """
         if which is None:
             return tuple(p.id for p in self.parameters.values() if p.status == "tunable")
@@ -194,15 +214,24 @@ class Network:
         return ids
 
     def bounds(self, ids: Iterable[str]) -> tuple[Array, Array]:
-        """Lower and upper physical bounds of the named parameters, each (k,)."""
+        """Return lower and upper physical bounds of the named parameters, each (k,)."""
         chosen = [self.parameters[name] for name in ids]
         return np.array([p.lower for p in chosen]), np.array([p.upper for p in chosen])
 
     def with_values(self, values: Mapping[str, float], revision: Revision | None = None) -> Network:
-        """The same network with other parameter values: a new object, this one stays as it is.
+        """Return the same network with other parameter values; this one stays unchanged.
 
-        Raises:
-            TwinFileError: unknown id, or a value that is not finite or out of bounds.
+        Parameters
+        ----------
+        values
+            Parameter id -> value in the parameter's unit.
+        revision
+            Origin of the new values; the present revision by default.
+
+        Raises
+        ------
+        TwinFileError
+            An id is unknown, or a value is not finite or out of bounds.
         """
         self.index(values)
         changed = dict(self.parameters)
@@ -221,14 +250,21 @@ class Network:
         return replace(self, parameters=MappingProxyType(changed), revision=revision or self.revision, digest="")
 
     def select(self, columns: Mapping[str, ArrayLike]) -> tuple[Array, Array]:
-        """Inputs (N, k) and measured (N, m) out of a record's columns.
+        """Select inputs (N, c) and measured (N, m) from a record's columns.
 
-        A sensor of several thermometers is the mean of those that are finite at that sample (`mean_of_several`).
-        NaN and infinite values stay NaN: the simulation holds the last good input, the fit masks the measurement. A
+        A sensor of several thermometers is the mean of those that are finite at that sample (`mean_of_sensors`).
+        NaN and infinite values become NaN: the simulation holds the last good input, the fit masks the measurement. A
         sensor without a column (`unread`) is NaN throughout.
 
-        Raises:
-            TwinFileError: an input column is missing, more than half of the sensors are, or columns differ in length.
+        Parameters
+        ----------
+        columns
+            Column name -> values (N,), temperatures in degC.
+
+        Raises
+        ------
+        TwinFileError
+            An input column is missing, more than half of the sensors are, or columns differ in length.
         """
         missing = [c for c in self.input_columns if c not in columns]
         unread = self.unread(columns)
@@ -236,7 +272,7 @@ class Network:
             missing += unread
             wanted = {*self.input_columns, *(c for s in self.sensors for c in s.measured)}
             others = [c for c in columns if c not in wanted]
-            hints = [f"for {c}, {said}" for c in missing if (said := hint(c, others))]
+            hints = [f"for {c}, {text}" for c in missing if (text := column_hint(c, others))]
             raise TwinFileError(
                 f"the record lacks {', '.join(missing)}, which twin {self.name!r} needs; "
                 + ("; ".join(hints) or "rename the columns of the record or the keys of the twin file")
@@ -251,22 +287,24 @@ class Network:
         measured = np.full((len(inputs), len(self.sensors)), np.nan)
         for j, sensor in enumerate(self.sensors):
             if read := [taken[c] for c in sensor.measured if c in taken]:
-                measured[:, j] = mean_of_several(_finite(np.column_stack(read)))
+                measured[:, j] = mean_of_sensors(_finite(np.column_stack(read)))
         return inputs, measured
 
     def unread(self, columns: Iterable[str]) -> tuple[str, ...]:
-        """Columns of the sensors of which a record with these columns has no thermometer."""
+        """Return the columns of the sensors for which a record with these columns has no thermometer."""
         there = set(columns)
         return tuple(c for s in self.sensors if there.isdisjoint(s.measured) for c in s.measured)
 
     def initial_state(self, measured: ArrayLike) -> Array:
-        """State (k,) at the first sample: the mean of each node's finite readings in the rows of `measured`.
+        """Return the state (k,) at the first sample: the mean of each node's finite readings in the rows of `measured`.
 
-        Args:
-            measured: (n, m) or (m,), degC. A few rows at the start of a record.
-
-        A node without a finite reading gets the mean of the others; without any, the nominal room
+        A node without a finite reading gets the mean of the others. Without any reading it gets the nominal room
         temperature (20 degC where the twin has no such input).
+
+        Parameters
+        ----------
+        measured
+            (n, m) or (m,), degC; a few rows at the start of a record.
         """
         rows = np.atleast_2d(np.asarray(measured, dtype=np.float64))
         per_sensor = _mean_of_finite(_finite(rows).T)
@@ -287,7 +325,7 @@ class Network:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """ "; did you mean 'x'?" for the nearest known word, or an empty string."""
+    """Return "; did you mean 'x'?" for the nearest known word, or an empty string."""
     import difflib
 
     near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
@@ -295,7 +333,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def digest(text: str) -> str:
-    """SHA-256 of a twin file's text, hexadecimal."""
+    """Return the SHA-256 of a twin file's text, hexadecimal."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -304,7 +342,7 @@ def _finite(a: Array) -> Array:
 
 
 def _mean_of_finite(a: Array) -> Array:
-    """Row means over finite entries, NaN for a row without any (np.nanmean warns there)."""
+    """Return row means over finite entries, NaN for a row without any (np.nanmean warns there)."""
     good = np.isfinite(a)
     count = good.sum(axis=1)
     total = np.where(good, a, 0.0).sum(axis=1)
@@ -312,11 +350,12 @@ def _mean_of_finite(a: Array) -> Array:
     return mean
 
 
-def mean_of_several(each: Array) -> Array:
-    """Means (N,) of thermometers (N, c) in one place, NaN where none is finite.
+def mean_of_sensors(each: Array) -> Array:
+    """Return means (N,) of thermometers (N, c) in one place, NaN where none is finite.
 
-    A mean of fewer does not jump where one drops out: each counts as less what it differs from the mean of all by, the
-    median over the samples in which all are there, since one that is about to fail may read anything.
+    The mean does not jump where one thermometer drops out: each is first corrected by its usual difference to the mean
+    of all. That is the median over the samples in which all are finite, since one that is about to fail may read
+    anything.
     """
     whole = np.isfinite(each).all(axis=1)
     if whole.all() or not whole.any():
@@ -325,4 +364,5 @@ def mean_of_several(each: Array) -> Array:
 
 
 def frozen_mapping(items: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a read-only copy of a mapping."""
     return MappingProxyType(dict(items))

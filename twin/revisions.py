@@ -1,8 +1,8 @@
-"""Revisions of a twin: new elements and values in a new network, and the chain of files that they are saved in.
+"""Revisions of a twin: new elements and values in a new network, and the chain of files in which they are saved.
 
-A revision of ``my_twin.toml`` is saved beside it as ``my_twin.r2.toml``, the next as ``my_twin.r3.toml``: the number is
-the revision's own and unique among those files, also where two were made of one parent. Which file is the parent is
-told by the SHA-256 that a revision holds, never by the names. No file is ever overwritten.
+A revision of ``my_twin.toml`` is saved beside it as ``my_twin.r2.toml``, the next as ``my_twin.r3.toml``. The number is
+the revision's own and unique among those files, also where two were made from one parent. The SHA-256 in a revision
+identifies its parent; names never do. No file is ever overwritten.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from twin.differences import Change, Diff, Moved, Piece, diff
+from twin.differences import ElementDiff, KeyDiff, ParameterDiff, TwinDiff, diff
 from twin.network import Network, Revision, TwinFileError, did_you_mean, digest
-from twin.twinfile import as_tables, build, edited, load, save, text_of
+from twin.twinfile import from_tables, is_edited, load, read_text, save, to_tables
 
 __all__ = [
-    "Change",
-    "Diff",
-    "Entry",
-    "Moved",
-    "Piece",
+    "ChainEntry",
+    "ElementDiff",
+    "KeyDiff",
+    "ParameterDiff",
+    "TwinDiff",
     "chain",
     "diff",
     "next_path",
@@ -36,6 +36,7 @@ __all__ = [
 ]
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
+"""Empty mapping, the default of optional arguments."""
 
 
 def with_elements(
@@ -47,23 +48,32 @@ def with_elements(
     replace: Mapping[str, Mapping[str, object]] = NOTHING,
     inputs: Mapping[str, Mapping[str, object]] = NOTHING,
 ) -> Network:
-    """A new network: the old one with more elements, other values and altered elements; the old one stays as it is.
+    """Return a network with more elements, other values and altered elements; the old one stays unchanged.
 
-    Args:
-        tables: name of a new element -> its table as it would stand in the twin file: kind, places, parameters.
-        values: id of a parameter that the network has -> value in the parameter's unit.
-        revision: where the new network comes from; None keeps what the old one says.
-        replace: name of an element that the network has -> keys of its table to set. For a parameter, a number sets
-            its value and a table sets the entries that it gives (status, bounds ...) and leaves the others; None
-            takes a key away.
-        inputs: new input column -> its table. A column that the network has must be given as it is there.
+    Parameters
+    ----------
+    network
+        The present network.
+    tables
+        Name of a new element -> its table as in the twin file: kind, places, parameters.
+    values
+        Id of a parameter of the network -> value in the parameter's unit.
+    revision
+        Origin of the new network; None keeps the present revision.
+    replace
+        Name of an element of the network -> keys of its table to set. For a parameter, a number sets its value and a
+        table sets its entries (status, bounds ...) and leaves the others; None removes a key.
+    inputs
+        New input column -> its table. A column that the network has must be given unchanged.
 
-    Raises:
-        TwinFileError: one plain sentence; every check of a twin file holds.
+    Raises
+    ------
+    TwinFileError
+        One plain sentence; every check of a twin file holds.
     """
     what = f"twin {network.name!r}"
     network.index(values)
-    data = as_tables(dataclasses.replace(network, revision=revision or network.revision))
+    data = to_tables(dataclasses.replace(network, revision=revision or network.revision))
     elements = data["elements"]
     for column, table in inputs.items():
         plain = _plain(table)
@@ -84,7 +94,7 @@ def with_elements(
         if name in elements:
             raise TwinFileError(f"{what} has an element {name!r} already; name the new one otherwise")
         elements[name] = _plain(table)
-    return build(data, what)
+    return from_tables(data, what)
 
 
 def _set(element: dict[str, Any], key: str, entry: Any, what: str) -> None:
@@ -102,20 +112,24 @@ def _set(element: dict[str, Any], key: str, entry: Any, what: str) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Mappings as dicts and sequences as lists, as the reader of twin files expects them."""
+    """Return mappings as dicts and sequences as lists, as the reader of twin files expects them."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One file of a chain.
+class ChainEntry:
+    """A file of a chain.
 
-    Attributes:
-        network: as the file describes it; `network.revision` says where it comes from.
-        remarks: plain sentences on where the chain ends and what else was made of the same files.
-        faults: plain sentences on files that were edited after they were saved.
+    Attributes
+    ----------
+    network
+        The network of the file; `network.revision` names its origin.
+    remarks
+        Plain sentences on the end of the chain and on other files made from the same parent.
+    faults
+        Plain sentences on files that were edited after they were saved.
     """
 
     path: Path
@@ -125,7 +139,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class _Beside:
+class _TwinFile:
     """A twin file of the folder: SHA-256 of its text, and that of its parent."""
 
     path: Path
@@ -133,26 +147,28 @@ class _Beside:
     parent: str
 
 
-def chain(path: str | Path) -> tuple[Entry, ...]:
-    """A twin file and what it was made of, newest first, as far as the files are in its folder.
+def chain(path: str | Path) -> tuple[ChainEntry, ...]:
+    """Return a twin file and its ancestors, newest first, as far as the files are in its folder.
 
-    A parent that is missing, edited or unreadable ends the chain and is told in the last entry.
+    A parent that is missing, edited or unreadable ends the chain; the last entry reports it.
 
-    Raises:
-        TwinFileError: the file itself cannot be used.
+    Raises
+    ------
+    TwinFileError
+        The file itself cannot be used.
     """
     path = Path(path)
-    beside = _folder(path)
-    entries: list[Entry] = []
+    files = _folder(path)
+    entries: list[ChainEntry] = []
     network = load(path)
     while True:
-        parent, end, faulty = _parent(path, network.revision, beside)
-        remarks = [f"{c.path.name} was made of it" for c in _children(network, beside)] if not entries else []
+        parent, end, faulty = _parent(path, network.revision, files)
+        remarks = [f"{c.path.name} was made of it" for c in _children(network, files)] if not entries else []
         if network.revision.parent:
-            twins = (o for o in beside if o.parent == network.revision.parent and o.digest != network.digest)
+            twins = (o for o in files if o.parent == network.revision.parent and o.digest != network.digest)
             remarks += [f"{other.path.name} was made of the same parent" for other in twins]
         faults = [end] if faulty else []
-        if edited(text_of(path), network.revision.checksum):
+        if is_edited(read_text(path), network.revision.checksum):
             faults.append(
                 f"{path.name} was edited after it was saved (its checksum no longer matches); its errors and "
                 "evidence belong to what it was then"
@@ -165,30 +181,34 @@ def chain(path: str | Path) -> tuple[Entry, ...]:
                 end = f"its parent cannot be used: {error}"
         if end and not faulty:
             remarks.append(end)
-        entries.append(Entry(path, network, tuple(remarks), tuple(faults)))
+        entries.append(ChainEntry(path, network, tuple(remarks), tuple(faults)))
         if parent is None or below is None:
             return tuple(entries)
         path, network = parent, below
 
 
 def next_path(path: str | Path) -> Path:
-    """Where the next revision of a twin file would be saved: beside it, under a number that is free.
+    """Return the path of the next revision of a twin file: beside it, under a number that is free.
 
-    Raises:
-        TwinFileError: the file cannot be used.
+    Raises
+    ------
+    TwinFileError
+        The file cannot be used.
     """
     path = Path(path)
     return _numbered(path, _next_number(path, load(path).revision.number))
 
 
 def save_revision(network: Network, parent_path: str | Path) -> Path:
-    """Save a network as the next revision of the twin file that it was made of, and return the new file.
+    """Save a network as the next revision of the twin file from which it was made, and return the new file.
 
-    Number, parent and name of the parent are filled in. Evidence that the network merely inherited from the parent
-    (`Network.with_values` keeps it) is left out: it says nothing of the new values.
+    Number, parent and the parent's name are filled in. Evidence that the network only inherited from the parent
+    (`Network.with_values` keeps it) is left out: it does not hold for the new values.
 
-    Raises:
-        TwinFileError: the parent cannot be used, the network does not hold together, or the folder cannot be written.
+    Raises
+    ------
+    TwinFileError
+        The parent cannot be used, the network is inconsistent, or the folder cannot be written.
     """
     parent_path = Path(parent_path)
     parent = load(parent_path)
@@ -198,7 +218,7 @@ def save_revision(network: Network, parent_path: str | Path) -> Path:
         path = _numbered(parent_path, number)
         stamped = dataclasses.replace(revision, number=number, parent=parent.digest, parent_file=parent_path.name)
         new = dataclasses.replace(network, revision=stamped)
-        build(as_tables(new), f"twin {network.name!r}")
+        from_tables(to_tables(new), f"twin {network.name!r}")
         try:
             return save(new, path)
         except TwinFileError:
@@ -208,10 +228,12 @@ def save_revision(network: Network, parent_path: str | Path) -> Path:
 
 
 def parent_of(path: str | Path) -> Path:
-    """The twin file of the same folder that this one was made of.
+    """Return the twin file of the same folder from which this one was made.
 
-    Raises:
-        TwinFileError: it was made of none, or its parent is missing or was edited.
+    Raises
+    ------
+    TwinFileError
+        It has no parent, or its parent is missing or was edited.
     """
     path = Path(path)
     revision = load(path).revision
@@ -224,30 +246,32 @@ def parent_of(path: str | Path) -> Path:
 
 
 def revert(path: str | Path, made_by: str = "revert") -> Path:
-    """Undo a revision: write a new one, made of it, that says what its parent says. Both files stay.
+    """Undo a revision: write a new one, made from it, with the content of its parent. Both files stay.
 
-    Raises:
-        TwinFileError: there is no parent to go back to, nothing differs from it, or the folder cannot be written.
+    Raises
+    ------
+    TwinFileError
+        There is no parent, nothing differs from it, or the folder cannot be written.
     """
     path = Path(path)
     parent = parent_of(path)
     network, before = load(path), load(parent)
     if diff(before, network).empty:
-        raise TwinFileError(f"{path}: says the same as its parent {parent.name}; there is nothing to undo")
+        raise TwinFileError(f"{path}: is the same twin as its parent {parent.name}; there is nothing to undo")
     notes = [
         f"undoes {path.name} (revision {network.revision.number}): "
-        f"says what {parent.name} (revision {before.revision.number}) says"
+        f"restores {parent.name} (revision {before.revision.number})"
     ]
     notes += [f"{c.path.name} was made of it too and stays as it is" for c in _children(network, _folder(path))]
     revision = Revision(made_by=made_by, notes=tuple(notes))
     return save_revision(dataclasses.replace(before, revision=revision), path)
 
 
-def _parent(path: Path, revision: Revision, beside: tuple[_Beside, ...]) -> tuple[Path | None, str, bool]:
-    """The parent's file; where there is none, a sentence why, and whether it is because somebody edited it."""
+def _parent(path: Path, revision: Revision, files: tuple[_TwinFile, ...]) -> tuple[Path | None, str, bool]:
+    """Return the parent's file; without one None, a sentence with the reason, and True if somebody edited it."""
     if not revision.parent:
         return None, "", False
-    found = [other.path for other in beside if other.digest == revision.parent]
+    found = [other.path for other in files if other.digest == revision.parent]
     if found:
         # Of several copies, the one under the name that it was made of, else the one of the same family.
         best = min(found, key=lambda f: (f.name != revision.parent_file, _family(f)[0] != _family(path)[0], f.name))
@@ -260,29 +284,29 @@ def _parent(path: Path, revision: Revision, beside: tuple[_Beside, ...]) -> tupl
     return None, f"{called} not in this folder; put it beside {path.name}", False
 
 
-def _children(network: Network, beside: tuple[_Beside, ...]) -> list[_Beside]:
-    return [other for other in beside if other.parent == network.digest]
+def _children(network: Network, files: tuple[_TwinFile, ...]) -> list[_TwinFile]:
+    return [other for other in files if other.parent == network.digest]
 
 
-def _folder(path: Path) -> tuple[_Beside, ...]:
-    """The twin files beside a file, by name; whatever is no twin file is passed over."""
+def _folder(path: Path) -> tuple[_TwinFile, ...]:
+    """Return the twin files beside a file, by name; other files are skipped."""
 
-    def found() -> Iterator[_Beside]:
+    def found() -> Iterator[_TwinFile]:
         for file in sorted(path.parent.glob("*.toml")):
             try:
-                text = text_of(file)
+                text = read_text(file)
                 data = tomllib.loads(text)
             except (TwinFileError, tomllib.TOMLDecodeError):
                 continue
             revision = data.get("revision", {})
             if "elements" in data and isinstance(revision, dict):
-                yield _Beside(file, digest(text), str(revision.get("parent", "")))
+                yield _TwinFile(file, digest(text), str(revision.get("parent", "")))
 
     return tuple(found())
 
 
 def _family(path: Path) -> tuple[str, int]:
-    """Name that all revisions of a twin share, and the number in this file's name (0: it has none)."""
+    """Return the name that all revisions of a twin share, and the number in this file's name (0: it has none)."""
     match = re.fullmatch(r"(.+)\.r(\d+)", path.stem)
     return (match[1], int(match[2])) if match else (path.stem, 0)
 

@@ -1,7 +1,7 @@
-"""Steady states: the temperatures at which nothing changes any more while the inputs are held.
+"""Steady states: the temperatures at which nothing changes while the inputs are held.
 
-Found from the right side itself by Newton steps (one is exact for a network that is affine in its temperatures),
-not by simulating until it rests, which would take as long as the slowest node.
+Newton steps on the right-hand side find them; one step is exact for a network that is affine in its temperatures.
+Simulating until it rests would take as long as the slowest node.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.exact import right_side
-from twin.kernel import Kernel, held
+from twin.kernel import Kernel, hold_inputs
 from twin.network import Array, Network, TwinFileError
+from twin.reference_simulation import right_hand_side
 
 _MOST_STATES = 1024
 _PROBE_K = 1.0e-3
 _RESTS_K = 1.0e-9
 _SLOWEST_S = 1.0e9
-"""A node slower than this never comes to rest; it has no way for its heat to leave."""
+"""A node slower than this never comes to rest; its heat has no way out."""
 
 
 def steady_state(
@@ -27,23 +27,35 @@ def steady_state(
     start: ArrayLike | None = None,
     most: int = 50,
 ) -> Array:
-    """Node temperatures at rest, degC.
+    """Find the node temperatures at rest.
 
-    Args:
-        inputs: (c,) or (n, c), held; one steady state is found for each row.
-        parameters: full vector (p,), the network's own by default.
-        start: (k,) degC to begin from; matters only where a network has several steady states.
+    Parameters
+    ----------
+    network
+        The network.
+    inputs
+        (c,) or (n, c), held; each row has a steady state of its own.
+    parameters
+        Full vector (p,); the network's own by default.
+    start
+        (k,) degC to begin from; matters only where a network has several steady states.
+    most
+        Largest number of Newton steps.
 
-    Returns:
-        (k,) or (n, k) in the order of ``network.nodes``. Delays and lags have passed, what elements remember rests.
+    Returns
+    -------
+    ndarray
+        (k,) or (n, k) in degC, in the order of ``network.nodes``. Delays and lags have passed; memory is at rest.
 
-    Raises:
-        TwinFileError: a row has no steady state, because heat has no way out or too much comes in.
+    Raises
+    ------
+    TwinFileError
+        A row has no steady state, because heat has no way out or too much comes in.
     """
-    u = held(network, inputs)
+    u = hold_inputs(network, inputs)
     values = network.values if parameters is None else np.asarray(parameters, dtype=np.float64)
-    rhs = right_side(network)
-    # The right side also takes what elements remember, after the nodes; its answer tells how much that is.
+    rhs = right_hand_side(network)
+    # The right-hand side also takes the states of elements, after the nodes; the length of its result is their number.
     size, nodes = len(rhs(np.full(_MOST_STATES, 25.0), u[0], values)), len(network.nodes)
     guess = np.full(size, 25.0)
     if start is not None:
@@ -72,8 +84,8 @@ def steady_state(
 
 
 def steady_readings(network: Network, inputs: ArrayLike, parameters: ArrayLike | None = None) -> Array:
-    """What the sensors show at rest, (n, m) degC in the order of ``network.sensor_names``, for inputs (n, c)."""
-    u = held(network, inputs)
+    """Return the sensors' readings at rest, (n, m) degC in the order of ``network.sensor_names``, for inputs (n, c)."""
+    u = hold_inputs(network, inputs)
     values = network.values if parameters is None else np.asarray(parameters, dtype=np.float64)
     states = steady_state(network, u, values)
     kernel = Kernel(network, ())

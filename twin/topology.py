@@ -1,4 +1,4 @@
-"""What a network must be before it may be simulated: closed, in reach of heat, and read by at least one sensor."""
+"""Checks of a network's structure: closed, within reach of heat, and read by at least one sensor."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from twin.network import did_you_mean
 
 
 def check_topology(elements: tuple[Element, ...], most_nodes: int, fail: Callable[[str, str], object]) -> None:
-    """Check how elements hang together; `fail(element name, sentence)` is called for the first problem."""
+    """Check that the elements are connected; call `fail(element name, sentence)` for the first problem."""
     nodes = [e.name for e in elements if isinstance(e, Node)]
     if not nodes:
         fail("", "there is no node; add an element of kind 'node'")
@@ -66,7 +66,7 @@ def _pipes_and_drives(elements: tuple[Element, ...], fed: dict[str, str], fail: 
 
 
 def _on_a_flow_path(elements: tuple[Element, ...], flows: list[Flow], fail: Callable[[str, str], object]) -> None:
-    """What corrects the water of a flow path must stand on one."""
+    """Check that elements which correct the water of a flow path stand on one."""
     for e in elements:
         if isinstance(e, Bypass):
             row = list(zip(e.around, e.around[1:], strict=False))
@@ -83,7 +83,7 @@ def _on_a_flow_path(elements: tuple[Element, ...], flows: list[Flow], fail: Call
 
 
 def _all_reachable(elements: tuple[Element, ...], nodes: list[str], fail: Callable[[str, str], object]) -> None:
-    """All nodes hang together, or each part by itself has heat of its own or a way to the room."""
+    """Check that all nodes are connected, or that each component has heat of its own or a way to the room."""
     acting = [e for e in elements if not isinstance(e, Node | Sensor)]
     neighbours: dict[str, set[str]] = {node: set() for node in nodes}
     for element in acting:
@@ -113,5 +113,5 @@ def _all_reachable(elements: tuple[Element, ...], nodes: list[str], fail: Callab
 
 
 def _brings_heat(element: Element) -> bool:
-    """Whether heat comes from outside the network, or goes there: of a source, or by an input that is a temperature."""
+    """Return True for an element that exchanges heat with the outside: a source, or one with a temperature as input."""
     return isinstance(element, HeatSource | EmpiricalHeat) or any(c.endswith("_C") for c in element.inputs())

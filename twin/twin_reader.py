@@ -1,4 +1,4 @@
-"""The tables of a twin file made into a network, every complaint one plain sentence with its line."""
+"""Reader of a twin file's tables: every error is one plain sentence with its line."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from dataclasses import MISSING, dataclass, replace
 from typing import Any, NoReturn
 
 from twin.assembly import System
-from twin.column_names import contradicts
+from twin.column_names import contradicted_unit
 from twin.elements import KINDS, Element, Parameter, ParameterSpec
 from twin.elements.base import STATUSES
-from twin.identifiers import LONGEST_SHOWN, refusal
+from twin.identifiers import LONGEST_SHOWN, name_problem
 from twin.network import (
     InputSpec,
     Network,
@@ -33,19 +33,21 @@ MOST_NODES = 32
 
 
 @dataclass(frozen=True)
-class Reader:
-    """Reads the parsed tables of a twin file, `file`; its `text` tells the line of a mistake."""
+class TwinReader:
+    """A reader of the parsed tables of a twin file, `file`; its `text` locates the line of a mistake."""
 
     text: str
     file: str
 
     def fail(self, keys: tuple[str, ...], sentence: str) -> NoReturn:
+        """Raise TwinFileError with file, line and key."""
         line = _line_of(self.text, keys)
         where = f"{self.file}, line {line}" if line else self.file
-        path = ".".join(key if not refusal(key) else repr(key[:LONGEST_SHOWN]) for key in keys)
+        path = ".".join(key if not name_problem(key) else repr(key[:LONGEST_SHOWN]) for key in keys)
         raise TwinFileError(f"{where}: {path}: {sentence}" if keys else f"{where}: {sentence}")
 
     def known(self, table: Mapping[str, Any], allowed: Iterable[str], keys: tuple[str, ...]) -> None:
+        """Check that a table has no other keys than the allowed ones."""
         allowed = tuple(allowed)
         for key in table:
             if key not in allowed:
@@ -53,18 +55,20 @@ class Reader:
                 self.fail((*keys, key), f"unknown key{hint}")
 
     def name(self, name: str, keys: tuple[str, ...]) -> str:
-        """The name, which must be a plain identifier."""
-        reason = refusal(name)
+        """Return the name, which must be a plain identifier."""
+        reason = name_problem(name)
         if reason:
             self.fail(keys, reason)
         return name
 
     def table(self, value: Any, keys: tuple[str, ...]) -> dict[str, Any]:
+        """Return a value that must be a table."""
         if not isinstance(value, dict):
             self.fail(keys, "must be a table")
         return value
 
     def number(self, value: Any, keys: tuple[str, ...]) -> float:
+        """Return a value that must be a finite number."""
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
         try:
             found = float(value) if is_number else math.nan
@@ -75,11 +79,13 @@ class Reader:
         return found
 
     def string(self, value: Any, keys: tuple[str, ...]) -> str:
+        """Return a value that must be text."""
         if not isinstance(value, str):
             self.fail(keys, f"must be text in quotes, not {value!r}")
         return value
 
     def pair(self, value: Any, keys: tuple[str, ...]) -> tuple[float, float]:
+        """Return a value that must be a list of two rising numbers."""
         if not isinstance(value, list) or len(value) != 2:
             self.fail(keys, "must be a list of two numbers, [lower, upper]")
         low, high = (self.number(v, keys) for v in value)
@@ -88,7 +94,13 @@ class Reader:
         return low, high
 
     def network(self, data: dict[str, Any]) -> Network:
-        """The network; raises TwinFileError, which names file, line and remedy."""
+        """Return the network.
+
+        Raises
+        ------
+        TwinFileError
+            The tables are not a network; the message names file, line and remedy.
+        """
         self.known(data, TOP, ())
         if data.get("format") != FORMAT:
             self.fail(("format",), f"must be {FORMAT}, got {data.get('format')!r}; this is the format of the file")
@@ -129,6 +141,7 @@ class Reader:
         return network
 
     def input(self, column: str, spec: Any) -> InputSpec:
+        """Read one input column."""
         keys = ("inputs", self.name(column, ("inputs", column)))
         table = self.table(spec, keys)
         self.known(table, ("nominal", "lower", "upper", "unit", "source"), keys)
@@ -143,11 +156,11 @@ class Reader:
         if not values["lower"] <= values["nominal"] <= values["upper"]:
             self.fail(keys, f"nominal {values['nominal']:g} is outside [{values['lower']:g}, {values['upper']:g}]")
         unit = self.string(table.get("unit", ""), (*keys, "unit"))
-        named = contradicts(column, unit)
+        named = contradicted_unit(column, unit)
         if named is not None:
             self.fail(
                 keys,
-                f"unit {unit!r} contradicts the name, which says {named}; convert nominal and bounds to {named}, or "
+                f"unit {unit!r} contradicts the name, which ends in {named}; convert nominal and bounds to {named}, or "
                 "name the column after its unit",
             )
         return InputSpec(column=column, unit=unit, source=str(table.get("source", "")), **values)
@@ -155,6 +168,7 @@ class Reader:
     def element(
         self, name: str, table: dict[str, Any], inputs: Mapping[str, InputSpec]
     ) -> tuple[Element, list[Parameter]]:
+        """Read one element and its parameters."""
         keys = ("elements", name)
         self.name(name, keys)
         kind = table.get("kind")
@@ -182,6 +196,7 @@ class Reader:
     def place(
         self, value: Any, meta: Mapping[str, Any], keys: tuple[str, ...], inputs: Mapping[str, InputSpec]
     ) -> str | tuple[str, ...]:
+        """Read one place of an element: a node, an input column or a choice."""
         if meta["role"] in ("nodes", "columns"):
             if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
                 self.fail(keys, f"must be a list of names: {meta['about']}")
@@ -195,6 +210,7 @@ class Reader:
         return text
 
     def parameter(self, element: Element, spec: ParameterSpec, given: Any, keys: tuple[str, ...]) -> Parameter:
+        """Read one parameter of an element."""
         keys = (*keys, spec.name)
         table = given if isinstance(given, dict) else {} if given is None else {"value": given}
         if "same_as" in table:
@@ -234,7 +250,7 @@ class Reader:
         )
 
     def shared(self, element: Element, spec: ParameterSpec, table: dict[str, Any], keys: tuple[str, ...]) -> Parameter:
-        """A parameter that is the same as another; `share` fills in the other's value."""
+        """Read a parameter that is the same as another; `share` fills in the other's value."""
         self.known(table, ("same_as", "unit"), keys)
         other = self.string(table["same_as"], keys)
         name, value = f"{element.name}.{spec.name}", spec.default if spec.default is not None else spec.upper
@@ -243,7 +259,7 @@ class Reader:
         )
 
     def share(self, parameters: dict[str, Parameter]) -> dict[str, Parameter]:
-        """Parameters with the values of those that they are the same as."""
+        """Return the parameters with the values of those that they share."""
         for p in parameters.values():
             if not p.same_as:
                 continue
@@ -257,6 +273,7 @@ class Reader:
         return parameters
 
     def tunable_set(self, name: str, table: dict[str, Any], parameters: Mapping[str, Parameter]) -> TunableSet:
+        """Read one set of tunables."""
         keys = ("sets", self.name(name, ("sets", name)))
         self.known(table, ("members", "bounds", "source"), keys)
         members = table.get("members")
@@ -287,6 +304,7 @@ class Reader:
         return TunableSet(name, tuple(ids), tuple(scale), tuple(initial), bounds, source)
 
     def windows(self, table: dict[str, Any]) -> WindowRules:
+        """Read the rules of windows."""
         allowed = tuple(WindowRules.__dataclass_fields__)
         self.known(table, allowed, ("windows",))
         values = {key: self.number(value, ("windows", key)) for key, value in table.items()}
@@ -299,6 +317,7 @@ class Reader:
         return rules
 
     def revision(self, table: dict[str, Any]) -> Revision:
+        """Read the origin of the file."""
         keys = ("revision",)
         self.known(table, Revision.__dataclass_fields__, keys)
         number = table.get("number", 0)
@@ -331,7 +350,7 @@ _PAIR = re.compile(rf"\s*({_KEYS})\s*=")
 
 
 def _line_of(text: str, keys: tuple[str, ...]) -> int | None:
-    """Line (from 1) of the deepest of `keys` that can be found, or None. A guess good enough to point at."""
+    """Return the line (from 1) of the deepest of `keys` that can be found, or None; good enough to point at."""
     best: int | None = None
     table: tuple[str, ...] = ()
     for number, line in enumerate(text.splitlines(), start=1):
@@ -351,7 +370,7 @@ def _line_of(text: str, keys: tuple[str, ...]) -> int | None:
 
 
 def _parts(dotted: str) -> tuple[str, ...]:
-    """The keys in a dotted key as TOML writes it."""
+    """Return the keys in a dotted key as TOML writes it."""
     if '"' not in dotted and "'" not in dotted:
         return tuple(part.strip() for part in dotted.split("."))
     found: list[str] = []

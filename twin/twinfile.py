@@ -1,4 +1,4 @@
-"""Twin files: TOML text to a validated `Network` and back. Every complaint is one plain sentence."""
+"""Twin files: TOML text to a validated `Network` and back; every error is one plain sentence."""
 
 from __future__ import annotations
 
@@ -10,31 +10,37 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from twin.network import (
-    Network,
-    TwinFileError,
-    digest,
-)
-from twin.twin_reader import FORMAT, Reader
+from twin.network import Network, TwinFileError, digest
+from twin.regular_file import read_regular
+from twin.twin_reader import FORMAT, TwinReader
 
 
 def load(path: str | Path) -> Network:
     """Read a twin file.
 
-    Raises:
-        TwinFileError: the file is absent, is not TOML, or describes a network that cannot be.
+    Parameters
+    ----------
+    path
+        Path of a TOML file in the format of docs/reference/twin-file.md.
+
+    Raises
+    ------
+    TwinFileError
+        The file is absent, is not TOML, or describes an impossible network; the message names file, line and remedy.
     """
-    return parse(text_of(path), str(path))
+    return parse(read_text(path), str(path))
 
 
-def text_of(path: str | Path) -> str:
-    """Text of a twin file, of which `Network.digest` is the SHA-256.
+def read_text(path: str | Path) -> str:
+    """Return the text of a twin file, of which `Network.digest` is the SHA-256.
 
-    Raises:
-        TwinFileError: the file is absent or is not UTF-8.
+    Raises
+    ------
+    TwinFileError
+        The file is absent or is not UTF-8.
     """
     try:
-        return Path(path).read_text(encoding="utf-8")
+        return read_regular(Path(path)).decode("utf-8")
     except OSError as error:
         raise TwinFileError(f"{path}: cannot be read ({error.strerror}); give the path of a twin file") from None
     except UnicodeDecodeError:
@@ -42,10 +48,12 @@ def text_of(path: str | Path) -> str:
 
 
 def parse(text: str, file: str = "twin file") -> Network:
-    """Turn the text of a twin file into a network; `file` names it in messages.
+    """Parse the text of a twin file; `file` names it in messages.
 
-    Raises:
-        TwinFileError: as `load`.
+    Raises
+    ------
+    TwinFileError
+        As for `load`.
     """
     try:
         data = tomllib.loads(text)
@@ -55,28 +63,44 @@ def parse(text: str, file: str = "twin file") -> Network:
         raise TwinFileError(
             f"{file}: is not valid TOML: it holds a number that is too long or lists that are too deep; correct it"
         ) from None
-    return Reader(text, file).network(data)
+    return TwinReader(text, file).network(data)
 
 
-def as_tables(network: Network) -> dict[str, Any]:
-    """A network as the tables of its twin file; the caller may change them and `build` the result."""
+def to_tables(network: Network) -> dict[str, Any]:
+    """Return a network as the tables of its twin file; the caller may change them and pass them to `from_tables`."""
     return tomllib.loads(dump(network))
 
 
-def build(data: dict[str, Any], what: str) -> Network:
-    """A network out of tables as `as_tables` gives them; `what` names it in messages. Its digest is "".
+def from_tables(data: dict[str, Any], name: str) -> Network:
+    """Build a network from tables as `to_tables` returns them; `name` stands in messages. Its digest is "".
 
-    Raises:
-        TwinFileError: as `parse`: every check of a file that is read holds here too.
+    Raises
+    ------
+    TwinFileError
+        As for `parse`: every check of a file that is read holds here too.
     """
-    return replace(Reader("", what).network(data), digest="")
+    return replace(TwinReader("", name).network(data), digest="")
 
 
 def save(network: Network, path: str | Path) -> Path:
     """Write a network as a new twin file with its checksum; an existing file is never overwritten.
 
-    Raises:
-        TwinFileError: the path exists or cannot be written.
+    Parameters
+    ----------
+    network
+        The network.
+    path
+        Path of the new file.
+
+    Returns
+    -------
+    Path
+        The new file.
+
+    Raises
+    ------
+    TwinFileError
+        The path exists or cannot be written.
     """
     path = Path(path)
     text = dump(network)
@@ -91,13 +115,15 @@ def save(network: Network, path: str | Path) -> Path:
     return path
 
 
-def edited(text: str, checksum: str) -> bool:
-    """Whether a file's text is no longer the one that `save` gave this `Revision.checksum`; False without one."""
+def is_edited(text: str, checksum: str) -> bool:
+    """Return True if a file's text differs from the one to which `save` gave this checksum; False without one."""
     return bool(checksum) and digest(re.sub(r"(?m)^checksum = .*\n?", "", text)) != checksum
 
 
 def dump(network: Network) -> str:
-    """Text of a twin file that `parse` turns into the same network. It ends with the revision, without checksum."""
+    """Return the text of a twin file that `parse` turns into the same network; it ends with the revision, without
+    checksum.
+    """
     lines = [f"format = {FORMAT}", f"name = {_toml(network.name)}", f"title = {_toml(network.title)}"]
     lines += ["", "[inputs]"]
     for column, driver in network.inputs.items():

@@ -18,6 +18,7 @@ RECEIVE_TIMEOUT_S = 0.2
 STALL_S = 0.1
 """A receiving thread that comes back later than its time-out and this has been stopped. Shorter stalls stay unseen:
 they make a value at most `RECEIVE_TIMEOUT_S + STALL_S` older than its stamp."""
+_UNSEEN_S = RECEIVE_TIMEOUT_S + STALL_S
 REFILL_S = 0.1
 """An empty queue may fill again from the buffers behind it: a sender's socket, an adapter. It is looked at again after
 this time, which is longer than a round trip in a local network and than the latency of a USB adapter."""
@@ -53,6 +54,7 @@ class Arrivals:
         """True where the rig waits for the harness before each step: its time stands still in a gap, no frame ages."""
         self._clock = clock
         self._stamps = stamps
+        self._is_kernel = stamps == "kernel"
         self._steady = steady
         self._wall = wall
         self.restart()
@@ -84,7 +86,7 @@ class Arrivals:
             return self._clock()
         self._look()
         now = self._seen
-        if self._stamps == "kernel" and not self._wall_was_set:
+        if self._is_kernel and not self._wall_was_set:
             return self._aged(self._wall() - stamp, self._gap or self._empty)
         if self._gap is None:
             self._reference = (now[0], stamp)
@@ -114,12 +116,13 @@ class Arrivals:
 
     def _look(self) -> bool:
         """Read the clocks; True where the thread was stopped since they were read last."""
-        was = self._seen
-        self._seen = (self._steady(), self._clock())
-        offset = self._wall() - self._seen[0]
-        self._wall_was_set |= abs(offset - self._offset) > JUMP_S
-        self._offset = offset
-        if self._seen[0] - was[0] <= RECEIVE_TIMEOUT_S + STALL_S:
+        was, now_s = self._seen, self._steady()
+        self._seen = (now_s, self._clock())
+        if self._is_kernel:  # the wall clock counts with its stamps only
+            offset = self._wall() - now_s
+            self._wall_was_set |= abs(offset - self._offset) > JUMP_S
+            self._offset = offset
+        if now_s - was[0] <= _UNSEEN_S:
             return False
         if self._gap is None:
             self._gap = was

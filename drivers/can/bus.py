@@ -56,6 +56,7 @@ class CanReceiver:
         self._clock = clock
         self._where = f"{name} ({config.place})"
         self._latest = [_Latest() for _ in points]
+        self._stale_after_s = [point.stale_after_s for point in points]
         self._arrivals = Arrivals(clock, _STAMPS.get(config.transport, "none"))
         self._watches = watches(points)
         self._judges = [judge_of(point) for point in points]
@@ -91,24 +92,23 @@ class CanReceiver:
         return wire
 
     async def read(self) -> Readings:
-        """The latest values; STALE once older than the point's stale_after, LINK_FAULT while the bus is down."""
+        """Return the latest values; STALE once older than the point's stale_after, LINK_FAULT while the bus is down."""
         now = self._clock()
-        values: list[float] = []
-        quality: list[int] = []
-        source: list[float] = []
         with self._lock:
             contest = self._contest(now)
             fault = self._fault or contest
             base = self._latest[self._uptime] if self._uptime is not None else None
             device_ahead = base.value - base.arrival_s if base is not None and math.isfinite(base.value) else 0.0
-            for point, latest in zip(self.points, self._latest, strict=True):
-                verdict = latest.quality
-                if now - latest.arrival_s > point.stale_after_s:
-                    verdict = int(Quality.LINK_FAULT if fault else Quality.STALE)
-                values.append(latest.value)
-                quality.append(verdict)
-                arrived = math.isfinite(latest.arrival_s)
-                source.append(latest.arrival_s + device_ahead if arrived else math.nan)
+            too_old = int(Quality.LINK_FAULT if fault else Quality.STALE)
+            known = self._latest
+            values = [latest.value for latest in known]
+            quality = [
+                latest.quality if now - latest.arrival_s <= stale_after_s else too_old
+                for stale_after_s, latest in zip(self._stale_after_s, known, strict=True)
+            ]
+            source = [latest.arrival_s + device_ahead for latest in known]
+        if -math.inf in source:  # of points that nothing has been heard of
+            source = [time_s if time_s > -math.inf else math.nan for time_s in source]
         if self._thread is not None and not self._thread.is_alive() and fault is None:
             fault = f"{self._where}: the receiving thread has ended"
         return Readings(values, quality, source, fault)

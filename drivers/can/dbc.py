@@ -24,8 +24,9 @@ from drivers.rig_file.bus_sections import CanBus
 from drivers.rig_file.can_ids import IdMatch, by_id, by_j1939, pgn_of
 from drivers.rig_file.encodings import decoded
 from drivers.rig_file.model import Point
+from drivers.rig_file.regular_file import MOST_DESCRIPTION, read_regular
 from drivers.signals.points import ConfigurationError
-from drivers.signals.units import canonical_unit
+from drivers.signals.units import canonical_unit, known_unit
 
 _LONGEST = 8
 """Bytes of a frame of classical CAN."""
@@ -128,7 +129,7 @@ class DbcContents:
 def _load_dbc(path: Path, encoding: str | None) -> tuple[Any, DbcText, str]:
     """Return cantools' database of the lines that can be used; raise ConfigurationError."""
     try:
-        text, found = decoded(path.read_bytes(), encoding)
+        text, found = decoded(read_regular(path, MOST_DESCRIPTION), encoding)
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: there is no such DBC file; correct the path") from None
     except OSError as error:
@@ -308,7 +309,7 @@ def bind(name: str, bus: CanBus, points: Sequence[Point]) -> list[Bound]:
             at = text.signals.get((message.name, signal.name))
             where = "" if at is None else f", line {at}"
             raise ConfigurationError(f"{path}{where}: signal {signal.name} of point {point.name} {fault}")
-        if signal.unit and canonical_unit(signal.unit) != point.unit:
+        if signal.unit and (known_unit(signal.unit) or canonical_unit(signal.unit)) != point.unit:
             raise ConfigurationError(
                 f"{path}: signal {signal.name} is in {signal.unit}, point {point.name} in {point.unit}; correct one"
             )

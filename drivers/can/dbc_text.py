@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _MESSAGE = re.compile(r"\s*BO_\s+(?P<id>\d{1,10})\s+(?P<name>\w+)\s*:\s*(?P<length>\d{1,4})\s+\w+\s*")
 _SIGNAL = re.compile(
     r"\s*SG_\s+(?P<name>\w+)(?:\s+(?P<multiplexing>M|m\d+M?))?\s*:\s*(?P<start>\d{1,5})\s*\|\s*(?P<length>\d{1,5})\s*@\s*[01]\s*[-+]\s*"

@@ -47,7 +47,9 @@ class ValueTable:
 
 def value_table(signal: DbcSignal) -> ValueTable:
     """Return the meaning of the names that a DBC file gives a signal's raw values."""
-    choices = {_as_decoded(raw, signal): text for raw, text in (signal.choices or {}).items()}
+    held = 1 << signal.length  # a raw number beyond the signal's bits comes in no frame
+    named = {raw: text for raw, text in (signal.choices or {}).items() if -held <= raw < held}
+    choices = {_as_decoded(raw, signal): text for raw, text in named.items()}
     if not choices:
         return ValueTable(None)
     if _is_enumeration(signal, choices):

@@ -13,12 +13,13 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from drivers.rig_file.checks import Layout
+from drivers.rig_file.checks import Layout, unwritable
 from drivers.rig_file.encodings import decoded
 from drivers.rig_file.messages import mistake, shown
 from drivers.rig_file.model import Point
+from drivers.rig_file.regular_file import MOST_DESCRIPTION, read_regular
 from drivers.signals.points import ConfigurationError
-from drivers.signals.units import canonical_unit
+from drivers.signals.units import canonical_unit, known_unit
 
 
 class ImportFileError(ConfigurationError):
@@ -80,7 +81,7 @@ def read_text(path: Path) -> str:
 def read_bytes(path: Path) -> bytes:
     """Return a file's content; raise ImportFileError."""
     try:
-        return path.read_bytes()
+        return read_regular(path, MOST_DESCRIPTION)
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise ImportFileError(path, None, f"cannot be read ({why}); correct the path") from None
@@ -186,7 +187,10 @@ class Collector:
         return self.name(f"{stem}_{count}")
 
     def unit(self, line: int, unit: str) -> tuple[str, str]:
-        """The unit's symbol here, and a comment: a unit that is not known becomes '1'."""
+        """Return the unit's symbol here and a comment; a unit that is not known becomes '1'."""
+        known = known_unit(unit)
+        if known is not None:
+            return known, ""
         try:
             return canonical_unit(unit.strip()), ""
         except ValueError as error:
@@ -220,6 +224,8 @@ class Collector:
             last = (point.address or 0) + point.width - 1
             if last > 65535:
                 raise ImportFileError(self.path, line, f"{name} ends at {last}, beyond 65535; correct address or type")
+            if (why := unwritable(point)) is not None:
+                raise ImportFileError(self.path, line, f"{name}: {why}, or correct its access {point.access!r}")
             clash = self._layout.clash(point)
             if clash is not None:
                 other = self._lines.get((bus, clash[0]), 0)

@@ -116,6 +116,8 @@ for _size in (16, 32, 64):
     TYPES |= dict.fromkeys((f"int{_size}", f"s{_size}", f"i{_size}", f"sint{_size}"), f"int{_size}")
     TYPES |= dict.fromkeys((f"uint{_size}", f"u{_size}", f"unsigned{_size}"), f"uint{_size}")
 
+_BRACKETED = re.compile(r"[(\[{]([^()\[\]{}]*)[)\]}]")
+"""Innermost brackets alone: an opening one inside would be looked for again from each of those before it."""
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "×": "x"})
 
 
@@ -136,8 +138,8 @@ def heading_key(cell: str) -> tuple[str | None, str]:
 
     The key is None for a column that is not known, and `?` for one that may change a value and has no agreed meaning.
     """
-    outside = re.sub(r"[(\[{][^)\]}]*[)\]}]", " ", cell)
-    inside = squeezed_heading(" ".join(re.findall(r"[(\[{]([^)\]}]*)[)\]}]", cell)))
+    outside = _BRACKETED.sub(" ", cell)
+    inside = squeezed_heading(" ".join(_BRACKETED.findall(cell)))
     heading = squeezed_heading(outside) or squeezed_heading(cell)
     number_base = re.fullmatch(r"(.*?) ?(hex|dec)(?:imal)?", heading)
     if number_base is not None and number_base[1]:

@@ -82,11 +82,9 @@ def unsaid(rig: Rig) -> list[str]:
 
 
 def _unwatched(rig: Rig) -> list[str]:
-    """What is open about who cuts the heater when nobody else can."""
-    if not rig.setpoints:
+    """Return the gaps of a heartbeat: nobody else cuts the heater when the link is gone."""
+    if not rig.setpoints or rig.heartbeat is None:
         return []
-    if rig.heartbeat is None:
-        return ["no [heartbeat], so that nothing cuts the heater when this computer dies or the link is gone"]
     if rig.watchdog_s is None:
         return [
             f"heartbeat has no watchdog, so that the rig's own time-out is not set from here: see that it is at most "

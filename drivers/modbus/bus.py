@@ -81,6 +81,7 @@ class ModbusBus:
         self._slots: dict[Block, list[_Slot]] = {}
         self._reads: dict[Block, Read] = {}
         self._watches = watches(self.points)
+        self._soonest_stale_s = min((point.stale_after_s for point in self.points), default=math.inf)
         self._uptime = order.get(config.uptime) if config.uptime is not None else None
         self._writes = Writes(self._all, config)
         self._has_read_write = config.read_write
@@ -227,12 +228,13 @@ class ModbusBus:
                     pending = self._plan.refuse(block, self._clock()) + pending
                 continue
             now = self._clock()
+            is_late = now - asked > self._soonest_stale_s
             for index, at, decoded, judged in self._slots_of(block):
                 values[index], quality[index] = judged(decoded(registers, at))
                 watch = self._watches[index]
                 if watch is not None:
                     quality[index] = watch.judge(values[index], quality[index], now)
-                if now - asked > self.points[index].stale_after_s and quality[index] == Q.GOOD:
+                if is_late and now - asked > self.points[index].stale_after_s and quality[index] == Q.GOOD:
                     quality[index] = int(Q.STALE)  # it may be as old as its request
                 source[index] = now
         if self._plan.refused and fault is None:

@@ -14,6 +14,7 @@ import stat
 from pathlib import Path
 
 from drivers.rig_file.bus_sections import ModbusTlsBus
+from drivers.rig_file.regular_file import read_regular
 from drivers.signals.points import ConfigurationError
 
 _THEIRS = {
@@ -75,7 +76,7 @@ def check_valid(path: Path) -> None:
 
 def validity(path: Path) -> tuple[datetime.datetime, datetime.datetime]:
     """From when to when the first certificate of a PEM file is valid (RFC 5280, 4.1.2.5); raises ValueError."""
-    text = path.read_text(encoding="ascii")
+    text = read_regular(path).decode("ascii")
     end = text.index(_END) + len(_END)
     der = ssl.PEM_cert_to_DER_cert(text[text.index("-----BEGIN CERTIFICATE-----") : end])
     fields = _parts(_parts(_parts(der)[0][1])[0][1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from drivers.bus.contract import Bus, Clock, Readings
 from drivers.can.bus import CanReceiver
@@ -31,7 +31,7 @@ class RigConnection:
         self._buses: dict[str, Bus] = {}
         self._receivers: list[CanReceiver] = []
         self._wires: dict[str, list[ModbusBus]] = {}
-        wire = wires(rig)
+        wire = self._wire_of = wires(rig)
         for name, config in rig.bus.items():
             points = tuple(point for point in rig.point if point.bus == name)
             if isinstance(config, CanBus):
@@ -87,6 +87,13 @@ class RigConnection:
         """Why this machine has no descriptor or memory left to reach a device, as a sentence; None while it has."""
         links = {id(bus.link): bus.link for sharing in self._wires.values() for bus in sharing}
         return next((link.exhausted for link in links.values() if link.exhausted is not None), None)
+
+    def by_wire(self, names: Iterable[str]) -> list[tuple[str, ...]]:
+        """Return writable points in groups that share a wire, in order: groups can be written at the same time."""
+        found: dict[str, list[str]] = {}
+        for name in names:
+            found.setdefault(self._wire_of[self._bus_of[name]], []).append(name)
+        return [tuple(group) for group in found.values()]
 
     async def write(self, values: Mapping[str, float]) -> None:
         """Write engineering values by point name, one request where registers touch; raises a DriverError."""

@@ -39,9 +39,8 @@ def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
                 )
             )
             continue
-        if point.access != "r" and point.table in ("input", "discrete"):
-            which, other = ("input registers", "holding") if point.table == "input" else ("discrete inputs", "coil")
-            found.append(((*place, "table"), f"{point.name}: {which} cannot be written; use table '{other}'"))
+        if (why := unwritable(point)) is not None:
+            found.append(((*place, "table"), f"{point.name}: {why}"))
         found += [((*place, key), f"{point.name}: {what}") for key, what in misplaced(point, bus)]
         clash = taken.taken_by(point)
         if clash is not None:
@@ -160,6 +159,14 @@ def _message_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
                     )
                     found.append((place, what))
     return found
+
+
+def unwritable(point: Point) -> str | None:
+    """Return why a Modbus point cannot be written where its access says so; None where there is no contradiction."""
+    if point.access == "r" or point.table not in ("input", "discrete"):
+        return None
+    which, other = ("input registers", "holding") if point.table == "input" else ("discrete inputs", "coil")
+    return f"{which} cannot be written; use table '{other}'"
 
 
 def misplaced(point: Point, bus: ModbusBusSection) -> list[tuple[str, str]]:

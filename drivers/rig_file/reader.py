@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from drivers.rig_file.checks import cross_checks
 from drivers.rig_file.messages import sentence
 from drivers.rig_file.model import Rig
+from drivers.rig_file.regular_file import MOST_DESCRIPTION, read_regular
 from drivers.rig_file.toml_lines import line_of, tables_of
 from drivers.signals.points import ConfigurationError
 
@@ -31,7 +32,7 @@ _FILES = ("dbc", "ca", "certificate", "key")
 def load_rig(path: Path) -> Rig:
     """Read and validate a rig file; raises RigFileError with every mistake in it."""
     try:
-        text, document = tables_of(path.read_bytes())
+        text, document = tables_of(read_regular(path))
     except FileNotFoundError:
         raise RigFileError(f"{path}: there is no such file; give the path of a rig file") from None
     except OSError as error:
@@ -84,10 +85,10 @@ def _misshapen(document: dict[str, Any]) -> list[tuple[tuple[Any, ...], str]]:
 
 def located(path: Path, mistakes: Sequence[tuple[Sequence[Any], str]]) -> RigFileError:
     """The error of mistakes that were found in a rig file after it was read, each with its place in the document."""
-    text = path.read_text(encoding="utf-8")
+    text = read_regular(path).decode("utf-8")
     return RigFileError("\n".join(f"{path}, line {line_of(text, place)}: {what}" for place, what in mistakes))
 
 
 def file_sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(read_regular(path, MOST_DESCRIPTION)).hexdigest()

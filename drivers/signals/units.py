@@ -139,6 +139,42 @@ _BASES = {
 _FAHRENHEIT = ("f", "°f", "degf", "deg f", "fahrenheit")
 
 
+_SAME = {
+    "degc": "degC",
+    "°c": "degC",
+    "ºc": "degC",
+    "℃": "degC",
+    "'c": "degC",
+    "celsius": "degC",
+    "gradc": "degC",
+    "%rh": "%",
+    "%rf": "%",
+    "%r.h.": "%",
+    "vdc": "V",
+    "vac": "V",
+    "adc": "A",
+    "aac": "A",
+}
+"""Further spellings without blanks, in small letters: of loggers (HIOKI's 'C, Keysight's VDC) and of humidity."""
+_ANGLE = "degree"
+
+
+def known_unit(text: str) -> str | None:
+    """Return the symbol of a unit in any spelling of one meaning, None for any other text.
+
+    `DEG C`, `U/min`, `l/h` and `KW` have one meaning; `degrees`, which may be an angle, has not.
+    """
+    bare = text.strip()
+    try:
+        return canonical_unit(bare)
+    except ValueError:
+        pass
+    low = "".join(bare.lower().split())
+    if low in _SAME:
+        return _SAME[low]
+    return None if low.rstrip("s") == _ANGLE else _meant(bare)
+
+
 def canonical_unit(unit: str) -> str:
     """The symbol this project uses for `unit`; raises ValueError with the nearest known symbol."""
     symbol = _ALIASES.get(unit, unit)
@@ -150,13 +186,9 @@ def canonical_unit(unit: str) -> str:
 def _hint(unit: str) -> str:
     """Return the remedy for a unit that is not known: a symbol of the same size, or the factor to a known one."""
     bare = unit.strip()
-    longhand = bare.lower().rstrip("s")
-    for spelling in (bare.lower(), longhand):
-        if spelling in _SPELT_OUT:
-            return f"did you mean {_SPELT_OUT[spelling]}?"
-    same = [symbol for symbol in SUFFIX_OF_UNIT if symbol.lower() == bare.lower()]
-    if same and not (bare[0] in "mM" and same[0][0] in "mM" and bare[0] != same[0][0]):  # milli is not mega
-        return f"did you mean {same[0]}?"
+    meant = _meant(bare)
+    if meant is not None:
+        return f"did you mean {meant}?"
     for prefix, factor in _PREFIXES.items():
         base = _BASES.get(bare.removeprefix(prefix).lower()) if bare.startswith(prefix) else None
         if base is not None:
@@ -164,6 +196,18 @@ def _hint(unit: str) -> str:
     if bare.lower() in _FAHRENHEIT:
         return "convert the values to degC"
     return f"the known ones are {', '.join(SUFFIX_OF_UNIT)}"
+
+
+def _meant(bare: str) -> str | None:
+    """Return the symbol that a longhand or another case of letters stands for, None where there is none."""
+    longhand = bare.lower().rstrip("s")
+    for spelling in (bare.lower(), longhand):
+        if spelling in _SPELT_OUT:
+            return _SPELT_OUT[spelling]
+    same = [symbol for symbol in SUFFIX_OF_UNIT if symbol.lower() == bare.lower()]
+    if same and not (bare[0] in "mM" and same[0][0] in "mM" and bare[0] != same[0][0]):  # milli is not mega
+        return same[0]
+    return None
 
 
 def plausible_range(unit: str) -> tuple[float, float]:

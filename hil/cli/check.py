@@ -133,18 +133,20 @@ def _named(file: Path, checker: Callable[[Path, Path, Console], None]) -> Iterat
 
 def _has_rig(file: Path) -> bool:
     """Whether a TOML file has a table that only rig files have."""
+    from drivers.rig_file.regular_file import read_regular
     from drivers.rig_file.toml_lines import tables_of
 
-    return not {"rig", "bus", "point"}.isdisjoint(tables_of(file.read_bytes())[1])
+    return not {"rig", "bus", "point"}.isdisjoint(tables_of(read_regular(file))[1])
 
 
 def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
     if file.suffix == ".toml":
+        from drivers.rig_file.regular_file import read_regular
         from drivers.rig_file.toml_lines import tables_of
         from drivers.signals.points import ConfigurationError
 
         try:
-            keys = set(tables_of(file.read_bytes())[1])
+            keys = set(tables_of(read_regular(file))[1])
         except ValueError as error:
             raise ConfigurationError(f"{file}: {error}") from error
         if not keys:
@@ -159,7 +161,7 @@ def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
     with file.open("rb") as content:
         if content.read(4) == b"PAR1" or file.suffix in (".parquet", ".pq"):
             return _record
-    if file.suffix in (".csv", ".tsv", ".tab", ".txt", ".dat"):
+    if file.suffix in (".csv", ".tsv", ".tab", ".txt", ".dat", ".asc", ".prn", ".lvm", ".log"):
         return _record if _readings(file, rig) else _profile
     raise click.UsageError(f"{file}: is no .toml, .csv, .tsv or .parquet file; nothing here knows how to check it")
 
@@ -170,18 +172,21 @@ def _readings(file: Path, rig: Path) -> list[str]:
     """
     from hil.record.annotated import is_annotated
     from hil.record.csv_dialect import DialectError, find_dialect
+    from hil.record.encodings import beginning_of
+    from hil.record.heading_units import name_and_unit
     from hil.record.long_format import VALUES
     from hil.record.times.names import names_dates
 
-    with file.open(encoding="utf-8-sig", errors="replace") as lines:
-        beginning = lines.read(200_000)
+    with file.open("rb") as content:
+        beginning = beginning_of(content.read(_SAMPLE_BYTES))
     if is_annotated(beginning):
         return ["_value"]
     try:
         names = list(find_dialect(beginning).names)
     except DialectError:
         return []  # the reader of profiles names the line
-    found = [name for name in names if _TEMPERATURE.search(name)]
+    in_degC = ("degC", "degF")
+    found = [name for name in names if _TEMPERATURE.search(name) or (name_and_unit(name) or ("", ""))[1] in in_degC]
     if found and names[0] == "time_s":
         from drivers.rig_file.reader import load_rig
         from hil.run.session.request import setpoint_limits
@@ -193,6 +198,8 @@ def _readings(file: Path, rig: Path) -> list[str]:
     return found
 
 
+_SAMPLE_BYTES = 200_000
+"""Bytes from the beginning of a table that show what it is."""
 _TEMPERATURE = re.compile(r"^T_|_C$|^T(_.+|\d+)_[KF]$|[\[(]\s*(°|deg)\s*[CFK]\s*[\])]$", re.IGNORECASE)
 
 

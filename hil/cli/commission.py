@@ -15,7 +15,7 @@ from hil.cli.options.reading import reading
 
 if TYPE_CHECKING:
     from hil.record.reader import Reading
-    from twin.commission import Commission
+    from twin.commission import CommissionOptions, CommissionResult
 
 
 @click.command()
@@ -61,7 +61,7 @@ def command(
     from hil.record.values.units import beyond_declared
     from hil.run.session.terminal import console
     from twin.commission import commission
-    from twin.commission_check import clock_in_question, reason_to_refuse
+    from twin.commission_check import clock_warning, refusal_reason
     from twin.datasheet import from_datasheet
     from twin.network import TwinFileError
     from twin.twinfile import load
@@ -81,14 +81,14 @@ def command(
         raise TwinFileError(f"{record}: {error}") from None
     result = commission(
         network, data.time_s, inputs, measured,
-        seed=seed, initial_sd=initial_sd, made_by=f"hil commission {printable(record.name)}",
+        CommissionOptions(seed=seed, initial_sd=initial_sd, made_by=f"hil commission {printable(record.name)}"),
     )  # fmt: skip
     messages = (*data.messages, *beyond_declared(network, data.columns))
-    if why := reason_to_refuse(result, measured):
+    if why := refusal_reason(result, measured):
         for message in messages:
             console(quiet=as_json).print(message, markup=False, soft_wrap=True)
         raise TwinFileError(f"{record}: no twin is written: {why}")
-    if said := clock_in_question(result):
+    if said := clock_warning(result):
         result = dataclasses.replace(result, notes=(*result.notes, said))
     kept = save_with_record(result.network, data, out)
     if as_json:
@@ -97,13 +97,13 @@ def command(
     _show(result, messages, out, kept)
 
 
-def _document(result: Commission, out: Path, kept: Path) -> dict[str, object]:
+def _document(result: CommissionResult, out: Path, kept: Path) -> dict[str, object]:
     return {
         "twin": str(out),
         "healthy": str(kept),
         "values": dict(result.values),
         "interval90": {name: list(interval) for name, interval in result.interval90.items()},
-        "cannot_tell": list(result.cannot_tell),
+        "cannot_tell": list(result.unidentifiable),
         "at_bound": list(result.at_bound),
         "held_out_s": list(result.held_out_s),
         "rmse_before_K": {name: _known(error) for name, error in result.rmse_before.items()},
@@ -116,7 +116,7 @@ def _known(error: float) -> float | None:
     return error if isfinite(error) else None
 
 
-def _show(result: Commission, messages: tuple[str, ...], out: Path, kept: Path) -> None:
+def _show(result: CommissionResult, messages: tuple[str, ...], out: Path, kept: Path) -> None:
     from rich.table import Table
 
     from hil.record.times.time_axis import span
@@ -130,7 +130,7 @@ def _show(result: Commission, messages: tuple[str, ...], out: Path, kept: Path) 
         parameters.add_column(heading, justify="left" if heading in ("parameter", "unit", "") else "right")
     for name, value in result.values.items():
         low, high = result.interval90[name]
-        told = "the record cannot tell" if name in result.cannot_tell else ""
+        told = "the record cannot tell" if name in result.unidentifiable else ""
         if name in result.at_bound:
             told = "at its bound"
         unit = result.network.parameters[name].unit

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import shlex
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,10 +18,10 @@ from hil.errors import FOUND
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
+    from hil.diagnosis.session import Prepared, Written
     from hil.record.reader import Reading
-    from twin.discovery.diagnosis import Diagnosis, SensorError
+    from twin.discovery.diagnosis import Diagnosis
     from twin.discovery.healthy.basis import Columns
     from twin.network import Network
 
@@ -96,27 +95,11 @@ def command(
       hil diagnose campaign.parquet --twin my_twin.toml --bootstrap 40
     """
     from hil.cli.options.subject import subject_of
-    from hil.diagnosis.experiment_file import limits_of, rig_of, write_experiment
-    from hil.diagnosis.forecast import foretell
-    from hil.diagnosis.hand_over import (
-        answer,
-        clock_beside,
-        clock_of,
-        further_columns,
-        provenance,
-        read_columns,
-        read_healthy,
-        revise,
-        with_clock,
-        write,
-        write_proposal,
-    )
-    from hil.diagnosis.healthy_record import Kept, commissioned_on
-    from hil.run.session.terminal import Steps, console, invocation
-    from twin.discovery.healthy.health import NotHealthyError
-    from twin.discovery.records.grid import TooShortError
+    from hil.diagnosis.experiment_file import rig_of
+    from hil.diagnosis.forecast import show_forecast
+    from hil.diagnosis.session import DiagnosisRequest, described, diagnose_files, prepare, write_results
+    from hil.run.session.terminal import console
     from twin.network import TwinFileError
-    from twin.twinfile import load
 
     if at_rest and (healthy or more or forecast):
         raise click.UsageError("--at-rest goes without --healthy, --with and --forecast; put all states into one file")
@@ -124,94 +107,90 @@ def command(
         raise click.UsageError("--no-healthy goes without --healthy: there is one or there is none")
     began = time.monotonic()
     subject = subject_of(target, twin)
-    folder = (
-        subject.run / "diagnosis" if subject.run else Path(f"diagnosis-{target.absolute().parent.name}-{target.stem}")
-    )
-    folder = out or folder
-    network = load(subject.twin)
-    named, kept = healthy, Kept() if healthy or no_healthy or at_rest else commissioned_on(subject.twin)
-    healthy = healthy or kept.path
-    if bootstrap and not healthy:
-        raise click.UsageError("--bootstrap draws records like the healthy one: give it with --healthy")
-    hour = clock_of(clock) if clock else clock_beside(subject.record)
-    told = with_clock(network) if hour is not None and not at_rest else network
-    good = read_healthy(told, subject.twin, healthy, hour, choice if named else None) if healthy else None
-    if forecast:
-        foretell(console(), told, subject.record, good, hour, as_json=as_json)
-        return
-    if bootstrap and good is not None:
-        _bootstrap(told, good, healthy, bootstrap, quiet=as_json)
-    try:
-        record, messages = read_columns(told, subject.record, hour, at_rest=at_rest, choice=choice)
-    except TooShortError as error:
-        raise TwinFileError(f"{error}; where each row is a steady state of its own, give --at-rest") from None
     allowed = rig or (rig_of(target) if target.is_dir() else None)
-    limits = limits_of(allowed) if allowed is not None else None
-    later = further_columns(told, more, hour, choice)
+    request = DiagnosisRequest(
+        subject.record,
+        subject.twin,
+        healthy,
+        use_healthy=not no_healthy,
+        more=more,
+        at_rest=at_rest,
+        rig=allowed,
+        clock=clock,
+        choice=choice,
+    )
+    if bootstrap and (at_rest or no_healthy):
+        raise click.UsageError("--bootstrap draws records like the healthy one: give it with --healthy")
+    ready = prepare(request)
+    if bootstrap and ready.healthy is None:
+        raise click.UsageError("--bootstrap draws records like the healthy one: give it with --healthy")
+    if forecast:
+        show_forecast(console(), ready.network, subject.record, ready.healthy, ready.hour, as_json=as_json)
+        return
+    if bootstrap and ready.healthy is not None:
+        _bootstrap(ready.network, ready.healthy, ready.healthy_file, bootstrap, quiet=as_json)
+    found = _diagnosed(ready, diagnose_files, quiet=as_json)
+    if empirical and found.verdict == "unexplained" and found.empirical is None:
+        raise TwinFileError(f"{subject.record}: no curve of any column predicts what is unexplained; none to adopt")
+    curve = empirical and found.empirical is not None
+    folder = out or _folder(subject.run, target)
+    written, extra = None, described(ready, None, began)
+    if not dry:
+        written, extra = write_results(ready, found, folder, empirical=curve, began=began)
+    if as_json:
+        click.echo(json.dumps({**found.document(), **extra}, indent=1))
+    else:
+        _report(console(), ready, found, written, target)
+        console().print(f"{time.monotonic() - began:.1f} s")
+    if review and not dry:
+        _review(folder, quiet=as_json)
+    if found.verdict != "adequate":
+        sys.exit(FOUND)
+
+
+def _folder(run: Path | None, target: Path) -> Path:
+    """Return the folder for the results: that of the run, else one beside the working directory's files."""
+    return run / "diagnosis" if run else Path(f"diagnosis-{target.absolute().parent.name}-{target.stem}")
+
+
+def _diagnosed(ready: Prepared, diagnose: Callable[..., Diagnosis], *, quiet: bool) -> Diagnosis:
+    """Diagnose, with a line for each stage."""
+    from hil.run.session.terminal import Steps
+
     stages = 0
-    with Steps("diagnosing", STEPS, quiet=as_json) as steps:
-        for message in messages:
-            steps.say(message)
+    with Steps("diagnosing", STEPS, quiet=quiet) as steps:
 
         def say(what: str) -> None:
             nonlocal stages
             stages += 1
             steps.update(min(float(stages), STEPS), what)
 
-        try:
-            diagnosis = answer(told, record, good, more=later, limits=limits, at_rest=at_rest, say=say)
-        except NotHealthyError as error:
-            raise TwinFileError(f"{healthy}: {error}") from None
-        except TwinFileError as error:
-            raise TwinFileError(f"{subject.record}: {error}") from None
-    if kept.why:
-        diagnosis = dataclasses.replace(diagnosis, notes=(kept.why, *diagnosis.notes))
-    if empirical and diagnosis.verdict == "unexplained" and diagnosis.empirical is None:
-        raise TwinFileError(
-            f"{subject.record}: no curve of anything in it foretells what is unexplained; none to adopt"
-        )
-    curve = empirical and diagnosis.empirical is not None
-    revision = None if dry else revise(diagnosis, network, subject.twin, subject.record, empirical=curve)
-    extra: dict[str, object] = {
-        "record": str(subject.record), "twin": str(subject.twin), "revision": str(revision) if revision else None,
-        "healthy": str(healthy) if healthy else None, "seconds": round(time.monotonic() - began, 2),
-    }  # fmt: skip
-    planned = proposal = None
-    if not dry:
-        files = {"record": subject.record, "twin": subject.twin, "healthy record": healthy}
-        files |= {f"later record {number}": path for number, path in enumerate(more, start=1)}
-        extra["provenance"] = provenance(files)
-        shown = write(diagnosis, told.sensor_names, folder, extra)
-        extra["page"] = str(shown)
-        proposal = write_proposal(diagnosis, network, subject.record, folder)
-        planned = write_experiment(diagnosis, folder, allowed)
-    if as_json:
-        click.echo(json.dumps({**diagnosis.document(), **extra}, indent=1))
-    else:
-        to = console()
-        _show(to, diagnosis)
-        if planned:
-            to.print(f"run it: {invocation()} run {planned}", soft_wrap=True)
-            again = f"{invocation()} diagnose {target} --twin {subject.twin}" + (f" --healthy {named}" if named else "")
-            before = "".join(f" --with {path}" for path in more)
-            to.print(f"then:   {again}{before} --with <the new run>/record.parquet", soft_wrap=True)
-        if diagnosis.empirical is not None:
-            to.print(
-                f"offered, {'and adopted' if revision else 'not adopted'}: {diagnosis.empirical.says}", soft_wrap=True
-            )
-            if proposal and not revision:
-                to.print(f"look at {proposal}; the same again with --empirical adopts it", soft_wrap=True)
-        if kept.path is not None:
-            to.print(f"what is usual, from the record that the twin was commissioned on: {kept.path}", soft_wrap=True)
-        if revision:
-            to.print(f"revision of the twin: {shlex.quote(str(revision))}", soft_wrap=True, markup=False)
-        if not dry:
-            to.print(f"page with pictures: {shown}", soft_wrap=True)
-        to.print(f"{time.monotonic() - began:.1f} s")
-    if review and not dry:
-        _review(folder, quiet=as_json)
-    if diagnosis.verdict != "adequate":
-        sys.exit(FOUND)
+        return diagnose(ready, say, steps.say)
+
+
+def _report(to: Console, ready: Prepared, found: Diagnosis, written: Written | None, target: Path) -> None:
+    """Print the diagnosis, its files and the commands that follow."""
+    from hil.diagnosis.terminal_report import print_diagnosis
+    from hil.run.session.terminal import invocation
+
+    print_diagnosis(to, found)
+    request, revision = ready.request, written.revision if written else None
+    if written and written.experiment:
+        to.print(f"run it: {invocation()} run {written.experiment}", soft_wrap=True)
+        healthy = f" --healthy {request.healthy}" if request.healthy else ""
+        again = f"{invocation()} diagnose {target} --twin {request.twin}{healthy}"
+        before = "".join(f" --with {path}" for path in request.more)
+        to.print(f"then:   {again}{before} --with <the new run>/record.parquet", soft_wrap=True)
+    if found.empirical is not None:
+        to.print(f"offered, {'and adopted' if revision else 'not adopted'}: {found.empirical.says}", soft_wrap=True)
+        if written and written.proposal and not revision:
+            to.print(f"look at {written.proposal}; the same again with --empirical adopts it", soft_wrap=True)
+    if ready.kept.path is not None:
+        to.print(f"healthy reference: the record that the twin was commissioned on, {ready.kept.path}", soft_wrap=True)
+    if revision:
+        to.print(f"revision of the twin: {shlex.quote(str(revision))}", soft_wrap=True, markup=False)
+    if written:
+        to.print(f"page with pictures: {written.page}", soft_wrap=True)
 
 
 def _bootstrap(network: Network, healthy: Columns, named: Path | None, draws: int, *, quiet: bool) -> None:
@@ -245,92 +224,3 @@ def _review(folder: Path, *, quiet: bool) -> None:
         show_review(folder / REVIEW)
     else:
         console(quiet=quiet).print(f"for Rerun: {folder / REVIEW}", soft_wrap=True)
-
-
-def _number(value: float) -> str:
-    return f"{value:.0f}" if abs(value) >= 10_000.0 else f"{value:.4g}"
-
-
-def _since(onset_s: float, d: Diagnosis) -> str:
-    return f"{onset_s / 3600.0:.2f} h" if d.method == "contest" else "start"
-
-
-def _errors(errors: Mapping[str, SensorError], after: str) -> Table:
-    """A row a sensor; `after` is what the twin held whose errors are called that, "re-tuned" where nothing more."""
-    from rich.table import Table
-
-    table = Table()
-    added = after != "re-tuned"
-    headings = ("sensor", "stale", "re-tuned", *((after,) if added else ()), "noise")
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading == "sensor" else "right")
-    for name, error in errors.items():
-        cells = (error.stale, error.before, *((error.after,) if added else ()), error.noise)
-        table.add_row(name, *(f"{x:.3f}" for x in cells))
-    return table
-
-
-def _show(to: Console, d: Diagnosis) -> None:
-    from rich.table import Table
-
-    from hil.diagnosis.wording import after_label, reasons
-    from hil.record.times.time_axis import span
-
-    for warning in d.warnings:
-        to.print(f"warning: {warning}", style="yellow", soft_wrap=True)
-    to.print(f"[bold]{d.verdict}[/bold]: {d.summary}", soft_wrap=True)
-    for note in d.notes:
-        to.print(note, soft_wrap=True)
-    if d.effects:
-        table = Table(title="Effects", title_justify="left")
-        for heading in ("kind", "where", "driver", "change", "size", "90 %", "since", "z"):
-            table.add_column(heading, justify="right" if heading in ("size", "90 %", "since", "z") else "left")
-        for e in d.effects:
-            low, high = e.interval90
-            size = f"{_number(e.value)} {e.unit}".removesuffix(" 1")
-            table.add_row(
-                e.kind, e.where, e.driver, e.change, size, f"{_number(low)} to {_number(high)}",
-                _since(e.onset_s, d), f"{e.z:.0f}",
-            )  # fmt: skip
-        to.print(table)
-    for reason in reasons(d.document()):
-        to.print(reason, soft_wrap=True)
-    if d.indistinguishable or d.alternatives:
-        table = Table(title="Other explanations", title_justify="left")
-        for heading in ("kind", "where", "driver", "why not"):
-            table.add_column(heading)
-        said = {(e.kind, e.where, e.driver) for e in d.effects}
-        for a in d.indistinguishable:
-            if (a.kind, a.where, a.driver) in said:
-                continue
-            table.add_row(a.kind, a.where, a.driver, "this record cannot tell it from the answer", style="bold")
-        for a in d.alternatives[:8]:
-            table.add_row(a.kind, a.where, a.driver, a.why_not)
-        to.print(table)
-    low, high = d.held_out_s
-    part = f"free run from {span(low)} to {span(high)}, which the fit never saw"
-    if d.method == "growth at rest":
-        part = "every fourth steady state, which no fit saw"
-    to.print(f"RMSE in K, {part}", style="italic", soft_wrap=True)
-    to.print(_errors(d.errors, after_label(d.document())))
-    for one in d.elsewhere:
-        to.print(f"RMSE in K, free run over {one.name}, which no effect was fitted to", style="italic", soft_wrap=True)
-        to.print(_errors(one.errors, "with the effect" if d.network is not None else "re-tuned"))
-    far = [m for m in d.moved if d.method == "contest" and max(abs(m.before_sd), abs(m.after_sd)) > 3.0]
-    if far and d.effects:
-        table = Table(title="Tunables that had to move, in standard deviations of commissioning", title_justify="left")
-        for heading in ("parameter", "commissioned", "re-tuned alone", "beside the effect", "unit"):
-            table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
-        for m in far:
-            table.add_row(
-                m.parameter, f"{m.commissioned:.4g}", f"{m.before:.4g} ({m.before_sd:+.0f})",
-                f"{m.after:.4g} ({m.after_sd:+.0f})", m.unit,
-            )  # fmt: skip
-        to.print(table)
-    if d.next_experiment:
-        to.print(f"next experiment: {d.next_experiment['why']}", soft_wrap=True)
-        for alike in d.next_experiment.get("stay_alike", ()):
-            measured = " or ".join(d.next_experiment["measure"])
-            to.print(f"no input separates {alike}; {measured} would", soft_wrap=True)
-    for spot in d.blind_spots:
-        to.print(f"blind spot: {spot}", soft_wrap=True)

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from drivers.rig_file.model import Rig
 
 
+_LAST_PORT = 65535
+"""Last port of TCP (RFC 9293)."""
+
+
 @click.command()
 @click.option("--from", "source", type=INPUT_FILE, help="A .csv, .toml (Telegraf), .yaml or .dbc file.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), default=Path("rig.toml"), show_default=True)
@@ -91,7 +95,7 @@ def command(
         raise click.UsageError(f"{out} is there already; give another --out, or --force to write over it")
     if not out.parent.is_dir():
         raise click.UsageError(f"{out.parent}: there is no such folder; make it or give another --out")
-    bus = {"transport": "modbus_tcp", "host": host, "port": port, "device_id": device_id}
+    bus = {"transport": "modbus_tcp", "host": _host("--host", host), "port": port, "device_id": device_id}
     can: dict[str, Any] = {"transport": "socketcan", "channel": channel}
     if socketcand is not None:
         can = {"transport": "socketcand", **_address(socketcand), "channel": channel}
@@ -177,9 +181,22 @@ def _thermocouples(said: tuple[str, ...], dbc: Path | None, encoding: str | None
 
 def _address(text: str) -> dict[str, Any]:
     host, _, port = text.rpartition(":")
-    if not host or not port.isdigit():
+    if not host or not port.isascii() or not port.isdigit():
         raise click.UsageError(f"--socketcand {text!r} is no host:port; write it like 192.168.1.21:29536")
-    return {"host": host, "port": int(port)}
+    if not 1 <= int(port[:6]) <= _LAST_PORT:
+        raise click.UsageError(f"--socketcand {text!r}: port {port} is not from 1 to {_LAST_PORT}; correct it")
+    return {"host": _host("--socketcand", host), "port": int(port)}
+
+
+def _host(option: str, host: str) -> str:
+    """Return the name or address of a host; raise click.UsageError with the remedy where it is none."""
+    from drivers.rig_file.plain_values import checked_host
+
+    try:
+        return checked_host(host)
+    except ValueError as error:
+        said = re.sub(r'write host = "(.*)" and port = (\d+)', rf"write {option} \1 --port \2", str(error))
+        raise click.UsageError(f"{option} {said}") from None
 
 
 def _bind_messages(rig: Rig) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import sys
 from pathlib import Path
@@ -67,8 +66,11 @@ def command(
       hil resume runs/20260520T120000Z-battle_40h --gap 2.5h
       hil resume runs/20260520T120000Z-battle_40h --band 2 --timeout 14400
     """
+    from hil.cli.options.own_process import owns_process
+    from hil.run.engine.signals import RunSignals
     from hil.run.restore.gap_evidence import duration_s
     from hil.run.restore.thermal_restore import SoakRule
+    from hil.run.session.event_loop import finished
     from hil.run.session.interrupted_run import named, request_of
     from hil.run.session.session import resume_session
     from hil.run.session.terminal import LiveRun
@@ -91,12 +93,16 @@ def command(
         for sentence in named(asked):
             click.echo(sentence, err=True)  # with --json too
 
-    with LiveRun(quiet=as_json) as live:
-        rule = SoakRule(band_K, timeout_s)
-        result = asyncio.run(resume_session(folder, request, rule, live.update, live.announce, gap_s, name_rig))
-    if as_json:
-        click.echo(json.dumps(as_json_document(result), indent=1))
-    else:
-        live.show_result(result)
+    with RunSignals(until_exit=owns_process()) as signals:
+        with LiveRun(quiet=as_json) as live:
+            rule = SoakRule(band_K, timeout_s)
+            session = resume_session(
+                folder, request, rule, live.update, live.announce, gap_s, name_rig, signals=signals
+            )
+            result = finished(session, until_exit=owns_process())
+        if as_json:
+            click.echo(json.dumps(as_json_document(result), indent=1))
+        else:
+            live.show_result(result)
     if result.exit_code:
         sys.exit(result.exit_code)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import sys
 from pathlib import Path
@@ -37,7 +36,11 @@ if TYPE_CHECKING:
 @click.option("--seed", default=0, show_default=True, help="Seed of the virtual rig and of the calibrators.")
 @click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Parent folder.")
 @click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: where there is a display.")
-@click.option("--diagnose", metavar="INTERVAL", help="Diagnose the record so far: hourly, 30min, 2h of profile time.")
+@click.option(
+    "--diagnose",
+    metavar="INTERVAL",
+    help="Diagnose the whole run (end), and the record so far every hourly, 30min, 2h.",
+)
 @click.option("--healthy", type=INPUT_FILE, help="Record of the rig in good order, for --diagnose.")
 @click.option("--adopt", is_flag=True, help="Save a sure finding of --diagnose as the twin's next revision.")
 @click.option("--check-only", is_flag=True, help="Validate everything, move nothing.")
@@ -76,6 +79,7 @@ def command(
     Example:
       hil run profiles/loads/battle_40h.csv --virtual --lockstep
       hil run my_load.csv --rig my_rig.toml --twin my_twin.toml
+      hil run my_load.csv --virtual --lockstep --diagnose end
       hil run my_load.csv --virtual --lockstep --diagnose hourly --healthy runs/<a healthy run>/record.parquet
     """
     from hil.diagnosis.live import interval_of
@@ -87,7 +91,7 @@ def command(
     if control is not None and virtual:
         raise click.UsageError("--control and --virtual exclude each other: one rig runs already, the other is started")
     if diagnose is None and (healthy is not None or adopt):
-        raise click.UsageError("--healthy and --adopt belong to --diagnose; add --diagnose hourly")
+        raise click.UsageError("--healthy and --adopt belong to --diagnose; add --diagnose end, or hourly")
     mode = "lockstep" if lockstep or control is not None else "scaled" if speed is not None else "real"
     request = RunRequest(
         profile=profile,
@@ -118,14 +122,19 @@ def command(
         for note in ready.notes:
             click.echo(f"  {note}")
         return
+    from hil.cli.options.own_process import owns_process
+    from hil.run.engine.signals import RunSignals
+    from hil.run.session.event_loop import finished
     from hil.run.session.terminal import LiveRun
 
-    with LiveRun(quiet=as_json) as live:
-        result = asyncio.run(run_session(request, live.update, live.announce))
-    if as_json:
-        click.echo(json.dumps(as_json_document(result), indent=1))
-    else:
-        live.show_result(result)
+    with RunSignals(until_exit=owns_process()) as signals:
+        with LiveRun(quiet=as_json) as live:
+            session = run_session(request, live.update, live.announce, signals)
+            result = finished(session, until_exit=owns_process())
+        if as_json:
+            click.echo(json.dumps(as_json_document(result), indent=1))
+        else:
+            live.show_result(result)
     if result.exit_code:
         sys.exit(result.exit_code)
 

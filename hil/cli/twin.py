@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from twin.revisions import Diff, Entry, Piece
+    from twin.revisions import ChainEntry, ElementDiff, TwinDiff
 
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 
@@ -112,7 +112,7 @@ def revert_command(twin: Path) -> None:
     out.print(f"written: {path}", soft_wrap=True, markup=False)
 
 
-def _entry(entry: Entry) -> dict[str, Any]:
+def _entry(entry: ChainEntry) -> dict[str, Any]:
     revision = entry.network.revision
     fields = {name: getattr(revision, name) for name in revision.__dataclass_fields__ if name != "checksum"}
     plain = {name: dict(value) if isinstance(value, Mapping) else value for name, value in fields.items()}
@@ -125,7 +125,7 @@ def _entry(entry: Entry) -> dict[str, Any]:
     }
 
 
-def _show_log(entries: tuple[Entry, ...]) -> None:
+def _show_log(entries: tuple[ChainEntry, ...]) -> None:
     from hil.run.session.terminal import console
 
     out = console()
@@ -149,7 +149,7 @@ def _show_log(entries: tuple[Entry, ...]) -> None:
             _indented(out, line, "red")
 
 
-def _sentences(entry: Entry) -> list[str]:
+def _sentences(entry: ChainEntry) -> list[str]:
     revision = entry.network.revision
     lines = [f"effect: {effect}" for effect in revision.effects]
     lines += [f"evidence: {revision.evidence}"] if revision.evidence else []
@@ -161,7 +161,7 @@ def _sentences(entry: Entry) -> list[str]:
     return [*lines, *revision.notes, *entry.remarks]
 
 
-def _show_diff(found: Diff, a: Path, b: Path) -> None:
+def _show_diff(found: TwinDiff, a: Path, b: Path) -> None:
     from hil.run.session.terminal import console
 
     out = console()
@@ -186,7 +186,7 @@ def _show_diff(found: Diff, a: Path, b: Path) -> None:
         out.print(table)
 
 
-def _pieces(title: str, pieces: tuple[Piece, ...]) -> Table:
+def _pieces(title: str, pieces: tuple[ElementDiff, ...]) -> Table:
     table = _table(title, ("element", "kind", "where", "parameters"))
     for piece in pieces:
         where = "\n".join(f"{key} {value}" for key, value in piece.places.items())

@@ -73,9 +73,10 @@ def group() -> None:
 
 def main() -> None:
     """Entry point: errors that a user can mend become one sentence and exit code 2, faults that were found 1."""
+    from hil.cli.options.own_process import OWN_PROCESS
     from hil.errors import explained
     from hil.files.names import accept_any_name
 
     accept_any_name()
     with explained():
-        sys.exit(group.main(standalone_mode=True))
+        sys.exit(group.main(standalone_mode=True, obj=OWN_PROCESS))

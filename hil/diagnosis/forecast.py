@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.hand_over import CLOCK, DiagnosingError, read_columns
+from hil.diagnosis.columns import CLOCK, DiagnosingError, read_columns
 from hil.profile.load_profile import Profile, ProfileError, read_profile
 
 if TYPE_CHECKING:
@@ -24,14 +24,14 @@ STEP_S = 10.0
 _MOST_PAIRS = 20
 
 
-def foretell(
+def show_forecast(
     to: Console, network: Network, path: Path, healthy: Columns | None, hour: float | None, *, as_json: bool
 ) -> None:
     """Print the least size of each effect that would be seen, what would not be, and what would look alike.
 
     Raises:
         DiagnosingError: a plan without a healthy record.
-        RecordError, TwinFileError: as `hil.diagnosis.hand_over.read_columns`.
+        RecordError, TwinFileError: as `hil.diagnosis.columns.read_columns`.
     """
     from twin.discovery.engine import foresee, foresee_plan
 

@@ -35,11 +35,7 @@ def save_with_record(network: Network, record: Record, out: Path) -> Path:
     Raises:
         TwinFileError: a file cannot be written.
     """
-    from hil.diagnosis.hand_over import (  # which brings all of discovery: a run does without
-        CLOCK,
-        clock_beside,
-        start_hour,
-    )
+    from hil.diagnosis.columns import CLOCK, clock_beside, start_hour
 
     wanted = {*network.input_columns, *(c for sensor in network.sensors for c in sensor.measured), CLOCK, "segment"}
     columns = {name: values for name, values in record.columns.items() if name in wanted or name == "profile_s"}

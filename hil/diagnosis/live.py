@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import os
 import re
 import shlex
@@ -17,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,6 +37,8 @@ SURE = 0.9
 WORSE = 1.02
 """Times the re-tuned twin's held-out error that a sensor may have with the effects, for noise alone."""
 LEAST_INTERVAL_S = 60.0
+END_ONLY = "end"
+"""In place of an interval: the whole run, once it is over, and nothing before."""
 FINISH_TIMEOUT_S = 900.0
 _LOWEST_PRIORITY = 19
 _RESIZED = 0.2
@@ -80,6 +83,7 @@ class Reply:
     """The process's answer: what was found, or why there was no diagnosis; what became of an adoption.
 
     `adopted` is the file of a revision that this diagnosis saved, `revision` that of the last one that any did.
+    `document` is that of the diagnosis of the whole run.
     """
 
     found: Found | None = None
@@ -88,16 +92,21 @@ class Reply:
     refusal: str = ""
     page: Path | None = None
     revision: Path | None = None
+    document: dict[str, Any] | None = None
 
 
 def interval_of(text: str) -> float:
-    """Seconds of `hourly`, `30min`, `2h`; raises ConfigurationError."""
+    """Return the seconds of `hourly`, `30min`, `2h`, infinity for `end`; raises ConfigurationError."""
+    if text == END_ONLY:
+        return math.inf
     if text == "hourly":
         return 3600.0
     match = re.fullmatch(r"(\d+(?:\.\d+)?) ?(min|h)", text)
     seconds = 0.0 if match is None else float(match[1]) * {"min": 60.0, "h": 3600.0}[match[2]]
     if seconds < LEAST_INTERVAL_S:
-        raise ConfigurationError(f"--diagnose {text!r} is no interval; write hourly, 30min or 2h (at least 1min)")
+        raise ConfigurationError(
+            f"--diagnose {text!r} is no interval; write hourly, 30min or 2h (at least 1min), or end"
+        )
     return seconds
 
 
@@ -160,8 +169,8 @@ class _Worker:
     """The work in the other process: reads what is new in the journal and diagnoses all of it."""
 
     def __init__(self, config: LiveConfig) -> None:
+        from hil.diagnosis.columns import read_healthy
         from hil.diagnosis.experiment_file import limits_of, rig_of
-        from hil.diagnosis.hand_over import read_healthy
         from twin.twinfile import load
 
         self._config = config
@@ -189,10 +198,11 @@ class _Worker:
         found = found_of(diagnosis, float(record.time_s[-1]))
         adopted, why = self._adopt(diagnosis, found) if self._config.adopt else (None, "")
         page = None if out is None else self._write(diagnosis, out)
-        return Reply(found, adopted=adopted, refusal=why, page=page, revision=self._revision)
+        document = None if out is None else diagnosis.document()
+        return Reply(found, adopted=adopted, refusal=why, page=page, revision=self._revision, document=document)
 
     def _read(self) -> Columns | None:
-        from hil.diagnosis.hand_over import columns_of
+        from hil.diagnosis.columns import columns_of
         from hil.record.reader import Record
 
         reader = JournalReader(self._config.journal)
@@ -215,7 +225,7 @@ class _Worker:
 
     def _adopt(self, diagnosis: Diagnosis, found: Found) -> tuple[Path | None, str]:
         """File of a new revision, or why there is none."""
-        from hil.diagnosis.hand_over import revise
+        from hil.diagnosis.revision import revise
 
         why = refusal(diagnosis)
         if why is not None:
@@ -228,7 +238,7 @@ class _Worker:
 
     def _write(self, diagnosis: Diagnosis, out: Path) -> Path:
         from hil.diagnosis.experiment_file import rig_of, write_experiment
-        from hil.diagnosis.hand_over import provenance, write
+        from hil.diagnosis.results import provenance, write
 
         run = self._config.journal.parent
         extra: dict[str, object] = {

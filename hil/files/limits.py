@@ -18,6 +18,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from drivers.rig_file.regular_file import refuse_irregular
+
 if TYPE_CHECKING:
     import pyarrow as pa
 
@@ -68,6 +70,10 @@ def require_size(path: Path, failure: Failure, copies: int = TEXT_COPIES, most: 
     """
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
+        try:
+            refuse_irregular(path, status.st_mode)
+        except OSError as error:
+            raise failure(f"{path} is no regular file ({error.strerror}); give a file") from None
         raise failure(f"{path} is no regular file; give a file")
     limit = limit_bytes(failure) if most is None else most
     if status.st_size * copies > limit:

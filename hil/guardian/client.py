@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import os
+import select
 import socket
 import subprocess
 import sys
@@ -17,9 +18,14 @@ from typing import Any, Protocol
 from drivers.bus.steady_time import steady_s
 from drivers.rig_file.model import Rig
 from drivers.signals.points import LinkError
-from hil.guardian.plan import SILENCE_S, plan_of
+from hil.guardian.plan import plan_of
+from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, SILENCE_S, takes_s
 
 BEAT_EVERY_S = 0.2
+TICK_BEATS_AFTER_S = 0.75 * BEAT_EVERY_S
+"""A tick gives the beat where the last one is older than this: ahead of the loop's timer, which so stays asleep."""
+LOOK_AGAIN_S = 0.02
+"""Messages of the guardian are not looked for again within this time, s: far below the silence it acts on."""
 FENCE_S = 0.8 * SILENCE_S
 """An engine that has not beaten for so long may have been relieved: it writes no more heat until it knows, s."""
 STARTS_WITHIN_S = 10.0
@@ -124,7 +130,9 @@ class Guardian:
         self._lost: str | None = None
         self._watching = False
         self._sure = True
-        self._beating: asyncio.Task[None] | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._poll = select.poll()
 
     @property
     def pid(self) -> int | None:
@@ -162,6 +170,7 @@ class Guardian:
         self._socket = ours
         ours.sendall(json.dumps(plan | {"log": str(self._log.absolute())}, ensure_ascii=True).encode() + b"\n")
         ours.setblocking(False)
+        self._poll.register(ours, select.POLLIN)
 
     async def probe(self) -> list[str]:
         """Return why wires cannot be reached beside the engine's own connection, a sentence each."""
@@ -169,13 +178,15 @@ class Guardian:
             return []
         self._probed = asyncio.get_running_loop().create_future()
         self._say(b"probe")
-        end = steady_s() + STARTS_WITHIN_S
+        # The guardian waits out the time after connecting in which a device takes no request.
+        end = steady_s() + STARTS_WITHIN_S + sum(wire["connect_delay_s"] for wire in self._plan["wires"])
         while not self._probed.done():
             self._receive()
             if self._lost is not None or steady_s() > end:
                 raise GuardianError(f"not armed: the guardian is gone ({self._lost or 'no answer'})")
             await asyncio.sleep(0.005)
-        return [why for why in self._probed.result() if why]
+        wires = self._plan["wires"]
+        return [why + _later(wire) for wire, why in zip(wires, self._probed.result(), strict=True) if why]
 
     def watch(self) -> None:
         """Arm it: from now on silence counts."""
@@ -184,8 +195,9 @@ class Guardian:
         self._say(b"watch")
         self._watching = True
         self._beat_s, self._mute_s = steady_s(), 0.0
+        self._loop = asyncio.get_running_loop()
         self.expect(STARTS_WITHIN_S)
-        self._beating = asyncio.get_running_loop().create_task(self._beat_on(), name="beats for the guardian")
+        self._arm_timer()
 
     def expect(self, within_s: float) -> None:
         """Beat now and, by the loop, for `within_s` of wall time; a tick that takes longer is silence."""
@@ -193,16 +205,23 @@ class Guardian:
             return
         now = steady_s()
         self._until = now + within_s
-        if now - self._beat_s > 0.5 * BEAT_EVERY_S:
+        if now - self._beat_s > TICK_BEATS_AFTER_S:
             self._beat(now)
+            self._arm_timer()
 
-    async def _beat_on(self) -> None:
-        while True:
-            await asyncio.sleep(BEAT_EVERY_S)
-            now = steady_s()
-            self._receive()
-            if now < self._until:
-                self._beat(now)
+    def _arm_timer(self) -> None:
+        """Have the loop beat `BEAT_EVERY_S` from now, unless a tick does so before."""
+        if self._timer is not None:
+            self._timer.cancel()
+        assert self._loop is not None
+        self._timer = self._loop.call_later(BEAT_EVERY_S, self._beat_between_ticks)
+
+    def _beat_between_ticks(self) -> None:
+        self._arm_timer()
+        now = steady_s()
+        self._receive()
+        if now < self._until:
+            self._beat(now)
 
     def _beat(self, now: float) -> None:
         if now - self._beat_s > FENCE_S:
@@ -215,9 +234,11 @@ class Guardian:
         """Return whether the guardian is sure to have had beats, and has not acted."""
         if not self._watching:
             return True
-        if steady_s() - self._beat_s > FENCE_S:
+        now = steady_s()
+        if now - self._beat_s > FENCE_S:
             return False
-        self._receive()
+        if now - self._looked_s > LOOK_AGAIN_S:
+            self._receive()
         return self._sure and self.acted is None and self._lost is None
 
     def failure(self) -> str | None:
@@ -239,9 +260,9 @@ class Guardian:
 
     async def done(self, *, safe: bool) -> None:
         """End it where the rig is `safe`; otherwise leave it to make the rig safe when this process is gone."""
-        if self._beating is not None:
-            self._beating.cancel()
-            self._beating = None
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
         watching, self._watching = self._watching, False
         if self._socket is None or self._process is None:
             return
@@ -275,6 +296,8 @@ class Guardian:
         now = steady_s()
         self._mute_s += min(now - self._looked_s, 2.0 * BEAT_EVERY_S)
         self._looked_s = now
+        if not self._poll.poll(0):  # far cheaper than the exception of an empty socket
+            return
         try:
             data = self._socket.recv(65536)
         except BlockingIOError:
@@ -300,3 +323,15 @@ class Guardian:
             self._sure = bool(document["checked"])
         elif "probe" in document and self._probed is not None and not self._probed.done():
             self._probed.set_result(document["probe"])
+
+
+def _later(wire: dict[str, Any]) -> str:
+    """Return the time that the guardian needs on a wire which it has to open first, where that is out of the ordinary;
+    the text continues a sentence."""
+    needs_s = takes_s(wire["connect_delay_s"])
+    if needs_s <= SAFE_WITHIN_S:
+        return ""
+    return (
+        f"; the device takes no request for {wire['connect_delay_s']:g} s after connecting, so that the guardian needs "
+        f"about {needs_s:g} s to make it safe"
+    )

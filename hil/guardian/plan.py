@@ -26,9 +26,8 @@ from drivers.rig_file.wires import wires
 from drivers.signals.codec import WIDTH, encoder
 from hil.run.outputs.heaters import safe_limit
 from hil.run.outputs.setpoints import Setpoints
+from hil.run.outputs.time_to_safe import SILENCE_S
 
-SILENCE_S = 1.0
-"""So long the engine may be silent before the guardian acts, s."""
 DEADLINE_S = 1.0
 """Longest wait for one reply, s, however patient the rig file is."""
 
@@ -66,7 +65,8 @@ def plan_of(rig: Rig) -> dict[str, Any] | None:
         found[first[meter.bus]]["meters"].append(
             {
                 "device": bus.device_id, "pdu": Read(block).request.hex(), "name": meter.name, "unit": meter.unit,
-                "limit": limit.at_most, "invalid": sorted(meter.sentinels), **_number(meter),
+                "limit": limit.at_most, "within_s": limit.within_s / rig.time_scale,
+                "invalid": sorted(meter.sentinels), **_number(meter),
             }
         )  # fmt: skip
     return {"silence_s": SILENCE_S, "wires": list(found.values())}

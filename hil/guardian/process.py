@@ -39,7 +39,10 @@ FREE_AFTER_S = 0.4
 """So long a device is tried before the silent engine is ended, whose connection may be the only one admitted, s."""
 GIVE_UP_S = 3600.0
 METER_GIVE_UP_S = 60.0
-"""So long it goes on where the safe values are read back and a meter contradicts them: nothing more can be written."""
+"""So long it goes on where the safe values are read back and a meter contradicts them although it had the time that
+the rig file gives it: nothing more can be written, s."""
+STANDBY_S = 5.0
+"""Interval between reads that keep a connection open, s: devices close those that are idle for some ten seconds."""
 _OF_FAULTS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP)
 _FORMATS = {
     "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f",
@@ -75,22 +78,29 @@ class Log:
 
 
 class Keeper(threading.Thread):
-    """Makes one wire safe and keeps it so. `safe` is whether the last look found it safe, `problem` why not."""
+    """Makes one wire safe and keeps it so. `safe` is whether the last look found it safe, `problem` why not.
 
-    def __init__(self, plan: dict[str, Any], free: Any) -> None:
-        super().__init__(daemon=True)
+    Until `acting` is set it only holds the connection of `wire` open, where one is given: a device that is deaf for a
+    while after connecting could otherwise not be made safe in time.
+    """
+
+    def __init__(self, plan: dict[str, Any], free: Any, wire: Wire | None = None) -> None:
+        super().__init__(daemon=True, name=plan["place"])
         self.safe = False
-        self.problem = "not tried yet"
+        self.problem = f"{plan['place']}: the first attempt is under way"
         self.meters: dict[str, float] = {}
         self.held = False
         self.ended = threading.Event()
+        self.acting = threading.Event()
         self.may_open = threading.Event()
         self._plan = plan
         self._free = free
+        self._wire = wire
 
     def run(self) -> None:
         """Write, read back, look at the meters, until `ended`; ends the silent engine where its line is not free."""
-        wire = Wire(self._plan)
+        wire = self._wire or Wire(self._plan)
+        self._stand_by(wire)
         self.may_open.wait()
         began = now_s()
         while not self.ended.is_set():
@@ -104,6 +114,17 @@ class Keeper(threading.Thread):
             self.safe = not self.problem
             self.ended.wait(KEEP_S if self.safe else RETRY_S)
         wire.close()
+
+    def _stand_by(self, wire: Wire) -> None:
+        """Keep the connection open until `acting`, and open it anew where the device has closed it."""
+        while not self.acting.wait(STANDBY_S):
+            with contextlib.suppress(Exception):
+                _registers(wire, self._plan["checks"][0])
+
+    def end(self) -> None:
+        """Have the thread end, whatever it waits for."""
+        for event in (self.ended, self.acting, self.may_open):
+            event.set()
 
     def _attempt(self, wire: Wire) -> str:
         """Return what is not safe after writing where that was needed."""
@@ -135,22 +156,25 @@ class Keeper(threading.Thread):
         return f"{meter['name']} still reads {value:.1f} {meter['unit']}"
 
 
-def probe(plan: dict[str, Any]) -> str:
+def probe(plan: dict[str, Any]) -> tuple[str, Wire | None]:
     """Return why the guardian cannot reach a wire beside the engine, or an empty string; nothing is written.
 
-    A serial line is not touched: it would take the replies to the engine's requests.
+    The second item is the connection, kept open where the device is deaf for a while after connecting. A serial line is
+    not touched: the guardian would take the replies to the engine's requests.
     """
     if plan["kind"] == "serial":
-        return f"{plan['place']}: a serial line has one master"
+        return f"{plan['place']}: a serial line has one master", None
     wire = Wire(plan)
     try:
         for check in plan["checks"]:
             _registers(wire, check)
     except WireError as error:
-        return str(error)
-    finally:
         wire.close()
-    return ""
+        return str(error), None
+    if plan["connect_delay_s"] > 0.0:
+        return "", wire
+    wire.close()
+    return "", None
 
 
 def _registers(wire: Wire, step: dict[str, Any]) -> list[int]:
@@ -206,7 +230,7 @@ class Guardian:
         self._silent = False
         self._reason = self._reported = ""
         self._acted_s = 0.0
-        self._keepers: list[Keeper] = []
+        self._keepers: dict[str, Keeper] = {}
 
     def run(self) -> None:
         """Wait and act; returns when the rig is safe and nobody is left who could change that, or nothing was armed."""
@@ -223,8 +247,9 @@ class Guardian:
                 alive_s = woke
             if self._armed and not self._done:
                 self._watch()
-        for keeper in self._keepers:
-            keeper.ended.set()
+        for keeper in self._keepers.values():
+            keeper.end()
+        for keeper in self._keepers.values():
             keeper.join(1.0)
         self._log.write("ended")
 
@@ -237,27 +262,38 @@ class Guardian:
             elif self._silent:
                 self._act(f"no beat of the engine for {self._plan['silence_s']:g} s")
             return
-        for keeper, exclusive in zip(self._keepers, self._exclusive, strict=True):
+        for plan, exclusive in zip(self._plan["wires"], self._exclusive, strict=True):
+            keeper = self._keepers[plan["place"]]
             if exclusive and self._silent:
                 self.free(keeper.name)
             if not exclusive or self._engine is None:
                 keeper.may_open.set()
+            elif not keeper.may_open.is_set():
+                keeper.problem = f"{keeper.name}: the engine holds the only connection, so that the guardian waits"
         self._report()
 
     def _act(self, reason: str) -> None:
         self._reason, self._acted_s, self._reported = reason, now_s(), ""
         self._log.write("acting", reason=reason)
         for plan in self._plan["wires"]:
-            keeper = Keeper(plan, self.free)
-            keeper.name = plan["place"]
-            self._keepers.append(keeper)
-            keeper.start()
+            self._keeper(plan).acting.set()
         self._watch()
+
+    def _keeper(self, plan: dict[str, Any], wire: Wire | None = None) -> Keeper:
+        """Return the keeper of a wire, started where it is not there yet."""
+        keeper = self._keepers.get(plan["place"])
+        if keeper is None:
+            keeper = self._keepers[plan["place"]] = Keeper(plan, self.free, wire)
+            keeper.start()
+        elif wire is not None:
+            wire.close()
+        return keeper
 
     def _report(self) -> None:
         """Log and send what has changed; end where the rig is safe and the engine is gone, or nothing helps."""
-        problems = [f"{keeper.problem}" for keeper in self._keepers if not keeper.safe]
-        meters = {name: value for keeper in self._keepers for name, value in keeper.meters.items()}
+        keepers = list(self._keepers.values())
+        problems = [keeper.problem for keeper in keepers if not keeper.safe]
+        meters = {name: value for keeper in keepers for name, value in list(keeper.meters.items())}
         said = "; ".join(problems) or "safe"
         took_s = round(now_s() - self._acted_s, 3)
         if said != self._reported:
@@ -267,12 +303,16 @@ class Guardian:
             acted = {"reason": self._reason, "safe": not problems, "problem": "; ".join(problems), "meters": meters}
             self._say(json.dumps({"acted": acted}, ensure_ascii=True).encode())
         gone = self._engine is None
-        held = all(keeper.held for keeper in self._keepers)
-        if gone and problems and took_s > (METER_GIVE_UP_S if held else GIVE_UP_S):
+        held = all(keeper.held for keeper in keepers)
+        if gone and problems and took_s > (METER_GIVE_UP_S + self._falls_within_s() if held else GIVE_UP_S):
             self._log.write("gave up", problem="; ".join(problems), after_s=took_s)
         elif not gone or problems:
             return
         self._done = True
+
+    def _falls_within_s(self) -> float:
+        """Return the longest time that the rig file gives a meter to come down, s of real time."""
+        return max((meter["within_s"] for plan in self._plan["wires"] for meter in plan["meters"]), default=0.0)
 
     def free(self, place: str) -> None:
         """End an engine that is there and silent: it may hold the only connection, and must not write any more."""
@@ -316,7 +356,12 @@ class Guardian:
             if self._armed and not self._reason:
                 self._act("the engine asked for it")
         elif line == b"probe":
-            found = [probe(plan) for plan in self._plan["wires"]]
+            found = []
+            for plan in self._plan["wires"]:
+                why, wire = probe(plan)
+                found.append(why)
+                if wire is not None:
+                    self._keeper(plan, wire)
             self._exclusive = [self._exclusive[k] or bool(why) for k, why in enumerate(found)]
             self._log.write("probe", problems=[why for why in found if why])
             self._say(json.dumps({"probe": found}, ensure_ascii=True).encode())

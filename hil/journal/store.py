@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hil.files.text import plain
+from hil.journal.file_identity import FileIdentity, put_mark
 from hil.journal.reader import SCHEMA_VERSION, JournalReader
 from hil.journal.rows import Header, JournalError
 
@@ -63,6 +64,7 @@ class JournalStore:
             raise JournalError(f"{path} exists already; a journal is never overwritten, choose another run folder")
         self._path = path
         self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=BUSY_S)
+        put_mark(self._database)
         self._database.execute("PRAGMA journal_mode=WAL")
         self._database.execute("PRAGMA synchronous=FULL")
         self._database.executescript("BEGIN;" + _FIXED_TABLES + "COMMIT;")
@@ -86,18 +88,13 @@ class JournalStore:
         first: list[Entry] = [_meta("exit_status", None)]
         if not again:
             first = [_meta("schema_version", SCHEMA_VERSION), _meta("header", asdict(header))]
-        self.write(first)
-        status = path.stat()
-        self._identity = status.st_dev, status.st_ino
+        self._transact(first, one_by_one=False)
+        self._identity = FileIdentity(path, self._database)
 
     def lost(self) -> str | None:
-        """Return why what is written would be lost with this process: the file is gone from its place."""
-        try:
-            status = self._path.stat()
-        except OSError as error:
-            return f"{self._path} is gone ({error.strerror}): it was deleted or moved while the run goes on"
-        if (status.st_dev, status.st_ino) != self._identity:
-            return f"{self._path} is another file than the run's journal: it was replaced while the run goes on"
+        """Return why what is written would be lost with this process: the file is not at its place, or not the same."""
+        if (replaced := self._identity.replaced()) is not None:
+            return replaced
         if not os.access(self._path.parent, os.W_OK):
             return f"{self._path.parent} has become read-only while the run goes on"
         return None
@@ -106,11 +103,14 @@ class JournalStore:
         """Write `batch` in one transaction; returns the reasons of rows that no database can hold and were dropped.
 
         Raises LockedError where another program holds the file, JournalError on a full or broken disk; nothing of the
-        batch is written then.
+        batch is written then. What another program put in the place of the journal is left as it is.
         """
+        if self._identity.overwritten is not None:
+            raise JournalError(self._identity.overwritten)
         try:
             try:
                 self._transact(batch, one_by_one=False)
+                self._identity.wrote([row[0] for kind, row in batch if kind == "sample"])
                 return []
             except (sqlite3.OperationalError, sqlite3.DatabaseError) as error:
                 if not isinstance(error, sqlite3.IntegrityError | sqlite3.ProgrammingError | sqlite3.DataError):
@@ -118,7 +118,9 @@ class JournalStore:
             except (ValueError, TypeError, OverflowError, sqlite3.InterfaceError):
                 pass
             # Some row cannot be stored: it must not take its neighbours.
-            return self._transact(batch, one_by_one=True)
+            dropped = self._transact(batch, one_by_one=True)
+            self._identity.recount()
+            return dropped
         except sqlite3.Error as error:
             if getattr(error, "sqlite_errorcode", 0) & 0xFF in _BUSY_CODES:
                 raise LockedError(str(error)) from error

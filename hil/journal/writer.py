@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import struct
 import threading
 import time
 from collections import deque
@@ -22,7 +23,6 @@ from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from hil.files.text import plain
@@ -85,7 +85,7 @@ class JournalWriter:
         source_time_s: Sequence[float],
     ) -> None:
         """Append one tick; a NaN value is stored as NULL."""
-        source = np.asarray(source_time_s, dtype="<f8").tobytes()
+        source = struct.pack(f"<{len(source_time_s)}d", *source_time_s)
         self._put("sample", (tick, time_s, wall_s, latency_s, *values, bytes(quality), source))
 
     def twin_outputs(self, twin: str, ticks: Sequence[int], time_s: Sequence[float], values: NDArray[Any]) -> None:

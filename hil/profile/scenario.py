@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from drivers.rig_file.messages import mistake
+from drivers.rig_file.regular_file import read_regular
 from drivers.rig_file.toml_lines import line_of
 from drivers.signals.units import split_column
 from hil.profile.load_profile import Profile
@@ -156,7 +157,7 @@ def clock(seconds: float) -> str:
 def read_scenario(path: Path) -> Scenario:
     """The scenario in the TOML file at `path`; raises ScenarioError with a sentence for every problem."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_regular(path).decode("utf-8")
         document = tomllib.loads(text)
     except OSError as error:
         raise ScenarioError(f"{path} cannot be read ({error.strerror}); give the path of a scenario") from error

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from drivers.signals.units import canonical_unit
+from hil.record.heading_units import unit_of
 from hil.record.times.names import SECONDS_PER, is_time_name
 from hil.record.values.numbers import MARKS, MISSING, readings
 
@@ -25,9 +25,8 @@ SAMPLE = 200
 MOST_BELOW = 3
 """Lines between names and rows: units, kinds of processing and places of sensors, as loggers write them."""
 
-FAHRENHEIT = ("°f", "degf", "deg f", "fahrenheit")
-"""Ways to write degrees Fahrenheit, lower case; no signal of this project is in them."""
-
+_MAY_LACK = ("", "comment", "comments", "remark", "note", "notes")
+"""Last name of a heading, lower case, whose cells rows may leave out with their delimiter."""
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?[,;\t|"]*', re.IGNORECASE)
 _MOMENT = re.compile(r"\d{1,4}([-./])\d{1,2}\1\d{1,4}([ T].*)?|\d{1,2}:\d{2}(:\d{2})?.*|\d{4}-\d{2}-\d{2}T.*", re.ASCII)
 
@@ -117,11 +116,12 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     if not width or width[0][0] < 2:
         return None
     k = width[0][0]
+    fields = _ended_alike(fields, k)
     table = [(line, row) for line, row in zip(lines, fields, strict=True) if row is not None and len(row) == k]
-    numeric = _numeric([row for _, row in table], k)
+    numeric, moments = _numeric([row for _, row in table], k)
     if not numeric or len(table) < 2:
         return None
-    first = next((i for i, (_, row) in enumerate(table) if _is_row(row, numeric)), None)
+    first = next((i for i, (_, row) in enumerate(table) if _is_row(row, numeric, moments)), None)
     if first is None:
         return None
     above = table[:first]
@@ -137,29 +137,76 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     below = [row for _, row in above[heading + 1 :]]
     if len(below) > MOST_BELOW:
         return None
+    _require_one_table(delimiter, lines, line)
     left_out = [str(one.number) for one in lines if one.number < table[first][0].number and one.number != line.number]
-    units = next((found for row in below if (found := _units(row, names))), {})
+    over = [row for _, row in above[:heading] if len(_units(row, names)) > sum(map(bool, row)) / 2]
+    units = next((found for row in (*below, *over) if (found := _units(row, names))), {})
     said: tuple[str, ...] = ()
     if left_out:
         which = "line" if len(left_out) == 1 else "lines"
-        told = ", and a line below it gives units" if units else ""
+        told = f", and a line {'below' if below else 'above'} it gives units" if units else ""
         said = (f"line {line.number} is taken for the heading{told}; {which} {', '.join(left_out)} left out",)
     return Dialect(delimiter, tuple(names), line.number, max(above[-1][0].number, line.number), units, said)
 
 
-def _numeric(rows: Sequence[Sequence[str]], k: int) -> list[int]:
-    """Return the columns most of whose cells, in the later half of the sample, are numbers or times."""
+def _ended_alike(fields: Sequence[list[str] | None], k: int) -> list[list[str] | None]:
+    """Return the fields of lines with those of a heading made `k`, where only a delimiter at the ends of lines differs.
+
+    Loggers end rows with a delimiter and not the heading, or the heading and not the rows; LabVIEW names a column for
+    comments that rows without one leave out.
+    """
+    rows = [row for row in fields if row is not None and len(row) == k]
+    out = list(fields)
+    for place, row in enumerate(fields):
+        if row is None or not any(is_time_name(cell) for cell in row):
+            continue
+        if len(row) == k - 1 and all(not one[-1] for one in rows):
+            out[place] = [*row, ""]
+        elif len(row) == k + 1 and row[-1].lower() in _MAY_LACK:
+            out[place] = row[:-1]
+    return out
+
+
+def heading_cells(text: str, delimiter: str) -> list[str] | None:
+    """Return the fields of a line that names columns, one of them a time; None for any other line."""
+    row = split(text, delimiter)
+    cells = [cell for cell in row or [] if cell]
+    if row is None or len(cells) < 2 or len(set(cells)) < len(cells) or any(is_value(cell) for cell in cells):
+        return None
+    return row if any(is_time_name(cell) for cell in cells) else None
+
+
+def _require_one_table(delimiter: str, lines: Sequence[Line], heading: Line) -> None:
+    """Raise DialectError where rows of another table, with a heading of their own, stand above the heading."""
+    for place, line in enumerate(lines):
+        if line.number >= heading.number:
+            return
+        row = heading_cells(line.text, delimiter)
+        after = split(lines[place + 1].text, delimiter) if place + 1 < len(lines) else None
+        if row is not None and after is not None and len(after) == len(row) and all(map(is_value, filter(None, after))):
+            raise DialectError(
+                f" line {heading.number} is a heading of other columns than line {line.number}, and rows follow both; "
+                "split the file there"
+            )
+
+
+def _numeric(rows: Sequence[Sequence[str]], k: int) -> tuple[list[int], list[int]]:
+    """Return the columns of numbers or times by most cells of the later half of the sample, and those of times."""
     later = rows[len(rows) // 2 :]
-    found = []
+    found, moments = [], []
     for column in range(k):
         cells = [row[column] for row in later if row[column].lower() not in MISSING]
         if cells and sum(is_value(cell) for cell in cells) > len(cells) / 2:
             found.append(column)
-    return found
+        if cells and sum(_MOMENT.fullmatch(cell) is not None for cell in cells) > len(cells) / 2:
+            moments.append(column)
+    return found, moments
 
 
-def _is_row(row: Sequence[str], numeric: Sequence[int]) -> bool:
-    """Return True for a line with numbers or times in at least half of the cells that it has there."""
+def _is_row(row: Sequence[str], numeric: Sequence[int], moments: Sequence[int]) -> bool:
+    """Return True for a line with values in at least half of the cells that it has there, and no word for a time."""
+    if any(row[column] and not is_value(row[column]) for column in moments):
+        return False
     cells = [row[column] for column in numeric if row[column].lower() not in (*MISSING, *MARKS)]
     return bool(cells) and sum(is_value(cell) for cell in cells) >= len(cells) / 2
 
@@ -170,9 +217,14 @@ def is_value(cell: str) -> bool:
 
 
 def _heading(above: Sequence[tuple[Line, list[str]]]) -> int:
-    """Return which of the lines above the rows names the columns: one with a time, else one that leaves no name out."""
-    for i, (_, row) in enumerate(above):
-        if any(is_time_name(cell) for cell in row):
+    """Return which of the lines above the rows names the columns: one with a time, else one that leaves no name out.
+
+    A line in which more cells are units than not gives units, though `s` or `ms` among them may name a time.
+    """
+    named = [i for i, (_, row) in enumerate(above) if any(is_time_name(cell) for cell in row)]
+    for i in named:
+        row = above[i][1]
+        if i == named[-1] or 2 * len(_units(row, row)) < sum(map(bool, row)):
             return i
     for i, (_, row) in enumerate(above):
         if all(row) and len(set(row)) == len(row):
@@ -184,18 +236,10 @@ def _units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
     """Return the units that a line below the names gives, by column; empty where it gives none."""
     found = {}
     for place, cell in enumerate(row):
-        symbol = cell.strip("[]() ").replace("Deg", "deg")
-        if symbol.lower() in FAHRENHEIT:
-            found[place] = "degF"
-            continue
-        if is_time_name(names[place]) and symbol.lower() in SECONDS_PER:
-            found[place] = symbol.lower()
-            continue
-        try:
-            unit = canonical_unit(symbol)
-        except ValueError:
-            continue
-        if unit != "1":
+        symbol = cell.strip("[]() ").lower()
+        if is_time_name(names[place]) and symbol in SECONDS_PER:
+            found[place] = symbol
+        elif (unit := unit_of(cell)) is not None:
             found[place] = unit
     return found
 

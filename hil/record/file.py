@@ -9,6 +9,8 @@ from pathlib import Path
 
 from hil.files.limits import TEXT_COPIES, read_parquet, require_size
 from hil.record.csv_table import read_csv
+from hil.record.encodings import EncodingError, utf8
+from hil.record.heading_units import with_heading_units
 from hil.record.long_format import one_column_a_series
 from hil.record.raw import RawRecord, RecordError, unique
 
@@ -19,13 +21,11 @@ _FOREIGN = (
     (b"\x89HDF", "is an HDF5 file; export it as Parquet or CSV"),
     (b"TDSm", "is a TDMS file; export it as Parquet or CSV"),
     (b"ARROW1", "is a Feather file; save it as Parquet or CSV"),
-    (b"\xff\xfe", "is UTF-16 text; save it as CSV in UTF-8"),
-    (b"\xfe\xff", "is UTF-16 text; save it as CSV in UTF-8"),
 )
 
 
 def read_raw(path: Path) -> RawRecord:
-    """The columns of the file at `path`, told Parquet or CSV by its content; raises RecordError."""
+    """Return the columns of the file at `path`, Parquet or CSV by its content; raise RecordError."""
     try:
         require_size(path, RecordError, 1 if path.suffix == ".parquet" else TEXT_COPIES)
         content = path.read_bytes()
@@ -37,15 +37,19 @@ def read_raw(path: Path) -> RawRecord:
         raise RecordError(f"{path} is empty; give a record with a header and at least one row")
     digest = hashlib.sha256(content).hexdigest()
     if content.startswith(b"PAR1"):
-        return _with_rows(one_column_a_series(_parquet(path, content, digest)))
+        return _with_rows(with_heading_units(one_column_a_series(_parquet(path, content, digest))))
     for magic, what in _FOREIGN:
         if content.startswith(magic):
             raise RecordError(f"{path} {what}")
     if path.suffix == ".parquet":
         raise RecordError(f"{path} is not a Parquet file; if it is text, give it the suffix .csv")
+    try:
+        content = utf8(content)
+    except EncodingError as error:
+        raise RecordError(f"{path} {error}") from error
     if b"\0" in content[:65536]:
         raise RecordError(f"{path} is neither Parquet nor text; export the record as Parquet or CSV")
-    return _with_rows(one_column_a_series(read_csv(path, content, digest)))
+    return _with_rows(with_heading_units(one_column_a_series(read_csv(path, content, digest))))
 
 
 def _with_rows(raw: RawRecord) -> RawRecord:

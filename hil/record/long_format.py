@@ -6,21 +6,22 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-from drivers.signals.units import canonical_unit, column_name, split_column
+from drivers.signals.units import split_column
 from hil.files.limits import require_cells
+from hil.record.heading_units import suffixed, unit_of
+from hil.record.quality import usable_by
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times.names import is_time_name
 from hil.record.values.numbers import evidence_of, may_be_lost, parse, trimmed
 
-VALUES = ("value", "_value", "state", "reading", "val", "wert")
+VALUES = ("value", "_value", "state", "reading", "val", "wert", "payload", "varvalue", "messwert")
 SERIES = (
     *("_field", "series", "entity_id", "name", "variable", "signal", "tag", "tagname", "tag_name", "point", "channel"),
     *("sensor", "metric", "parameter", "item", "quantity", "topic", "key", "column", "_measurement"),
+    *("itemid", "item id", "nodeid", "node id", "varname", "displayname", "display name", "pointid", "bezeichnung"),
 )  # fmt: skip
 UNITS = ("unit", "units", "unit_of_measurement", "einheit")
-QUALITIES = ("quality", "qualitycode", "quality_code", "status")
-GOOD = ("good", "ok", "valid", "192", "0")
-"""Words for a value that may be used; 192 is OPC's code for good, 0 that of OPC UA."""
+QUALITIES = ("quality", "qualitycode", "quality_code", "status", "statuscode", "status code", "validity", "qualität")
 MOST_SERIES = 2000
 """More names than this are no signals of one rig."""
 
@@ -57,8 +58,10 @@ def one_column_a_series(raw: RawRecord) -> RawRecord:
     unit = next((_strings(raw.cells[i]) for i, name in enumerate(low) if name in UNITS), None)
     if unit is not None:
         series = [_with_unit(name, symbol) for name, symbol in zip(series, unit, strict=True)]
-    good = next((_strings(raw.cells[i]) for i, name in enumerate(low) if name in QUALITIES), None)
-    return _spread(raw, time, moments, series, _cells(raw.cells[value]), good)
+    rated = next((i for i, name in enumerate(low) if name in QUALITIES), None)
+    usable, said = (None, "") if rated is None else usable_by(raw.names[rated], _strings(raw.cells[rated]))
+    raw = dataclasses.replace(raw, messages=(*raw.messages, said)) if said else raw
+    return _spread(raw, time, moments, series, _cells(raw.cells[value]), usable)
 
 
 def _numeric(cells: Any, share: float = 0.5) -> bool:
@@ -92,14 +95,17 @@ def _naming(texts: Sequence[Sequence[str]], known: Sequence[int]) -> list[int]:
 
 
 def _with_unit(name: str, symbol: str) -> str:
-    try:
-        return name if split_column(name) else column_name(name, canonical_unit(symbol.strip()))
-    except ValueError:
-        return name
+    unit = unit_of(symbol)
+    return name if unit is None or split_column(name) else suffixed(name, unit)
 
 
 def _spread(
-    raw: RawRecord, time: int, moments: list[str], series: list[str], values: list[str | None], good: list[str] | None
+    raw: RawRecord,
+    time: int,
+    moments: list[str],
+    series: list[str],
+    values: list[str | None],
+    usable: list[bool] | None,
 ) -> RawRecord:
     import pyarrow as pa
 
@@ -113,12 +119,11 @@ def _spread(
     columns: dict[str, list[str | None]] = {name: [None] * len(row_of) for name in names}
     first: dict[str, int] = {}
     lost = doubtful = 0
-    judged = good is not None and any(word.lower() in GOOD for word in good)
     for i, (moment, name, value) in enumerate(zip(moments, series, values, strict=True)):
         first.setdefault(moment, i)
         if not name or value is None:
             continue
-        if judged and good is not None and good[i].lower() not in GOOD:
+        if usable is not None and not usable[i]:
             doubtful += 1
             continue
         cell = columns[name][row_of[moment]]

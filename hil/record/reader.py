@@ -34,7 +34,7 @@ from hil.record.times.time_axis import numbered, read_time, span
 from hil.record.values.cell_units import without_cell_units
 from hil.record.values.numbers import LOST, DecimalSignError, Numbers, Sign, decimal_signs, may_be_lost, parse
 from hil.record.values.units import of_a_room, remarks
-from twin.column_names import hint
+from twin.column_names import column_hint
 
 __all__ = ["SENTINELS", "Exported", "Reading", "Record", "RecordError", "export_record", "read_record", "write_record"]
 
@@ -45,6 +45,9 @@ HOTTEST_ROOM_C = 45.0
 """Above this the median of a room is asked about."""
 COLDEST_C = -100.0
 """Below this the median of what was converted from kelvin is."""
+
+LIQUID_K = (233.0, 423.0)
+"""Kelvin of -40 to 150 degC: a record in degC that lies within throughout is asked about."""
 
 _COMPOUND_SUFFIXES = {"_kg_s": "kg/s", "_m3_h": "m3/h", "_L_min": "L/min", "_l_min": "L/min"}
 _STANDARD_UNITS = {"heater_power": "W", "pump_speed": "%", "fan_speed": "%"}
@@ -79,7 +82,7 @@ class Record:
             if f"column '{name}' holds text: dropped" in self.messages:
                 problems.append(f"{name} (there, but as text)")
             elif name not in self.columns:
-                said = hint(name, [c for c in self.columns if c not in names])
+                said = column_hint(name, [c for c in self.columns if c not in names])
                 problems.append(f"{name} ({said})" if said else name)
             elif np.isnan(self.columns[name]).all():
                 problems.append(f"{name} (there, but without a value)")
@@ -285,7 +288,7 @@ def _asked(name: str, written: str, values: NDArray[np.float64]) -> list[str]:
     said = []
     middle = float(np.nanmedian(values))
     if _standard_unit(name) == "degC":
-        if middle > 200:
+        if LIQUID_K[0] <= np.nanmin(values) and np.nanmax(values) <= LIQUID_K[1]:
             said.append(f"{name} has a median of {middle:.4g}: is it in kelvin?")
         elif (split_column(written) or ("", ""))[1] == "K" and middle < COLDEST_C:
             said.append(f"{name} has a median of {middle:.4g}: was it in degC before?")

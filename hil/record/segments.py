@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.stretches import LONG_S
+from twin.segments import LONG_GAP_S
 
 
 @dataclass(frozen=True)
@@ -32,5 +32,5 @@ class Parts:
         aside = np.zeros(len(time_s), dtype=np.bool_)
         for begin, before in zip(first[1:], ends[:-1], strict=True):
             # However short a gap was: one of this length is one to every twin.
-            aside[begin:] |= time_s[begin:] <= time_s[before] + LONG_S
+            aside[begin:] |= time_s[begin:] <= time_s[before] + LONG_GAP_S
         return cls(slice(0, len(time_s)), aside)

@@ -10,11 +10,15 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """Values of an entity: `time_s (n,)`, `values (n, k)`, NaN where there is nothing good to draw."""
+    """Values of an entity: `time_s (n,)`, `values (n, k)`, NaN where there is nothing good to draw.
+
+    A file may leave out rows that lie within `tolerance` of the straight line between those it keeps.
+    """
 
     entity: str
     time_s: NDArray[np.float64]
     values: NDArray[np.float64]
+    tolerance: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,18 @@ from hil.journal.rows import CalibrationRow, Samples, TwinOutput
 from hil.journal.writer import JournalReader
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.plan import make_plan, worst_state
+from hil.review.residuals import Residuals
 from hil.review.styles import QUALITY_NAMES, Plan, path
 from hil.review.twin_bands import Proposals, band_batches
 from hil.tracking.bands import NORMAL90
 
 PAGE_TICKS = 36_000
 _NOISE_POINTS = 500
+_STEPS_OF_NOISE = 8.0
+"""Steps of residuals in a standard deviation of the sensor's noise, at least; a power of two, which a file keeps in
+half the room. No picture shows so small a step."""
+_CURVE_OF_NOISE = 20.0
+"""A file keeps predictions to this part of a standard deviation of the sensor's noise; see `hil.review.thinning`."""
 _ROUTINE_WRITES = ("profile", "slew", "soak")
 
 
@@ -62,6 +69,7 @@ class Collector:
         self.plan: Plan = make_plan(header)
         self._ticks = _Ticks(len(header.twin_sensors))
         self._twin_tick = dict.fromkeys(header.twin_names, -1)
+        self._residuals = Residuals(header.twin_names, len(header.twin_sensors))
         self._states: dict[str, str] = {}
         self._spans_so_far: dict[str, tuple[str | None, float]] = {}
         self._units: dict[str, str] = {}
@@ -76,8 +84,11 @@ class Collector:
         """Whether the run has ended; ask before `poll`, then everything is in what `poll` reads until it is empty."""
         return self._reader.meta("exit_status") is not None
 
-    def poll(self) -> Iterator[Batch]:
-        """Everything committed since the last call, at most `PAGE_TICKS` ticks of a table at a time."""
+    def poll(self, *, last: bool = False) -> Iterator[Batch]:
+        """Everything committed since the last call, at most `PAGE_TICKS` ticks of a table at a time.
+
+        Residuals wait for the twins that answer late, unless this is the `last` call.
+        """
         self._cuts = np.array([row.time_s for row in self._reader.segments()])
         read = PAGE_TICKS
         while read == PAGE_TICKS:
@@ -96,6 +107,7 @@ class Collector:
                     yield from self._twin(output, known)
                 if known < read:
                     break
+        yield from self._residual(last)
         calibrations = self._reader.calibrations(self._ids["calibrations"])
         yield from self._bands_and_proposals()
         yield from self._calibrations(calibrations)
@@ -187,11 +199,24 @@ class Collector:
 
     def _twin(self, output: TwinOutput, count: int) -> Iterator[Batch]:
         time_s, values = output.time_s[:count], output.values[:count]
-        residual = self._ticks.at(output.tick[:count]) - values
-        for k, sensor in enumerate(self._reader.header.twin_sensors):
-            yield self._rows(path("sensors", sensor, "twin", output.twin), time_s, values[:, k : k + 1])
-            yield self._rows(path("sensors", sensor, "residual", output.twin), time_s, residual[:, k : k + 1])
+        self._residuals.add(output.twin, output.tick[:count], time_s, self._ticks.at(output.tick[:count]) - values)
+        header = self._reader.header
+        for k, sensor in enumerate(header.twin_sensors):
+            rows = self._rows(path("sensors", sensor, "twin", output.twin), time_s, values[:, k : k + 1])
+            yield replace(rows, tolerance=header.noise_K.get(sensor, 0.0) / _CURVE_OF_NOISE)
         self._twin_tick[output.twin] = int(output.tick[count - 1])
+
+    def _residual(self, last: bool) -> Iterator[Batch]:
+        """Measured minus predicted, the twins beside one another: for each sensor as many rows as for one twin."""
+        time_s, residual = self._residuals.take(last=last)
+        if not len(time_s):
+            return
+        header = self._reader.header
+        for k, sensor in enumerate(header.twin_sensors):
+            sigma = header.noise_K.get(sensor)
+            step = 0.0 if not sigma else 2.0 ** np.floor(np.log2(sigma / _STEPS_OF_NOISE))
+            values = np.round(residual[:, :, k] / step) * step if step else residual[:, :, k]
+            yield self._rows(path("sensors", sensor, "residual"), time_s, values)
 
     def _calibrations(self, windows: list[CalibrationRow]) -> Iterator[Batch]:
         if not windows:

@@ -6,6 +6,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -13,11 +14,12 @@ from hil.diagnosis.store import Findings, read_findings
 from hil.files.atomic import replacing
 from hil.files.names import utf8_path
 from hil.journal.writer import JournalError, JournalReader
-from hil.review.batches import Batch, merged
+from hil.review.batches import Batch, Rows, merged
 from hil.review.collector import Collector
 from hil.review.diagnosis_tab import batches, findings_beside, notes, plan_alone, with_findings
 from hil.review.rerun_io import Recording
 from hil.review.styles import Plan
+from hil.review.thinning import GROUP, kept
 from hil.review.viewer import listens
 
 POLL_S = 0.25
@@ -43,14 +45,27 @@ class _File:
         if self._rows[batch.entity] >= FILE_ROWS:
             self._write(batch.entity)
 
-    def _write(self, entity: str) -> None:
-        self._recording.send(merged(self._pending.pop(entity)))
+    def _write(self, entity: str, *, last: bool = False) -> None:
+        batch = merged(self._pending.pop(entity))
         del self._rows[entity]
+        if isinstance(batch, Rows) and batch.tolerance > 0.0:
+            batch, rest = _thinned(batch, last)
+            if rest is not None:
+                self._pending[entity], self._rows[entity] = [rest], len(rest.time_s)
+        self._recording.send(batch)
 
     def close(self) -> None:
         for entity in list(self._pending):
-            self._write(entity)
+            self._write(entity, last=True)
         self._recording.close()
+
+
+def _thinned(rows: Rows, last: bool) -> tuple[Rows, Rows | None]:
+    """Return the rows that the file needs, and those that wait for what follows them."""
+    whole = len(rows.time_s) if last else max(len(rows.time_s) - 1, 0) // GROUP * GROUP
+    found = kept(rows.time_s, rows.values, rows.tolerance)[:whole]
+    part = replace(rows, time_s=rows.time_s[:whole][found], values=rows.values[:whole][found])
+    return part, None if last else replace(rows, time_s=rows.time_s[whole:], values=rows.values[whole:])
 
 
 class _Screen:
@@ -155,7 +170,7 @@ def follow(
         try:
             while True:
                 last = stop() or collector.finished()
-                for batch in collector.poll():
+                for batch in collector.poll(last=last):
                     if file is not None:
                         file.send(batch)
                     if screen is not None:

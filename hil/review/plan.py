@@ -4,8 +4,8 @@ Plain data made from the journal's header; nothing here knows Rerun. Entities:
 
     /sensors/<sensor>/measured           mean of the sensor's GOOD columns, (n, 1)
     /sensors/<sensor>/columns            its columns one by one where there are several, (n, k)
-    /sensors/<sensor>/twin/<twin>        prediction, (n, 1)
-    /sensors/<sensor>/residual/<twin>    measured minus prediction, (n, 1)
+    /sensors/<sensor>/twin/<twin>        prediction, (n, 1); a file leaves out what lies on straight lines
+    /sensors/<sensor>/residual           measured minus prediction, one column a twin, (n, twins)
     /sensors/<sensor>/miss/<twin>        its mean over ten minutes, (n, 1)
     /sensors/<sensor>/band/<twin>        the 90 % band foretold for them, (n, 2)
     /sensors/<sensor>/noise              zero and plus/minus two sigma of the noise, (n, 1 or 3)
@@ -74,7 +74,6 @@ def _sensor_lines(header: Header) -> list[Lines]:
         for twin in header.twin_names:
             width = max(1.2, 1.2 + 0.9 * (len(drawn) - 1 - drawn.index(twin)))
             lines.append(Lines(path("sensors", sensor, "twin", twin), (twin,), (colours[twin],), (width,)))
-            lines.append(Lines(path("sensors", sensor, "residual", twin), (twin,), (colours[twin],)))
             lines.append(
                 Lines(path("sensors", sensor, "miss", twin), (twin,), (colours[twin],), (0.6 * width,), steps=True)
             )
@@ -83,6 +82,9 @@ def _sensor_lines(header: Header) -> list[Lines]:
             wide = 1.0 + 3.0 * (len(tracked) - 1 - tracked.index(twin)) if twin in tracked else 1.0
             dim, names = _dimmed(colours[twin], 0.65), (f"{twin}, 90 % band", f"-{twin}, 90 % band")
             lines.append(Lines(path("sensors", sensor, "band", twin), names, (dim, dim), (wide,), steps=True))
+        if header.twin_names:
+            drawn_in = tuple(colours[twin] for twin in header.twin_names)
+            lines.append(Lines(path("sensors", sensor, "residual"), header.twin_names, drawn_in))
         sigma = header.noise_K.get(sensor)
         if sigma is None:
             lines.append(Lines(path("sensors", sensor, "noise"), ("zero",), (NEUTRAL,), (1.0,)))

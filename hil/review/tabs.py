@@ -48,7 +48,7 @@ def _temperature(sensor: str, *, share: float, columns: bool, legend: bool) -> P
 def _residual(sensor: str, *, share: float, legend: bool) -> Panel:
     root = path("sensors", sensor)
     title = titled(f"{sensor.removesuffix('_C')}: measured - twin", "K")
-    return Panel("lines", title, (f"{root}/residual/**", f"{root}/noise"), share, legend)
+    return Panel("lines", title, (f"{root}/residual", f"{root}/noise"), share, legend)
 
 
 def _bands(sensor: str, header: Header, *, share: float, legend: bool) -> Panel:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from drivers.rig_file.bus_sections import ModbusTcpBus
 from drivers.rig_file.model import Point, Rig
+from drivers.rig_file.regular_file import read_regular
 from drivers.rig_file.toml_lines import line_of
 from drivers.signals.roles import HEATER, ROLES, nearest_role
+from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, takes_s
 from hil.run.restore.thermal_restore import has_memory, role_of, unled
 
 
 def notices(rig: Rig, file: Path) -> list[str]:
     """Heaters that stay on, roles that are none, and a rig that `hil resume` cannot lead back."""
-    text = file.read_text(encoding="utf-8")
+    text = read_regular(file).decode("utf-8")
     found = []
     for index, point in enumerate(rig.point):
         for key, what in (("safe_value", _stays_on(rig, point)), ("role", _no_role(point))):
@@ -64,6 +67,24 @@ def unguarded(rig: Rig, file: Path) -> list[str]:
         found.append(
             f"{file}: no point has alarm limits and no [[interlock]] is an alarm, so that nothing trips the run when "
             "the rig gets too hot; give alarm to the points that show it"
+        )
+    return [*found, *_late_guardian(rig, file)]
+
+
+def _late_guardian(rig: Rig, file: Path) -> list[str]:
+    """Return a note on each device that the guardian may reach late, because it takes no request after connecting."""
+    found = []
+    for name, bus in rig.bus.items():
+        if not isinstance(bus, ModbusTcpBus) or all(point.bus != name for point in rig.setpoints):
+            continue
+        needs_s = takes_s(bus.connect_delay_s)
+        if needs_s <= SAFE_WITHIN_S:
+            continue
+        found.append(
+            f"{file}: bus {name} takes no request for connect_delay_s = {bus.connect_delay_s:g} s after connecting. "
+            "The guardian process holds a connection of its own open; on a device that admits one connection only it "
+            f"needs about {needs_s:g} s from `kill -9` or a hang to safe values: see that the device's own watchdog is "
+            "shorter than that"
         )
     return found
 

@@ -34,7 +34,7 @@ class _Settings(_Shape):
     seed: int = 0
     calibrators: list[str] = []
     network_mode: NetworkMode = "shadow"
-    diagnose_s: float | None = None
+    diagnose_s: float | Literal["end"] | None = None
     adopt: bool = False
 
 

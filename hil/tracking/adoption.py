@@ -192,17 +192,17 @@ def clearly_better(before: NDArray[np.float64], after: NDArray[np.float64], time
 
 def _misses(network: Network, record: Record) -> NDArray[np.float64]:
     """Predicted minus measured (n, m) K of a free run over the whole record, begun anew after gaps."""
-    from twin.kernel import Kernel, held
-    from twin.stretches import parts, stretches, traced
+    from twin.kernel import Kernel, hold_inputs
+    from twin.segments import find_segments, segment_rows, simulate_segments
 
     inputs, measured = network.select(record.columns)
-    known, time_s = stretches(network, record.time_s, inputs), record.time_s
+    known, time_s = find_segments(network, record.time_s, inputs), record.time_s
     measured[known.lost] = np.nan
     firsts = [slice(r.start, max(r.start + 1, int(np.searchsorted(time_s, time_s[r.start] + 30.0))))
-              for r in parts(known.begins, len(time_s))]  # fmt: skip
+              for r in segment_rows(known.begins, len(time_s))]  # fmt: skip
     start = np.concatenate([network.initial_state(measured[first]) for first in firsts])
-    run = traced(
-        Kernel(network, ()), network.values[None], start[None], time_s, held(network, inputs), known.begins
+    run = simulate_segments(
+        Kernel(network, ()), network.values[None], start[None], time_s, hold_inputs(network, inputs), known.begins
     )[0]  # fmt: skip
     miss: NDArray[np.float64] = run - measured
     return miss

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import signal
 from collections import deque
 from collections.abc import Callable
@@ -18,13 +19,18 @@ from typing import Any
 
 import numpy as np
 
-from hil.tracking.child_process import Child
+from hil.tracking.child_process import Child, Sender
 from hil.tracking.results import Results
 from hil.tracking.twins import Block, Comparison, Proposed, TrackingConfig, Twins, disturbance
 
 MOST_OUTSTANDING = 4
 START_TIMEOUT_S = 120.0
 FINISH_TIMEOUT_S = 120.0
+IDLE_AT_MOST_S = 5.0
+"""A process that owes a result and had no processor time for so long is stopped or hangs, s. One that works on is
+waited for: a fit may take a minute, and a loaded machine gives it some time in every second."""
+IDLE_SHARE = 0.002
+"""Share of one processor below which a process does not work."""
 CLOSE_TIMEOUT_S = 5.0
 
 Ticks = tuple[list[int], list[float], list[list[float]]]
@@ -112,6 +118,7 @@ class TrackingProcess:
         self._failure: str | None = None
         self._comparison: Comparison | None = None
         self._child: Child | None = None
+        self._sender: Sender | None = None
         self._ready = _Ready((), {})
 
     async def start(self) -> None:
@@ -129,6 +136,8 @@ class TrackingProcess:
             raise TrackingError(f"the calibrators did not start: {ready}")
         self._ready = ready
         self._child.listen(self._receive)
+        loop = asyncio.get_running_loop()
+        self._sender = Sender(self._child.connection, lambda why: loop.call_soon_threadsafe(self._fail, why))
 
     @property
     def calibrators(self) -> tuple[str, ...]:
@@ -155,13 +164,7 @@ class TrackingProcess:
             return
         self._queue.append((ticks, time_s, rows))
         self._pump()
-        try:
-            async with asyncio.timeout(FINISH_TIMEOUT_S):
-                while self._wait and self._failure is None and len(self._queue) + self._outstanding > self._most:
-                    self._room.clear()
-                    await self._room.wait()
-        except TimeoutError:
-            self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
+        await self._until(lambda: not self._wait or len(self._queue) + self._outstanding <= self._most)
 
     def begin_again(self) -> None:
         """After a time in which nobody saw the rig: what comes next says anew where it stands."""
@@ -172,29 +175,41 @@ class TrackingProcess:
 
     async def settled(self) -> None:
         """Wait for the results of all that was handed over; a process that takes too long counts as failed."""
-        try:
-            async with asyncio.timeout(FINISH_TIMEOUT_S):
-                await self._caught_up()
-        except TimeoutError:
-            self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
+        await self._until(self._is_caught_up)
 
-    async def _caught_up(self) -> None:
-        while self._failure is None and (self._queue or self._outstanding):
-            self._room.clear()
-            await self._room.wait()
+    def _is_caught_up(self) -> bool:
+        return not self._queue and not self._outstanding
+
+    async def _until(self, condition: Callable[[], bool]) -> None:
+        """Wait for results until `condition` is true; fail where the process does nothing, or takes too long."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + FINISH_TIMEOUT_S
+        looked_s, worked_s = loop.time(), self._work_s()
+        while self._failure is None and not condition():
+            now_s = loop.time()
+            if now_s > end_s:
+                self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
+            elif now_s - looked_s > IDLE_AT_MOST_S:
+                if self._work_s() - worked_s < IDLE_SHARE * (now_s - looked_s):
+                    self._fail(
+                        f"its process did nothing for {now_s - looked_s:.0f} s (stopped by a signal, or it hangs) and "
+                        "was ended; its results since then are missing"
+                    )
+                looked_s, worked_s = now_s, self._work_s()
+            else:
+                self._room.clear()
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._room.wait(), min(IDLE_AT_MOST_S, 1.0))
+
+    def _work_s(self) -> float:
+        return math.nan if self._child is None else self._child.work_s()
 
     async def finish(self) -> Comparison | None:
         """Wait for all results and end the process; how the twins compare, or None where the calibrators failed."""
-        try:
-            async with asyncio.timeout(FINISH_TIMEOUT_S):
-                await self._caught_up()
-                if self._failure is None and self._child is not None:
-                    self._child.connection.send(None)
-                    while self._failure is None and self._comparison is None:
-                        self._room.clear()
-                        await self._room.wait()
-        except TimeoutError:
-            self._fail(f"no result within {FINISH_TIMEOUT_S:g} s")
+        await self._until(self._is_caught_up)
+        if self._failure is None and self._sender is not None:
+            self._sender.put(None)
+            await self._until(lambda: self._comparison is not None)
         await self.close()
         return self._comparison
 
@@ -204,14 +219,11 @@ class TrackingProcess:
         return self._failure
 
     def _pump(self) -> None:
-        assert self._child is not None
-        try:
-            while self._queue and self._outstanding < MOST_OUTSTANDING:
-                ticks = self._queue.popleft()
-                self._child.connection.send(ticks)
-                self._outstanding += ticks != GAP
-        except OSError as error:
-            self._fail(str(error))
+        assert self._sender is not None
+        while self._queue and self._outstanding < MOST_OUTSTANDING:
+            ticks = self._queue.popleft()
+            self._sender.put(ticks)
+            self._outstanding += ticks != GAP
 
     def _receive(self) -> None:
         assert self._child is not None
@@ -257,13 +269,17 @@ class TrackingProcess:
                 self._journal.event(-1, 0.0, "ERROR", f"{who}: stopped, the run goes on without: {why}")
         if self._child is not None:
             self._child.ignore()
+            self._child.kill()
         self._room.set()
 
     async def close(self) -> None:
         """End the process; harmless when repeated."""
         child, self._child = self._child, None
+        sender, self._sender = self._sender, None
         if child is not None:
             await child.end(CLOSE_TIMEOUT_S)
+        if sender is not None:
+            sender.end()
 
 
 class Tracking:
@@ -277,10 +293,10 @@ class Tracking:
         in_step: bool = False,
         advise: Callable[[Proposed], str | None] | None = None,
     ) -> None:
-        from twin.calibrators import FITTING
+        from twin.calibrators import UNTRAINED_CALIBRATORS
 
-        fits = tuple(name for name in config.calibrators if name in FITTING)
-        asks = tuple(name for name in config.calibrators if name not in FITTING)
+        fits = tuple(name for name in config.calibrators if name in UNTRAINED_CALIBRATORS)
+        asks = tuple(name for name in config.calibrators if name not in UNTRAINED_CALIBRATORS)
         self._order = config.calibrators
         self._all = [
             TrackingProcess(
@@ -334,12 +350,11 @@ class Tracking:
 
     async def settled(self) -> None:
         """Wait until every process has answered all that it was handed."""
-        for process in self._running():
-            await process.settled()
+        await asyncio.gather(*(process.settled() for process in self._running()))
 
     async def finish(self) -> Comparison | None:
         """Wait for all results; how the twins compare, without those that failed."""
-        found = [await process.finish() for process in self._running()]
+        found = await asyncio.gather(*(process.finish() for process in self._running()))
         whole = None
         for part in found:
             whole = part if whole is None else whole if part is None else whole.beside(part)
@@ -361,5 +376,4 @@ class Tracking:
 
     async def close(self) -> None:
         """End all processes; harmless when repeated."""
-        for process in self._all:
-            await process.close()
+        await asyncio.gather(*(process.close() for process in self._all))

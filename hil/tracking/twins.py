@@ -155,7 +155,7 @@ class Twins:
     """
 
     def __init__(self, config: TrackingConfig) -> None:
-        from twin.calibrators import make
+        from twin.calibrators import make_calibrator
         from twin.calibrators.hiera_unet.config import HieraError
         from twin.network import TwinFileError
         from twin.tracking import TwinTracker
@@ -168,7 +168,7 @@ class Twins:
         self._static = config.static
         for name in config.calibrators:
             try:
-                made = make(name, self.network, seed=config.seed, card=config.card)
+                made = make_calibrator(name, self.network, seed=config.seed, card=config.card)
                 self._trackers[name] = TwinTracker(self.network, calibrator=made)
             except (HieraError, TwinFileError) as error:
                 if name not in config.optional:
@@ -194,7 +194,7 @@ class Twins:
                 outputs.setdefault(STATIC, update.static)
             outputs[name] = update.tracked
             proposals += [Proposed(name, p["time_s"], p) for p in update.proposals]
-            for c, missed in zip(update.calibrations, update.misses, strict=True):
+            for c, missed in zip(update.calibrations, update.window_errors, strict=True):
                 outdone = c.kind != "skipped" and self._misses[name].add(*missed)
                 document = calibration_document(c) | {"outdone": outdone}
                 calibrations.append(Finished(name, c.start_s, c.end_s, document))
@@ -214,9 +214,9 @@ class Twins:
         return found
 
     def begin_again(self) -> None:
-        """After a time in which nobody saw the rig; see `TwinTracker.begin_again`."""
+        """After a time in which nobody saw the rig; see `TwinTracker.restart`."""
         for tracker in self._trackers.values():
-            tracker.begin_again()
+            tracker.restart()
 
     def over(
         self, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]], rows: int
@@ -225,9 +225,9 @@ class Twins:
 
         After a gap in which nothing tells what drove the rig, twins begin again.
         """
-        from twin.stretches import stretches
+        from twin.segments import find_segments
 
-        begins = set(stretches(self.network, time_s, self.network.select(columns)[0]).begins[1:])
+        begins = set(find_segments(self.network, time_s, self.network.select(columns)[0]).begins[1:])
         cuts = [*sorted({*range(0, len(time_s), rows), *begins}), len(time_s)]
         for start, end in itertools.pairwise(cuts):
             if start in begins:
@@ -283,9 +283,9 @@ class Twins:
 
     def _tuned(self, ids: tuple[str, ...]) -> tuple[str, str]:
         """What the tuned parameters are called, and how to tune fewer of them."""
-        from twin.calibrators import usual
+        from twin.calibrators import default_tunables
 
-        chosen = usual(self.network)
+        chosen = default_tunables(self.network)
         names = [*([chosen] if isinstance(chosen, str) else []), *self.network.sets]
         for name in names:
             if self.network.sets[name].members == ids:

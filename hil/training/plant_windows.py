@@ -27,7 +27,7 @@ from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.gaps import damaged
 from twin.calibrators.hiera_unet.parameters import LOSS, SUM
 from twin.calibrators.hiera_unet.series import Series, series
-from twin.commission import commission
+from twin.commission import CommissionOptions, commission
 from twin.network import Array, Network, TwinFileError
 from twin.twinfile import load
 
@@ -146,7 +146,9 @@ def specimen_of(features: Features, seed: int, number: int) -> Specimen:
         columns, _, time = run(case, Specimen(cells, unit, network.values), ())
         made = series(network, time, columns)
         try:
-            done = commission(network, made.time[::2], made.inputs[::2], made.measured[::2], starts=1)
+            done = commission(
+                network, made.time[::2], made.inputs[::2], made.measured[::2], CommissionOptions(starts=1)
+            )
         except TwinFileError:
             continue
         return Specimen(cells, unit, done.network.values.copy())

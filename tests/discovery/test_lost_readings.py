@@ -11,7 +11,7 @@ from tests.discovery.conftest import Bench
 from twin.commission import commission
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
-from twin.network import Array, mean_of_several
+from twin.network import Array, mean_of_sensors
 
 
 def without(record: Columns, bench: Bench, sensor: str) -> Columns:
@@ -73,23 +73,23 @@ def _six(hours: float, seed: int) -> Array:
 @pytest.mark.parametrize("lost", [(0,), (5,), (0, 1), (1, 4, 5)])
 def test_the_mean_of_several_does_not_jump_where_some_drop_out(lost: tuple[int, ...]) -> None:
     each = _six(4.0, 1)
-    whole = mean_of_several(each)
+    whole = mean_of_sensors(each)
     broken = each.copy()
     broken[1400:, lost] = np.nan
-    assert mean_of_several(broken) == pytest.approx(whole, abs=0.06)
+    assert mean_of_sensors(broken) == pytest.approx(whole, abs=0.06)
     assert np.abs(np.nanmean(broken, axis=1) - whole).max() > 0.06 or lost == (1, 4, 5)
 
 
 def test_one_that_raves_before_it_fails_does_not_move_the_others() -> None:
     each = _six(4.0, 3)
-    whole = mean_of_several(each)
+    whole = mean_of_sensors(each)
     broken = each.copy()
     broken[1000:1300, 2], broken[1300:, 2] = 85.0, np.nan
-    assert mean_of_several(broken)[1300:] == pytest.approx(whole[1300:], abs=0.06)
+    assert mean_of_sensors(broken)[1300:] == pytest.approx(whole[1300:], abs=0.06)
 
 
 def test_the_mean_of_several_is_missing_where_all_are() -> None:
     each = _six(1.0, 2)
     each[10] = np.nan
-    mean = mean_of_several(each)
+    mean = mean_of_sensors(each)
     assert np.isnan(mean[10]) and np.isfinite(np.delete(mean, 10)).all()

@@ -64,7 +64,7 @@ def test_a_standstill_beside_one_that_comes_and_goes_is_told_as_what_it_is(bench
     found = diagnose(bench.network, record, with_six(bench, healthy, 5))
     assert found.verdict == "unexplained" and "Without that the twin is adequate" in found.summary
     assert any(" stood for " in note for note in found.notes)
-    assert not any("nothing tells what drove the rig" in note for note in found.notes)
+    assert not any("the inputs are unknown" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(("from_h", "for_h"), [(5.0, 5.0), (1.0, 6.0)])

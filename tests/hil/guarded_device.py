@@ -16,15 +16,19 @@ HEATER, METER = 0, 4
 
 
 class Device:
-    """Register 0 asks for heat in W, register 4 measures it. `obeys` False: it acknowledges and heats on."""
+    """Register 0 asks for heat in W, register 4 measures it. `obeys` False: it acknowledges and heats on.
 
-    def __init__(self, *, single: bool = False, serial: bool = False) -> None:
+    For `deaf_s` after connecting it drops every request, s.
+    """
+
+    def __init__(self, *, single: bool = False, serial: bool = False, deaf_s: float = 0.0) -> None:
         self.registers = [0] * 8
         self.obeys = True
         self.refuses: set[int] = set()
         self.off_s: float | None = None
         self.connections = 0
         self._single = single
+        self._deaf_s = deaf_s
         self._open: set[socket.socket] = set()
         self.path = ""
         self.port = 0
@@ -45,6 +49,11 @@ class Device:
         for client in list(self._open):
             client.close()
 
+    def hang_up(self) -> None:
+        """Close every connection, as a device does with idle ones."""
+        for client in list(self._open):
+            client.shutdown(socket.SHUT_RDWR)
+
     def _accept(self) -> None:
         while True:
             try:
@@ -60,11 +69,15 @@ class Device:
             threading.Thread(target=self._serve, args=(client,), daemon=True).start()
 
     def _serve(self, client: socket.socket) -> None:
+        hears_s = time.monotonic() + self._deaf_s
         try:
             while True:
                 head = self._exactly(client, 7)
                 transaction, _, size, unit = struct.unpack(">HHHB", head)
-                reply = self._answer(self._exactly(client, size - 1))
+                pdu = self._exactly(client, size - 1)
+                if time.monotonic() < hears_s:
+                    continue
+                reply = self._answer(pdu)
                 client.sendall(struct.pack(">HHHB", transaction, 0, len(reply) + 1, unit) + reply)
         except OSError:
             client.close()
@@ -112,6 +125,8 @@ class Device:
             if self.path
             else f'transport = "modbus_tcp"\nport = {self.port}\n'
         )
+        if self._deaf_s:
+            bus += f"connect_delay_s = {self._deaf_s + 0.05:g}\n"
         first = (
             '[[point]]\nname = "pump_set"\nbus = "plc"\ntable = "holding"\naddress = 1\nunit = "%"\naccess = "rw"\n'
             "limits = [0, 100]\nsafe_value = 100\n"

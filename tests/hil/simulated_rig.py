@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -65,6 +65,7 @@ class SimulatedRig:
         self.loses_writes = False
         self.readings: dict[str, float] = {}
         self.quality: dict[str, Quality] = dict(START_QUALITY)
+        self.faults: list[str] = []
         self.water_C = 40.0
         self.watch: Callable[[float], None] = lambda passed_s: None
         self._power = 0.0
@@ -102,6 +103,9 @@ class SimulatedRig:
     async def wait_for_device_time(self, device_time_s: float, timeout_s: float) -> None:
         pass
 
+    def by_wire(self, names: Iterable[str]) -> list[tuple[str, ...]]:
+        return [tuple(names)]
+
     async def first_complete(self, timeout_s: float) -> Snapshot:
         return await self.read()
 
@@ -116,7 +120,7 @@ class SimulatedRig:
             [math.nan if quality.get(p.name) else known.get(p.name, 30.0) for p in self.points],
             [quality.get(p.name, int(Quality.GOOD)) for p in self.points],
             [self.now] * len(self.points),
-            [] if self.link else ["plc: no answer"],
+            self.faults if self.link else ["plc: no answer"],
         )
 
     async def write(self, values: dict[str, float]) -> None:
@@ -180,7 +184,7 @@ class SimulatedClock:
         self._tick += 1
         return self._tick
 
-    async def advance(self) -> None:
+    async def advance(self, at_most_s: float = math.inf) -> None:
         self._rig.pass_time(self.period_s)
         await asyncio.sleep(0)
 
@@ -196,6 +200,7 @@ class MemoryJournal:
     """What was journaled, as lists; a `broken` one refuses everything."""
 
     broken: bool = False
+    failure: str | None = None
     states: list[tuple[Any, ...]] = field(default_factory=list)
     events: list[tuple[str, str]] = field(default_factory=list)
     samples: list[tuple[Any, ...]] = field(default_factory=list)

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from hil.cli.group import group
 
-from hil.cli import group
 from hil.errors import explained
 from hil.record.reader import Record, read_record, write_record
 from hil.rig.element_kinds import parameters_of
@@ -368,7 +368,7 @@ def test_help_says_which_steady_states_are_held_out():
 def test_help_loads_no_heavy_library():
     heavy = "{'torch', 'rerun', 'scipy', 'numba', 'pymodbus', 'can', 'cantools', 'pyarrow', 'matplotlib', 'numpy'}"
     program = (
-        "import sys\nfrom click.testing import CliRunner\nfrom hil.cli import group\n"
+        "import sys\nfrom click.testing import CliRunner\nfrom hil.cli.group import group\n"
         "assert CliRunner().invoke(group, ['--help']).exit_code == 0\n"
         f"found = {heavy} & set(sys.modules)\nassert not found, found"
     )

@@ -23,7 +23,7 @@ from hil.bench.measure import report
 from hil.bench.peers import Absent, c_peer, optimisers
 from hil.bench.peers.formulas import sensor_rows
 from hil.record.reader import read_record
-from twin.calibrators import FITTING
+from twin.calibrators import UNTRAINED_CALIBRATORS
 from twin.twinfile import load
 
 LOOP = load(speed.TWINS / "loop.toml")
@@ -105,10 +105,10 @@ def test_fits_are_measured_against_the_best_known(monkeypatch):
     tables, skipped = fit.measure(fit.Size(windows=2, samples=120, sets=("paper4",), whole_h=0.4), seed=0)
     assert skipped == ("gone: not installed",)
     rows = {row[0].removesuffix(" *"): row for row in tables[0].rows}
-    assert {f"ours: {name}" for name in FITTING} <= rows.keys()
+    assert {f"ours: {name}" for name in UNTRAINED_CALIBRATORS} <= rows.keys()
     assert all(row[2] >= -1e-9 for row in rows.values())
     assert rows["scipy least_squares"][2] < rows["ours: pso_paper"][2]
-    assert {row[0] for row in tables[-2].rows} == set(FITTING)
+    assert {row[0] for row in tables[-2].rows} == set(UNTRAINED_CALIBRATORS)
     assert rows[fit.DESCENT][4] == "100 %"
     assert len(tables[-1].rows) == 4
 

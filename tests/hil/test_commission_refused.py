@@ -13,8 +13,8 @@ from tests.discovery.conftest import Bench
 from tests.hil.made_record import written
 from tests.hil.test_bad_input import hil
 from tests.twin.conftest import LOOP
-from twin.commission import Commission, commission
-from twin.commission_check import clock_in_question, reason_to_refuse
+from twin.commission import CommissionOptions, CommissionResult, commission
+from twin.commission_check import clock_warning, refusal_reason
 from twin.discovery.healthy.basis import Columns
 from twin.twinfile import load
 
@@ -26,46 +26,46 @@ def made() -> tuple[Bench, Columns]:
 
 
 @pytest.fixture(scope="module")
-def fitted(made: tuple[Bench, Columns]) -> Commission:
+def fitted(made: tuple[Bench, Columns]) -> CommissionResult:
     bench, record = made
-    return commission(bench.network, record.time_s, record.inputs, record.measured, starts=1)
+    return commission(bench.network, record.time_s, record.inputs, record.measured, CommissionOptions(starts=1))
 
 
-def test_a_healthy_record_has_nothing_against_it(made: tuple[Bench, Columns], fitted: Commission) -> None:
-    assert reason_to_refuse(fitted, made[1].measured) == ""
-    assert clock_in_question(fitted) == ""
+def test_a_healthy_record_has_nothing_against_it(made: tuple[Bench, Columns], fitted: CommissionResult) -> None:
+    assert refusal_reason(fitted, made[1].measured) == ""
+    assert clock_warning(fitted) == ""
 
 
 def test_a_twin_of_whose_tunables_none_is_identified_is_refused(
-    made: tuple[Bench, Columns], fitted: Commission
+    made: tuple[Bench, Columns], fitted: CommissionResult
 ) -> None:
-    untold = dataclasses.replace(fitted, cannot_tell=tuple(fitted.values))
-    assert reason_to_refuse(untold, made[1].measured).startswith("the record identifies none of the")
-    nearly = dataclasses.replace(fitted, cannot_tell=tuple(fitted.values)[1:])
-    assert reason_to_refuse(nearly, made[1].measured) == ""
+    untold = dataclasses.replace(fitted, unidentifiable=tuple(fitted.values))
+    assert refusal_reason(untold, made[1].measured).startswith("the record identifies none of the")
+    nearly = dataclasses.replace(fitted, unidentifiable=tuple(fitted.values)[1:])
+    assert refusal_reason(nearly, made[1].measured) == ""
 
 
 @pytest.mark.parametrize(("wrong", "refused"), [(1, False), (3, True), (4, True)])
 def test_a_twin_that_errs_by_more_than_its_sensors_move_is_refused(
-    made: tuple[Bench, Columns], fitted: Commission, wrong: int, refused: bool
+    made: tuple[Bench, Columns], fitted: CommissionResult, wrong: int, refused: bool
 ) -> None:
     measured = made[1].measured
     spans = np.ptp(measured, axis=0)
     errors = [3.0 * s if j < wrong else 0.1 for j, s in enumerate(spans)]
     absurd = dataclasses.replace(fitted, rmse_after=dict(zip(fitted.rmse_after, errors, strict=True)))
-    said = reason_to_refuse(absurd, measured)
-    assert ("errs over the part that no fit saw by more than its sensors move at all" in said) == refused
+    said = refusal_reason(absurd, measured)
+    assert ("the error over the held-out segment is larger than the range of the readings" in said) == refused
     endless = dataclasses.replace(fitted, rmse_after=dict.fromkeys(fitted.rmse_after, float("inf")))
-    assert reason_to_refuse(endless, measured)
+    assert refusal_reason(endless, measured)
 
 
 @pytest.mark.parametrize(("factor", "asked"), [(0.1, True), (0.5, False), (2.0, False), (8.0, True)])
 def test_heat_capacities_that_all_change_alike_put_the_clock_in_question(
-    fitted: Commission, factor: float, asked: bool
+    fitted: CommissionResult, factor: float, asked: bool
 ) -> None:
     units = {name: fitted.network.parameters[name].unit for name in fitted.values}
     values = {name: fitted.start[name] * (factor if units[name] == "J/K" else 1.0) for name in fitted.values}
-    said = clock_in_question(dataclasses.replace(fitted, values=values, cannot_tell=()))
+    said = clock_warning(dataclasses.replace(fitted, values=values, unidentifiable=()))
     assert ("give --time-scale" in said) == asked
     assert not asked or f"about {factor:.2g} times" in said
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
 import signal
+import sqlite3
 import time
 from pathlib import Path
 
@@ -19,7 +21,7 @@ from hil.cli.options.subject import SubjectError, subject_of
 from hil.cli.report import command as report
 from hil.errors import exit_code
 from hil.record.reader import RecordError
-from hil.run.session.derived_files import Derived, derive_files, missing_sentence
+from hil.run.session.derived_files import RUN_UID, Derived, derive_files, missing_sentence
 from hil.run.session.interrupted_run import request_of
 from hil.run.session.regenerate import remake
 from hil.run_folder.folder import FolderLostError, RunFolderError
@@ -109,6 +111,20 @@ def test_a_signal_after_the_last_file_changes_no_exit_code(tmp_path):
     folder, manifest = ended_run(tmp_path / "run")
     assert Derived(folder, {}, signal.SIGTERM).exit_code(True) == 0
     assert derive_files(folder, manifest, lambda text: None).stopped_by is None
+
+
+def test_nothing_is_made_from_the_journal_of_another_run(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run")
+    other, its_manifest = ended_run(tmp_path / "other")
+    for run, uid in ((folder, manifest["uid"]), (other, its_manifest["uid"])):
+        with contextlib.closing(sqlite3.connect(run.journal)) as database, database:
+            database.execute("INSERT INTO meta VALUES (?, ?)", (RUN_UID, json.dumps(uid)))
+    assert derive_files(other, its_manifest, lambda text: None).missing == {}
+    shutil.copyfile(other.journal, folder.journal)
+    derived = derive_files(folder, manifest, lambda text: None)
+    assert names(folder) == {"run.json", "journal.sqlite"}
+    assert all("is the journal of another run" in why for why in derived.missing.values())
+    assert derived.exit_code(True) == 1
 
 
 def test_a_folder_that_was_moved_gets_its_files_where_it_is_now(tmp_path):

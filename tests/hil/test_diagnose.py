@@ -15,7 +15,19 @@ from twin.kernel import simulate
 from twin.twinfile import load
 
 PROJECT = Path(__file__).resolve().parents[2]
-HEAT = '[[effect]]\nkind = "heat_source"\nwhere = "modules"\ndriver = "constant"\npower_W = 150\nonset_s = 10800\n'
+ONSET_S = 5400.0
+HEAT = (
+    f'[[effect]]\nkind = "heat_source"\nwhere = "modules"\ndriver = "constant"\npower_W = 150\nonset_s = {ONSET_S:g}\n'
+)
+LOADS = PROJECT / "profiles" / "loads"
+
+
+def beginning(load: Path, hours: float) -> str:
+    """Return the rows of a load profile up to a time, and a last one there."""
+    _, names, *rows = load.read_text(encoding="utf-8").splitlines()
+    kept = [row for row in rows if float(row.split(",")[0]) < 3600.0 * hours]
+    last = ",".join([f"{3600.0 * hours:g}", *kept[-1].split(",")[1:]])
+    return "\n".join([names, *kept, last, ""])
 
 
 def hil(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -25,16 +37,17 @@ def hil(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Ten healthy hours, and ten with heat that no twin was told of."""
+    """The first hours of two shipped loads: healthy ones, and ones with heat that no twin was told of."""
     place = tmp_path_factory.mktemp("runs")
     (place / "heat.toml").write_text(HEAT, encoding="utf-8")
     found = {}
-    for name, profile, extra in (
-        ("healthy", "commissioning_10h", ()),
-        ("heated", "battle_10h", ("--with", place / "heat.toml")),
+    for name, shipped, hours, extra in (
+        ("healthy", "commissioning_10h", 4.0, ()),
+        ("heated", "battle_10h", 5.0, ("--with", place / "heat.toml")),
     ):
+        (place / f"{name}.csv").write_text(beginning(LOADS / f"{shipped}.csv", hours), encoding="utf-8")
         done = hil(
-            "run", f"profiles/loads/{profile}.csv", "--virtual", "--lockstep", "--no-twin", "--seed", 5,
+            "run", place / f"{name}.csv", "--virtual", "--lockstep", "--no-twin", "--seed", 5,
             "--runs", place / name, "--json", *extra,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
@@ -58,7 +71,7 @@ def test_undeclared_heat_is_found_added_and_the_twin_is_right_again(runs: dict[s
     (effect,) = printed["effects"]
     assert (effect["kind"], effect["where"], effect["driver"]) == ("heat_source", "modules", "constant")
     assert effect["value"] == pytest.approx(150.0, rel=0.08)
-    assert abs(effect["onset_s"] - 10800.0) < 600.0
+    assert abs(effect["onset_s"] - ONSET_S) < 600.0
     for error in printed["error"]["sensors"].values():
         assert error["after"] < 1.8 * error["noise"] < error["stale"]
         assert error["after"] < error["before"]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from hil.diagnosis.figures import pictures
-from hil.diagnosis.hand_over import write
 from hil.diagnosis.page import page
+from hil.diagnosis.results import write
 from hil.diagnosis.store import (
     CURVES,
     DiagnosisFolderError,

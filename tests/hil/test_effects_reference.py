@@ -103,9 +103,9 @@ def test_every_shape_key_driver_and_place_is_named():
     assert set(ACTUATORS) <= {place for form in FORMS for place in form.places}
 
 
-@pytest.mark.parametrize("number", range(len(PAGE.rows["What goes wrong"])))
+@pytest.mark.parametrize("number", range(len(PAGE.rows["Mistakes"])))
 def test_what_goes_wrong_is_said_in_the_words_of_the_page(tmp_path, number):
-    row = PAGE.rows["What goes wrong"][number]
+    row = PAGE.rows["Mistakes"][number]
     old, new = row["Instead of"].strip("`"), row["Written"].strip("`")
     assert old in EXAMPLE
     path = written(tmp_path, EXAMPLE.replace(old, new, 1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -253,6 +254,9 @@ async def test_making_safe_tries_again_until_the_rig_holds_the_values():
             if self.calls != 3:
                 self.held.update(values)
                 self.order += values
+
+        def by_wire(self, names: Iterable[str]) -> list[tuple[str, ...]]:
+            return [tuple(names)]
 
         async def write_and_read_back(self, values: dict[str, float], names: tuple[str, ...]) -> dict[str, float]:
             await self.write(values)

@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -19,6 +20,7 @@ from drivers.rig_file.reader import load_rig
 from hil.guardian import process
 from hil.guardian.client import Guardian
 from hil.guardian.plan import plan_of
+from hil.rig.notices import unguarded
 from tests.hil.guarded_device import HEATER, Device
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -177,6 +179,89 @@ def test_a_device_that_admits_one_connection_is_taken_over_by_ending_the_engine_
         assert device.off_s - event_s < 2.0
         assert running.wait(3) == -signal.SIGKILL
     device.close()
+
+
+def test_a_device_that_is_deaf_after_connecting_is_made_safe_by_the_connection_of_the_probe(tmp_path):
+    device = Device(deaf_s=3.0)
+    with engine(tmp_path, device) as running:
+        found, _ = started(running)
+        assert found == "shared"
+        running.send_signal(signal.SIGKILL)
+        event_s = time.monotonic()
+        assert until(lambda: device.off_s is not None, 5.0)
+        assert device.off_s is not None
+        assert device.off_s - event_s < 2.0
+        assert device.connections == 2  # one is the engine's
+    device.close()
+
+
+def test_the_standby_connection_is_opened_anew_where_the_device_has_closed_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(process, "STANDBY_S", 0.05)
+    device = Device(deaf_s=0.3)
+    (tmp_path / "rig.toml").write_text(device.rig_text())
+    plan = plan_of(load_rig(tmp_path / "rig.toml"))
+    assert plan is not None
+    why, wire = process.probe(plan["wires"][0])
+    assert (why, device.connections) == ("", 1)
+    keeper = process.Keeper(plan["wires"][0], lambda place: None, wire)
+    keeper.start()
+    device.hang_up()
+    assert until(lambda: device.connections >= 2, 3.0)
+    time.sleep(0.5)
+    device.registers[HEATER] = 400
+    keeper.may_open.set()
+    keeper.acting.set()
+    assert until(lambda: keeper.safe, 0.25)
+    keeper.end()
+    keeper.join(2.0)
+    device.close()
+
+
+async def test_a_deaf_device_with_one_connection_is_reported_with_the_time_that_the_guardian_needs(tmp_path):
+    device = Device(single=True, deaf_s=2.0)
+    (tmp_path / "rig.toml").write_text(device.rig_text())
+    rig = load_rig(tmp_path / "rig.toml")
+    with socket.create_connection(("127.0.0.1", device.port)):
+        guardian = Guardian(rig, tmp_path / "guardian.log")
+        await guardian.start()
+        (why,) = await guardian.probe()
+        await guardian.done(safe=True)
+    assert "takes no request for 2.05 s after connecting, so that the guardian needs about 3.55 s" in why
+    (note,) = [note for note in unguarded(rig, tmp_path / "rig.toml") if "connect_delay_s" in note]
+    assert "bus plc" in note and "about 3.55 s" in note
+    device.close()
+
+
+def test_a_meter_has_the_time_of_the_rig_file_by_the_clock_of_the_rig(tmp_path):
+    device = Device()
+    text = device.rig_text().replace("period_s = 0.1", "period_s = 0.1\ntime_scale = 0.01", 1)
+    (tmp_path / "rig.toml").write_text(text)
+    plan = plan_of(load_rig(tmp_path / "rig.toml"))
+    assert plan is not None
+    assert plan["wires"][0]["meters"][0]["within_s"] == pytest.approx(100.0)  # 1 s of the rig's clock
+    device.close()
+
+
+def test_a_guardian_that_waits_for_the_engine_names_the_wire_and_the_cause(tmp_path):
+    device = Device(serial=True)
+    (tmp_path / "rig.toml").write_text(device.rig_text())
+    guardian = Guardian(load_rig(tmp_path / "rig.toml"), tmp_path / "guardian.log")
+
+    async def asked() -> None:
+        await guardian.start()
+        guardian.watch()
+        guardian.act()
+        for _ in range(100):
+            guardian.expect(5.0)
+            if guardian.failure() is not None:
+                break
+            await asyncio.sleep(0.01)
+        await guardian.done(safe=True)
+
+    asyncio.run(asked())
+    assert guardian.acted is not None
+    assert device.path in guardian.acted.problem
+    assert guardian.acted.problem.endswith(": the engine holds the only connection, so that the guardian waits")
 
 
 def test_a_serial_line_is_taken_over(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import sqlite3
 import time
@@ -116,6 +117,88 @@ def test_a_file_that_is_lost_is_noticed_within_a_second(how, path, tmp_path):
         time.sleep(0.02)
     with pytest.raises(JournalError, match="while the run goes on"):
         journal.check()
+    journal.close()
+
+
+def copied_over(path, other):
+    shutil.copyfile(other, path)
+
+
+def restored_into(path, other):
+    with contextlib.closing(sqlite3.connect(other)) as source, contextlib.closing(sqlite3.connect(path)) as target:
+        source.backup(target)
+
+
+def moved_onto(path, other):
+    other.replace(path)
+
+
+def emptied(path, other):
+    path.write_bytes(b"")
+
+
+def log_deleted(path, other):
+    path.with_name("journal.sqlite-wal").unlink()
+
+
+def rows_deleted(path, other):
+    with contextlib.closing(sqlite3.connect(path)) as database, database:
+        database.execute("DELETE FROM samples WHERE tick = 3")
+
+
+@pytest.mark.parametrize("how", [copied_over, restored_into, moved_onto, emptied, log_deleted, rows_deleted])
+@pytest.mark.parametrize("whose", ["another run's", "an older copy of its own"])
+def test_a_journal_that_is_overwritten_in_place_is_noticed_within_a_second(how, whose, path, tmp_path):
+    journal = JournalWriter(path, HEADER)
+    other = tmp_path / "other.sqlite"
+    for tick in range(200):
+        sample(journal, tick)
+    journal.commit()
+    if whose == "another run's":
+        another = JournalWriter(other, HEADER)
+        sample(another, 0)
+        another.close()
+    else:
+        with contextlib.closing(sqlite3.connect(path)) as source, contextlib.closing(sqlite3.connect(other)) as target:
+            source.backup(target)
+    for tick in range(200, 2000):
+        sample(journal, tick)
+    journal.commit()
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        database.execute("PRAGMA wal_checkpoint").fetchall()  # else the log beside the file still holds every row
+    time.sleep(0.6)
+    assert journal.failure is None
+    how(path, other)
+    end = time.monotonic() + 1.0
+    while journal.failure is None and time.monotonic() < end:
+        time.sleep(0.02)
+    with pytest.raises(JournalError, match="while the run goes on"):
+        journal.check()
+    if how in (copied_over, restored_into):
+        held = other.read_bytes() if how is copied_over else None
+        sample(journal, 2000)
+        journal.event(0, 0.0, "INFO", "the end")
+        time.sleep(0.2)
+        assert held is None or path.read_bytes() == held  # nothing is written into what is not the journal
+    with contextlib.suppress(JournalError):
+        journal.close()
+
+
+def test_a_lock_a_reader_and_a_checkpoint_of_another_program_are_no_loss(path):
+    journal = JournalWriter(path, HEADER)
+    for tick in range(500):
+        sample(journal, tick)
+    journal.commit()
+    for statement in ("BEGIN IMMEDIATE", "ROLLBACK", "SELECT count(*) FROM samples", "PRAGMA wal_checkpoint"):
+        with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as database:
+            database.execute(statement if statement != "ROLLBACK" else "BEGIN").fetchall()
+    with contextlib.closing(sqlite3.connect(path)) as database, database:
+        database.execute("CREATE TABLE notes (text TEXT)")
+    for tick in range(500, 520):
+        sample(journal, tick)
+    time.sleep(0.7)
+    journal.commit()
+    assert journal.failure is None
     journal.close()
 
 

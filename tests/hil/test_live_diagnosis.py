@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import sqlite3
 import subprocess
 import sys
@@ -48,7 +49,9 @@ def found(**changes: Any) -> Found:
     return found_of(made(effects=(effect(**changes),)), 10_000.0)
 
 
-@pytest.mark.parametrize(("text", "seconds"), [("hourly", 3600.0), ("30min", 1800.0), ("2h", 7200.0), ("1.5 h", 5400)])
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("hourly", 3600.0), ("30min", 1800.0), ("2h", 7200.0), ("1.5 h", 5400), ("end", math.inf)]
+)
 def test_intervals_as_they_are_written(text, seconds):
     assert interval_of(text) == seconds
 
@@ -183,14 +186,15 @@ async def test_an_operator_may_skip_the_last_diagnosis(live):
 def ran(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """Two and a half hours in which the modules begin to heat after half an hour."""
     place = tmp_path_factory.mktemp("live")
-    (place / "load.csv").write_text(LOAD.format(end=9000), encoding="utf-8")
+    for name, end in (("healthy", 6000), ("load", 9000)):
+        (place / f"{name}.csv").write_text(LOAD.format(end=end), encoding="utf-8")
     (place / "heat.toml").write_text(HEAT, encoding="utf-8")
-    healthy = run(place, "--no-twin").record
-    return run(place, "--with", place / "heat.toml", "--diagnose", "1h", "--adopt", "--healthy", healthy)
+    healthy = run(place, "healthy", "--no-twin").record
+    return run(place, "load", "--with", place / "heat.toml", "--diagnose", "1h", "--adopt", "--healthy", healthy)
 
 
-def run(place: Path, *more: object) -> RunFolder:
-    command = [sys.executable, "-m", "hil", "run", place / "load.csv", "--virtual", "--lockstep", "--no-viewer"]
+def run(place: Path, load: str, *more: object) -> RunFolder:
+    command = [sys.executable, "-m", "hil", "run", place / f"{load}.csv", "--virtual", "--lockstep", "--no-viewer"]
     command += ["--runs", place / "runs", "--json", "--calibrator", "least_squares", *more]
     done = subprocess.run([*map(str, command)], capture_output=True, text=True, cwd=PROJECT, timeout=550)
     assert done.returncode == 0, done.stderr

@@ -67,7 +67,7 @@ def test_a_clean_record_has_no_messages(tmp_path: Path) -> None:
         ("r.csv", b"time_s,T_tank_C\nnoon,20\n1pm,21\n", "no readable time", "ISO 8601"),
         ("r.csv", b"time_s,T_tank_C\n0,20,5\n1,20,6\n2,20,7\n", "line 2 does not have the 2 fields", "semicolons"),
         ("r.csv", b"\0\1\2\3" * 9, "neither Parquet nor text", "export the record"),
-        ("r.csv", "time_s,T_tank_C\n0,20\n".encode("utf-16"), "is UTF-16", "UTF-8"),
+        ("r.csv", b"\xff\xfe" + b"\x00\xd8" * 9, "begins as UTF-16 text and is damaged", "UTF-8"),
         ("r.parquet", b"time_s,T_tank_C\n0,20\n", "is not a Parquet file", ".csv"),
         ("r.parquet", b"PAR1" + b"\0" * 50, "is cut off", "copy it again"),
         ("r.parquet", b"PAR1" + b"\1" * 50 + b"PAR1", "is a damaged Parquet file", "copy it again"),
@@ -450,12 +450,12 @@ def test_ordinary_numbers_are_not_asked_about(tmp_path: Path, text: str) -> None
 
 
 def test_a_missing_column_is_looked_for_under_other_spellings_and_units(tmp_path: Path) -> None:
-    record = read_record(_csv(tmp_path, "time_s,HEATER_1_PCT,T1 [°C],T2_F,heater_2_pct\n0,0,20,70,1\n1,50,21,71,2\n"))
+    record = read_record(_csv(tmp_path, "time_s,HEATER_1_PCT,t1_c,T2_F,heater_2_pct\n0,0,20,70,1\n1,50,21,71,2\n"))
     with pytest.raises(RecordError) as caught:
         record.require("heater_1_pct", "heater_2_pct", "heater_3_pct", "T1_C", "T2_C")
     for part in (
         "heater_1_pct (did you mean HEATER_1_PCT?)",
-        "heater_3_pct, T1_C (did you mean T1 [°C]?)",
+        "heater_3_pct, T1_C (did you mean t1_c?)",
         "T2_C (T2_F is in degrees Fahrenheit by its name: subtract 32 and divide by 1.8, and call it T2_C)",
     ):
         assert part in str(caught.value)

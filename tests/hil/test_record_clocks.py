@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import datetime
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from hil.record.reader import Record, RecordError, read_record
@@ -61,3 +65,43 @@ def test_a_time_with_a_unit_is_kept_with_a_remark_where_dates_contradict_it(tmp_
 def test_dates_that_agree_are_left_aside_without_a_remark(tmp_path: Path) -> None:
     record = _read(tmp_path, "time,timestamp", [f"{k},2025-07-09T08:00:{k:02}Z" for k in range(40)])
     assert record.time_s[-1] == 39 and record.start is None
+
+
+@pytest.mark.parametrize("kind", ["timestamp", "time", "day numbers"])
+def test_a_clock_of_twelve_hours_in_a_typed_column_is_refused(tmp_path: Path, kind: str) -> None:
+    minutes = [(m // 60 - 1) % 12 * 60 + 60 + m % 60 for m in range(600, 900, 15)]
+    column = {
+        "timestamp": pa.array([1_752_883_200 + 60 * m for m in minutes], pa.timestamp("s")),
+        "time": pa.array([60 * m for m in minutes], pa.time32("s")),
+        "day numbers": pa.array([45_857 + m / 1440 for m in minutes]),
+    }[kind]
+    path = tmp_path / "clock.parquet"
+    pq.write_table(pa.table({"Date": column, "T_in_C": [20.0 + k for k in range(20)]}), path)
+    with pytest.raises(RecordError, match=r"steps back by twelve hours.*write hours from 00 to 23, or AM and PM"):
+        read_record(path)
+
+
+@pytest.mark.parametrize("hours", [1, 2, 3])
+@pytest.mark.parametrize(("first", "which"), [("2025-10-25 12:00", "back"), ("2025-03-29 12:00", "forward")])
+def test_a_change_of_clocks_between_rows_hours_apart_is_taken_out(
+    tmp_path: Path, hours: int, first: str, which: str
+) -> None:
+    zone = ZoneInfo("Europe/Berlin")
+    begin = datetime.datetime.fromisoformat(first).replace(tzinfo=datetime.UTC)
+    moments = [begin + datetime.timedelta(hours=hours * k) for k in range(40)]
+    record = _read(tmp_path, "Time", [f"{m.astimezone(zone):%Y-%m-%d %H:%M}" for m in moments])
+    assert np.diff(record.time_s).tolist() == [3600.0 * hours] * 39
+    assert any(f"clocks go {which}" in said for said in record.messages)
+
+
+def test_rows_an_hour_apart_with_other_gaps_and_repeats_keep_their_times(tmp_path: Path) -> None:
+    begin = datetime.datetime(2025, 3, 29, 12)
+    rows = [k for k in range(60) if k not in (14, 30, 31)]  # 02:00 on the Sunday, and two more
+    record = _read(tmp_path, "Time", [f"{begin + datetime.timedelta(hours=k):%Y-%m-%d %H:%M}" for k in rows if k != 40])
+    assert record.time_s[-1] == 59 * 3600
+    assert not any("clocks go" in said for said in record.messages)
+
+
+def test_a_column_called_zeit_with_large_seconds_is_in_seconds(tmp_path: Path) -> None:
+    record = _read(tmp_path, "Zeit", [f"{20_000 + 100 * k}" for k in range(200)])
+    assert record.time_s[-1] - record.time_s[0] == 19_900

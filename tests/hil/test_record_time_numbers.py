@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hil.cli.group import group
 
-from hil.cli import group
 from hil.record.reader import Record, RecordError, read_record
 
 
@@ -49,12 +49,26 @@ def test_rounded_day_numbers_of_a_spreadsheet_are_days(tmp_path: Path, decimals:
     assert record.start is not None and record.start.year == 2025
 
 
-@pytest.mark.parametrize("first", [0.0, 0.25, 739_800.5, 2_460_800.25])
+@pytest.mark.parametrize("first", [0.0, 0.25])
 def test_parts_of_days_without_a_unit_are_refused_and_read_with_one(tmp_path: Path, first: float) -> None:
     stamps = [f"{first + k * 30 / 86400:.8f}" for k in range(40)]
     with pytest.raises(RecordError, match=r"column 'time'.* looks like a .*day.*give --time-scale 86400, or time_d"):
         _read(tmp_path, "time", stamps)
     assert np.ptp(_read(tmp_path, "time_d", stamps).time_s) == pytest.approx(39 * 30, abs=0.01)
+
+
+@pytest.mark.parametrize("name", ["time", "Date", "time_d"])
+@pytest.mark.parametrize("first", [45_857.5, 60_875.5, 739_817.5, 2_460_876.0])
+def test_every_count_of_days_gives_the_same_date(tmp_path: Path, first: float, name: str) -> None:
+    record = _read(tmp_path, name, [f"{first + k * 30 / 86400:.8f}" for k in range(40)])
+    assert record.time_s[-1] == pytest.approx(39 * 30, abs=0.01)
+    assert record.start is not None and f"{record.start:%Y-%m-%d %H}" == "2025-07-19 12"
+
+
+@pytest.mark.parametrize("name", ["MJD", "mjd [d]", "Modified Julian Date"])
+def test_a_modified_julian_date_is_a_time_by_its_name(tmp_path: Path, name: str) -> None:
+    record = _read(tmp_path, name, [f"{60_865 + k}" for k in range(20)])
+    assert record.time_s[-1] == 19 * 86400 and record.start is not None and record.start.year == 2025
 
 
 @pytest.mark.parametrize("step", [0.001, 0.02, 0.1, 1 / 60, 0.5])

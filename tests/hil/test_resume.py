@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.diagnosis.hand_over import read_columns
+from hil.diagnosis.columns import read_columns
 from hil.journal.writer import JournalReader
 from hil.record.reader import Record, read_record
 from hil.review.rerun_io import read_words
@@ -26,7 +26,7 @@ from hil.run.restore.thermal_restore import has_memory
 from hil.run.session.interrupted_run import standing
 from hil.run.session.terminal import cut_time
 from hil.run_folder.folder import RunFolder, RunFolderError
-from twin.stretches import LONG_S, stretches
+from twin.segments import LONG_GAP_S, find_segments
 from twin.twinfile import load
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -37,6 +37,8 @@ LOAD = """time_s,heater_power_W,pump_speed_pct,fan_speed_pct
 4200,600,85,70
 8400,600,85,70
 """
+BEGINNING = "".join(LOAD.splitlines(keepends=True)[:4])
+"""The first half of it, for what does not depend on how long a run goes on after its gap."""
 TEMPERATURES = ("T_heater_C", "T_pm1_C", "T_radiator_C", "T_tank_C")
 
 
@@ -236,7 +238,7 @@ def test_a_run_that_is_over_or_goes_on_is_refused(story):
 
 @pytest.mark.parametrize("by", [signal.SIGTERM, signal.SIGINT])
 def test_a_run_that_a_signal_aborted_goes_on(tmp_path, by):
-    (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
+    (tmp_path / "load.csv").write_text(BEGINNING, encoding="utf-8")
     folder = RunFolder(killed(tmp_path, 1500, "--virtual", "--lockstep", "--no-twin", by=by))
     cut = folder.read_manifest()
     assert (cut["exit_status"], cut["safe"]) == ("aborted", True)
@@ -246,7 +248,7 @@ def test_a_run_that_a_signal_aborted_goes_on(tmp_path, by):
     assert manifest["exit_status"] == "done"
     assert manifest["segments"][0]["why"].startswith("the run aborted (stopped by ")
     profile_s = read_record(folder.record).columns["profile_s"]
-    assert sorted(set(profile_s.tolist())) == list(range(8401))
+    assert sorted(set(profile_s.tolist())) == list(range(4201))
 
 
 def test_a_run_whose_trip_has_its_cause_still_is_refused_by_name_and_stays_as_it_was(tmp_path):
@@ -339,10 +341,10 @@ def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_co
     record = read_record(story.folder.record)
     first = record.columns["segment"] == 1
     assert np.array_equal(columns.time_s, record.time_s)
-    found = stretches(network, columns.time_s, columns.inputs)
+    found = find_segments(network, columns.time_s, columns.inputs)
     ((left, anew),) = found.gaps
     assert left == record.time_s[first][-1]
-    assert anew > left + LONG_S
+    assert anew > left + LONG_GAP_S
     assert not np.isfinite(columns.measured[~first & (record.time_s < anew)]).any()
     assert not any("longest part" in message for message in messages)
     whole, messages = read_columns(network, story.whole.record, None)
@@ -368,7 +370,7 @@ def test_a_soak_that_takes_too_long_ends_safe_and_can_be_tried_again(story, tmp_
 
 
 def test_a_rig_that_goes_on_by_itself_is_safe_when_its_watchdog_runs_out_and_is_resumed_warm(tmp_path):
-    (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
+    (tmp_path / "load.csv").write_text(BEGINNING, encoding="utf-8")
     ports = [_free_port() for _ in range(3)]
     names = ("--modbus-port", "--can-port", "--control-port")
     arguments = [str(item) for pair in zip(names, ports, strict=True) for item in pair]

@@ -24,7 +24,7 @@ from tests.hil.reference_pages import page
 
 PAGE = page("rig-file")
 MODBUS, TCP = "Every Modbus bus", "modbus_tcp"
-POINT = ("Every point", "Where it is on Modbus", "Where it is on CAN", "What a reading may be", "What may be written")
+POINT = ("Every point", "Where it is on Modbus", "Where it is on CAN", "Readings of a point", "Writes to a point")
 SECTIONS: dict[type[BaseModel], tuple[str, ...]] = {
     Rig: ("[rig]",), Heartbeat: ("[heartbeat]",), Point: POINT, Hole: ("hole",), CanBus: ("CAN",),
     CanMessage: ("message",),

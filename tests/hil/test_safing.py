@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import math
+import socket
 import time
+from collections.abc import Iterable
 
 import pytest
 
+from drivers.rig.connection import RigConnection
 from drivers.rig_file.reader import load_rig
 from drivers.signals.points import DeviceExceptionError, DriverError, Quality
+from hil.run.outputs import safing
 from hil.run.outputs.heaters import not_cold, safe_limit, safe_limits
-from hil.run.outputs.safing import write_safe
+from hil.run.outputs.safing import attempt_s, write_safe
 from hil.run.outputs.setpoints import Setpoints
 from tests.hil.engine_bench import EngineBench
-from tests.hil.guarded_device import Device
+from tests.hil.guarded_device import HEATER, Device
 from tests.hil.simulated_rig import SHIPPED, rig_with
 from tests.hil.test_trips import warm
 
@@ -32,6 +36,9 @@ class Refusing:
             if name in self.refused:
                 raise DeviceExceptionError(f"{name} refused", 4)
             self.held[name] = value
+
+    def by_wire(self, names: Iterable[str]) -> list[tuple[str, ...]]:
+        return [tuple(names)]
 
     async def write_and_read_back(self, values: dict[str, float], names: tuple[str, ...]) -> dict[str, float]:
         await self.write(values)
@@ -110,34 +117,36 @@ def test_what_another_master_writes_while_the_run_ends_is_made_safe_again():
         assert bench.outcome.safe
 
 
-async def test_a_stop_does_not_wait_for_the_next_tick_of_a_slow_rig(tmp_path):
-    from drivers.rig.connection import RigConnection
-    from hil.journal.writer import Header, JournalWriter
-    from hil.profile.load_profile import Profile
-    from hil.run.engine.clock import MonotonicClock
-    from hil.run.engine.engine import Engine
-
+async def test_a_mute_device_keeps_no_other_waiting_and_an_attempt_has_an_end(tmp_path, monkeypatch):
+    """The pump's device comes first and takes connections, and answers nothing."""
+    monkeypatch.setattr(safing, "ATTEMPT_S", 0.2)
     device = Device()
-    (tmp_path / "rig.toml").write_text(device.rig_text().replace("period_s = 0.1", "period_s = 30"))
-    rig = load_rig(tmp_path / "rig.toml")
-    clock = MonotonicClock(rig.period_s)
-    connection = RigConnection(rig, clock.now)
-    import numpy as np
-
-    profile = Profile("slow", np.array([0.0, 900.0]), ("heater_W",), np.array([[300.0], [300.0]]))
-    signals = connection.signals + tuple(point.as_signal() for point in rig.setpoints)
-    journal = JournalWriter(tmp_path / "journal.sqlite", Header(signals, {}, (), "slow", 900.0, 30.0, {}))
-    engine = Engine(connection, clock, profile, journal)
-    run = asyncio.create_task(engine.run())
-    while engine.state != "running":
-        await asyncio.sleep(0.05)
-    await asyncio.sleep(0.3)
-    began = time.monotonic()
-    engine.request_stop("the test")
-    while device.off_s is None or device.registers[0] or engine.state == "running":
-        assert time.monotonic() - began < 3.0
-        await asyncio.sleep(0.05)
-    run.cancel()
-    await asyncio.gather(run, return_exceptions=True)
-    journal.close()
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        text = device.rig_text(pump=True).replace('bus = "plc"', 'bus = "pumps"', 1)
+        pumps = f'[bus.pumps]\ntransport = "modbus_tcp"\nport = {mute.getsockname()[1]}\ntimeout_s = 1.0\n'
+        (tmp_path / "rig.toml").write_text(text.replace("[bus.plc]", pumps + "[bus.plc]", 1))
+        rig = load_rig(tmp_path / "rig.toml")
+        connection = RigConnection(rig, time.monotonic)
+        await connection.connect()
+        device.registers[HEATER] = 500
+        began = time.monotonic()
+        writing = asyncio.ensure_future(write_safe(connection, {"pump_set": 100.0, "heater_set": 0.0}, attempt_s(rig)))
+        while device.registers[HEATER]:
+            assert time.monotonic() - began < 0.9  # no time-out of the pump's device has passed
+            await asyncio.sleep(0.01)
+        problem = await writing
+        assert time.monotonic() - began < 2.0 * 1.0 + 0.2 + 1.0
+        assert problem and "heater_set" not in problem
+        await connection.close()
     device.close()
+
+
+def test_a_mute_device_without_set_points_holds_up_no_end():
+    with EngineBench(rig_with(interlocks=()), duration_s=600.0) as bench:
+        warm(bench)
+        other = next(p.name for p in bench.rig.points if p.name == "T_tank")
+        bench.rig.quality[other] = Quality.LINK_FAULT
+        bench.rig.faults = ["tc: no answer"]
+        bench.engine.request_stop("the test")
+        bench.ticks(200)
+        assert bench.outcome.safe and not bench.outcome.away

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.record.segments import Parts
-from twin.stretches import LONG_S
+from twin.segments import LONG_GAP_S
 
 
 def rows(*spans: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -21,8 +21,8 @@ def test_every_gap_is_one_to_a_twin_however_short_it_was(gap_s: float) -> None:
     parts = Parts.of(time_s, segment)
     assert parts.rows == slice(0, len(time_s))
     kept = time_s[~parts.aside]
-    begun = kept[1:][np.diff(kept) > LONG_S]
-    assert begun == pytest.approx([max(3600.0 + gap_s, 3610.0 + LONG_S), 9010.0 + LONG_S])
+    begun = kept[1:][np.diff(kept) > LONG_GAP_S]
+    assert begun == pytest.approx([max(3600.0 + gap_s, 3610.0 + LONG_GAP_S), 9010.0 + LONG_GAP_S])
     assert not parts.aside[segment == 1].any()
 
 

@@ -8,10 +8,11 @@ from types import SimpleNamespace
 import pytest
 
 import hil.run.session.terminal
-from hil.diagnosis.live import Reply
+from hil.diagnosis.live import Reply, found_of
 from hil.run.engine.engine import Outcome
 from hil.run.session.session import RunResult
-from hil.run.session.terminal import LiveRun, Steps
+from hil.run.session.terminal import LiveRun, Steps, last_words
+from tests.hil.made_diagnosis import SAYS, SENSORS, made
 
 
 @pytest.fixture
@@ -44,7 +45,33 @@ def test_a_path_that_is_told_can_be_pasted(monkeypatch, capsys):
     assert capsys.readouterr().err.splitlines() == 2 * [f"adopted as {path}"]
     outcome = Outcome("done", "", safe=True)
     told = Reply(problem="too short", revision=path)
-    folder = SimpleNamespace(path=path.parent, read_manifest=dict)
+    folder = SimpleNamespace(path=path.parent, review=path.parent / "review.rrd", read_manifest=dict)
     live.show_result(RunResult(folder, outcome, None, 1.0, 1.0, False, told, gates="held [everything] in 6 of 120"))
     out = capsys.readouterr().out
     assert f"revision of the twin: '{path}'\n" in out and "held [everything] in 6 of 120\n" in out
+
+
+def test_a_run_that_was_diagnosed_ends_with_verdict_errors_and_files(tmp_path, capsys):
+    review, page = tmp_path / "review.rrd", tmp_path / "diagnosis" / "diagnosis.html"
+    review.touch()
+    diagnosis = made()
+    told = Reply(found_of(diagnosis, 36_000.0), page=page, document=diagnosis.document())
+    folder = SimpleNamespace(path=tmp_path, review=review, read_manifest=dict)
+    LiveRun().show_result(RunResult(folder, Outcome("done", "", safe=True), None, 1.0, 1.0, False, told))
+    out = capsys.readouterr().out
+    end = out[out.index(f"effect found: {SAYS}.") :]
+    for words in ("free run from 7.50 h to 10.00 h", "as it was", "re-tuned", "with the effect", "noise", *SENSORS):
+        assert words in end
+    assert end.splitlines()[-2:] == [f"diagnosis with pictures: {page}", f"run in Rerun: {review}"]
+
+
+@pytest.mark.parametrize("status", ["faulted", "aborted"])
+def test_the_safety_sentence_comes_last_and_a_resume_only_after_a_look_at_the_rig(status, tmp_path):
+    unsafe = last_words(Outcome(status, "the link is lost", ticks=10, safe=False), tmp_path)
+    assert unsafe[-1].startswith("The rig was NOT confirmed safe: go to the rig now")
+    assert "once somebody has seen at the rig that nothing heats" in unsafe[0] and "resume" in unsafe[0]
+    safe = last_words(Outcome(status, "the link is lost", ticks=10, safe=True), tmp_path)
+    assert len(safe) == 1 and "go on with it" in safe[0]
+    assert last_words(Outcome("done", "", ticks=10, safe=True), tmp_path) == []
+    (done,) = last_words(Outcome("done", "", ticks=10, safe=True, away="heater still reads 40 W"), tmp_path)
+    assert done.startswith("The rig was NOT confirmed safe")

@@ -17,7 +17,7 @@ from tests.hil.reference_pages import page
 from twin.elements import KINDS
 from twin.network import TwinFileError, WindowRules
 from twin.twin_reader import FORMAT
-from twin.twinfile import build, load, parse
+from twin.twinfile import from_tables, load, parse
 
 PAGE = page("twin-file")
 EXAMPLE = PAGE.code["toml"][0]
@@ -118,11 +118,11 @@ def test_what_must_be_given_is_missed_and_nothing_else(section):
         tables = tomllib.loads(EXAMPLE)
         there = TABLES[section](tables).pop(key, None) is not None
         if row["Default"] != "must be given":
-            build(tables, "the example")
+            from_tables(tables, "the example")
             continue
         assert there, f"{key} of {section} is not in the example"
         with pytest.raises(TwinFileError):
-            build(tables, "the example")
+            from_tables(tables, "the example")
 
 
 def test_the_example_runs_on_the_example_of_the_rig_file(tmp_path: Path):

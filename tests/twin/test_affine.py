@@ -6,7 +6,7 @@ import ast
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-from twin.affine import parsed
+from twin.affine import parse_expression
 
 TEXT = "+".join(f"(a{i}*exp(b{i}/{i + 1}.5))" for i in range(60))
 
@@ -29,7 +29,7 @@ def test_threads_may_parse_at_once() -> None:
 
     def parse(_: int) -> str:
         Cycle()
-        return ast.dump(parsed(TEXT))
+        return ast.dump(parse_expression(TEXT))
 
     sys.setswitchinterval(1e-6)
     try:

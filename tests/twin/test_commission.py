@@ -5,9 +5,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from tests.twin.conftest import START, drive
-from twin.commission import commission
-from twin.gauss_newton import Data, Prior, Scaling, align, descend
-from twin.kernel import Kernel, masked, simulate
+from twin.commission import CommissionOptions, commission
+from twin.gauss_newton import FitData, GaussianPrior, Scaling, fit_initial_state, fit_parameters
+from twin.kernel import Kernel, mask_measurements, simulate
 from twin.network import Network, TwinFileError
 from twin.twinfile import dump, parse
 
@@ -33,11 +33,11 @@ def test_recovers_the_truth_and_reaches_the_noise(loop: Network) -> None:
     t, u, y = record(truth)
     done = commission(loop, t, u, y)
     for name, value in TRUTH.items():
-        if name not in done.cannot_tell:
+        if name not in done.unidentifiable:
             assert abs(done.values[name] - value) < 4.0 * done.standard_error[name], name
     for name in ("circuit.factor", "fins.fan_exponent", "tank.capacitance", "heater.capacitance"):
         low, high = done.interval90[name]
-        assert name not in done.cannot_tell
+        assert name not in done.unidentifiable
         assert low < done.values[name] < high
         assert done.values[name] == pytest.approx(TRUTH[name], rel=0.05)
     for name, sigma in zip(loop.sensor_names, loop.sigma, strict=True):
@@ -49,7 +49,7 @@ def test_recovers_the_truth_and_reaches_the_noise(loop: Network) -> None:
 def test_makes_a_new_revision_and_leaves_the_parent_alone(loop: Network) -> None:
     t, u, y = record(loop.with_values(TRUTH), n=3600)
     before = loop.values.copy()
-    done = commission(loop, t, u, y, starts=1)
+    done = commission(loop, t, u, y, CommissionOptions(starts=1))
     assert np.array_equal(loop.values, before)
     revision = done.network.revision
     assert revision.number == 1
@@ -65,8 +65,8 @@ def test_names_what_the_record_cannot_tell(loop: Network) -> None:
     t = np.arange(n) * 1.0
     u = np.tile([700.0, 100.0, 70.0, 22.0], (n, 1))  # nothing varies
     y = simulate(loop, t, u, START) + np.random.default_rng(0).normal(0.0, 1.0, (n, 4)) * loop.sigma
-    done = commission(loop, t, u, y, starts=2)
-    assert {"fins.fan_exponent", "fins.UA_still"} <= set(done.cannot_tell)
+    done = commission(loop, t, u, y, CommissionOptions(starts=2))
+    assert {"fins.fan_exponent", "fins.UA_still"} <= set(done.unidentifiable)
     assert any("did not vary" in note for note in done.notes)
     assert all(np.isfinite(list(done.values.values())))
 
@@ -74,11 +74,11 @@ def test_names_what_the_record_cannot_tell(loop: Network) -> None:
 def test_is_deterministic_and_fast_code_agrees_with_scipy(loop: Network) -> None:
     ids = ("fins.UA_100", "heater.capacitance", "tank_loss.hA", "circuit.factor")
     t, u, y = record(loop.with_values(TRUTH), n=2400)
-    a = commission(loop, t, u, y, tunables=ids)
-    b = commission(loop, t, u, y, tunables=ids)
+    a = commission(loop, t, u, y, CommissionOptions(tunables=ids))
+    b = commission(loop, t, u, y, CommissionOptions(tunables=ids))
     assert a.values == b.values
     kernel, scaling = Kernel(loop, ids), Scaling.of(loop, ids)
-    fill, weight = masked(y, loop.sigma)
+    fill, weight = mask_measurements(y, loop.sigma)
     low, high = scaling.to_z(scaling.lower), scaling.to_z(scaling.upper)
 
     def residual(v: np.ndarray) -> np.ndarray:
@@ -89,8 +89,10 @@ def test_is_deterministic_and_fast_code_agrees_with_scipy(loop: Network) -> None
     z0 = np.concatenate([scaling.to_z(loop.values[scaling.index]), START])
     box = (np.concatenate([low, np.full(4, -100.0)]), np.concatenate([high, np.full(4, 200.0)]))
     oracle = least_squares(residual, z0, bounds=box, x_scale="jac", xtol=1e-12, ftol=1e-12)
-    flat = Prior(z0, 1e-9 * np.eye(8))
-    ours = descend(kernel, scaling, loop.values, Data(t, u, fill, weight), loop.values[scaling.index], START, flat)
+    flat = GaussianPrior(z0, 1e-9 * np.eye(8))
+    ours = fit_parameters(
+        kernel, scaling, loop.values, FitData(t, u, fill, weight), loop.values[scaling.index], START, flat
+    )
     assert ours.cost <= 2.0 * oracle.cost * (1.0 + 1e-6)
     assert ours.values == pytest.approx(scaling.to_values(oracle.x[:4]), rel=1e-3)
 
@@ -99,10 +101,16 @@ def test_a_truth_on_the_bound_ends_there(loop: Network) -> None:
     low, _ = loop.bounds(("tank_loss.hA",))
     t, u, y = record(loop.with_values({"tank_loss.hA": float(low[0])}), n=2400)
     kernel, scaling = Kernel(loop, ("tank_loss.hA",)), Scaling.of(loop, ("tank_loss.hA",))
-    fill, weight = masked(y - 0.05, loop.sigma)
-    flat = Prior(np.concatenate([[0.0], START]), 1e-9 * np.eye(5))
-    fit = descend(
-        kernel, scaling, loop.values, Data(t, u, fill + 0.2 * (t[:, None] < 60), weight), np.array([2.5]), START, flat
+    fill, weight = mask_measurements(y - 0.05, loop.sigma)
+    flat = GaussianPrior(np.concatenate([[0.0], START]), 1e-9 * np.eye(5))
+    fit = fit_parameters(
+        kernel,
+        scaling,
+        loop.values,
+        FitData(t, u, fill + 0.2 * (t[:, None] < 60), weight),
+        np.array([2.5]),
+        START,
+        flat,
     )
     assert np.isfinite(fit.cost)
     assert scaling.lower[0] <= fit.values[0] <= scaling.upper[0]
@@ -110,8 +118,8 @@ def test_a_truth_on_the_bound_ends_there(loop: Network) -> None:
 
 def test_align_finds_the_initial_state(loop: Network) -> None:
     t, u, y = record(loop, n=60)
-    fill, weight = masked(y, loop.sigma)
-    found = align(Kernel(loop, ()), loop.values, START + 3.0, Data(t, u, fill, weight), 5.0)
+    fill, weight = mask_measurements(y, loop.sigma)
+    found = fit_initial_state(Kernel(loop, ()), loop.values, START + 3.0, FitData(t, u, fill, weight), 5.0)
     assert np.abs(found - START).max() < 0.05
 
 
@@ -120,7 +128,7 @@ def test_masked_and_dead_sensors_do_not_spoil_the_fit(loop: Network) -> None:
     y[:, 2] = np.nan
     y[100:900] = np.nan
     u[50:60, 3] = np.nan
-    done = commission(loop, t, u, y, starts=1)
+    done = commission(loop, t, u, y, CommissionOptions(starts=1))
     assert np.isnan(done.rmse_after["T_radiator_C"])
     assert done.rmse_after["T_tank_C"] < 0.06
     assert all(np.isfinite(list(done.values.values())))
@@ -146,12 +154,12 @@ def test_records_that_cannot_be_fitted(loop: Network, change, words: str) -> Non
 def test_a_firm_initial_state_is_kept(loop: Network) -> None:
     t, u, y = record(loop.with_values(TRUTH), n=3600)
     y[:30] += 1.0
-    loose, firm = (commission(loop, t, u, y, starts=1, initial_sd=sd) for sd in (5.0, 0.001))
+    loose, firm = (commission(loop, t, u, y, CommissionOptions(starts=1, initial_sd=sd)) for sd in (5.0, 0.001))
     first = y[:30].mean(axis=0)
     assert np.abs(firm.state[:4] - first).max() < 0.01
     assert np.abs(loose.state[:4] - first).max() > 0.5
     with pytest.raises(TwinFileError, match="initial_sd must be above 0"):
-        commission(loop, t, u, y, initial_sd=0.0)
+        commission(loop, t, u, y, CommissionOptions(initial_sd=0.0))
 
 
 def test_the_first_guess_looks_no_further_than_the_first_move(loop: Network) -> None:
@@ -159,16 +167,16 @@ def test_the_first_guess_looks_no_further_than_the_first_move(loop: Network) -> 
     u[:, 3] = 22.0
     u[:12, 0], u[12:, 0] = 600.0, 900.0
     y[12:] += 5.0
-    firm = commission(loop, t, u, y, starts=1, initial_sd=0.001)
+    firm = commission(loop, t, u, y, CommissionOptions(starts=1, initial_sd=0.001))
     assert np.abs(firm.state[:4] - y[:12].mean(axis=0)).max() < 0.01
 
 
 def test_draws_spread_as_the_intervals_say(loop: Network) -> None:
-    done = commission(loop, *record(loop.with_values(TRUTH)), starts=1)
-    drawn = done.drawn(4000)
+    done = commission(loop, *record(loop.with_values(TRUTH)), CommissionOptions(starts=1))
+    drawn = done.sample(4000)
     for name, sd in done.standard_error.items():
         column = drawn[:, loop.index([name])[0]]
-        if name not in done.cannot_tell and name not in done.at_bound:
+        if name not in done.unidentifiable and name not in done.at_bound:
             assert column.std() == pytest.approx(sd, rel=0.15), name
             assert column.mean() == pytest.approx(done.values[name], abs=0.2 * sd)
     others = [i for i, name in enumerate(loop.ids) if name not in done.values]
@@ -186,7 +194,7 @@ def test_what_the_record_shows_at_its_end_alone_is_fitted(loop: Network) -> None
     done = commission(loop, t, u, y)
     assert done.held_out_s[1] < 0.92 * t[-1]
     assert done.held_out_s[1] - done.held_out_s[0] == pytest.approx(0.2 * t[-1], abs=2.0)
-    assert "fins.UA_still" not in done.cannot_tell
+    assert "fins.UA_still" not in done.unidentifiable
     assert abs(done.values["fins.UA_still"] - 6.0) < 4.0 * done.standard_error["fins.UA_still"]
     for name, sigma in zip(loop.sensor_names, loop.sigma, strict=True):
         assert done.rmse_after[name] < 1.05 * sigma

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tests.twin.conftest import START, drive
-from twin.exact import right_side, simulate_exact
 from twin.kernel import simulate
 from twin.network import Network, TwinFileError
+from twin.reference_simulation import right_hand_side, simulate_exact
 from twin.twinfile import parse
 
 PAST = '\n[elements.short]\nkind = "bypass"\naround = {}\nfraction = {{ value = {}, status = "tunable" }}\n'
@@ -19,7 +19,7 @@ def past(loop_text: str, around: str, fraction: float) -> Network:
 
 
 def rates(net: Network) -> np.ndarray:
-    return np.array(right_side(net)(T, U, net.values))
+    return np.array(right_hand_side(net)(T, U, net.values))
 
 
 def test_past_one_node_it_is_an_effectiveness(loop: Network, loop_text: str) -> None:

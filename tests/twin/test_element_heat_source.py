@@ -8,7 +8,7 @@ import pytest
 from tests.twin.two_nodes import U, heat, network, worst_error
 from twin.discovery.effects.catalogue import catalogue
 from twin.elements.base import Candidate
-from twin.elements.heat_source import day
+from twin.elements.heat_source import daylight_parameters
 from twin.network import TwinFileError
 
 HOURS = U.size - 4
@@ -62,7 +62,7 @@ def test_time_of_day(hour: float) -> None:
 
 @pytest.mark.parametrize(("peak_h", "hours"), [(12.0, 12.0), (11.7, 8.5), (23.0, 14.0)])
 def test_a_day_is_as_long_and_as_warm_as_it_is_said_to_be(peak_h: float, hours: float) -> None:
-    values = "\n".join(f"{name} = {60.0 * value}" for name, value in day(peak_h, hours).items())
+    values = "\n".join(f"{name} = {60.0 * value}" for name, value in daylight_parameters(peak_h, hours).items())
 
     def at(hour: float) -> float:
         return float(heat(source("time_of_day_h", "daylight", values), inputs=at_hour(hour))[1])
@@ -75,7 +75,7 @@ def test_a_day_is_as_long_and_as_warm_as_it_is_said_to_be(peak_h: float, hours: 
 
 @pytest.mark.parametrize(("peak_h", "hours"), [(10.3, 3.4), (15.0, 18.5), (0.4, 9.0)])
 def test_any_day_can_be_come_near_to_from_those_that_are_tried_first(peak_h: float, hours: float) -> None:
-    wanted = np.maximum(form(day(peak_h, hours)), 0.0)
+    wanted = np.maximum(form(daylight_parameters(peak_h, hours)), 0.0)
 
     def off(candidate: Candidate) -> float:
         seen = np.maximum(form({name.rsplit(".", 1)[1]: value for name, value in candidate.changes.items()}), 0.0)

@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from tests.twin.two_nodes import U, drivers, heat, network, worst_error
-from twin.exact import right_side, simulate_exact
-from twin.kernel import Kernel, masked, simulate
+from twin.gauss_newton import FitData, linearise
+from twin.kernel import Kernel, mask_measurements, simulate
 from twin.network import TwinFileError
+from twin.reference_simulation import right_hand_side, simulate_exact
 
 ROOM = '[elements.x]\nkind = "radiation"\nnode = "a"\nambient = "T_ambient_C"\narea = 2.0\nemissivity = 0.8\n'
 PAIR = '[elements.x]\nkind = "radiation"\nnode = "a"\nto = "b"\narea = 3.0\n'
@@ -55,11 +56,11 @@ def test_gradient_at_no_area_is_that_of_a_small_one() -> None:
     net = network(ROOM.replace("area = 2.0", "area = 0.0"))
     t, u = drivers(60)
     kernel = Kernel(net, ("x.area",))
-    y, weight = masked(np.zeros((60, 2)))
+    y, weight = mask_measurements(np.zeros((60, 2)))
     steps = np.array([1e-4])
     full = np.tile(net.values, (2, 1))
     full[1, net.index(["x.area"])] += steps
-    linear = kernel.linearise(full, np.tile([70.0, 25.0], (2, 1)), steps, t, u, y, weight)
+    linear = linearise(kernel, full, np.tile([70.0, 25.0], (2, 1)), steps, FitData(t, u, y, weight))
     readings = kernel.trace(np.vstack([net.values, full[1]]), np.array([70.0, 25.0]), t, u)[0]
     slope = (readings[1] - readings[0]) / 1e-4
     assert linear.jtj[0, 0] == pytest.approx(float((slope**2).sum()), rel=1e-6)
@@ -105,7 +106,7 @@ def test_lagging_sensor_follows_a_radiating_node() -> None:
     net = network(ROOM + lagging)
     t, u = drivers(40)
     readings = simulate(net, t, u, np.array([70.0, 25.0]))
-    rhs = right_side(net)
+    rhs = right_hand_side(net)
     state = np.array([70.0, 25.0, 70.0])
     for i in range(t.size - 1):
         done = solve_ivp(

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin.exact import right_side
 from twin.kernel import simulate
 from twin.network import TwinFileError
+from twin.reference_simulation import right_hand_side
 from twin.steady import steady_readings
-from twin.twinfile import load, parse, text_of
+from twin.twinfile import load, parse, read_text
 
 FILE = Path(__file__).resolve().parents[2] / "profiles" / "twins" / "wet_tower_constant.toml"
 COLUMNS = ("T_in_C", "T_ambient_C", "humidity_pct", "fan_speed_pct", "flow_pct")
@@ -40,7 +40,7 @@ def test_heat_is_that_of_merkels_effectiveness() -> None:
     eps = (1.0 - decay) / (1.0 - m * decay)
     heat = eps * air * (enthalpy(38.0, pressure) - enthalpy(25.0, pressure, 0.4))
     expected = (water * 4180.0 * (38.0 - here) - heat) / 1.0e6
-    assert right_side(net)(np.array([here]), U, net.values)[0] == pytest.approx(expected, rel=1e-6)
+    assert right_hand_side(net)(np.array([here]), U, net.values)[0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_merkels_law_of_the_fill_is_two_exponents() -> None:
@@ -73,6 +73,6 @@ def test_it_stays_finite_where_nobody_runs_a_tower(row: tuple[float, ...]) -> No
 
 
 def test_a_fan_that_blows_no_air_is_refused() -> None:
-    text = text_of(FILE).replace("value = 8.715", "value = 1.0")
+    text = read_text(FILE).replace("value = 8.715", "value = 1.0")
     with pytest.raises(TwinFileError, match="air flow at full fan speed"):
         parse(text)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from tests.twin.conftest import LOOP
 from twin.elements import KINDS
-from twin.exact import right_side, simulate_exact
 from twin.kernel import simulate
 from twin.network import Network, TwinFileError
+from twin.reference_simulation import right_hand_side, simulate_exact
 from twin.twinfile import load, parse
 
 TWO = """
@@ -45,14 +45,14 @@ def rates(extra: str, temperatures: tuple[float, float] = (40.0, 30.0)) -> np.nd
     """Heat into a and b, W, of what `extra` adds to two linked nodes."""
 
     def heat(net: Network) -> np.ndarray:
-        return np.array(right_side(net)(np.array(temperatures), U, net.values)) * [1000.0, 4000.0]
+        return np.array(right_hand_side(net)(np.array(temperatures), U, net.values)) * [1000.0, 4000.0]
 
     return heat(parse(TWO + extra)) - heat(parse(TWO))
 
 
 def test_conduction() -> None:
     net = parse(TWO)
-    assert right_side(net)(np.array([40.0, 30.0]), U, net.values) == pytest.approx([-20.0 / 1000.0, 20.0 / 4000.0])
+    assert right_hand_side(net)(np.array([40.0, 30.0]), U, net.values) == pytest.approx([-20.0 / 1000.0, 20.0 / 4000.0])
 
 
 def test_ambient_loss() -> None:
@@ -92,7 +92,7 @@ def test_a_film_changes_its_share_with_the_flow() -> None:
     for pump in (100.0, 50.0):
         net = parse(TWO + FILM)
         u = np.array([0.0, pump, 0.0, 20.0])
-        with_flow = np.array(right_side(net)(np.array([40.0, 30.0]), u, net.values))[1] * 4000.0 - 20.0
+        with_flow = np.array(right_hand_side(net)(np.array([40.0, 30.0]), u, net.values))[1] * 4000.0 - 20.0
         at[pump] = with_flow / (3.0 / 60.0 * 0.997 * 4180.0 * pump / 100.0 * 10.0)
     assert at[100.0] == pytest.approx(0.2, rel=1e-9)
     # hA follows flow^0.3, so NTU = hA / m cp follows flow^-0.7
@@ -141,7 +141,7 @@ def test_loop_is_the_papers_equation_1() -> None:
         (mcp * (tm - tr) + (tm - tr) / r2 - (tr - tt) / r3 - ua * (tr - room)) / v["radiator.capacitance"],
         (mcp * (tr - tt) + (tr - tt) / r3 - v["tank_loss.hA"] * (tt - room)) / v["tank.capacitance"],
     ]
-    assert right_side(net)(np.array(temps), np.array(u), net.values) == pytest.approx(by_hand)
+    assert right_hand_side(net)(np.array(temps), np.array(u), net.values) == pytest.approx(by_hand)
 
 
 @given(
@@ -159,7 +159,7 @@ def test_stored_heat_is_what_comes_in_less_what_is_lost(temperatures, shares, po
     v = {name: p.value for name, p in net.parameters.items()}
     T, u = np.array(temperatures), np.array([power, pump, fan, room])
     capacity = np.array([v[f"{n}.capacitance"] for n in nodes])
-    stored = float(np.array(right_side(net)(T, u, net.values)) @ capacity)
+    stored = float(np.array(right_hand_side(net)(T, u, net.values)) @ capacity)
     ua = v["fins.UA_100"] * math.pow(max(fan, 0.1) / 100.0, v["fins.fan_exponent"]) + v["fins.UA_still"]
     loss = np.array([v["heater_loss.hA"], v["modules_loss.hA"], ua, v["tank_loss.hA"]]) @ (T - room)
     assert stored == pytest.approx(power - loss, rel=1e-9, abs=1e-6)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.twin.conftest import START, drive
-from twin.calibrators import make
-from twin.calibrators.base import Follower
-from twin.calibrators.kalman import Bounded, KalmanFilter
+from twin.calibrators import make_calibrator
+from twin.calibrators.base import SampleFilter
+from twin.calibrators.kalman import BoundedTransform, KalmanFilter
 from twin.gauss_newton import Scaling
 from twin.kernel import simulate
 from twin.network import Network
@@ -28,8 +28,8 @@ def record(net: Network, change: dict[str, float] | None = None, onset: int = 18
 
 
 def test_only_the_filter_follows_samples(loop: Network) -> None:
-    assert isinstance(make("kalman", loop), Follower)
-    assert not isinstance(make("pso", loop), Follower)
+    assert isinstance(make_calibrator("kalman", loop), SampleFilter)
+    assert not isinstance(make_calibrator("pso", loop), SampleFilter)
     t, u, y, _ = record(loop, n=700)
     assert TwinTracker(loop, "least_squares").push(t, u, y).filtered is None
 
@@ -105,7 +105,7 @@ def test_a_saved_filter_goes_on(loop: Network) -> None:
 
 def test_bounds_by_transformation(loop: Network) -> None:
     scaling = Scaling.of(loop, loop.tunables("nine"))
-    bounded = Bounded(scaling)
+    bounded = BoundedTransform(scaling)
     z = scaling.to_z(loop.values[scaling.index])
     assert np.allclose(bounded.to_z(bounded.to_w(z)), z)
     for w in (-1e6, 1e6):
@@ -118,4 +118,4 @@ def test_covariance_comes_with_the_numbers(loop: Network) -> None:
     done = TwinTracker(loop, KalmanFilter(loop, "nine")).push(t, u, y).calibrations[-1]
     assert done.covariance is not None
     assert np.linalg.eigvalsh(done.covariance / np.outer(*[np.sqrt(np.diag(done.covariance))] * 2)).min() > -1e-9
-    assert any("leans on earlier windows" in flag for flag in done.flags)
+    assert any("comes from earlier windows" in flag for flag in done.flags)

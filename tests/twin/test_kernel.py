@@ -11,9 +11,10 @@ from scipy.integrate import solve_ivp
 
 from tests.twin.conftest import LOOP, START, drive
 from twin.codegen import LANES
-from twin.exact import right_side, simulate_exact
-from twin.kernel import Kernel, clean_time, held, masked, simulate
+from twin.gauss_newton import FitData, linearise
+from twin.kernel import Kernel, clean_time, hold_inputs, mask_measurements, simulate
 from twin.network import Network, TwinFileError
+from twin.reference_simulation import right_hand_side, simulate_exact
 from twin.twinfile import parse
 
 
@@ -33,7 +34,7 @@ def spread(net: Network, ids: tuple[str, ...], count: int, seed: int = 0) -> np.
 
 def test_agrees_with_solve_ivp(loop: Network) -> None:
     t, u = drive(601, every=True)
-    rhs, state = right_side(loop), START.copy()
+    rhs, state = right_hand_side(loop), START.copy()
     rows = [state]
     for i in range(t.size - 1):  # restarted at each sample: an adaptive solver steps over the inputs' jumps
         done = solve_ivp(
@@ -89,7 +90,7 @@ def test_cost_is_the_sum_over_the_trace(loop: Network, twelve: Kernel) -> None:
     measured = simulate(loop, t, u, START)
     measured[40:60, 1] = np.nan
     measured[:, 3] = np.nan
-    y, weight = masked(measured, loop.sigma)
+    y, weight = mask_measurements(measured, loop.sigma)
     sse, end2 = twelve.cost(full, START, t, u, y, weight)
     by_hand = np.nansum(((readings - measured) / loop.sigma) ** 2, axis=1)
     assert sse == pytest.approx(by_hand, rel=1e-9, abs=1e-12)
@@ -106,8 +107,8 @@ def test_normal_equations_are_those_of_the_jacobian(loop: Network, twelve: Kerne
     full[np.arange(1, 1 + q), index] += steps
     measured = simulate(loop, t, u, START) + 0.1
     measured[::7, 2] = np.nan
-    y, weight = masked(measured, loop.sigma)
-    out = twelve.linearise(full, START, steps, t, u, y, weight)
+    y, weight = mask_measurements(measured, loop.sigma)
+    out = linearise(twelve, full, np.tile(START, (1 + q, 1)), steps, FitData(t, u, y, weight))
     readings, _ = twelve.trace(full, START, t, u)
     jacobian = ((readings[1:] - readings[0]) * weight).reshape(q, -1) / steps[:, None]
     residual = ((readings[0] - y) * weight).ravel()
@@ -129,7 +130,7 @@ def test_missing_inputs_hold_the_last_good_value(loop: Network) -> None:
     _, u = drive(6)
     u[0, 0] = u[2:4, 3] = np.nan
     u[5] = np.inf
-    filled = held(loop, u)
+    filled = hold_inputs(loop, u)
     assert filled[0, 0] == 700.0
     assert (filled[2:4, 3] == filled[1, 3]).all()
     assert (filled[5] == filled[4]).all()
@@ -176,7 +177,7 @@ def test_a_network_that_is_not_linear_agrees_with_solve_ivp(loop_text: str) -> N
     net = parse(loop_text + RADIATION)
     t, u = drive(301, every=True)
     kernel = Kernel(net, (*net.sets["nine"].members, "glow.area"))
-    rhs, state, rows = right_side(net), START.copy(), [START]
+    rhs, state, rows = right_hand_side(net), START.copy(), [START]
     for i in range(t.size - 1):
         span = (t[i], t[i + 1])
         done = solve_ivp(lambda _, T, i=i: rhs(T, u[i], net.values), span, state, rtol=1e-9, atol=1e-10)

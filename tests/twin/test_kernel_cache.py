@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from twin import kernel_cache
-from twin.kernel_cache import cache_root, compiled
+from twin.kernel_cache import cache_root, compile_kernel
 
 SOURCE = """
 @nb.njit('void(f8[::1])', cache=True)
@@ -38,17 +38,17 @@ class Trap:
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    compiled.cache_clear()
+    compile_kernel.cache_clear()
     kernel_cache._no_cache.cache_clear()
     yield tmp_path / "hil-twin"
-    compiled.cache_clear()
+    compile_kernel.cache_clear()
     kernel_cache._no_cache.cache_clear()
 
 
 def run(value: float) -> float:
-    compiled.cache_clear()
+    compile_kernel.cache_clear()
     out = np.zeros(1)
-    compiled(SOURCE.format(value=value))(out)
+    compile_kernel(SOURCE.format(value=value))(out)
     return float(out[0])
 
 
@@ -173,9 +173,9 @@ def test_functions_compiled_ahead_are_not_kept_where_others_may_write(
 
 SHARED = """
 import numpy as np
-from twin.kernel_cache import compiled
+from twin.kernel_cache import compile_kernel
 out = np.zeros(1)
-compiled({source!r})(out)
+compile_kernel({source!r})(out)
 print(out[0])
 """
 

@@ -5,11 +5,11 @@ import pytest
 from scipy.optimize import least_squares
 
 from tests.twin.conftest import START, drive
-from twin.calibrators import make
+from twin.calibrators import make_calibrator
 from twin.calibrators.base import Calibration, Window
-from twin.calibrators.windows import assemble
-from twin.gauss_newton import Data, Prior, Problem, Scaling
-from twin.kernel import Kernel, masked, simulate
+from twin.calibrators.windows import make_window
+from twin.gauss_newton import FitData, FitProblem, GaussianPrior, Scaling
+from twin.kernel import Kernel, mask_measurements, simulate
 from twin.network import Network
 from twin.tracking import TwinTracker
 
@@ -18,7 +18,7 @@ def window(net: Network, truth: Network, seed: int) -> Window:
     t, u = drive(600, seed)
     y = simulate(truth, t, u, START) + np.random.default_rng(seed).normal(0.0, 1.0, (600, 4)) * net.sigma
     live = simulate(net, t, u, START)
-    return assemble(0, t, u, y, START, net.values.copy(), live, net.rules)
+    return make_window(0, t, u, y, START, net.values.copy(), live, net.rules)
 
 
 @pytest.mark.parametrize("tunables", ["paper4", "nine", "twelve"])
@@ -30,8 +30,8 @@ def test_the_optimum_of_a_window_is_scipys(loop: Network, tunables: str) -> None
     q = len(ids)
     for seed in range(3):
         w = window(loop, truth, seed)
-        y, weight = masked(w.measured, loop.sigma)
-        problem = Problem(kernel, scaling, loop.values, Data(w.time, w.inputs, y, weight), START)
+        y, weight = mask_measurements(w.measured, loop.sigma)
+        problem = FitProblem(kernel, scaling, loop.values, FitData(w.time, w.inputs, y, weight), START)
         v0 = np.concatenate([scaling.to_z(loop.values[scaling.index]), START])
         width = np.concatenate([scaling.prior_sd(), np.full(4, 0.1)])
 
@@ -43,10 +43,10 @@ def test_the_optimum_of_a_window_is_scipys(loop: Network, tunables: str) -> None
 
         box = (problem.low, problem.high)
         oracle = least_squares(residual, v0, bounds=box, x_scale=width, xtol=1e-12, ftol=1e-12, gtol=1e-12)
-        ours = problem.minimise(v0, Prior(v0, np.diag(width**-2.0)), tolerance=1e-5)
+        ours = problem.minimise(v0, GaussianPrior(v0, np.diag(width**-2.0)), tolerance=1e-5)
         assert ours.cost <= 2.0 * oracle.cost * (1.0 + 1e-5)
         assert ours.evaluations < oracle.nfev + oracle.njev * q
-        ours = problem.minimise(v0, Prior(v0, np.diag(width**-2.0)), tolerance=1e-10)
+        ours = problem.minimise(v0, GaussianPrior(v0, np.diag(width**-2.0)), tolerance=1e-10)
         assert np.abs((ours.v - oracle.x) / width).max() < 0.02
 
 
@@ -60,10 +60,10 @@ def test_a_cold_fit_reaches_the_best_known_of_many_starts(loop: Network, tunable
         rng = np.random.default_rng(seed)
         truth = scaling.to_values(z + 0.5 * rng.normal(0.0, plausible))
         w = window(loop, loop.with_values(dict(zip(ids, truth.tolist(), strict=True))), seed)
-        y, weight = masked(w.measured, loop.sigma)
-        problem = Problem(kernel, scaling, loop.values, Data(w.time, w.inputs, y, weight), START)
+        y, weight = mask_measurements(w.measured, loop.sigma)
+        problem = FitProblem(kernel, scaling, loop.values, FitData(w.time, w.inputs, y, weight), START)
         v0 = np.concatenate([z, START + rng.normal(0.0, 0.3, 4)])
-        prior = Prior(v0, np.diag(np.concatenate([4.0 * plausible, np.full(4, 2.0)]) ** -2))
+        prior = GaussianPrior(v0, np.diag(np.concatenate([4.0 * plausible, np.full(4, 2.0)]) ** -2))
         starts = [scaling.to_z(scaling.to_values(z + rng.normal(0.0, plausible))) for _ in range(3)]
         fits = [problem.minimise(np.concatenate([s, START]), prior, most=80, tolerance=1e-10) for s in starts]
         ours = problem.minimise(v0, prior, tolerance=1e-5)
@@ -115,7 +115,7 @@ def test_resistance_at_its_lower_bound(loop: Network, name: str) -> None:
     """R to 0 is the stiff corner of the box."""
     low = float(loop.parameters["radiator_to_tank.resistance"].lower)
     stiff = loop.with_values({"radiator_to_tank.resistance": low})
-    done: Calibration = make(name, stiff, "paper4", seed=0).calibrate(window(stiff, stiff, 1))
+    done: Calibration = make_calibrator(name, stiff, "paper4", seed=0).calibrate(window(stiff, stiff, 1))
     assert np.isfinite(list(done.values.values())).all()
     assert np.isfinite(done.fitted).all()
     assert done.error_K < 0.1
@@ -131,9 +131,9 @@ def test_descent_goes_on_where_several_tunables_reach_their_longest_step(loop: N
     there = loop.values.copy()
     there[scaling.index] = scaling.to_values(far)
     y = simulate(loop, t, u, START, there)
-    problem = Problem(kernel, scaling, loop.values, Data(t, u, *masked(y, loop.sigma)), START)
+    problem = FitProblem(kernel, scaling, loop.values, FitData(t, u, *mask_measurements(y, loop.sigma)), START)
     v = np.concatenate([here, START])
-    flat = Prior(v, np.diag(np.concatenate([1e-8 * np.ones(len(ids)), np.ones(START.size)])))
+    flat = GaussianPrior(v, np.diag(np.concatenate([1e-8 * np.ones(len(ids)), np.ones(START.size)])))
     fit = problem.minimise(v, flat, held=np.arange(v.size) >= len(ids), most=100)
     assert fit.sse.sum() < 1e-3
 
@@ -169,8 +169,8 @@ def test_intervals_do_not_shrink_with_the_sampling_rate(loop: Network) -> None:
         t, u = drive(600, 1)
         y = simulate(loop, t, u, START) + np.random.default_rng(1).normal(0.0, 1.0, (600, 4)) * loop.sigma
         t, u, y = (np.ascontiguousarray(a[::pace]) for a in (t, u, y))
-        w = assemble(0, t, u, y, START, loop.values.copy(), simulate(loop, t, u, START), loop.rules)
-        found = make("least_squares", loop, "paper4").calibrate(w).covariance
+        w = make_window(0, t, u, y, START, loop.values.copy(), simulate(loop, t, u, START), loop.rules)
+        found = make_calibrator("least_squares", loop, "paper4").calibrate(w).covariance
         assert found is not None
         spreads.append(np.sqrt(np.diag(found)))
     assert np.all(spreads[1] < 1.3 * spreads[0])

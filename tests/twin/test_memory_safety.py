@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.twin.conftest import ROOT
-from twin.kernel import Kernel, masked
+from twin.kernel import Kernel, mask_measurements
 from twin.network import Network
 from twin.twinfile import load
 
@@ -23,7 +23,7 @@ CHECKED = """
 import sys
 from pathlib import Path
 import numpy as np
-from twin.kernel import Kernel, masked
+from twin.kernel import Kernel, mask_measurements
 from twin.twinfile import load
 net = load(Path(sys.argv[1]))
 ids = net.tunables()
@@ -40,13 +40,12 @@ for n in (1, 2, 300):
         full = np.tile(net.values, (3, 1))
         full[1:, at] = np.clip(full[1:, at] * rng.uniform(0.7, 1.4, (2, len(ids))), low, high)
         state = np.full(len(net.nodes), 30.0)
-        y, weight = masked(np.full((n, len(net.sensors)), 30.0))
+        y, weight = mask_measurements(np.full((n, len(net.sensors)), 30.0))
         for rows in (full[:1], full):
             first, end = kernel.trace(rows, state, time, u)
             again, end = kernel.trace(rows, end, time + time[-1], u)
             assert np.isfinite(first).all() and np.isfinite(again).all()
             kernel.cost(rows, end, time, u, y, weight)
-        kernel.linearise(full, state, np.ones(2), time, u, y, weight)
 print("inside")
 """
 
@@ -101,7 +100,7 @@ def test_the_number_of_particles_changes_nothing(pipe: Kernel, seed: int, count:
     together, ends = pipe.trace(np.tile(net.values, (count, 1)), start, time, inputs)
     assert np.abs(together - alone).max() < 1e-9
     assert np.nanmax(np.abs(ends - end)) < 1e-9
-    y, weight = masked(alone[0] + 0.1, 1.0)
+    y, weight = mask_measurements(alone[0] + 0.1, 1.0)
     sse, _ = pipe.cost(np.tile(net.values, (count, 1)), start, time, inputs, y, weight)
     assert sse == pytest.approx(np.tile(sse[:1], (count, 1)), rel=1e-12)
     assert sse[0, 0] == pytest.approx(0.01 * len(time), rel=1e-6)

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.assembly import System, python_source, remembering_source
+from twin.assembly import System, python_source, stateful_source
 from twin.codegen import MODES, kernel_source
 from twin.elements.symbols import Names, Symbols
-from twin.generated_code import MATH, GeneratedCodeError, checked, functions, value
+from twin.generated_code import MATH, GeneratedCodeError, check_source, define_functions, evaluate_formula
 from twin.network import Network, TwinFileError
 from twin.twinfile import parse
 
@@ -78,7 +78,7 @@ def test_no_name_is_part_of_generated_source_even_past_the_reader(loop: Network,
     odd = renamed(loop, loop.input_columns[1], name)
     assert name in odd.input_columns
     assert python_source(odd) == python_source(loop)
-    assert remembering_source(System(odd, odd.ids)) == remembering_source(System(loop, loop.ids))
+    assert stateful_source(System(odd, odd.ids)) == stateful_source(System(loop, loop.ids))
     for mode in MODES:
         assert kernel_source(odd, mode, odd.tunables()) == kernel_source(loop, mode, loop.tunables())
 
@@ -137,14 +137,14 @@ FORBIDDEN = {
 @pytest.mark.parametrize("source", FORBIDDEN.values(), ids=FORBIDDEN.keys())
 def test_whatever_is_no_arithmetic_is_refused_before_it_runs(source: str) -> None:
     with pytest.raises(GeneratedCodeError, match="generated source"):
-        checked(source, {"nb": None, "np": None, "FAST": None})
+        check_source(source, {"nb": None, "np": None, "FAST": None})
 
 
 def test_generated_functions_run_without_builtins() -> None:
-    scope = functions("def f(x):\n    return exp(max(x, 0.0)) + abs(x)\n", "<test>", MATH)
+    scope = define_functions("def f(x):\n    return exp(max(x, 0.0)) + abs(x)\n", "<test>", MATH)
     assert scope["f"](1.0) == math.e + 1.0
     assert "open" not in scope["__builtins__"] and "__import__" not in scope["__builtins__"]
-    assert value("2.0 * p3", {"p3": 4.0}) == 8.0
+    assert evaluate_formula("2.0 * p3", {"p3": 4.0}) == 8.0
 
 
 @pytest.mark.parametrize("twin", ["loop_six", "virtual", "heated_pipe", "wet_tower_constant"])
@@ -153,5 +153,5 @@ def test_all_that_the_generators_write_passes_the_check(twin: str) -> None:
 
     network = load(Path(__file__).resolve().parents[2] / "profiles" / "twins" / f"{twin}.toml")
     for mode in MODES:
-        tree = checked(kernel_source(network, mode, network.ids), {"nb": 0, "np": 0, "log": 0, "FAST": 0})
+        tree = check_source(kernel_source(network, mode, network.ids), {"nb": 0, "np": 0, "log": 0, "FAST": 0})
         assert any(isinstance(n, ast.FunctionDef) and n.name == "kernel" for n in tree.body)

@@ -5,9 +5,9 @@ import pytest
 
 from tests.twin.conftest import ROOT
 from tests.twin.test_remembering import LINE
-from twin.exact import simulate_finely
 from twin.kernel import Kernel, simulate
 from twin.network import Network, TwinFileError
+from twin.reference_simulation import simulate_fine_steps
 from twin.twinfile import load, parse
 
 TWINS = ROOT / "profiles" / "twins"
@@ -30,8 +30,8 @@ def test_the_loop_of_six_modules_agrees_with_small_steps(six: Network) -> None:
     start = np.linspace(38.0, 34.0, len(six.nodes))  # so water of other temperatures stands in the pipes: jumps
     for share, most in ((0.6, 2e-4), (0.95, 2e-4)):
         net = six.with_values({"circuit.effectiveness_pm1": share})
-        fine = simulate_finely(net, time, inputs, start, 100)
-        assert np.abs(fine - simulate_finely(net, time, inputs, start, 50)).max() < most
+        fine = simulate_fine_steps(net, time, inputs, start, 100)
+        assert np.abs(fine - simulate_fine_steps(net, time, inputs, start, 50)).max() < most
         assert np.abs(simulate(net, time, inputs, start) - fine).max() < most
 
 
@@ -62,7 +62,7 @@ def test_steps_of_inlet_and_flow_in_a_pipe_agree_with_small_steps() -> None:
     inputs[60:70, net.input_columns.index("flow_pct")] = 0.0
     inputs[90:, net.input_columns.index("T_water_in_C")] = 25.0
     start = np.full(len(net.nodes), 18.0)
-    fine, finer = (simulate_finely(net, time, inputs, start, pieces) for pieces in (100, 200))
+    fine, finer = (simulate_fine_steps(net, time, inputs, start, pieces) for pieces in (100, 200))
     got = simulate(net, time, inputs, start)
     assert np.abs(finer - fine).max() < 1e-2
     # A step of 27 K loses its shape in the slot of 1/60 of the pipe that it falls into, but no heat.
@@ -86,4 +86,4 @@ def test_water_that_has_been_pushed_differently_is_taken_up_by_every_lane(six: N
 def test_the_slow_simulation_refuses_actuators() -> None:
     net = parse(LINE).with_values({"relay.lag_s": 5.0})
     with pytest.raises(TwinFileError, match="actuators"):
-        simulate_finely(net, [0.0, 1.0], np.tile(net.nominal_inputs, (2, 1)), np.full(len(net.nodes), 20.0))
+        simulate_fine_steps(net, [0.0, 1.0], np.tile(net.nominal_inputs, (2, 1)), np.full(len(net.nodes), 20.0))

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from twin.kernel import Kernel, masked, simulate
+from twin.gauss_newton import FitData, linearise
+from twin.kernel import Kernel, mask_measurements, simulate
 from twin.network import Network
 from twin.twinfile import dump, parse
 
@@ -220,8 +221,8 @@ def test_jacobian_is_that_of_central_differences(kernel: Kernel, name: str, valu
     base[index] = value
     full = np.tile(base, (2, 1))
     full[1, index] += 1e-6
-    y, weight = masked(np.full((N, 2), 20.0))
-    out = kernel.linearise(full, REST, np.array([1e-6]), TIME, u, y, weight)
+    y, weight = mask_measurements(np.full((N, 2), 20.0))
+    out = linearise(kernel, full, np.tile(REST, (2, 1)), np.array([1e-6]), FitData(TIME, u, y, weight))
     low = base.copy()
     low[index] = max(value - step, 0.0)
     high = base.copy()

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from twin.network import Network, Revision, TwinFileError
 from twin.revisions import chain, diff, next_path, parent_of, revert, save_revision, with_elements
-from twin.twinfile import as_tables, build, dump, edited, load, parse, save, text_of
+from twin.twinfile import dump, from_tables, is_edited, load, parse, read_text, save, to_tables
 
 HEAT = {
     "kind": "heat_source",
@@ -103,7 +103,7 @@ def test_a_new_input_column(loop: Network) -> None:
 
 
 def test_a_shared_value_is_changed_where_it_is(loop: Network) -> None:
-    lid = as_tables(loop)["elements"]["modules_loss"] | {"hA": {"same_as": "tank_loss.hA"}}
+    lid = to_tables(loop)["elements"]["modules_loss"] | {"hA": {"same_as": "tank_loss.hA"}}
     net = with_elements(loop, {"lid": lid})
     assert with_elements(net, {}, {"tank_loss.hA": 1.25}).parameters["lid.hA"].value == 1.25
     with pytest.raises(TwinFileError, match=r"lid\.hA of twin 'loop' is the same as tank_loss\.hA; change that one"):
@@ -173,10 +173,10 @@ def test_writing_and_reading_lose_nothing_of_a_revision(loop: Network, revision:
 
 
 def test_names_that_need_quotes_are_refused_where_they_become_code(loop: Network) -> None:
-    data = as_tables(loop)
+    data = to_tables(loop)
     data["inputs"]["T dew_C"] = {"nominal": 10.0}
     with pytest.raises(TwinFileError, match="'T dew_C' cannot be a name"):
-        build(data, "a test")
+        from_tables(data, "a test")
 
 
 def test_a_revision_of_older_files_is_read(loop_text: str) -> None:
@@ -211,7 +211,7 @@ def test_a_chain_of_three_with_a_revert(first: Path) -> None:
     assert [e.network.revision.number for e in entries] == [3, 2, 1]
     assert not any(e.remarks or e.faults for e in entries)
     assert entries[0].network.revision.notes == (
-        "undoes my_twin.r2.toml (revision 2): says what my_twin.toml (revision 1) says",
+        "undoes my_twin.r2.toml (revision 2): restores my_twin.toml (revision 1)",
     )
     assert entries[0].network.revision.made_by == "me"
     assert entries[0].network.revision.evidence == ""
@@ -288,13 +288,13 @@ def test_a_renamed_parent_is_found(first: Path) -> None:
 
 def test_of_two_copies_the_one_with_the_right_name_is_the_parent(first: Path) -> None:
     second = save_revision(heated(first), first)
-    first.with_name("a_copy.toml").write_text(text_of(first), encoding="utf-8")
+    first.with_name("a_copy.toml").write_text(read_text(first), encoding="utf-8")
     assert parent_of(second) == first
 
 
 def test_a_parent_that_was_edited_is_a_fault(first: Path) -> None:
     second = save_revision(heated(first), first)
-    first.write_text(text_of(first).replace("value = 71.0", "value = 72.0"), encoding="utf-8")
+    first.write_text(read_text(first).replace("value = 71.0", "value = 72.0"), encoding="utf-8")
     (only,) = chain(second)
     assert only.remarks == ()
     assert only.faults[0].startswith("my_twin.toml was edited after my_twin.r2.toml was made of it")
@@ -304,8 +304,8 @@ def test_a_parent_that_was_edited_is_a_fault(first: Path) -> None:
 
 def test_a_file_that_was_edited_after_it_was_saved_is_a_fault(first: Path) -> None:
     second = save_revision(heated(first), first)
-    assert not edited(text_of(second), load(second).revision.checksum)
-    second.write_text(text_of(second).replace("value = 181.0", "value = 182.0"), encoding="utf-8")
+    assert not is_edited(read_text(second), load(second).revision.checksum)
+    second.write_text(read_text(second).replace("value = 181.0", "value = 182.0"), encoding="utf-8")
     entries = chain(second)
     assert len(entries) == 2
     assert entries[0].faults[0].startswith("my_twin.r2.toml was edited after it was saved")
@@ -318,7 +318,7 @@ def test_a_parent_that_cannot_be_used_ends_the_chain(first: Path, loop_text: str
     import hashlib
 
     sha = hashlib.sha256(old.read_bytes()).hexdigest()
-    text = text_of(first).replace("number = 1\n", f'number = 1\nparent = "{sha}"\n').split("checksum")[0]
+    text = read_text(first).replace("number = 1\n", f'number = 1\nparent = "{sha}"\n').split("checksum")[0]
     child = first.with_name("child.toml")
     child.write_text(text, encoding="utf-8")
     (only,) = chain(child)
@@ -391,10 +391,10 @@ def test_differences_both_ways(loop: Network) -> None:
 
 
 def test_a_member_of_a_set_is_one_change(loop: Network) -> None:
-    data = as_tables(loop)
+    data = to_tables(loop)
     gone = data["sets"]["nine"]["members"].pop()["parameter"]
     data["windows"]["large_K"] = 0.75
-    changed = diff(loop, build(data, "a test")).changed
+    changed = diff(loop, from_tables(data, "a test")).changed
     assert [c.key for c in changed] == ["windows.large_K", f"sets.nine.members.{gone}"]
     assert changed[1].after == "absent"
 
@@ -404,10 +404,10 @@ def test_where_a_twin_comes_from_is_no_difference(loop: Network) -> None:
 
 
 def test_an_element_of_another_kind_is_removed_and_added(loop: Network) -> None:
-    data = as_tables(loop)
+    data = to_tables(loop)
     data["elements"]["extra"] = dict(HEAT, power=5.0)
-    a = build(data, "a test")
+    a = from_tables(data, "a test")
     data["elements"]["extra"] = {"kind": "conduction", "from": "tank", "to": "heater", "resistance": 1.0}
-    found = diff(a, build(data, "a test"))
+    found = diff(a, from_tables(data, "a test"))
     assert [p.kind for p in found.removed] == ["heat_source"]
     assert [p.kind for p in found.added] == ["conduction"]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.twin.conftest import LOOP, START, drive
 from twin.kernel import simulate
 from twin.network import Network, TwinFileError
-from twin.tracking import TwinTracker, Update
+from twin.tracking import TrackerUpdate, TwinTracker
 from twin.twinfile import load, parse
 
 Stream = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -22,12 +22,12 @@ def stream(net: Network, n: int, seed: int = 0, truth: Network | None = None) ->
     return t, u, simulate(truth or net, t, u, START) + rng.normal(0.0, 1.0, (n, 4)) * net.sigma
 
 
-def run(tracker: TwinTracker, s: Stream, cuts: list[int] | None = None) -> list[Update]:
+def run(tracker: TwinTracker, s: Stream, cuts: list[int] | None = None) -> list[TrackerUpdate]:
     edges = [0, *sorted(set(cuts or [])), len(s[0])]
     return [tracker.push(*(x[a:b] for x in s)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
 
 
-def joined(updates: list[Update]) -> tuple[np.ndarray, np.ndarray, list[dict[str, float]]]:
+def joined(updates: list[TrackerUpdate]) -> tuple[np.ndarray, np.ndarray, list[dict[str, float]]]:
     return (
         np.concatenate([u.static for u in updates]),
         np.concatenate([u.tracked for u in updates]),
@@ -244,7 +244,7 @@ def test_beginning_again_keeps_what_was_learned_and_finds_the_state_anew(loop: N
     tracker = TwinTracker(loop, name, seed=2)
     run(tracker, (t[:1300], u[:1300], y[:1300]))
     learned = tracker.values
-    tracker.begin_again()
+    tracker.restart()
     assert tracker.values == learned
     # An hour that nobody saw, in which the rig has cooled: the twin is at once where the readings are.
     later, drive_ = t[1300:] + 3600.0, u[1300:]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from twin.exact import right_side
 from twin.kernel import simulate
 from twin.network import Network
+from twin.reference_simulation import right_hand_side
 from twin.twinfile import parse
 
 TWO = """
@@ -54,7 +54,7 @@ def heat(extra: str, temperatures: tuple[float, float] = (40.0, 30.0), inputs: n
     """Heat into a and b, W, of what `extra` adds to the two nodes."""
 
     def into(net: Network) -> np.ndarray:
-        return np.array(right_side(net)(np.array(temperatures), inputs, net.values)) * CAPACITY
+        return np.array(right_hand_side(net)(np.array(temperatures), inputs, net.values)) * CAPACITY
 
     return into(network(extra)) - into(parse(TWO))
 
@@ -71,7 +71,7 @@ def worst_error(extra: str, start: tuple[float, float] = (70.0, 25.0), n: int = 
     """Largest difference, K, between the kernel and solve_ivp restarted at every sample."""
     net = network(extra)
     t, u = drivers(n, seed)
-    rhs = right_side(net)
+    rhs = right_hand_side(net)
     expected = np.empty((n, 2))
     expected[0] = start
     for i in range(n - 1):

@@ -4,46 +4,67 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from twin.calibrators.base import Calibration, Calibrator, Kind, Window
+from twin.calibrators.base import Calibration, Calibrator, Window, WindowKind
 from twin.network import Network, TwinFileError
 
-__all__ = ["ANY_TWIN", "FITTING", "NAMES", "Calibration", "Calibrator", "Kind", "Window", "make"]
+__all__ = [
+    "ANY_TWIN_CALIBRATORS",
+    "CALIBRATOR_NAMES",
+    "UNTRAINED_CALIBRATORS",
+    "Calibration",
+    "Calibrator",
+    "Window",
+    "WindowKind",
+    "make_calibrator",
+]
 
-FITTING = ("pso", "pso_paper", "least_squares", "kalman")
-"""Those that need nothing but a window; the others need what training made."""
-NAMES = (*FITTING, "hiera_unet", "hiera_ls")
-ANY_TWIN = ("pso", "least_squares", "kalman")
-"""Those that are not of the coolant loop only."""
+UNTRAINED_CALIBRATORS = ("pso", "pso_paper", "least_squares", "kalman")
+"""Calibrators that need nothing but a window; the others need a trained network."""
+CALIBRATOR_NAMES = (*UNTRAINED_CALIBRATORS, "hiera_unet", "hiera_ls")
+"""Names of all calibrators."""
+ANY_TWIN_CALIBRATORS = ("pso", "least_squares", "kalman")
+"""Calibrators for any twin; the others are for the coolant loop."""
 
 
-def make(
+def make_calibrator(
     name: str, network: Network, tunables: str | None = None, seed: int = 0, card: Path | None = None
 ) -> Calibrator:
-    """Calibrator by name: ``pso`` (tuned swarm), ``pso_paper`` (Table 2 to the letter), ``least_squares``,
-    ``kalman`` (filter), ``hiera_unet`` (trained network; needs the extra ``ml``), ``hiera_ls`` (that, then least
-    squares).
+    """Make a calibrator by its name.
 
-    Args:
-        tunables: a set of the twin; without one `usual` says which, for ``pso_paper`` it is ``paper4``.
-        card: of the ensemble that ``hiera_unet`` and ``hiera_ls`` ask; without one it is the shipped one.
+    Parameters
+    ----------
+    name
+        ``pso`` (tuned swarm), ``pso_paper`` (Table 2 to the letter), ``least_squares``, ``kalman`` (filter),
+        ``hiera_unet`` (trained network; needs the extra ``ml``), ``hiera_ls`` (network, then least squares).
+    network
+        The commissioned twin.
+    tunables
+        A set of the twin; without one that of `default_tunables`, for ``pso_paper`` it is ``paper4``.
+    seed
+        Seed of the random generator.
+    card
+        Card of the ensemble for ``hiera_unet`` and ``hiera_ls``; the shipped one by default.
 
-    Raises:
-        TwinFileError: no such calibrator or set, or the calibrator is of the coolant loop only and the twin is none.
-        HieraError: there is no trained network for this twin, or the one of `card` does not fit it.
+    Raises
+    ------
+    TwinFileError
+        There is no such calibrator or set, or the calibrator is for the coolant loop and the twin is another plant.
+    HieraError
+        There is no trained network for this twin, or that of `card` does not fit it.
     """
     if name == "pso":
         from twin.calibrators.pso import Swarm
 
-        return Swarm(network, tunables or usual(network), "tuned", seed)
+        return Swarm(network, tunables or default_tunables(network), "tuned", seed)
     if name == "least_squares":
         from twin.calibrators.least_squares import LeastSquares
 
-        return LeastSquares(network, tunables or usual(network))
+        return LeastSquares(network, tunables or default_tunables(network))
     if name == "kalman":
         from twin.calibrators.kalman import KalmanFilter
 
-        return KalmanFilter(network, tunables or usual(network))
-    if name in NAMES:
+        return KalmanFilter(network, tunables or default_tunables(network))
+    if name in CALIBRATOR_NAMES:
         _require_loop(name, network, tunables)
     if name == "pso_paper":
         from twin.calibrators.pso import Swarm
@@ -59,15 +80,16 @@ def make(
 
         asked = HieraUNetCalibrator.shipped(network, tunables or "nine", card)
         return RefinedCalibrator(network, asked, tunables or "nine")
-    raise TwinFileError(f"no calibrator {name!r}; there are: {', '.join(NAMES)}")
+    raise TwinFileError(f"no calibrator {name!r}; there are: {', '.join(CALIBRATOR_NAMES)}")
 
 
-def usual(network: Network) -> str | tuple[str, ...]:
-    """What is calibrated where nothing is named: the set ``nine``, else ``commission``, else the twin's only set,
-    else every tunable.
+def default_tunables(network: Network) -> str | tuple[str, ...]:
+    """Return the tunables where none are named: the set ``nine``, ``commission``, the twin's only set, or all tunables.
 
-    Raises:
-        TwinFileError: there is nothing to calibrate.
+    Raises
+    ------
+    TwinFileError
+        There is nothing to calibrate.
     """
     for name in ("nine", "commission", *(network.sets if len(network.sets) == 1 else ())):
         if name in network.sets:
@@ -82,10 +104,10 @@ def usual(network: Network) -> str | tuple[str, ...]:
 
 
 def _require_loop(name: str, network: Network, tunables: str | None) -> None:
-    """Raise TwinFileError where a calibrator that is of the coolant loop only meets another twin."""
+    """Raise TwinFileError for a twin without the sets of the coolant loop."""
     wanted = "paper4" if name == "pso_paper" else "nine"
     if tunables is None and wanted not in network.sets:
         raise TwinFileError(
             f"{name} is of the coolant loop only, and twin {network.name!r} has no set {wanted!r} as the "
-            f"loop has; {', '.join(ANY_TWIN[:-1])} and {ANY_TWIN[-1]} take any twin"
+            f"loop has; {', '.join(ANY_TWIN_CALIBRATORS[:-1])} and {ANY_TWIN_CALIBRATORS[-1]} take any twin"
         )

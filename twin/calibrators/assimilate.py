@@ -19,19 +19,31 @@ def assimilate(
     filtered: np.ndarray,
     spread: np.ndarray,
 ) -> tuple[float, int]:
-    """Work n samples of m sensors into an estimate of N quantities, in place.
+    """Update an estimate of N quantities with n samples of m sensors, in place.
 
     Scalar updates, the noise of the sensors being independent, with the covariance in Joseph's form: symmetric and
     never negative in spite of rounding (Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and
     Navigation, 2001, sec. 7.3).
 
-    Args:
-        jacobian: (n, m, N). predicted: (n, m) at estimate 0. measured: (n, m), NaN where masked. variance: (m,).
-        estimate: (N,). covariance: (N, N).
-        filtered, spread: (n, m) out: the readings after each sample, and their standard deviations.
+    Parameters
+    ----------
+    jacobian
+        (n, m, N).
+    predicted
+        (n, m) at estimate 0.
+    measured
+        (n, m), NaN where masked.
+    variance
+        (m,).
+    estimate, covariance
+        (N,) and (N, N), updated in place.
+    filtered, spread
+        (n, m) output: the readings after each sample, and their standard deviations.
 
-    Returns:
-        Sum of the normalised innovations squared, and how many there were.
+    Returns
+    -------
+    tuple
+        Sum of the normalised innovations squared, and their number.
     """
     n, m, size = jacobian.shape
     total, count = 0.0, 0

@@ -1,21 +1,21 @@
 """Joint state and parameter Kalman filter: an estimate with every sample, a calibration with every window.
 
 The extended filter of Jazwinski (Stochastic Processes and Filtering Theory, 1970, sec. 8.3) on [parameters w, node
-temperatures K]. The model is linear in the temperatures and mildly not in the parameters, so its derivatives, taken as
-lane differences along the predicted trajectory, are renewed every RENEW_S only; in between a sample costs a scalar
-update per sensor.
+temperatures K]. The model is linear in the temperatures and mildly not in the parameters. So its derivatives, lane
+differences along the predicted trajectory, are renewed every RENEW_S only; in between a sample costs a scalar update
+per sensor.
 
-A naive joint filter diverges with nine tunables. Hence: parameters in units of what is plausible for them, kept
-inside their bounds by a transformation w; the commissioned values as an informative prior; a small random walk; and
-innovations that are larger than they should be open the parameters again, piece by piece and only as far as it takes.
-A window that the filter could not follow even so (a change too slow for single innovations, or so large that a
-derivative at the wrong place leads astray) is fitted by least squares, from where the filter stood before it, and the
-filter goes on from there.
+A naive joint filter diverges with nine tunables. Hence: parameters in units of their plausible range, held inside their
+bounds by a transformation w; the commissioned values as an informative prior; a small random walk; and innovations
+that are larger than expected widen the parameters' covariance again, segment by segment and only as far as needed.
+Some windows the filter cannot follow even so: a change is too slow for single innovations, or so large that a
+derivative at the wrong place misleads. They are fitted by least squares, from the filter's estimate before the window,
+and the filter continues from there.
 
-What is compared with the other calibrators is the same as theirs: `tracked` runs free from the parameters and the
-state at the end of the last completed window; `fitted` is the window simulated again with the parameters at its end,
-from a re-estimated initial state. The filtered readings, which have seen the sample that they describe, are offered
-beside that, with their standard deviation, and belong in no table of predictions.
+The results compared with the other calibrators are defined alike. `tracked` runs free from the parameters and the
+state at the end of the last completed window. `fitted` is the window simulated again with the parameters at its end,
+from a re-estimated initial state. The filtered readings have seen the sample that they describe; they are offered
+with their standard deviation and belong in no table of predictions.
 """
 
 from __future__ import annotations
@@ -27,30 +27,30 @@ from typing import Any
 import numpy as np
 
 from twin.calibrators.assimilate import assimilate
-from twin.calibrators.base import Calibration, Estimate, Window, from_plain, misfit, plain
-from twin.calibrators.identifiability import told_by
-from twin.calibrators.outcome import Report, conclude
-from twin.calibrators.posterior import Posterior, fit_window, no_wider, weighted
-from twin.calibrators.structure_error import lasting
-from twin.gauss_newton import Linearisation, Problem, Scaling
+from twin.calibrators.base import Calibration, FilteredReadings, Window, from_json, normalised_misfit, to_json
+from twin.calibrators.identifiability import window_information
+from twin.calibrators.posterior import WindowPosterior, WindowPrior, fit_window, limit_covariance, window_data
+from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
+from twin.calibrators.structural_error import structural_covariance
+from twin.gauss_newton import FitProblem, Linearisation, Scaling
 from twin.kernel import Kernel
 from twin.network import Array, Network
 
 RENEW_S = 30.0
-"""Length of a piece between linearisations."""
+"""Length of a filter segment between linearisations, s."""
 FIRST_SHARE = 0.3
-"""Width of the first prior, round the commissioned values, as a share of what is plausible."""
+"""Width of the first prior, around the commissioned values, as a share of the plausible range."""
 QUIET_SHARE = 0.02
-"""Random walk of the parameters in 600 s, as a share of what is plausible."""
+"""Random walk of the parameters in 600 s, as a share of the plausible range."""
 WALK_J = 10.0
-"""Random walk of each volume's heat in 60 s: what the model leaves out."""
+"""Random walk of each volume's heat in 60 s, J: the effects that the model leaves out."""
 FIRST_STATE_K = 0.05
 LEAST_STATE_K = 0.02
 WIDEST_STATE_K = 5.0
 SURPRISE = 1.3
-"""Root mean square of the normalised innovations of a piece above which the parameters are opened."""
+"""Root mean square of a segment's normalised innovations above which the parameters' covariance is widened."""
 OPENING = 0.3
-"""How far, per unit of surprise, as a share of what is plausible."""
+"""Widening per unit of excess, as a share of the plausible range."""
 _ARRAYS = ("centre", "lanes", "deviation", "inputs", "covariance")
 _NUMBERS = ("began", "time", "surprise", "count")
 _INSIDE = 0.999
@@ -58,8 +58,10 @@ _STEP = 1e-4
 _STATE_STEP = 1e-2
 
 
-class Bounded:
-    """Between z inside its bounds and w without any: z = mid + half tanh((w - mid) / half), slope 1 in the middle."""
+class BoundedTransform:
+    """The map between z inside its bounds and w without any: z = mid + half tanh((w - mid) / half), slope 1 in the
+    middle.
+    """
 
     def __init__(self, scaling: Scaling) -> None:
         low, high = scaling.to_z(scaling.lower), scaling.to_z(scaling.upper)
@@ -68,30 +70,40 @@ class Bounded:
         self.limits = self.mid - reach, self.mid + reach
 
     def to_w(self, z: Array) -> Array:
+        """Return z as w."""
         inside = np.clip((z - self.mid) / self.half, -_INSIDE, _INSIDE)
         w: Array = self.mid + self.half * np.arctanh(inside)
         return w
 
     def to_z(self, w: Array) -> Array:
+        """Return w as z."""
         z: Array = self.mid + self.half * np.tanh((w - self.mid) / self.half)
         return z
 
     def slope(self, w: Array) -> Array:
-        """dz / dw."""
+        """Return dz / dw."""
         slope: Array = 1.0 - np.tanh((w - self.mid) / self.half) ** 2
         return slope
 
 
 @dataclass
-class _Piece:
-    """Where the filter is inside a piece of RENEW_S.
+class _FilterSegment:
+    """State of the filter inside a segment of RENEW_S.
 
-    Attributes:
-        centre: (N,) [w, temperatures] round which the piece was linearised, at its beginning.
-        lanes: (1 + N, s) states of the differing trajectories at the last sample.
-        deviation: (N,) estimate of the beginning less `centre`. covariance: (N, N) of it.
-        began, time: s. inputs: (c,) now held.
-        surprise, count: normalised innovations squared so far, and how many.
+    Attributes
+    ----------
+    centre
+        (N,) [w, temperatures] around which the segment was linearised, at its beginning.
+    lanes
+        (1 + N, s) states of the differing trajectories at the last sample.
+    deviation, covariance
+        (N,) estimate of the beginning less `centre`, and its (N, N) covariance.
+    began, time
+        Times of the beginning and of the last sample, s.
+    inputs
+        (c,) inputs held now.
+    surprise, count
+        Sum of the normalised innovations squared so far, and their number.
     """
 
     centre: Array
@@ -106,7 +118,7 @@ class _Piece:
 
 
 class KalmanFilter:
-    """The filter as a calibrator; satisfies `Calibrator` and `Follower`. Deterministic."""
+    """Kalman filter as a calibrator; satisfies `Calibrator` and `SampleFilter`. Deterministic."""
 
     name = "kalman"
 
@@ -115,7 +127,7 @@ class KalmanFilter:
         self.ids = network.tunables(tunables)
         self.kernel = Kernel(network, self.ids)
         self._scaling = Scaling.of(network, self.ids)
-        self._bounded = Bounded(self._scaling)
+        self._bounded = BoundedTransform(self._scaling)
         self._wide = self._scaling.prior_sd()
         q, k = len(self.ids), len(network.nodes)
         self._steps = np.concatenate([np.full(q, _STEP), np.full(k, _STATE_STEP)])
@@ -123,10 +135,10 @@ class KalmanFilter:
         self._covariance = np.diag((FIRST_SHARE * self._wide) ** 2)
         capacitance = network.index(f"{node}.capacitance" for node in network.nodes)
         self._capacitance = np.maximum(network.values[capacitance], 1.0)
-        self._piece: _Piece | None = None
+        self._piece: _FilterSegment | None = None
 
-    def follow(self, time: Array, inputs: Array, measured: Array, read: np.ndarray, state: Array) -> Estimate:
-        """Filter samples, in order; `state` counts at the very first one only, and inputs as if all had been read."""
+    def follow(self, time: Array, inputs: Array, measured: Array, read: np.ndarray, state: Array) -> FilteredReadings:
+        """Filter samples, in order; `state` counts at the very first one only, and all inputs count as read."""
         filtered, spread = np.empty_like(measured), np.empty_like(measured)
         at = 0
         if self._piece is None:
@@ -143,14 +155,14 @@ class KalmanFilter:
             rows = slice(at, min(max(until, at + 1), time.size))
             self._filter(piece, time[rows], inputs[rows], measured[rows], filtered[rows], spread[rows])
             at = rows.stop
-        return Estimate(filtered, spread)
+        return FilteredReadings(filtered, spread)
 
-    def begin_again(self) -> None:
-        """Let go of the temperatures; parameters go on from the end of the last window."""
+    def restart(self) -> None:
+        """Forget the temperatures; parameters continue from the end of the last window."""
         self._piece = None
 
-    def _filter(self, piece: _Piece, time: Array, inputs: Array, measured: Array, *out: Array) -> None:
-        """Samples of one piece."""
+    def _filter(self, piece: _FilterSegment, time: Array, inputs: Array, measured: Array, *out: Array) -> None:
+        """Filter samples of one segment."""
         q = len(self.ids)
         rows = piece.centre + np.vstack([np.zeros(self._steps.size), np.diag(self._steps)])
         full = np.tile(self.network.values, (len(rows), 1))
@@ -169,15 +181,15 @@ class KalmanFilter:
     def _values(self, w: Array) -> Array:
         return self._scaling.to_values(self._bounded.to_z(w))
 
-    def _new_piece(self, w: Array, state: Array, time: float, inputs: Array, covariance: Array) -> _Piece:
+    def _new_piece(self, w: Array, state: Array, time: float, inputs: Array, covariance: Array) -> _FilterSegment:
         k = len(self.network.nodes)
         lanes = np.tile(state, (1 + self._steps.size, 1))
         lanes[1 + len(w) :, :k] += np.diag(np.full(k, _STATE_STEP))
         centre = np.concatenate([w, state[:k]])
-        return _Piece(centre, lanes, np.zeros(centre.size), time, time, inputs.copy(), covariance)
+        return _FilterSegment(centre, lanes, np.zeros(centre.size), time, time, inputs.copy(), covariance)
 
-    def _now(self, piece: _Piece) -> tuple[Array, Array, Array]:
-        """Parameters w, state at the last sample, and (N, N) how that depends on the beginning of the piece."""
+    def _now(self, piece: _FilterSegment) -> tuple[Array, Array, Array]:
+        """Return parameters w, the state at the last sample, and its derivative (N, N) by the segment's beginning."""
         q, k = len(self.ids), len(self.network.nodes)
         transition = np.eye(q + k)
         transition[q:] = ((piece.lanes[1:, :k] - piece.lanes[0, :k]) / self._steps[:, None]).T
@@ -185,8 +197,8 @@ class KalmanFilter:
         state[:k] += transition[q:] @ piece.deviation
         return piece.centre[:q] + piece.deviation[:q], state, transition
 
-    def _renew(self, piece: _Piece) -> _Piece:
-        """Linearise again round the estimate, with the process noise of the piece that ends."""
+    def _renew(self, piece: _FilterSegment) -> _FilterSegment:
+        """Linearise again around the estimate, with the process noise of the segment that ends."""
         k = len(self.network.nodes)
         w, state, transition = self._now(piece)
         span = piece.time - piece.began
@@ -204,22 +216,21 @@ class KalmanFilter:
         return self._new_piece(np.clip(w, *self._bounded.limits), state, piece.time, piece.inputs, covariance)
 
     def calibrate(self, window: Window) -> Calibration:
-        """The filter at the end of the window, which it follows first if nobody has fed it sample by sample."""
+        """Return the filter's estimate at the end of the window, after filtering samples that it has not seen."""
         behind = 0 if self._piece is None else int(np.searchsorted(window.time, self._piece.time, side="right"))
         if behind < window.time.size:
             rows = slice(behind, None)
-            self.follow(
-                window.time[rows], window.inputs[rows], window.measured[rows], window.read[rows], window.state
-            )  # fmt: skip
+            samples = (window.time[rows], window.inputs[rows], window.measured[rows], window.read[rows])
+            self.follow(*samples, window.state)
         cost, v, fitted = self._fitted(window)
-        missed = misfit(window, self.network.sigma)
+        missed = normalised_misfit(window, self.network.sigma)
         again = self._again(window, missed) if cost > SURPRISE and missed > SURPRISE else None
         if again is not None and np.sqrt(again.fit.sse.sum()) < np.sqrt(fitted.sse.sum()):
             self._restart(window, again)
-            lasts = lasting(
+            lasts = structural_covariance(
                 self._problem(window), again.fit.v, again.fit.normal, again.held, window, self._wide, again.chi
             )
-            again = replace(again, covariance=no_wider(again.covariance + lasts, self._wide))
+            again = replace(again, covariance=limit_covariance(again.covariance + lasts, self._wide))
             report = again.report(self._scaling)
             report = replace(report, flags=("filter started again from a fit of the window", *report.flags))
             cost, v, fitted = float(np.sqrt(again.chi)), again.fit.v, again.fit.data
@@ -230,31 +241,31 @@ class KalmanFilter:
         w, end, _ = self._now(self._piece)
         start = window.state.copy()
         start[: v.size - len(self.ids)] = v[len(self.ids) :]
-        return conclude(
-            self.network, window, self.ids, self._values(w), start, fitted.readings, end,
-            cost=cost, evaluations=2 * (1 + v.size), report=report,
-        )  # fmt: skip
+        result = WindowFit(self._values(w), start, fitted.readings, end, cost, evaluations=2 * (1 + v.size))
+        return fitted_calibration(self.network, window, self.ids, result, report)
 
-    def _again(self, window: Window, missed: float) -> Posterior | None:
-        """What least squares makes of a window that the filter could not follow, from what was known before it."""
+    def _again(self, window: Window, missed: float) -> WindowPosterior | None:
+        """Fit a window that the filter could not follow by least squares, with the prior from before it; None if
+        that fails.
+        """
         opened = min(OPENING * (missed - 1.0), 1.0)
         covariance = self._covariance + np.diag((opened * self._wide) ** 2)
-        done = fit_window(
-            self.kernel, self._scaling, self.network.sigma, window, self._mean, covariance, window.state
-        )  # fmt: skip
+        prior = WindowPrior(self._mean, covariance, window.state)
+        done = fit_window(self.kernel, self._scaling, self.network.sigma, window, prior)
         return done if np.isfinite(done.fit.cost) and np.isfinite(done.covariance).all() else None
 
-    def _restart(self, window: Window, done: Posterior) -> None:
+    def _restart(self, window: Window, done: WindowPosterior) -> None:
+        """Restart the filter from a fit of the window."""
         q, k = len(self.ids), len(self.network.nodes)
         w = np.clip(self._bounded.to_w(done.fit.v[:q]), *self._bounded.limits)
         slope = self._bounded.slope(w)
         covariance = np.diag(np.full(q + k, FIRST_STATE_K**2))
-        covariance[:q, :q] = no_wider(done.covariance / np.outer(slope, slope), self._wide)
+        covariance[:q, :q] = limit_covariance(done.covariance / np.outer(slope, slope), self._wide)
         end = float(window.time[-1])
         self._piece = self._new_piece(w, done.fit.data.end, end, window.inputs[-1], covariance)
 
     def _remember(self) -> None:
-        """Parameters and their covariance at the end of a window, in z."""
+        """Store the parameters and their covariance at the end of a window, in z."""
         assert self._piece is not None
         q = len(self.ids)
         w = self._now(self._piece)[0]
@@ -262,31 +273,35 @@ class KalmanFilter:
         self._mean = self._bounded.to_z(w)
         self._covariance = self._piece.covariance[:q, :q] * np.outer(slope, slope)
 
-    def _report(self, window: Window, cost: float, v: Array, fitted: Linearisation) -> Report:
-        """What goes with the values: their covariance has the twin's structure in it; the filter's own has not."""
+    def _report(self, window: Window, cost: float, v: Array, fitted: Linearisation) -> CalibrationReport:
+        """Return the report; its covariance includes the twin's structural error, the filter's own covariance does
+        not.
+        """
         assert self._piece is not None
         q, scaling = len(self.ids), self._scaling
         w = self._now(self._piece)[0]
         values = self._values(w)
-        told = told_by(fitted.jtj, self._wide)
-        names = [i for i, hit in zip(self.ids, told.untold, strict=True) if hit]
+        told = window_information(fitted.jtj, self._wide)
+        names = [i for i, hit in zip(self.ids, told.unidentifiable, strict=True) if hit]
         moved = np.zeros(q, dtype=bool)
-        lasts = lasting(self._problem(window), v, fitted.jtj, moved, window, self._wide, max(cost**2, 1.0))
+        lasts = structural_covariance(
+            self._problem(window), v, fitted.jtj, moved, window, self._wide, max(cost**2, 1.0)
+        )
         bounded, slope = self._bounded.slope(w), scaling.slope(values)
         known = self._piece.covariance[:q, :q] * np.outer(bounded, bounded)
-        return Report(
-            covariance=no_wider(known + lasts, self._wide) * np.outer(slope, slope),
-            flags=tuple(f"cannot tell {i} apart: its number leans on earlier windows" for i in names),
-            alone=told.alone(scaling, values),
+        return CalibrationReport(
+            covariance=limit_covariance(known + lasts, self._wide) * np.outer(slope, slope),
+            flags=tuple(f"{i} is not identifiable by itself: its value comes from earlier windows" for i in names),
+            window_errors=told.window_errors(scaling, values),
             condition=told.condition,
         )
 
-    def _problem(self, window: Window) -> Problem:
-        data = weighted(window, self.network.sigma)
-        return Problem(self.kernel, self._scaling, window.parameters, data, window.state)
+    def _problem(self, window: Window) -> FitProblem:
+        data = window_data(window, self.network.sigma)
+        return FitProblem(self.kernel, self._scaling, window.parameters, data, window.state)
 
     def _fitted(self, window: Window) -> tuple[float, Array, Linearisation]:
-        """The window with the parameters as they are now: misfit in noises, start v, and simulation.
+        """Simulate the window with the present parameters; return misfit in units of noise, start v, and linearisation.
 
         The state at the beginning is estimated anew; for a linear network one step does it.
         """
@@ -302,18 +317,20 @@ class KalmanFilter:
         return float(np.sqrt(fitted.sse.sum() / count)), v, fitted
 
     def state(self) -> dict[str, Any]:
+        """Return everything needed to continue, as plain data."""
         piece = self._piece
         return {
             "mean": self._mean.tolist(),
             "covariance": self._covariance.tolist(),
             "piece": None
             if piece is None
-            else {k: plain(getattr(piece, k)) for k in _ARRAYS} | {k: getattr(piece, k) for k in _NUMBERS},
+            else {k: to_json(getattr(piece, k)) for k in _ARRAYS} | {k: getattr(piece, k) for k in _NUMBERS},
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        self._mean, self._covariance = from_plain(state["mean"]), from_plain(state["covariance"])
+        """Continue from a saved `state`."""
+        self._mean, self._covariance = from_json(state["mean"]), from_json(state["covariance"])
         self._piece, piece = None, state["piece"]
         if piece is not None:
-            entries: dict[str, Any] = {k: from_plain(piece[k]) for k in _ARRAYS}
-            self._piece = _Piece(**entries, **{k: piece[k] for k in _NUMBERS})
+            entries: dict[str, Any] = {k: from_json(piece[k]) for k in _ARRAYS}
+            self._piece = _FilterSegment(**entries, **{k: piece[k] for k in _NUMBERS})

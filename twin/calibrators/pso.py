@@ -1,8 +1,8 @@
 """Particle swarm over the tunables, window by window.
 
-`PAPER` is Table 2 of Energies 2026, 19, 2452 to the letter; `TUNED` adds the two remedies that its authors name
+`PAPER` is Table 2 of Energies 2026, 19, 2452 to the letter. `TUNED` adds the two remedies that its authors name
 (perturbation scaled with the previous error, restart near the best), estimates the initial state instead of
-carrying a wrong one over, and searches each parameter in its own range. What the paper leaves open is settled
+carrying a wrong one over, and searches each parameter in its own range. Points that the paper leaves open are settled
 in docs/decisions/0003-swarm-window-logic.md. A whole swarm is one call of the kernel.
 """
 
@@ -14,33 +14,43 @@ from typing import Any
 
 import numpy as np
 
-from twin.calibrators.base import Calibration, Window, from_plain, plain
-from twin.calibrators.identifiability import Told, told_by
-from twin.calibrators.outcome import conclude
-from twin.calibrators.posterior import fit_window, no_wider, weighted
-from twin.calibrators.structure_error import lasting
-from twin.gauss_newton import Data, Problem, Scaling, align
-from twin.kernel import Kernel, masked
+from twin.calibrators.base import Calibration, Window, from_json, to_json
+from twin.calibrators.identifiability import WindowInformation, window_information
+from twin.calibrators.posterior import WindowPrior, fit_window, limit_covariance, window_data
+from twin.calibrators.results import WindowFit, fitted_calibration
+from twin.calibrators.structural_error import structural_covariance
+from twin.gauss_newton import FitData, FitProblem, Scaling, fit_initial_state
+from twin.kernel import Kernel, mask_measurements
 from twin.network import Array, Network, TunableSet, TwinFileError
 
 
 @dataclass(frozen=True)
-class Settings:
+class SwarmSettings:
     """Hyper-parameters of a swarm. Lengths are in normalised units, or shares of a range where `own_range`.
 
-    Attributes:
-        particles, iterations, inertia, damping, cognitive, social: as Table 2.
-        velocity: limit per component.
-        perturbation: half width of the uniform perturbation of every position when a window changes.
-        own_range: positions are shares of each parameter's own range, in its logarithm where that spans a
-            decade; else the file's normalised units in its common bounds.
-        scaled: the perturbation shrinks with the error of the previous window's parameters on this window,
-            and the swarm restarts that near the best position.
-        run_up: recovery and stall windows are simulated from the start of the window before.
-        realign: recovery and stall windows estimate the initial state instead.
-        per_component: random factors per component rather than per particle.
-        polish: parameters that the window cannot tell are held, and the best position is the start of a few
-            Gauss-Newton steps.
+    Attributes
+    ----------
+    particles, iterations, inertia, damping, cognitive, social
+        As in Table 2.
+    velocity
+        Limit per component.
+    perturbation
+        Half width of the uniform perturbation of every position when a window changes.
+    own_range
+        Positions are shares of each parameter's own range, in its logarithm where that spans a decade; else the file's
+        normalised units in its common bounds.
+    scaled
+        The perturbation shrinks with the error of the previous window's parameters on this window, and the swarm
+        restarts that near the best position.
+    run_up
+        Recovery and stall windows are simulated from the start of the window before.
+    realign
+        Recovery and stall windows estimate the initial state instead.
+    per_component
+        Random factors per component rather than per particle.
+    polish
+        Parameters that are not identifiable in the window are held, and the best position is the start of a few
+        Gauss-Newton steps.
     """
 
     particles: int = 5
@@ -59,8 +69,8 @@ class Settings:
     polish: bool = False
 
 
-PAPER = Settings()
-TUNED = Settings(
+PAPER = SwarmSettings()
+TUNED = SwarmSettings(
     particles=32,
     iterations=20,
     inertia=0.73,
@@ -75,22 +85,27 @@ TUNED = Settings(
     per_component=True,
     polish=True,
 )
-PRESETS: Mapping[str, Settings] = {"paper": PAPER, "tuned": TUNED}
+PRESETS: Mapping[str, SwarmSettings] = {"paper": PAPER, "tuned": TUNED}
 POLISH = 15
-"""Linearisations in the polish, at most."""
+"""Largest number of linearisations in the polish."""
 LEAST_PERTURBATION = 0.02
-"""Share of the full perturbation that is left when the live twin errs by nothing but noise."""
+"""Share of the full perturbation that remains when the live twin's error is noise alone."""
 
 
 class Swarm:
-    """The swarm calibrator; satisfies `Calibrator`.
+    """Swarm calibrator; satisfies `Calibrator`.
 
-    Args:
-        network: the commissioned twin; its values are the first global best.
-        tunables: name of a set of the twin, or ids. Where `settings` are not of each parameter's own range it must be
-            a set that has scales and bounds.
-        settings: a preset's name or `Settings`.
-        seed: of the generator.
+    Parameters
+    ----------
+    network
+        The commissioned twin; its values are the first global best.
+    tunables
+        Name of a set of the twin, or ids. Where `settings` do not use each parameter's own range it must be a set with
+        scales and bounds.
+    settings
+        A preset's name or `SwarmSettings`.
+    seed
+        Seed of the generator.
     """
 
     name = "pso"
@@ -99,7 +114,7 @@ class Swarm:
         self,
         network: Network,
         tunables: str | tuple[str, ...] = "paper4",
-        settings: str | Settings = "tuned",
+        settings: str | SwarmSettings = "tuned",
         seed: int = 0,
     ) -> None:
         if isinstance(settings, str):
@@ -119,13 +134,14 @@ class Swarm:
         self._velocities = np.zeros((0, 0))
 
     def calibrate(self, window: Window) -> Calibration:
+        """Run the swarm on a window."""
         settings, space = self.settings, self._space
         cost, told = _Cost(self, window), self._told(window)
-        self._gather(window)
+        self._start_window(window)
         assert self._positions is not None
         positions, velocities = self._positions, self._velocities
         if settings.polish:
-            positions = np.where(told.untold, self._best, positions)
+            positions = np.where(told.unidentifiable, self._best, positions)
         everyone = cost(np.vstack([self._best, positions]))
         best, best_cost = self._best, float(everyone[0])
         own, own_cost = positions.copy(), everyone[1:]
@@ -135,7 +151,7 @@ class Swarm:
             if own_cost[leader] < best_cost:
                 best, best_cost = own[leader].copy(), float(own_cost[leader])
             if cost.realigned and step in (settings.iterations // 4, settings.iterations // 2):
-                # The first estimate of the state leaned on parameters that are now known to be wrong.
+                # The first estimate of the state used parameters that are now known to be wrong.
                 cost.realign(cost.full(best[None])[0])
                 everyone = cost(np.vstack([best, own]))
                 best_cost, own_cost = float(everyone[0]), everyone[1:]
@@ -148,7 +164,7 @@ class Swarm:
             )
             velocities = np.clip(velocities, -settings.velocity, settings.velocity)
             if settings.polish:
-                velocities = np.where(told.untold, 0.0, velocities)
+                velocities = np.where(told.unidentifiable, 0.0, velocities)
             positions = np.clip(positions + velocities, space.lower, space.upper)
             inertia *= settings.damping
             costs = cost(positions)
@@ -163,40 +179,44 @@ class Swarm:
         self._best, self._positions, self._velocities = best, positions, velocities
         return self._conclude(window, cost, best, best_cost, told)
 
-    def _conclude(self, window: Window, cost: _Cost, best: Array, best_cost: float, told: Told) -> Calibration:
-        """The window at the swarm's best position; a polished swarm descends from there first."""
+    def _conclude(
+        self, window: Window, cost: _Cost, best: Array, best_cost: float, told: WindowInformation
+    ) -> Calibration:
+        """Return the calibration at the swarm's best position; a polished swarm descends from there first."""
         values, start = self._space.values(best), cost.start(best)
         if self.settings.polish:
             scaling = self._scaling
             mean, prior = scaling.to_z(values), np.diag(scaling.prior_sd() ** 2)
             sigma = self.network.sigma
-            done = fit_window(self.kernel, scaling, sigma, window, mean, prior, start, told=told, most=POLISH)
+            done = fit_window(
+                self.kernel, scaling, sigma, window, WindowPrior(mean, prior, start), told=told, most=POLISH
+            )
             if np.isfinite(done.fit.cost):
-                problem = Problem(self.kernel, scaling, window.parameters, weighted(window, sigma), start)
-                lasts = lasting(problem, done.fit.v, done.fit.normal, done.held, window, scaling.prior_sd(), done.chi)
-                report = replace(done, covariance=no_wider(done.covariance + lasts, scaling.prior_sd())).report(scaling)
+                problem = FitProblem(self.kernel, scaling, window.parameters, window_data(window, sigma), start)
+                lasts = structural_covariance(
+                    problem, done.fit.v, done.fit.normal, done.held, window, scaling.prior_sd(), done.chi
+                )
+                report = replace(done, covariance=limit_covariance(done.covariance + lasts, scaling.prior_sd())).report(
+                    scaling
+                )
                 self._best = self._space.positions(done.fit.values)
                 self.last = (window.time, window.inputs, done.fit.state)
-                return conclude(
-                    self.network, window, self.ids, done.fit.values, done.fit.state, done.fit.data.readings,
-                    done.fit.data.end, cost=float(np.sqrt(done.chi)), report=report,
-                    evaluations=cost.evaluations + done.fit.evaluations * (1 + done.fit.v.size),
-                )  # fmt: skip
+                evaluations = cost.evaluations + done.fit.evaluations * (1 + done.fit.v.size)
+                result = WindowFit.of(done.fit, float(np.sqrt(done.chi)), evaluations)
+                return fitted_calibration(self.network, window, self.ids, result, report)
         readings, end = self.kernel.trace(cost.full(best[None]), start, window.time, window.inputs)
-        return conclude(
-            self.network, window, self.ids, values, start, readings[0], end[0],
-            cost=best_cost, evaluations=cost.evaluations + 1, report=told.warning(self._scaling, values),
-        )  # fmt: skip
+        result = WindowFit(values, start, readings[0], end[0], best_cost, cost.evaluations + 1)
+        return fitted_calibration(self.network, window, self.ids, result, told.report(self._scaling, values))
 
-    def _told(self, window: Window) -> Told:
-        """What the window can tell, judged where the live twin is."""
-        scaling, data = self._scaling, weighted(window, self.network.sigma)
-        problem = Problem(self.kernel, scaling, window.parameters, data, window.state)
+    def _told(self, window: Window) -> WindowInformation:
+        """Return the window's information, at the live twin's parameters."""
+        scaling, data = self._scaling, window_data(window, self.network.sigma)
+        problem = FitProblem(self.kernel, scaling, window.parameters, data, window.state)
         here = np.concatenate([scaling.to_z(window.parameters[scaling.index]), window.state[: len(self.network.nodes)]])
-        return told_by(problem.linearise(here).jtj, scaling.prior_sd())
+        return window_information(problem.linearise(here).jtj, scaling.prior_sd())
 
-    def _gather(self, window: Window) -> None:
-        """Positions and velocities at the start of a window."""
+    def _start_window(self, window: Window) -> None:
+        """Set positions and velocities at the start of a window."""
         settings, space, q = self.settings, self._space, len(self.ids)
         if settings.scaled:
             excess = (window.error_K / self.network.rules.large_K) if window.error_K else 0.0
@@ -212,26 +232,28 @@ class Swarm:
             self._positions = np.clip(self._positions + nudge, space.lower, space.upper)
 
     def follows(self, window: Window) -> bool:
-        """Whether `last` (time, inputs, state at its first sample) is the window just before this one."""
+        """Return True if `last` (time, inputs, state at its first sample) is the window just before this one."""
         return self._last_number == window.number - 1
 
     def state(self) -> dict[str, Any]:
+        """Return everything needed to continue, as plain data."""
         return {
             "rng": self._rng.bit_generator.state,
             "best": self._best.tolist(),
             "positions": None if self._positions is None else self._positions.tolist(),
             "velocities": self._velocities.tolist(),
-            "last": [self._last_number, *(plain(a) for a in self.last)],
+            "last": [self._last_number, *(to_json(a) for a in self.last)],
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
+        """Continue from a saved `state`."""
         self._rng.bit_generator.state = state["rng"]
         self._best = np.array(state["best"], dtype=np.float64)
         positions = state["positions"]
         self._positions = None if positions is None else np.array(positions, dtype=np.float64)
         self._velocities = np.array(state["velocities"], dtype=np.float64)
         self._last_number, *last = state["last"]
-        time, inputs, start = (from_plain(a) for a in last)
+        time, inputs, start = (from_json(a) for a in last)
         self.last = (time, inputs, start)
 
 
@@ -249,7 +271,7 @@ class _Cost:
         self.evaluations = 0
         self.state = window.state
         self.time, self.inputs = window.time, window.inputs
-        self.y, self.weight = masked(window.measured)
+        self.y, self.weight = mask_measurements(window.measured)
         self.before = 0
         mismatched = window.kind in ("recovery", "stall")
         self.realigned = swarm.settings.realign and mismatched
@@ -278,19 +300,19 @@ class _Cost:
     def realign(self, parameters: Array) -> None:
         """Estimate the state at the first sample from the beginning of the window, at `parameters` (p,)."""
         n = self.window.first
-        y, weight = masked(self.window.measured[:n], self.swarm.network.sigma)
-        data = Data(self.window.time[:n], self.window.inputs[:n], y, weight)
+        y, weight = mask_measurements(self.window.measured[:n], self.swarm.network.sigma)
+        data = FitData(self.window.time[:n], self.window.inputs[:n], y, weight)
         sd = max(self.window.initial_mismatch_K, self.threshold)
-        self.state = align(self.swarm.kernel, parameters, self.window.state, data, sd)
+        self.state = fit_initial_state(self.swarm.kernel, parameters, self.window.state, data, sd)
 
     def full(self, positions: Array) -> Array:
-        """Full parameter vectors (P, p) of positions (P, q)."""
+        """Return full parameter vectors (P, p) of positions (P, q)."""
         full = np.tile(self.window.parameters, (len(positions), 1))
         full[:, self.index] = self.swarm._space.values(positions)
         return full
 
     def start(self, position: Array) -> Array:
-        """State (k,) at the first sample of the window, at one position (q,)."""
+        """Return the state (k,) at the first sample of the window, at one position (q,)."""
         if not self.before:
             return self.state
         n = self.before + 1
@@ -303,7 +325,7 @@ class _Cost:
 
 
 class _Normalised:
-    """The file's normalised units: physical = scale * position, held inside the parameter's bounds."""
+    """Search space in the file's normalised units: physical = scale * position, held inside the parameter's bounds."""
 
     def __init__(self, network: Network, tunables: str | tuple[str, ...]) -> None:
         if not isinstance(tunables, str):
@@ -318,14 +340,16 @@ class _Normalised:
         self.initial = np.array(chosen.initial).T
 
     def values(self, positions: Array) -> Array:
+        """Return physical values of positions."""
         return np.clip(self.scale * positions, *self.physical)
 
     def positions(self, values: Array) -> Array:
+        """Return positions of physical values."""
         return np.clip(values / self.scale, self.lower, self.upper)
 
 
 class _OwnRange:
-    """Shares of each parameter's own range, in its logarithm where the bounds span a decade."""
+    """Search space in shares of each parameter's own range, in its logarithm where the bounds span a decade."""
 
     def __init__(self, network: Network, ids: tuple[str, ...]) -> None:
         self.scaling = Scaling.of(network, ids)
@@ -336,7 +360,9 @@ class _OwnRange:
         self.initial = np.array([self.lower, self.upper])
 
     def values(self, positions: Array) -> Array:
+        """Return physical values of positions."""
         return self.scaling.to_values(self.low + self.width * positions)
 
     def positions(self, values: Array) -> Array:
+        """Return positions of physical values."""
         return np.clip((self.scaling.to_z(values) - self.low) / self.width, 0.0, 1.0)

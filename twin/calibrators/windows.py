@@ -1,4 +1,4 @@
-"""Ten-minute windows out of a stream of samples, and which cost a window calls for.
+"""Ten-minute windows from a stream of samples, and the kind of each window.
 
 Windows lie on a grid from the first sample on. A window is complete with the sample after which the next one,
 at the same pace, would belong to the following window; or, after a gap, with the first sample beyond its end.
@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from twin.calibrators.base import Kind, Window, total_rmse
+from twin.calibrators.base import Window, WindowKind, total_rmse
 from twin.network import Array, WindowRules
 
 LEAST_ROWS = 8
@@ -21,11 +21,10 @@ LEAST_SPAN = 0.5
 """Share of the window's length that those rows must span."""
 
 
-def last_of_window(times: Array, pace: Array, end: float) -> int | None:
-    """Position in `times` (n,) of the sample that completes a window ending at `end` s, or None.
+def last_row_of_window(times: Array, pace: Array, end: float) -> int | None:
+    """Return the position in `times` (n,) of the sample that completes a window ending at `end` s, or None.
 
-    Args:
-        pace: (n,) s, the sampling interval expected after each sample.
+    `pace` (n,) s is the sampling interval expected after each sample.
     """
     tolerance = 1e-3 * pace
     beyond = int(np.searchsorted(times, end))
@@ -34,11 +33,11 @@ def last_of_window(times: Array, pace: Array, end: float) -> int | None:
 
 
 def window_index(time: float, origin: float, rules: WindowRules) -> int:
-    """Number of the grid cell that a stamp lies in."""
+    """Return the number of the grid cell that contains a stamp."""
     return max(math.floor((time - origin) / rules.window_s + 1e-9), 0)
 
 
-def assemble(
+def make_window(
     number: int,
     time: Array,
     inputs: Array,
@@ -49,7 +48,9 @@ def assemble(
     rules: WindowRules,
     read: np.ndarray | None = None,
 ) -> Window:
-    """Judge a completed window (see `Window` for the shapes); without `read` all inputs were read."""
+    """Return a completed window with its errors and kind (see `Window` for the shapes); without `read` all inputs
+    were read.
+    """
     read = np.ones(inputs.shape, dtype=bool) if read is None else read
     residual = live - measured
     first = max(int(np.searchsorted(time, time[0] + rules.first_s)), 1)
@@ -57,15 +58,15 @@ def assemble(
     error = total_rmse(residual)
     rows = np.flatnonzero(np.isfinite(measured).any(axis=1))
     enough = rows.size >= LEAST_ROWS and time[rows[-1]] - time[rows[0]] >= LEAST_SPAN * rules.window_s
-    kind = decide(mismatch, error, rules) if enough else "skipped"
+    kind = classify_window(mismatch, error, rules) if enough else "skipped"
     return Window(number, time, inputs, measured, read, state, parameters, live, first, mismatch, error, kind)
 
 
 def initial_mismatch(residual: Array) -> float:
-    """Root mean square over sensors of their mean mismatch at the beginning of a window, K.
+    """Return the root mean square over sensors of their mean mismatch at the beginning of a window, K.
 
-    The mean over the beginning rather than its first sample: a single reading of 0.05 K noise would call half
-    of all healthy windows mismatched.
+    The mean over the beginning is used, not its first sample: with a single reading of 0.05 K noise, half of all
+    healthy windows would count as mismatched.
     """
     good = np.isfinite(residual)
     count = good.sum(axis=0)
@@ -74,8 +75,8 @@ def initial_mismatch(residual: Array) -> float:
     return float(np.sqrt(np.mean(seen**2))) if seen.size else 0.0
 
 
-def decide(initial_mismatch_K: float, error_K: float, rules: WindowRules) -> Kind:
-    """Which cost a window calls for: section 2.4 of Energies 2026, 19, 2452, with numbers.
+def classify_window(initial_mismatch_K: float, error_K: float, rules: WindowRules) -> WindowKind:
+    """Return the kind of a window: section 2.4 of Energies 2026, 19, 2452, with numbers.
 
     A large mismatch at the start makes a recovery window. A start and a full window that are both above the
     calibrated threshold make a stall window. Everything else is a calibrated window.

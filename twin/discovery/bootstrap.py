@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from twin.commission import commission
+from twin.commission import CommissionOptions, commission
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.healthy.drawn import drawn
@@ -47,7 +47,7 @@ def bootstrap(
     for i in range(draws):
         records = drawn(known, healthy, np.random.default_rng([seed, i]))
         first, second = next(records), next(records)
-        again = commission(network, first.time_s, first.inputs, first.measured, starts=1)
+        again = commission(network, first.time_s, first.inputs, first.measured, CommissionOptions(starts=1))
         found = diagnose(again.network, second, first)
         # What the scan found and the fit did not confirm is no alarm, however high it scored.
         score = found.ladder[0].best_z

@@ -9,10 +9,10 @@ from twin.discovery.effects.phrases import amount
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.grid import bridged, on_grid
 from twin.discovery.selection.held_out import FAR_OFF, FAR_SHARE, UNUSUAL, binned
-from twin.gauss_newton import Data, align
+from twin.gauss_newton import FitData, fit_initial_state
 from twin.kernel import Kernel
 from twin.network import Array, Network
-from twin.stretches import parts, stretches, traced
+from twin.segments import find_segments, segment_rows, simulate_segments
 
 GROWN_FAR_OFF = 4.0
 """The same as `FAR_OFF` of a twin of which nothing healthy is known."""
@@ -28,7 +28,7 @@ def elsewhere(diagnosis: Diagnosis, network: Network, record: Columns, name: str
     own = {p.id for p in network.parameters.values() if not p.same_as}
     retuned = network.with_values({m.parameter: m.before for m in diagnosis.moved if m.parameter in own})
     networks = [network, retuned, *([diagnosis.network] if diagnosis.network is not None else [])]
-    lost = stretches(network, record.time_s, record.inputs).lost
+    lost = find_segments(network, record.time_s, record.inputs).lost
     measured = np.where(lost[:, None], np.nan, record.measured)
     runs = [_run(each, record, measured) for each in networks]
     runs = [*runs, runs[-1]][:3]
@@ -51,16 +51,16 @@ def _run(network: Network, record: Columns, measured: Array) -> Array:
     """Readings (N, m) of a free run."""
     time, inputs = record.time_s, bridged(network, record.time_s, record.inputs)
     kernel = Kernel(network, ())
-    known = stretches(network, record.time_s, record.inputs)
+    known = find_segments(network, record.time_s, record.inputs)
     states = []
-    for rows in parts(known.begins, len(time)):
+    for rows in segment_rows(known.begins, len(time)):
         settle_s = min(SETTLE_S, SETTLE_SHARE * (time[rows][-1] - time[rows][0]))
         first = slice(rows.start, max(int(np.searchsorted(time, time[rows.start] + settle_s)), rows.start + 2))
         good = np.isfinite(measured[first])
-        data = Data(time[first], inputs[first], np.where(good, measured[first], 0.0), good / network.sigma)
+        data = FitData(time[first], inputs[first], np.where(good, measured[first], 0.0), good / network.sigma)
         state = network.initial_state(measured[rows][:FIRST_ROWS])
-        states.append(align(kernel, network.values, state, data, 1.0)[: len(network.nodes)])
-    return traced(kernel, network.values[None], np.concatenate(states)[None], time, inputs, known.begins)[0]
+        states.append(fit_initial_state(kernel, network.values, state, data, 1.0)[: len(network.nodes)])
+    return simulate_segments(kernel, network.values[None], np.concatenate(states)[None], time, inputs, known.begins)[0]
 
 
 def _carried(diagnosis: Diagnosis, network: Network, errors: dict[str, SensorError]) -> Carried:

@@ -37,9 +37,9 @@ from twin.discovery.selection.part import Part
 from twin.discovery.selection.ranking import Finding
 from twin.discovery.thermometers.at_fault import beside_late, explained_by_one, without_late
 from twin.discovery.thermometers.members import Members, members
-from twin.network import Array, Network, TwinFileError, mean_of_several
+from twin.network import Array, Network, TwinFileError, mean_of_sensors
+from twin.segments import CLOCK_PREFIX, find_segments
 from twin.steady import steady_state
-from twin.stretches import CLOCK, stretches
 
 HELD_OUT = 0.25
 
@@ -69,7 +69,7 @@ def diagnose(
     say("reading")
     given = record
     record, unread = _comparable(network, record, healthy)
-    gaps = stretches(network, record.time_s, record.inputs)
+    gaps = find_segments(network, record.time_s, record.inputs)
     record, stood = _moving(network, record, healthy)
     record, still = _without_stuck(network, record)
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
@@ -197,7 +197,7 @@ def _moving(network: Network, record: Columns, healthy: Columns | None) -> tuple
     if not stood.spells:
         return record, None
     inputs, measured = record.inputs.copy(), record.measured.copy()
-    driven = np.array([not c.endswith("_C") and not c.startswith(CLOCK) for c in network.input_columns])
+    driven = np.array([not c.endswith("_C") and not c.startswith(CLOCK_PREFIX) for c in network.input_columns])
     inputs[stood.rows[:, None] & driven] = np.nan
     measured[stood.rows] = np.nan
     members = {name: np.where(stood.rows[:, None], np.nan, each) for name, each in record.members.items()}
@@ -218,7 +218,7 @@ def _without_stuck(network: Network, record: Columns) -> tuple[Columns, tuple[St
         for span in spans:
             columns[span.rows, names.index(span.column)] = np.nan
         if spans and each is not None:
-            measured[:, j] = mean_of_several(each)
+            measured[:, j] = mean_of_sensors(each)
         found += spans
     return replace(record, measured=measured, members=members), tuple(found)
 

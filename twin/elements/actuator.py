@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Drive, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, Element, Fragment, InputDrive, Names, ParameterSpec, Sites, place
 
 LUMPED_S = 25.0
 """What the heat in an element's mass and the water on its way make of a step that is there at once."""
@@ -73,7 +73,7 @@ class Actuator(Element):
         lag = None if n.constant("lag_s") == 0.0 else n.par("lag_s")
         if value == n.arrived() and dead_time is None and lag is None:
             return Fragment()
-        return Fragment(drive=Drive(self.column, value, dead_time, lag))
+        return Fragment(drive=InputDrive(self.column, value, dead_time, lag))
 
 
 _NEUTRAL = {"gain": 1.0, "droop": 0.0, "lag_s": 0.0, "offset": 0.0}

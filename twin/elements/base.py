@@ -72,7 +72,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class State:
+class ElementState:
     """A temperature of the element's own, integrated like a node's; `Names.state` is its identifier.
 
     Attributes:
@@ -87,7 +87,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Lag:
+class SensorLag:
     """A first-order follower, constant * dz/dt = of - z, that nothing but a reading depends on.
 
     Attributes:
@@ -101,7 +101,7 @@ class Lag:
 
 
 @dataclass(frozen=True)
-class Delay:
+class PlugFlowDelay:
     """Water that comes out when the flow has pushed `volume` through: plug flow.
 
     The kernel provides two names. ``Names.outlet()`` is the temperature of what comes out after the delay, and
@@ -121,7 +121,7 @@ class Delay:
 
 
 @dataclass(frozen=True)
-class Drive:
+class InputDrive:
     """What the elements see of an input column, instead of the column.
 
     Attributes:
@@ -156,10 +156,10 @@ class Fragment:
     heat: Mapping[str, str] = field(default_factory=dict)
     conductance: Mapping[str, str] = field(default_factory=dict)
     observe: str | None = None
-    states: tuple[State, ...] = ()
-    lags: tuple[Lag, ...] = ()
-    delay: Delay | None = None
-    drive: Drive | None = None
+    states: tuple[ElementState, ...] = ()
+    lags: tuple[SensorLag, ...] = ()
+    delay: PlugFlowDelay | None = None
+    drive: InputDrive | None = None
 
     def remembered(self, element: str) -> dict[str, tuple[str, ...]]:
         """Return the names of what the element remembers, by the first letter of their identifiers."""

@@ -248,7 +248,7 @@ def _laws(sites: Sites) -> list[tuple[str, dict[str, str], dict[str, float], str
     if sites.clock:
         for peak in range(0, 24, 2):
             table = {"driver": sites.clock, "law": "daylight"}
-            laws.append(("time_of_day", table, day(peak, 12.0), "W", 20.0, _told(peak)))
+            laws.append(("time_of_day", table, daylight_parameters(peak, 12.0), "W", 20.0, _told(peak)))
     return laws
 
 
@@ -281,7 +281,7 @@ def _other_powers(cubed: Candidate) -> tuple[Candidate, ...]:
     )
 
 
-def day(peak_h: float, hours: float) -> dict[str, float]:
+def daylight_parameters(peak_h: float, hours: float) -> dict[str, float]:
     """Parameters of a day of so many hours, 1 W at its peak."""
     turn, edge = math.pi * peak_h / 12.0, math.cos(math.pi * hours / 24.0) if hours != 12.0 else 0.0
     return {n: v / (1.0 - edge) for n, v in (("cosine", math.cos(turn)), ("sine", math.sin(turn)), ("night", edge))}
@@ -305,7 +305,7 @@ def _other_days(source: Candidate, peak_h: float, hours: float, share: float, le
         other_h, length = (peak_h + shift) % 24.0, hours + longer
         if not SHORTEST_H <= length <= LONGEST_H:
             continue
-        weights = day(other_h, length)
+        weights = daylight_parameters(other_h, length)
         changes = {name: weights[name.rsplit(".", 1)[1]] * share for name in source.changes}
         after = 0 if level == 0 and longer in (lengths[0], lengths[-1]) else level + 1
         near = partial(_other_days, source, other_h, length, share, after) if after < len(CLOSER) else None

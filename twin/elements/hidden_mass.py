@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, Sites, State, place
+from twin.elements.base import Candidate, Element, ElementState, Fragment, Names, ParameterSpec, Sites, place
 
 LEAST_S = 1.0
 MOST_CAPACITY = 1.0e9
@@ -79,7 +79,7 @@ class HiddenMass(Element):
             ),
             heat={self.node: f"{strength} * ({mass} - {node})"},
             conductance={self.node: strength},
-            states=(State("mass", rate=f"{speed} * ({node} - {mass})", start=node, speed=speed),),
+            states=(ElementState("mass", rate=f"{speed} * ({node} - {mass})", start=node, speed=speed),),
         )
 
 

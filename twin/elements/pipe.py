@@ -23,7 +23,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Delay, Element, Fragment, Names, ParameterSpec, Sites, State, place
+from twin.elements.base import (
+    Candidate,
+    Element,
+    ElementState,
+    Fragment,
+    Names,
+    ParameterSpec,
+    PlugFlowDelay,
+    Sites,
+    place,
+)
 from twin.elements.flow import WATER_DENSITY
 
 LEAST_S = 1.0
@@ -93,12 +103,12 @@ class Pipe(Element):
         water, flow = n.local(f"to_{self.to}", stream.flow), n.local("q", stream.flow)
         mcp = n.local("mcp", stream.flow)
         through, sample, stage = ["1.0"], [], []
-        states: tuple[State, ...] = ()
+        states: tuple[ElementState, ...] = ()
         delay = None
         start = n.temperature(stream.before or self.to)
         passing = water
         if n.constant("volume") != 0.0:
-            delay = Delay(water=water, flow=flow, volume=n.par("volume"), start=start)
+            delay = PlugFlowDelay(water=water, flow=flow, volume=n.par("volume"), start=start)
             late, passing = n.local("late"), n.local("passing")
             stage.append((passing, f"(1.0 - {late}) * {water} + {late} * {n.outlet()}"))
             through.append(f"(1.0 - {late})")
@@ -112,7 +122,7 @@ class Pipe(Element):
                 (speed, f"{mcp} * {full} / {bottom} * ({capacity} / ({capacity} + {NONE}))"),
                 (share, f"{full} * {capacity} / {bottom}"),
             ]
-            states = (State("wall", rate=f"{speed} * ({passing} - {wall})", start=start, speed=speed),)
+            states = (ElementState("wall", rate=f"{speed} * ({passing} - {wall})", start=start, speed=speed),)
             through.append(f"(1.0 - {share})")
             rest = f"((1.0 - {share}) * ({rest}) + {share} * {wall})"
         if n.constant("loss_hA") != 0.0:

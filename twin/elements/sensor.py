@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, Lag, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, Element, Fragment, Names, ParameterSpec, SensorLag, Sites, place
 
 LUMPED_S, PIPED_S = 25.0, 6.0
 """What water needs through a small loop's hoses and cold plates; without pipes a twin takes it for a late reading. And
@@ -114,9 +114,9 @@ class Sensor(Element):
         if self.other and n.constant("cross_talk") != 0.0:
             share = n.par("cross_talk")
             reading = f"((1.0 - {share}) * {reading} + {share} * {n.temperature(self.other)})"
-        lags: tuple[Lag, ...] = ()
+        lags: tuple[SensorLag, ...] = ()
         if n.constant("lag_s") != 0.0:
-            lags = (Lag("z", of=reading, constant=n.par("lag_s")),)
+            lags = (SensorLag("z", of=reading, constant=n.par("lag_s")),)
             reading = n.lagged("z")
         if n.constant("gain") != 1.0:
             reading = f"{n.par('gain')} * {reading}"

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from drivers.rig_file.regular_file import read_regular
 from drivers.rig_file.toml_lines import line_of, tables_of
 from drivers.virtual.plant.geometry import CHANNELS, PLACES, section_cells
 
@@ -122,7 +123,7 @@ class _Place:
 def load_effects(path: Path) -> tuple[Effect, ...]:
     """Effects of a file, in its order. Raises `EffectFileError`."""
     try:
-        text, document = tables_of(path.read_bytes())
+        text, document = tables_of(read_regular(path))
     except OSError as error:
         raise EffectFileError(
             f"{path}: cannot be read ({error.strerror or error}); give the path of an effect file."

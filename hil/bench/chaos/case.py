@@ -20,6 +20,7 @@ from hil.bench.chaos.stage import ChaosStage, environment, set_chaos_stage, unst
 from hil.bench.chaos.verdict import LIMIT_S, ChaosResult, Strike, is_of_the_machine, judged
 from hil.bench.faults import judge
 from hil.bench.faults.case import STALL_S
+from hil.bench.faults.places import take_places_out, without_places
 from hil.bench.faults.stage import last_words
 from hil.bench.measure import processes
 
@@ -63,6 +64,7 @@ async def run_chaos_case(case: ChaosCase, seed: int, *, resume: bool = False, re
             except Exception as error:  # a case that cannot be carried out is no reason to leave out the others
                 result.failures.append(f"not carried out: {type(error).__name__}: {error}")
         result.attempts = attempt
+        take_places_out(result)
         stalled = result.stall_s >= STALL_S and is_of_the_machine(result) and result.resumed is not False
         if result.struck and not (result.failures and stalled):
             break
@@ -171,12 +173,17 @@ async def _follow(case: ChaosCase, stage: ChaosStage, result: ChaosResult, strik
 
 
 def _left(stage: ChaosStage) -> list[int]:
-    """Return what runs on although the harness has ended; what the case itself has stopped does not count."""
-    return [pid for pid in stage.descendants() if not processes.is_stopped(pid)]
+    """Return what runs on although the harness has ended.
+
+    What the case itself has stopped does not count, nor does a guardian that states in its log that the rig is not safe
+    and that it goes on: on a device that does not obey it has to.
+    """
+    trying = [pid for pid in stage.guardians() if judge.tries_on(pid)]
+    return [pid for pid in stage.descendants() if not processes.is_stopped(pid) and pid not in trying]
 
 
 def _said(pid: int) -> str:
-    return processes.command(pid).replace(b"\0", b" ").decode(errors="replace")[:80]
+    return without_places(processes.command(pid).replace(b"\0", b" ").decode(errors="replace"))[:80]
 
 
 def _check_ride(case: ChaosCase, stage: ChaosStage, result: ChaosResult, ending: str) -> None:

@@ -39,9 +39,9 @@ def hiera_command(
     from hil.bench.hiera import trial as hiera
     from hil.bench.hiera.cases import RIGS as SCORED
     from hil.run.session.terminal import Steps
-    from twin.calibrators import NAMES
+    from twin.calibrators import CALIBRATOR_NAMES
 
-    for what, given, known in (("rig", rigs, SCORED), ("calibrator", calibrators, NAMES)):
+    for what, given, known in (("rig", rigs, SCORED), ("calibrator", calibrators, CALIBRATOR_NAMES)):
         unknown = [name for name in given if name not in known]
         if unknown:
             raise click.UsageError(f"no {what} {', '.join(unknown)}; there are {', '.join(known)}")

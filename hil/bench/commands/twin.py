@@ -96,11 +96,11 @@ def paper_command(
     from dataclasses import replace
 
     from hil.bench.experiments import paper
-    from twin.calibrators import NAMES
+    from twin.calibrators import CALIBRATOR_NAMES
 
-    unknown = [name for name in calibrators if name not in NAMES]
+    unknown = [name for name in calibrators if name not in CALIBRATOR_NAMES]
     if unknown:
-        raise click.UsageError(f"no calibrator {', '.join(unknown)}; there are {', '.join(NAMES)}")
+        raise click.UsageError(f"no calibrator {', '.join(unknown)}; there are {', '.join(CALIBRATOR_NAMES)}")
     size = paper.QUICK if quick else paper.FULL
     size = replace(
         size,

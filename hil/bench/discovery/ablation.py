@@ -35,7 +35,7 @@ NEAR = 4
 
 def answer(request: Request) -> Request:
     """Both ablations over one record, and forecasts of the true effects."""
-    from hil.diagnosis.hand_over import read_columns, with_clock
+    from hil.diagnosis.columns import read_columns, with_clock
     from twin.twinfile import load
 
     network = with_clock(load(Path(request["twin"])))
@@ -74,7 +74,7 @@ def answer(request: Request) -> Request:
 
 
 def _readings(network: Network, path: Path, hour: float) -> Array:
-    from hil.diagnosis.hand_over import read_columns
+    from hil.diagnosis.columns import read_columns
 
     record, _ = read_columns(network, path, hour)
     return on_grid(network, record.time_s, record.inputs, record.measured).measured

@@ -13,7 +13,7 @@ from hil.bench.discovery.worker import Request, serve
 
 def answer(request: Request) -> Request:
     """Diagnose as `hil diagnose` does, without its page and its revision of the twin."""
-    from hil.diagnosis.hand_over import read_columns, with_clock
+    from hil.diagnosis.columns import read_columns, with_clock
     from hil.diagnosis.store import write_document
     from twin.discovery.engine import diagnose
     from twin.twinfile import load

@@ -76,7 +76,8 @@ def _asked(case: Setting, there: Truth, new: Truth, twin: Path, good: Path) -> t
     """What a twin file says of a record with what is `there`, of which some is `new`; and its next revision."""
     from drivers.rig_file.reader import load_rig
     from drivers.virtual.plant.effects import load_effects
-    from hil.diagnosis.hand_over import columns_of, read_healthy, revise, with_clock
+    from hil.diagnosis.columns import columns_of, read_healthy, with_clock
+    from hil.diagnosis.revision import revise
     from twin.discovery.engine import diagnose
     from twin.twinfile import load
 

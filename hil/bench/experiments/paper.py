@@ -24,10 +24,10 @@ from hil.bench.experiments.tracked import Tracked, after, first_error, follow, h
 from hil.bench.measure.report import Cell, Table
 from hil.bench.peers import Absent
 from hil.run.session.terminal import Steps
-from twin.calibrators import FITTING
+from twin.calibrators import UNTRAINED_CALIBRATORS
 from twin.network import Network
 
-CALIBRATORS = tuple(name for name in ("pso_paper", "pso", "least_squares", "kalman") if name in FITTING)
+CALIBRATORS = tuple(name for name in ("pso_paper", "pso", "least_squares", "kalman") if name in UNTRAINED_CALIBRATORS)
 CALM_S = 3600.0
 """An hour after the change every excursion counts as a later one."""
 
@@ -177,9 +177,9 @@ def randomised(here: list[Campaign], size: Size, seed: int) -> Table:
 
 def _drawn(network: Network, calibrator: str, seed: int) -> Network:
     """The network with a calibrator's tunables uniform in the set's initial ranges."""
-    from twin.calibrators import make
+    from twin.calibrators import make_calibrator
 
-    ids = make(calibrator, network).ids
+    ids = make_calibrator(calibrator, network).ids
     chosen = next(s for s in network.sets.values() if set(s.members) == set(ids))
     rng = np.random.default_rng([seed, 7])
     values = {}

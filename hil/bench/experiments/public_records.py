@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.record.public import PIPE_TESTS, WATER_DENSITY, Columns, dry_cooler, heated_pipe, held_steady, tclab
-from twin.commission import INITIAL_SD_K, Commission, commission
-from twin.exact import right_side
+from twin.commission import INITIAL_SD_K, CommissionOptions, CommissionResult, commission
 from twin.kernel import Kernel, simulate
 from twin.network import Network
+from twin.reference_simulation import right_hand_side
 from twin.steady import steady_readings
 from twin.twinfile import load, parse
 
@@ -102,7 +102,7 @@ def run(
     """
     real = data / "real"
     rows: list[Row] = []
-    fits: list[tuple[Network, Commission]] = []
+    fits: list[tuple[Network, CommissionResult]] = []
     messages: list[str] = []
     for done, (name, part) in enumerate(PARTS.items()):
         progress(done, name)
@@ -117,7 +117,7 @@ def run(
             fit.values[name],
             *fit.interval90[name],
             network.parameters[name].unit,
-            "no" if name in fit.cannot_tell else "at its bound" if name in fit.at_bound else "yes",
+            "no" if name in fit.unidentifiable else "at its bound" if name in fit.at_bound else "yes",
         )
         for network, fit in fits
         for name in fit.values
@@ -126,7 +126,7 @@ def run(
     return RecordsResult(tuple(rows), values, definitions, tuple(dict.fromkeys(messages)))
 
 
-_Part = tuple[list[Row], tuple[Network, Commission], list[str]]
+_Part = tuple[list[Row], tuple[Network, CommissionResult], list[str]]
 
 
 def _tclab(real: Path, twins: Path, seed: int) -> _Part:
@@ -187,20 +187,20 @@ PARTS: dict[str, Callable[[Path, Path, int], _Part]] = {
 }
 
 
-def _fitted(network: Network, record: Columns, seed: int, initial_sd: float = INITIAL_SD_K) -> Commission:
+def _fitted(network: Network, record: Columns, seed: int, initial_sd: float = INITIAL_SD_K) -> CommissionResult:
     inputs, measured = network.select(record.columns)
     return commission(
         network, record.time_s, inputs, measured,
-        held_out=HELD_OUT, seed=seed, initial_sd=initial_sd, made_by=record.name,
+        CommissionOptions(held_out=HELD_OUT, seed=seed, initial_sd=initial_sd, made_by=record.name),
     )  # fmt: skip
 
 
-def band(fit: Commission, record: Columns) -> tuple[float, float]:
+def band(fit: CommissionResult, record: Columns) -> tuple[float, float]:
     """The middle 90 % of sum |error| on `record` over parameters that the fit cannot tell from its best ones."""
     inputs, measured = fit.network.select(record.columns)
     state = fit.network.initial_state(measured[:1])
     kernel = Kernel(fit.network, tuple(fit.values))
-    readings, _ = kernel.trace(fit.drawn(DRAWS), state, record.time_s, inputs)
+    readings, _ = kernel.trace(fit.sample(DRAWS), state, record.time_s, inputs)
     low, high = np.quantile(np.nansum(np.abs(readings - measured), axis=(1, 2)), [0.05, 0.95])
     return float(low), float(high)
 
@@ -244,7 +244,7 @@ def _rmse(residual: Array) -> float:
 def _implicit_euler(network: Network, record: Columns) -> Array:
     """As `_residual`, with one implicit Euler step from a sample to the next; sensors follow with their lag."""
     inputs, measured = network.select(record.columns)
-    rhs, values = right_side(network), network.values
+    rhs, values = right_hand_side(network), network.values
     lag = values[network.index(f"{s.name}.lag_s" for s in network.sensors)]
     at = [network.nodes.index(s.node) for s in network.sensors]
     state = network.initial_state(measured[:1])

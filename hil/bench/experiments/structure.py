@@ -18,7 +18,7 @@ from hil.bench.experiments.campaigns import PROFILES
 from hil.bench.measure.report import Cell, Table
 from hil.record.reader import read_record
 from hil.run.session.terminal import Steps
-from twin.commission import commission
+from twin.commission import CommissionOptions, commission
 from twin.datasheet import from_datasheet
 from twin.kernel import Kernel, simulate
 from twin.network import Array
@@ -89,7 +89,7 @@ def judge(rig: Path, name: str, template: Path, seed: int) -> Left:
     kernel = Kernel(sheet, sheet.tunables("commission"))
     kernel.trace(np.tile(sheet.values, (2, 1)), sheet.initial_state(measured[:1]), healthy.time_s[:2], inputs[:2])
     began = time.process_time()
-    done = commission(sheet, healthy.time_s, inputs, measured, held_out=HELD_OUT, seed=seed)
+    done = commission(sheet, healthy.time_s, inputs, measured, CommissionOptions(held_out=HELD_OUT, seed=seed))
     fit_s = time.process_time() - began
     network = done.network
     residual = simulate(network, healthy.time_s, inputs, done.state) - measured

@@ -8,8 +8,8 @@ import numpy as np
 
 from hil.bench.experiments.campaigns import Campaign
 from twin.calibrators import Calibration
-from twin.exact import right_side
 from twin.network import Array, Network
+from twin.reference_simulation import right_hand_side
 from twin.tracking import TwinTracker
 
 EDGE = 60
@@ -102,7 +102,7 @@ def _residual_power(campaign: Campaign, start_s: float, end_s: float) -> Array:
     edge = min(EDGE, max(len(time) // 4, 1))
     step_s = float(time[-edge:].mean() - time[:edge].mean())
     rate = (np.nanmean(state[-edge:], axis=0) - np.nanmean(state[:edge], axis=0)) / step_s
-    rhs, values = right_side(network), network.values
+    rhs, values = right_hand_side(network), network.values
     every = slice(edge // 2, len(time) - edge // 2, 5)
     model = np.mean([rhs(x, u, values) for x, u in zip(state[every], inputs[every], strict=True)], axis=0)
     capacity = np.array([network.parameters[f"{node}.capacitance"].value for node in network.nodes])

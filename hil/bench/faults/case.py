@@ -14,6 +14,7 @@ from pathlib import Path
 
 from hil.bench.faults import judge
 from hil.bench.faults.kinds import MENDED_AFTER_S, Kind
+from hil.bench.faults.places import take_places_out
 from hil.bench.faults.plan import Case, case_of
 from hil.bench.faults.rig import STALE_LIMIT_S
 from hil.bench.faults.stage import Stage, last_line, last_words, set_stage, spawn
@@ -49,6 +50,7 @@ async def run_case(
             except Exception as error:  # a case that cannot be carried out is no reason to leave out the others
                 result = Result(kind_name, number, failures=[f"not carried out: {type(error).__name__}: {error}"])
         result.attempts = attempt
+        take_places_out(result)
         if result.struck and (not result.failures or result.stall_s < STALL_S or result.resumed is False):
             break
     return result

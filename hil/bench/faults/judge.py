@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bisect
 import json
+import os
 import sqlite3
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -149,6 +150,22 @@ def guardian_at(folder: Path | None, occurred_s: float) -> float | None:
     except (OSError, ValueError):
         return None
     return next((row["wall_s"] for row in rows if row["what"] == "acting" and row["wall_s"] >= occurred_s), None)
+
+
+def tries_on(pid: int) -> bool:
+    """Return whether the guardian `pid` states that the rig is not safe and that it goes on.
+
+    Its log is read by its own descriptor: the attack may have deleted the run's folder.
+    """
+    try:
+        for name in os.listdir(f"/proc/{pid}/fd"):
+            path = f"/proc/{pid}/fd/{name}"
+            if "guardian.log" in os.readlink(path):
+                last = Path(path).read_text(encoding="utf-8", errors="replace").splitlines()[-1]
+                return bool(json.loads(last)["what"] == "not safe")
+    except (OSError, ValueError, IndexError, KeyError):
+        pass
+    return False
 
 
 def ended_at(journal: Journal, occurred_s: float) -> float | None:

@@ -101,7 +101,7 @@ def _damage(database: sqlite3.Connection, pick: random.Random) -> None:
         row = database.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
         try:
             document = json.loads(row[0]) if row else None
-        except (ValueError, TypeError):  # damaged by the mutation before this one
+        except (ValueError, TypeError, RecursionError):  # damaged by the mutation before this one
             document = None
         value = mutated_json(document, pick).decode("utf-8", "replace")
         database.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))

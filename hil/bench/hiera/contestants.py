@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.hiera.cases import Case
-from twin.calibrators import NAMES, make
+from twin.calibrators import CALIBRATOR_NAMES, make_calibrator
 from twin.calibrators.base import Calibration, Calibrator
 from twin.calibrators.hiera_unet.campaigns import Label
 from twin.calibrators.hiera_unet.evidence import Evidence, estimate, identifiable, least_error, step_noise
@@ -163,13 +163,13 @@ def _calibrator(name: str, network: Network, seed: int) -> Calibrator:
     noise = {f"{s.name}.sigma": network.parameters[f"{s.name}.sigma"].value / np.sqrt(STEP_S) for s in network.sensors}
     steps = network.with_values(noise)
     if name == "hiera_unet":
-        return make(name, network)
+        return make_calibrator(name, network)
     if name == "hiera_ls":
         from twin.calibrators.hiera_unet.refined import RefinedCalibrator
         from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
 
         return RefinedCalibrator(steps, HieraUNetCalibrator.shipped(network))
-    return make(name, steps, seed=seed)
+    return make_calibrator(name, steps, seed=seed)
 
 
 def _number(calibration: Calibration, origin: float) -> int:
@@ -202,5 +202,5 @@ def _shipped() -> tuple[str, ...]:
 
 def roster(names: tuple[str, ...] = ()) -> dict[str, Contestant]:
     """Name -> contestant, in the order of the tables; `names` of the trackers, all that are here by default."""
-    trackers = names or tuple(n for n in ("pso", "least_squares", "kalman", *_shipped()) if n in NAMES)
+    trackers = names or tuple(n for n in ("pso", "least_squares", "kalman", *_shipped()) if n in CALIBRATOR_NAMES)
     return {"commissioned": commissioned, **{n.replace("_", " "): tracked(n) for n in trackers}, "fit of 2 h": fitted}

@@ -10,9 +10,9 @@ import numpy as np
 from hil.bench.kernel.windows import Job
 from hil.bench.peers import Absent
 from hil.bench.peers.formulas import sensor_rows
-from twin.exact import right_side, simulate_exact
 from twin.kernel import Kernel
 from twin.network import Array, Network, TwinFileError
+from twin.reference_simulation import right_hand_side, simulate_exact
 
 ALL = ("constant", "stepped", "each s")
 HELD = ("constant", "stepped")
@@ -125,7 +125,7 @@ def oracle(job: Job) -> Array:
 
 def tight(network: Network, time: Array, inputs: Array, state: Array, p: Array) -> Array:
     """States (n, k) by eight Runge-Kutta steps a sample: the reference where no exponential exists."""
-    rhs, out = right_side(network), np.empty((len(time), len(state)))
+    rhs, out = right_hand_side(network), np.empty((len(time), len(state)))
     x = out[0] = state
     for i in range(len(time) - 1):
         h = (time[i + 1] - time[i]) / 8.0

@@ -15,10 +15,10 @@ from hil.bench.measure.machine import median
 from hil.bench.measure.report import Cell, Table
 from hil.bench.peers import Absent, filter_peer, optimisers
 from hil.run.session.terminal import Steps
-from twin.calibrators import FITTING, make
-from twin.gauss_newton import Data, Prior, Scaling
-from twin.gauss_newton import Problem as GaussNewton
-from twin.kernel import masked
+from twin.calibrators import UNTRAINED_CALIBRATORS, make_calibrator
+from twin.gauss_newton import FitData, GaussianPrior, Scaling
+from twin.gauss_newton import FitProblem as GaussNewton
+from twin.kernel import mask_measurements
 from twin.network import Array, Network
 from twin.twinfile import load
 
@@ -106,9 +106,9 @@ def measure(size: Size, seed: int, record: Record | None = None) -> tuple[tuple[
 def _one_window(problem: Problem, seed: int, scores: dict[str, _Score], absent: dict[str, None]) -> None:
     """Everyone fits one window; then all are measured against the best that anyone found."""
     found: dict[str, tuple[float, bool]] = {}
-    for name in FITTING:
+    for name in UNTRAINED_CALIBRATORS:
         # The first call fetches the calibrator's machine code; the clock runs for one as fresh that has it.
-        calibrator = make(name, problem.network, problem.tunables, seed)
+        calibrator = make_calibrator(name, problem.network, problem.tunables, seed)
         fresh = calibrator.state()
         calibrator.calibrate(problem.window)
         calibrator.restore(fresh)
@@ -150,11 +150,11 @@ def _descent(problem: Problem, seed: int) -> Array:
     window, network = problem.window, problem.network
     low, high = box(network, problem.ids)
     scaling = replace(Scaling.of(network, problem.ids), lower=low, upper=high)
-    data = Data(window.time, window.inputs, *masked(window.measured, network.sigma))
+    data = FitData(window.time, window.inputs, *mask_measurements(window.measured, network.sigma))
     descent = GaussNewton(problem.kernel, scaling, window.parameters, data, window.state)
     k = len(network.nodes)
     v = np.concatenate([scaling.to_z(problem.values(problem.start)), window.state[:k]])
-    flat = Prior(v, np.diag(np.concatenate([NO_PRIOR * scaling.prior_sd() ** -2, np.ones(k)])))
+    flat = GaussianPrior(v, np.diag(np.concatenate([NO_PRIOR * scaling.prior_sd() ** -2, np.ones(k)])))
     state_given = np.arange(v.size) >= len(problem.ids)
     fit = descent.minimise(v, flat, held=state_given, most=MOST, tolerance=TOLERANCE)
     problem.evaluations = fit.evaluations * (1 + v.size)

@@ -9,8 +9,8 @@ import numpy as np
 
 from hil.bench.kernel.windows import drive, steady_start
 from twin.calibrators import Window
-from twin.calibrators.windows import assemble
-from twin.kernel import Kernel, masked, simulate
+from twin.calibrators.windows import make_window
+from twin.kernel import Kernel, mask_measurements, simulate
 from twin.network import Array, Network
 
 SIGMA_K = 0.05
@@ -47,7 +47,7 @@ class Problem:
         self.kernel = Kernel(self.network, self.ids)
         self._low, self._high = box(self.network, self.ids)
         self._log = (self._low > 0.0) & (self._high >= 10.0 * self._low)
-        self._data = masked(self.window.measured)
+        self._data = mask_measurements(self.window.measured)
 
     @property
     def start(self) -> Array:
@@ -153,5 +153,5 @@ def measured(network: Network, tunables: str, record: Path, count: int) -> list[
 
 def _window(network: Network, time: Array, inputs: Array, readings: Array, state: Array) -> Window:
     live = simulate(network, time, inputs, state)
-    window = assemble(0, time, inputs, readings, state, network.values.copy(), live, network.rules)
+    window = make_window(0, time, inputs, readings, state, network.values.copy(), live, network.rules)
     return replace(window, kind="calibrated")

@@ -16,8 +16,8 @@ from hil.bench.measure.report import Cell, Table, number
 from hil.bench.peers import Absent
 from hil.bench.peers.formulas import sensor_rows
 from hil.run.session.terminal import Steps
-from twin.exact import simulate_finely
 from twin.network import Array, Network
+from twin.reference_simulation import simulate_fine_steps
 from twin.twinfile import load
 
 TWINS = Path(__file__).resolve().parents[3] / "profiles" / "twins"
@@ -163,7 +163,7 @@ def _swarm_step(
 def _own_error_step(name: str, window: Job, found: _Found) -> Callable[[], None]:
     def step() -> None:
         if contestants.remembers(window.network):
-            exact = simulate_finely(window.network, window.time, window.inputs, window.state, FINE)
+            exact = simulate_fine_steps(window.network, window.time, window.inputs, window.state, FINE)
         else:
             exact = contestants.oracle(window)[:, sensor_rows(window.network)]
         error = float(np.abs(contestants.our_readings(window.of(1))() - exact).max())

@@ -13,7 +13,7 @@ from hil.bench.kernel.windows import drive, steady_start
 from hil.bench.measure.machine import median
 from hil.bench.measure.report import Cell, Table
 from hil.run.session.terminal import Steps
-from twin.calibrators import FITTING, Calibration, Calibrator, Window, make
+from twin.calibrators import UNTRAINED_CALIBRATORS, Calibration, Calibrator, Window, make_calibrator
 from twin.kernel import simulate
 from twin.network import Array, Network
 from twin.tracking import TwinTracker
@@ -69,14 +69,14 @@ def whole_table(network: Network, hours: float, seed: int) -> Table:
     time_s, inputs, readings = drifting(network, hours, seed)
     plan = [
         (name, tunables)
-        for name in FITTING
+        for name in UNTRAINED_CALIBRATORS
         for tunables in (("paper4",) if name == "pso_paper" else ("paper4", "nine", "twelve"))
     ]
     rows: list[tuple[Cell, ...]] = []
     with Steps(f"tracking {hours:g} h", len(plan)) as bar:
         for done, (name, tunables) in enumerate(plan):
             bar.update(done, f"{name}, {tunables}")
-            clocked = Clocked(make(name, network, tunables, seed))
+            clocked = Clocked(make_calibrator(name, network, tunables, seed))
             tracker = TwinTracker(network, clocked)
             began = time.process_time()
             update = tracker.push(time_s, inputs, readings)

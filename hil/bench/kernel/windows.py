@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.kernel import masked, simulate
+from twin.kernel import mask_measurements, simulate
 from twin.network import Array, Network
 
 SCHEDULES = ("constant", "stepped", "each s")
@@ -84,7 +84,7 @@ def job(
     state = steady_start(network)
     rng = np.random.default_rng(seed + 1)
     truth = simulate(network, time, inputs, state)
-    measured, weight = masked(truth + network.sigma * rng.standard_normal(truth.shape))
+    measured, weight = mask_measurements(truth + network.sigma * rng.standard_normal(truth.shape))
     ids, particles = swarm(network, tunables, count, seed + 2)
     return Job(network, ids, schedule, time, inputs, measured, weight, state, particles)
 

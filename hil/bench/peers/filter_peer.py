@@ -9,8 +9,8 @@ import numpy as np
 from hil.bench.kernel.problems import SIGMA_K, Problem
 from hil.bench.peers import Absent
 from hil.bench.peers.formulas import sensor_rows
-from twin.exact import right_side
 from twin.network import Array
+from twin.reference_simulation import right_hand_side
 
 
 def joint_ukf(problem: Problem, seed: int) -> Array:
@@ -23,7 +23,7 @@ def joint_ukf(problem: Problem, seed: int) -> Array:
             raise Absent("filterpy: not installed (pip install -e '.[bench]')") from None
     window, network = problem.window, problem.network
     k, q, m = len(network.nodes), len(problem.ids), len(network.sensors)
-    reads, rhs = sensor_rows(network), right_side(network)
+    reads, rhs = sensor_rows(network), right_hand_side(network)
 
     def forward(x: Array, dt: float, u: Array) -> Array:
         p = problem.full(x[k:])[0]

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.codegen import python_source
-from twin.generated_code import functions
+from twin.assembly import python_source
+from twin.generated_code import define_functions
 from twin.network import Array, Network
 
 Rhs = Callable[[Any, Any, Any], list[Any]]
@@ -17,7 +17,7 @@ Rhs = Callable[[Any, Any, Any], list[Any]]
 def right_side_of(network: Network, exp: Callable[..., Any], log: Callable[..., Any], largest: Any) -> Rhs:
     """``rhs(T, u, p) -> dT/dt`` with the given functions in place of math's, for arrays, tensors and tracers."""
     given = {"exp": exp, "log": log, "max": largest}
-    rhs: Rhs = functions(python_source(network), f"<right side of {network.name}>", given)["rhs"]
+    rhs: Rhs = define_functions(python_source(network), f"<right side of {network.name}>", given)["rhs"]
     return rhs
 
 

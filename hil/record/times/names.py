@@ -29,13 +29,18 @@ SECONDS_PER: dict[str, float] = {
 }
 """Seconds in a unit of time, by its symbol in lower case."""
 
-_ELAPSED = ("time", "t", "elapsed", "elapsed time", "time elapsed", "run time", "rel time", "relative time")
+_ELAPSED = ("time", "t", "elapsed", "elapsed time", "time elapsed", "run time", "rel time", "relative time", "x value")
 _MOMENT = (
     *("timestamp", "time stamp", "datetime", "date time", "date/time", "date and time", "date", "epoch", "when"),
     *("local time", "utc", "time utc", "utc time", "timestamp utc", "last changed", "last updated", "recorded at"),
-    *("datum", "zeit", "uhrzeit", "zeitstempel", "datum/zeit", "datum uhrzeit", "date heure", "horodatage"),
+    *("date&time", "date & time", "time string", "timestring", "sourcetimestamp", "source timestamp"),
+    *("servertimestamp", "server timestamp"),
+    *("modified julian date", "modified julian day", "mjd", "julian date", "julian day", "jd", "datenum"),
+    *("datum", "zeit", "uhrzeit", "zeitstempel", "datum/zeit", "datum uhrzeit", "date heure", "heure", "horodatage"),
 )  # fmt: skip
-_UNIT = re.compile(r"(.+?)[ _]*[\[(]\s*([a-zµ]+)\s*[\])]|(.+)[ _]([a-zµ]+)|([a-zµ]+)")
+_UNIT = re.compile(r"(.+?)[ _]*[\[(]\s*([a-zµ]+)\s*[\])]|(.+?)\s*[/_ ]\s*(?:in\s+)?([a-zµ]+)|([a-zµ]+)")
+
+_ZONE = re.compile(r"(?<![A-Za-z])(?:GMT|UTC)(?![A-Za-z])(?:\s*([+-]\d{1,2})(?::?(\d{2}))?)?", re.IGNORECASE)
 
 
 def seconds_per_unit(name: str) -> float | None:
@@ -49,7 +54,8 @@ def seconds_per_unit(name: str) -> float | None:
     stem, unit = (parts[1], parts[2]) if parts[1] else (parts[3], parts[4]) if parts[3] else ("", parts[5])
     if stem == "t" and not parts[1] and unit != "s":
         return None  # T_min and T_h are temperatures
-    if unit in SECONDS_PER and (_spelt(stem) in _ELAPSED or (not stem and unit in ("seconds", "minutes", "hours"))):
+    alone = not stem and unit in ("seconds", "minutes", "hours")
+    if unit in SECONDS_PER and (alone or _spelt(stem) in (*_ELAPSED, *_MOMENT)):
         return SECONDS_PER[unit]
     return None
 
@@ -68,6 +74,21 @@ def is_time_name(name: str) -> bool:
 def names_dates(name: str) -> bool:
     """Return True for a name of dates, or of dates with times, and never of a time since the beginning."""
     return _spelt(name.strip().lower()) in (*_MOMENT, "time of day") and "epoch" not in name.lower()
+
+
+def names_days(name: str) -> bool:
+    """Return True for a name of days, as `Date` and `MJD` are; whole numbers of a `timestamp` may be seconds."""
+    low = name.strip().lower()
+    return is_time_name(name) and re.search(r"date|datum|julian|\bm?jd\b", low) is not None
+
+
+def zone_of(name: str) -> tuple[str, float] | None:
+    """Return the time zone that a name of times gives, as `Date Time, GMT+01:00` does, and its seconds ahead of UTC."""
+    found = _ZONE.search(name)
+    if found is None:
+        return None
+    hours, minutes = int(found[1] or 0), int(found[2] or 0)
+    return found[0].strip(), hours * 3600.0 + (-60.0 if hours < 0 else 60.0) * minutes
 
 
 def _spelt(low: str) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,10 +26,32 @@ COUNTS = ((1e-9, "nanoseconds"), (1e-6, "microseconds"), (1e-3, "milliseconds"),
 _WORDS = {60.0: "minutes", 3600.0: "hours"} | dict(COUNTS)
 _DAY_S = 86400.0
 
-SHEET_YEARS = (32_874.0, 73_051.0)
-"""Day numbers of a spreadsheet, of the years 1990 to 2100."""
-_OTHER_DAYS = ((726_834.0, 767_011.0), (2_447_892.0, 2_488_070.0))
-"""Day numbers of MATLAB (datenum) and Julian dates, of the years 1990 to 2100."""
+
+@dataclass(frozen=True)
+class DayCount:
+    """Numbering of days with their fractions.
+
+    Attributes:
+        name, one: of several and of one, for messages. of_1970: the number of 1970-01-01 00:00.
+        first, last: numbers that are taken for it.
+    """
+
+    name: str
+    one: str
+    of_1970: float
+    first: float
+    last: float
+
+
+DAY_COUNTS = (
+    DayCount("day numbers of a spreadsheet", "a day number of a spreadsheet", 25_569.0, 20_000.0, 51_544.0),
+    DayCount("modified Julian dates", "a modified Julian date", 40_587.0, 51_544.0, 88_070.0),
+    DayCount("day numbers of MATLAB", "a day number of MATLAB", 719_529.0, 726_834.0, 767_011.0),
+    DayCount("Julian dates", "a Julian date", 2_440_587.5, 2_447_892.0, 2_488_070.5),
+)
+"""Day counts in use. 51544 is 2000-01-01 as a modified Julian date and 2041-02-11 in a spreadsheet: no record is of the
+future, and none before 2000 has modified Julian dates. Spreadsheets count from 1899-12-30 (ECMA-376, 18.17.4.1), MATLAB
+from the year 0, Julian dates from noon."""
 TINY_S = 0.5
 """Steps of day numbers are below half a day, but for daily values: as seconds they would be below half a second."""
 _ROUND_S = tuple(k * unit for unit in (1, 60) for k in (1, 2, 5, 10, 15, 20, 30)) + tuple(
@@ -86,12 +109,18 @@ def compact_moments(values: NDArray[np.float64]) -> list[str | None] | None:
     return None
 
 
-def are_days(cells: Any, values: NDArray[np.float64], unit_given: bool) -> bool:
-    """Return True for day numbers of a spreadsheet, False for seconds.
+def day_count(middle: float) -> DayCount | None:
+    """Return the numbering of days whose years since 1954 hold the number `middle`; None for no such number."""
+    return next((count for count in DAY_COUNTS if count.first <= middle < count.last), None)
+
+
+def are_days(cells: Any, values: NDArray[np.float64], count: DayCount | None, unit_given: bool) -> bool:
+    """Return True for day numbers, False for seconds.
 
     Args:
         cells: of the column as stored, which show how many decimals were written.
-        values: finite numbers of the column. unit_given: True where its name says that they are seconds.
+        values: finite numbers of the column. count: numbering of days that they may be in, None for parts of a day.
+        unit_given: True where the name of the column says that they are seconds.
 
     Raises:
         TimeTextError: they may be days and seconds.
@@ -100,16 +129,13 @@ def are_days(cells: Any, values: NDArray[np.float64], unit_given: bool) -> bool:
     steps = steps[steps > 0.0]
     if not len(steps) or float(np.median(steps)) >= TINY_S:
         return False
-    low, high = float(values.min()), float(values.max())
-    sheet = SHEET_YEARS[0] <= low and high <= SHEET_YEARS[1]
-    dated = sheet or any(least <= low and high <= most for least, most in _OTHER_DAYS)
-    if unit_given and not dated:
+    if unit_given and count is None:
         return False
-    grid = _grid_of_days(values, _written_to(cells), whole=dated)
-    if grid and sheet and not unit_given:
+    grid = _grid_of_days(values, _written_to(cells), whole=count is not None)
+    if grid and count is not None and not unit_given:
         return True
-    if grid or (sheet and not unit_given):
-        kind = "a day number of a spreadsheet" if sheet else "a day number" if dated else "a part of a day"
+    if grid or (count is not None and not unit_given):
+        kind = count.one if count is not None else "a part of a day"
         named = "" if unit_given else ", or time_d into the column's name"
         raise TimeTextError(
             f"{values[0]:.12g} looks like {kind}; give --time-scale 86400{named} where it is one, and write seconds "

@@ -15,6 +15,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.record.times.full_clock import TimeTextError, require_full_clock
+
 Order = Literal["ymd", "dmy", "mdy"]
 ORDERS: tuple[Order, ...] = ("dmy", "mdy", "ymd")
 WORDS = {"dmy": "day.month.year", "mdy": "month/day/year", "ymd": "year/month/day"}
@@ -52,18 +54,12 @@ _DATE = (
     r"|(?P<compact>(?:19|20|21)\d{6}))"
 )
 _STAMP = re.compile(rf"{_DATE}(?:[T\s,_-]+{_TIME})?|(?P<long>(?:19|20|21)\d{{6}})[T_ -]?(?P<clock>\d{{6}})", re.ASCII)
-_CLOCK = re.compile(_TIME, re.ASCII)
+_CLOCK = re.compile(rf"(?:(?P<days>\d{{1,5}})\s*d(?:ays?)?,?\s+)?{_TIME}", re.ASCII)
+"""A time of day, or one since the beginning with its days before it: `1 days 02:03:04`, `0d 02:03:04`."""
 _FOUR = re.compile(r"(\d{1,3}):([0-5]\d):([0-5]\d):(\d\d)", re.ASCII)
 """Days, hours, minutes and seconds, or hours, minutes, seconds and hundredths."""
 _HOUR = re.compile(r"(?:^|[T\s,_-])(\d{1,2}):[0-5]\d")
-_HALF_DAY = 43_200_000_000
-_NEXT_STEPS = 5
-"""A clock of twelve hours goes on after 12:59 within that many typical steps; later it is another record."""
 _ZONES = {"z": 0, "utc": 0, "gmt": 0, "cet": 60, "cest": 120}
-
-
-class TimeTextError(ValueError):
-    """A column of times may be read in two ways; the message lacks file and column."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +142,9 @@ def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
         raise TimeTextError(
             f"'{there[0][0]}' may be hours and minutes or minutes and seconds; write hh:mm:ss, or a date before it"
         )
-    micros = [None if match is None else _micros_of_day(match) for match in found]
+    micros = [
+        None if match is None else _micros_of_day(match) + int(match["days"] or 0) * MICROS_PER_DAY for match in found
+    ]
     _require_full_clock(cells, micros)
     days = 0
     last: int | None = None
@@ -156,7 +154,8 @@ def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
             days += last is not None and value < last - MICROS_PER_DAY // 2
             last = value
         out.append(None if value is None else value + days * MICROS_PER_DAY)
-    return Stamps(out, "a time of day", False, dated=False)
+    how = "days, hours, minutes and seconds" if any(match["days"] for match in there) else "a time of day"
+    return Stamps(out, how, False, dated=False)
 
 
 def _four_fields(cells: Sequence[str | None]) -> Stamps | None:
@@ -185,23 +184,15 @@ def _four_fields(cells: Sequence[str | None]) -> Stamps | None:
 
 
 def _require_full_clock(cells: Sequence[str | None], micros: Sequence[int | None]) -> None:
-    """Raise TimeTextError for a clock of twelve hours without AM and PM: after 12:59 it steps back to 1:00."""
-    steps = np.diff(np.array([x for x in micros if x is not None], dtype=np.int64))
-    if not (steps < 0).any() or not (steps > 0).any():
+    """Raise TimeTextError for text of a clock of twelve hours without AM and PM."""
+    there = [(cell, x) for cell, x in zip(cells, micros, strict=True) if cell is not None and x is not None]
+    hours = [match for cell, _ in there if (match := _HOUR.search(cell))]
+    if len(hours) < len(there) or any(cell.rstrip(". ").lower().endswith("m") for cell, _ in there):
         return
-    after = steps + _HALF_DAY
-    passes = (steps < 0) & (after > 0) & (after <= _NEXT_STEPS * np.median(steps[steps > 0]))
-    if not passes.any():
-        return
-    hours = [match for cell in cells if cell is not None and (match := _HOUR.search(cell))]
-    if not hours or any(not 1 <= int(match[1]) <= 12 for match in hours):
-        return
-    if any(cell is not None and cell.rstrip(". ").lower().endswith("m") for cell in cells):
-        return
-    there = [cell for cell, x in zip(cells, micros, strict=True) if x is not None]
-    raise TimeTextError(
-        f"after '{there[int(np.argmax(passes))]}' the clock steps back by twelve hours, as one of twelve hours without "
-        "AM and PM does; write hours from 00 to 23, or AM and PM"
+    require_full_clock(
+        np.array([x for _, x in there], dtype=np.int64),
+        np.array([int(match[1]) for match in hours], dtype=np.int64),
+        lambda row: there[row][0],
     )
 
 

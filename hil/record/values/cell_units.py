@@ -1,4 +1,4 @@
-"""Units that stand in the cells of a record, as in `20.5 °C`."""
+"""Units in the cells of a record, as in `20.5 °C`."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import dataclasses
 import re
 from typing import Any
 
-from drivers.signals.units import canonical_unit, split_column
-from hil.record.csv_dialect import FAHRENHEIT
+from drivers.signals.units import split_column
+from hil.record.heading_units import fahrenheit_hint, suffixed, unit_of
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times.names import is_time_name
 from hil.record.values.numbers import MARKS, readings, trimmed
@@ -21,20 +21,22 @@ _ANY = r"[0-9]\s*[A-Za-z°%µΩ]"
 def without_cell_units(raw: RawRecord) -> RawRecord:
     """Return `raw` with numbers alone in the columns whose cells have the unit of the column's name behind them.
 
-    A column of a name without a unit is left as it is, with a message.
+    A column of a name without a unit gets the suffix of that unit.
 
     Raises:
         RecordError: cells have another unit than the name of their column, or cells of a column differ in unit.
     """
-    cells, messages = list(raw.cells), list(raw.messages)
+    names, cells, messages = list(raw.names), list(raw.cells), list(raw.messages)
     for index, name in enumerate(raw.names):
         if not is_time_name(name) and (found := _stripped(name, raw.cells[index], raw)) is not None:
-            cells[index], said = found
+            names[index], cells[index], said = found
             messages.append(said)
-    return dataclasses.replace(raw, cells=tuple(cells), messages=tuple(messages))
+            messages += filter(None, [fahrenheit_hint(names[index])] if names[index] == f"{name}_F" else [])
+    return dataclasses.replace(raw, names=tuple(names), cells=tuple(cells), messages=tuple(messages))
 
 
-def _stripped(name: str, cells: Any, raw: RawRecord) -> tuple[Any, str] | None:
+def _stripped(name: str, cells: Any, raw: RawRecord) -> tuple[str, Any, str] | None:
+    """Return the name, numbers and message of a column whose cells have a unit, None for any other column."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -55,18 +57,22 @@ def _stripped(name: str, cells: Any, raw: RawRecord) -> tuple[Any, str] | None:
             f"({raw.place(other[0])}) by its cells; write all in one unit"
         )
     parts = split_column(name)
+    new = name
     if parts is None:
-        return (
-            cells,
-            f"column '{name}' has the unit {first} in its cells; write it into the name and leave it out of them",
-        )
-    if parts[1] != first:
+        new = suffixed(name, first)
+        if new in raw.names:
+            said = f"column '{name}' has the unit {first} in its cells, and there is a column {new}; rename one of them"
+            return name, cells, said
+    elif parts[1] != first:
         raise RecordError(
             f"{raw.path}: column '{name}' is in {parts[1]} by its name and in {first} by its cells "
             f"({raw.place(with_unit[0][0])}); correct one of them"
         )
     kept = [cell if one is None else one[0] for cell, one in zip(text.to_pylist(), split, strict=True)]
-    return pa.chunked_array([pa.array(kept, pa.string())]), f"{name}: the unit {first} in its cells is left out"
+    said = f"column '{name}' has the unit {first} in its cells: it is read as {new}"
+    if new == name:
+        said = f"{name}: the unit {first} in its cells is left out"
+    return new, pa.chunked_array([pa.array(kept, pa.string())]), said
 
 
 def _number_and_unit(cell: str) -> tuple[str, str] | None:
@@ -76,9 +82,5 @@ def _number_and_unit(cell: str) -> tuple[str, str] | None:
     match = _CELL.fullmatch(cell)
     if match is None or readings(match[1].strip()) == (None, None):
         return None
-    if match[2].lower() in (*FAHRENHEIT, "f"):
-        return match[1].strip(), "degF"
-    try:
-        return match[1].strip(), canonical_unit(match[2].strip())
-    except ValueError:
-        return None
+    unit = "degF" if match[2] == "F" else unit_of(match[2])
+    return None if unit is None else (match[1].strip(), unit)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.column_names import converted
+from twin.column_names import celsius_conversion
 from twin.network import Network
 
 Columns = Mapping[str, NDArray[np.float64]]
@@ -51,7 +51,7 @@ def beyond_declared(network: Network, columns: Columns) -> list[str]:
 def _by_name(columns: Columns) -> list[str]:
     said = []
     for name, values in columns.items():
-        known = converted(name)
+        known = celsius_conversion(name)
         if known is None or not _finite(values).size:
             continue
         unit, how, renamed = known

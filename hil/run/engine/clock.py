@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from typing import Protocol
 
 from drivers.bus.steady_time import steady_s
@@ -37,8 +38,8 @@ class Clock(Protocol):
     def current_tick(self) -> int:
         """Index of the tick that is due now: a later one than `next_tick` returned where its work took so long."""
 
-    async def advance(self) -> None:
-        """Let one period of rig time pass, outside the grid."""
+    async def advance(self, at_most_s: float = math.inf) -> None:
+        """Let one period of rig time pass, outside the grid; or `at_most_s` of it where time runs by itself."""
 
     async def wait(self) -> None:
         """Before a tick of a run that waits for a person: no faster than time goes for them."""
@@ -98,9 +99,9 @@ class MonotonicClock:
             self._tick = due
         return self._tick - self._first
 
-    async def advance(self) -> None:
-        """Sleep for one period."""
-        await asyncio.sleep(self.period_s / self._speed)
+    async def advance(self, at_most_s: float = math.inf) -> None:
+        """Sleep for one period, or for `at_most_s` of rig time."""
+        await asyncio.sleep(min(self.period_s, at_most_s) / self._speed)
 
     async def wait(self) -> None:
         """Nothing to do: ticks come no faster than they are due."""
@@ -209,8 +210,8 @@ class LockstepClock:
         """Index of the step that was granted last: no time passes between two of them."""
         return self._tick
 
-    async def advance(self) -> None:
-        """Grant one step and wait for it."""
+    async def advance(self, at_most_s: float = math.inf) -> None:
+        """Grant one step and wait for it: a step cannot be parted."""
         await self.next_tick()
 
     async def wait(self) -> None:

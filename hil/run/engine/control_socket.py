@@ -25,6 +25,8 @@ from hil.run.engine.operator import RefusedError, Verb
 
 LONGEST_LINE = 4096
 ANSWER_WITHIN_S = 20.0
+LATE_S = 15.0
+"""A request that was not obeyed for so long is answered all the same, s: less than a client waits for its answer."""
 MOST_CLIENTS = 16
 """Connections at a time: whoever forgets to close theirs must not use up this process's descriptors."""
 IDLE_S = 30.0
@@ -103,13 +105,23 @@ async def _answer(engine: Engine, line: bytes) -> dict[str, Any]:
         asked = json.loads(line)
         verb = asked["verb"]
         reason = plain(str(asked.get("reason") or "by an operator (hil ctl)"), LONGEST_REASON).replace("\n", " ")
-        text = str(engine.state) if verb == "status" else await engine.ask(Verb(verb), reason)
+        text = str(engine.state) if verb == "status" else await _obeyed(engine, Verb(verb), reason)
     except RefusedError as error:
         return {"ok": False, "text": str(error), "status": document(engine.status())}
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         verbs = ", ".join(["status", *Verb])
         return {"ok": False, "text": f"not understood; send one JSON object a line, with verb one of {verbs}"}
     return {"ok": True, "text": text, "status": document(engine.status())}
+
+
+async def _obeyed(engine: Engine, verb: Verb, reason: str) -> str:
+    """Return what came of a request, or after `LATE_S` that it waits for the next tick of a slow rig."""
+    asked = asyncio.ensure_future(engine.ask(verb, reason))
+    done, _ = await asyncio.wait({asked}, timeout=LATE_S)
+    if done:
+        return asked.result()
+    asked.add_done_callback(lambda late: late.cancelled() or late.exception())  # nobody waits for it any more
+    return f"{verb} was asked for and takes effect on the next tick of this slow rig; `hil ctl status` shows when"
 
 
 def document(status: Status) -> dict[str, Any]:

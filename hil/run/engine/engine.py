@@ -9,7 +9,6 @@ this process no longer can.
 
 from __future__ import annotations
 
-import asyncio
 import math
 import time
 from collections.abc import Callable
@@ -24,16 +23,17 @@ from hil.guardian.client import Guard, NoGuard
 from hil.journal.states import ENDED, HEATED, UNTOUCHED, WAITING, Event, State, TransitionError
 from hil.journal.writer import JournalError, JournalWriter
 from hil.profile.load_profile import Profile
+from hil.run.engine.attended import Cut, Finished, attended
 from hil.run.engine.clock import LONGEST_WAIT_S, Clock
 from hil.run.engine.operator import Verb
 from hil.run.engine.recording import Position, Publisher, Recorder
 from hil.run.engine.supervisor import End, Supervisor
 from hil.run.interlocks.conditions import Residuals
 from hil.run.outputs.deviations import Deviations
-from hil.run.outputs.heaters import Descent, good_readings, safe_limits, still_hot
+from hil.run.outputs.heaters import Descent, GoodReadings, safe_limits, still_hot
 from hil.run.outputs.outputs import Outputs
 from hil.run.outputs.readback import SetpointReadback
-from hil.run.outputs.safing import Safed, make_safe, write_safe
+from hil.run.outputs.safing import Safed, attempt_s, make_safe, write_safe
 from hil.run.outputs.setpoints import bind
 from hil.run.restore.resumption import Resumption
 from hil.run.restore.thermal_restore import Soak
@@ -41,8 +41,6 @@ from hil.run.restore.thermal_restore import Soak
 FIRST_SAMPLE_TIMEOUT_S = 10.0
 PAUSED_S = 1.0
 """Ticks that are further apart than this, and than two periods, are reported as a pause of process or machine, s."""
-STOP_WITHIN_S = 0.3
-"""So long a tick may go on after a stop request before it is cancelled, s."""
 _INTERRUPTED_AT_MOST = 100
 """So often making safe is begun again after whatever interrupted it."""
 
@@ -162,9 +160,14 @@ class Engine:
         self._limits = safe_limits(self._rig)
         timeouts = [bus.timeout_s for bus in self._rig.bus.values() if not isinstance(bus, CanBus)]
         self._is_quick = sum(timeouts) <= LONGEST_WAIT_S
+        # The meters of a slow rig are looked at more often than once a period while it is made safe.
+        self._step_s = clock.period_s if lockstep else min(clock.period_s, LONGEST_WAIT_S)
         self._patience_s = clock.period_s + LONGEST_WAIT_S + self._rig.abort_after_s + 2.0 * sum(timeouts)
         self._descent = Descent(self._rig, self._limits, clock.period_s)
         self._deviations = Deviations(self._rig)
+        self._meters_of_setpoints = GoodReadings(connection.points, self._deviations.meters)
+        self._meters_of_heaters = GoodReadings(connection.points, (limit.meter for limit in self._limits))
+        self._soonest_stale_s = min((point.stale_after_s for point in connection.points), default=math.inf)
         self._made_safe: Safed | None = None
 
     # What others ask of it ---------------------------------------------------------------------
@@ -212,7 +215,7 @@ class Engine:
 
     def _hot(self) -> str:
         """Return which heater's meter reads more than is safe, as a sentence; empty where none does."""
-        return still_hot(self._rig, self._limits, good_readings(self._connection.points, self._snapshot))
+        return still_hot(self._rig, self._limits, self._meters_of_heaters.of(self._snapshot))
 
     def _not_safe(self) -> str:
         """Return what contradicts a state with safe outputs; empty where nothing does, and in every other state."""
@@ -274,7 +277,8 @@ class Engine:
         for _ in range(_INTERRUPTED_AT_MOST):
             try:
                 if not outcome.safe:
-                    problem = await write_safe(self._connection, self._outputs.safe_values)
+                    within_s = attempt_s(self._rig)
+                    problem = await write_safe(self._connection, self._outputs.safe_values, within_s)
                     if problem:
                         self._guard.act()
                     await self._answer_stopped(problem)
@@ -322,7 +326,10 @@ class Engine:
             return self._supervisor.stop
         self._guard.watch()
         machine.take(Event.SOAK, "safe set-points, heartbeat, arming")
-        await self._outputs.arm(self._advance, self._interlocks.rig_trip)
+        armed = self._outputs.arm(self._advance, self._interlocks.rig_trip)
+        cut = await attended(armed, self._supervisor.stopping, self._trouble)
+        if isinstance(cut, Cut):
+            return (Event.FAIL, cut.trouble) if cut.trouble else self._supervisor.stop or (Event.ABORT, "stopped")
         if self._resumption is None:
             machine.take(Event.START, f"running {self._profile.name} on {rig.name}")
         await self._clock.start()
@@ -333,26 +340,30 @@ class Engine:
         return ended
 
     async def _interruptible_tick(self) -> End | None:
-        """Do one tick; a stop request ends one that takes longer than `STOP_WITHIN_S`: it waits for the next tick of a
-        slow rig, or for a device that does not answer."""
-        stopping = self._supervisor.stopping
+        """Do one tick; a request to stop or to pause ends one that waits for the next tick of a slow rig, or for a
+        device that does not answer."""
         if self._clock.period_s <= LONGEST_WAIT_S and self._is_quick:
             return await self._one_tick()
-        tick = asyncio.ensure_future(self._one_tick())
-        stop = asyncio.ensure_future(stopping.wait())
-        try:
-            await asyncio.wait({tick, stop}, return_when=asyncio.FIRST_COMPLETED)
-            if not tick.done():
-                await asyncio.wait({tick}, timeout=STOP_WITHIN_S)
-            if tick.done():
-                return tick.result()
-            tick.cancel()
-            await asyncio.gather(tick, return_exceptions=True)
-            return self._supervisor.stop
-        finally:
-            stop.cancel()
-            if not tick.done():
-                tick.cancel()
+        done = await attended(self._one_tick(), self._supervisor.urgent, self._trouble)
+        if isinstance(done, Finished):
+            return done.result
+        if done.trouble is not None:
+            return Event.FAIL, done.trouble
+        if self._supervisor.stop is None:
+            await self._obey_now()
+        return self._supervisor.stop
+
+    def _trouble(self) -> str | None:
+        """Return why the run has to end before its next tick: the guardian acted or is gone, the journal is lost."""
+        return self._guard.failure() or self._told.failure
+
+    async def _obey_now(self) -> None:
+        """Obey a request to make safe between two ticks, and answer it when the safe values are read back."""
+        self._expect()
+        self._supervisor.obey_urgent()
+        await self._put_out(0.0)
+        if self._supervisor.owes_answers:
+            self._supervisor.answer(await self._obeyed())
 
     async def _ask_guard(self) -> None:
         """Have the guardian reach the rig beside this engine; a wire that takes one connection only is reported."""
@@ -410,7 +421,8 @@ class Engine:
         # A process that was stopped while it read has read at any time since: the row is of now, old values are stale.
         self._at.tick = self._first + clock.current_tick()
         passed = self._at.tick - last
-        age(snapshot, self._connection.points, now - asked_s)
+        if now - asked_s > self._soonest_stale_s:
+            age(snapshot, self._connection.points, now - asked_s)
         self._notice_pause(passed * clock.period_s)
         # A machine without descriptors cannot open the link again: waiting for it would only heat on.
         why = self._guard.failure() or (self._connection.exhausted if snapshot.faults else None)
@@ -422,7 +434,7 @@ class Engine:
             ended = self._lead_back(self._soak, snapshot, now)
         if was_running and machine.state is State.RUNNING:
             self._at.profile_ticks += passed
-            self._deviations.tick(self._outputs.values, good_readings(self._connection.points, snapshot))
+            self._deviations.tick(self._outputs.values, self._meters_of_setpoints.of(snapshot))
         over = machine.state is State.RUNNING and self._at.profile_s >= self._profile.duration_s
         if ended is None:
             await self._put_out(clock.period_s)
@@ -431,7 +443,7 @@ class Engine:
             ended = (Event.COMPLETE, "the profile is over") if over else None
             if ended is None:
                 clock.release()
-        self._told.sample(snapshot, self._commanded(), now, wall_s, began)
+        self._told.sample(snapshot, self._outputs.values, now, wall_s, began)
         if self._observer is not None and time.monotonic() - self._shown > 0.2:
             self._shown = time.monotonic()
             self._observer(self.status())
@@ -446,6 +458,14 @@ class Engine:
         """Let one period pass, outside the grid."""
         self._expect()
         await self._clock.advance()
+
+    async def _step(self) -> None:
+        """Let `_step_s` pass, outside the grid."""
+        if self._step_s == self._clock.period_s:
+            await self._advance()
+        else:
+            self._expect()
+            await self._clock.advance(self._step_s)
 
     def _notice_pause(self, passed_s: float) -> None:
         """Record a gap between two ticks; beyond `abort_after_s` an interlock trips as well."""
@@ -466,9 +486,6 @@ class Engine:
             self._machine.take(Event.START, f"the rig is back where it was, after {self._soaked_s:.0f} s of soaking")
         return None if soak.failure is None else (Event.FAIL, soak.failure)
 
-    def _commanded(self) -> dict[str, float]:
-        return {point.name: self._outputs.values[point.name] for point in self._rig.setpoints}
-
     async def _obeyed(self) -> str:
         """Return the answer to an operator: the state, and outside `HEATED` what the rig holds and its meters read."""
         said = f"{self.state} at {self._at.profile_s:g} s of the profile"
@@ -482,7 +499,7 @@ class Engine:
         """Return what the heaters' meters read now, to go on with a sentence."""
         if not self._limits:
             return ""
-        readings = good_readings(self._connection.points, await self._connection.read())
+        readings = self._meters_of_heaters.of(await self._connection.read())
         hot = still_hot(self._rig, self._limits, readings)
         if hot:
             return f", but {hot}"
@@ -500,7 +517,7 @@ class Engine:
             if state not in HEATED:
                 if not self._outputs.safe_held:
                     self._descent.clear()  # it counts from the read-back on
-                readings = good_readings(self._connection.points, self._snapshot)
+                readings = self._meters_of_heaters.of(self._snapshot)
                 hot = self._descent.stays(readings, self._clock.now())
                 await self._outputs.put_safe(arm=self._supervisor.arming, hot=hot)
             elif self._guard.may_heat():
@@ -529,8 +546,8 @@ class Engine:
             self._connection,
             safe,
             heartbeat=self._outputs.heartbeat,
-            advance=self._advance,
-            period_s=self._clock.period_s,
+            advance=self._step,
+            period_s=self._step_s,
             hurried=lambda: self._supervisor.hurried,
             progress=self._expect,
             failed=self._guard_has_made_safe,

@@ -20,6 +20,8 @@ class Verb(enum.StrEnum):
     ACK = "ack"
 
 
+URGENT = (Verb.PAUSE,)
+"""Verbs that make the outputs safe: they are not kept waiting for the next tick. Abort ends the run by itself."""
 _EVENTS = {Verb.HOLD: Event.HOLD, Verb.PAUSE: Event.PAUSE, Verb.RESUME: Event.RESUME}
 _ALREADY = {
     Verb.HOLD: {State.HELD},
@@ -68,6 +70,11 @@ class Desk:
         asked = list(self._asked)
         self._asked.clear()
         return asked
+
+    def take_urgent(self) -> list[Request]:
+        """Return what was asked up to the last request that makes safe, in order; the rest waits for the tick."""
+        last = max((k for k, request in enumerate(self._asked, 1) if request.verb in URGENT), default=0)
+        return [self._asked.popleft() for _ in range(last)]
 
 
 def event_of(verb: Verb, *, soaks: bool) -> Event:

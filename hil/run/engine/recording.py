@@ -13,6 +13,7 @@ from hil.journal.rows import SegmentRow
 from hil.journal.states import Transition, level_of
 from hil.journal.writer import JournalError, JournalWriter
 
+_GOOD = int(Quality.GOOD)
 PUBLISH_TICKS = 60
 PUBLISH_WALL_S = 0.5
 BACKLOG_IN_LOCKSTEP = 2000
@@ -70,6 +71,11 @@ class Recorder:
         self._published = time.monotonic()
         self._behind = False
 
+    @property
+    def failure(self) -> str | None:
+        """Why rows do not reach the disk any more; None while they do."""
+        return self._journal.failure
+
     def sample(
         self, snapshot: Snapshot, commanded: Mapping[str, float], now_s: float, wall_s: float, began: float
     ) -> None:
@@ -78,8 +84,8 @@ class Recorder:
 
         Raises JournalError.
         """
-        values = snapshot.values + list(commanded.values())
-        quality = snapshot.quality + [int(Quality.GOOD)] * len(commanded)
+        values = [*snapshot.values, *commanded.values()]
+        quality = snapshot.quality + [_GOOD] * len(commanded)
         source = snapshot.source_time_s + [now_s] * len(commanded)
         latency = time.perf_counter() - began
         self._journal.sample(self._at.tick, self._at.time_s, wall_s, latency, values, quality, source)
@@ -90,10 +96,13 @@ class Recorder:
         self._behind = behind
         if self._lockstep and self._journal.backlog > BACKLOG_IN_LOCKSTEP:
             self._journal.commit()  # nobody waits for a tick in lockstep, and memory has an end
+        if self._publisher is None:
+            return
         ticks, times, rows = self._pending
         ticks.append(self._at.tick)
         times.append(self._at.time_s)
-        rows.append([v if q == 0 else math.nan for v, q in zip(values, quality, strict=True)])
+        all_good = not any(quality)  # GOOD is 0
+        rows.append(values if all_good else [v if q == 0 else math.nan for v, q in zip(values, quality, strict=True)])
 
     async def publish_if_due(self) -> None:
         """Hand on what has come together, often enough."""

@@ -15,12 +15,14 @@ from collections.abc import Callable, Mapping
 from drivers.rig_file.model import Point, Rig
 from drivers.signals.points import Snapshot
 from hil.journal.states import HEATED, Event, Machine, State, Transition, following
-from hil.run.engine.operator import Desk, RefusedError, Request, Verb, event_of, refusal, unheard
+from hil.run.engine.operator import URGENT, Desk, RefusedError, Request, Verb, event_of, refusal, unheard
 from hil.run.interlocks.conditions import Residuals
 from hil.run.interlocks.interlocks import Interlocks, Judgement
 from hil.run.outputs.outputs import ARMING_TICKS
 
-SECOND_REQUEST_S = 0.5
+SECOND_REQUEST_S = 1.0
+"""A stop request that follows another within this time is its echo, s. A key that is held down repeats after at most
+0.7 s, and a terminal and a supervisor may both pass on the same Ctrl-C."""
 
 End = tuple[Event, str]
 """COMPLETE, ABORT or FAIL, and why."""
@@ -41,6 +43,7 @@ class Supervisor:
         self.interlocks = Interlocks(rig, points)
         self.hurried = False
         self.stopping = asyncio.Event()
+        self.urgent = asyncio.Event()  # a request that must not wait for the next tick
         self.soaks = False  # whether a rig is led back to where a run was cut
         self._waits_s = rig.acknowledge_within_s
         self._suspends_s = rig.suspend_at_most_s
@@ -73,14 +76,16 @@ class Supervisor:
     def request_stop(self, reason: str) -> None:
         """End the run at the next tick. A second request shortens the waits of making safe, and skips nothing.
 
-        One that comes within `SECOND_REQUEST_S` is taken for an echo of the first: a terminal and a supervisor may
-        both pass on the same Ctrl-C.
+        One that comes within `SECOND_REQUEST_S` of another is taken for its echo, see there.
         """
         self.stopping.set()
+        self.urgent.set()
+        now = time.monotonic()
         if self._stop_reason is None:
-            self._stop_reason, self._stop_asked = reason, time.monotonic()
-        elif time.monotonic() - self._stop_asked > SECOND_REQUEST_S:
+            self._stop_reason = reason
+        elif now - self._stop_asked > SECOND_REQUEST_S:
             self.hurried = True
+        self._stop_asked = now
 
     async def ask(self, verb: Verb, reason: str) -> str:
         """Have `verb` obeyed on the next tick, and what came of it as a sentence; raises RefusedError."""
@@ -92,6 +97,8 @@ class Supervisor:
         why_not = unheard(self.state)
         if why_not is not None:
             raise RefusedError(why_not)
+        if verb in URGENT:
+            self.urgent.set()
         return await self._desk.ask(verb, reason)
 
     def step(
@@ -100,7 +107,9 @@ class Supervisor:
         """One tick: judge, obey, protect; how the run ends, where it does."""
         judgement = self.interlocks.judge(snapshot, now_s, commanded, residuals)
         self._acknowledge()
-        self._obey(judgement)
+        self._obey(self._desk.take(), judgement.trips)
+        if self._stop_reason is None:
+            self.urgent.clear()
         return self._protect(self.interlocks.standing(), now_s) or self._overdue(now_s) or self.stop
 
     @property
@@ -132,8 +141,14 @@ class Supervisor:
         for request in [*self._desk.take(), *self._obeyed, *acking]:
             request.refuse(f"the run is {self.state}")
 
-    def _obey(self, judgement: Judgement) -> None:
-        for request in self._desk.take():
+    def obey_urgent(self) -> None:
+        """Obey between two ticks what makes safe, and what was asked before that."""
+        if self._stop_reason is None:
+            self.urgent.clear()
+        self._obey(self._desk.take_urgent(), self.interlocks.standing().trips)
+
+    def _obey(self, requests: list[Request], trips: tuple[str, ...]) -> None:
+        for request in requests:
             why_not = refusal(self.state, request.verb, self.interlocks.standing().trips, soaks=self.soaks)
             if why_not is not None:
                 request.refuse(why_not)
@@ -141,7 +156,7 @@ class Supervisor:
                 request.refuse("an acknowledgement is under way; see `hil ctl status`")
             elif request.verb is Verb.ACK:
                 self._acking = request, ARMING_TICKS
-                self._note("INFO", f"acknowledged {request.reason}: {'; '.join(judgement.trips)}")
+                self._note("INFO", f"acknowledged {request.reason}: {'; '.join(trips)}")
             else:
                 event = event_of(request.verb, soaks=self.soaks)
                 if following(self.state, event) is not None:

@@ -51,6 +51,9 @@ class Judgement:
     warnings: tuple[str, ...] = ()
 
 
+_NOTHING = Judgement()
+
+
 class Interlock:
     """One condition with its delays: `active` while it counts, `present` while its cause is there.
 
@@ -68,21 +71,29 @@ class Interlock:
         self._since: float | None = None  # of what speaks against the present value of `active`
         self._drains = isinstance(condition, Untrusted)
         self._last_s = math.nan
+        self._is_quiet = True
 
-    def update(self, tick: Tick) -> None:
-        """Judge one tick."""
+    def update(self, tick: Tick) -> bool:
+        """Judge one tick; return True unless all is quiet: no cause, no delay under way, nothing active."""
         said = self.condition.judge(tick, self.active)
+        if said is None and self._is_quiet:
+            return False
+        self._judged(said, tick.now_s)
+        self._is_quiet = self._since is None and not self.active
+        return True
+
+    def _judged(self, said: str | None, now_s: float) -> None:
         self.present = said is not None
-        passed, self._last_s = tick.now_s - self._last_s, tick.now_s
+        passed, self._last_s = now_s - self._last_s, now_s
         if self._drains and not self.present and not self.active and self._since is not None:
             drained = self._since + 2.0 * passed
-            self._since = drained if drained < tick.now_s else None
+            self._since = drained if drained < now_s else None
             return
         if self.present == self.active:
             self._since = None
             return
-        self._since = tick.now_s if self._since is None else self._since
-        waited = tick.now_s - self._since
+        self._since = now_s if self._since is None else self._since
+        waited = now_s - self._since
         if said is not None and waited >= self._on_delay_s:
             self.active, self.reason, self._since = True, said, None
         elif said is None and self.level == "warning" and waited >= self._off_delay_s:
@@ -100,6 +111,7 @@ class Interlocks:
 
     def __init__(self, rig: Rig, points: tuple[Point, ...]) -> None:
         self._names = tuple(point.name for point in points)
+        self._standing = _NOTHING
         alarmed = [point for point in points if point.alarm is not None]
         heartbeat = of_heartbeat(rig, frozenset(self._names))
         self._watchdog = 0 if rig.heartbeat is None else rig.heartbeat.watchdog_mask
@@ -152,21 +164,29 @@ class Interlocks:
     ) -> Judgement:
         """What stands against the run now. Call once a tick, with rig time and what was commanded before it."""
         tick = self._tick(snapshot, now_s, commanded or {}, residuals or {})
-        for item in self._all:
-            item.update(tick)
-        return self.standing()
+        changed = [item.update(tick) for item in self._all]  # every one is judged
+        if any(changed) or self._standing is not _NOTHING:
+            self._standing = self._active()
+        return self._standing
 
     def standing(self) -> Judgement:
-        """Latched trips and active warnings."""
+        """Return latched trips and active warnings."""
+        return self._standing
+
+    def _active(self) -> Judgement:
         active = [item for item in self._all if item.active]
+        if not active:
+            return _NOTHING
         return Judgement(
             tuple(item.reason for item in active if item.level == "alarm"),
             tuple(item.reason for item in active if item.level == "warning"),
         )
 
     def acknowledge(self) -> list[str]:
-        """Let go of the trips of which the cause is gone; the sentences of those that stay."""
-        return [item.reason for item in self._all if item.level == "alarm" and not item.acknowledge()]
+        """Let go of the trips of which the cause is gone; return the sentences of those that stay."""
+        stay = [item.reason for item in self._all if item.level == "alarm" and not item.acknowledge()]
+        self._standing = self._active()
+        return stay
 
     def rig_trip(self, snapshot: Snapshot) -> str | None:
         """What the rig says of its own watchdog and thermostat, where it has tripped."""

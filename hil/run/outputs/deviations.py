@@ -29,19 +29,23 @@ class Deviations:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._sums = {point.name: _Sums() for point in rig.setpoints if point.readback is not None}
+        moved = [(point.name, point.readback) for point in rig.setpoints if point.readback is not None]
+        self._sums = {name: _Sums() for name, _ in moved}
+        self._moved = tuple((name, meter, self._sums[name]) for name, meter in moved)
+        self.meters = frozenset(meter for _, meter in moved)
+        """Points that `tick` needs the readings of."""
 
     def tick(self, asked: Mapping[str, float], readings: Mapping[str, float]) -> None:
         """Add a tick: set-points in their units, and the good readings by point."""
-        for name, sums in self._sums.items():
-            value, meter = asked[name], self._rig.get(name).readback
-            reading = readings.get(meter or "", math.nan)
-            if math.isnan(reading):
+        for name, meter, sums in self._moved:
+            value, reading = asked[name], readings.get(meter, math.nan)
+            if reading != reading:  # NaN
                 sums.unknown += 1
                 continue
-            # The way begins where the actuator is found.
-            sums.moved += abs(value - (reading if math.isnan(sums.last) else sums.last))
-            sums.last = value
+            if value != sums.last:
+                # The way begins where the actuator is found.
+                sums.moved += abs(value - (reading if math.isnan(sums.last) else sums.last))
+                sums.last = value
             sums.asked += value
             sums.measured += reading
             sums.count += 1

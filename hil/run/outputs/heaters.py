@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from drivers.rig_file.model import Point, Rig
 from drivers.signals.points import Quality, Snapshot
 
+_MEASURED = (int(Quality.GOOD), int(Quality.OUT_OF_RANGE))
 OFF_SHARE = 0.05
 """A heater that takes more of its range than this is on, whatever tolerance its rig file gives."""
 
@@ -118,9 +119,24 @@ class Descent:
         return ""
 
 
+class GoodReadings:
+    """Good values of a few of the polled `points`, picked out of each snapshot; as `good_readings` of all of them."""
+
+    def __init__(self, points: tuple[Point, ...], names: Iterable[str]) -> None:
+        wanted = frozenset(names)
+        self._places = tuple((point.name, index) for index, point in enumerate(points) if point.name in wanted)
+
+    def of(self, snapshot: Snapshot | None) -> dict[str, float]:
+        """Return the good values by point name; implausible ones count, since they may be the worst."""
+        if snapshot is None:
+            return {}
+        values, quality = snapshot.values, snapshot.quality
+        return {name: values[index] for name, index in self._places if quality[index] in _MEASURED}
+
+
 def good_readings(points: tuple[Point, ...], snapshot: Snapshot | None) -> dict[str, float]:
     """Return the good values of a snapshot by point name; implausible ones count, since they may be the worst."""
     if snapshot is None:
         return {}
     rows = zip(points, snapshot.values, snapshot.quality, strict=True)
-    return {point.name: value for point, value, quality in rows if quality in (Quality.GOOD, Quality.OUT_OF_RANGE)}
+    return {point.name: value for point, value, quality in rows if quality in _MEASURED}

@@ -13,12 +13,20 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
 from drivers.rig.connection import RigConnection
+from drivers.rig_file.model import Rig
 from drivers.signals.points import DriverError, Snapshot
 from hil.run.outputs.heaters import Descent, good_readings, not_cold, safe_limits
 from hil.run.outputs.setpoints import count_tolerance
 
 WRITE_DEADLINE_S = 30.0
 HURRIED_WRITE_DEADLINE_S = 5.0
+ATTEMPT_S = 3.0
+"""Time that one attempt may take beyond the time-outs of a write and its read-back, s: some ten requests of a device
+that answers in 0.3 s."""
+REWRITE_EVERY_S = 0.5
+"""Interval at which the safe values are written again while the meters come down, s of rig time."""
+LAST_TRIES = 3
+"""So often the last word is tried again: one reply that a busy machine or line delays makes no rig unsafe."""
 RETRY_EVERY_S = 0.1
 
 
@@ -59,20 +67,24 @@ async def make_safe(
     began = time.monotonic()
     while True:
         progress()
-        problem = await write_safe(connection, safe_values)
+        left_s = began + (HURRIED_WRITE_DEADLINE_S if hurried() else WRITE_DEADLINE_S) - time.monotonic()
+        problem = await write_safe(connection, safe_values, within_s=max(left_s, attempt_s(connection.rig)))
         if not problem:
             break
         if failed():
             return Safed(True, True, "")
-        if time.monotonic() - began > (HURRIED_WRITE_DEADLINE_S if hurried() else WRITE_DEADLINE_S):
+        if left_s <= 0.0:
             return Safed(False, False, problem)
         await asyncio.sleep(RETRY_EVERY_S)
     waits = [connection.rig.get(name).readback_within_s for name in safe_values]
     limits, held_s = safe_limits(connection.rig), time.monotonic()
     hot = "no meter was read" if limits else ""
     descent = Descent(connection.rig, limits, period_s)
+    busy_s = 0.0
+    every = max(round(REWRITE_EVERY_S / period_s), 1)
     for number in range(math.ceil(max(waits, default=0.0) / period_s)):
         progress()
+        asked_s = time.monotonic()
         try:
             snapshot = await connection.read()
             problem = _not_followed(connection, snapshot, safe_values)
@@ -81,25 +93,63 @@ async def make_safe(
             problem = hot or problem
             if not problem or hurried():
                 break
-            if not descent.stays(readings, number * period_s):
+            stays = bool(descent.stays(readings, number * period_s))
+            if not stays:
                 await connection.write(heartbeat())
-            else:  # another master may have written since
-                problem = await write_safe(connection, safe_values) or problem
+            if stays or number % every == every - 1:  # another master may have written since
+                problem = await write_safe(connection, safe_values, within_s=attempt_s(connection.rig)) or problem
+            busy_s += time.monotonic() - asked_s
+            if busy_s > max(waits) + WRITE_DEADLINE_S:
+                break  # devices that do not answer take all of the time
             await advance()
         except DriverError as error:
             problem = str(error)
             if hurried() or time.monotonic() - held_s > max(waits) + WRITE_DEADLINE_S:
                 break
             await asyncio.sleep(RETRY_EVERY_S)
-    again = await write_safe(connection, safe_values)  # the last word, whoever has written meanwhile
+    # The last word, whoever has written meanwhile.
+    again = await write_safe(connection, safe_values, within_s=attempt_s(connection.rig))
+    for _ in range(LAST_TRIES):
+        if not again:
+            break
+        await asyncio.sleep(RETRY_EVERY_S)
+        again = await write_safe(connection, safe_values, within_s=attempt_s(connection.rig))
     return Safed(not again, not (problem or again), again or problem, hot)
 
 
-async def write_safe(connection: RigConnection, safe_values: dict[str, float]) -> str:
+def attempt_s(rig: Rig) -> float:
+    """Return the longest time that one attempt to make `rig` safe may take, s: a mute device holds it up no longer."""
+    timeouts = [rig.bus[point.bus].timeout_s for point in rig.setpoints]
+    return ATTEMPT_S + 2.0 * max(timeouts, default=0.0)
+
+
+async def write_safe(connection: RigConnection, safe_values: dict[str, float], within_s: float = math.inf) -> str:
     """Write in order and read back, once; return what went wrong, or an empty string.
 
-    Each output is tried whatever became of the others: a pump that refuses must not keep the heater on.
+    Each output is tried whatever became of the others: a pump that refuses must not keep the heater on. Wires are
+    written to at the same time, each for `within_s` of wall time at most: a device that is mute keeps no other waiting.
     """
+    groups = [{name: safe_values[name] for name in group} for group in connection.by_wire(safe_values)]
+    if len(groups) == 1 and within_s == math.inf:
+        return await _write_wire(connection, safe_values)
+    limit_s = None if within_s == math.inf else within_s
+    tasks = [asyncio.ensure_future(_write_wire(connection, group)) for group in groups]
+    try:
+        if tasks:
+            await asyncio.wait(tasks, timeout=limit_s)
+        problems = []
+        for task, group in zip(tasks, groups, strict=True):
+            late = f"{', '.join(group)}: the device gave no answer within {within_s:g} s"
+            problems.append(task.result() if task.done() else late)
+        return "; ".join(problem for problem in problems if problem)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _write_wire(connection: RigConnection, safe_values: dict[str, float]) -> str:
+    """Write the safe values of one wire in order and read them back; return what went wrong."""
     refused: dict[str, str] = {}
     held: dict[str, float] = {}
     last = len(safe_values)
@@ -127,15 +177,15 @@ async def write_safe(connection: RigConnection, safe_values: dict[str, float]) -
 
 def _not_followed(connection: RigConnection, snapshot: Snapshot, safe_values: dict[str, float]) -> str:
     """Return which measured value is still away from its safe value, as a sentence, empty where there is none; raises
-    DriverError of a link that is lost."""
-    if snapshot.faults:
-        raise DriverError(snapshot.faults[0])
+    DriverError where the link to one of them is lost. Other devices may be mute: they hold up nothing here."""
     measured = dict(zip((point.name for point in connection.points), snapshot.values, strict=True))
     for name, value in safe_values.items():
         point = connection.rig.get(name)
         if point.readback is None:
             continue
         now = measured.get(point.readback, math.nan)
+        if math.isnan(now) and snapshot.faults:
+            raise DriverError(snapshot.faults[0])
         if not abs(now - value) <= point.readback_tolerance:
             return f"{point.readback} reads {now:.1f} {point.unit} where {value:g} {point.unit} is safe"
     return ""

@@ -11,11 +11,9 @@ import json
 import shlex
 import signal
 import tempfile
-import threading
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from hil.errors import exit_code
@@ -23,12 +21,15 @@ from hil.files.atomic import replacing
 from hil.files.names import printable
 from hil.journal.writer import JournalError, JournalReader
 from hil.record.reader import export_record, read_record
+from hil.run.engine.signals import RunSignals
 from hil.run_folder.folder import FolderLostError, RunFolder
 from hil.tracking import adoption
 from hil.tracking.adoption import Adoption
 from hil.tracking.twins import Proposed
 
 RECORD, REVIEW, REPORT, REVISION = "record.parquet", "review.rrd", "report.html", "adopted revision"
+RUN_UID = "run"
+"""Key of a journal's header table with the uid of the run that writes it."""
 _NOT_YET = "not made yet"
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
@@ -66,8 +67,8 @@ class _StoppedError(BaseException):
     """A signal asks the making of files to end; no handler of `Exception` may hold it back."""
 
 
-class _Signals:
-    """The first signal that asks this process to end, which interrupts whatever runs `armed`."""
+class _Stop:
+    """The deliberate signal that asks for the end of the making, which interrupts whatever runs `armed`."""
 
     def __init__(self) -> None:
         self.received: signal.Signals | None = None
@@ -84,25 +85,12 @@ class _Signals:
         finally:
             self._armed = False
 
-    def __call__(self, number: int, frame: FrameType | None) -> None:
-        self.received = self.received or signal.Signals(number)
+    def __call__(self, number: signal.Signals, is_deliberate: bool) -> None:
+        if not is_deliberate or number not in _ENDING or self.received is not None:
+            return  # an echo: what has begun to end, ends undisturbed
+        self.received = number
         if self._armed:
             raise _StoppedError
-
-
-@contextlib.contextmanager
-def _signals() -> Iterator[_Signals]:
-    """Take over the signals that end a process; does nothing in a thread, where Python allows no handler."""
-    taken = _Signals()
-    if threading.current_thread() is not threading.main_thread():
-        yield taken
-        return
-    before = {number: signal.signal(number, taken) for number in _ENDING}
-    try:
-        yield taken
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
 def derive_files(
@@ -111,6 +99,7 @@ def derive_files(
     announce: Callable[[str], None],
     *,
     there: Collection[str] = (),
+    signals: RunSignals | None = None,
 ) -> Derived:
     """Write `manifest` as `run.json`, then every file that is made from the journal of the run in `folder`.
 
@@ -119,6 +108,7 @@ def derive_files(
         manifest: content of `run.json`; its `missing` and `adoption` are set.
         announce: told what is being made and what could not be made.
         there: names of files that are not made again.
+        signals: those of the run before; a deliberate one ends the making of files, and nothing else.
 
     Raises:
         FolderLostError: the folder was deleted, or `run.json` cannot be written; the message says where a copy is.
@@ -132,19 +122,23 @@ def derive_files(
     derived = Derived(place)
     steps = {name: step for name, step in _steps(manifest, derived).items() if name not in there}
     derived.missing = dict.fromkeys(steps, _NOT_YET)
-    with _signals() as signals:
+    with contextlib.ExitStack() as stack:
+        stop = _Stop()
+        # Those of the run are held longer than for this block: until its last words are said.
+        stack.enter_context((signals or stack.enter_context(RunSignals())).phase(stop))
         # A kill from here on finds in run.json which files are not there.
         with contextlib.suppress(OSError):
             place.write_manifest(manifest | {"missing": derived.missing})
+        foreign = _foreign(place, manifest)
         for name, step in steps.items():
-            if signals.received is None:
+            if stop.received is None and foreign is None:
                 announce(f"writing {name}")
-            why = _made(step, signals)
+            why = foreign or _made(step, stop)
             if why is None:
                 del derived.missing[name]
             else:
                 derived.missing[name] = why
-        derived.stopped_by = signals.received
+        derived.stopped_by = stop.received
         manifest["missing"] = derived.missing
         try:
             place.write_manifest(manifest)
@@ -206,14 +200,29 @@ def _proposals(folder: RunFolder) -> list[Proposed]:
         reader.close()
 
 
-def _made(step: Callable[[], None], signals: _Signals) -> str | None:
+def _foreign(folder: RunFolder, manifest: dict[str, Any]) -> str | None:
+    """Return why nothing is made from the journal in `folder`: it is that of another run. None where it is not."""
+    try:
+        reader = JournalReader(folder.journal)
+        try:
+            uid = reader.meta(RUN_UID)
+        finally:
+            reader.close()
+    except (JournalError, OSError):
+        return None  # each file says what it needs of the journal
+    if uid is None or uid == manifest.get("uid"):
+        return None
+    return f"{folder.journal} is the journal of another run: put the one of this run in its place"
+
+
+def _made(step: Callable[[], None], stop: _Stop) -> str | None:
     """Run one step; return why its file could not be made, None where it is there."""
     try:
-        with signals.armed():
+        with stop.armed():
             step()
     except _StoppedError:
-        assert signals.received is not None
-        return f"stopped by {signals.received.name}"
+        assert stop.received is not None
+        return f"stopped by {stop.received.name}"
     except OSError as error:
         return error.strerror or str(error)
     except Exception as error:

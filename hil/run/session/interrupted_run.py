@@ -12,6 +12,7 @@ import numpy as np
 
 from drivers.rig_file.reader import file_sha256, load_rig
 from drivers.signals.points import Quality
+from hil.diagnosis.live import END_ONLY
 from hil.files.folder_check import require_unshared
 from hil.journal.check import require_alone
 from hil.journal.profile_clock import profile_times
@@ -151,7 +152,7 @@ def request_of(
         control=control or (None if known is None else (known[0], known[1])),
         rearm=rearm,
         no_lock=no_lock,
-        diagnose_s=settings.get("diagnose_s"),
+        diagnose_s=math.inf if settings.get("diagnose_s") == END_ONLY else settings.get("diagnose_s"),
         healthy=files.get("healthy"),
         adopt=settings.get("adopt", False),
         guardian=guardian,

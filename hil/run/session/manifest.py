@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import datetime
+import math
 from pathlib import Path
 from typing import Any
 
 from drivers.rig_file.bus_sections import CanBus
+from hil.diagnosis.live import END_ONLY
 from hil.journal.writer import JournalError, JournalReader
 from hil.run.engine.engine import Outcome
 from hil.run.restore.resumption import Resumption, Standing
@@ -40,7 +42,8 @@ def settings_of(request: RunRequest, tracking: Tracking | None) -> dict[str, Any
         "calibrators": [] if tracking is None else list(tracking.calibrators),
         "left_out": {} if tracking is None else tracking.left_out,
         "network_mode": request.network_mode,
-        "diagnose_s": request.diagnose_s,
+        # JSON has no infinity.
+        "diagnose_s": END_ONLY if request.diagnose_s == math.inf else request.diagnose_s,
         "adopt": request.adopt,
     }
 

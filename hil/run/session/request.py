@@ -32,9 +32,10 @@ class RunRequest:
     takes the usual ones, without those that there are not for this twin. `card`: of the trained ensemble that the
     network calibrators ask, None for the shipped one. `network_mode`: see `tracking.adoption`. `control` is the control
     port of a virtual rig in lockstep that runs already, at the rig file's addresses. `rearm`: whether a trip that the
-    rig brings along is acknowledged. `diagnose_s`: seconds of profile time between diagnoses of the record so far,
-    against the record `healthy`; `adopt` saves what they find. `guardian` False does without the process that makes the
-    rig safe when this one is killed or hangs. `no_lock`: run although a second run is not kept off the rig.
+    rig brings along is acknowledged. `diagnose_s`: seconds of profile time between diagnoses of the record so far
+    (infinity: of the whole run alone), against the record `healthy`; `adopt` saves them. `guardian` False goes
+    without the process that makes the rig safe when this one is killed or hangs. `no_lock`: run although a second run
+    is not kept off the rig.
     """
 
     profile: Path
@@ -149,11 +150,11 @@ def _check_residuals(request: RunRequest, rig: Rig, network: Network | None) -> 
 
 def check_calibrators(names: tuple[str, ...] | None) -> None:
     """Raise ConfigurationError where one of the names is no calibrator, or stands twice."""
-    from twin.calibrators import NAMES
+    from twin.calibrators import CALIBRATOR_NAMES
 
-    unknown = [name for name in names or () if name not in NAMES]
+    unknown = [name for name in names or () if name not in CALIBRATOR_NAMES]
     if unknown:
-        raise ConfigurationError(f"no calibrator {', '.join(unknown)}; there are {', '.join(NAMES)}")
+        raise ConfigurationError(f"no calibrator {', '.join(unknown)}; there are {', '.join(CALIBRATOR_NAMES)}")
     twice = [name for name in dict.fromkeys(names or ()) if names is not None and names.count(name) > 1]
     if twice:
         raise ConfigurationError(f"--calibrator {twice[0]} is given twice; give each once")
@@ -165,22 +166,22 @@ def chosen(calibrators: tuple[str, ...] | None, card: Path | None) -> tuple[tupl
     Raises:
         ConfigurationError: a card is given, and none of them asks a network.
     """
-    from twin.calibrators import FITTING, NAMES
+    from twin.calibrators import CALIBRATOR_NAMES, UNTRAINED_CALIBRATORS
 
     names = DEFAULT if calibrators is None else calibrators
-    if card is not None and set(names) <= set(FITTING):
-        asking = " or ".join(name for name in NAMES if name not in FITTING)
+    if card is not None and set(names) <= set(UNTRAINED_CALIBRATORS):
+        asking = " or ".join(name for name in CALIBRATOR_NAMES if name not in UNTRAINED_CALIBRATORS)
         raise ConfigurationError(f"--network is given, and no calibrator asks it; add --calibrator {asking}")
     if calibrators is not None:
         return names, ()
-    return names, tuple(name for name in DEFAULT[1:] if card is None or name in FITTING)
+    return names, tuple(name for name in DEFAULT[1:] if card is None or name in UNTRAINED_CALIBRATORS)
 
 
 def _check_diagnosis(request: RunRequest, twin: Path | None, network: Network | None) -> list[str]:
     """Remarks on a diagnosis that is asked for; raises ConfigurationError or RecordError."""
     if network is None or twin is None:
         raise ConfigurationError("--diagnose asks why a twin is wrong, and this run has none; take --no-twin out")
-    from hil.diagnosis.hand_over import read_columns
+    from hil.diagnosis.columns import read_columns
     from hil.diagnosis.healthy_record import commissioned_on
 
     if request.healthy is not None:

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import AsyncIterator, Callable
 
 from drivers.rig_file.model import Rig
-from hil.run.engine.clock import Clock, LockstepClock, MonotonicClock
+from hil.run.engine.clock import LOCKSTEP_DEADLINE_S, Clock, LockstepClock, MonotonicClock
 from hil.run.session.request import RunRequest
 
 HICCUP_S = 0.25
@@ -22,7 +22,7 @@ async def rig_and_clock(
     if request.control is not None:
         lockstep = LockstepClock(*request.control)
         await lockstep.connect()
-        yield rig, lockstep
+        yield _waiting(rig), lockstep
         return
     if not request.virtual:
         yield rig, MonotonicClock(rig.period_s, speed_of(request, rig))
@@ -47,7 +47,7 @@ async def rig_and_clock(
         if request.mode == "lockstep":
             lockstep = LockstepClock("127.0.0.1", virtual.control_port)
             await lockstep.connect()
-            yield rig.with_ports(ports), lockstep
+            yield _waiting(rig).with_ports(ports), lockstep
         else:
             patient = _patient(rig, request.speed) if request.mode == "scaled" else rig
             yield patient.with_ports(ports), MonotonicClock(rig.period_s, speed_of(request, rig))
@@ -60,6 +60,16 @@ def speed_of(request: RunRequest, rig: Rig) -> float:
     if request.mode == "scaled":
         return request.speed
     return 1.0 if request.virtual or request.control is not None else rig.time_scale
+
+
+def _waiting(rig: Rig) -> Rig:
+    """Return `rig` with buses that wait as long for a reply as for a step: the rig's time stands still meanwhile, and a
+    reply that a busy machine delays would be a lost sensor in one run of a seed and none in the next."""
+    buses = {
+        name: bus.model_copy(update={"timeout_s": max(bus.timeout_s, LOCKSTEP_DEADLINE_S)})
+        for name, bus in rig.bus.items()
+    }
+    return rig.model_copy(update={"bus": buses})
 
 
 def _patient(rig: Rig, speed: float) -> Rig:

@@ -19,14 +19,14 @@ from hil.journal.writer import Header, JournalError, JournalWriter
 from hil.run.engine.control_socket import serving
 from hil.run.engine.engine import Engine, Outcome, Status
 from hil.run.engine.recording import Publisher
-from hil.run.engine.signals import interrupted, stopping
+from hil.run.engine.signals import RunSignals, interrupted, stopping
 from hil.run.locks.rig_lock import RigClaim, claimed
 from hil.run.outputs.setpoints import bind
 from hil.run.restore.calibrators import restore
 from hil.run.restore.gap_evidence import clocks_noted
 from hil.run.restore.resumption import Resumption
 from hil.run.restore.thermal_restore import SoakRule, unled
-from hil.run.session.derived_files import REVIEW, Derived, derive_files
+from hil.run.session.derived_files import REVIEW, RUN_UID, Derived, derive_files
 from hil.run.session.interrupted_run import questioned
 from hil.run.session.manifest import ended, files_of, how_it_stopped, settings_of
 from hil.run.session.output_queue import queued_output
@@ -68,14 +68,18 @@ async def run_session(
     request: RunRequest,
     observer: Callable[[Status], None] | None = None,
     announce: Callable[[str], None] = lambda text: None,
+    signals: RunSignals | None = None,
 ) -> RunResult:
     """Run `request` to its end and derive everything in its folder.
+
+    `signals` takes the process's signals over when the run begins; who gives it says for how long.
 
     Raises what `prepare` and `Twins` raise, RigBusyError where another run drives the rig, and RigLockError where that
     cannot be known.
     """
     ready = prepare(request)
     async with contextlib.AsyncExitStack() as stack:
+        signals = signals or stack.enter_context(RunSignals())
         observer, announce = stack.enter_context(queued_output(observer, announce))
         for note in ready.notes:
             announce(note)
@@ -94,7 +98,7 @@ async def run_session(
         if ready.twin is not None:
             folder.keep_twin([entry.path for entry in chain(ready.twin)])
             copy_record(ready.twin, folder.path)
-        return await _guarded(_Run(folder, manifest, request, ready, claim, tracking, observer, announce))
+        return await _guarded(_Run(folder, manifest, request, ready, claim, tracking, observer, announce, signals))
 
 
 async def resume_session(
@@ -105,6 +109,7 @@ async def resume_session(
     announce: Callable[[str], None] = lambda text: None,
     gap_s: float | None = None,
     before_moving: Callable[[RunRequest], None] = lambda request: None,
+    signals: RunSignals | None = None,
 ) -> RunResult:
     """Go on with the run in `folder` that was cut, as `request_of` its manifest, and derive everything anew.
 
@@ -114,6 +119,7 @@ async def resume_session(
     Raises what `run_session` raises, and RunFolderError where the run still goes on or cannot go on.
     """
     async with contextlib.AsyncExitStack() as stack:
+        signals = signals or stack.enter_context(RunSignals())
         observer, announce = stack.enter_context(queued_output(observer, announce))
         stack.enter_context(folder.owned())
         manifest = folder.read_manifest()
@@ -135,7 +141,9 @@ async def resume_session(
         resumption = Resumption(was, rule, reason, speed_of(request, ready.rig))
         manifest |= {"exit_status": "running", "reason": "", "ended": None}
         folder.write_manifest(manifest)
-        return await _guarded(_Run(folder, manifest, request, ready, claim, tracking, observer, announce, resumption))
+        return await _guarded(
+            _Run(folder, manifest, request, ready, claim, tracking, observer, announce, signals, resumption)
+        )
 
 
 def _shared_rig(request: RunRequest, ready: Prepared) -> Rig | None:
@@ -169,6 +177,7 @@ class _Run:
     tracking: Tracking | None
     observer: Callable[[Status], None] | None
     announce: Callable[[str], None]
+    signals: RunSignals
     resumption: Resumption | None = None
 
 
@@ -193,6 +202,7 @@ async def _run_in(run: _Run) -> RunResult:
         header = _header(ready, () if tracking is None else tracking.calibrators)
         journal = JournalWriter(folder.journal, header, again=resumption is not None)
         stack.callback(_closed, journal)
+        journal.put_meta(RUN_UID, manifest["uid"])
         await stack.enter_async_context(clocks_noted(journal))
         if resumption is not None and State(resumption.standing.state) not in ENDED:
             was = resumption.standing
@@ -230,16 +240,16 @@ async def _run_in(run: _Run) -> RunResult:
             guard=_guard(request, run, rig),
         )
         async with serving(folder.control, engine, announce):
-            with stopping(engine):
+            with stopping(engine, run.signals):
                 outcome = await engine.run()
         run.claim.release()  # what follows needs no rig
-        comparison = None if tracking is None else await _unless_interrupted(tracking.finish(), announce)
+        comparison = None if tracking is None else await _unless_interrupted(tracking.finish(), run)
         outcome.problems.extend(tracking.failures if tracking is not None else ())
         wall_s = loop.time() - began
         told = None
         if live is not None:
             announce("diagnosing the whole run (Ctrl-C skips it)")
-            with interrupted(live.give_up):
+            with interrupted(live.give_up, run.signals):
                 told = await live.finish(folder.diagnosis)
         manifest |= ended(folder, manifest, outcome, resumption, wall_s) | {
             "errors_K": None if comparison is None else asdict(comparison.errors),
@@ -254,20 +264,19 @@ async def _run_in(run: _Run) -> RunResult:
         except JournalError as error:  # a journal that is lost must not keep the rest from being made
             manifest["problems"] = [*manifest["problems"], str(error)]
     manifest.pop("adoption", None)  # of a segment before this one
-    derived = derive_files(folder, manifest, announce, there=(REVIEW,) if follower and folder.review.is_file() else ())
+    there = (REVIEW,) if follower and folder.review.is_file() else ()
+    derived = derive_files(folder, manifest, announce, there=there, signals=run.signals)
     duration_s = outcome.ticks * clock.period_s
     return RunResult(
         derived.folder, outcome, comparison, duration_s, wall_s, follower, told, derived.adopted, derived.gates, derived
     )
 
 
-async def _unless_interrupted(
-    work: Coroutine[Any, Any, Comparison | None], announce: Callable[[str], None]
-) -> Comparison | None:
+async def _unless_interrupted(work: Coroutine[Any, Any, Comparison | None], run: _Run) -> Comparison | None:
     """Return what the calibrators have left to say; None where an impatient operator asks for the end, which must not
     cost the record."""
     asked = asyncio.Event()
-    with interrupted(asked.set):
+    with interrupted(asked.set, run.signals):
         last, stop = asyncio.ensure_future(work), asyncio.ensure_future(asked.wait())
         await asyncio.wait({last, stop}, return_when=asyncio.FIRST_COMPLETED)
         stop.cancel()
@@ -275,7 +284,7 @@ async def _unless_interrupted(
             return last.result()
         last.cancel()
         await asyncio.gather(last, stop, return_exceptions=True)
-    announce("the calibrators were not waited for: their last windows are missing")
+    run.announce("the calibrators were not waited for: their last windows are missing")
     return None
 
 

@@ -13,11 +13,13 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from hil.run.engine.engine import Status
+    from hil.diagnosis.live import Reply
+    from hil.run.engine.engine import Outcome, Status
     from hil.run.session.session import RunResult
     from hil.tracking.twins import Comparison, ErrorTable
 
@@ -219,34 +221,63 @@ class LiveRun:
             + (f": {outcome.reason}" if outcome.reason else ""),
             highlight=False,
         )
-        if outcome.ticks and (outcome.away or not outcome.safe):
-            out.print("The rig was NOT confirmed safe: look at it now.", style="bold red")
         for problem in [*outcome.problems, *outcome.deviations]:
             out.print(f"  {problem}", markup=False)
         if outcome.guardian:
             out.print(f"the guardian acted: {outcome.guardian}", markup=False)
-        if result.diagnosis is not None:
-            told = result.diagnosis
-            said = f"no diagnosis: {told.problem}" if told.found is None else f"diagnosis: {told.found.sentence}"
-            out.print(said, soft_wrap=True, markup=False)
-            if told.page is not None:
-                out.print(f"page with pictures: {told.page}", soft_wrap=True)
-            if told.revision is not None:
-                out.print(f"revision of the twin: {shlex.quote(str(told.revision))}", soft_wrap=True, markup=False)
         if result.gates is not None:
             out.print(result.gates, soft_wrap=True, markup=False)
         if result.adoption is not None:
             out.print(result.adoption.sentence, soft_wrap=True, markup=False)
-        out.print(f"run folder: {result.folder.path}", soft_wrap=True)
         path = result.folder.path
-        if outcome.status != "done" and outcome.ticks:
-            when = "when its cause is gone, go on with it" if outcome.status == "faulted" else "go on with it"
-            out.print(f"{when}: {invocation()} resume {path}", soft_wrap=True)
+        out.print(f"run folder: {path}", soft_wrap=True)
         out.print(f"look at it: {invocation()} review {path}", soft_wrap=True)
         if not result.viewed:
             out.print(
                 f"no display here; a picture: {invocation()} review {path} --screenshot review.png", soft_wrap=True
             )
+        if result.diagnosis is not None:
+            show_diagnosis(out, result.diagnosis, result.folder.review)
+        for line in last_words(outcome, path):
+            out.print(line, style="bold red" if line.startswith(NOT_SAFE) else "", soft_wrap=True, markup=False)
+
+
+NOT_SAFE = "The rig was NOT confirmed safe"
+
+
+def last_words(outcome: Outcome, path: Path) -> list[str]:
+    """Return what to do after a run that did not go to its end, a line each; where the rig may still heat, that comes
+    last and `hil resume` only after it."""
+    is_unsafe = bool(outcome.ticks) and (bool(outcome.away) or not outcome.safe)
+    lines = []
+    if outcome.status != "done" and outcome.ticks:
+        when = "when its cause is gone, go on with it" if outcome.status == "faulted" else "go on with it"
+        when = "once somebody has seen at the rig that nothing heats, and the cause is gone" if is_unsafe else when
+        lines.append(f"{when}: {invocation()} resume {path}")
+    if is_unsafe:
+        lines.append(f"{NOT_SAFE}: go to the rig now, and switch the heater off there if it is on.")
+    return lines
+
+
+def show_diagnosis(out: Console, told: Reply, review: Path) -> None:
+    """Print the verdict of the diagnosis of a run, its errors where no fit saw the run, and its page and `review`."""
+    from hil.diagnosis.table import errors_of, held_out
+
+    out.print()
+    if told.found is None:
+        out.print(f"no diagnosis: {told.problem}", soft_wrap=True, markup=False)
+    else:
+        sentence = told.found.sentence.rstrip(".")
+        out.print(f"[bold]{told.found.verdict}[/bold]: {escape(sentence)}.", soft_wrap=True)
+    if told.document is not None:
+        out.print(held_out(told.document), style="italic", soft_wrap=True, markup=False)
+        out.print(errors_of(told.document))
+    if told.revision is not None:
+        out.print(f"revision of the twin: {shlex.quote(str(told.revision))}", soft_wrap=True, markup=False)
+    if told.page is not None:
+        out.print(f"diagnosis with pictures: {shlex.quote(str(told.page))}", soft_wrap=True, markup=False)
+    if review.is_file():
+        out.print(f"run in Rerun: {shlex.quote(str(review))}", soft_wrap=True, markup=False)
 
 
 def cut_time(manifest: dict[str, Any]) -> str:

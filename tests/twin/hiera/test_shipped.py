@@ -11,7 +11,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
 
-from twin.calibrators import make  # noqa: E402
+from twin.calibrators import make_calibrator  # noqa: E402
 from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
 from twin.calibrators.hiera_unet.service import TRAINED, HieraUNetCalibrator  # noqa: E402
 from twin.twinfile import load  # noqa: E402
@@ -24,7 +24,7 @@ MOST_MB = 10.0
 @pytest.mark.skipif(not CARD.exists(), reason="no trained network is shipped")
 def test_the_shipped_ensemble_fits_the_shipped_twins_and_says_where_it_comes_from() -> None:
     for name in ("loop.toml", "virtual.toml"):
-        found = make("hiera_unet", load(PROFILES / "twins" / name))
+        found = make_calibrator("hiera_unet", load(PROFILES / "twins" / name))
         assert isinstance(found, HieraUNetCalibrator) and found.ensemble.members
     document = json.loads(CARD.read_text())
     for member in document["members"]:
@@ -40,7 +40,7 @@ def test_the_shipped_ensemble_fits_the_shipped_twins_and_says_where_it_comes_fro
 def test_a_twin_without_a_trained_network_is_refused_with_the_reason() -> None:
     if CARD.exists():
         with pytest.raises(HieraError, match=r"trained for a twin of another structure|no trained network"):
-            make("hiera_unet", load(PROFILES / "twins" / "loop_six.toml"))
+            make_calibrator("hiera_unet", load(PROFILES / "twins" / "loop_six.toml"))
     else:
         with pytest.raises(HieraError, match=r"no trained network .* train one with `hil train loop`"):
-            make("hiera_unet", load(PROFILES / "twins" / "loop.toml"))
+            make_calibrator("hiera_unet", load(PROFILES / "twins" / "loop.toml"))

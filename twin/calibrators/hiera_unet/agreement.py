@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.calibrators.base import from_plain, plain
+from twin.calibrators.base import from_json, to_json
 from twin.calibrators.hiera_unet.gates import Reason
 from twin.network import Array
 
@@ -52,13 +52,13 @@ class Spoken:
 
     def plain(self) -> dict[str, Any]:
         """Plain data to go on from."""
-        arrays = {key: plain(getattr(self, key)) for key in ("theta", "half")}
+        arrays = {key: to_json(getattr(self, key)) for key in ("theta", "half")}
         return {"time_s": self.time_s, **arrays, "open": self.open.tolist()}
 
     @classmethod
     def restored(cls, data: Mapping[str, Any]) -> Spoken:
         """From what `plain` gave."""
-        theta, half = (from_plain(data[key]).reshape(-1) for key in ("theta", "half"))
+        theta, half = (from_json(data[key]).reshape(-1) for key in ("theta", "half"))
         return cls(data["time_s"], theta, half, np.array(data["open"], dtype=bool))
 
 

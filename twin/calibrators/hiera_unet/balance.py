@@ -12,9 +12,9 @@ import numpy as np
 
 from twin.calibrators.hiera_unet.windows import Windows
 from twin.elements.node import Node
-from twin.exact import right_side
 from twin.kernel import Kernel
 from twin.network import Array, Network
+from twin.reference_simulation import right_hand_side
 
 Balance = Callable[[Windows], tuple[Array, Array]]
 """Windows -> what each output's volume stores, J/K, and lets out of the rig, W/K; both (N, Y)."""
@@ -28,7 +28,7 @@ def balance_of(network: Network) -> Balance | None:
     k = len(network.nodes)
     if Kernel(network, ()).size > k:
         return None
-    rhs = right_side(network)
+    rhs = right_hand_side(network)
     nodes = [e for e in network.elements if isinstance(e, Node)]
     capacity = network.index(tuple(f"{n.name}.capacitance" for n in nodes))
     place: list[int | None] = []

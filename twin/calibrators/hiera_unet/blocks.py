@@ -32,9 +32,23 @@ class LagBias(nn.Module):
         self.reach = float(torch.log1p(torch.tensor(float(window))))
         self.table = nn.Parameter(torch.zeros(knots, heads))
         self.register_buffer("knots", torch.arange(-self.half, self.half + 1, dtype=torch.float32), persistent=False)
+        self._kept: tuple[Tensor, int, Tensor] | None = None
 
     def forward(self, time: Tensor) -> Tensor:
-        """Time of the tokens in steps (..., w) -> bias (..., heads, w, w)."""
+        """Time of the tokens in steps (..., w) -> bias (..., heads, w, w).
+
+        Of a table that is not being trained the last bias is kept: most windows have the same lags.
+        """
+        if not torch.is_inference_mode_enabled():
+            return self._bias(time)
+        kept, version = self._kept, self.table._version
+        if kept is not None and kept[1] == version and kept[2].device == time.device and torch.equal(kept[0], time):
+            return kept[2]
+        bias = self._bias(time)
+        self._kept = time, version, bias
+        return bias
+
+    def _bias(self, time: Tensor) -> Tensor:
         dt = (time[..., :, None] - time[..., None, :]) / self.stride
         place = torch.sign(dt) * torch.log1p(dt.abs()) * (self.half / self.reach)
         hats = (1.0 - (place.clamp(-self.half, self.half)[..., None] - self.knots).abs()).clamp(min=0.0)

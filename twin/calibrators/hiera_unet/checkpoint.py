@@ -20,6 +20,7 @@ from safetensors.torch import load_file, save_file
 from twin.calibrators.hiera_unet.config import Config, HieraError
 from twin.calibrators.hiera_unet.envelope import Envelope
 from twin.calibrators.hiera_unet.network import HieraUNet
+from twin.regular_file import MOST_WEIGHTS, read_regular
 
 FORMAT = 3
 """2: evidence holds what is believed if few parameters have moved, and heads correct that. 3: each group's first block
@@ -103,7 +104,11 @@ def load(path: Path, identity: Identity | None = None, config: Config | None = N
     _refuse_others(path, found, own, identity, config)
     if not path.exists():
         raise HieraError(f"the weights {path} of model card {card} are missing; put them beside the card")
-    if _digest(path) != digest:
+    try:
+        found_digest = _digest(path)
+    except OSError as error:
+        raise HieraError(f"the weights {path} cannot be read ({error.strerror}); train again") from error
+    if found_digest != digest:
         raise HieraError(f"the weights {path} are not those of model card {card}: their checksum differs; train again")
     try:
         tensors = load_file(path)
@@ -123,10 +128,12 @@ def load(path: Path, identity: Identity | None = None, config: Config | None = N
 
 def _document(card: Path) -> dict[str, Any]:
     try:
-        document: dict[str, Any] = dict(json.loads(card.read_text(encoding="utf-8")))
+        document: dict[str, Any] = dict(json.loads(read_regular(card)))
     except FileNotFoundError as error:
         raise HieraError(f"there is no model card {card}; train a network with `hil train`") from error
-    except (ValueError, TypeError) as error:
+    except OSError as error:
+        raise HieraError(f"model card {card} cannot be read ({error.strerror}); give a model card") from error
+    except (ValueError, TypeError, RecursionError) as error:
         raise HieraError(f"model card {card} cannot be read ({error}); train again") from error
     if document.get("format") != FORMAT:
         raise HieraError(
@@ -160,7 +167,7 @@ def _refuse_others(path: Path, found: Identity, own: Config, identity: Identity 
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(read_regular(path, MOST_WEIGHTS)).hexdigest()
 
 
 def keep(state: dict[str, Any], path: Path) -> None:

@@ -63,21 +63,28 @@ class Decoder(nn.Module):
         self.ups = nn.ModuleList(Up(config, index) for index in range(len(config.merges)))
 
     def forward(
-        self, scales: tuple[Scale, ...], summary: Tensor, causal: bool, crop: bool = True
+        self,
+        scales: tuple[Scale, ...],
+        summary: Tensor,
+        causal: bool,
+        crop: bool = True,
+        corrected: int | None = None,
     ) -> tuple[Tensor, Tensor]:
         """
         Args:
             summary: (B, d4) of the whole record; it stays out in causal mode, since it has seen the future.
             crop: False works the decoder out over the whole context, to measure what the crop alters.
+            corrected: of so many windows, the first ones, D1 is wanted; None for all.
 
         Returns:
-            D3 (B, 48, d3) and D1 over the target (B, 120, d1).
+            D3 (B, 48, d3) and D1 over the target (B or `corrected`, 120, d1).
         """
         deep = scales[-1].h
         if not causal:
             deep = deep + self.context(summary)[:, None]
         keep = self.config.target + self.config.margin if crop else self.config.context
         d3 = self.ups[2](deep, scales[2], causal, scales[2].h.shape[1])
-        d2 = self.ups[1](d3, scales[1], causal, keep // self.config.strides[1])
-        d1 = self.ups[0](d2, scales[0], causal, keep)
+        first, second = (scale.of_first(corrected) for scale in scales[:2])
+        d2 = self.ups[1](d3[:corrected], second, causal, keep // self.config.strides[1])
+        d1 = self.ups[0](d2, first, causal, keep)
         return d3, d1[:, -self.config.target :]

@@ -30,6 +30,12 @@ class Scale:
     raw: Tensor
     regime: Tensor
 
+    def of_first(self, count: int | None) -> Scale:
+        """Return the same of the first windows of the batch; None for all."""
+        if count is None:
+            return self
+        return Scale(self.h[:count], self.valid[:count], self.raw[:count], self.regime[:count])
+
 
 class GroupEmbed(nn.Module):
     """Channels of each group to its tokens. The weights of 1 - m are the learned tokens of a missing value."""

@@ -22,10 +22,10 @@ from twin.calibrators.hiera_unet.series import STEP_S
 from twin.calibrators.hiera_unet.signals import stuck
 from twin.calibrators.hiera_unet.sparse import Likelihood, Posterior, Usual, posterior
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
-from twin.calibrators.identifiability import condition, told_by
-from twin.calibrators.structure_error import ALIKE_S, MODEL_K
-from twin.commission import inflation
-from twin.gauss_newton import Data, Fit, Prior, Problem
+from twin.calibrators.identifiability import condition_number, window_information
+from twin.calibrators.structural_error import CORRELATED_S, MODEL_K
+from twin.commission import variance_inflation
+from twin.gauss_newton import FitData, FitProblem, GaussianPrior, GaussNewtonFit
 from twin.network import Array
 
 HORIZONS = (CONTEXT - TARGET, 720, 360, 180, 90, 45)
@@ -37,7 +37,7 @@ SMALL = 0.2
 STATE_SD = 0.3
 WORSE, LEAST_CHI = 1.25, 0.6
 """Factor by which a longer fit's mean square may exceed that of a shorter one, or this where that is smaller."""
-CORRELATED_STEPS = ALIKE_S / STEP_S
+CORRELATED_STEPS = CORRELATED_S / STEP_S
 """Steps over which a healthy twin's error stays alike: so many count as one."""
 MOST = 8
 LARGEST_LOG_CONDITION = 8.0
@@ -146,7 +146,7 @@ def estimate(
         belief: the prior of theta; by default the commissioned values and `Deviations.prior_sd`.
     """
     before = belief or _commissioned(features)
-    best: tuple[Fit, float, int] | None = None
+    best: tuple[GaussNewtonFit, float, int] | None = None
     evaluations = 0
     for steps in sorted(horizons):
         done = _fit(features, frame, values, steps, before)
@@ -176,12 +176,12 @@ def nothing(features: Features, frame: Frame, belief: Belief) -> Evidence:
     )  # fmt: skip
 
 
-def _data(features: Features, frame: Frame, first: int, last: int) -> Data:
+def _data(features: Features, frame: Frame, first: int, last: int) -> FitData:
     """Steps `first` to `last` of the window, a step more than is fitted so that the run reaches the target."""
     measured = frame.measured[first:last]
     good = np.isfinite(measured) & ~stuck(frame.measured[:last])[first:]
     sigma = step_noise(features)
-    return Data(
+    return FitData(
         np.ascontiguousarray(frame.time[first:last]), np.ascontiguousarray(frame.held[first:last]),
         np.where(good, measured, 0.0), np.where(good, 1.0 / sigma, 0.0),
     )  # fmt: skip
@@ -192,7 +192,9 @@ def step_noise(features: Features) -> Array:
     return np.sqrt(features.network.sigma**2 / STEP_S + MODEL_K**2)
 
 
-def _fit(features: Features, frame: Frame, values: Array, steps: int, belief: Belief) -> tuple[Fit, float] | None:
+def _fit(
+    features: Features, frame: Frame, values: Array, steps: int, belief: Belief
+) -> tuple[GaussNewtonFit, float] | None:
     last = CONTEXT - TARGET
     first = max(last - steps, frame.begin)
     data = _data(features, frame, first, last + 1)
@@ -208,8 +210,8 @@ def _fit(features: Features, frame: Frame, values: Array, steps: int, belief: Be
 
 
 def _problem(
-    features: Features, frame: Frame, values: Array, first: int, data: Data, belief: Belief
-) -> tuple[Problem, Prior]:
+    features: Features, frame: Frame, values: Array, first: int, data: FitData, belief: Belief
+) -> tuple[FitProblem, GaussianPrior]:
     """Squares over theta and the state at step `first`, and the prior of both."""
     nodes = len(features.network.nodes)
     scaling = features.deviations.scaling(values)
@@ -217,7 +219,7 @@ def _problem(
     centre = np.concatenate([np.clip(belief.mean, -REACH, REACH), state[:nodes]])
     # A healthy twin's errors last: without tempering, they would drive what the data cannot tell to its bound.
     precision = np.diag(np.concatenate([belief.sd, np.full(nodes, STATE_SD)]) ** -2.0) * CORRELATED_STEPS
-    return Problem(features.kernel, scaling, values, data, state), Prior(centre, precision)
+    return FitProblem(features.kernel, scaling, values, data, state), GaussianPrior(centre, precision)
 
 
 def _conclude(
@@ -225,7 +227,7 @@ def _conclude(
     frame: Frame,
     values: Array,
     belief: Belief,
-    fit: Fit,
+    fit: GaussNewtonFit,
     chi: float,
     steps: int,
     evaluations: int,
@@ -235,7 +237,7 @@ def _conclude(
     first = max(CONTEXT - TARGET - steps, frame.begin)
     data = _data(features, frame, first, CONTEXT - TARGET + 1)
     residual = np.where(data.weight > 0.0, fit.data.readings - data.measured, np.nan)
-    widened = inflation(residual[:-1], step_noise(features))
+    widened = variance_inflation(residual[:-1], step_noise(features))
     nodes = len(features.network.nodes)
     prior = np.diag(np.concatenate([belief.sd, np.full(nodes, STATE_SD)]) ** -2.0)
     covariance = np.linalg.inv(fit.normal / widened + prior)[:count, :count]
@@ -247,7 +249,7 @@ def _conclude(
     )
 
 
-def _likelihood(fit: Fit, state: Array, count: int, widened: float) -> Likelihood:
+def _likelihood(fit: GaussNewtonFit, state: Array, count: int, widened: float) -> Likelihood:
     """Of the `count` deviations, by the normal equations at the fit; the initial state was `state` (k,) +- STATE_SD."""
     normal, slope = fit.normal / widened, fit.data.jtr / widened
     own = normal[count:, count:] + np.eye(len(state)) * STATE_SD**-2
@@ -267,14 +269,14 @@ def tell(normal: Array, plausible: Array, widened: float = 1.0) -> tuple[np.ndar
     Args:
         normal: (q + k, q + k) J'J of the data, noise-weighted. plausible: (q,) prior standard deviations.
     """
-    told = told_by(normal, plausible, widened)
+    told = window_information(normal, plausible, widened)
     q = plausible.size
-    kept = [k for k in range(q) if not told.untold[k]]
+    kept = [k for k in range(q) if not told.unidentifiable[k]]
     state = normal[q:, q:] / widened + np.eye(len(normal) - q) * STATE_SD**-2
     cross = normal[:q, q:] / widened
     information = (normal[:q, :q] / widened - cross @ np.linalg.solve(state, cross.T)) * np.outer(plausible, plausible)
     sure = told.spread < SMALL * plausible
-    while kept and condition(information[np.ix_(kept, kept)]) > LIMIT:
+    while kept and condition_number(information[np.ix_(kept, kept)]) > LIMIT:
         spread = np.diag(np.linalg.inv(information[np.ix_(kept, kept)] + 1e-12 * np.eye(len(kept))))
         del kept[int(np.argmax(spread))]
     mask = np.zeros(q, dtype=bool)
@@ -315,4 +317,4 @@ def least_error(features: Features, frame: Frame, values: Array, theta: Array, s
     at = prior.mean.copy()
     at[: len(deviations)] = np.clip(np.nan_to_num(theta), -REACH, REACH)
     normal = problem.linearise(at).jtj
-    return told_by(normal, deviations.prior_sd, CORRELATED_STEPS).spread
+    return window_information(normal, deviations.prior_sd, CORRELATED_STEPS).spread

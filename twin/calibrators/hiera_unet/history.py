@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.calibrators.base import from_plain, plain
+from twin.calibrators.base import from_json, to_json
 from twin.calibrators.hiera_unet.series import STEP_S, Series, binned, filled_forward, lasting, latest
 from twin.calibrators.hiera_unet.windows import CONTEXT
 from twin.network import Array
@@ -87,13 +87,13 @@ class History:
             "time": self._time, "inputs": self._inputs, "measured": self._measured, "earlier": self._earlier,
             "usual": self._usual,
         }  # fmt: skip
-        return {"origin": self._origin, **{key: plain(a) for key, a in arrays.items()}}
+        return {"origin": self._origin, **{key: to_json(a) for key, a in arrays.items()}}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what `state` gave."""
         self._origin = state["origin"]
-        self._time = from_plain(state["time"]).reshape(-1)
-        self._inputs = from_plain(state["inputs"]).reshape(-1, self._inputs.shape[1])
-        self._measured = from_plain(state["measured"]).reshape(-1, self._measured.shape[1])
-        self._earlier = from_plain(state.get("earlier", [None] * self._inputs.shape[1])).reshape(-1)
-        self._usual = from_plain(state.get("usual", [False] * self._inputs.shape[1])).reshape(-1).astype(bool)
+        self._time = from_json(state["time"]).reshape(-1)
+        self._inputs = from_json(state["inputs"]).reshape(-1, self._inputs.shape[1])
+        self._measured = from_json(state["measured"]).reshape(-1, self._measured.shape[1])
+        self._earlier = from_json(state.get("earlier", [None] * self._inputs.shape[1])).reshape(-1)
+        self._usual = from_json(state.get("usual", [False] * self._inputs.shape[1])).reshape(-1).astype(bool)

@@ -20,6 +20,7 @@ from twin.calibrators.hiera_unet.heads import evidence_of
 from twin.calibrators.hiera_unet.leakage import leakage
 from twin.calibrators.hiera_unet.windows import Windows
 from twin.network import Array
+from twin.regular_file import read_regular
 
 FORMAT = 2
 """2: factors of parameters by the chance that they moved."""
@@ -59,28 +60,38 @@ class Ensemble:
     parameters: Factors | None
     card: dict[str, Any]
 
-    def ask(self, window: Windows) -> Said:
-        """About one window (N = 1), on the causal branch with everything measured in sight."""
+    def ask(self, windows: Windows, *, corrected: int | None = None) -> tuple[Said, ...]:
+        """Return what is said of each of N windows, on the causal branch with everything measured in sight.
+
+        Args:
+            corrected: of so many windows, the first ones, corrections and scales are wanted; None for all. Of the
+                others both are empty (0, Y).
+        """
+        count = len(windows.x)
+        wanted = count if corrected is None else corrected
         thetas, variances, deltas, scales, distances, attention = [], [], [], [], [], []
-        where = place(window.x, window.m)
+        where = place(windows.x, windows.m)
         with torch.inference_mode():
             for member in self.members:
                 config = member.network.config
-                p = member.network(*_tensors(window), causal=True)
+                p = member.network(*_tensors(windows), causal=True, corrected=wanted)
                 bounds, tolerances = np.array(config.bounds), np.array(config.tolerances)
-                thetas.append(p.theta[0].double().numpy())
-                variances.append(np.exp(p.log_variance[0].clamp(-12, 6).double().numpy()) * bounds**2)
-                deltas.append(p.delta[0].double().numpy())
-                scales.append(np.exp(p.log_scale[0].clamp(-6, 6).double().numpy()) * tolerances)
-                distances.append(float(member.envelope.distance(where)[0]))
-                attention.append(p.attention[0].double().numpy())
+                thetas.append(p.theta.double().numpy())
+                variances.append(np.exp(p.log_variance.clamp(-12, 6).double().numpy()) * bounds**2)
+                deltas.append(p.delta.double().numpy())
+                scales.append(np.exp(p.log_scale.clamp(-6, 6).double().numpy()) * tolerances)
+                distances.append(member.envelope.distance(where))
+                attention.append(p.attention.double().numpy())
         theta, theta_variance = mixed(thetas, variances)
         delta, variance = mixed(deltas, [2.0 * s**2 for s in scales])
-        sd = self.calibrated(np.sqrt(theta_variance)[None], window.meta)[0]
-        return Said(
-            theta, sd, delta, np.sqrt(variance / 2.0), float(np.mean(distances)),
-            np.mean(attention, axis=0),
-        )  # fmt: skip
+        sd, scale = self.calibrated(np.sqrt(theta_variance), windows.meta), np.sqrt(variance / 2.0)
+        distance, seen = np.mean(distances, axis=0), np.mean(attention, axis=0)
+        none = np.zeros((0, *delta.shape[2:]))
+        corrections = [(delta[k], scale[k]) if k < wanted else (none, none) for k in range(count)]
+        return tuple(
+            Said(theta[k], sd[k], corrections[k][0], corrections[k][1], float(distance[k]), seen[k])
+            for k in range(count)
+        )
 
     def calibrated(self, sd: Array, meta: np.ndarray) -> Array:
         """Standard deviations (N, P) of deviations, `NORMAL90` of which hold 90 % on windows that no training saw.
@@ -116,7 +127,7 @@ def load_ensemble(card: Path, identity: Identity) -> Ensemble:
             a member is missing or altered, belongs elsewhere or is of another configuration, or its parameters leak.
     """
     try:
-        document: dict[str, Any] = dict(json.loads(card.read_text(encoding="utf-8")))
+        document: dict[str, Any] = dict(json.loads(read_regular(card)))
         if document.get("format") != FORMAT:
             raise HieraError(f"the card {card} has format {document.get('format')}, not {FORMAT}; {AGAIN}")
         names: dict[str, str] = dict(document["members"])
@@ -128,7 +139,9 @@ def load_ensemble(card: Path, identity: Identity) -> Ensemble:
             f"there is no trained network {card}; train one with `hil train loop` and name its card with --network, or "
             "choose another calibrator"
         ) from error
-    except (OSError, RecursionError, json.JSONDecodeError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise HieraError(f"the card {card} cannot be read ({error.strerror}); give the card of an ensemble") from error
+    except (RecursionError, json.JSONDecodeError, UnicodeDecodeError) as error:
         raise HieraError(f"the card {card} cannot be read ({error}); {AGAIN}") from error
     except KeyError as error:
         raise HieraError(f"the card {card} has no {error}; {AGAIN}") from error

@@ -18,7 +18,7 @@ import numpy as np
 from twin.calibrators.hiera_unet.loads import drive
 from twin.calibrators.hiera_unet.parameters import Deviations
 from twin.calibrators.hiera_unet.series import STEP_S
-from twin.commission import commission
+from twin.commission import CommissionOptions, commission
 from twin.discovery.effects.catalogue import sites_of
 from twin.kernel import Kernel
 from twin.network import Array, Network, TwinFileError
@@ -180,7 +180,7 @@ class Family:
         offsets: Array = rng.uniform(-OFFSET_K, OFFSET_K, (clean.shape[1],))
         measured = clean + offsets + rng.standard_normal(clean.shape) * sigma / np.sqrt(STEP_S)
         time = np.arange(n, dtype=np.float64) * STEP_S
-        done = commission(self.sheet(plant, rng), time[::2], inputs[::2], measured[::2], starts=1)
+        done = commission(self.sheet(plant, rng), time[::2], inputs[::2], measured[::2], CommissionOptions(starts=1))
         return Rig(plant, done.network.values.copy(), offsets, sigma, power)
 
 

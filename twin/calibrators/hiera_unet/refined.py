@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.calibrators.base import Calibration, Window, from_plain, plain
+from twin.calibrators.base import Calibration, Window, from_json, to_json
 from twin.calibrators.hiera_unet import gates
 from twin.calibrators.hiera_unet.evidence import HORIZONS, LEAST_CHI, Belief, Evidence, estimate, step_noise
 from twin.calibrators.hiera_unet.features import Frame
@@ -26,8 +26,8 @@ from twin.calibrators.hiera_unet.series import STEP_S, binned
 from twin.calibrators.hiera_unet.service import CYCLE_S, HieraUNetCalibrator
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.calibrators.least_squares import LeastSquares
-from twin.calibrators.outcome import Report, conclude
-from twin.calibrators.windows import assemble
+from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
+from twin.calibrators.windows import make_window
 from twin.network import Array, Network
 
 BETTER = 3.0
@@ -100,7 +100,7 @@ class RefinedCalibrator(LeastSquares):
         inputs = np.vstack([left.inputs, window.inputs[:1]])
         state = self.kernel.trace(left.parameters, left.state, time, inputs)[1][0]
         live = self.kernel.trace(left.parameters, state, window.time, window.inputs)[0][0]
-        found = assemble(
+        found = make_window(
             window.number, window.time, window.inputs, window.measured, state, left.parameters, live, rules, window.read
         )  # fmt: skip
         return replace(found, kind=window.kind)
@@ -116,11 +116,10 @@ class RefinedCalibrator(LeastSquares):
             for i, t in zip(self.ids, found.told, strict=True)
             if not t
         ]
-        return conclude(
-            self.network, window, self.ids, values, alone.state, fitted, end,
-            cost=float(np.sqrt(found.chi)), evaluations=found.evaluations * (1 + len(self.ids) + len(alone.state)),
-            report=Report(np.diag((found.sd * slope) ** 2), tuple(flags), condition=found.condition),
-        )  # fmt: skip
+        evaluations = found.evaluations * (1 + len(self.ids) + len(alone.state))
+        fit = WindowFit(values, alone.state, fitted, end, float(np.sqrt(found.chi)), evaluations)
+        report = CalibrationReport(np.diag((found.sd * slope) ** 2), tuple(flags), condition=found.condition)
+        return fitted_calibration(self.network, window, self.ids, fit, report)
 
     def _fit(self, window: Window, belief: Belief) -> tuple[Array, Array, Array, Evidence]:
         """Values (q,), readings (n', m) at the last samples of the window, state at the last, and the fit itself."""
@@ -179,14 +178,14 @@ class RefinedCalibrator(LeastSquares):
 
     def state(self) -> dict[str, Any]:
         left = self._left
-        kept = None if left is None else {"time": left.time, **{name: plain(getattr(left, name)) for name in _ARRAYS}}
+        kept = None if left is None else {"time": left.time, **{name: to_json(getattr(left, name)) for name in _ARRAYS}}
         return {**super().state(), "network": self.proposing.state(), "left": kept}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         super().restore(state)
         self.proposing.restore(state["network"])
         left = state["left"]
-        self._left = None if left is None else _Left(left["time"], *(from_plain(left[name]) for name in _ARRAYS))
+        self._left = None if left is None else _Left(left["time"], *(from_json(left[name]) for name in _ARRAYS))
 
 
 def _over(readings: Array, latest: Array) -> Array:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from twin.calibrators.base import Calibration, Estimate, Window, from_plain, plain
+from twin.calibrators.base import Calibration, FilteredReadings, Window, from_json, to_json
 from twin.calibrators.hiera_unet import agreement, contradicted, gates
 from twin.calibrators.hiera_unet.agreement import Spoken
 from twin.calibrators.hiera_unet.channels import table
@@ -29,11 +29,11 @@ from twin.calibrators.hiera_unet.members import NORMAL90, Ensemble, Said
 from twin.calibrators.hiera_unet.parameters import Deviations
 from twin.calibrators.hiera_unet.proposal import Proposal
 from twin.calibrators.hiera_unet.series import STEP_S, Series
-from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows
-from twin.calibrators.outcome import Report, conclude
-from twin.calibrators.posterior import STATE_SD, weighted
-from twin.calibrators.windows import assemble
-from twin.gauss_newton import align
+from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows, joined
+from twin.calibrators.posterior import STATE_SD, window_data
+from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
+from twin.calibrators.windows import make_window
+from twin.gauss_newton import fit_initial_state
 from twin.network import Array, Network
 
 CYCLE_S = 300.0
@@ -131,7 +131,7 @@ class HieraUNetCalibrator:
         if not self._aside:
             return window
         left = contradicted.without(window.time, window.measured, self._aside)
-        found = assemble(
+        found = make_window(
             window.number, window.time, window.inputs, left, window.state, window.parameters, window.live,
             self.network.rules, window.read,
         )  # fmt: skip
@@ -145,28 +145,28 @@ class HieraUNetCalibrator:
         told, self._untold = tuple(self._untold), []
         return told
 
-    def follow(self, time: Array, inputs: Array, measured: Array, read: np.ndarray, state: Array) -> Estimate:
+    def follow(self, time: Array, inputs: Array, measured: Array, read: np.ndarray, state: Array) -> FilteredReadings:
         """Take in samples; the spread is that of the latest proposal.
 
         `filtered` is NaN: between windows the live twin's own readings stand.
         """
         self.history.push(time, np.where(read, inputs, np.nan), measured)
         nothing = np.full((len(time), len(self.network.sensors)), np.nan)
-        return Estimate(nothing, np.broadcast_to(self._spread, nothing.shape).copy())
+        return FilteredReadings(nothing, np.broadcast_to(self._spread, nothing.shape).copy())
 
     def _propose(self, live: Array) -> Proposal:
         """One cycle on everything that was pushed; `live` is the full vector (p,) of what the twin has now."""
         nominal, deviations = self.network.values, self.features.deviations
         before = self._lived[0] if self._lived else live
         twins = (live, before) if (before != live).any() else (live,)
-        self._aside = contradicted.reviewed(self.features, self.history.series(), twins, self._aside)
-        series = self.series()
-        past = self._read(series)
+        whole = self.history.series()
+        self._aside = contradicted.reviewed(self.features, whole, twins, self._aside)
+        # A target is hidden from the fit that is evidence: what is proposed is of one that is still to come.
+        past, ahead = self._read(contradicted.trusted(whole, self._aside))
         if self._leakage is None and len(past.frame.time) - past.frame.begin >= gates.SHORTEST_STEPS:
             # Loading only compares the card's own number: the network itself is asked before any gate can open.
             self._leakage = self.ensemble.leakage(past.row)
-        # A target is hidden from the fit that is evidence: what is proposed is of one that is still to come.
-        _, evidence, _, said = ahead = self._read(series.ahead(TARGET))
+        _, evidence, _, said = ahead
         seen = self._evidently(past, ahead)
         alone = gates.reasons(seen, self.ids)
         closed = gates.held(alone, self.ids)
@@ -216,14 +216,19 @@ class HieraUNetCalibrator:
         self._spoken = (*before, now)
         return agreement.doubts(before, now, live, self.ids)
 
-    def _read(self, series: Series) -> _Reading:
-        """What a fit and the members say of the window that ends with a series."""
-        nominal = self.network.values
-        frame = self.features.frame(series, len(series), nominal)
-        evidence = estimate(self.features, frame, nominal)
-        frame = self.features.explained(frame, nominal, evidence.theta, evidence.steps)
-        row = one(self.features, frame, evidence, nominal)
-        return _Reading(frame, evidence, row, self.ensemble.ask(row))
+    def _read(self, series: Series) -> tuple[_Reading, _Reading]:
+        """Return what a fit and the members say of the window that ends with a series, and of the one that ends a
+        target later, of which nobody is asked for corrections."""
+        nominal, found = self.network.values, []
+        for part in (series, series.ahead(TARGET)):
+            frame = self.features.frame(part, len(part), nominal)
+            evidence = estimate(self.features, frame, nominal)
+            frame = self.features.explained(frame, nominal, evidence.theta, evidence.steps)
+            found.append((frame, evidence, one(self.features, frame, evidence, nominal)))
+        # Both at once: half of what a member costs does not depend on how many windows it is asked about.
+        said = self.ensemble.ask(joined([row for _, _, row in found]), corrected=1)
+        past, ahead = (_Reading(*read, told) for read, told in zip(found, said, strict=True))
+        return past, ahead
 
     def _evidently(self, past: _Reading, ahead: _Reading) -> Evidently:
         """What the gates look at: of the record and of what was foretold in the past, of parameters what is ahead.
@@ -277,8 +282,8 @@ class HieraUNetCalibrator:
         index = self.network.index(self.ids)
         full = window.parameters.copy()
         full[index] = proposal.values
-        data = weighted(window, self.network.sigma)
-        start = align(self.features.kernel, full, window.state, data, max(window.error_K, STATE_SD))
+        data = window_data(window, self.network.sigma)
+        start = fit_initial_state(self.features.kernel, full, window.state, data, max(window.error_K, STATE_SD))
         readings, end = self.features.kernel.trace(full, start, window.time, window.inputs)
         return full[index], start, readings[0], end[0]
 
@@ -286,36 +291,34 @@ class HieraUNetCalibrator:
         values, start, readings, end = self._taken_on(window, proposal)
         misses = (readings - window.measured) / self.network.sigma
         good = np.isfinite(misses)
-        report = Report(
+        report = CalibrationReport(
             covariance=np.diag(proposal.spread**2),
             flags=(*(d.sentence(self.network) for d in proposal.doubts), *(str(r) for r in proposal.reasons)),
             frozen=tuple(i for i, h in zip(self.ids, proposal.held, strict=True) if h),
             condition=proposal.condition,
         )
-        return conclude(
-            self.network, window, self.ids, values, start, readings, end,
-            cost=float(np.sqrt(np.mean(misses[good] ** 2))) if good.any() else 0.0,
-            evaluations=proposal.evaluations, report=report,
-        )  # fmt: skip
+        cost = float(np.sqrt(np.mean(misses[good] ** 2))) if good.any() else 0.0
+        fit = WindowFit(values, start, readings, end, cost, proposal.evaluations)
+        return fitted_calibration(self.network, window, self.ids, fit, report)
 
     def state(self) -> dict[str, Any]:
         return {
             "history": self.history.state(),
             "leakage": self._leakage,
-            "spread": plain(self._spread),
+            "spread": to_json(self._spread),
             "spoken": [s.plain() for s in self._spoken],
             "doubts": [d.plain() for d in self._aside],
-            "lived": [plain(values) for values in self._lived],
+            "lived": [to_json(values) for values in self._lived],
             "records": list(self.records),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         self.history.restore(state["history"])
         self._leakage = state["leakage"]
-        self._spread = from_plain(state["spread"])
+        self._spread = from_json(state["spread"])
         self._spoken = tuple(Spoken.restored(s) for s in state.get("spoken", ()))
         self._aside = tuple(Doubt.restored(d) for d in state.get("doubts", ()))
-        self._lived = deque((from_plain(values).reshape(-1) for values in state.get("lived", ())), maxlen=LIVED)
+        self._lived = deque((from_json(values).reshape(-1) for values in state.get("lived", ())), maxlen=LIVED)
         self.records = deque(state["records"], maxlen=RECORDS)
 
 

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.signal import lfilter
 
 from twin.calibrators.hiera_unet.figures import Figures
 from twin.calibrators.hiera_unet.regimes import since_last
@@ -71,6 +70,8 @@ def signed_log(x: Array) -> Array:
 
 def quick(values: Array, constant_s: float) -> Array:
     """Values (n,) less their running mean over `constant_s`, which looks back only."""
+    from scipy.signal import lfilter  # a second of processor time, so only where it is used
+
     keep = float(np.exp(-STEP_S / constant_s))
     mean, _ = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])
     out: Array = values - mean
@@ -215,6 +216,8 @@ def _spread(s: Stretch, sensor: str) -> Array:
 
 def _step(s: Stretch, column: str) -> Array:
     """Last step of a command, fading over some minutes."""
+    from scipy.signal import lfilter  # a second of processor time, so only where it is used
+
     change = np.diff(s.held(column), prepend=s.held(column)[0]) / _scale(s, column)
     big = np.where(np.abs(change) > 0.01, change, 0.0)
     keep = float(np.exp(-STEP_S / 180.0))

@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import tempfile
+import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.series import Series
 from twin.calibrators.hiera_unet.windows import TARGET, Windows
 from twin.network import Array, Network, TwinFileError
+from twin.regular_file import refuse_irregular
 
 FORMAT = 2
 MANIFEST = "manifest.json"
@@ -72,8 +74,22 @@ def write_shard(path: Path, kept: Sequence[Kept]) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+MOST_UNPACKED = 8 * 10**9
+"""Bytes of a file's arrays once they are unpacked: a megabyte of equal values can stand for gigabytes."""
+
+
+def _require_regular(path: Path) -> None:
+    """Raise OSError where `path` is no regular file, ValueError where it unpacks to more than `MOST_UNPACKED` bytes."""
+    refuse_irregular(path, path.stat().st_mode)
+    with zipfile.ZipFile(path) as packed:
+        size = sum(item.file_size for item in packed.infolist())
+    if size > MOST_UNPACKED:
+        raise ValueError(f"{path} unpacks to {size / 1e9:.0f} GB, and at most {MOST_UNPACKED / 1e9:.0f} GB are read")
+
+
 def read_shard(path: Path) -> list[Kept]:
     """The campaigns of one file."""
+    _require_regular(path)
     with np.load(path, allow_pickle=False) as file:
         a = {name: file[name] for name in file.files}
     kept = []

@@ -59,6 +59,11 @@ class Windows:
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
 
+def joined(parts: Sequence[Windows]) -> Windows:
+    """Return the windows of all parts, in their order."""
+    return Windows(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Windows)})
+
+
 def concatenate(parts: Sequence[Windows]) -> Windows:
     """All windows of several batches in order.
 

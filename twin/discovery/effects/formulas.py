@@ -7,10 +7,9 @@ what an effect would do can be told without simulating it: the power that it add
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
 
 from twin.assembly import System, python_source
-from twin.generated_code import functions, value
+from twin.generated_code import define_functions, evaluate_formula
 from twin.network import Array, Network
 
 ARRAYS = {"exp": np.exp, "log": np.log, "max": np.maximum, "min": np.minimum}
@@ -23,7 +22,7 @@ class Formulas:
     def __init__(self, network: Network) -> None:
         self.network = network
         # Whatever counts as neutral for the kernels must be in the text, since sizes are what is asked for.
-        self._rhs = functions(python_source(network), f"<heats of {network.name}>", ARRAYS)["rhs"]
+        self._rhs = define_functions(python_source(network), f"<heats of {network.name}>", ARRAYS)["rhs"]
         self._capacity = network.index([f"{node}.capacitance" for node in network.nodes])
         remembering = tuple(
             p.id for p in network.parameters.values() if p.status != "fixed" or p.value not in (0.0, 1.0)
@@ -55,10 +54,10 @@ class Formulas:
                 continue
             p = {f"p{k}": v for k, v in enumerate(parameters)}
             if drive.dead_time:
-                late = round(value(drive.dead_time, p) / step_s)
+                late = round(evaluate_formula(drive.dead_time, p) / step_s)
                 values = np.concatenate([np.full(late, values[0]), values[: len(values) - late]])
             if drive.lag:
-                values = follow(values, value(drive.lag, p), step_s)
+                values = follow(values, evaluate_formula(drive.lag, p), step_s)
         return values
 
     def _remembered(self, columns: list[Array], u: list[Array], parameters: Array, step_s: float) -> list[Array]:
@@ -80,6 +79,8 @@ def follow(values: Array, constant_s: float, step_s: float) -> Array:
     """First-order lag of `constant_s`, at rest in the first sample; values lie on straight lines between samples."""
     if constant_s <= 0.0:
         return values
+    from scipy.signal import lfilter  # a second of processor time, so only where it is used
+
     kept = np.exp(-step_s / constant_s)
     # Exact for a straight line: how much of the step's end is in the answer, and how much of its beginning.
     new = 1.0 - (1.0 - kept) * constant_s / step_s

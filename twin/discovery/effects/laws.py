@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from twin.discovery.effects.catalogue import catalogue, extended, sized
 from twin.discovery.effects.formulas import Formulas, follow
@@ -35,6 +34,8 @@ class Law:
 
 def temperatures(network: Network, grid: Grid, run: Run) -> Array:
     """Node temperatures (n, k), degC: measured where a sensor is, with gaps closed; the twin's elsewhere."""
+    from scipy.ndimage import uniform_filter1d
+
     known = run.temperatures.copy()
     window = max(round(SMOOTH_S / grid.step_s), 1)
     for j, sensor in enumerate(network.sensors):

@@ -19,10 +19,10 @@ from twin.elements import Parameter
 from twin.elements.base import Status
 from twin.elements.heat_source import HeatSource
 from twin.elements.sensor import Sensor
-from twin.gauss_newton import Data, Prior, Scaling, align
+from twin.gauss_newton import FitData, GaussianPrior, Scaling, fit_initial_state
 from twin.kernel import Kernel
 from twin.network import Array, InputSpec, Network
-from twin.stretches import begun_anew, each_alone, traced
+from twin.segments import restarted_states, separate_columns, simulate_segments
 
 FIRST_BINS = 6
 SETTLE_BINS = 90
@@ -84,8 +84,8 @@ class Probe:
             measured[:, : self.m] = grid.measured[rows]
             good = np.isfinite(measured)
             weight = np.where(good, 1.0 / sigma, 0.0)
-            data = Data(grid.time[rows], inputs[rows], np.where(good, measured, 0.0), weight)
-            found.append(align(self._kernel, self.values(values), state, data, 1.0)[: self.k])
+            data = FitData(grid.time[rows], inputs[rows], np.where(good, measured, 0.0), weight)
+            found.append(fit_initial_state(self._kernel, self.values(values), state, data, 1.0)[: self.k])
         return np.concatenate(found)
 
     def probed_state(self, grid: Grid) -> Array:
@@ -101,7 +101,7 @@ class Probe:
 
     def _traced(self, rows: Array, states: Array, grid: Grid, inputs: Array) -> Array:
         """Readings (P, n, m) with parameters `rows` (P, p), from `states` (P, s * k)."""
-        return traced(self._kernel, rows, states, grid.time, inputs, grid.begins)
+        return simulate_segments(self._kernel, rows, states, grid.time, inputs, grid.begins)
 
     def responses(self, grid: Grid, state: Array, injected: Array, values: Array | None = None) -> Array:
         """What heat does to the readings (n, m, j), K, for j courses `injected` (n, k, j) W."""
@@ -139,7 +139,7 @@ class Probe:
         scale = np.concatenate([steps, np.full(self.k, _STATE_STEP)])
         change: Array = (readings[1:, :, : self.m] - readings[0, :, : self.m]) / scale[:, None, None]
         slopes = np.moveaxis(change, 0, 2)
-        states = each_alone(slopes[..., self.q :], grid.begins)
+        states = separate_columns(slopes[..., self.q :], grid.begins)
         return centred(np.concatenate([slopes[..., : self.q], states], axis=2))
 
     def blocks(self, grid: Grid, state: Array, edges: np.ndarray, values: Array | None = None) -> Array:
@@ -185,7 +185,7 @@ class Probe:
             if first > at:
                 own, states = self._kernel.trace(rows, states, grid.time[at : first + 1], inputs[at : first + 1])
                 readings.append(own[:, :-1])
-            at, states = first, begun_anew(states, np.tile(state[i * self.k : (i + 1) * self.k], (len(rows), 1)))
+            at, states = first, restarted_states(states, np.tile(state[i * self.k : (i + 1) * self.k], (len(rows), 1)))
         own, states = self._kernel.trace(rows, states, grid.time[at : part.stop], inputs[at : part.stop])
         return (np.concatenate([*readings, own], axis=1) if readings else own), states
 
@@ -223,7 +223,9 @@ class _Left:
         return _Left(states[:1], (shares / weight) @ (u * singular)[:, kept] * size, ways[kept] / size[:, None])
 
 
-def posterior(network: Network, probe: Probe, grid: Grid, state: Array, inflation: float, widen: float) -> Prior:
+def posterior(
+    network: Network, probe: Probe, grid: Grid, state: Array, inflation: float, widen: float
+) -> GaussianPrior:
     """Gaussian knowledge of [tunables z, initial state] after a healthy record; `widen` multiplies its variance.
 
     The state's part is replaced by what a first reading tells, since the next record begins elsewhere.
@@ -240,7 +242,7 @@ def posterior(network: Network, probe: Probe, grid: Grid, state: Array, inflatio
     full = np.eye(probe.q + probe.k)
     full[: probe.q, : probe.q] = np.linalg.inv(covariance)
     values = network.values[probe.scaling.index]
-    return Prior(np.concatenate([probe.scaling.to_z(values), state[: probe.k]]), full)
+    return GaussianPrior(np.concatenate([probe.scaling.to_z(values), state[: probe.k]]), full)
 
 
 def _with_probes(network: Network, columns: tuple[str, ...]) -> tuple[Network, tuple[str, ...], list[int]]:

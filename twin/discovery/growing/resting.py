@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.assembly import python_source
 from twin.discovery.effects.formulas import ARRAYS
-from twin.generated_code import functions
+from twin.generated_code import define_functions
 from twin.kernel import Kernel
 from twin.network import Array, Network, TwinFileError
 
@@ -25,7 +25,7 @@ class Resting:
 
     def __init__(self, network: Network, kernel: Kernel) -> None:
         self.network, self._kernel = network, kernel
-        self._rhs = functions(python_source(network), f"<{network.name} at rest>", ARRAYS)["rhs"]
+        self._rhs = define_functions(python_source(network), f"<{network.name} at rest>", ARRAYS)["rhs"]
 
     def readings(self, inputs: Array, parameters: Array) -> Array:
         """What the sensors show (P, n, m), degC.

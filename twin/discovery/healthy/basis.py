@@ -20,7 +20,7 @@ from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import scan
 from twin.discovery.scoring.structure import Structure
-from twin.gauss_newton import Prior
+from twin.gauss_newton import GaussianPrior
 from twin.network import Array, Network, TwinFileError
 
 BETTER = 0.9
@@ -78,7 +78,7 @@ class Basis:
     probe: Probe
     book: Book
     noise: noises.Noise
-    prior: Prior
+    prior: GaussianPrior
     warnings: tuple[str, ...]
     tried: Array
     plain: noises.Noise | None = None
@@ -178,7 +178,7 @@ def _healthy(network: Network, probe: Probe, book: Book, healthy: Columns) -> tu
     return Health.of(best.network, best, book if best is probe else Book(best.network), healthy), best
 
 
-def _about(prior: Prior, of: Probe, now: Probe) -> Prior:
+def _about(prior: GaussianPrior, of: Probe, now: Probe) -> GaussianPrior:
     """What a twin's tunables were trusted to be, about the values that it has now."""
     if of is now:
         return prior
@@ -192,7 +192,7 @@ def _about(prior: Prior, of: Probe, now: Probe) -> Prior:
     own = np.diag(wide)
     own[np.ix_(at, at)] = covariance[np.ix_(rows, rows)]
     mean = np.concatenate([now.scaling.to_z(now.network.values[now.scaling.index]), prior.mean[of.q :]])
-    return Prior(mean, np.linalg.inv(own))
+    return GaussianPrior(mean, np.linalg.inv(own))
 
 
 def _tried(grid: Grid) -> Array:
@@ -200,7 +200,9 @@ def _tried(grid: Grid) -> Array:
     return tried
 
 
-def _from_itself(probe: Probe, book: Book, grid: Grid, state: Array, noise: noises.Noise, prior: Prior) -> noises.Noise:
+def _from_itself(
+    probe: Probe, book: Book, grid: Grid, state: Array, noise: noises.Noise, prior: GaussianPrior
+) -> noises.Noise:
     """Noise of what is left after the best three hypotheses have taken what they can, twice."""
     run = probe.run(grid, state)
     candidates = book.laws(grid, run)

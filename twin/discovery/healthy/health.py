@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.commission import inflation
+from twin.commission import variance_inflation
 from twin.discovery.effects.laws import Book, Law
 from twin.discovery.effects.operating import offsets
 from twin.discovery.effects.probe import Probe, Run, free_run, posterior
@@ -16,7 +16,7 @@ from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.records.noise import Noise
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.structure import Structure, structure_of
-from twin.gauss_newton import Prior
+from twin.gauss_newton import GaussianPrior
 from twin.network import Array, Network, TwinFileError
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Health:
     grid: Grid
     noise: Noise
     less: Noise
-    prior: Prior
+    prior: GaussianPrior
     structure: Structure
     rough: str = ""
 
@@ -63,7 +63,7 @@ class Health:
         known = np.where(good, residual, np.nan)
         rms = np.sqrt((np.where(good, residual, 0.0) ** 2).sum(axis=0) / np.maximum(good.sum(axis=0), 1))
         rough = _rough(network, rms)
-        prior = posterior(network, probe, grid, state, inflation(known, grid.sigma), WIDEN)
+        prior = posterior(network, probe, grid, state, variance_inflation(known, grid.sigma), WIDEN)
         noise = noises.learn(residual, grid.sigma, grid.step_s, run.readings)
         laws, held = book.laws(grid, run), _held(prior, probe.q)
         here = offsets(network, laws, grid)
@@ -100,7 +100,7 @@ def _rough(network: Network, rms: Array) -> str:
     )
 
 
-def _held(prior: Prior, q: int) -> Prior:
+def _held(prior: GaussianPrior, q: int) -> GaussianPrior:
     """The prior with its q tunables held.
 
     What tunables and structure can both take up is told by their sum; with each of the two as open as the other leaves
@@ -108,11 +108,18 @@ def _held(prior: Prior, q: int) -> Prior:
     """
     precision = prior.precision.copy()
     precision[:q, :q] += HELD * np.eye(q)
-    return Prior(prior.mean, precision)
+    return GaussianPrior(prior.mean, precision)
 
 
 def _readings(
-    structure: Structure, probe: Probe, grid: Grid, state: Array, run: Run, noise: Noise, prior: Prior, laws: list[Law]
+    structure: Structure,
+    probe: Probe,
+    grid: Grid,
+    state: Array,
+    run: Run,
+    noise: Noise,
+    prior: GaussianPrior,
+    laws: list[Law],
 ) -> Array:
     """What a structure, and the tunables with it, amount to in the readings (n, m), K."""
     contest = Contest(probe, grid, state, run, noise, prior, structure, laws)

@@ -21,7 +21,7 @@ from twin.elements.empirical_heat import KNOTS
 from twin.kernel import Kernel
 from twin.network import Array, Network
 from twin.revisions import with_elements
-from twin.stretches import traced
+from twin.segments import simulate_segments
 
 if TYPE_CHECKING:
     from twin.discovery.healthy.basis import Basis
@@ -91,7 +91,7 @@ def offer(
     bigger = _with_curve(network, known, node, name, knots, heats, moved)
     state = known.probe.first_state(grid)
     state[: len(finding.state)] = finding.state + moved[known.probe.q :]
-    run = traced(Kernel(bigger, ()), bigger.values[None], state[None], grid.time, grid.inputs, grid.begins)
+    run = simulate_segments(Kernel(bigger, ()), bigger.values[None], state[None], grid.time, grid.inputs, grid.begins)
     read = centred(run[0])
     late = grid.measured[split:] - read[split:]
     after = np.sqrt(np.nansum(late**2, axis=0) / np.maximum(np.isfinite(late).sum(axis=0), 1))

@@ -21,7 +21,7 @@ from twin.discovery.records.noise import Noise
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
-from twin.gauss_newton import Prior
+from twin.gauss_newton import GaussianPrior
 from twin.network import Array
 
 SEGMENT_S = 1800.0
@@ -74,7 +74,7 @@ class Runner:
         state: initial temperatures (k,).
     """
 
-    def __init__(self, probe: Probe, fitted: Fit, sizes: Array, prior: Prior, state: Array) -> None:
+    def __init__(self, probe: Probe, fitted: Fit, sizes: Array, prior: GaussianPrior, state: Array) -> None:
         entries = tuple(from_the_start(e, s) for e, s in zip(fitted.entries, sizes.tolist(), strict=True))
         self.entries, self._model = entries, Model.of(probe, entries)
         scaling, q, k, e = probe.scaling, probe.q, probe.k, len(entries)

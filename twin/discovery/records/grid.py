@@ -2,7 +2,7 @@
 
 Irregular sampling, gaps and repeated stamps end here. A bin without a reading stays NaN; `filled` closes such gaps by
 straight lines, and does the same to every signature that is compared with the residual, so that both went through the
-same linear operation. Where the inputs are missing, too, the rig is followed anew after the gap (`twin.stretches`).
+same linear operation. Where the inputs are missing, too, the rig is followed anew after the gap (`twin.segments`).
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.kernel import clean_time, held
+from twin.kernel import clean_time, hold_inputs
 from twin.network import Array, Network, TwinFileError
-from twin.stretches import parts, stretches
+from twin.segments import find_segments, segment_rows
 
 BIN_S = 10.0
 MOST_BINS = 10_800
@@ -43,7 +43,7 @@ class Grid:
     @property
     def stretches(self) -> tuple[slice, ...]:
         """Bins of each stretch that is followed in one go."""
-        return parts(self.begins, len(self.time))
+        return segment_rows(self.begins, len(self.time))
 
     @property
     def span_s(self) -> float:
@@ -69,21 +69,10 @@ def on_grid(
         TooShortError: it is too short. TwinFileError: not a single reading.
     """
     t, u = clean_time(time_s), bridged(network, time_s, inputs)
-    known = stretches(network, t, np.asarray(inputs, dtype=np.float64))
+    known = find_segments(network, t, np.asarray(inputs, dtype=np.float64))
     y = np.where(known.lost[:, None], np.nan, np.asarray(measured, dtype=np.float64))
-    if len(t) < 2:
-        raise TooShortError("the record has fewer than two samples; diagnosis needs at least two windows of data")
-    period = float(np.median(np.diff(t)))
-    step = max(least_s, period)
-    step *= max(np.ceil((t[-1] - t[0]) / step / MOST_BINS), 1.0)
-    bins = int(np.floor((t[-1] - t[0]) / step + 1e-9)) + 1
-    if bins * step < 2.0 * network.rules.window_s:
-        raise TooShortError(
-            f"the record covers {t[-1] - t[0]:.0f} s; diagnosis needs at least two windows of "
-            f"{network.rules.window_s:.0f} s (window_s under [windows] of the twin file)"
-        )
-    if not np.isfinite(y).any():
-        raise TwinFileError("the record has no reading of any of the twin's sensors; check the names of its columns")
+    period, step, bins = _bins(network, t, least_s)
+    _require_readings(y)
     where = np.minimum(((t - t[0]) / step + 1e-9).astype(np.intp), bins - 1)
     good = np.isfinite(y)
     count = np.stack([np.bincount(where, good[:, j], bins) for j in range(y.shape[1])], axis=1)
@@ -102,6 +91,37 @@ def on_grid(
     return Grid(grid_time, u_means, mean, network.sigma / np.sqrt(per_bin), step, tuple(begins))
 
 
+def require_enough(network: Network, time_s: ArrayLike, measured: ArrayLike, least_s: float = BIN_S) -> None:
+    """Check a record before it is put on a grid, with the arguments of `on_grid`.
+
+    Raises:
+        TooShortError: it is too short. TwinFileError: not a single reading.
+    """
+    _bins(network, clean_time(time_s), least_s)
+    _require_readings(np.asarray(measured, dtype=np.float64))
+
+
+def _bins(network: Network, t: Array, least_s: float) -> tuple[float, float, int]:
+    """Return the period of the samples and the step of the bins, s, and how many bins there are."""
+    if len(t) < 2:
+        raise TooShortError("the record has fewer than two samples; diagnosis needs at least two windows of data")
+    period = float(np.median(np.diff(t)))
+    step = max(least_s, period)
+    step *= max(np.ceil((t[-1] - t[0]) / step / MOST_BINS), 1.0)
+    bins = int(np.floor((t[-1] - t[0]) / step + 1e-9)) + 1
+    if bins * step < 2.0 * network.rules.window_s:
+        raise TooShortError(
+            f"the record covers {t[-1] - t[0]:.0f} s; diagnosis needs at least two windows of "
+            f"{network.rules.window_s:.0f} s (window_s under [windows] of the twin file)"
+        )
+    return period, float(step), bins
+
+
+def _require_readings(y: Array) -> None:
+    if not np.isfinite(y).any():
+        raise TwinFileError("the record has no reading of any of the twin's sensors; check the names of its columns")
+
+
 def centred(readings: Array) -> Array:
     """Simulated values (n, ...) at the beginnings of bins as means over the bins."""
     out = np.array(readings)
@@ -112,7 +132,7 @@ def centred(readings: Array) -> Array:
 def bridged(network: Network, time_s: ArrayLike, inputs: ArrayLike) -> Array:
     """Inputs (N, c) without NaN: temperatures on straight lines over gaps, everything else held."""
     t, given = np.asarray(time_s, dtype=np.float64), np.asarray(inputs, dtype=np.float64)
-    u = held(network, given)
+    u = hold_inputs(network, given)
     for j, column in enumerate(network.input_columns):
         good = np.isfinite(given[:, j])
         if column.endswith("_C") and good.any() and not good.all():

@@ -19,7 +19,7 @@ from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
 from twin.network import Array
-from twin.stretches import each_alone
+from twin.segments import separate_columns
 
 ROUNDS, AGAIN = 12, 4
 """Rounds of a fit, and of one that begins where another of the same effects ended."""
@@ -119,7 +119,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         # A run is cut where any of those beside it is: only with these is the difference that of the move.
         seen = contest.seen(run(v + moves))
         change = np.moveaxis(seen[1:] - seen[0], 0, 2)
-        states = each_alone(change[..., q : q + probe.k], contest.begins)
+        states = separate_columns(change[..., q : q + probe.k], contest.begins)
         each = np.concatenate([change[..., :q], states, change[..., q + probe.k :]], axis=2)
         both = contest.features(each / np.append(sign, -steps[onsets]))
         return both[:, :count], both[:, count:]

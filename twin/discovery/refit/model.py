@@ -17,7 +17,7 @@ from twin.discovery.scoring.search import Entry
 from twin.elements.base import Candidate
 from twin.kernel import Kernel
 from twin.network import Array, Network
-from twin.stretches import begun_anew, parts
+from twin.segments import restarted_states, segment_rows
 
 SETTLE_S, FIRST_ROWS, STATE_STEP_K = 900.0, 6, 1.0e-2
 """Readings at a beginning that tell its temperatures, those that give a first guess, and how far it is moved."""
@@ -159,7 +159,7 @@ class Model:
             if first == 0:
                 state = np.ascontiguousarray(begun[:, 0])
             elif first in begins:
-                state = begun_anew(state, begun[:, begins.index(first)])
+                state = restarted_states(state, begun[:, begins.index(first)])
             for effect, mass, node, column in self._masses if first else ():
                 # A mass that comes in now has had the time to be as warm as what it stands beside, or is cold. A little
                 # of it is there before, where it comes in between two samples.
@@ -192,7 +192,7 @@ class Model:
         k, sizes = len(self.original.nodes), np.array([[e.size for e in self.entries]])
         if len(state) >= len(begins) * k:
             return state[: len(begins) * k]
-        later = parts(begins, len(time))[len(state) // k :]
+        later = segment_rows(begins, len(time))[len(state) // k :]
         settling = [slice(r.start, int(np.searchsorted(time[r], time[r.start] + SETTLE_S)) + r.start) for r in later]
         guess = np.concatenate([self.original.initial_state(measured[r][:FIRST_ROWS]) for r in settling])
         rows = np.tile(np.concatenate([state, guess]), (1 + k, 1))

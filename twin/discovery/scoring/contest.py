@@ -23,7 +23,7 @@ from twin.discovery.effects.laws import Law
 from twin.discovery.effects.probe import Probe, Run
 from twin.discovery.records.grid import Grid, filled
 from twin.discovery.records.noise import CAUTION, Noise, bands
-from twin.gauss_newton import Prior
+from twin.gauss_newton import GaussianPrior
 from twin.network import Array, TwinFileError
 
 if TYPE_CHECKING:
@@ -53,13 +53,13 @@ def narrowed(whitened: Array, opened: tuple[Array, Array]) -> Array:
     return out
 
 
-def repeated(prior: Prior, q: int, stretches: int) -> Prior:
+def repeated(prior: GaussianPrior, q: int, stretches: int) -> GaussianPrior:
     """A prior of [tunables z (q,), state] with the state's part for each of several stretches."""
     if stretches == 1:
         return prior
     state = prior.precision[q:, q:]
     precision = block_diag(prior.precision[:q, :q], *[state] * stretches)
-    return Prior(np.concatenate([prior.mean[:q], np.tile(prior.mean[q:], stretches)]), precision)
+    return GaussianPrior(np.concatenate([prior.mean[:q], np.tile(prior.mean[q:], stretches)]), precision)
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Contest:
     """
 
     def __init__(
-        self, probe: Probe, grid: Grid, state: Array, run: Run, noise: Noise, prior: Prior,
+        self, probe: Probe, grid: Grid, state: Array, run: Run, noise: Noise, prior: GaussianPrior,
         structure: Structure | None = None, laws: Sequence[Law] = (),
     ) -> None:  # fmt: skip
         self.probe, self.grid, self.prior = probe, grid, repeated(prior, probe.q, len(grid.begins))

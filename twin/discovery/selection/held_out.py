@@ -16,7 +16,7 @@ from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
 from twin.discovery.selection.ranking import Finding
 from twin.network import Array, Network
-from twin.stretches import stretches
+from twin.segments import find_segments
 
 FAR_OFF, UNUSUAL, FAR_SHARE = 3.0, 1.5, 0.25
 """Times a thermometer's noise, and what is usual there, that block means may be off where a fit was not shown them, and
@@ -135,7 +135,7 @@ class HeldOut:
     @cached_property
     def _measured(self) -> Array:
         """Readings (N, m) with NaN in gaps in which nothing tells what drove the rig."""
-        lost = stretches(self.network, self.record.time_s, self.record.inputs).lost
+        lost = find_segments(self.network, self.record.time_s, self.record.inputs).lost
         return np.where(lost[:, None], np.nan, self.record.measured)
 
     def _mean(self, off: Array) -> float:

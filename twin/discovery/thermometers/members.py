@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from twin.discovery.effects.shapes import Shape, family
 from twin.discovery.records.grid import Grid
@@ -410,6 +409,8 @@ def lagging_one(found: Members) -> Odd | None:
 
 def _lag(found: Members, i: int, since_s: float, z: float) -> Odd:
     """Member i as one that follows the others late since about then: its time constant, and since when."""
+    from scipy.signal import lfilter  # a second of processor time, so only where it is used
+
     seen = np.isfinite(found.fine).all(axis=1) & np.isfinite(found.mean)
     time_s = np.arange(len(seen)) * found.step_s
     own = found.by_itself(i, found.fine)

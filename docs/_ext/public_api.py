@@ -1,0 +1,64 @@
+"""Directive ``public-api``: one section for each package that declares a public interface (``__all__``).
+
+The packages are found in the source tree, so a package that is added, moved or split shows up by itself.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from docutils.statemachine import StringList
+from sphinx.application import Sphinx
+from sphinx.util import logging
+from sphinx.util.docutils import SphinxDirective
+
+log = logging.getLogger(__name__)
+
+
+def public_packages(root: Path, top: str) -> list[str]:
+    """Return the dotted names of the packages below `top` whose ``__init__`` assigns ``__all__``, sorted."""
+    found = []
+    for file in sorted((root / top).rglob("__init__.py")):
+        names = [
+            target.id
+            for statement in ast.parse(file.read_text()).body
+            if isinstance(statement, ast.Assign | ast.AnnAssign)
+            for target in (statement.targets if isinstance(statement, ast.Assign) else [statement.target])
+            if isinstance(target, ast.Name)
+        ]
+        if "__all__" in names:
+            found.append(".".join(file.parent.relative_to(root).parts))
+    return found
+
+
+class PublicApi(SphinxDirective):
+    """Directive that takes the name of a top-level package and documents every public package in it."""
+
+    required_arguments = 1
+    has_content = False
+
+    def run(self) -> list[nodes.Node]:
+        root = Path(self.env.app.confdir).parent
+        lines = []
+        for name in public_packages(root, self.arguments[0]):
+            try:
+                importlib.import_module(name)
+            except ImportError as error:  # an extra that is not installed, as torch
+                log.info("%s is left out of the API pages: %s", name, error)
+                continue
+            lines += [name, "-" * len(name), "", f".. automodule:: {name}", "   :members:", "   :imported-members:", ""]
+        if not lines:
+            lines = [f"No package of ``{self.arguments[0]}`` declares ``__all__`` yet."]
+        section = nodes.section()
+        section.document = self.state.document
+        self.state.nested_parse(StringList(lines, source="public-api"), self.content_offset, section, match_titles=1)
+        return section.children
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    app.add_directive("public-api", PublicApi)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,39 @@
+"""Results of a diagnosis as files: document, curves and page, with the provenance of what was diagnosed."""
+
+from __future__ import annotations
+
+import datetime
+import platform
+from importlib import metadata
+from pathlib import Path
+
+from drivers.rig_file.reader import file_sha256
+from hil import __version__
+from hil.diagnosis.store import CURVES, curves_of, write_curves, write_document
+from twin.discovery.diagnosis import Diagnosis
+
+
+def provenance(files: dict[str, Path | None]) -> dict[str, object]:
+    """Hash of each file, versions, host and time."""
+    return {
+        "files": {
+            name: {"path": str(path), "sha256": file_sha256(path)} for name, path in files.items() if path is not None
+        },
+        "versions": {
+            "hil": __version__,
+            "python": platform.python_version(),
+            **{name: metadata.version(name) for name in ("numpy", "scipy", "numba", "pyarrow", "matplotlib")},
+        },
+        "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "host": platform.node(),
+    }
+
+
+def write(diagnosis: Diagnosis, sensors: tuple[str, ...], out: Path, extra: dict[str, object]) -> Path:
+    """Write document, curves and page into the folder; returns the page. `sensors` are the twin's."""
+    from hil.diagnosis.page import write_page
+
+    out.mkdir(parents=True, exist_ok=True)
+    write_document({**diagnosis.document(), **extra}, out)
+    write_curves(curves_of(diagnosis, sensors), out / CURVES)
+    return write_page(out)

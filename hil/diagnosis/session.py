@@ -1,0 +1,198 @@
+"""One diagnosis from its files to its results."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.diagnosis.columns import (
+    clock_beside,
+    clock_of,
+    further_columns,
+    read_columns,
+    read_healthy,
+    with_clock,
+)
+from hil.diagnosis.experiment_file import limits_of, write_experiment
+from hil.diagnosis.healthy_record import Kept, commissioned_on
+from hil.diagnosis.results import provenance, write
+from hil.diagnosis.revision import revise, write_proposal
+from hil.record.reader import Reading
+from twin.discovery.answer.unused import with_unused
+from twin.discovery.diagnosis import Diagnosis
+from twin.discovery.elsewhere import elsewhere
+from twin.discovery.engine import diagnose
+from twin.discovery.growing.answer import diagnose_grown, fits_growth
+from twin.discovery.healthy.basis import Columns
+from twin.discovery.healthy.health import NotHealthyError
+from twin.discovery.planning.experiment import Limits
+from twin.discovery.records.grid import TooShortError
+from twin.network import Network, TwinFileError
+from twin.twinfile import load
+
+
+@dataclass(frozen=True)
+class DiagnosisRequest:
+    """Request of a diagnosis.
+
+    Attributes:
+        record: file of the record, or of steady states where `at_rest`.
+        twin: file of the twin.
+        healthy: record of the rig in good order; None takes the one that the twin kept, if any.
+        use_healthy: False takes the noise floor from `record` alone.
+        more: later records of the same rig.
+        at_rest: each row of `record` is a steady state.
+        rig: rig file whose limits a next experiment keeps; None keeps it within what the record has seen.
+        clock: time of day at 0 s of the record, like 08:00; None takes what the record says of it.
+        choice: how the records are read.
+    """
+
+    record: Path
+    twin: Path
+    healthy: Path | None = None
+    use_healthy: bool = True
+    more: tuple[Path, ...] = ()
+    at_rest: bool = False
+    rig: Path | None = None
+    clock: str | None = None
+    choice: Reading | None = None
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Files of a request, read: the twin with the time of day as an input, the healthy record and where it is from."""
+
+    request: DiagnosisRequest
+    network: Network
+    twin: Network
+    """As its file has it."""
+    hour: float | None
+    healthy: Columns | None
+    kept: Kept
+
+    @property
+    def healthy_file(self) -> Path | None:
+        """File of the healthy record, given or kept."""
+        return self.request.healthy or self.kept.path
+
+
+@dataclass(frozen=True)
+class Written:
+    """Files of a diagnosis; None for what it did not make."""
+
+    page: Path | None = None
+    revision: Path | None = None
+    experiment: Path | None = None
+    proposal: Path | None = None
+
+
+def prepare(request: DiagnosisRequest) -> Prepared:
+    """Read twin and healthy record.
+
+    Raises:
+        RecordError, TwinFileError, DiagnosingError: one of them cannot be used; the message names the file.
+    """
+    twin = load(request.twin)
+    told = request.healthy is not None or not request.use_healthy or request.at_rest
+    kept = Kept() if told else commissioned_on(request.twin)
+    healthy = request.healthy or kept.path
+    hour = clock_of(request.clock) if request.clock else clock_beside(request.record)
+    network = with_clock(twin) if hour is not None and not request.at_rest else twin
+    choice = request.choice if request.healthy else None
+    columns = read_healthy(network, request.twin, healthy, hour, choice) if healthy else None
+    return Prepared(request, network, twin, hour, columns, kept)
+
+
+def diagnose_files(ready: Prepared, say: Callable[[str], None], note: Callable[[str], None]) -> Diagnosis:
+    """Diagnose the record of a request.
+
+    Parameters:
+        say: called with what is being done. note: called with what reading the record met.
+
+    Raises:
+        RecordError, TwinFileError: the record or the healthy one cannot be diagnosed; the message names the file.
+    """
+    request, network = ready.request, ready.network
+    try:
+        record, messages = read_columns(
+            network, request.record, ready.hour, at_rest=request.at_rest, choice=request.choice
+        )
+    except TooShortError as error:
+        raise TwinFileError(f"{error}; where each row is a steady state of its own, give --at-rest") from None
+    limits = limits_of(request.rig) if request.rig is not None else None
+    later = further_columns(network, request.more, ready.hour, request.choice)
+    for message in messages:
+        note(message)
+    try:
+        found = answer(network, record, ready.healthy, more=later, limits=limits, at_rest=request.at_rest, say=say)
+    except NotHealthyError as error:
+        raise TwinFileError(f"{ready.healthy_file}: {error}") from None
+    except TwinFileError as error:
+        raise TwinFileError(f"{request.record}: {error}") from None
+    if ready.kept.why:
+        found = dataclasses.replace(found, notes=(ready.kept.why, *found.notes))
+    return found
+
+
+def write_results(
+    ready: Prepared, found: Diagnosis, folder: Path, *, empirical: bool, began: float
+) -> tuple[Written, dict[str, object]]:
+    """Save the revision and write document, page, proposal and next experiment; return them and the document's extra.
+
+    Parameters:
+        empirical: adopt the curve that is offered where nothing explains the record.
+        began: `time.monotonic()` at the start, s.
+    """
+    request = ready.request
+    revision = revise(found, ready.twin, request.twin, request.record, empirical=empirical)
+    extra = described(ready, revision, began)
+    files = {"record": request.record, "twin": request.twin, "healthy record": ready.healthy_file}
+    files |= {f"later record {number}": path for number, path in enumerate(request.more, start=1)}
+    extra["provenance"] = provenance(files)
+    page = write(found, ready.network.sensor_names, folder, extra)
+    extra["page"] = str(page)
+    proposal = write_proposal(found, ready.twin, request.record, folder)
+    return Written(page, revision, write_experiment(found, folder, request.rig), proposal), extra
+
+
+def described(ready: Prepared, revision: Path | None, began: float) -> dict[str, object]:
+    """Return the files of a diagnosis and its duration, for its document."""
+    healthy = ready.healthy_file
+    return {
+        "record": str(ready.request.record),
+        "twin": str(ready.request.twin),
+        "revision": str(revision) if revision else None,
+        "healthy": str(healthy) if healthy else None,
+        "seconds": round(time.monotonic() - began, 2),
+    }
+
+
+def answer(
+    network: Network,
+    record: Columns,
+    healthy: Columns | None,
+    *,
+    more: Mapping[str, Columns],
+    limits: Limits | None,
+    at_rest: bool,
+    say: Callable[[str], None],
+) -> Diagnosis:
+    """A contest of effects with a twin that is nearly right, or the growth of one that was never commissioned.
+
+    Raises:
+        TwinFileError: the record cannot be diagnosed.
+    """
+    if at_rest or (healthy is None and fits_growth(network, record)):
+        found = diagnose_grown(network, record, more=tuple(more.values()), at_rest=at_rest, say=say)
+    else:
+        found = diagnose(network, record, healthy, more=tuple(more.values()), say=say, limits=limits)
+    found = with_unused(found, network, record.inputs)
+    if not more:
+        return found
+    say("looking at the further records")
+    further = tuple(elsewhere(found, network, columns, name) for name, columns in more.items())
+    said = (one.says for one in further if one.says)
+    return dataclasses.replace(found, elsewhere=further, notes=(*found.notes, *said))

@@ -1,0 +1,110 @@
+"""Signals to a run that come many at a time: they are one request, and cost no record."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from hil.run.engine import signals as held
+from hil.run.engine.signals import RunSignals
+from hil.run.session.derived_files import derive_files
+from tests.hil.ended_run import ended_run, wait_until
+
+PROJECT = Path(__file__).resolve().parents[2]
+LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,700,100,70\n9000,700,100,70\n"
+
+
+def many(number: signal.Signals, count: int, every_s: float) -> None:
+    for _ in range(count):
+        os.kill(os.getpid(), number)
+        time.sleep(every_s)
+
+
+def test_a_key_that_is_held_down_is_one_request_and_a_later_one_is_another(monkeypatch):
+    monkeypatch.setattr(held, "SECOND_REQUEST_S", 0.3)
+    seen: list[bool] = []
+    before = signal.getsignal(signal.SIGINT)
+    with RunSignals() as signals:
+        with signals.phase(lambda number, is_deliberate: seen.append(is_deliberate)):
+            many(signal.SIGINT, 10, 0.03)
+            time.sleep(0.4)
+            many(signal.SIGINT, 3, 0.03)
+        many(signal.SIGINT, 3, 0.03)  # between phases nothing happens
+        with signals.phase(lambda number, is_deliberate: seen.append(is_deliberate)):
+            many(signal.SIGINT, 1, 0.0)  # the key is still held
+    assert seen == [True, *[False] * 9, True, False, False, False]
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_the_echoes_of_the_stop_cut_no_file_off_and_a_deliberate_signal_ends_the_making_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(held, "SECOND_REQUEST_S", 0.3)
+    folder, manifest = ended_run(tmp_path / "run")
+    with RunSignals() as signals:
+        with signals.phase(lambda number, is_deliberate: None):
+            many(signal.SIGINT, 2, 0.02)
+        burst = threading.Thread(target=many, args=(signal.SIGINT, 20, 0.05))
+        burst.start()
+        assert derive_files(folder, manifest, lambda text: None, signals=signals).missing == {}
+        burst.join()
+
+        def slow(*paths: object) -> None:
+            time.sleep(0.4)
+            many(signal.SIGINT, 30, 0.01)
+            time.sleep(30.0)
+
+        monkeypatch.setattr("hil.review.write_review", slow)
+        said: list[str] = []
+        derived = derive_files(folder, manifest, said.append, signals=signals)
+    assert derived.missing == {"review.rrd": "stopped by SIGINT", "report.html": "stopped by SIGINT"}
+    assert folder.read_manifest()["missing"] == derived.missing
+    assert "report " in said[-1] and "makes them from the journal" in said[-1]
+
+
+def test_signals_that_gather_while_python_runs_no_handler_are_an_echo(monkeypatch):
+    monkeypatch.setattr(held, "SECOND_REQUEST_S", 0.3)
+    seen: list[bool] = []
+    with RunSignals() as signals, signals.phase(lambda number, is_deliberate: seen.append(is_deliberate)):
+        many(signal.SIGINT, 2, 0.0)
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.raise_signal(number)
+        time.sleep(0.5)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
+        time.sleep(0.5)
+        many(signal.SIGTERM, 1, 0.0)
+    assert seen == [True, False, False, False, True]
+
+
+@pytest.mark.parametrize("every_s", [0.004, 0.03])
+def test_a_run_that_is_stopped_by_a_held_key_has_its_record_and_says_so(tmp_path, every_s):
+    (tmp_path / "load.csv").write_text(LOAD)
+    command = [sys.executable, "-m", "hil", "run", "load.csv", "--virtual", "--no-twin", "--no-viewer"]
+    rig = str(PROJECT / "profiles" / "rigs" / "virtual.toml")
+    out = (tmp_path / "out.txt").open("wb")
+    running = subprocess.Popen(
+        [*command, "--rig", rig], cwd=tmp_path, stdout=out, stderr=out, env=os.environ | {"PYTHONPATH": str(PROJECT)}
+    )
+    try:
+        wait_until(lambda: b"running" in (tmp_path / "out.txt").read_bytes() or running.poll() is not None)
+        time.sleep(1.0)
+        end = time.monotonic() + 120.0
+        while running.poll() is None and time.monotonic() < end:
+            running.send_signal(signal.SIGINT)
+            time.sleep(every_s)
+    finally:
+        running.kill()
+        running.wait()
+        out.close()
+    said = (tmp_path / "out.txt").read_text()
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert "Traceback" not in said and "Aborted" not in said, said
+    assert (folder / "record.parquet").is_file() and (folder / "report.html").is_file()
+    assert running.returncode == 1
+    assert "stopped by the operator (Ctrl-C)" in said and f"resume runs/{folder.name}" in said

@@ -1,0 +1,125 @@
+"""Findings of the language rules in the repository, and the parts that are not cleaned yet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+from tests.language.markdown import sentences, text_lines
+from tests.language.rules import LONGEST, MEDIAN, has_weak_opening, words_to_replace
+from tests.language.source import texts
+
+PROJECT = Path(__file__).resolve().parents[2]
+PACKAGES = ("hil", "drivers", "twin")
+PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs")
+GENERATED = ("docs/_build", "docs/results")
+"""Results are written by `hil bench`, so their words are those of the code."""
+EXCEPTIONS: tuple[str, ...] = (
+    "docs/explanation",
+    "drivers/__init__.py",
+    "drivers/bus",
+    "drivers/can",
+    "drivers/importers",
+    "drivers/modbus",
+    "drivers/rig",
+    "drivers/rig_file",
+    "drivers/signals",
+    "drivers/virtual",
+    "hil/__init__.py",
+    "hil/bench",
+    "hil/cli",
+    "hil/diagnosis",
+    "hil/files",
+    "hil/guardian",
+    "hil/journal",
+    "hil/profile",
+    "hil/record",
+    "hil/report",
+    "hil/review",
+    "hil/rig",
+    "hil/run",
+    "hil/run_folder",
+    "hil/synthetic",
+    "hil/tracking",
+    "hil/training",
+    "twin/__init__.py",
+    "twin/calibrators",
+    "twin/discovery",
+    "twin/elements",
+)
+"""Files and folders that are not cleaned yet. This list may only become shorter: a test fails for an entry without
+findings. `python -m tests.language --exceptions` prints the entries that are needed."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One sentence or text that breaks a rule."""
+
+    path: str
+    line: int
+    problem: str
+
+    def __str__(self) -> str:
+        return f"{self.path}:{self.line}: {self.problem}"
+
+
+def findings(root: Path = PROJECT) -> list[Finding]:
+    """Return all findings below `root`, those of `EXCEPTIONS` too."""
+    found: list[Finding] = []
+    for top in PAGES:
+        for path in _files(root / top, ".md"):
+            name = str(path.relative_to(root))
+            if not name.startswith(GENERATED):
+                found += page_findings(name, path.read_text(encoding="utf-8"))
+    for package in PACKAGES:
+        for path in _files(root / package, ".py"):
+            found += module_findings(str(path.relative_to(root)), path.read_text(encoding="utf-8"))
+    return found
+
+
+def page_findings(name: str, text: str) -> Iterator[Finding]:
+    """Yield the findings of a Markdown page: words, openings, and lengths of sentences."""
+    for number, line in text_lines(text):
+        for _, word, instead in words_to_replace(line):
+            yield Finding(name, number, f"{word!r}: use {instead}")
+    lengths = []
+    for sentence in sentences(text):
+        lengths.append(sentence.length)
+        if has_weak_opening(sentence.text):
+            yield Finding(name, sentence.line, f"name the agent and the action: {sentence.text[:60]!r}")
+        if sentence.length > LONGEST:
+            yield Finding(name, sentence.line, f"{sentence.length} words, at most {LONGEST}: {sentence.text[:60]!r}")
+    if lengths and median(lengths) > MEDIAN:
+        yield Finding(name, 1, f"the median sentence has {median(lengths):g} words, at most {MEDIAN}")
+
+
+def module_findings(name: str, source: str) -> Iterator[Finding]:
+    """Yield the findings of a Python module: words in docstrings and messages, openings of docstrings."""
+    for text in texts(source):
+        if text.is_docstring and has_weak_opening(text.text):
+            yield Finding(name, text.line, f"begin with a verb or a noun phrase: {text.text.strip()[:60]!r}")
+        for offset, word, instead in words_to_replace(text.text):
+            line = text.line + text.text.count("\n", 0, offset)
+            yield Finding(name, line, f"{word!r}: use {instead}")
+
+
+def excepted(path: str) -> str | None:
+    """Return the entry of `EXCEPTIONS` that holds for a path, or None."""
+    return next((entry for entry in EXCEPTIONS if path == entry or path.startswith(entry.rstrip("/") + "/")), None)
+
+
+def needed_exceptions(found: list[Finding]) -> list[str]:
+    """Return the entries that `found` asks for: a folder of a package, else the file."""
+    entries = set()
+    for finding in found:
+        parts = finding.path.split("/")
+        entries.add("/".join(parts[:2]) if parts[0] in PACKAGES and len(parts) > 2 else finding.path)
+    return sorted(entries)
+
+
+def _files(top: Path, suffix: str) -> list[Path]:
+    if top.is_file():
+        return [top]
+    return sorted(path for path in top.rglob(f"*{suffix}") if "__pycache__" not in path.parts)
