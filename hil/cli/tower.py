@@ -8,6 +8,8 @@ import click
 
 VERBS = {
     "align": "Make an aligned one-minute record of a historian's tags",
+    "calibrate": "Calibrate cells on a record: deviations, intervals, gates, proposals",
+    "commission": "Fit the clean cell to its test points and write its twin file",
     "collect": "Poll a rig's points into a historian",
 }
 """Verb and its summary; its command is in `hil.cli.tower_commands.<verb>`."""
