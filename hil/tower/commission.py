@@ -117,7 +117,7 @@ def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, 
         error_fitted_K={"T_out_C": fitted.rmse}, notes=fitted.remarks,
     )  # fmt: skip
     station = str(sheet.get("station", ""))
-    return cell_network(cell, station, fitted.design, share, fitted.rmse, revision), fitted, found
+    return cell_network(cell, station, fitted.design, share, fitted.rmse, fitted.sd, revision), fitted, found
 
 
 def _number(path: Path, line: int, name: str, text: str) -> float:

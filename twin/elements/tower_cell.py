@@ -46,6 +46,8 @@ class TowerCell(Element):
         ParameterSpec("evaporation", "1", 1.0, 0.5, 2.0, "fixed", "evaporation over that of Merkel's method"),
         ParameterSpec("bypass_share", "1", 0.0, 0.0, 1.0, "fixed", "of the water that an open bypass valve lets past"),
         ParameterSpec("error_K", "K", 0.1, 0.001, 5.0, "fixed", "RMSE of the clean cell at its test points"),
+        ParameterSpec("merkel_sd", "1", 0.02, 1e-4, 1.0, "fixed", "standard deviation of the Merkel number's logarithm"),
+        ParameterSpec("exponent_sd", "1", 0.1, 1e-4, 1.0, "fixed", "standard deviation of the exponent"),
         ParameterSpec("fill", "1", 1.0, 0.2, 1.8, "fixed", "Merkel number over that of the clean cell"),
         ParameterSpec("air", "1", 1.0, 0.2, 1.8, "fixed", "air flow over that of the clean cell"),
         ParameterSpec("uniformity", "1", 1.0, 0.2, 1.8, "fixed", "wetted share of the plan over that of the clean cell"),

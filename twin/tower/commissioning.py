@@ -48,11 +48,15 @@ class TestPoints:
 
 @dataclass(frozen=True)
 class Commissioned:
-    """Clean cell, the outlet's residuals at the test points K (n,), and remarks on constants that were assumed."""
+    """Clean cell, the outlet's residuals at the test points K (n,), remarks on constants that were assumed.
+
+    `sd`: standard deviations of the Merkel number's logarithm and of the exponent.
+    """
 
     design: Design
     residual: Array
     remarks: tuple[str, ...]
+    sd: tuple[float, float] = (0.02, 0.1)
 
     @property
     def rmse(self) -> float:
@@ -92,7 +96,7 @@ def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None
             "units of the flows"
         )
     power, fan_exponent = _fan_law(points.power, u.speed, rho / rho0, remarks)
-    merkel, exponent = _fill_law(points, water_flow, m_a0, rho0)
+    merkel, exponent, sd = _fill_law(points, water_flow, m_a0, rho0)
     design = Design(water_flow, m_a0, merkel, exponent, power, rho0, speed_exponent=fan_exponent)
     factor = _median(points.evaporation / solve(u, design).evaporation)
     if factor is None:
@@ -100,7 +104,7 @@ def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None
         remarks.append("no test point has an evaporation; 1.08 times Merkel's is assumed, as Poppe's method has it")
     _within("evaporation over that of Merkel's method", factor, EVAPORATION)
     design = Design(water_flow, m_a0, merkel, exponent, power, rho0, 0.0, fan_exponent, factor)
-    result = Commissioned(design, solve(u, design).t_out - points.t_out, tuple(remarks))
+    result = Commissioned(design, solve(u, design).t_out - points.t_out, tuple(remarks), sd)
     if result.rmse > LARGEST_ERROR_K:
         worst = int(np.argmax(np.abs(result.residual)))
         raise CommissioningError(
@@ -110,19 +114,23 @@ def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None
     return result
 
 
-def _fill_law(points: TestPoints, water_flow: float, m_a0: float, rho0: float) -> tuple[float, float]:
-    """Return Merkel number and exponent; the exponent has a weak prior of 0.6 +- 0.3 for points at a single loading."""
+def _fill_law(points: TestPoints, water_flow: float, m_a0: float, rho0: float) -> tuple[float, float, tuple[float, float]]:
+    """Return Merkel number, exponent and their standard deviations; the exponent has a weak prior of 0.6 +- 0.3 for points at a single loading."""
 
     def misfit(p: Array) -> Array:
         cell = Design(water_flow, m_a0, float(np.exp(p[0])), float(p[1]), 0.0, rho0)
         return np.append((solve(points.inputs, cell).t_out - points.t_out) / 0.1, (p[1] - 0.6) / 0.3)
 
     low, high = [np.log(0.02), -1.0], [np.log(30.0), 3.0]
-    found = least_squares(misfit, [np.log(1.5), 0.6], bounds=(low, high), loss="soft_l1").x
+    fit = least_squares(misfit, [np.log(1.5), 0.6], bounds=(low, high), loss="soft_l1")
+    found = fit.x
     merkel, exponent = float(np.exp(found[0])), float(found[1])
     _within("Merkel number at design", merkel, MERKEL)
     _within("exponent of the fill", exponent, EXPONENT)
-    return merkel, exponent
+    # Errors of a test point are those of its thermometers and of the method; they vary by more than 0.1 K where the fit says.
+    scale = max(float(np.sqrt(np.mean(misfit(found)[:-1] ** 2))), 1.0)
+    sd = scale * np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
+    return merkel, exponent, (float(sd[0]), float(sd[1]))
 
 
 def _fan_law(power: Array, speed: Array, density: Array, remarks: list[str]) -> tuple[float, float]:

@@ -25,12 +25,14 @@ _INPUTS = (
 )  # fmt: skip
 
 
-def cell_network(cell: int, station: str, design: Design, bypass_share: float, error_K: float, revision: Revision) -> Network:
+def cell_network(
+    cell: int, station: str, design: Design, bypass_share: float, error_K: float, sd: tuple[float, float], revision: Revision
+) -> Network:
     """Return the twin of a clean cell.
 
     Parameters:
         cell, station: number and name. bypass_share: of the water that an open bypass lets past.
-        error_K: RMSE of the fit. revision: origin and evidence.
+        error_K: RMSE of the fit. sd: of the Merkel number's logarithm and of the exponent. revision: origin and evidence.
     """
     inputs: dict[str, Any] = {}
     for name, nominal, low, high, unit in _INPUTS:
@@ -47,6 +49,7 @@ def cell_network(cell: int, station: str, design: Design, bypass_share: float, e
         "fan_power": _fixed(design.power, fitted), "fan_exponent": _fixed(design.speed_exponent, fitted),
         "kappa": _fixed(design.kappa, "unknown until air and fan power have been measured together"),
         "evaporation": _fixed(design.evaporation, fitted), "bypass_share": _fixed(bypass_share, sheet),
+        "merkel_sd": _fixed(min(max(sd[0], 1e-3), 0.5), fitted), "exponent_sd": _fixed(min(max(sd[1], 1e-3), 0.5), fitted),
         "error_K": _fixed(max(error_K, 0.001), "RMSE at the test points"),
     }  # fmt: skip
     for name in ("fill", "air", "uniformity"):

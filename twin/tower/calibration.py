@@ -1,0 +1,149 @@
+"""Calibration of one cell over a record: the posterior, and the outlet's prediction with its own window's readings hidden."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.tower.air import Array
+from twin.tower.evidence import Label
+from twin.tower.minutes import Minutes, blocks_of, follow
+from twin.tower.model import DEVIATIONS, SLOW, CellModel
+from twin.tower.smoother import Blocks, Estimate, Opening, Priors, estimate
+
+WINDOW_S = 7200.0
+"""Target interval of the paper: 120 minutes, whose outlet readings are hidden from the prediction in them."""
+QUANTILE = 0.9
+NORMAL = 1.6449
+"""Half width of a 90 % interval in standard deviations."""
+FEWEST_BLOCKS = 36
+"""Steady blocks of ten minutes, six hours in all: below them nothing is fitted."""
+REGIME_BLOCKS = 40
+"""Residual minutes (as blocks' worth) of a regime below which it takes the interval of all."""
+LEAST_WIDTH_K = 0.05
+
+
+class CalibrationError(ValueError):
+    """A record that cannot calibrate a cell; the sentence names the reason and the remedy."""
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """Result of a cell's calibration, arrays over its minutes (n,), NaN where withheld.
+
+    Attributes:
+        t_out, low, high: outlet of the flume, degC, with its 90 % interval. commissioned: by the clean cell.
+        deviations: (n, 4) fill, air, uniformity as deviations from 1, bias K. sd: theirs (n, 4).
+        posterior, blocks: of the fit.
+    """
+
+    t_out: Array
+    low: Array
+    high: Array
+    commissioned: Array
+    deviations: Array
+    sd: Array
+    posterior: Estimate
+    blocks: Blocks
+
+
+def calibrate_cell(
+    model: CellModel, minutes: Minutes, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening]
+) -> Calibrated:
+    """Calibrate a cell.
+
+    Raises:
+        CalibrationError: the record has too few steady minutes with an outlet reading.
+    """
+    blocks, of_minute = blocks_of(minutes)
+    usable = int(np.isfinite(blocks.outlet).sum())
+    if usable < FEWEST_BLOCKS:
+        raise CalibrationError(
+            f"has {usable} steady blocks of ten minutes with an outlet reading; {FEWEST_BLOCKS} are needed: give a longer record"
+        )
+    posterior = estimate(model, blocks, priors, labels, openings)
+    slow = posterior.slow[posterior.cells_at(minutes.time_s)]
+    known = np.flatnonzero(minutes.known)
+    points = minutes.operation.take(known)
+    fitted = np.full(len(minutes.time_s), np.nan)
+    fitted[known] = model.outlet(points, slow[known], posterior.constant)
+    clean = np.zeros((1, len(SLOW)))
+    commissioned = np.full(len(minutes.time_s), np.nan)
+    commissioned[known] = _clean_outlet(model, minutes, known, clean)
+    fitted, commissioned = follow(fitted, minutes.known), follow(commissioned, minutes.known)
+    shift, variance = _without_own_window(posterior, blocks, of_minute, minutes)
+    t_out = fitted + shift
+    half = _half_width(minutes, t_out, slow[:, 3], posterior, variance)
+    sd = posterior.sd()[posterior.cells_at(minutes.time_s)]
+    return Calibrated(t_out, t_out - half, t_out + half, commissioned, slow[:, :4].copy(), sd[:, :4].copy(), posterior, blocks)
+
+
+def _clean_outlet(model: CellModel, minutes: Minutes, rows: NDArray[np.intp], _clean: Array) -> Array:
+    """Return the outlet by the clean cell as commissioned, without what a record teaches."""
+    from twin.tower.cell import solve
+
+    u = minutes.operation.inputs.take(rows)
+    out = solve(u, model.design).t_out
+    return np.asarray(out + minutes.operation.bypass[rows] * (u.t_in - out))
+
+
+def _without_own_window(p: Estimate, blocks: Blocks, of_minute: NDArray[np.intp], minutes: Minutes) -> tuple[Array, Array]:
+    """Return the shift of each minute's prediction when the outlet readings of its window are hidden, and its variance (n,).
+
+    The posterior is Gaussian about its mode, so leaving out rows J with weights W changes the estimate by
+    -C J' (W^-1 - J C J')^-1 r. Both are those of the window's blocks, taken linearly between their means.
+    """
+    window = np.floor(blocks.time_s / WINDOW_S).astype(np.int64)
+    s, end = len(SLOW), p.slow.size
+    shift_b, var_b = np.zeros(len(blocks.time_s)), np.zeros(len(blocks.time_s))
+    globals_ = np.arange(end, end + p.constant.size)
+    order = np.argsort(window, kind="stable")
+    edges = np.flatnonzero(np.r_[True, np.diff(window[order]) > 0, True])
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        rows = order[a:b]
+        cells = np.unique(p.cell[rows])
+        index = np.concatenate([*(np.arange(k * s, (k + 1) * s) for k in cells), globals_])
+        jac = np.zeros((len(rows), len(index)))
+        for i, row in enumerate(rows):
+            at = int(np.searchsorted(cells, p.cell[row])) * s
+            jac[i, at : at + s] = p.jacobian[row, :s]
+            jac[i, len(cells) * s :] = p.jacobian[row, s:]
+        local = p.covariance[np.ix_(index, index)]
+        water = jac.copy()  # of the water's temperature: without the thermometer's bias
+        for k in range(len(cells)):
+            water[:, k * s + 3] = 0.0
+        used = p.weights[rows] > 0.0
+        cross = water @ local @ jac[used].T
+        var_b[rows] = np.einsum("ij,jk,ik->i", water, local, water)
+        if used.any():
+            inner = np.diag(1.0 / p.weights[rows][used]) - jac[used] @ local @ jac[used].T
+            gain = np.linalg.solve(inner, cross.T)
+            shift_b[rows] = -(gain.T @ p.residual[rows][used])
+            var_b[rows] += np.einsum("ij,ji->i", cross, gain)
+    shift, variance = np.zeros(len(of_minute)), np.full(len(of_minute), np.nan)
+    if len(blocks.time_s):
+        shift = np.interp(minutes.time_s, blocks.time_s, shift_b)
+        variance = np.interp(minutes.time_s, blocks.time_s, np.maximum(var_b, 0.0))
+    return shift, variance
+
+
+def _half_width(minutes: Minutes, t_out: Array, bias: Array, p: Estimate, variance: Array) -> Array:
+    """Return the half width of the outlet's 90 % interval (n,).
+
+    The quantile of the absolute residuals of hidden readings in each regime, widened by what the readings cannot show: that
+    the thermometer's bias is itself uncertain.
+    """
+    residual = minutes.outlet - bias - t_out
+    there = np.isfinite(residual)
+    half = np.full(len(t_out), np.nan)
+    overall = float(np.quantile(np.abs(residual[there]), QUANTILE)) if there.any() else 1.0
+    for regime in np.unique(minutes.regime):
+        rows = minutes.regime == regime
+        seen = rows & there
+        half[rows] = np.quantile(np.abs(residual[seen]), QUANTILE) if seen.sum() >= REGIME_BLOCKS else 1.5 * overall
+    bias_sd = p.sd()[p.cells_at(minutes.time_s)][:, DEVIATIONS.index("bias")]
+    del variance
+    return np.sqrt(np.maximum(half, LEAST_WIDTH_K) ** 2 + (NORMAL * bias_sd) ** 2)
