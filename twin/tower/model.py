@@ -20,7 +20,7 @@ import numpy as np
 
 from twin.tower import air as moist
 from twin.tower.air import Array
-from twin.tower.cell import Design, Deviations, Inputs, solve
+from twin.tower.cell import STARVING, WETTED, Design, Deviations, Inputs, solve
 
 SLOW = ("fill", "air", "uniformity", "bias", "flow_meter")
 """Slow deviations; the last is a nuisance that is never reported: a drifting flow meter is seen in the pumps, not here."""
@@ -45,6 +45,9 @@ GLOBALS: tuple[Global, ...] = (
     Global("merkel", 0.0, 0.02, "logarithm; replaced by that of the commissioning"),
     Global("exponent", 0.0, 0.10, "replaced by that of the commissioning"),
     Global("inlet", -0.1, 0.15, "power of T_in in Me: Kloppers & Kroeger 2005 fit 0 to -0.4"),
+    Global("air_power", 0.0, 0.15, "power of the air in Me beyond that of the ratio: Kloppers & Kroeger 2005 fit both flows"),
+    Global("wetting", 0.7, 0.35, "effect of a dry share over the dry-fraction law's: water spreads on its way down the fill"),
+    Global("starving", 1.5, 0.6, "power by which nozzles starve as the flow falls"),
     Global("draft", 0.12, 0.05, "share of design air with the fan at rest, at 5 % of buoyancy: 5 to 20 % of counter-flow cells"),
     Global("inlet_bias", 0.0, 0.15, "K, class A thermometer in a thermowell"),
     Global("wet_bulb_bias", 0.0, 0.2, "K, aspirated psychrometer"),
@@ -113,10 +116,13 @@ class CellModel:
         dry = np.maximum(u.dry, inside)
         speed = self._effective_speed(u.speed, t_in, inside, u.pressure, q["draft"])
         loading = m_w / d.m_w0 / speed
-        law = q["merkel"] + q["inlet"] * np.log(np.maximum(t_in, 5.0) / site.inlet) - q["exponent"] * np.log(loading)
+        rest = 1.0 - WETTED * (1.0 + max(q["wetting"], 0.0) * slow[:, 2])
+        # The law's own power is STARVING; another one is another uniformity at this flow.
+        uniformity = (1.0 - rest * (d.m_w0 / m_w) ** (q["starving"] - STARVING)) / WETTED
+        law = q["air_power"] * np.log(speed * (1.0 + slow[:, 1])) + q["merkel"] + q["inlet"] * np.log(np.maximum(t_in, 5.0) / site.inlet) - q["exponent"] * np.log(loading)
         fill = (1.0 + slow[:, 0]) * np.exp(law)
         points = Inputs(t_in, m_w, speed, dry, inside, u.pressure)
-        out = solve(points, d, Deviations(fill, 1.0 + slow[:, 1], 1.0 + slow[:, 2])).t_out
+        out = solve(points, d, Deviations(fill, 1.0 + slow[:, 1], uniformity)).t_out
         out = out + self._discrepancy(o, q, t_in - out)
         return out + o.bypass * (t_in - out)
 
