@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,12 @@ from hil.record.raw import RecordError
 from hil.tower.record import CellRecord, StationNotes, cells_of, read_cell, read_labels, read_notes, seconds
 from twin.network import Network, TwinFileError
 from twin.tower.air import Array
-from twin.tower.calibration import NORMAL, Calibrated, CalibrationError, calibrate_cell
+from twin.tower.basin import Drain, with_basin
+from twin.tower.calibration import NORMAL, Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
 from twin.tower.evidence import Label
-from twin.tower.minutes import Minutes, minutes_of
+from twin.tower.minutes import MEASURED, Minutes, minutes_of
 from twin.tower.model import DEVIATIONS, CellModel, Site
-from twin.tower.smoother import Opening, Priors
+from twin.tower.smoother import Opening, Priors, time_grid
 from twin.tower.twin_file import IDS, cell_of, design_of, value_of
 from twin.twinfile import load
 
@@ -52,10 +53,70 @@ def calibrate(record: Path, twins: Sequence[Path], labels: Path | None) -> tuple
     loaded = _load_all(twins, record)
     notes = read_notes(record)
     found = read_labels(labels, tuple(loaded)) if labels is not None else ()
-    results = []
-    for cell, (path, network) in loaded.items():
-        results.append(_one(record, cell, path, network, notes, tuple(label for label in found if label.cell == cell)))
-    return results, notes
+    drafts = [
+        _fit(record, cell, path, network, notes, tuple(label for label in found if label.cell == cell))
+        for cell, (path, network) in loaded.items()
+    ]
+    fitted = joined_by_basin([draft.fitted for draft in drafts], [draft.record for draft in drafts], notes)
+    return [
+        CellResult(d.record.cell, d.twin, d.network, d.record, one.minutes, predict_cell(one), d.priors, d.labels)
+        for d, one in zip(drafts, fitted, strict=True)
+    ], notes
+
+
+@dataclass(frozen=True)
+class _Draft:
+    """A cell's fit before the basin's thermometers join it to the others."""
+
+    twin: Path
+    network: Network
+    record: CellRecord
+    fitted: Fitted
+    priors: Priors
+    labels: tuple[Label, ...]
+
+
+def joined_by_basin(fitted: Sequence[Fitted], records: Sequence[CellRecord], notes: StationNotes) -> list[Fitted]:
+    """Return the fits with the basin thermometers of each compartment whose cells are all there."""
+    joined = list(fitted)
+    for cells, volume in _compartments(notes):
+        at = [k for k, one in enumerate(records) if one.cell in cells]
+        if len(at) != len(cells) or not at:
+            continue
+        if len({len(records[k].time_s) for k in at}) > 1 or "basin_C" not in records[at[0]].columns:
+            continue
+        drains = [_drain(joined[k], records[k]) for k in at]
+        n = len(records[at[0]].time_s)
+        makeup = records[at[0]].columns.get("makeup_kg_s", np.zeros(n))
+        changes = [0.5 * (o.start_s + o.end_s) for o in openings_of(notes, records[at[0]].cell) if o.parameter == "bias"]
+        updated = with_basin([joined[k].posterior for k in at], drains, records[at[0]].time_s, makeup, volume, changes)
+        for k, posterior in zip(at, updated, strict=True):
+            joined[k] = replace(joined[k], posterior=posterior)
+    return joined
+
+
+def _compartments(notes: StationNotes) -> list[tuple[tuple[int, ...], float]]:
+    """Return the cells and the volume, m3, of each compartment that the datasheet describes."""
+    basin = notes.datasheet.get("basin", {})
+    try:
+        volume, count = float(basin["volume_m3"]), int(basin.get("compartments", 1))
+        everything = tuple(range(1, int(notes.datasheet["cells_in_station"]) + 1))
+    except (KeyError, TypeError, ValueError):
+        return []
+    first = tuple(int(n) for n in basin.get("first_compartment_cells", everything))
+    rest = tuple(n for n in everything if n not in first)
+    return [(first, volume / count), (rest, volume / count)] if count == 2 else [(everything, volume)] if count == 1 else []
+
+
+def _drain(fitted: Fitted, record: CellRecord) -> Drain:
+    """Return what a cell drains into its compartment; minutes without a known flow are unknown."""
+    n, m = len(record.time_s), fitted.minutes
+    basin = record.columns["basin_C"]
+    sampled = record.origin["basin_C"] == MEASURED if "basin_C" in record.origin else np.ones(n, dtype=bool)
+    share = record.columns.get("in_service", np.full(n, np.nan))
+    flow = np.where(np.isfinite(m.operation.inputs.m_w), m.operation.inputs.m_w, np.where(share < 0.5, 0.0, np.nan))
+    flow = np.where(flow < 0.02 * fitted.model.design.m_w0, 0.0, flow)
+    return Drain(flow, record.columns["t_out_C"], basin, sampled)
 
 
 def _load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Network]]:
@@ -78,7 +139,9 @@ def _load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Netw
     return loaded
 
 
-def _one(record: Path, cell: int, path: Path, network: Network, notes: StationNotes, labels: tuple[Label, ...]) -> CellResult:
+def _fit(
+    record: Path, cell: int, path: Path, network: Network, notes: StationNotes, labels: tuple[Label, ...]
+) -> _Draft:  # fmt: skip
     minutes_read = read_cell(record, cell)
     design, share = design_of(network), value_of(network, "cell.bypass_share")
     minutes = minutes_of(minutes_read.time_s, minutes_read.columns, minutes_read.origin, design.m_w0, share)
@@ -95,10 +158,11 @@ def _one(record: Path, cell: int, path: Path, network: Network, notes: StationNo
         )
     priors = priors_of(network)
     try:
-        calibrated = calibrate_cell(CellModel(design, site_of(notes, share)), minutes, priors, labels, openings_of(notes, cell))
+        model, edges = CellModel(design, site_of(notes, share)), time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1]))
+        fitted = fit_cell(model, minutes, priors, labels, openings_of(notes, cell), edges)
     except CalibrationError as error:
         raise RecordError(f"{minutes_read.path}: {error}") from error
-    return CellResult(cell, path, network, minutes_read, minutes, calibrated, priors, labels)
+    return _Draft(path, network, minutes_read, fitted, priors, labels)
 
 
 def priors_of(network: Network) -> Priors:

@@ -50,10 +50,22 @@ class Calibrated:
     blocks: Blocks
 
 
-def calibrate_cell(
-    model: CellModel, minutes: Minutes, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening]
-) -> Calibrated:
-    """Calibrate a cell.
+@dataclass(frozen=True)
+class Fitted:
+    """Posterior of a cell with what it was made of."""
+
+    model: CellModel
+    minutes: Minutes
+    blocks: Blocks
+    of_minute: NDArray[np.intp]
+    posterior: Estimate
+
+
+def fit_cell(
+    model: CellModel, minutes: Minutes, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening],
+    edges_s: Array | None = None,
+) -> Fitted:  # fmt: skip
+    """Fit the deviations of a cell to its steady blocks.
 
     Raises:
         CalibrationError: the record has too few steady minutes with an outlet reading.
@@ -64,24 +76,25 @@ def calibrate_cell(
         raise CalibrationError(
             f"has {usable} steady blocks of ten minutes with an outlet reading; {FEWEST_BLOCKS} are needed: give a longer record"
         )
-    posterior = estimate(model, blocks, priors, labels, openings)
+    return Fitted(model, minutes, blocks, of_minute, estimate(model, blocks, priors, labels, openings, edges_s))
+
+
+def predict_cell(fitted: Fitted) -> Calibrated:
+    """Predict a fitted cell's outlet minute by minute, the readings of each window hidden from it."""
+    model, minutes, posterior = fitted.model, fitted.minutes, fitted.posterior
     slow = posterior.slow[posterior.cells_at(minutes.time_s)]
     known = np.flatnonzero(minutes.known)
-    points = minutes.operation.take(known)
-    fitted = np.full(len(minutes.time_s), np.nan)
-    fitted[known] = model.outlet(points, slow[known], posterior.constant)
-    clean = np.zeros((1, len(SLOW)))
-    commissioned = np.full(len(minutes.time_s), np.nan)
-    commissioned[known] = _clean_outlet(model, minutes, known, clean)
-    fitted, commissioned = follow(fitted, minutes.known), follow(commissioned, minutes.known)
-    shift, variance = _without_own_window(posterior, blocks, of_minute, minutes)
-    t_out = fitted + shift
-    half = _half_width(minutes, t_out, slow[:, 3], posterior, variance)
+    predicted, commissioned = np.full(len(slow), np.nan), np.full(len(slow), np.nan)
+    predicted[known] = model.outlet(minutes.operation.take(known), slow[known], posterior.constant)
+    commissioned[known] = _clean_outlet(model, minutes, known)
+    predicted, commissioned = follow(predicted, minutes.known), follow(commissioned, minutes.known)
+    t_out = predicted + _without_own_window(posterior, fitted.blocks, minutes)
+    half = _half_width(minutes, t_out, slow[:, 3], posterior)
     sd = posterior.sd()[posterior.cells_at(minutes.time_s)]
-    return Calibrated(t_out, t_out - half, t_out + half, commissioned, slow[:, :4].copy(), sd[:, :4].copy(), posterior, blocks)
+    return Calibrated(t_out, t_out - half, t_out + half, commissioned, slow[:, :4].copy(), sd[:, :4].copy(), posterior, fitted.blocks)
 
 
-def _clean_outlet(model: CellModel, minutes: Minutes, rows: NDArray[np.intp], _clean: Array) -> Array:
+def _clean_outlet(model: CellModel, minutes: Minutes, rows: NDArray[np.intp]) -> Array:
     """Return the outlet by the clean cell as commissioned, without what a record teaches."""
     from twin.tower.cell import solve
 
@@ -90,22 +103,25 @@ def _clean_outlet(model: CellModel, minutes: Minutes, rows: NDArray[np.intp], _c
     return np.asarray(out + minutes.operation.bypass[rows] * (u.t_in - out))
 
 
-def _without_own_window(p: Estimate, blocks: Blocks, of_minute: NDArray[np.intp], minutes: Minutes) -> tuple[Array, Array]:
-    """Return the shift of each minute's prediction when the outlet readings of its window are hidden, and its variance (n,).
+def _without_own_window(p: Estimate, blocks: Blocks, minutes: Minutes) -> Array:
+    """Return the shift of each minute's prediction when the outlet readings of its window are hidden, K (n,).
 
     The posterior is Gaussian about its mode, so leaving out rows J with weights W changes the estimate by
-    -C J' (W^-1 - J C J')^-1 r. Both are those of the window's blocks, taken linearly between their means.
+    -C J' (W^-1 - J C J')^-1 r. The shift of a minute is taken linearly between those of the blocks.
     """
     window = np.floor(blocks.time_s / WINDOW_S).astype(np.int64)
     s, end = len(SLOW), p.slow.size
-    shift_b, var_b = np.zeros(len(blocks.time_s)), np.zeros(len(blocks.time_s))
-    globals_ = np.arange(end, end + p.constant.size)
+    shift = np.zeros(len(blocks.time_s))
+    constants = np.arange(end, end + p.constant.size)
     order = np.argsort(window, kind="stable")
     edges = np.flatnonzero(np.r_[True, np.diff(window[order]) > 0, True])
     for a, b in zip(edges[:-1], edges[1:], strict=True):
         rows = order[a:b]
+        used = p.weights[rows] > 0.0
+        if not used.any():
+            continue
         cells = np.unique(p.cell[rows])
-        index = np.concatenate([*(np.arange(k * s, (k + 1) * s) for k in cells), globals_])
+        index = np.concatenate([*(np.arange(k * s, (k + 1) * s) for k in cells), constants])
         jac = np.zeros((len(rows), len(index)))
         for i, row in enumerate(rows):
             at = int(np.searchsorted(cells, p.cell[row])) * s
@@ -113,24 +129,13 @@ def _without_own_window(p: Estimate, blocks: Blocks, of_minute: NDArray[np.intp]
             jac[i, len(cells) * s :] = p.jacobian[row, s:]
         local = p.covariance[np.ix_(index, index)]
         water = jac.copy()  # of the water's temperature: without the thermometer's bias
-        for k in range(len(cells)):
-            water[:, k * s + 3] = 0.0
-        used = p.weights[rows] > 0.0
-        cross = water @ local @ jac[used].T
-        var_b[rows] = np.einsum("ij,jk,ik->i", water, local, water)
-        if used.any():
-            inner = np.diag(1.0 / p.weights[rows][used]) - jac[used] @ local @ jac[used].T
-            gain = np.linalg.solve(inner, cross.T)
-            shift_b[rows] = -(gain.T @ p.residual[rows][used])
-            var_b[rows] += np.einsum("ij,ji->i", cross, gain)
-    shift, variance = np.zeros(len(of_minute)), np.full(len(of_minute), np.nan)
-    if len(blocks.time_s):
-        shift = np.interp(minutes.time_s, blocks.time_s, shift_b)
-        variance = np.interp(minutes.time_s, blocks.time_s, np.maximum(var_b, 0.0))
-    return shift, variance
+        water[:, [k * s + SLOW.index("bias") for k in range(len(cells))]] = 0.0
+        inner = np.diag(1.0 / p.weights[rows][used]) - jac[used] @ local @ jac[used].T
+        shift[rows] = -(water @ local @ jac[used].T) @ np.linalg.solve(inner, p.residual[rows][used])
+    return np.interp(minutes.time_s, blocks.time_s, shift) if len(shift) else np.zeros(len(minutes.time_s))
 
 
-def _half_width(minutes: Minutes, t_out: Array, bias: Array, p: Estimate, variance: Array) -> Array:
+def _half_width(minutes: Minutes, t_out: Array, bias: Array, p: Estimate) -> Array:
     """Return the half width of the outlet's 90 % interval (n,).
 
     The quantile of the absolute residuals of hidden readings in each regime, widened by what the readings cannot show: that
@@ -145,5 +150,4 @@ def _half_width(minutes: Minutes, t_out: Array, bias: Array, p: Estimate, varian
         seen = rows & there
         half[rows] = np.quantile(np.abs(residual[seen]), QUANTILE) if seen.sum() >= REGIME_BLOCKS else 1.5 * overall
     bias_sd = p.sd()[p.cells_at(minutes.time_s)][:, DEVIATIONS.index("bias")]
-    del variance
     return np.sqrt(np.maximum(half, LEAST_WIDTH_K) ** 2 + (NORMAL * bias_sd) ** 2)

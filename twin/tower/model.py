@@ -47,7 +47,7 @@ GLOBALS: tuple[Global, ...] = (
     Global("inlet", -0.1, 0.15, "power of T_in in Me: Kloppers & Kroeger 2005 fit 0 to -0.4"),
     Global("air_power", 0.0, 0.15, "power of the air in Me beyond that of the ratio: Kloppers & Kroeger 2005 fit both flows"),
     Global("wetting", 0.7, 0.35, "effect of a dry share over the dry-fraction law's: water spreads on its way down the fill"),
-    Global("starving", 1.5, 0.6, "power by which nozzles starve as the flow falls"),
+    Global("starving", 1.0, 0.7, "power by which nozzles starve as the flow falls: of their head, 0 to 2"),
     Global("draft", 0.12, 0.05, "share of design air with the fan at rest, at 5 % of buoyancy: 5 to 20 % of counter-flow cells"),
     Global("inlet_bias", 0.0, 0.15, "K, class A thermometer in a thermowell"),
     Global("wet_bulb_bias", 0.0, 0.2, "K, aspirated psychrometer"),
@@ -62,7 +62,7 @@ GLOBALS: tuple[Global, ...] = (
     Global("flow_1", 0.0, 0.2, "K for half the flow"),
     Global("wind_1", 0.0, 0.15, "K for 5 m/s"),
     Global("neighbours_1", 0.0, 0.1, "K for neighbours' fans at full speed over at rest"),
-    Global("kappa", 0.0, 1.5, "rise of fan power for a loss of air: 0.5 by fouling of the path, -3 by a slipping belt"),
+    Global("kappa", -1.3, 1.7, "power of the air in the fan's power, negative: 0.4 by fouling of the path, -3 by a slipping belt"),
     Global("power_gain", 0.0, 0.01, "logarithm; class 1 power meter"),
 )
 NAMES = tuple(one.name for one in GLOBALS)
@@ -135,9 +135,9 @@ class CellModel:
         q, u, d = dict(zip(NAMES, g, strict=True)), o.inputs, self.design
         ratio = np.maximum(moist.ratio_from_wet_bulb(u.dry, u.wet, u.pressure), 0.0)
         rho = moist.density(u.dry, ratio, u.pressure)
-        factor = np.maximum(1.0 - q["kappa"] * slow[:, 1], 0.05)
+        moved = -q["kappa"] * np.log(1.0 + slow[:, 1])
         law = d.speed_exponent * np.log(np.maximum(u.speed, 0.02))
-        return np.asarray(np.log(max(d.power, 1e-9)) + law + np.log(rho / d.density) + np.log(factor) + q["power_gain"])
+        return np.asarray(np.log(max(d.power, 1e-9)) + law + np.log(rho / d.density) + moved + q["power_gain"])
 
     @staticmethod
     def _effective_speed(speed: Array, t_in: Array, wet: Array, pressure: Array, draft: float) -> Array:

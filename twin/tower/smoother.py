@@ -229,9 +229,8 @@ class _Solver:
         base = self.model.log_power(self.blocks.operation, here, g)
         jac = np.zeros((len(base), self.s + self.g))
         kappa, air = g[NAMES.index("kappa")], here[:, 1]
-        factor = np.maximum(1.0 - kappa * air, 0.05)
-        jac[:, 1] = -kappa / factor
-        jac[:, self.s + NAMES.index("kappa")] = -air / factor
+        jac[:, 1] = -kappa / (1.0 + air)
+        jac[:, self.s + NAMES.index("kappa")] = -np.log(1.0 + air)
         jac[:, self.s + NAMES.index("power_gain")] = 1.0
         return jac, self.blocks.log_power - base
 
