@@ -21,8 +21,12 @@ NORMAL = 1.6449
 """Half width of a 90 % interval in standard deviations."""
 FEWEST_BLOCKS = 36
 """Steady blocks of ten minutes, six hours in all: below them nothing is fitted."""
-REGIME_BLOCKS = 40
-"""Residual minutes (as blocks' worth) of a regime below which it takes the interval of all."""
+FEWEST_RESIDUALS = 40
+"""Readings of a class of minutes below which it takes the interval of all, half as wide again."""
+START_MIN = (5, 20)
+"""Minutes after a start that make classes of their own."""
+LEAST_SHARE = 0.5
+"""Of a quantile that is left when the noise is taken off it: what differences show is not noise alone."""
 LEAST_WIDTH_K = 0.05
 
 
@@ -138,16 +142,35 @@ def _without_own_window(p: Estimate, blocks: Blocks, minutes: Minutes) -> Array:
 def _half_width(minutes: Minutes, t_out: Array, bias: Array, p: Estimate) -> Array:
     """Return the half width of the outlet's 90 % interval (n,).
 
-    The quantile of the absolute residuals of hidden readings in each regime, widened by what the readings cannot show: that
-    the thermometer's bias is itself uncertain.
+    The quantile of the absolute residuals of hidden readings in each class of minutes, less the noise of the readings, which
+    the water does not have, and widened by the uncertainty of the thermometer's bias, which no residual shows.
     """
     residual = minutes.outlet - bias - t_out
     there = np.isfinite(residual)
+    kind = _classes(minutes)
+    noise = _noise(residual[there])
     half = np.full(len(t_out), np.nan)
     overall = float(np.quantile(np.abs(residual[there]), QUANTILE)) if there.any() else 1.0
-    for regime in np.unique(minutes.regime):
-        rows = minutes.regime == regime
+    for one in np.unique(kind):
+        rows = kind == one
         seen = rows & there
-        half[rows] = np.quantile(np.abs(residual[seen]), QUANTILE) if seen.sum() >= REGIME_BLOCKS else 1.5 * overall
+        half[rows] = np.quantile(np.abs(residual[seen]), QUANTILE) if seen.sum() >= FEWEST_RESIDUALS else 1.5 * overall
+    water = np.sqrt(np.maximum(half**2 - (NORMAL * noise) ** 2, (LEAST_SHARE * half) ** 2))
     bias_sd = p.sd()[p.cells_at(minutes.time_s)][:, DEVIATIONS.index("bias")]
-    return np.sqrt(np.maximum(half, LEAST_WIDTH_K) ** 2 + (NORMAL * bias_sd) ** 2)
+    return np.sqrt(np.maximum(water, LEAST_WIDTH_K) ** 2 + (NORMAL * bias_sd) ** 2)
+
+
+def _classes(minutes: Minutes) -> NDArray[np.intp]:
+    """Return the class of each minute: the first minutes after a start, else its regime, steady or not."""
+    index = np.arange(len(minutes.known))
+    since = index - np.maximum.accumulate(np.where(minutes.known, -1, index))
+    since = np.where(np.maximum.accumulate(~minutes.known), since, START_MIN[-1] + 1)
+    usual = len(START_MIN) + 2 * minutes.regime.astype(int) + minutes.steady
+    return np.where(since <= START_MIN[0], 0, np.where(since <= START_MIN[1], 1, usual))
+
+
+def _noise(residual: Array) -> float:
+    """Return the standard deviation of the readings' noise by the differences of successive residuals, K."""
+    if len(residual) < FEWEST_RESIDUALS:
+        return 0.0
+    return float(1.4826 * np.median(np.abs(np.diff(residual))) / np.sqrt(2.0))

@@ -6,10 +6,10 @@ from a measured quantity of its own, in closed form. A fit that does not describ
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, nnls
 
 from twin.tower import air as moist
 from twin.tower.air import Array
@@ -19,8 +19,10 @@ FEWEST = 4
 """Test points: two for the Merkel number and its exponent, as many to see how well they fit."""
 MERKEL, EXPONENT = (0.1, 10.0), (0.0, 1.5)
 """Merkel numbers and exponents of counter-flow fills with margin; published fills have 0.5 to 4 and 0.4 to 0.9."""
-FAN_EXPONENT, EVAPORATION = (2.0, 3.5), (0.7, 1.4)
-"""Of the fan's power in its speed (3 by the fan laws; less by a drive's own losses), and of Merkel's evaporation."""
+EVAPORATION = (0.7, 1.4)
+"""Of Merkel's evaporation."""
+MOST_IDLE = 0.3
+"""Losses of motor and drive at any speed as a share of the power at full speed; usually 2 to 8 %."""
 LOADING = (0.2, 4.0)
 """Water over air, kg/kg, of cooling towers."""
 LARGEST_ERROR_K = 0.6
@@ -95,15 +97,15 @@ def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None
             f"water over air is {water_flow / m_a0:.3g} at design; cooling towers have {LOADING[0]} to {LOADING[1]}: check the "
             "units of the flows"
         )
-    power, fan_exponent = _fan_law(points.power, u.speed, rho / rho0, remarks)
+    power, idle = _fan_law(points.power, u.speed, rho / rho0, remarks)
     merkel, exponent, sd = _fill_law(points, water_flow, m_a0, rho0)
-    design = Design(water_flow, m_a0, merkel, exponent, power, rho0, speed_exponent=fan_exponent)
+    design = Design(water_flow, m_a0, merkel, exponent, power, rho0, idle=idle)
     factor = _median(points.evaporation / solve(u, design).evaporation)
     if factor is None:
         factor = 1.08
         remarks.append("no test point has an evaporation; 1.08 times Merkel's is assumed, as Poppe's method has it")
     _within("evaporation over that of Merkel's method", factor, EVAPORATION)
-    design = Design(water_flow, m_a0, merkel, exponent, power, rho0, 0.0, fan_exponent, factor)
+    design = replace(design, evaporation=factor)
     result = Commissioned(design, solve(u, design).t_out - points.t_out, tuple(remarks), sd)
     if result.rmse > LARGEST_ERROR_K:
         worst = int(np.argmax(np.abs(result.residual)))
@@ -134,18 +136,18 @@ def _fill_law(points: TestPoints, water_flow: float, m_a0: float, rho0: float) -
 
 
 def _fan_law(power: Array, speed: Array, density: Array, remarks: list[str]) -> tuple[float, float]:
-    """Return the power at full speed, kW, and its exponent in the speed; 3 where all points have one speed."""
+    """Return the shaft's power at full speed, which follows the cube of the speed, and the losses at any speed, kW."""
     there = np.isfinite(power) & (power > 0.0) & (speed > 0.0)
     if not there.any():
         remarks.append("no test point has a fan power; the air flow will rest on the outlet alone")
-        return 0.0, 3.0
-    x, y = np.log(speed[there]), np.log(power[there] / density[there])
-    if np.ptp(x) < 0.15:
+        return 0.0, 0.0
+    cube = speed[there] ** 3 * density[there]
+    if np.ptp(np.log(speed[there])) < 0.15:
         remarks.append("the fan had one speed at all test points; its power is taken with the cube of the speed")
-        return float(np.exp(np.median(y - 3.0 * x))), 3.0
-    slope, level = np.polyfit(x, y, 1)
-    _within("exponent of the fan's power in its speed", float(slope), FAN_EXPONENT)
-    return float(np.exp(level)), float(slope)
+        return float(np.median(power[there] / cube)), 0.0
+    shaft, idle = nnls(np.column_stack([cube, np.ones(len(cube))]) / power[there][:, None], np.ones(len(cube)))[0]
+    _within("fan's power at rest over that at full speed", float(idle / max(shaft, 1e-9)), (0.0, MOST_IDLE))
+    return float(shaft), float(idle)
 
 
 def _median(values: Array) -> float | None:

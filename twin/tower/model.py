@@ -63,7 +63,7 @@ GLOBALS: tuple[Global, ...] = (
     Global("wind_1", 0.0, 0.15, "K for 5 m/s"),
     Global("neighbours_1", 0.0, 0.1, "K for neighbours' fans at full speed over at rest"),
     Global("kappa", -1.3, 1.7, "power of the air in the fan's power, negative: 0.4 by fouling of the path, -3 by a slipping belt"),
-    Global("power_gain", 0.0, 0.01, "logarithm; class 1 power meter"),
+    Global("power_gain", 0.0, 0.25, "logarithm: pitch, belt and path move the level differently, so that only changes speak"),
 )
 NAMES = tuple(one.name for one in GLOBALS)
 
@@ -135,9 +135,8 @@ class CellModel:
         q, u, d = dict(zip(NAMES, g, strict=True)), o.inputs, self.design
         ratio = np.maximum(moist.ratio_from_wet_bulb(u.dry, u.wet, u.pressure), 0.0)
         rho = moist.density(u.dry, ratio, u.pressure)
-        moved = -q["kappa"] * np.log(1.0 + slow[:, 1])
-        law = d.speed_exponent * np.log(np.maximum(u.speed, 0.02))
-        return np.asarray(np.log(max(d.power, 1e-9)) + law + np.log(rho / d.density) + moved + q["power_gain"])
+        shaft = (1.0 + slow[:, 1]) ** -q["kappa"] * np.maximum(u.speed, 0.02) ** d.speed_exponent * rho / d.density
+        return np.asarray(np.log(max(d.power, 1e-9) * np.exp(q["power_gain"]) * shaft + d.idle))
 
     @staticmethod
     def _effective_speed(speed: Array, t_in: Array, wet: Array, pressure: Array, draft: float) -> Array:

@@ -229,9 +229,10 @@ class _Solver:
         base = self.model.log_power(self.blocks.operation, here, g)
         jac = np.zeros((len(base), self.s + self.g))
         kappa, air = g[NAMES.index("kappa")], here[:, 1]
-        jac[:, 1] = -kappa / (1.0 + air)
-        jac[:, self.s + NAMES.index("kappa")] = -np.log(1.0 + air)
-        jac[:, self.s + NAMES.index("power_gain")] = 1.0
+        shaft = 1.0 - self.model.design.idle / np.exp(base)
+        jac[:, 1] = -kappa / (1.0 + air) * shaft
+        jac[:, self.s + NAMES.index("kappa")] = -np.log(1.0 + air) * shaft
+        jac[:, self.s + NAMES.index("power_gain")] = shaft
         return jac, self.blocks.log_power - base
 
     def _slopes(self, function, base: Array, here: Array, g: Array) -> Array:  # type: ignore[no-untyped-def]

@@ -46,7 +46,7 @@ def cell_network(
         "wet": "wet_C", "pressure": "pressure_kPa", "bypass": "bypass_pct",
         "water_flow": _fixed(design.m_w0, sheet), "air_flow": _fixed(design.m_a0, fitted), "density": _fixed(design.density, fitted),
         "merkel": _fixed(design.merkel, fitted), "exponent": _fixed(design.exponent, fitted),
-        "fan_power": _fixed(design.power, fitted), "fan_exponent": _fixed(design.speed_exponent, fitted),
+        "fan_power": _fixed(design.power, fitted), "fan_idle": _fixed(design.idle, fitted),
         "kappa": _fixed(design.kappa, "unknown until air and fan power have been measured together"),
         "evaporation": _fixed(design.evaporation, fitted), "bypass_share": _fixed(bypass_share, sheet),
         "merkel_sd": _fixed(min(max(sd[0], 1e-3), 0.5), fitted), "exponent_sd": _fixed(min(max(sd[1], 1e-3), 0.5), fitted),
@@ -89,11 +89,11 @@ def cell_of(network: Network) -> int:
 def design_of(network: Network) -> Design:
     """Return the clean cell of a twin."""
     v = {name: value_of(network, f"cell.{name}") for name in (
-        "water_flow", "air_flow", "merkel", "exponent", "fan_power", "density", "kappa", "fan_exponent", "evaporation",
+        "water_flow", "air_flow", "merkel", "exponent", "fan_power", "density", "kappa", "evaporation", "fan_idle",
     )}  # fmt: skip
     return Design(
-        v["water_flow"], v["air_flow"], v["merkel"], v["exponent"], v["fan_power"], v["density"], v["kappa"], v["fan_exponent"],
-        v["evaporation"],
+        v["water_flow"], v["air_flow"], v["merkel"], v["exponent"], v["fan_power"], v["density"], v["kappa"],
+        evaporation=v["evaporation"], idle=v["fan_idle"],
     )  # fmt: skip
 
 

@@ -40,7 +40,7 @@ def command(record: Path, cell: int, datasheet: Path, points: Path, out: Path) -
     terminal, design = console(), fitted.design
     terminal.print(
         f"cell {cell}: Merkel number {design.merkel:.3f}, exponent {design.exponent:.3f}, air {design.m_a0:.1f} kg/s, fan "
-        f"{design.power:.1f} kW with exponent {design.speed_exponent:.2f}, evaporation {design.evaporation:.3f} of Merkel's",
+        f"{design.power:.1f} kW and {design.idle:.2f} kW at any speed, evaporation {design.evaporation:.3f} of Merkel's",
         markup=False,
     )
     worst = max(range(len(found.names)), key=lambda k: abs(fitted.residual[k]))
