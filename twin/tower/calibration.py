@@ -25,7 +25,7 @@ FEWEST_RESIDUALS = 40
 """Readings of a class of minutes below which it takes the interval of all, half as wide again."""
 START_MIN = (5, 20)
 """Minutes after a start that make classes of their own."""
-LEAST_SHARE = 0.5
+LEAST_SHARE = 0.8
 """Of a quantile that is left when the noise is taken off it: what differences show is not noise alone."""
 LEAST_WIDTH_K = 0.05
 
