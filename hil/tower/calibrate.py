@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
-from hil.tower.record import CellRecord, StationNotes, cells_of, read_cell, read_labels, read_notes, seconds
+from hil.tower.record import CellRecord, StationNotes, cells_of, read_cell, read_events, read_labels, read_notes, seconds
 from twin.network import Network, TwinFileError
 from twin.tower.air import Array
 from twin.tower.basin import Drain, with_basin
@@ -22,6 +22,7 @@ from twin.tower.evidence import Label
 from twin.tower.minutes import MEASURED, Minutes, minutes_of
 from twin.tower.model import DEVIATIONS, CellModel, Site
 from twin.tower.smoother import Opening, Priors, time_grid
+from twin.tower.steps import Step, find_steps
 from twin.tower.twin_file import IDS, cell_of, design_of, value_of
 from twin.twinfile import load
 
@@ -42,9 +43,13 @@ class CellResult:
     calibrated: Calibrated
     priors: Priors
     labels: tuple[Label, ...]
+    steps: tuple[Step, ...] = ()
+    second: bool = False
 
 
-def calibrate(record: Path, twins: Sequence[Path], labels: Path | None) -> tuple[list[CellResult], StationNotes]:
+def calibrate(
+    record: Path, twins: Sequence[Path], labels: Path | None, events: Path | None = None
+) -> tuple[list[CellResult], StationNotes]:  # fmt: skip
     """Calibrate the cells of these twins on a record.
 
     Raises:
@@ -52,16 +57,21 @@ def calibrate(record: Path, twins: Sequence[Path], labels: Path | None) -> tuple
     """
     loaded = _load_all(twins, record)
     notes = read_notes(record)
+    if events is not None:
+        notes = replace(notes, events=read_events(events))
     found = read_labels(labels, tuple(loaded)) if labels is not None else ()
     drafts = [
         _fit(record, cell, path, network, notes, tuple(label for label in found if label.cell == cell))
         for cell, (path, network) in loaded.items()
     ]
-    fitted = joined_by_basin([draft.fitted for draft in drafts], [draft.record for draft in drafts], notes)
+    fitted, second = joined_by_basin([draft.fitted for draft in drafts], [draft.record for draft in drafts], notes)
     return [
-        CellResult(d.record.cell, d.twin, d.network, d.record, one.minutes, predict_cell(one), d.priors, d.labels)
+        CellResult(
+            d.record.cell, d.twin, d.network, d.record, one.minutes, predict_cell(one), d.priors, d.labels, d.steps,
+            d.record.cell in second,
+        )
         for d, one in zip(drafts, fitted, strict=True)
-    ], notes
+    ], notes  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -74,11 +84,14 @@ class _Draft:
     fitted: Fitted
     priors: Priors
     labels: tuple[Label, ...]
+    steps: tuple[Step, ...] = ()
 
 
-def joined_by_basin(fitted: Sequence[Fitted], records: Sequence[CellRecord], notes: StationNotes) -> list[Fitted]:
-    """Return the fits with the basin thermometers of each compartment whose cells are all there."""
-    joined = list(fitted)
+def joined_by_basin(
+    fitted: Sequence[Fitted], records: Sequence[CellRecord], notes: StationNotes
+) -> tuple[list[Fitted], set[int]]:
+    """Return the fits with the basin thermometers of each compartment whose cells are all there, and the cells that have one."""
+    joined, second = list(fitted), set()
     for cells, volume in _compartments(notes):
         at = [k for k, one in enumerate(records) if one.cell in cells]
         if len(at) != len(cells) or not at:
@@ -91,8 +104,10 @@ def joined_by_basin(fitted: Sequence[Fitted], records: Sequence[CellRecord], not
         changes = [0.5 * (o.start_s + o.end_s) for o in openings_of(notes, records[at[0]].cell) if o.parameter == "bias"]
         updated = with_basin([joined[k].posterior for k in at], drains, records[at[0]].time_s, makeup, volume, changes)
         for k, posterior in zip(at, updated, strict=True):
+            if posterior is not joined[k].posterior:
+                second.add(records[k].cell)
             joined[k] = replace(joined[k], posterior=posterior)
-    return joined
+    return joined, second
 
 
 def _compartments(notes: StationNotes) -> list[tuple[tuple[int, ...], float]]:
@@ -159,10 +174,24 @@ def _fit(
     priors = priors_of(network)
     try:
         model, edges = CellModel(design, site_of(notes, share)), time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1]))
-        fitted = fit_cell(model, minutes, priors, labels, openings_of(notes, cell), edges)
+        openings = openings_of(notes, cell)
+        fitted = fit_cell(model, minutes, priors, labels, openings, edges)
+        steps = thermometer_steps(fitted, minutes_read)
+        more = tuple(Opening(s.start_s, s.alarm_s, "bias") for s in steps if s.lasting and s.kind == "thermometer")
+        if more:
+            fitted = fit_cell(model, minutes, priors, labels, (*openings, *more), edges)
     except CalibrationError as error:
         raise RecordError(f"{minutes_read.path}: {error}") from error
-    return _Draft(path, network, minutes_read, fitted, priors, labels)
+    return _Draft(path, network, minutes_read, fitted, priors, labels, steps)
+
+
+def thermometer_steps(fitted: Fitted, record: CellRecord) -> tuple[Step, ...]:
+    """Return the steps of a cell's outlet thermometer; the basin's thermometer shows whether the water itself has stepped."""
+    predicted = predict_cell(fitted)
+    rows = np.flatnonzero(fitted.minutes.steady & np.isfinite(fitted.minutes.outlet) & np.isfinite(predicted.t_out))
+    residual = fitted.minutes.outlet[rows] - predicted.t_out[rows]
+    second = record.columns["basin_C"][rows] - predicted.t_out[rows] if "basin_C" in record.columns else None
+    return tuple(find_steps(record.time_s[rows], residual, second))
 
 
 def priors_of(network: Network) -> Priors:
