@@ -18,8 +18,9 @@ SMALLEST_K = 0.5
 """Step that is to be found."""
 SLACK_K = 0.25
 """Half of it: the usual reference value, with the shortest delay for a step of that size."""
-LIMIT_K = 0.6
-"""Sum at which a step is reported: three readings of a step of 0.5 K (15 min at a scan of 5 min), or two of 0.6 K."""
+LIMIT_K = 0.35
+"""Sum at which a step is reported: two or three readings of a step of 0.5 K, 10 to 15 min at a scan of 5 min. It is five
+standard deviations of a reading's residual, beyond a reference value of four, so that noise hardly ever reaches it."""
 NOISE = (1.5, 4.0)
 """Reference value and limit in standard deviations of the residuals, where those are larger than above."""
 BASE_S, APART_S = 3 * 3600.0, 1200.0
