@@ -16,11 +16,11 @@ from twin.tower.air import Array
 
 SMALLEST_K = 0.5
 """Step that is to be found."""
-SLACK_K = 0.25
-"""Half of it: the usual reference value, with the shortest delay for a step of that size."""
+SLACK_K = 0.2
+"""Reference value: a little below half of the step, as slow errors of the twin may stand against it."""
 LIMIT_K = 0.35
 """Sum at which a step is reported: two or three readings of a step of 0.5 K, 10 to 15 min at a scan of 5 min. It is five
-standard deviations of a reading's residual, beyond a reference value of four, so that noise hardly ever reaches it."""
+standard deviations of a reading's residual, beyond a reference value of three, so that noise hardly ever reaches it."""
 NOISE = (1.5, 4.0)
 """Reference value and limit in standard deviations of the residuals, where those are larger than above."""
 BASE_S, APART_S = 3 * 3600.0, 1200.0

@@ -99,7 +99,7 @@ def test_effectiveness_form_inverts_merkels_integral() -> None:
     u = Inputs((wet + fall).ravel(), np.full(30, 250.0), np.ones(30), (wet + 4.0).ravel(), wet.ravel(), np.full(30, 99.0))
     out = solve(u, design, Deviations(uniformity=1.0 / WETTED))
     back = merkel_number(u.t_in, out.t_out, entering_enthalpy(u.dry, u.wet, u.pressure), u.m_w / out.m_a, 99.0)
-    assert back == pytest.approx(np.full(30, 1.4), rel=0.13)
+    assert back == pytest.approx(np.full(30, 1.4), rel=0.14)
     mild = fall.ravel() <= 10.0
     assert back[mild] == pytest.approx(np.full(mild.sum(), 1.4), rel=0.06)
 
