@@ -12,7 +12,7 @@ from twin.tower.cell import Inputs
 from twin.tower.calibration import WINDOW_S, Calibrated
 from twin.tower.identify import TOLERANCE, Identifiability, excited, identifiability
 from twin.tower.minutes import Minutes
-from twin.tower.model import DEVIATIONS, NAMES, CellModel
+from twin.tower.model import DEVIATIONS, GLOBALS, NAMES, CellModel
 from twin.tower.twin_file import BOUNDS
 
 CONTEXT_S = 86400.0
@@ -73,7 +73,9 @@ def _scaled(calibrated: Calibrated, second: bool) -> Array:
     fan = np.zeros_like(jac)
     kappa = calibrated.posterior.constant[NAMES.index("kappa")]
     fan[:, 1] = np.where(np.isfinite(calibrated.blocks.log_power), kappa, 0.0)
-    rows = [jac / TOLERANCE["outlet"], fan / TOLERANCE["fan"]]
+    # The level of the fan's power is open by as much as its prior: a window learns little of the air from it.
+    level = next(one.sd for one in GLOBALS if one.name == "power_gain")
+    rows = [jac / TOLERANCE["outlet"], fan / np.hypot(TOLERANCE["fan"], level)]
     if second:
         water = jac.copy()
         water[:, DEVIATIONS.index("bias")] = 0.0
