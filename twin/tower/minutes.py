@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from twin.tower.air import Array
 from twin.tower.cell import Inputs
@@ -107,13 +108,10 @@ def follow(values: Array, known: NDArray[np.bool_], minutes: float = FOLLOWING_M
     """Return values followed with a first-order delay, from anew where they are not known."""
     keep = np.exp(-1.0 / minutes)
     followed = np.full(len(values), np.nan)
-    last = np.nan
-    for i, (value, there) in enumerate(zip(values.tolist(), known.tolist(), strict=True)):
-        if not there:
-            last = np.nan
-            continue
-        last = value if last != last else keep * last + (1.0 - keep) * value
-        followed[i] = last
+    edges = np.flatnonzero(np.diff(np.r_[False, known, False].astype(np.int8)))
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        part = values[a:b]
+        followed[a:b] = lfilter([1.0 - keep], [1.0, -keep], part, zi=[keep * part[0]])[0]
     return followed
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotri
 
 from twin.tower.air import Array
 from twin.tower.evidence import Label, interval_as_gaussian
@@ -192,6 +193,7 @@ class _Solver:
         factor = cho_factor(self.precision)
         x = cho_solve(factor, self.prior_mean)
         covariance = np.diag(1.0 / np.diag(self.precision))
+        intervals = any(label.sd is None for label in self.labels)
         for number in range(PASSES):
             slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
             here = slow[self.cell]
@@ -210,9 +212,10 @@ class _Solver:
             new = cho_solve(factor, right)
             change = float(np.abs(new - x).max())
             x = self._bounded(new)
-            if number >= 1:
-                covariance = cho_solve(factor, np.eye(len(x)))
-            if number >= 3 and change < 2e-4:
+            last = number == PASSES - 1 or (number >= 3 and change < 2e-4)
+            if last or (number >= 1 and intervals):
+                covariance = _inverse(factor[0])
+            if last:
                 break
         slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
         residual = self.blocks.outlet - self.model.reading(self.blocks.operation, slow[self.cell], g)
@@ -315,6 +318,15 @@ class _Solver:
         slow = x[: self.k * self.s].reshape(self.k, self.s)
         slow[:, :3] = np.clip(slow[:, :3], -0.6, 0.5)
         return x
+
+
+def _inverse(upper: Array) -> Array:
+    """Return the inverse of a matrix by its Cholesky factor as `cho_factor` returns it, with half of the work of solving."""
+    half, fault = dpotri(upper, lower=0)
+    if fault:
+        raise np.linalg.LinAlgError("the normal equations are singular")
+    inverse = np.triu(half)
+    return np.asarray(inverse + np.triu(half, 1).T)
 
 
 def _weights(residual: Array, sigma: float) -> Array:
