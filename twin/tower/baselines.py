@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.calibration import WINDOW_S
-from twin.tower.cell import solve
+from twin.tower.cell import STARVING, solve
 from twin.tower.evidence import Label
-from twin.tower.model import DEVIATIONS, GLOBALS, NAMES, SLOW, CellModel
+from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel
 from twin.tower.smoother import DAY_S, Blocks, Estimate, Opening, Priors, estimate
 from twin.tower.smoother import WALK as DAILY
 
@@ -28,6 +28,8 @@ MONTH_S = 30.0 * DAY_S
 BLOCK_SIGMA = 0.3
 """Standard deviation of a block's outlet, K, for a fit that does not learn the twin's own error: METHODS 5.2."""
 PERSISTENT_BLOCKS = 3
+NEUTRAL = {"wetting": 1.0, "starving": STARVING, "draft": 0.02, "kappa": -1.3}
+"""Global quantities with which the model is the clean cell's; the others are 0."""
 TREES = {"n_estimators": 120, "min_samples_leaf": 5, "n_jobs": 1}
 
 
@@ -125,6 +127,14 @@ BASELINES: dict[str, Baseline] = {
 }  # fmt: skip
 
 
+def without_discrepancy(priors: Priors) -> Priors:
+    """Return the priors of a fit that takes the twin as right: its global quantities are held at what the clean cell has."""
+    means, sds = priors.constant()
+    free = ("kappa", "power_gain")
+    held = {n: (m, s) if n in free else (NEUTRAL.get(n, 0.0), 1e-6) for n, m, s in zip(NAMES, means, sds, strict=True)}
+    return Priors(priors.bounds, held)
+
+
 def _windows(case: Case, length_s: float = WINDOW_S) -> list[tuple[float, NDArray[np.intp]]]:
     rows = np.flatnonzero(case.test)
     number = np.floor(case.blocks.time_s[rows] / length_s).astype(np.int64)
@@ -138,9 +148,7 @@ def _take(b: Blocks, rows: NDArray[np.intp]) -> Blocks:
 def _reference(case: Case, posterior: Estimate | None) -> tuple[Array, Array]:
     """Return readings and their slopes by the deviations (n, 4) about a reference: the clean cell, or a posterior's end."""
     if posterior is None:
-        constants = np.array([0.0 if one.name not in ("starving", "wetting", "draft", "kappa") else one.mean for one in GLOBALS])
-        constants[NAMES.index("wetting")], constants[NAMES.index("starving")] = 1.0, 1.5
-        slow = np.zeros(len(SLOW))
+        constants, slow = np.array([NEUTRAL.get(name, 0.0) for name in NAMES]), np.zeros(len(SLOW))
     else:
         constants, slow = posterior.constant, posterior.slow[-1]
     here = np.tile(slow, (len(case.blocks.time_s), 1))
