@@ -17,10 +17,10 @@ from twin.tower.model import DEVIATIONS, CellModel
 from twin.tower.smoother import estimate
 from twin.tower.twin_file import design_of, value_of
 
-
 COLUMNS = ("method", "MAE K", "RMSE K", "p90 K", "CPU s")
 NOTES = (
-    "training: the first 9/14 of the record; test: its last 3/14, at least a day later; a window is two hours, its readings hidden",
+    "training: the first 9/14 of the record; test: its last 3/14, at least a day later; a window is two hours, its "
+    "readings hidden",
     "the last row knows readings after a window as well; all others know those before it alone",
 )
 
@@ -28,7 +28,9 @@ NOTES = (
 PARAMETERS = ("method", "cell", "fill %", "air %", "uniformity %", "bias K")
 
 
-def compare(record: Path, twins: Sequence[Path], labels: Path | None, truth: Path | None = None) -> tuple[list[Table], list[str]]:
+def compare(
+    record: Path, twins: Sequence[Path], labels: Path | None, truth: Path | None = None
+) -> tuple[list[Table], list[str]]:
     """Return a table of each cell's baselines, and a sentence for each that was left out.
 
     Raises:
@@ -55,7 +57,14 @@ def compare(record: Path, twins: Sequence[Path], labels: Path | None, truth: Pat
         rows.append(_row("smoothed over the record", _smoothed(result)[test], None))
         about = f"Outlet readings of cell {result.cell}, {int(test.sum())} blocks of ten minutes that no fit saw"
         if true is not None:
-            plain = estimate(model, blocks, without_discrepancy(result.priors), result.labels, case.openings, result.calibrated.posterior.edges_s)
+            plain = estimate(
+                model,
+                blocks,
+                without_discrepancy(result.priors),
+                result.labels,
+                case.openings,
+                result.calibrated.posterior.edges_s,
+            )
             clean = np.zeros((len(blocks.time_s), len(DEVIATIONS)))
             ways = {
                 "commissioned": clean, "Gauss-Newton MAP": plain.slow[plain.cells_at(blocks.time_s), :4],
@@ -64,7 +73,9 @@ def compare(record: Path, twins: Sequence[Path], labels: Path | None, truth: Pat
             errors += [_parameter_row(name, result.cell, blocks.time_s, values, true) for name, values in ways.items()]
         tables.append(Table(f"cell{result.cell}", about, COLUMNS, tuple(rows), NOTES))
     if errors:
-        tables.append(Table("parameters", "Mean absolute error of the deviations against the truth", PARAMETERS, tuple(errors)))
+        tables.append(
+            Table("parameters", "Mean absolute error of the deviations against the truth", PARAMETERS, tuple(errors))
+        )
     return tables, skipped
 
 
@@ -83,7 +94,9 @@ def _truth(path: Path) -> dict[str, np.ndarray]:
     return found
 
 
-def _parameter_row(name: str, cell: int, time_s: np.ndarray, values: np.ndarray, true: dict[str, np.ndarray]) -> tuple[Cell, ...]:
+def _parameter_row(
+    name: str, cell: int, time_s: np.ndarray, values: np.ndarray, true: dict[str, np.ndarray]
+) -> tuple[Cell, ...]:
     rows = true["cell"] == cell
     found: list[float] = []
     for j, deviation in enumerate(DEVIATIONS):
@@ -93,7 +106,8 @@ def _parameter_row(name: str, cell: int, time_s: np.ndarray, values: np.ndarray,
 
 
 def _smoothed(result: CellResult) -> np.ndarray:
-    """Return the errors of the record's own calibration at the blocks: each window's readings hidden, those after it not."""
+    """Return the errors of the record's own calibration at the blocks: each window's readings hidden, those after it
+    not."""
     c, m, b = result.calibrated, result.minutes, result.calibrated.blocks
     there = np.isfinite(c.t_out)
     reading = np.interp(b.time_s, m.time_s[there], (c.t_out + c.deviations[:, 3])[there])

@@ -1,7 +1,8 @@
-"""Baselines of a cell's calibration behind one interface: fitted on one part of the blocks, asked about windows of another.
+"""Baselines of a cell's calibration behind one interface: fitted on one part of the blocks, asked about windows of
+another.
 
-Every baseline predicts the reading of the outlet thermometer in a target interval of two hours whose readings are hidden. It
-may use the inputs in it, and all readings that end before it.
+Every baseline predicts the reading of the outlet thermometer in a target interval of two hours whose readings are
+hidden. It may use the inputs in it, and all readings that end before it.
 """
 
 from __future__ import annotations
@@ -91,7 +92,9 @@ def monthly_least_squares(case: Case) -> Array:
 
 def gauss_newton(case: Case) -> Array:
     """Predict by deviations that a MAP estimate gives on the day before, the twin taken as right."""
-    return _linear(case, _reference(case, None), DAY_S, np.array([case.priors.slow(n)[1] for n in DEVIATIONS]), WINDOW_S)
+    return _linear(
+        case, _reference(case, None), DAY_S, np.array([case.priors.slow(n)[1] for n in DEVIATIONS]), WINDOW_S
+    )
 
 
 def with_discrepancy(case: Case) -> Array:
@@ -128,7 +131,8 @@ BASELINES: dict[str, Baseline] = {
 
 
 def without_discrepancy(priors: Priors) -> Priors:
-    """Return the priors of a fit that takes the twin as right: its global quantities are held at what the clean cell has."""
+    """Return the priors of a fit that takes the twin as right: its global quantities are held at what the clean cell
+    has."""
     means, sds = priors.constant()
     free = ("kappa", "power_gain")
     held = {n: (m, s) if n in free else (NEUTRAL.get(n, 0.0), 1e-6) for n, m, s in zip(NAMES, means, sds, strict=True)}
@@ -146,7 +150,8 @@ def _take(b: Blocks, rows: NDArray[np.intp]) -> Blocks:
 
 
 def _reference(case: Case, posterior: Estimate | None) -> tuple[Array, Array]:
-    """Return readings and their slopes by the deviations (n, 4) about a reference: the clean cell, or a posterior's end."""
+    """Return readings and their slopes by the deviations (n, 4) about a reference: the clean cell, or a posterior's
+    end."""
     if posterior is None:
         constants, slow = np.array([NEUTRAL.get(name, 0.0) for name in NAMES]), np.zeros(len(SLOW))
     else:
@@ -175,7 +180,9 @@ def _linear(
         context = there & (case.blocks.time_s >= start - context_s) & (case.blocks.time_s < start)
         j = slopes[context] / (sigma * np.sqrt(3.0))  # blocks of ten minutes, errors of half an hour
         if prior_sd is None:
-            change = np.linalg.lstsq(slopes[context], error[context], rcond=1e-6)[0] if context.sum() >= 8 else np.zeros(4)
+            change = (
+                np.linalg.lstsq(slopes[context], error[context], rcond=1e-6)[0] if context.sum() >= 8 else np.zeros(4)
+            )
         else:
             right = j.T @ (error[context] / (sigma * np.sqrt(3.0)))
             change = np.linalg.solve(j.T @ j + np.diag(penalty), right)

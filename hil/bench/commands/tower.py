@@ -12,7 +12,9 @@ from hil.cli.options.paths import INPUT_FILE
 
 @click.command("tower")
 @click.argument("record", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option("--twin", "twins", required=True, multiple=True, type=INPUT_FILE, help="Twin file of a cell; may be repeated.")
+@click.option(
+    "--twin", "twins", required=True, multiple=True, type=INPUT_FILE, help="Twin file of a cell; may be repeated."
+)
 @click.option("--labels", type=INPUT_FILE, help="Inspections, traverses and certificates, CSV.")
 @click.option("--truth", type=INPUT_FILE, help="Truth of a made station, Parquet: errors of the deviations too.")
 @OUT

@@ -1,4 +1,5 @@
-"""`hil tower commission`, `calibrate`, `plan` and `report` on a made record: results, gates, revisions, and bad input."""
+"""`hil tower commission`, `calibrate`, `plan` and `report` on a made record: results, gates, revisions, and bad
+input."""
 
 from __future__ import annotations
 
@@ -36,7 +37,9 @@ def write_record(folder: Path, cell: int = 1, **options: Any) -> None:
         arrays[name] = pa.array(values.astype(np.uint8) if whole else values)
         if not whole:
             arrays[f"{name}_how"] = pa.array(made.origin[name])
-    table = pa.table(arrays).replace_schema_metadata({"hil.tower": json.dumps({"format": 1, "cell": cell, "station": "Z"})})
+    table = pa.table(arrays).replace_schema_metadata(
+        {"hil.tower": json.dumps({"format": 1, "cell": cell, "station": "Z"})}
+    )
     pq.write_table(table, folder / f"cell{cell}.parquet")
     events = [{"time": iso(made.time_s[1440]), "by_day": False, "cell": cell, "kind": "inspection", "source": "CMMS", "text": "",
                "from": iso(made.time_s[1440]), "to": iso(made.time_s[1500]), "parameters": []}]  # fmt: skip
@@ -103,7 +106,9 @@ def calibrated(plant: Path) -> Path:
 def test_calibrated_table_has_outlet_and_deviations_with_intervals(calibrated: Path) -> None:
     table = pq.read_table(calibrated / "calibrated.parquet")
     names = ["time", "cell", "t_out", "t_out_lo", "t_out_hi", "t_out_commissioned"]
-    assert table.schema.names == names + [f"{n}{s}" for n in ("fill", "air", "uniformity", "bias") for s in ("", "_lo", "_hi")]
+    assert table.schema.names == names + [
+        f"{n}{s}" for n in ("fill", "air", "uniformity", "bias") for s in ("", "_lo", "_hi")
+    ]
     got = {n: table[n].to_numpy() for n in table.schema.names}
     truth = made_cell(6, seed=21).truth
     known = np.isfinite(got["t_out"])
@@ -114,7 +119,9 @@ def test_calibrated_table_has_outlet_and_deviations_with_intervals(calibrated: P
     assert np.nanmean(np.abs(got["fill"] - truth["fill"])) < 0.05
 
 
-def test_records_form_a_chain_of_five_minutes_that_a_change_breaks(calibrated: Path, plant: Path, tmp_path: Path) -> None:
+def test_records_form_a_chain_of_five_minutes_that_a_change_breaks(
+    calibrated: Path, plant: Path, tmp_path: Path
+) -> None:
     lines = (calibrated / "records.jsonl").read_text().splitlines()
     assert len(lines) == 6 * 288 and 200 < np.mean([len(line) for line in lines]) < 500
     first = json.loads(lines[0])
@@ -155,7 +162,9 @@ def test_review_queue_states_each_proposal_with_its_codes(calibrated: Path) -> N
 
 def test_shadow_mode_changes_no_twin(plant: Path, tmp_path: Path) -> None:
     shutil.copy(plant / "cell1.toml", tmp_path / "cell1.toml")
-    assert run("calibrate", plant / "record", "--twin", tmp_path / "cell1.toml", "--out", tmp_path / "out").exit_code == 0
+    assert (
+        run("calibrate", plant / "record", "--twin", tmp_path / "cell1.toml", "--out", tmp_path / "out").exit_code == 0
+    )
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cell1.toml", "out"]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["calibrated.parquet", "records.jsonl"]
 
@@ -164,7 +173,9 @@ def test_without_certificate_and_inspection_bias_and_fill_are_held_back(plant: P
     record = tmp_path / "record"
     write_record(record)
     notes = json.loads((record / "station.json").read_text())
-    (record / "station.json").write_text(json.dumps({"datasheet": {k: v for k, v in notes["datasheet"].items() if k != "basin"}, "events": []}))
+    (record / "station.json").write_text(
+        json.dumps({"datasheet": {k: v for k, v in notes["datasheet"].items() if k != "basin"}, "events": []})
+    )
     shutil.copy(plant / "cell1.toml", tmp_path / "cell1.toml")
     run("calibrate", record, "--twin", tmp_path / "cell1.toml", "--out", tmp_path / "out", "--mode", "advisory")
     entries = json.loads((tmp_path / "out" / "review_queue.json").read_text())["proposals"]
@@ -207,7 +218,9 @@ def test_a_twin_of_no_tower_is_refused(plant: Path, tmp_path: Path) -> None:
     [("t_out_C", np.nan, "t_out_C is missing throughout"), ("m_w_kg_s", 0.0, "no minute has water"),
      ("m_w_kg_s", 3000.0, "design flow")],
 )  # fmt: skip
-def test_a_record_that_cannot_calibrate_is_refused(plant: Path, tmp_path: Path, column: str, value: float, says: str) -> None:
+def test_a_record_that_cannot_calibrate_is_refused(
+    plant: Path, tmp_path: Path, column: str, value: float, says: str
+) -> None:
     record = tmp_path / "record"
     write_record(record)
     table = pq.read_table(record / "cell1.parquet")
@@ -226,7 +239,9 @@ def test_a_record_that_cannot_calibrate_is_refused(plant: Path, tmp_path: Path, 
 def test_bad_labels_are_refused_with_their_line(plant: Path, tmp_path: Path, line: str, says: str) -> None:
     labels = tmp_path / "labels.csv"
     labels.write_text(f"time,cell,parameter,kind,value,sd,lo,hi,source\n{line}\n")
-    done = run("calibrate", plant / "record", "--twin", plant / "cell1.toml", "--labels", labels, "--out", tmp_path / "out")
+    done = run(
+        "calibrate", plant / "record", "--twin", plant / "cell1.toml", "--labels", labels, "--out", tmp_path / "out"
+    )
     assert says in refused(done)
 
 
@@ -236,7 +251,9 @@ def test_bad_labels_are_refused_with_their_line(plant: Path, tmp_path: Path, lin
      ({"water_outlet_C": 15.0}, "is not below the inlet"), ({"entering_wet_bulb_C": 9.0}, "below the entering wet bulb"),
      ({"fan_speed_pct": -99.5}, "fan_speed_pct")],
 )  # fmt: skip
-def test_bad_test_points_are_refused_with_their_line(plant: Path, tmp_path: Path, changed: dict[str, float], says: str) -> None:
+def test_bad_test_points_are_refused_with_their_line(
+    plant: Path, tmp_path: Path, changed: dict[str, float], says: str
+) -> None:
     write_points(tmp_path / "points.csv", **changed)
     done = run("commission", plant / "record", "--cell", 1, "--datasheet", plant / "datasheet.json", "--points",
                tmp_path / "points.csv", "--out", tmp_path / "cell.toml")  # fmt: skip
