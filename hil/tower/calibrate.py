@@ -36,6 +36,8 @@ from twin.tower.twin_file import IDS, cell_of, design_of, value_of
 from twin.twinfile import load
 
 TABLE = "calibrated.parquet"
+DRIVEN = 0.25
+"""Share of full fan speed above which a thermometer is watched for steps: below it, free convection moves the water as much."""
 INFORMED = 0.8
 """A deviation whose posterior standard deviation is above this share of its prior's is withheld: the record hardly
 says it."""
@@ -215,7 +217,10 @@ def thermometer_steps(fitted: Fitted, record: CellRecord) -> tuple[Step, ...]:
     """Return the steps of a cell's outlet thermometer; the basin's thermometer shows whether the water itself has
     stepped."""
     predicted = predict_cell(fitted)
-    rows = np.flatnonzero(fitted.minutes.steady & np.isfinite(fitted.minutes.outlet) & np.isfinite(predicted.t_out))
+    driven = fitted.minutes.operation.inputs.speed > DRIVEN
+    rows = np.flatnonzero(
+        fitted.minutes.steady & driven & np.isfinite(fitted.minutes.outlet) & np.isfinite(predicted.t_out)
+    )
     residual = fitted.minutes.outlet[rows] - predicted.t_out[rows]
     second = record.columns["basin_C"][rows] - predicted.t_out[rows] if "basin_C" in record.columns else None
     return tuple(find_steps(record.time_s[rows], residual, second))

@@ -3,7 +3,7 @@
 | code | holds back where |
 |---|---|
 | `MISSING_REQUIRED` | more than a quarter of the required channels is hidden |
-| `LOW_SENSITIVITY:<parameter>` | of that deviation: the condition number is above 80, and it is the weaker of those confounded |
+| `LOW_SENSITIVITY:<parameter>` | the condition is above 80; of the weaker of the deviations that are confounded |
 | `HIGH_UNCERTAINTY` | the outlet's interval is wider than 0.8 K either way |
 | `OUT_OF_ENVELOPE` | the operating point is further out than 99.5 % of the reference windows |
 | `CONTRADICTORY_EVENT` | a deviation jumped and no event explains it |
@@ -102,7 +102,9 @@ def judge(
 
 def _of_each(window: Window, excited: int, evidence: Evidence) -> dict[str, tuple[str, ...]]:
     def labelled(name: str, days: float) -> bool:
-        return any(l.parameter == name and abs(window.end_s - l.time_s) <= 86400.0 * days for l in evidence.labels)
+        return any(
+            one.parameter == name and abs(window.end_s - one.time_s) <= 86400.0 * days for one in evidence.labels
+        )
 
     inspected = any(abs(window.end_s - at) <= 86400.0 * INSPECTED_DAYS for at in evidence.inspections_s)
     found: dict[str, tuple[str, ...]] = {}

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
@@ -77,7 +78,7 @@ def drift_alarms(found: Indicators) -> list[tuple[float, tuple[str, ...]]]:
     ]
 
 
-def _running(rows: Array) -> Array:
+def _running(rows: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return how many hours running each row has been true."""
     index = np.arange(len(rows))
     return index - np.maximum.accumulate(np.where(rows, -1, index))
@@ -93,8 +94,8 @@ class CellLines:
     sd: Array
     correction: Array
     half: Array
-    regime: Array
-    window: Array
+    regime: NDArray[np.uint8]
+    window: NDArray[np.intp]
     windows: Sequence[Window]
     verdicts: Sequence[Verdict]
     source: str

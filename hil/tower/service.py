@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.tower.align import iso
 from hil.tower.calibrate import CellResult, site_of
@@ -104,7 +105,7 @@ def _partial(result: CellResult, notes: StationNotes) -> bool:
     return not isinstance(recorded, list) or len(recorded) < int(notes.datasheet.get("cells_in_station", 0) or 0)
 
 
-def _shares(result: CellResult, windows: Sequence[Window], rows: Array) -> Array:
+def _shares(result: CellResult, windows: Sequence[Window], rows: NDArray[np.bool_]) -> Array:
     edges = np.searchsorted(result.minutes.time_s, [w.start_s for w in windows] + [windows[-1].end_s])
     return np.array([float(np.mean(rows[a:b])) if b > a else 0.0 for a, b in zip(edges[:-1], edges[1:], strict=True)])
 

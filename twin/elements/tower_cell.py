@@ -87,10 +87,11 @@ class TowerCell(Element):
         uniform = {name: n.local(name) for name in names}
         dry, wet, kpa = uniform["dry"], uniform["wet"], uniform["kPa"]
         saturated, frozen = _ratio(wet, kpa), _ratio_over_ice(wet, kpa)
-        over_water = f"((2501.0 - 2.326 * {wet}) * {saturated} - 1.006 * ({dry} - {wet})) / (2501.0 + 1.86 * {dry} - 4.186 * {wet})"
-        over_ice = (
-            f"((2830.0 - 0.24 * {wet}) * {frozen} - 1.006 * ({dry} - {wet})) / (2830.0 + 1.86 * {dry} - 2.1 * {wet})"
+        below = f"({dry} - {wet})"
+        over_water = (
+            f"((2501.0 - 2.326 * {wet}) * {saturated} - 1.006 * {below}) / (2501.0 + 1.86 * {dry} - 4.186 * {wet})"
         )
+        over_ice = f"((2830.0 - 0.24 * {wet}) * {frozen} - 1.006 * {below}) / (2830.0 + 1.86 * {dry} - 2.1 * {wet})"
         icy = n.local("icy")
         first = (
             (uniform["t_in"], t_in),
@@ -102,7 +103,8 @@ class TowerCell(Element):
             (uniform["h_in"], _enthalpy(dry, uniform["w_in"])),
             (
                 uniform["rho_air"],
-                f"{kpa} * (1.0 + {uniform['w_in']}) / (0.287042 * ({dry} + 273.15) * (1.0 + 1.607858 * {uniform['w_in']}))",
+                f"{kpa} * (1.0 + {uniform['w_in']}) / (0.287042 * ({dry} + 273.15) * (1.0 + 1.607858 * "
+                f"{uniform['w_in']}))",
             ),
             (uniform["fan_share"], f"max({n.input(self.fan)} * 0.01, {LEAST_AIR})"),
             (uniform["h_hot"], _enthalpy(uniform["t_in"], _ratio(uniform["t_in"], kpa))),

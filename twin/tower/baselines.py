@@ -125,7 +125,8 @@ def gradient_boosting(case: Case) -> Array:
 
 BASELINES: dict[str, Baseline] = {
     "commissioned": commissioned, "persistence": persistence, "monthly least squares": monthly_least_squares,
-    "Gauss-Newton MAP": gauss_newton, "Gauss-Newton MAP with discrepancy": with_discrepancy, "random forest": random_forest,
+    "Gauss-Newton MAP": gauss_newton, "Gauss-Newton MAP with discrepancy": with_discrepancy,
+    "random forest": random_forest,
     "gradient boosting": gradient_boosting,
 }  # fmt: skip
 
@@ -196,7 +197,8 @@ def _learned(case: Case, make: Callable[[], Any]) -> Array:
     error = case.blocks.outlet - clean
     o, u = case.blocks.operation, case.blocks.operation.inputs
     features = np.stack(
-        [u.t_in, u.m_w, u.speed, u.dry, u.wet, u.pressure, o.wind, np.sin(np.radians(o.wind_deg)), np.cos(np.radians(o.wind_deg)),
+        [u.t_in, u.m_w, u.speed, u.dry, u.wet, u.pressure, o.wind, np.sin(np.radians(o.wind_deg)),
+        np.cos(np.radians(o.wind_deg)),
          o.neighbours, o.bypass, clean, _before_window(case.blocks, error)], axis=1,
     )  # fmt: skip
     model = make()

@@ -94,7 +94,8 @@ def with_basin(
         stacked += rows.shares[:, c][:, None] * cross[at]
         innovation -= rows.shares[:, c] * posterior.slow[rows.grid, BIAS]
         crosses.append(cross)
-    gain = np.linalg.solve(stacked + noise, np.column_stack([innovation, *(cross.T for cross in crosses)]))
+    right = np.column_stack([innovation, *(cross.T for cross in crosses)])
+    gain = np.asarray(np.linalg.solve(stacked + noise, right), dtype=np.float64)
     return [_updated(*pair) for pair in _pairs(posteriors, crosses, gain)]
 
 
@@ -162,7 +163,7 @@ def _mixture(drains: Sequence[Drain], makeup: Array, volume_m3: float) -> tuple[
     minutes."""
     flow = np.stack([np.nan_to_num(d.flow) for d in drains], axis=1)
     outlet = np.stack([d.outlet for d in drains], axis=1)
-    known = ~((flow > 0.0) & ~np.isfinite(outlet)).any(axis=1)
+    known: NDArray[np.bool_] = np.asarray(~((flow > 0.0) & ~np.isfinite(outlet)).any(axis=1))
     for d in drains:
         known &= np.isfinite(d.flow)
     mass = volume_m3 * DENSITY

@@ -26,6 +26,8 @@ FEWEST_RESIDUALS = 40
 """Readings of a class of minutes below which it takes the interval of all, half as wide again."""
 START_MIN = (5, 20)
 """Minutes after a start that make classes of their own."""
+WET_C = (5.0, 12.0, 18.0, 23.0)
+"""Wet bulbs between which classes lie: the twin's error grows with the distance from its test points, in hot weather."""
 LEAST_SHARE = 0.8
 """Of a quantile that is left when the noise is taken off it: what differences show is not noise alone."""
 LEAST_WIDTH_K = 0.05
@@ -79,7 +81,8 @@ def fit_cell(
     usable = int(np.isfinite(blocks.outlet).sum())
     if usable < FEWEST_BLOCKS:
         raise CalibrationError(
-            f"has {usable} steady blocks of ten minutes with an outlet reading; {FEWEST_BLOCKS} are needed: give a longer record"
+            f"has {usable} steady blocks of ten minutes with an outlet reading; {FEWEST_BLOCKS} are needed: give a "
+            f"longer record"
         )
     return Fitted(model, minutes, blocks, of_minute, estimate(model, blocks, priors, labels, openings, edges_s))
 
@@ -165,11 +168,12 @@ def _half_width(minutes: Minutes, t_out: Array, bias: Array, p: Estimate) -> Arr
 
 
 def _classes(minutes: Minutes) -> NDArray[np.intp]:
-    """Return the class of each minute: the first minutes after a start, else its regime, steady or not."""
+    """Return the class of each minute: the first minutes after a start, else its regime, steady or not, by the weather."""
     index = np.arange(len(minutes.known))
     since = index - np.maximum.accumulate(np.where(minutes.known, -1, index))
     since = np.where(np.maximum.accumulate(~minutes.known), since, START_MIN[-1] + 1)
-    usual = len(START_MIN) + 2 * minutes.regime.astype(int) + minutes.steady
+    weather = np.digitize(np.nan_to_num(minutes.operation.inputs.wet), WET_C)
+    usual = len(START_MIN) + (2 * minutes.regime.astype(int) + minutes.steady) * (len(WET_C) + 1) + weather
     return np.where(since <= START_MIN[0], 0, np.where(since <= START_MIN[1], 1, usual))
 
 

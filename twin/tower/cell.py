@@ -17,10 +17,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.tower import air as moist
 from twin.tower.air import CP_WATER, Array
 
+Rows = NDArray[np.intp] | NDArray[np.bool_] | slice
+"""Rows of arrays (n,)."""
 WETTED = 0.94
 """Wetted share of the plan of a clean cell at design flow, x_0."""
 STARVING = 1.5
@@ -42,7 +45,7 @@ class Inputs:
     wet: Array
     pressure: Array
 
-    def take(self, rows: Array) -> Inputs:
+    def take(self, rows: Rows) -> Inputs:
         """Return the operating points at these rows."""
         return Inputs(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 

@@ -97,7 +97,8 @@ def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None
         remarks.append(f"no test point has an air flow; that of the datasheet, {air_flow:.4g} kg/s, is taken")
     if not LOADING[0] <= water_flow / m_a0 <= LOADING[1]:
         raise CommissioningError(
-            f"water over air is {water_flow / m_a0:.3g} at design; cooling towers have {LOADING[0]} to {LOADING[1]}: check the "
+            f"water over air is {water_flow / m_a0:.3g} at design; cooling towers have {LOADING[0]} to "
+            f"{LOADING[1]}: check the "
             "units of the flows"
         )
     power, idle = _fan_law(points.power, u.speed, rho / rho0, remarks)
@@ -113,7 +114,8 @@ def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None
     if result.rmse > LARGEST_ERROR_K:
         worst = int(np.argmax(np.abs(result.residual)))
         raise CommissioningError(
-            f"the best fit leaves {result.rmse:.2f} K RMSE, most at test point {worst + 1} ({result.residual[worst]:+.2f} K); "
+            f"the best fit leaves {result.rmse:.2f} K RMSE, most at test point {worst + 1} "
+            f"({result.residual[worst]:+.2f} K); "
             f"above {LARGEST_ERROR_K} K it describes no clean cell: check that point, its cell and the units"
         )
     return result
@@ -165,6 +167,7 @@ def _median(values: Array) -> float | None:
 def _within(name: str, value: float, bounds: tuple[float, float]) -> None:
     if not bounds[0] <= value <= bounds[1]:
         raise CommissioningError(
-            f"the {name} comes out as {value:.3g}; cooling towers have {bounds[0]:g} to {bounds[1]:g}: check the units and the "
+            f"the {name} comes out as {value:.3g}; cooling towers have {bounds[0]:g} to {bounds[1]:g}: check the "
+            f"units and the "
             "cell of the test points"
         )

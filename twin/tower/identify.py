@@ -32,6 +32,7 @@ CORRELATION_MIN = 30.0
 EXCITATION = {"flow": 0.12, "fan": 0.15, "wet_bulb": 2.5}
 """Ranges within a window from which it is looked at at all: shares of design flow and of full speed, K."""
 _STEP = 0.01
+CLEAN = Deviations()
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def excited(u: Inputs, design: Design) -> bool:
 
 
 def cell_sensitivities(
-    design: Design, u: Inputs, sensors: Sequence[str], at: Deviations = Deviations(), kappa: float = -1.0
+    design: Design, u: Inputs, sensors: Sequence[str], at: Deviations = CLEAN, kappa: float = -1.0
 ) -> Array:
     """Return the scaled sensitivities of a clean cell's observations (n * sensors, 4), row blocks in the order of
     `sensors`.

@@ -22,7 +22,7 @@ import numpy as np
 
 from twin.tower import air as moist
 from twin.tower.air import Array
-from twin.tower.cell import STARVING, WETTED, Design, Deviations, Inputs, solve
+from twin.tower.cell import STARVING, WETTED, Design, Deviations, Inputs, Rows, solve
 
 SLOW = ("fill", "air", "uniformity", "bias", "flow_meter")
 """Slow deviations; the last is a nuisance that is never reported: a drifting flow meter is seen in the pumps, not
@@ -31,6 +31,8 @@ DEVIATIONS = SLOW[:4]
 INLET_C, WET_C, RANGE_K = 36.0, 25.0, 7.0
 """Design point where the datasheet gives none: that of the Cooling Technology Institute's usual rating, 95/85/78
 degF."""
+WEAKEST_FAN = 0.3
+"""Speed, share of full, below which the wind's effect on the air flow grows no more."""
 EXHAUST = 0.7
 """Rise of the air's temperature as a share of the way from its wet bulb to the hot water; an effectiveness of 0.6 to
 0.8."""
@@ -49,7 +51,7 @@ class Global:
 GLOBALS: tuple[Global, ...] = (
     Global("merkel", 0.0, 0.02, "logarithm; replaced by that of the commissioning"),
     Global("exponent", 0.0, 0.10, "replaced by that of the commissioning"),
-    Global("inlet", -0.1, 0.15, "power of T_in in Me: Kloppers & Kroeger 2005 fit 0 to -0.4"),
+    Global("inlet", -0.2, 0.2, "power of T_in in Me: Kloppers & Kroeger 2005 fit 0 to -0.5"),
     Global(
         "air_power",
         0.0,
@@ -58,9 +60,9 @@ GLOBALS: tuple[Global, ...] = (
     ),
     Global(
         "wetting",
-        0.7,
-        0.35,
-        "effect of a dry share over the dry-fraction law's: water spreads on its way down the fill",
+        1.0,
+        0.6,
+        "effect of a dry share over the law's: less as water spreads on its way down, more as dry fill draws the air",
     ),
     Global("starving", 1.0, 0.7, "power by which nozzles starve as the flow falls: of their head, 0 to 2"),
     Global(
@@ -68,6 +70,9 @@ GLOBALS: tuple[Global, ...] = (
         0.12,
         0.05,
         "share of design air with the fan at rest, at 5 % of buoyancy: 5 to 20 % of counter-flow cells",
+    ),
+    Global(
+        "wind_air", 0.0, 0.02, "change of the air flow for 5 m/s at full speed: 15 Pa of wind, 100 to 150 Pa of a fan"
     ),
     Global("inlet_bias", 0.0, 0.15, "K, class A thermometer in a thermowell"),
     Global("wet_bulb_bias", 0.0, 0.2, "K, aspirated psychrometer"),
@@ -119,7 +124,7 @@ class Operation:
     wind_deg: Array
     neighbours: Array
 
-    def take(self, rows: Array) -> Operation:
+    def take(self, rows: Rows) -> Operation:
         """Return the operating points at these rows."""
         return Operation(
             self.inputs.take(rows), self.bypass[rows], self.wind[rows], self.wind_deg[rows], self.neighbours[rows],
@@ -147,6 +152,8 @@ class CellModel:
         inside = np.minimum(wet + share * EXHAUST * np.maximum(t_in - wet, 0.0), t_in)
         dry = np.maximum(u.dry, inside)
         speed = self._effective_speed(u.speed, t_in, inside, u.pressure, q["draft"])
+        # The pressure of the wind over that of fan and draught, both as squares of a speed.
+        speed = speed * np.maximum(1.0 + q["wind_air"] * strong**2 / (speed**2 + WEAKEST_FAN**2), 0.2)
         loading = m_w / d.m_w0 / speed
         rest = 1.0 - WETTED * (1.0 + max(q["wetting"], 0.0) * slow[:, 2])
         # The law's own power is STARVING; another one is another uniformity at this flow.

@@ -88,10 +88,10 @@ class Estimate:
     """Posterior of a record.
 
     Attributes:
-        edges_s: of the time grid (k + 1,). slow: deviations (k, 5). constant: global quantities (19,).
+        edges_s: of the time grid (k + 1,). slow: deviations (k, 5). constant: global quantities (23,).
         covariance: of [slow row by row, constant]. sigma: of a block's outlet K, and of its log power, as weighed.
         residual: outlet of each block K, NaN where it was not used. weights: of each block. cell: grid cell of each
-        block. jacobian: outlet of each block by slow and constant quantities (n, 24). time_correlation: in blocks.
+        block. jacobian: outlet of each block by slow and constant quantities (n, 28). time_correlation: in blocks.
     """
 
     edges_s: Array
@@ -227,7 +227,8 @@ class _Solver:
             np.isfinite(residual), _weights(residual, self.sigma[0]) / (self.sigma[0] ** 2 * self.tau), 0.0
         )
         return Estimate(
-            self.edges, slow, g, covariance, (self.sigma[0], self.sigma[1]), residual, weights, self.cell, jac_t, self.tau,
+            self.edges, slow, g, covariance, (self.sigma[0], self.sigma[1]), residual, weights, self.cell, jac_t,
+            self.tau,
         )  # fmt: skip
 
     def _outlet(self, here: Array, g: Array) -> tuple[Array, Array]:

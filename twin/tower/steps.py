@@ -29,7 +29,11 @@ BASE_S, APART_S = 3 * 3600.0, 1200.0
 """The level before: the median over three hours that end twenty minutes ago, so that a step does not enter its own
 level."""
 CONFIRM_S = 3 * 3600.0
-CONFIRMED = 0.6
+DAY_S = 86400.0
+UNUSUAL = 4.0
+"""Standard deviations of the usual differences between a day's median and the next one's, above which a step stands: the
+twin's own error moves from day to day with the weather, a thermometer's step stays."""
+CONFIRMED = 0.4
 """Share of the smallest step by which the median of three hours after must differ for the step to stand."""
 FEWEST = 8
 SECOND_SHARE = 0.5
@@ -62,6 +66,7 @@ def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> l
     sigma = 1.4826 * float(np.median(np.abs(np.diff(r)))) / np.sqrt(2.0)
     slack, limit = max(SLACK_K, NOISE[0] * sigma), max(LIMIT_K, NOISE[1] * sigma)
     level = _level_before(t, r)
+    least = max(CONFIRMED * SMALLEST_K, UNUSUAL * _usual(t, r))
     found: list[Step] = []
     up = down = 0.0
     began_up = began_down = t[0]
@@ -76,7 +81,9 @@ def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> l
         step = min(abs(x) - slack, 0.7 * limit)
         up, down = (max(up + step, 0.0), 0.0) if x > 0.0 else (0.0, max(down + step, 0.0))
         if max(up, down) >= limit:
-            found.append(_step(t, r, other, float(began_up if up > down else began_down), float(t[i]), float(level[i])))
+            found.append(
+                _step(t, r, other, float(began_up if up > down else began_down), float(t[i]), float(level[i]), least)
+            )
             up = down = 0.0
             quiet_until = t[i] + CONFIRM_S
     return found
@@ -90,10 +97,27 @@ def _level_before(t: Array, r: Array) -> Array:
     return np.array([np.median(r[a:b]) if b - a >= FEWEST else np.nan for a, b in zip(first, last, strict=True)])
 
 
-def _step(t: Array, r: Array, other: Array | None, start: float, alarm: float, level: float) -> Step:
+def _day_difference(t: Array, r: Array, at: float) -> float:
+    """Return the median of a day's readings from a time on less that of the day before; 0 where either has too few."""
+    first, middle, last = np.searchsorted(t, (at - DAY_S, at, at + DAY_S))
+    if min(middle - first, last - middle) < FEWEST:
+        return 0.0
+    return float(np.median(r[middle:last]) - np.median(r[first:middle]))
+
+
+def _usual(t: Array, r: Array) -> float:
+    """Return the robust standard deviation of differences between days, K; 0 for a record of less than four days."""
+    if t[-1] - t[0] < 4.0 * DAY_S:
+        return 0.0
+    found = np.array([_day_difference(t, r, at) for at in np.arange(t[0] + DAY_S, t[-1] - DAY_S, 0.25 * DAY_S)])
+    return 1.4826 * float(np.median(np.abs(found)))
+
+
+def _step(t: Array, r: Array, other: Array | None, start: float, alarm: float, level: float, least: float) -> Step:
     after = (t >= start) & (t <= start + CONFIRM_S)
     size = float(np.median(r[after])) - level
-    lasting = bool(abs(size) >= CONFIRMED * SMALLEST_K and after.sum() >= 3)
+    days = _day_difference(t, r, start)
+    lasting = bool(after.sum() >= 3 and min(abs(size), abs(days)) >= least and size * days > 0.0)
     kind = "thermometer"
     if other is not None:
         before = (t >= start - BASE_S) & (t < start)

@@ -60,7 +60,8 @@ def windows_of(model: CellModel, minutes: Minutes, calibrated: Calibrated, hidde
         found.append(
             Window(
                 float(start), float(end), told, excited(u, model.design), _features(minutes, within, model.design.m_w0),
-                float(minutes.known[within].mean()), float(np.nanmean(half)) if np.isfinite(half).any() else float("nan"),
+                float(minutes.known[within].mean()),
+                float(np.nanmean(half)) if np.isfinite(half).any() else float("nan"),
             )
         )  # fmt: skip
     return found

@@ -21,7 +21,8 @@ from tests.twin.tower.made_cell import M_A0, M_W0, made_cell, made_points
 
 SHEET = {
     "station": "Z", "cells_in_station": 1, "cells_recorded": [1],
-    "design": {"water_flow_kg_s": M_W0, "water_to_air": M_W0 / M_A0, "water_inlet_C": 34.0, "wet_bulb_C": 24.0, "range_K": 6.0,
+    "design": {"water_flow_kg_s": M_W0, "water_to_air": M_W0 / M_A0, "water_inlet_C": 34.0, "wet_bulb_C": 24.0,
+    "range_K": 6.0,
                "pressure_kPa": 99.0},
     "basin": {"volume_m3": 120, "compartments": 1},
 }  # fmt: skip
@@ -41,7 +42,8 @@ def write_record(folder: Path, cell: int = 1, **options: Any) -> None:
         {"hil.tower": json.dumps({"format": 1, "cell": cell, "station": "Z"})}
     )
     pq.write_table(table, folder / f"cell{cell}.parquet")
-    events = [{"time": iso(made.time_s[1440]), "by_day": False, "cell": cell, "kind": "inspection", "source": "CMMS", "text": "",
+    events = [{"time": iso(made.time_s[1440]), "by_day": False, "cell": cell, "kind": "inspection", "source": "CMMS",
+    "text": "",
                "from": iso(made.time_s[1440]), "to": iso(made.time_s[1500]), "parameters": []}]  # fmt: skip
     (folder / "station.json").write_text(json.dumps({"datasheet": SHEET, "events": events}))
 
@@ -96,7 +98,8 @@ def refused(done: Any) -> str:
 @pytest.fixture(scope="module")
 def calibrated(plant: Path) -> Path:
     out = plant / "out"
-    done = run("calibrate", plant / "record", "--twin", plant / "cell1.toml", "--labels", plant / "labels.csv", "--out", out,
+    done = run("calibrate", plant / "record", "--twin", plant / "cell1.toml", "--labels", plant / "labels.csv",
+    "--out", out,
                "--mode", "controlled")  # fmt: skip
     assert done.exit_code == 0, done.output + repr(done.exception)
     assert "written" in done.output
@@ -248,7 +251,8 @@ def test_bad_labels_are_refused_with_their_line(plant: Path, tmp_path: Path, lin
 @pytest.mark.parametrize(
     ("changed", "says"),
     [({"water_inlet_C": 60.0}, "outside 0 to 70; it looks like degF"), ({"pressure_kPa": 900.0}, "it looks like hPa"),
-     ({"water_outlet_C": 15.0}, "is not below the inlet"), ({"entering_wet_bulb_C": 9.0}, "below the entering wet bulb"),
+     ({"water_outlet_C": 15.0}, "is not below the inlet"), ({"entering_wet_bulb_C": 9.0},
+     "below the entering wet bulb"),
      ({"fan_speed_pct": -99.5}, "fan_speed_pct")],
 )  # fmt: skip
 def test_bad_test_points_are_refused_with_their_line(

@@ -65,7 +65,8 @@ def test_commissioning_refuses_points_that_make_no_cooling_tower(changes: dict[s
 def test_deviations_are_found_with_intervals_and_the_outlet_gets_better(model: CellModel) -> None:
     made = made_cell(10, seed=3)
     labels = [
-        Label(made.time_s[7 * 1440], 1, "bias", 0.3, 0.3, 0.05), Label(made.time_s[4 * 1440], 1, "air", -0.07, -0.07, 0.02),
+        Label(made.time_s[7 * 1440], 1, "bias", 0.3, 0.3, 0.05), Label(made.time_s[4 * 1440], 1, "air", -0.07, -0.07,
+        0.02),
         Label(made.time_s[5 * 1440], 1, "uniformity", -0.03, 0.03),
     ]  # fmt: skip
     got = predict_cell(fit_cell(model, minutes(made), Priors(BOUNDS), labels, ()))

@@ -24,7 +24,7 @@ def reference(name: str) -> Path:
 
 
 def rows(path: Path) -> list[list[str]]:
-    return [row for row in csv.reader(line for line in path.read_text().splitlines() if line[:1].isdigit())]
+    return list(csv.reader(line for line in path.read_text().splitlines() if line[:1].isdigit()))
 
 
 def celsius(fahrenheit: str) -> float:
