@@ -9,6 +9,8 @@ import click
 VERBS = {
     "align": "Make an aligned one-minute record of a historian's tags",
     "collect": "Poll a rig's points into a historian",
+    "serve": "Serve a station as a Modbus/TCP device",
+    "simulate": "Simulate stations of cooling towers with a historian",
 }
 """Verb and its summary; its command is in `hil.cli.tower_commands.<verb>`."""
 
