@@ -74,7 +74,7 @@ def wetted_share(clean, plugged, uniformity, water, starving):
     return min(max(1.0 - (1.0 - full) * max(water, 0.02) ** -starving, 0.05), 1.0)
 
 
-@njit(cache=CACHE)
+@njit
 def cell_step(cell, state, shares, m_w, speed, t_in, t_air, w_air, p, wind, memory):
     """Return what leaves the cell at rest: water degC and kg/s, air kg/s, its temperature, ratio, kW of the fan, kg/s lost.
 
@@ -121,7 +121,7 @@ def cell_step(cell, state, shares, m_w, speed, t_in, t_air, w_air, p, wind, memo
     return heat_out / m_out, m_out, m_a, t_exit, w_exit, power, m_w - m_out
 
 
-@njit(cache=CACHE)
+@njit
 def leaving_temperature(i, w, p):
     """Return the temperature of air by enthalpy and total water, whose droplets it carries where it is supersaturated."""
     t = (i - w * LATENT) / (CP_AIR + w * CP_VAPOUR)
@@ -140,7 +140,7 @@ def leaving_temperature(i, w, p):
     return 0.5 * (low + high)
 
 
-@njit(cache=CACHE)
+@njit
 def steady_cell(cell, state, shares, m_w, speed, t_in, t_air, w_air, p, wind, memory):
     """Return `cell_step` once the leaving air and the draft that it makes have settled."""
     result = cell_step(cell, state, shares, m_w, speed, t_in, t_air, w_air, p, wind, memory)

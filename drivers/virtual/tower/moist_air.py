@@ -2,8 +2,6 @@
 
 Sources: saturation by Buck (1981), coefficients of 1996; wet bulb by adiabatic saturation, below 0 degC over ice. The
 coefficients of heat are those of VDI 4670, rounded; none is taken from the twin.
-
-The compiled cache is keyed on this file alone: after a change here touch `poppe`, `cell` and `plant`.
 """
 
 import numpy as np

@@ -7,11 +7,9 @@ solved exactly over it. Columns of the results are named by `OF_CELL` and `OF_ST
 import numpy as np
 from numba import njit
 
-from drivers.virtual.plant.compiled_cache import may_cache
 from drivers.virtual.tower.cell import M_W0, RECIRCULATION, RECIRCULATION_WIND, cell_step
 from drivers.virtual.tower.moist_air import CP_WATER, wet_bulb
 
-CACHE = may_cache()
 
 OF_CELL = (
     "t_in", "t_out", "t_rtd", "t_basin", "m_w", "m_a", "valve", "command", "speed", "power", "fault", "on", "bypass", "evaporation",
@@ -61,7 +59,7 @@ MAKEUP_SHARE = 0.03
 DRIFT_LOSS = 5e-5
 
 
-@njit(cache=CACHE)
+@njit
 def run(cells, shares, numbers, hidden, rtd_s, weather, states, load, outage, trips, test_speed, test_flow, lead):
     """Return the results by minute of the cells (n, cells, columns) and of the station (n, columns), float32.
 

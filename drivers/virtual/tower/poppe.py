@@ -2,7 +2,7 @@
 
 The three equations march with the water temperature, from the cold water at the bottom to the hot water at the top, by
 Runge-Kutta. The Merkel number falls with the outlet temperature; where the operating line meets saturation it is
-infinite, so that the search for the outlet is monotone. No table is needed: warm-started, a point takes some 15 us.
+infinite, so that the search for the outlet is monotone. No table is needed: warm-started, a point takes some 8 us.
 
 Sources: Kloppers & Kroeger, Int. J. Heat Mass Transfer 48 (2005) 765, equations of both branches; Bosnjakovic (1965),
 Lewis factor.
@@ -11,23 +11,21 @@ Lewis factor.
 import numpy as np
 from numba import njit
 
-from drivers.virtual.plant.compiled_cache import may_cache
 from drivers.virtual.tower.moist_air import CP_AIR, CP_VAPOUR, CP_WATER, LATENT, MOLAR, enthalpy, saturated_ratio, saturation
 
-CACHE = may_cache()
-STEPS = 5
-"""Of Runge-Kutta: the outlet is within 1e-3 K of that of 40 steps."""
+STEPS = 4
+"""Of Runge-Kutta: against 60 steps the outlet is off by less than 1e-3 K at nine points of ten, and by 0.03 K at worst."""
 LEAST_DRIVE = 1.0
 """Driving enthalpy, J/kg, at which the operating line counts as meeting saturation."""
 TOLERANCE_K = 1e-4
-SETTLED = 1e-5
+SETTLED = 2e-5
 """Error of the evaporated share at which the air's ratio at the top is settled; a pinch magnifies it."""
 LEWIS = 0.865 ** (2.0 / 3.0)
 LEAST_RANGE_K = 0.02
 """Water less than this above the wet bulb leaves as it came."""
 
 
-@njit(cache=CACHE)
+@njit
 def slopes(tw, w, i, w_out, loading, p, t_guess):
     """Return dw/dTw, di/dTw, dMe/dTw and the air temperature; a dMe/dTw of infinity where there is no drive."""
     ps = saturation(tw)
@@ -39,15 +37,17 @@ def slopes(tw, w, i, w_out, loading, p, t_guess):
     wsa = MOLAR * pa / (p - pa)
     wet = w > wsa
     if wet:
+        # Magnus' slope of the saturation is close enough for Newton's method.
+        step = rise = 0.0
         ta = max(t_guess, ta)
-        for _ in range(3):
+        for _ in range(2):
             pa = saturation(ta)
             wsa = MOLAR * pa / (p - pa)
-            rise = wsa * p / (p - pa) * 17.5 * 241.0 / (241.0 + ta) ** 2
+            rise = wsa * p / (p - pa) * (4283.0 / (243.04 + ta) ** 2)
             miss = CP_AIR * ta + wsa * (LATENT + CP_VAPOUR * ta) + (w - wsa) * CP_WATER * ta - i
-            ta -= miss / (CP_AIR + rise * (LATENT + (CP_VAPOUR - CP_WATER) * ta) + w * CP_WATER)
-        pa = saturation(ta)
-        wsa = MOLAR * pa / (p - pa)
+            step = -miss / (CP_AIR + rise * (LATENT + (CP_VAPOUR - CP_WATER) * ta) + w * CP_WATER)
+            ta += step
+        wsa += rise * step
     base = wsa if wet else w
     x = (wsw + 0.622) / (base + 0.622)
     lewis = LEWIS if abs(x - 1.0) < 1e-6 else LEWIS * (x - 1.0) / np.log(x)
@@ -64,7 +64,7 @@ def slopes(tw, w, i, w_out, loading, p, t_guess):
     return flow * gap / below, flow * (1.0 + CP_WATER * tw * gap / below), CP_WATER / below, ta
 
 
-@njit(cache=CACHE)
+@njit
 def merkel_number(t_out, t_in, loading, t_air, w_air, p, w_out, steps=STEPS):
     """Return the Merkel number that brings the water from `t_in` to `t_out`, and the air's ratio and enthalpy at the top.
 
@@ -87,7 +87,7 @@ def merkel_number(t_out, t_in, loading, t_air, w_air, p, w_out, steps=STEPS):
     return me, w, i
 
 
-@njit(cache=CACHE)
+@njit
 def outlet(t_in, loading, t_air, w_air, p, t_wet, number, t_guess, w_guess):
     """Return the water's outlet temperature for a Merkel number, and the air's ratio and enthalpy at the top.
 
@@ -129,6 +129,9 @@ def outlet(t_in, loading, t_air, w_air, p, t_wet, number, t_guess, w_guess):
         x_before, f_before = x, f
         if not (low < step < high):
             step = 0.5 * (low + high)
+        if finite:
+            # What evaporates goes with the heat, so the next guess of the ratio settles at once.
+            w_out = w_air + (w_out - w_air) * (t_in - step) / (t_in - x)
         if finite and (abs(step - x) < TOLERANCE_K or high - low < TOLERANCE_K):
             x = step
             break

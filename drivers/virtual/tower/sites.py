@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.virtual.tower import cell as physics
-from drivers.virtual.tower import plant
+from drivers.virtual.tower import compiled, plant
 from drivers.virtual.tower.cell import CELL, STATE
 from drivers.virtual.tower.moist_air import dry_air_density, wet_bulb
 from drivers.virtual.tower.weather import CHICAGO, MIAMI, Climate
@@ -99,7 +99,7 @@ class Built:
         """Return what leaves a cell at rest, as `cell_step` does."""
         sectors = self.shares.shape[2]
         memory = np.concatenate([np.full(sectors, t_in - 4.0), np.full(sectors, ratio + 0.015), [dry + 3.0, ratio + 0.01]])
-        return physics.steady_cell(self.cells[cell], state, self.shares[cell], m_w, speed, t_in, dry, ratio, p, wind, memory)
+        return compiled.steady_cell(self.cells[cell], state, self.shares[cell], m_w, speed, t_in, dry, ratio, p, wind, memory)
 
 
 def build(site: Site, rng: np.random.Generator) -> Built:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.virtual.tower import degradation, operation, plant, weather
+from drivers.virtual.tower import compiled, degradation, operation, weather
 from drivers.virtual.tower.cell import S_FILL, STATE
 from drivers.virtual.tower.defects import Samples, Seeding, seed_archive, seed_scans
 from drivers.virtual.tower.archive import archived, scan_times
@@ -91,7 +91,7 @@ def simulate(site: Site, recorded: int, plan: Plan, note: Callable[[str], None] 
     life = degradation.live(built, days, streams["life"], lambda c: tag_name(site, "water_outlet_temperature", c + 1))
     note(f"station {site.station}: {site.cells} cells, {built.shares.shape[2]} sectors, {days} days, weather by {year.source}")
     columns = np.stack([air.dry, air.ratio, air.pressure, air.wind, air.direction, air.sun], axis=1)
-    cells, station = plant.run(
+    cells, station = compiled.run(
         built.cells, built.shares, built.numbers, hidden, built.rtd_s, columns, life.states, done.load, done.outage, done.trips,
         done.test_speed, done.test_flow, done.lead,
     )  # fmt: skip
