@@ -40,7 +40,7 @@ def exit_code(error: BaseException) -> int | None:
         "HieraError",
     }:
         return USAGE
-    if names & {"VirtualRigError", "ViewerError", "ControlError"}:
+    if names & {"VirtualRigError", "ViewerError", "ControlError", "TowerOutputError"}:
         return FOUND
     return None
 

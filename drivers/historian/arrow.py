@@ -12,9 +12,13 @@ import pyarrow.compute as pc
 from drivers.historian.protocol import HistorianError, Samples
 
 SCHEMA = pa.schema(
-    [("timestamp", pa.timestamp("ms", tz="UTC")), ("tag", pa.dictionary(pa.int32(), pa.string())), ("value", pa.float64()),
-     ("quality", pa.int16())]
-)  # fmt: skip
+    [
+        ("timestamp", pa.timestamp("ms", tz="UTC")),
+        ("tag", pa.dictionary(pa.int32(), pa.string())),
+        ("value", pa.float64()),
+        ("quality", pa.int16()),
+    ]
+)
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 
@@ -54,7 +58,9 @@ def samples_by_tag(table: Any, wanted: frozenset[str], start_s: float, end_s: fl
         value = table["value"].cast(pa.float64()).to_numpy()
         quality = pc.fill_null(table["quality"].cast(pa.int16()), 0).to_numpy()
     except pa.ArrowInvalid as error:
-        raise HistorianError(f"a value or quality is no number: {str(error).splitlines()[0]}; mend the store") from error
+        raise HistorianError(
+            f"a value or quality is no number: {str(error).splitlines()[0]}; mend the store"
+        ) from error
     names, code = _codes(table["tag"])
     order = np.argsort(code, kind="stable")
     begin = np.searchsorted(code[order], np.arange(len(names)), side="left")

@@ -15,7 +15,10 @@ from drivers.historian.arrow import samples_by_tag, table_of
 from drivers.historian.protocol import COLUMNS, HistorianError, Samples, empty
 
 TABLE = "samples"
-_CREATE = f"CREATE TABLE {TABLE} (timestamp TIMESTAMPTZ NOT NULL, tag VARCHAR NOT NULL, value DOUBLE, quality SMALLINT NOT NULL)"
+_CREATE = (
+    f"CREATE TABLE {TABLE} (timestamp TIMESTAMPTZ NOT NULL, tag VARCHAR NOT NULL, value DOUBLE, "
+    "quality SMALLINT NOT NULL)"
+)
 
 
 class DuckDBStore:
@@ -27,10 +30,10 @@ class DuckDBStore:
             raise HistorianError(f"{path}: there is no historian; check the path")
         try:
             self._base = duckdb.connect(str(path), read_only=not create)
-            self._base.execute("SET TimeZone = 'UTC'")
+            self._base.execute("SET TimeZone = 'UTC'").fetchall()
             columns = self._columns()
             if not columns and create:
-                self._base.execute(_CREATE)
+                self._base.execute(_CREATE).fetchall()
                 columns = set(COLUMNS)
         except duckdb.Error as error:
             raise HistorianError(f"{path}: cannot be opened: {_line(error)}") from error
@@ -46,22 +49,31 @@ class DuckDBStore:
         return tuple(row[0] for row in self._ask(f"SELECT DISTINCT tag FROM {TABLE} ORDER BY tag").fetchall())
 
     def span(self) -> tuple[float, float] | None:
-        low, high = self._ask(f"SELECT epoch_ms(min(timestamp)), epoch_ms(max(timestamp)) FROM {TABLE}").fetchone() or (None, None)
-        return None if low is None else (low / 1e3, high / 1e3)
+        query = f"SELECT epoch_ms(min(timestamp)), epoch_ms(max(timestamp)) FROM {TABLE}"
+        low, high = self._ask(query).fetchall()[0]
+        return None if low is None or high is None else (low / 1e3, high / 1e3)
 
     def read(self, tags: Sequence[str], start_s: float = -np.inf, end_s: float = np.inf) -> dict[str, Samples]:
         if not tags:
             return {}
         limits = "".join(
-            f" AND timestamp {sign} to_timestamp({value!r})" for sign, value in ((">=", start_s), ("<", end_s)) if np.isfinite(value)
+            f" AND timestamp {sign} to_timestamp({value!r})"
+            for sign, value in ((">=", start_s), ("<", end_s))
+            if np.isfinite(value)
         )
         places = ", ".join("?" for _ in tags)
-        found = self._ask(
-            f"SELECT epoch_ms(timestamp) AS ms, tag, value, quality FROM {TABLE} WHERE tag IN ({places}){limits} ORDER BY rowid",
-            list(tags),
-        ).to_arrow_table()
+        query = (
+            f"SELECT epoch_ms(timestamp) AS ms, tag, value, quality FROM {TABLE} "
+            f"WHERE tag IN ({places}){limits} ORDER BY rowid"
+        )
+        try:
+            found = self._base.sql(query, params=list(tags)).to_arrow_table()
+        except duckdb.Error as error:
+            raise HistorianError(f"{self.path}: {_line(error)}") from error
         stamps = found["ms"].cast(pa.int64()).cast(pa.timestamp("ms", tz="UTC"))
-        table = pa.table({"timestamp": stamps, "tag": found["tag"], "value": found["value"], "quality": found["quality"]})
+        table = pa.table(
+            {"timestamp": stamps, "tag": found["tag"], "value": found["value"], "quality": found["quality"]}
+        )
         return {tag: empty() for tag in tags} | samples_by_tag(table, frozenset(tags), -np.inf, np.inf)
 
     def append(self, samples: Mapping[str, Samples]) -> None:
@@ -70,7 +82,7 @@ class DuckDBStore:
             return
         self._base.register("arriving", table)
         try:
-            self._ask(f"INSERT INTO {TABLE} SELECT timestamp, tag, value, quality FROM arriving")
+            self._ask(f"INSERT INTO {TABLE} SELECT timestamp, tag, value, quality FROM arriving").fetchall()
         finally:
             self._base.unregister("arriving")
 

@@ -43,7 +43,12 @@ class ParquetStore:
 
     def span(self) -> tuple[float, float] | None:
         ends = [pc.min_max(table["timestamp"]) for table in self._tables(("timestamp",)) if table.num_rows]
-        times = [end[key].cast(pa.int64()).as_py() / PER_SECOND[end[key].type.unit] for end in ends for key in ("min", "max") if end[key].is_valid]
+        times = [
+            end[key].cast(pa.int64()).as_py() / PER_SECOND[end[key].type.unit]
+            for end in ends
+            for key in ("min", "max")
+            if end[key].is_valid
+        ]
         return (min(times), max(times)) if times else None
 
     def read(self, tags: Sequence[str], start_s: float = -np.inf, end_s: float = np.inf) -> dict[str, Samples]:
@@ -68,7 +73,9 @@ class ParquetStore:
             unfinished.replace(final)
         except OSError as error:
             unfinished.unlink(missing_ok=True)
-            raise HistorianError(f"{final}: {rows} samples could not be written: {error.strerror or error}; make room") from error
+            raise HistorianError(
+                f"{final}: {rows} samples could not be written: {error.strerror or error}; make room"
+            ) from error
 
     def close(self) -> None:
         pass
@@ -91,13 +98,17 @@ class ParquetStore:
         try:
             return set(pq.read_schema(path).names)
         except (OSError, pa.ArrowInvalid) as error:
-            raise HistorianError(f"{path}: is no Parquet file that can be read ({str(error).splitlines()[0]})") from error
+            raise HistorianError(
+                f"{path}: is no Parquet file that can be read ({str(error).splitlines()[0]})"
+            ) from error
 
     def _seen(self) -> str:
         found = [self.path] if self.path.is_file() else sorted(self.path.glob("*.parquet"))
         if not found:
             return "there is no Parquet file"
-        return "; ".join(f"{path.name} lacks {', '.join(sorted(set(COLUMNS) - self._columns(path)))}" for path in found[:3])
+        return "; ".join(
+            f"{path.name} lacks {', '.join(sorted(set(COLUMNS) - self._columns(path)))}" for path in found[:3]
+        )
 
     def _tables(self, columns: Sequence[str]) -> list[Any]:
         try:
@@ -111,4 +122,6 @@ def _joined(parts: list[Samples]) -> Samples:
         return parts[0]
     if not parts:
         return empty()
-    return Samples(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("time_s", "value", "quality")))
+    return Samples(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("time_s", "value", "quality"))
+    )

@@ -1,7 +1,7 @@
 """Historian in PostgreSQL: one table of samples, a hypertable where TimescaleDB is installed, else with a BRIN index.
 
-A URL may hold a password; no message does. A database that goes away in the middle of reading is asked again from the last
-sample that came.
+A URL may hold a password; no message does. A database that goes away in the middle of reading is asked again from
+the last sample that came.
 """
 
 from __future__ import annotations
@@ -51,21 +51,26 @@ class PostgresStore:
         if missing:
             self.close()
             if len(missing) == len(COLUMNS):
-                raise HistorianError(f"{self.name}: has no table {TABLE!r}; it needs one with the columns {', '.join(COLUMNS)}")
-            raise HistorianError(f"{self.name}: table {TABLE!r} lacks the column {', '.join(missing)}; rename or add it")
+                raise HistorianError(
+                    f"{self.name}: has no table {TABLE!r}; it needs one with the columns {', '.join(COLUMNS)}"
+                )
+            raise HistorianError(
+                f"{self.name}: table {TABLE!r} lacks the column {', '.join(missing)}; rename or add it"
+            )
 
     def tags(self) -> tuple[str, ...]:
         # A loose index scan: a distinct over the whole table reads every sample.
         query = f"""WITH RECURSIVE t AS (
             (SELECT tag FROM {TABLE} ORDER BY tag LIMIT 1)
-            UNION ALL SELECT (SELECT tag FROM {TABLE} WHERE tag > t.tag ORDER BY tag LIMIT 1) FROM t WHERE t.tag IS NOT NULL
+            UNION ALL
+            SELECT (SELECT tag FROM {TABLE} WHERE tag > t.tag ORDER BY tag LIMIT 1) FROM t WHERE t.tag IS NOT NULL
         ) SELECT tag FROM t WHERE tag IS NOT NULL"""
         return tuple(row[0] for row in self._again(lambda: self._base.execute(query).fetchall()))
 
     def span(self) -> tuple[float, float] | None:
         query = f"SELECT extract(epoch FROM min(timestamp)), extract(epoch FROM max(timestamp)) FROM {TABLE}"
         low, high = self._again(lambda: self._base.execute(query).fetchone()) or (None, None)
-        return None if low is None else (float(low), float(high))
+        return None if low is None or high is None else (float(low), float(high))
 
     def read(self, tags: Sequence[str], start_s: float = -np.inf, end_s: float = np.inf) -> dict[str, Samples]:
         return {tag: self._read_tag(tag, start_s, end_s) for tag in tags}
@@ -79,9 +84,9 @@ class PostgresStore:
                 text.write(f"{stamp}Z\t{name}\t{'NaN' if np.isnan(value) else repr(float(value))}\t{int(quality)}\n")
 
         def copy() -> None:
-            with self._base.cursor() as cursor:
-                with cursor.copy(f"COPY {TABLE} ({', '.join(COLUMNS)}) FROM STDIN") as pipe:
-                    pipe.write(text.getvalue())
+            query = f"COPY {TABLE} ({', '.join(COLUMNS)}) FROM STDIN"
+            with self._base.cursor() as cursor, cursor.copy(query) as pipe:
+                pipe.write(text.getvalue())
             self._base.commit()
 
         if text.tell():
@@ -114,7 +119,9 @@ class PostgresStore:
                 break
         if not pieces:
             return empty()
-        return Samples(*(np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("time_s", "value", "quality")))
+        return Samples(
+            *(np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("time_s", "value", "quality"))
+        )
 
     def _piece(self, tag: str, start_s: float, end_s: float, skip: int) -> Samples:
         where = [sql.SQL("tag = {}").format(sql.Literal(tag))]
@@ -123,7 +130,8 @@ class PostgresStore:
                 stamp = f"{np.datetime64(round(at * 1e6), 'us')}Z"
                 where.append(sql.SQL(f"timestamp {sign} {{}}::timestamptz").format(sql.Literal(stamp)))
         query = sql.SQL(
-            "COPY (SELECT (extract(epoch FROM timestamp) * 1000000)::bigint, coalesce(value, 'NaN'), coalesce(quality, 0) "
+            "COPY (SELECT (extract(epoch FROM timestamp) * 1000000)::bigint, coalesce(value, 'NaN'), "
+            "coalesce(quality, 0) "
             f"FROM {TABLE} WHERE {{}} ORDER BY timestamp, ctid OFFSET {skip} LIMIT {ROWS}) TO STDOUT"
         ).format(sql.SQL(" AND ").join(where))
         with self._base.cursor() as cursor, cursor.copy(query) as pipe:
@@ -131,7 +139,9 @@ class PostgresStore:
         self._base.commit()
         if not text:
             return empty()
-        rows = np.loadtxt(io.BytesIO(text), delimiter="\t", dtype=[("t", np.int64), ("v", np.float64), ("q", np.int16)], ndmin=1)
+        rows = np.loadtxt(
+            io.BytesIO(text), delimiter="\t", dtype=[("t", np.int64), ("v", np.float64), ("q", np.int16)], ndmin=1
+        )
         return Samples(rows["t"] / 1e6, rows["v"].copy(), rows["q"].copy())
 
     def _columns(self) -> set[str]:
@@ -142,8 +152,8 @@ class PostgresStore:
 
     def _create(self) -> None:
         self._base.execute(
-            f"CREATE TABLE IF NOT EXISTS {TABLE} (timestamp timestamptz NOT NULL, tag text NOT NULL, value double precision, "
-            "quality smallint NOT NULL DEFAULT 0)"
+            f"CREATE TABLE IF NOT EXISTS {TABLE} (timestamp timestamptz NOT NULL, tag text NOT NULL, "
+            "value double precision, quality smallint NOT NULL DEFAULT 0)"
         )
         self._base.execute(f"CREATE INDEX IF NOT EXISTS {TABLE}_tag_time ON {TABLE} (tag, timestamp)")
         timescale = self._base.execute("SELECT 1 FROM pg_extension WHERE extname = 'timescaledb'").fetchone()
@@ -167,10 +177,14 @@ class PostgresStore:
                 return ask()
             except (psycopg.errors.DiskFull, psycopg.errors.InsufficientResources) as error:
                 self._base.rollback()
-                raise HistorianError(f"{self.name}: the database's disk is full; make room, nothing of this call is kept") from error
+                raise HistorianError(
+                    f"{self.name}: the database's disk is full; make room, nothing of this call is kept"
+                ) from error
             except (psycopg.OperationalError, psycopg.InterfaceError) as error:
                 if time.monotonic() > deadline:
-                    raise HistorianError(f"{self.name}: went away and did not come back within {self._patience_s:g} s") from error
+                    raise HistorianError(
+                        f"{self.name}: went away and did not come back within {self._patience_s:g} s"
+                    ) from error
                 self._reconnect(deadline)
             except psycopg.Error as error:
                 if not self._base.closed:
@@ -193,7 +207,7 @@ class PostgresStore:
 
 def without_password(url: str) -> str:
     """Return the URL without its password, in its place before the host or among the parameters."""
-    shown = re.sub(r"^(\w+://[^:/@]*):.*@(?=[^@]*$)", r"\1@", url)
+    shown = re.sub(r"^(\w+://[^:/@]*):[^/]*@(?=[^@]*$)", r"\1@", url)
     return re.sub(r"([?&]password=)[^&]*", r"\1...", shown)
 
 

@@ -24,7 +24,8 @@ class HistorianError(DriverError):
 
 @dataclass(frozen=True)
 class Samples:
-    """Raw samples of a tag in the order in which the store keeps them: seconds since 1970 (UTC), value, quality, (n,)."""
+    """Raw samples of a tag in the order in which the store keeps them: seconds since 1970 (UTC), value, quality,
+    (n,)."""
 
     time_s: NDArray[np.float64]
     value: NDArray[np.float64]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from pathlib import Path
+from typing import Any
 
 from drivers.historian.protocol import HistorianError, HistorianStore
 
@@ -14,8 +15,8 @@ DUCKDB_ENDINGS = (".duckdb", ".db")
 def open_store(address: str | Path, *, create: bool = False) -> HistorianStore:
     """Return the store at `address`.
 
-    A folder with Parquet files (or a single Parquet file), a DuckDB file (`.duckdb`, `.db`), or a PostgreSQL database by
-    its URL (`postgresql://user@host/database`).
+    A folder with Parquet files (or a single Parquet file), a DuckDB file (`.duckdb`, `.db`), or a PostgreSQL
+    database by its URL (`postgresql://user@host/database`).
 
     Parameters:
         address: path or URL.
@@ -26,20 +27,22 @@ def open_store(address: str | Path, *, create: bool = False) -> HistorianStore:
     """
     text = str(address)
     if text.startswith(POSTGRES):
-        module = _library("postgres", "psycopg")
-        return module.PostgresStore(text, create=create)  # type: ignore[no-any-return]
+        postgres: HistorianStore = _library("postgres", "psycopg").PostgresStore(text, create=create)
+        return postgres
     if "://" in text:
-        raise HistorianError(f"{text.split('://')[0]}:// is no historian that is known; use a folder, a .duckdb file or postgresql://")
+        raise HistorianError(
+            f"{text.split('://')[0]}:// is no historian that is known; use a folder, a .duckdb file or postgresql://"
+        )
     path = Path(text)
     if path.suffix in DUCKDB_ENDINGS:
-        module = _library("duckdb_file", "duckdb")
-        return module.DuckDBStore(path, create=create)  # type: ignore[no-any-return]
+        duckdb: HistorianStore = _library("duckdb_file", "duckdb").DuckDBStore(path, create=create)
+        return duckdb
     from drivers.historian.parquet import ParquetStore
 
     return ParquetStore(path, create=create)
 
 
-def _library(module: str, package: str):  # type: ignore[no-untyped-def]
+def _library(module: str, package: str) -> Any:
     try:
         importlib.import_module(package)
     except ImportError as error:

@@ -1,4 +1,7 @@
-"""`hil tower`: cooling towers, from a plant historian to a calibrated twin. Verbs are loaded when they are asked for."""
+"""`hil tower`: cooling towers, from a plant historian to a calibrated twin.
+
+Verbs are loaded when they are asked for.
+"""
 
 from __future__ import annotations
 

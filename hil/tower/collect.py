@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.historian import HistorianStore, Samples
 from drivers.historian.protocol import BAD, GOOD, UNCERTAIN
-from drivers.rig import RigConnection
+from drivers.rig.connection import RigConnection
 from drivers.rig_file.model import Rig
 from drivers.signals.points import LinkError, Quality
 
@@ -74,9 +74,9 @@ async def collect(
 ) -> Collected:
     """Poll the rig's points every `every_s` into the store until cancelled or `minutes` have passed.
 
-    Every reading is stored with the time of its poll in UTC and its quality; a reading that failed is stored as a bad sample
-    without a number, so that a gap of the link is not taken for a value that stands still. What was collected is stored when
-    the collection ends, however it ends.
+    Every reading is stored with the time of its poll in UTC and its quality; a reading that failed is stored as a
+    bad sample without a number, so that a gap of the link is not taken for a value that stands still. What was
+    collected is stored when the collection ends, however it ends.
 
     Raises:
         LinkError: the rig cannot be reached at the beginning; later failures are counted.

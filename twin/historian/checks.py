@@ -12,7 +12,8 @@ from twin.historian.tags import Array
 FAN_LAW, PUMP_WORK, BELOW_WET_BULB, ABOVE_INLET = 1, 2, 4, 8
 """Bits of the column `check`."""
 FAN_APART = 0.25
-"""Share of the power at full speed by which power may differ from the cube of the speed (density, blade pitch, belts)."""
+"""Share of the power at full speed by which power may differ from the cube of the speed (density, blade pitch,
+belts)."""
 PUMP_APART = 0.35
 """Share of the usual pump work per flow and head; cells of a station share the pumps unevenly."""
 THERMOMETER_K = 1.0

@@ -1,4 +1,5 @@
-"""Columns of the aligned record: the roles of the tag dictionary, the column of each, and how its samples become minutes."""
+"""Columns of the aligned record: the roles of the tag dictionary, the column of each, and how its samples become
+minutes."""
 
 from __future__ import annotations
 
@@ -58,4 +59,5 @@ OF_STATION: dict[str, Column] = {
 """Columns that all cells share, by role."""
 
 DERIVED = ("wet_rh_C", "closure_K", "neighbours_speed_pct")
-"""Columns without a tag: wet bulb of dry bulb and humidity, its difference to the measured one, mean speed of the other fans."""
+"""Columns without a tag: wet bulb of dry bulb and humidity, its difference to the measured one, mean speed of the
+other fans."""

@@ -22,7 +22,8 @@ DAYS_OFF = 3.0
 
 @dataclass(frozen=True)
 class Event:
-    """An event: seconds since 1970 (UTC), cell (0: the station), class, source and text; `by_day`: only the day is known."""
+    """An event: seconds since 1970 (UTC), cell (0: the station), class, source and text; `by_day`: only the day is
+    known."""
 
     time_s: float
     by_day: bool

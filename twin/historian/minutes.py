@@ -3,7 +3,8 @@
 Nothing is filled forward but commands and states. A minute of a measured quantity without a sample is interpolated
 
 * between samples less than three minutes apart (`INTERPOLATED`), as the paper has it, and
-* between samples up to the longest regular interval of the tag where its historian reports by exception (`BY_EXCEPTION`).
+* between samples up to the longest regular interval of the tag where its historian reports by exception
+(`BY_EXCEPTION`).
 
 The second is a departure from the paper. An archive with exception reporting and swinging-door compression stores no
 sample while the value stays within its deviation, so the samples' silence is itself a measurement, as fine as the

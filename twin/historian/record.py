@@ -78,10 +78,14 @@ def cell_minutes(
     columns["check"] = check
     columns["disturbed"] = disturbed
     columns["regime"] = regimes(
-        flow=_wide(columns["m_w_kg_s"]), in_service=_wide(columns["in_service"]), command=_wide(columns["fan_command_pct"]),
-        speed=_wide(columns["fan_speed_pct"]), bypass=_wide(columns["bypass_pct"]), fault=_wide(columns["fan_fault"]),
+        flow=_wide(columns["m_w_kg_s"]),
+        in_service=_wide(columns["in_service"]),
+        command=_wide(columns["fan_command_pct"]),
+        speed=_wide(columns["fan_speed_pct"]),
+        bypass=_wide(columns["bypass_pct"]),
+        fault=_wide(columns["fan_fault"]),
         disturbed=disturbed,
-    )  # fmt: skip
+    )
     known = np.isfinite(_wide(columns["wet_C"])) | np.isfinite(_wide(columns["wet_rh_C"]))
     for name in NEEDED:
         known &= np.isfinite(_wide(columns[name]))

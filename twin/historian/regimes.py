@@ -54,7 +54,14 @@ class Regime(enum.IntEnum):
 
 
 def regimes(
-    *, flow: Array, in_service: Array, command: Array, speed: Array, bypass: Array, fault: Array, disturbed: NDArray[np.bool_]
+    *,
+    flow: Array,
+    in_service: Array,
+    command: Array,
+    speed: Array,
+    bypass: Array,
+    fault: Array,
+    disturbed: NDArray[np.bool_],
 ) -> NDArray[np.uint8]:
     """Return the regime of each minute (n,).
 

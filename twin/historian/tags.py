@@ -16,7 +16,8 @@ GOOD = 192
 
 @dataclass(frozen=True)
 class Tag:
-    """A tag of the dictionary: its unit as written, its role, its cell (None: the whole station), its scan time in s."""
+    """A tag of the dictionary: its unit as written, its role, its cell (None: the whole station), its scan time in
+    s."""
 
     name: str
     unit: str
@@ -66,6 +67,10 @@ class Series:
     def rows(self, chosen: NDArray[Any]) -> Series:
         """Return the samples of these rows, by number or by mask."""
         return replace(self, time_s=self.time_s[chosen], value=self.value[chosen], quality=self.quality[chosen])
+
+    def between(self, start_s: float, end_s: float) -> Series:
+        """Return the samples from `start_s` to before `end_s`."""
+        return self.rows((self.time_s >= start_s) & (self.time_s < end_s))
 
     def without(self, spans: Sequence[tuple[float, float]]) -> Series:
         """Return the series without the samples within the spans, which become holes."""

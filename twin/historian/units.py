@@ -37,7 +37,8 @@ UNITS: dict[str, Unit] = {
     "bar": Unit("pressure", 100.0), "MPa": Unit("pressure", 1e3), "psi": Unit("pressure", 6.894757293),
     "inHg": Unit("pressure", 3.386389), "mmHg": Unit("pressure", 0.1333224),
     "%": Unit("share"), "1": Unit("share", 100.0), "0/1": Unit("state"), "Hz": Unit("frequency"),
-    "m/s": Unit("speed"), "km/h": Unit("speed", 1.0 / 3.6), "mph": Unit("speed", 0.44704), "kn": Unit("speed", 0.514444),
+    "m/s": Unit("speed"), "km/h": Unit("speed", 1.0 / 3.6), "mph": Unit("speed", 0.44704),
+    "kn": Unit("speed", 0.514444),
     "deg": Unit("angle"), "rad": Unit("angle", 57.29577951308232), "m": Unit("length"), "ft": Unit("length", 0.3048),
 }  # fmt: skip
 """Factors by NIST SP 811; a ton is one of refrigeration."""

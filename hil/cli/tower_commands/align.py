@@ -78,4 +78,8 @@ def _show(result: Aligned, out: Path) -> None:
     for remark in result.remarks:
         terminal.print(remark, markup=False)
     for path, (cell, share) in zip(result.files, result.complete.items(), strict=True):
-        terminal.print(f"cell {cell}: {100 * share:.1f} % of {result.minutes} minutes complete, {path}", markup=False, soft_wrap=True)
+        terminal.print(
+            f"cell {cell}: {100 * share:.1f} % of {result.minutes} minutes complete, {path}",
+            markup=False,
+            soft_wrap=True,
+        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from pathlib import Path
 
 import click
@@ -13,7 +14,9 @@ from hil.cli.options.paths import INPUT_FILE
 @click.command()
 @click.argument("rig", type=INPUT_FILE)
 @click.option("--into", required=True, help="Store: folder, .duckdb file or PostgreSQL URL; made where there is none.")
-@click.option("--every", "every_s", type=click.FloatRange(min=0.1), help="Seconds between polls; default: the rig's period.")
+@click.option(
+    "--every", "every_s", type=click.FloatRange(min=0.1), help="Seconds between polls; default: the rig's period."
+)
 @click.option("--minutes", type=click.FloatRange(min=0.0, min_open=True), help="End after this time; default: Ctrl-C.")
 def command(rig: Path, into: str, every_s: float | None, minutes: float | None) -> None:
     """Poll the points of RIG into a historian until Ctrl-C.
@@ -40,9 +43,7 @@ def command(rig: Path, into: str, every_s: float | None, minutes: float | None) 
 
     with open_store(into, create=True) as store:
         out.print(f"{len(loaded.point)} points into {Path(into).name or into}; Ctrl-C ends", markup=False)
-        try:
+        with contextlib.suppress(KeyboardInterrupt):
             asyncio.run(collect(loaded, store, every_s=every_s or loaded.period_s, minutes=minutes, progress=note))
-        except KeyboardInterrupt:
-            pass
     failed = f"; {done.failures} polls failed, the last: {done.last_failure}" if done.failures else ""
     click.echo(f"{done.samples} samples of {done.polls} polls stored{failed}")

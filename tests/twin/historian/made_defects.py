@@ -58,7 +58,9 @@ def _spoil_scans(
     day = start - start % DAY_S + DAY_S * rng.integers(-2, 3)
     events = (Event(day, True, 0, "instrument_work", "CMMS", f"Transmitters {pair[0]} and {pair[1]} renewed"),)
 
-    for name in rng.choice([n for n in by_name if n[0] in "TF" and n[1].isdigit() and n not in (*pair, switched)], 2, replace=False):
+    for name in rng.choice(
+        [n for n in by_name if n[0] in "TF" and n[1].isdigit() and n not in (*pair, switched)], 2, replace=False
+    ):
         start = START_S + DAY_S * days * rng.uniform(0.05, 0.9)
         end = start + HOUR_S * rng.uniform(5.0, 20.0)
         time_s, value = scans[name]
@@ -114,7 +116,9 @@ def _spoil_samples(
             seeded.add("bad_quality", (spoilt.tag.name,), start, end)
     local = [interfaces[one.tag.name] == "mcc" for one in store]
     store = [
-        replace(one, time_s=local_stamps(one.time_s)).rows(np.argsort(local_stamps(one.time_s), kind="stable")) if is_local else one
+        replace(one, time_s=local_stamps(one.time_s)).rows(np.argsort(local_stamps(one.time_s), kind="stable"))
+        if is_local
+        else one
         for one, is_local in zip(store, local, strict=True)
     ]
     names = tuple(one.tag.name for one, is_local in zip(store, local, strict=True) if is_local)
@@ -125,7 +129,8 @@ def _spoil_samples(
 def found_of(seeded: Seeded, defects: list[tuple[str, tuple[str, ...], float, float]]) -> tuple[list[int], list[int]]:
     """Return the seeded defects that were found, and the findings that are none of them, by number.
 
-    A finding counts if its kind and a tag are right, and if it covers 30 % of the shorter of the two, 3 hours apart at most.
+    A finding counts if its kind and a tag are right, and if it covers 30 % of the shorter of the two, 3 hours apart
+    at most.
     """
     found, used = [], set()
     for j, (kind, tags, start, end) in enumerate(seeded.rows):

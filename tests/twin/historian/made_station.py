@@ -1,7 +1,8 @@
 """A small station and its historian for tests: scans with noise, exception reporting, swinging door, jitter, defects.
 
-It shares no code with what it tests but the psychrometrics. Defects are seeded into the scans (stuck, unit, swap, latched,
-wet bulb) or into the stored samples (gap, repeats, local time, quality), as a plant's instruments and archives do.
+It shares no code with what it tests but the psychrometrics. Defects are seeded into the scans (stuck, unit, swap,
+latched, wet bulb) or into the stored samples (gap, repeats, local time, quality), as a plant's instruments and
+archives do.
 """
 
 from __future__ import annotations
@@ -65,7 +66,9 @@ def instruments(rng: np.random.Generator, days: float, cells: int = 2) -> list[I
     rows: list[Instrument] = []
     outlets = []
     for k in range(cells):
-        command = np.where(on[k], np.round(100.0 * np.clip(fan + _wander(rng, n, 25, 0.05) + 0.05 * k, 0.0, 1.0) * 2) / 2, 0.0)
+        command = np.where(
+            on[k], np.round(100.0 * np.clip(fan + _wander(rng, n, 25, 0.05) + 0.05 * k, 0.0, 1.0) * 2) / 2, 0.0
+        )
         command = np.where(command < 25.0, 0.0, command)
         command = np.repeat(command[::5], 5)[:n] if n % 5 == 0 else command
         speed = _lagged(command, 2.0)
@@ -90,7 +93,11 @@ def instruments(rng: np.random.Generator, days: float, cells: int = 2) -> list[I
     mixed = sum((flow[k] * outlets[k] for k in range(cells)), np.zeros(n)) / np.maximum(flow.sum(axis=0), 1.0)
     basin = _lagged(np.where(running, mixed, mixed[running].mean() if running.any() else 20.0), 25.0)
     for k in range(cells):
-        rows.append(_temperature(f"T{k + 1}BAS", "basin_temperature", k + 1, basin + 0.1 * (outlets[k] - basin), f"plc{k + 1}", rng))
+        rows.append(
+            _temperature(
+                f"T{k + 1}BAS", "basin_temperature", k + 1, basin + 0.1 * (outlets[k] - basin), f"plc{k + 1}", rng
+            )
+        )
     pump = np.where(running, 90.0 + 0.05 * flow.sum(axis=0), 0.0)
     head = np.where(running, 120.0 + 60.0 * (flow.max(axis=0) / 225.0) ** 2, 0.0)
     heat = 4.19 * flow.sum(axis=0) * (9.0 + 9.0 * load - 8.0)

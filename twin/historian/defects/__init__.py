@@ -36,9 +36,10 @@ def find_and_repair(
 ) -> Repaired:
     """Return the series without what their defects spoil, and the defects, all times in UTC.
 
-    Clocks come first, so that every later finding is in UTC. Each step sees the series as the steps before it left them:
-    clocks, quality, repeated stamps, silence, units, stuck values, humidity, swaps. What can be undone is undone (clock,
-    unit, swap); the rest is left out. One cause is one defect: what a step has left out is a hole to the next ones.
+    Clocks come first, so that every later finding is in UTC. Each step sees the series as the steps before it left
+    them: clocks, quality, repeated stamps, silence, units, stuck values, humidity, swaps. What can be undone is
+    undone (clock, unit, swap); the rest is left out. One cause is one defect: what a step has left out is a hole to
+    the next ones.
 
     Parameters:
         raw: samples as the historian gives them.

@@ -1,7 +1,7 @@
 """Tags whose time stamps are local time, or off by hours, though they are said to be UTC.
 
-The hypothesis is tested on the changes of a tag: shifted they must go better with the changes of tags of other interfaces
-than as they stand. Candidates are the station's time zone with its changes of clock, and every whole hour.
+The hypothesis is tested on the changes of a tag: shifted they must go better with the changes of tags of other
+interfaces than as they stand. Candidates are the station's time zone with its changes of clock, and every whole hour.
 """
 
 from __future__ import annotations
@@ -121,7 +121,11 @@ def shifted_clocks(
         low = min(float(shift.to_utc(one.time_s[:1])[0]) for one in members)
         high = max(float(shift.to_utc(one.time_s[-1:])[0]) for one in members)
         kind = "local_time" if shift.zone is not None else "clock_offset"
-        says = f"{len(group.tags)} tags have time stamps in {shift}" if shift.zone else f"{len(group.tags)} tags have time stamps {shift}"
+        says = (
+            f"{len(group.tags)} tags have time stamps in {shift}"
+            if shift.zone
+            else f"{len(group.tags)} tags have time stamps {shift}"
+        )
         found.append((Defect(kind, group.tags, low, high, says, "shifted to UTC"), shift))
     return found
 

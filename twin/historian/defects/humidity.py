@@ -128,7 +128,9 @@ def _impossible(grid: Array, wet: Series, above: Array, offs: list[Array]) -> li
     found = []
     for start, end in _spans(grid, wrong):
         rows = (grid >= start) & (grid <= end) & wrong
-        says = f"{wet.tag.name} is up to {float(np.nanmax(worst[rows])):.1f} K off the wet bulb of dry bulb and humidity"
+        says = (
+            f"{wet.tag.name} is up to {float(np.nanmax(worst[rows])):.1f} K off the wet bulb of dry bulb and humidity"
+        )
         found.append(Defect("impossible_wet_bulb", (wet.tag.name,), start, end, says, "left out"))
     return found
 

@@ -46,7 +46,8 @@ def on_grid(series: Series, grid_s: Array) -> Array:
 
 
 def design_matrix(values: Array) -> Array:
-    """Return what predicts (m, k + 1): ones, and the rows of `values (k, m)` standardised, the unknown at their mean."""
+    """Return what predicts (m, k + 1): ones, and the rows of `values (k, m)` standardised, the unknown at their
+    mean."""
     known = np.isfinite(values)
     count = np.maximum(known.sum(axis=1, keepdims=True), 1)
     filled = np.where(known, values, 0.0)
@@ -65,12 +66,13 @@ def robust_prediction(target: Array, matrix: Array, rounds: int = ROUNDS) -> tup
     a, y = matrix[rows], target[rows]
     weight = np.ones(len(y))
     centre = float(np.median(y))
-    coefficients, sigma = np.zeros(a.shape[1]), np.inf
+    coefficients: Array = np.zeros(a.shape[1])
+    sigma = np.inf
     for _ in range(rounds):
         aw = a * weight[:, None]
         ridge = 1e-3 * len(y) * np.eye(a.shape[1])
         ridge[0, 0] = 1e-9
-        coefficients = np.linalg.solve(aw.T @ a + ridge, aw.T @ (y - centre))
+        coefficients = np.asarray(np.linalg.solve(aw.T @ a + ridge, aw.T @ (y - centre)), dtype=np.float64)
         off = np.abs(y - centre - a @ coefficients)
         sigma = max(1.4826 * float(np.median(off)), 1e-6)
         weight = np.minimum(1.0, 1.5 * sigma / np.maximum(off, 1e-12))

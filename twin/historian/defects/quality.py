@@ -29,5 +29,7 @@ def bad_quality(series: Series) -> list[Defect]:
         codes = sorted({int(code) for code in series.quality[part] if code < GOOD})
         what = f"quality {', '.join(map(str, codes))}" if codes else "no number"
         says = f"{bad[begin : end + 1].sum()} samples of {series.tag.name} with {what}"
-        found.append(Defect("bad_quality", (series.tag.name,), float(time_s[begin]), float(time_s[end]), says, "left out"))
+        found.append(
+            Defect("bad_quality", (series.tag.name,), float(time_s[begin]), float(time_s[end]), says, "left out")
+        )
     return found

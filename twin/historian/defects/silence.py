@@ -1,9 +1,9 @@
 """Times in which all tags of one interface are silent: gaps of its communication.
 
-Tags that come through one interface (a PLC, a motor control centre, a weather mast) fall silent together. A silence is a
-gap where the rates of the tags just before and after it make it improbable: with `r` samples expected of the group and
-none seen, its chance is about exp(-r). The threshold follows from the group's own silences, whose `r` are about
-exponential, so that a record of any length yields none by chance.
+Tags that come through one interface (a PLC, a motor control centre, a weather mast) fall silent together. A silence
+is a gap where the rates of the tags just before and after it make it improbable: with `r` samples expected of the
+group and none seen, its chance is about exp(-r). The threshold follows from the group's own silences, whose `r` are
+about exponential, so that a record of any length yields none by chance.
 """
 
 from __future__ import annotations
@@ -17,10 +17,14 @@ from twin.historian.tags import Array, Defect, Series, longest_interval_s
 
 LEAST_S = 600.0
 LEAST_TAGS = 2
-AROUND_S = 2.0 * 3600.0
-"""Time before and after a silence from which the rates are learned: a shift's operation, not a season's."""
+AROUND_S = (2400.0, 7200.0)
+"""Times before and after a silence from which the rates are learned: the state of operation, not a season's."""
 MARGIN = 4.0
 """Excess over the largest expected of the group's silences, in their scale: a chance of exp(-4) a group and record."""
+STILL = 1.5
+"""Factor on the threshold where no tag has another value after the silence than before it."""
+JUMP = 3.0
+"""Times the usual step between samples, from which a value is another one."""
 SURE = 12.0
 """Expected samples above which a single silence is improbable by itself: exp(-12)."""
 WEATHER = frozenset({"dry_bulb_temperature", "relative_humidity", "relative_humidity_redundant", "wet_bulb_temperature",
@@ -102,22 +106,52 @@ def _silences(members: Sequence[Series]) -> list[tuple[float, float]]:
         return []
     start, end = union[rows], union[rows + 1]
     length = end - start
-    before = sum((_count(one.time_s, start - AROUND_S, start) for one in members), np.zeros(len(rows))) / AROUND_S
-    after = sum((_count(one.time_s, end, end + AROUND_S) for one in members), np.zeros(len(rows))) / AROUND_S
-    # At a change of operation the quieter side is the one that counts.
-    expected = length * np.minimum(before, after)
-    threshold = SURE
+    # At a change of operation the quieter side, and the quieter of the near and the far time, is the one that counts.
+    rate = np.full(len(rows), np.inf)
+    for window in AROUND_S:
+        for low, high in ((start - window, start), (end, end + window)):
+            seen = np.zeros(len(rows))
+            for one in members:
+                seen += _count(one.time_s, low, high)
+            rate = np.minimum(rate, seen / window)
+    expected = length * rate
+    largest, scale = SURE, 1.0
     if len(rows) > 50:
         # Silences that are no gaps: the tail of r is about exponential, the largest of n at log n scales above it.
         middle, far = np.quantile(expected, (0.5, 0.98))
         scale = max(float(far - middle) / np.log(25.0), 1.0)
-        threshold = max(SURE, float(middle) + scale * (np.log(0.5 * len(rows)) + MARGIN))
-    gap = (expected >= threshold) & (length >= LEAST_S)
-    return [(float(a), float(b)) for a, b in zip(start[gap], end[gap], strict=True)]
+        largest = max(SURE, float(middle) + scale * np.log(0.5 * len(rows)))
+    found = []
+    for k in np.flatnonzero((expected >= largest) & (length >= LEAST_S)):
+        jumped = _jumps(members, float(start[k]), float(end[k]))
+        wanted = largest if jumped >= 2 else largest + MARGIN * scale if jumped else STILL * (largest + MARGIN * scale)
+        if expected[k] >= wanted:
+            found.append((float(start[k]), float(end[k])))
+    return found
+
+
+def _jumps(members: Sequence[Series], start: float, end: float) -> int:
+    """Return how many tags have another value after a silence than before it, by far more than between samples.
+
+    An archive by exception stores what leaves the deviation, with the value before it. So it has small steps across a
+    real standstill, and large ones where nothing could be stored.
+    """
+    found = 0
+    for one in members:
+        after = int(np.searchsorted(one.time_s, end - 1e-3, side="left"))
+        if not 0 < after < len(one.time_s) or one.time_s[after - 1] > start + 1e-3:
+            continue
+        steps = np.abs(np.diff(one.value))
+        steps = steps[steps > 0.0]
+        usual = float(np.median(steps)) if len(steps) else np.inf
+        found += abs(one.value[after] - one.value[after - 1]) > JUMP * usual
+    return found
 
 
 def _count(time_s: Array, low: Array, high: Array) -> Array:
-    return np.asarray(np.searchsorted(time_s, high, side="right") - np.searchsorted(time_s, low, side="left"), dtype=np.float64)
+    return np.asarray(
+        np.searchsorted(time_s, high, side="right") - np.searchsorted(time_s, low, side="left"), dtype=np.float64
+    )
 
 
 def _clear_silences(series: Series) -> Array:
@@ -134,9 +168,7 @@ def _common(spans: Sequence[Array]) -> Array:
     if len(spans) < LEAST_TAGS:
         return np.zeros((0, 2))
     longest = max(spans, key=len)
-    shared = [
-        span for span in longest if sum(bool(len(o) and _overlaps(span, o)) for o in spans) > 0.5 * len(spans)
-    ]
+    shared = [span for span in longest if sum(bool(len(o) and _overlaps(span, o)) for o in spans) > 0.5 * len(spans)]
     return np.asarray(shared).reshape(-1, 2)
 
 

@@ -1,10 +1,10 @@
 """Pairs of tags whose values were exchanged for a time.
 
-The difference of the two is predicted from the plant's other tags. In a swap the difference has the opposite sign of its
-prediction. Two kinds of evidence must agree: over the span the sign is reversed (a sum of log likelihood ratios), and the
-changes of the difference within a day go against those of its prediction. The second does not depend on drifts of the
-thermometers or of the plant, which look like a swap to the first. A maintenance entry that names both tags about the time
-of an edge lowers the thresholds; it is never enough.
+The difference of the two is predicted from the plant's other tags. In a swap the difference has the opposite sign of
+its prediction. Two kinds of evidence must agree: over the span the sign is reversed (a sum of log likelihood
+ratios), and the changes of the difference within a day go against those of its prediction. The second does not
+depend on drifts of the thermometers or of the plant, which look like a swap to the first. A maintenance entry that
+names both tags about the time of an edge lowers the thresholds; it is never enough.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.historian.defects.panel import Panel, design_matrix, largest_sum, moving_mean, robust_prediction
+from twin.historian.defects.panel import Mask, Panel, design_matrix, largest_sum, moving_mean, robust_prediction
 from twin.historian.events import Event, naming
 from twin.historian.tags import Array, Defect, Series
 from twin.historian.units import unit_of
@@ -186,12 +186,16 @@ def _refined(difference: Array, matrix: Array, low: int, high: int) -> tuple[int
         begin = min((edge for edge in edges if edge < end), key=lambda edge: error(edge, end))
         end = min((edge for edge in edges if edge > begin), key=lambda edge: error(begin, edge))
     for step, reach in ((NEAR_ROWS // 24, NEAR_ROWS), (1, NEAR_ROWS // 24)):
-        begin = min(range(max(begin - reach, 0), min(begin + reach, end - 1) + 1, step), key=lambda edge: error(edge, end))
-        end = min(range(max(end - reach, begin + 1), min(end + reach, len(x)) + 1, step), key=lambda edge: error(begin, edge))
+        begin = min(
+            range(max(begin - reach, 0), min(begin + reach, end - 1) + 1, step), key=lambda edge: error(edge, end)
+        )
+        end = min(
+            range(max(end - reach, begin + 1), min(end + reach, len(x)) + 1, step), key=lambda edge: error(begin, edge)
+        )
     return begin + first, end + first
 
 
-def _correlation(x: Array, y: Array, rows: Array) -> float:
+def _correlation(x: Array, y: Array, rows: Mask) -> float:
     """Return the correlation of bounded values; 0 where there are few."""
     if rows.sum() < 24:
         return 0.0
@@ -211,7 +215,8 @@ def _strongest(found: list[Defect]) -> list[Defect]:
     left: list[Defect] = []
     for one in sorted(found, key=lambda d: -(d.end_s - d.start_s)):
         clash = any(
-            set(one.tags) & set(other.tags) and one.start_s < other.end_s and other.start_s < one.end_s for other in left
+            set(one.tags) & set(other.tags) and one.start_s < other.end_s and other.start_s < one.end_s
+            for other in left
         )
         if not clash:
             left.append(one)

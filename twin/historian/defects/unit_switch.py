@@ -133,9 +133,7 @@ def _levels(x: Array, width: int) -> tuple[Array, Array]:
     return level[: len(x)], level[width : width + len(x)]
 
 
-def _best(
-    panel: Panel, k: int, series: Series, own: Unit, candidates: list[tuple[str, Unit, int]]
-) -> Switch | None:
+def _best(panel: Panel, k: int, series: Series, own: Unit, candidates: list[tuple[str, Unit, int]]) -> Switch | None:
     """Return the most probable switch of a tag, or None."""
     drivers = [
         j for j, one in enumerate(panel.series)
@@ -190,7 +188,7 @@ def _span(x: Array, other: Array, mask: Mask, matrix: Array) -> tuple[int, int, 
 
 def _share_of_error(x: Array, predicted: Array) -> float:
     """Return the mean error of a prediction as a share of the mean size of the quantity."""
-    return float(np.nanmean(np.abs(x - predicted)) / max(np.nanmean(np.abs(x)), 1e-12))
+    return float(np.nanmean(np.abs(x - predicted))) / max(float(np.nanmean(np.abs(x))), 1e-12)
 
 
 def _clear(right: Array, wrong: Array) -> bool:
@@ -220,5 +218,3 @@ def _edge(series: Series, own: Unit, unit: Unit, near_s: float, around_s: float,
     step = np.diff(np.log(value)) * wanted * (1.0 if rising else -1.0)
     at = int(np.argmax(step))
     return float(series.time_s[rows[at + 1] if rising else rows[at]])
-
-

@@ -1,0 +1,101 @@
+"""`hil tower collect`: a rig's points, polled into a historian with time and quality."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.historian import HistorianError, Samples, open_store
+from drivers.rig_file.reader import load_rig
+from drivers.signals.points import LinkError, Quality, Snapshot
+from hil.tower import collect as module
+from hil.tower.collect import CODES, Collected, collect
+
+RIG = load_rig(Path(__file__).resolve().parents[3] / "profiles" / "rigs" / "virtual.toml")
+
+
+class _Connection:
+    """What the collection sees of a rig: one point of each quality, and failures on demand."""
+
+    failing: tuple[int, ...] = ()
+
+    def __init__(self, rig: Any, clock: Any) -> None:
+        self.points = tuple(rig.point[:5])
+        self.polls = 0
+
+    async def connect(self) -> None: ...
+
+    async def close(self) -> None: ...
+
+    async def read(self) -> Snapshot:
+        self.polls += 1
+        if self.polls in self.failing:
+            raise LinkError("no answer")
+        return Snapshot([1.0, 2.0, 3.0, 4.0, math.nan], [int(q) for q in Quality], [0.0] * 5)
+
+
+@pytest.fixture(autouse=True)
+def _rig(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "RigConnection", _Connection)
+
+
+def _clock() -> Any:
+    ticks = iter(range(1_700_000_000, 1_800_000_000, 60))
+    return lambda: float(next(ticks))
+
+
+def test_readings_are_stored_with_their_time_and_quality(tmp_path: Path) -> None:
+    with open_store(tmp_path / "s", create=True) as store:
+        done = asyncio.run(collect(RIG, store, every_s=0.02, minutes=0.1 / 60, now=_clock()))
+        read = store.read([point.name for point in RIG.point[:5]])
+    assert done.polls >= 2 and done.samples == 5 * done.polls and done.failures == 0
+    for point, quality in zip(RIG.point[:5], Quality, strict=True):
+        assert set(read[point.name].quality) == {CODES[quality]}
+        assert read[point.name].time_s[:2].tolist() == [1.7e9, 1.7e9 + 60.0]
+    assert CODES[Quality.GOOD] == 192 and CODES[Quality.STALE] == 64 and CODES[Quality.LINK_FAULT] == 0
+
+
+def test_a_poll_that_failed_is_a_bad_sample_and_not_a_value(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_Connection, "failing", (2,))
+    with open_store(tmp_path / "s", create=True) as store:
+        done = asyncio.run(collect(RIG, store, every_s=0.02, minutes=0.1 / 60, now=_clock()))
+        first = store.read([RIG.point[0].name])[RIG.point[0].name]
+    assert done.failures == 1 and done.last_failure == "no answer"
+    assert first.quality[:3].tolist() == [192, 0, 192] and math.isnan(first.value[1])
+
+
+def test_what_was_collected_is_stored_when_it_is_interrupted(tmp_path: Path) -> None:
+    async def interrupted(store: Any) -> None:
+        task = asyncio.create_task(collect(RIG, store, every_s=0.02, minutes=None, now=_clock()))
+        await asyncio.sleep(0.2)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+
+    with open_store(tmp_path / "s", create=True) as store:
+        asyncio.run(interrupted(store))
+        assert len(store.read([RIG.point[0].name])[RIG.point[0].name]) >= 2
+
+
+def test_a_store_that_fails_ends_the_collection_with_its_sentence(tmp_path: Path) -> None:
+    class Full:
+        def append(self, samples: dict[str, Samples]) -> None:
+            raise HistorianError("the disk is full; make room")
+
+    with pytest.raises(HistorianError, match="the disk is full"):
+        asyncio.run(collect(RIG, Full(), every_s=0.02, minutes=0.1 / 60))  # type: ignore[arg-type]
+
+
+def test_progress_counts_polls(tmp_path: Path) -> None:
+    seen: list[int] = []
+
+    def note(done: Collected) -> None:
+        seen.append(done.polls)
+
+    with open_store(tmp_path / "s", create=True) as store:
+        asyncio.run(collect(RIG, store, every_s=0.02, minutes=0.1 / 60, progress=note))
+    assert seen == list(range(1, len(seen) + 1)) and seen
