@@ -19,7 +19,9 @@ Array = NDArray[np.float64]
 def scan_times(start_s: float, end_s: float, every_s: float, rng: np.random.Generator) -> Array:
     """Return times of scans: a phase of the tag's own, jitter of some seconds, now and then one that comes late."""
     nominal = np.arange(start_s + rng.uniform(0.0, every_s), end_s, every_s)
-    jitter = rng.normal(0.0, 3.0, len(nominal)) + np.where(rng.random(len(nominal)) < 0.01, rng.uniform(5.0, 40.0, len(nominal)), 0.0)
+    jitter = rng.normal(0.0, 3.0, len(nominal)) + np.where(
+        rng.random(len(nominal)) < 0.01, rng.uniform(5.0, 40.0, len(nominal)), 0.0
+    )
     return np.clip(nominal + np.clip(jitter, -12.0, 0.4 * every_s), start_s, end_s - 1e-3)
 
 

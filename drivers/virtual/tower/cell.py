@@ -8,7 +8,16 @@ import numpy as np
 from numba import njit
 
 from drivers.virtual.plant.compiled_cache import may_cache
-from drivers.virtual.tower.moist_air import CP_AIR, CP_VAPOUR, CP_WATER, LATENT, dry_air_density, enthalpy, saturation, wet_bulb
+from drivers.virtual.tower.moist_air import (
+    CP_AIR,
+    CP_VAPOUR,
+    CP_WATER,
+    LATENT,
+    dry_air_density,
+    enthalpy,
+    saturation,
+    wet_bulb,
+)
 from drivers.virtual.tower.poppe import outlet
 
 CACHE = may_cache()
@@ -63,7 +72,13 @@ def fan_power(cell, state, speed, volume, density_out):
         return 0.0
     n = speed * (1.0 - state[S_SLIP])
     through = volume / max(n, 0.05)
-    shaft = n**3 * density_out / cell[DENSITY0] * (0.72 + 0.5 * through - 0.22 * through * through) * (1.0 - 0.8 * state[S_PITCH])
+    shaft = (
+        n**3
+        * density_out
+        / cell[DENSITY0]
+        * (0.72 + 0.5 * through - 0.22 * through * through)
+        * (1.0 - 0.8 * state[S_PITCH])
+    )
     return cell[POWER] * (shaft * (1.0 + 0.07 * (1.0 - speed) ** 2) + cell[DRIVE_LOSS] * speed)
 
 
@@ -98,7 +113,9 @@ def cell_step(cell, state, shares, m_w, speed, t_in, t_air, w_air, p, wind, memo
     hot = (max(t_in, 5.0) / cell[T_HOT0]) ** -cell[FILL_HOT]
     heat_out, m_out, w_sum, i_sum = 0.0, 0.0, 0.0, 0.0
     for j in range(sectors):
-        x = wetted_share(shares[2, j], shares[3, j], state[S_UNIFORMITY], water * shares[0, j] * sectors, cell[STARVING])
+        x = wetted_share(
+            shares[2, j], shares[3, j], state[S_UNIFORMITY], water * shares[0, j] * sectors, cell[STARVING]
+        )
         through_wet = x / (x + cell[DRY_AIR] * (1.0 - x))
         air = m_a * shares[1, j]
         wet_air = air * through_wet

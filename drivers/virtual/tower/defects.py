@@ -19,7 +19,14 @@ from drivers.virtual.tower.instruments import Instrument, quantised
 Array = NDArray[np.float64]
 DAY_S, HOUR_S = 86400.0, 3600.0
 GOOD, UNCERTAIN, BAD = 192, 64, 0
-OTHER_UNIT = {"m3/h": ("L/s", 1.0 / 3.6), "L/s": ("m3/h", 3.6), "degC": ("degF", 1.8), "degF": ("degC", 1.0 / 1.8), "kPa": ("psi", 0.1450377), "psi": ("kPa", 6.894757)}
+OTHER_UNIT = {
+    "m3/h": ("L/s", 1.0 / 3.6),
+    "L/s": ("m3/h", 3.6),
+    "degC": ("degF", 1.8),
+    "degF": ("degC", 1.0 / 1.8),
+    "kPa": ("psi", 0.1450377),
+    "psi": ("kPa", 6.894757),
+}
 OFFSET = {"degF": 32.0, "degC": -32.0 / 1.8}
 """Units that a transmitter may be switched to, with the factor, and the offset of the new unit."""
 
@@ -77,7 +84,11 @@ class Seeding:
             begin = rng.uniform(0.02 * end, 0.97 * end - length)
             return float(round(begin / 60.0) * 60.0), float(round((begin + length) / 60.0) * 60.0)
 
-        lively = [one for one in tags if one.kind.role in ("water_inlet_temperature", "water_flow", "fan_power", "basin_temperature")]
+        lively = [
+            one
+            for one in tags
+            if one.kind.role in ("water_inlet_temperature", "water_flow", "fan_power", "basin_temperature")
+        ]
         for _ in range(max(round(2 * months), 1)):
             one = lively[int(rng.integers(len(lively)))]
             found.append(Seeded("stuck", (one.tag,), span(3.0, 12.0)))
@@ -104,7 +115,9 @@ def _lasting(tags: Sequence[Instrument], end: float, zone: str, span: Any, rng: 
     flows = [one for one in tags if one.kind.role == "water_flow"]
     one = flows[int(rng.integers(len(flows)))]
     begin = round(rng.uniform(0.3, 0.7) * end / 60.0) * 60.0
-    found.append(Seeded("unit_switch", (one.tag,), (begin, end), {"from_unit": one.unit, "to_unit": OTHER_UNIT[one.unit][0]}))
+    found.append(
+        Seeded("unit_switch", (one.tag,), (begin, end), {"from_unit": one.unit, "to_unit": OTHER_UNIT[one.unit][0]})
+    )
     outlets = [one.tag for one in tags if one.kind.role == "water_outlet_temperature"]
     basins = [one.tag for one in tags if one.kind.role == "basin_temperature"]
     pair = tuple(rng.permutation(outlets)[:2]) if len(outlets) > 1 else (outlets[0], basins[0])
@@ -117,7 +130,11 @@ def _lasting(tags: Sequence[Instrument], end: float, zone: str, span: Any, rng: 
     found.append(Seeded("humidity_latched", (humidity,), span(24.0, 60.0)))
     wet = next(one.tag for one in tags if one.kind.role == "wet_bulb_temperature")
     dry = next(one.tag for one in tags if one.kind.role == "dry_bulb_temperature")
-    found.append(Seeded("impossible_wet_bulb", (wet,), span(8.0, 16.0), {"dry_tag": dry, "size": round(rng.uniform(0.8, 1.6), 2)}))
+    found.append(
+        Seeded(
+            "impossible_wet_bulb", (wet,), span(8.0, 16.0), {"dry_tag": dry, "size": round(rng.uniform(0.8, 1.6), 2)}
+        )
+    )
     return found
 
 
@@ -128,7 +145,10 @@ def seed_scans(scans: dict[str, Samples], tags: Sequence[Instrument], seeding: S
         first, second = one.tags
         for tag, other in ((first, scans[second]), (second, scans[first])):
             rows = scans[tag].within(one.span)
-            scans[tag] = Samples(scans[tag].time_s, np.where(rows, np.interp(scans[tag].time_s, other.time_s, other.value), scans[tag].value))
+            scans[tag] = Samples(
+                scans[tag].time_s,
+                np.where(rows, np.interp(scans[tag].time_s, other.time_s, other.value), scans[tag].value),
+            )
             scans[tag].value = np.where(rows, quantised(scans[tag].value, by_tag[tag]), scans[tag].value)
     for one in seeding.of("impossible_wet_bulb"):
         samples, dry = scans[one.tags[0]], scans[one.more["dry_tag"]]
@@ -151,7 +171,11 @@ def seed_scans(scans: dict[str, Samples], tags: Sequence[Instrument], seeding: S
 
 
 def seed_archive(
-    kept: dict[str, Samples], tags: Sequence[Instrument], seeding: Seeding, start: datetime.datetime, rng: np.random.Generator
+    kept: dict[str, Samples],
+    tags: Sequence[Instrument],
+    seeding: Seeding,
+    start: datetime.datetime,
+    rng: np.random.Generator,
 ) -> None:
     """Change stored samples as networks, interfaces and archives do, in place."""
     for one in seeding.of("comms_gap"):

@@ -56,7 +56,15 @@ def live(built: Built, days: int, rng: np.random.Generator, outlet_tag: Callable
 def _cell(rows: int, cell: int, rng: np.random.Generator) -> tuple[Array, list[Happening]]:
     """Return the states of a cell by day, and what is done."""
     fresh = rows / 30.4 >= LONG_MONTHS
-    week_share = np.array([rng.uniform(0.002, 0.006), rng.uniform(0.0008, 0.0030), 0.0, rng.uniform(0.0002, 0.0012), rng.uniform(0.0005, 0.0025)])
+    week_share = np.array(
+        [
+            rng.uniform(0.002, 0.006),
+            rng.uniform(0.0008, 0.0030),
+            0.0,
+            rng.uniform(0.0002, 0.0012),
+            rng.uniform(0.0005, 0.0025),
+        ]
+    )
     age = (rng.uniform(0.0, 3.0) if fresh else rng.uniform(8.0, 34.0)) * week_share
     slip = rng.uniform(0.0, 0.004) if fresh else rng.uniform(0.0, 0.02)
     pitch, blocked = (rng.uniform(0.0, 0.01), 0.0) if fresh else (rng.uniform(0.02, 0.12), rng.uniform(0.0, 0.1))
@@ -110,7 +118,9 @@ def _thermometer(rows: int, cell: int, rng: np.random.Generator, tag: str) -> tu
     return out, done
 
 
-def _found(built: Built, states: Array, bias: Array, days: int, rng: np.random.Generator) -> tuple[list[Label], list[Happening]]:
+def _found(
+    built: Built, states: Array, bias: Array, days: int, rng: np.random.Generator
+) -> tuple[list[Label], list[Happening]]:
     """Return what inspections, traverses and reference thermometers find, and their entries."""
     labels, found = [], []
     for cell in range(built.site.cells):
@@ -122,9 +132,13 @@ def _found(built: Built, states: Array, bias: Array, days: int, rng: np.random.G
                 if event == "inspection":
                     text = f"Cell {cell + 1}: internal inspection, see report"
                     fill, even = float(state[cell, S_FILL]), built.uniformity(cell, state[cell])
-                    labels.append(_interval(minute, cell, "fill", fill, 0.038, "inspection, scale on samples of fill", rng))
+                    labels.append(
+                        _interval(minute, cell, "fill", fill, 0.038, "inspection, scale on samples of fill", rng)
+                    )
                     if rng.random() < 0.6:
-                        labels.append(_interval(minute, cell, "uniformity", even, 0.03, "inspection, nozzles counted", rng))
+                        labels.append(
+                            _interval(minute, cell, "uniformity", even, 0.03, "inspection, nozzles counted", rng)
+                        )
                 elif event == "airflow_traverse":
                     text = f"Cell {cell + 1}: portable air-flow traverse"
                     value = round(built.air_multiplier(cell, state[cell]) * (1.0 + rng.normal(0.0, 0.02)), 3)
@@ -132,13 +146,20 @@ def _found(built: Built, states: Array, bias: Array, days: int, rng: np.random.G
                 else:
                     text = f"Cell {cell + 1}: calibrated reference thermometer beside the outlet RTD for two days"
                     value = round(float(bias[day : day + 2, cell].mean() + rng.normal(0.0, 0.04)), 2)
-                    labels.append(Label(minute, cell + 1, "bias", "reference thermometer, mean of two days", value, 0.05))
+                    labels.append(
+                        Label(minute, cell + 1, "bias", "reference thermometer, mean of two days", value, 0.05)
+                    )
                 found.append(Happening(minute, cell + 1, "CMMS", event, text))
     return labels, found
 
 
-def _interval(minute: int, cell: int, name: str, true: float, half: float, source: str, rng: np.random.Generator) -> Label:
+def _interval(
+    minute: int, cell: int, name: str, true: float, half: float, source: str, rng: np.random.Generator
+) -> Label:
     """Return an interval that holds the true value in nine of ten cases."""
-    middle = true + (rng.uniform(-0.7, 0.7) if rng.random() < 0.9 else rng.choice([-1.0, 1.0]) * rng.uniform(1.0, 1.3)) * half
+    middle = (
+        true
+        + (rng.uniform(-0.7, 0.7) if rng.random() < 0.9 else rng.choice([-1.0, 1.0]) * rng.uniform(1.0, 1.3)) * half
+    )
     width = half * rng.uniform(0.85, 1.15)
     return Label(minute, cell + 1, name, source, low=round(middle - width, 3), high=round(middle + width, 3))

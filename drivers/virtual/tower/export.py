@@ -197,11 +197,19 @@ def key_of(made: Simulated) -> dict[str, Any]:
     """Return what was seeded and hidden: for scoring alone."""
     defects = []
     for one in made.seeded.defects:
-        named: dict[str, Any] = {"tag": one.tags[0]} if len(one.tags) == 1 else {"tags": list(one.tags)} if one.tags else {}
+        named: dict[str, Any] = (
+            {"tag": one.tags[0]} if len(one.tags) == 1 else {"tags": list(one.tags)} if one.tags else {}
+        )
         span = {"from": iso(_moment(made, one.span[0])), "to": iso(_moment(made, one.span[1]))}
         defects.append({"type": one.kind, **named, **one.more, **span})
     done = [
         {"time": iso(_moment(made, 60.0 * one.minute)), "cell": one.cell, "event": one.event}
         for one in made.truth.life.happenings if one.cell <= made.recorded and one.minute < len(made.truth.wet)
     ]  # fmt: skip
-    return {"answer": made.answer, "hidden": list(made.plan.hide), "defects": defects, "events": done, "seed": made.plan.seed}
+    return {
+        "answer": made.answer,
+        "hidden": list(made.plan.hide),
+        "defects": defects,
+        "events": done,
+        "seed": made.plan.seed,
+    }

@@ -47,14 +47,73 @@ class Kind:
 
 
 OF_EACH_CELL = (
-    Kind("water_inlet_temperature", "hot water inlet temperature", "TI-1{c}01.PV", "CT{c}_INTEMP", ("degC", "degF"), "plc", 0.04, 0, 0.01, 0.1),
-    Kind("water_outlet_temperature", "cold water outlet temperature (flume)", "TI-1{c}03.PV", "CT{c}_OUTTEMP", ("degC", "degF"), "plc", 0.04, 0, 0.01, 0.1),
-    Kind("basin_temperature", "basin temperature", "TI-1{c}05.PV", "CT{c}_SUMPTEMP", ("degC", "degF"), "plc", 0.04, 0, 0.01, 0.1),
-    Kind("water_flow", "circulating water flow, riser", "FI-1{c}02.PV", "CT{c}_WFLOW", ("m3/h", "L/s"), "plc", 0.3, 0.006, 0.25, 1.5),
-    Kind("riser_valve_position", "riser valve position", "ZI-1{c}02.PV", "CT{c}_INVLV", ("%", "%"), "plc", 0.1, 0, 0.1, 0.6),
-    Kind("fan_speed_command", "fan speed command", "SC-1{c}10.OP", "CT{c}_FANREF", ("%", "Hz"), "mcc", 0.0, 0, 0.1, 0.5),
+    Kind(
+        "water_inlet_temperature",
+        "hot water inlet temperature",
+        "TI-1{c}01.PV",
+        "CT{c}_INTEMP",
+        ("degC", "degF"),
+        "plc",
+        0.04,
+        0,
+        0.01,
+        0.1,
+    ),
+    Kind(
+        "water_outlet_temperature",
+        "cold water outlet temperature (flume)",
+        "TI-1{c}03.PV",
+        "CT{c}_OUTTEMP",
+        ("degC", "degF"),
+        "plc",
+        0.04,
+        0,
+        0.01,
+        0.1,
+    ),
+    Kind(
+        "basin_temperature",
+        "basin temperature",
+        "TI-1{c}05.PV",
+        "CT{c}_SUMPTEMP",
+        ("degC", "degF"),
+        "plc",
+        0.04,
+        0,
+        0.01,
+        0.1,
+    ),
+    Kind(
+        "water_flow",
+        "circulating water flow, riser",
+        "FI-1{c}02.PV",
+        "CT{c}_WFLOW",
+        ("m3/h", "L/s"),
+        "plc",
+        0.3,
+        0.006,
+        0.25,
+        1.5,
+    ),
+    Kind(
+        "riser_valve_position",
+        "riser valve position",
+        "ZI-1{c}02.PV",
+        "CT{c}_INVLV",
+        ("%", "%"),
+        "plc",
+        0.1,
+        0,
+        0.1,
+        0.6,
+    ),
+    Kind(
+        "fan_speed_command", "fan speed command", "SC-1{c}10.OP", "CT{c}_FANREF", ("%", "Hz"), "mcc", 0.0, 0, 0.1, 0.5
+    ),
     Kind("fan_power", "fan motor power", "JI-1{c}11.PV", "CT{c}_FANKW", ("kW", "kW"), "mcc", 0.05, 0.006, 0.05, 0.25),
-    Kind("bypass_position", "bypass valve position", "ZI-1{c}20.PV", "CT{c}_BYPPOS", ("%", "%"), "plc", 0.1, 0, 0.1, 0.6),
+    Kind(
+        "bypass_position", "bypass valve position", "ZI-1{c}20.PV", "CT{c}_BYPPOS", ("%", "%"), "plc", 0.1, 0, 0.1, 0.6
+    ),
     Kind("fan_fault", "fan fault", "XA-1{c}10.ST", "CT{c}_FANFLT", ("0/1", "0/1"), "mcc", 0.0, 0, 1.0, 0.4),
 )
 ALSO_UNRECORDED = (
@@ -133,7 +192,8 @@ def instruments(site: Site, recorded: int, rng: np.random.Generator) -> tuple[In
     wanted += [(kind, 0) for kind in OF_ALL]
     style = 0 if site.style == "loops" else 1
     return tuple(
-        Instrument(tag_name(site, kind.role, cell), kind, cell, kind.units[style], int(rng.choice(kind.scans))) for kind, cell in wanted
+        Instrument(tag_name(site, kind.role, cell), kind, cell, kind.units[style], int(rng.choice(kind.scans)))
+        for kind, cell in wanted
     )
 
 
@@ -190,7 +250,14 @@ def scanned(one: Instrument, truth: Truth, scan_s: Array, rng: np.random.Generat
         read = np.clip(read + rng.normal(0.0, HUMIDITY_OFFSET), 0.0, 100.0)
     if one.kind.role == "wind_direction":
         read %= 360.0
-    elif one.kind.role in ("wind_speed", "makeup_flow", "blowdown_flow", "water_flow", "fan_power", "station_heat_load"):
+    elif one.kind.role in (
+        "wind_speed",
+        "makeup_flow",
+        "blowdown_flow",
+        "water_flow",
+        "fan_power",
+        "station_heat_load",
+    ):
         read = np.maximum(read, 0.0)
     factor, offset = UNITS[one.unit]
     return quantised(read * factor + offset, one)

@@ -46,7 +46,11 @@ def operate(site: Site, start: datetime.datetime, n: int, rng: np.random.Generat
         text = f"station stopped; restarted together after {hours} h"
         happenings.append(Happening(minute, 0, "DCS", "station_outage", text))
     for cell in range(cells):
-        first = int(rng.uniform(2.0, TEST_EVERY_D - 4.0)) if n > 28 * MINUTES_A_DAY else int(n / MINUTES_A_DAY * rng.uniform(0.2, 0.6))
+        first = (
+            int(rng.uniform(2.0, TEST_EVERY_D - 4.0))
+            if n > 28 * MINUTES_A_DAY
+            else int(n / MINUTES_A_DAY * rng.uniform(0.2, 0.6))
+        )
         length = TEST_STEP_MIN * len(TEST_STEPS)
         for day in np.arange(first, n / MINUTES_A_DAY, TEST_EVERY_D):
             # At eight in the morning of the site, on a working day, with nobody else testing.

@@ -76,7 +76,12 @@ def run(cells, shares, numbers, hidden, rtd_s, weather, states, load, outage, tr
     memory[:, :sectors] = start
     memory[:, sectors : 2 * sectors] = 0.02
     memory[:, 2 * sectors], memory[:, 2 * sectors + 1] = start, 0.018
-    t_in, film, flume, rtd = np.full(count, start + 5.0), np.full(count, start), np.full(count, start), np.full(count, start)
+    t_in, film, flume, rtd = (
+        np.full(count, start + 5.0),
+        np.full(count, start),
+        np.full(count, start),
+        np.full(count, start),
+    )
     valve, speed, since_on, command = np.ones(count), np.full(count, 0.5), np.full(count, 999), np.full(count, 0.5)
     bypass = np.zeros(count)
     m_w = np.zeros(count)
@@ -235,7 +240,9 @@ def run(cells, shares, numbers, hidden, rtd_s, weather, states, load, outage, tr
         level += 100.0 * (makeup - blowdown - evaporated - DRIFT_LOSS * flow) * DT / (numbers[BASIN_VOLUME] * 1e3)
         filling = level < LEVEL_LOW or (filling and level < LEVEL_HIGH)
         water = numbers[BASIN_VOLUME] * 10.0 * level
-        cycles += (makeup - (blowdown + DRIFT_LOSS * flow) * cycles - (makeup - blowdown - evaporated) * cycles) * DT / water
+        cycles += (
+            (makeup - (blowdown + DRIFT_LOSS * flow) * cycles - (makeup - blowdown - evaporated) * cycles) * DT / water
+        )
         bleeding = cycles > CYCLES_HIGH or (bleeding and cycles > CYCLES_LOW)
         through = flow / (cells[0, M_W0] * numbers[CELLS_PER_PUMP] * running_pumps)
         pressure = 0.0 if stopped else 150.0 * (LIFT + RISER * rate * rate)

@@ -11,7 +11,16 @@ Lewis factor.
 import numpy as np
 from numba import njit
 
-from drivers.virtual.tower.moist_air import CP_AIR, CP_VAPOUR, CP_WATER, LATENT, MOLAR, enthalpy, saturated_ratio, saturation
+from drivers.virtual.tower.moist_air import (
+    CP_AIR,
+    CP_VAPOUR,
+    CP_WATER,
+    LATENT,
+    MOLAR,
+    enthalpy,
+    saturated_ratio,
+    saturation,
+)
 
 STEPS = 4
 """Of Runge-Kutta: against 60 steps the outlet is off by less than 1e-3 K at nine points of ten, and by 0.03 K at worst."""

@@ -82,7 +82,10 @@ class Built:
     def air_multiplier(self, cell: int, state: Array) -> float:
         """Return the air flow at full speed and design air over that of the clean cell."""
         row = self.cells[cell]
-        flow = [physics.air_flow(row, s, 1.0, 1.0, row[physics.DENSITY0], row[physics.DENSITY0], 0.0) for s in (state, self.clean_state())]
+        flow = [
+            physics.air_flow(row, s, 1.0, 1.0, row[physics.DENSITY0], row[physics.DENSITY0], 0.0)
+            for s in (state, self.clean_state())
+        ]
         return float(flow[0] / flow[1])
 
     def uniformity(self, cell: int, state: Array) -> float:
@@ -90,16 +93,34 @@ class Built:
         water, _, clean, plugged = self.shares[cell]
         starving = self.cells[cell][physics.STARVING]
         share = [
-            sum(physics.wetted_share(clean[j], plugged[j], u, water[j] * len(water), starving) for j in range(len(water)))
+            sum(
+                physics.wetted_share(clean[j], plugged[j], u, water[j] * len(water), starving)
+                for j in range(len(water))
+            )
             for u in (state[physics.S_UNIFORMITY], 1.0)
         ]
         return float(share[0] / share[1])
 
-    def steady(self, cell: int, state: Array, m_w: float, speed: float, t_in: float, dry: float, ratio: float, p: float, wind: float):  # type: ignore[no-untyped-def]
+    def steady(
+        self,
+        cell: int,
+        state: Array,
+        m_w: float,
+        speed: float,
+        t_in: float,
+        dry: float,
+        ratio: float,
+        p: float,
+        wind: float,
+    ):  # type: ignore[no-untyped-def]
         """Return what leaves a cell at rest, as `cell_step` does."""
         sectors = self.shares.shape[2]
-        memory = np.concatenate([np.full(sectors, t_in - 4.0), np.full(sectors, ratio + 0.015), [dry + 3.0, ratio + 0.01]])
-        return compiled.steady_cell(self.cells[cell], state, self.shares[cell], m_w, speed, t_in, dry, ratio, p, wind, memory)
+        memory = np.concatenate(
+            [np.full(sectors, t_in - 4.0), np.full(sectors, ratio + 0.015), [dry + 3.0, ratio + 0.01]]
+        )
+        return compiled.steady_cell(
+            self.cells[cell], state, self.shares[cell], m_w, speed, t_in, dry, ratio, p, wind, memory
+        )
 
 
 def build(site: Site, rng: np.random.Generator) -> Built:

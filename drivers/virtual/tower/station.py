@@ -24,7 +24,18 @@ from drivers.virtual.tower.sites import SITES, Built, Site, build
 
 MINUTES_A_DAY = 1440
 DAYS_A_MONTH = 30.4375
-STREAMS = ("build", "weather", "operation", "life", "instruments", "scans", "defects", "commissioning", "records", "effects")
+STREAMS = (
+    "build",
+    "weather",
+    "operation",
+    "life",
+    "instruments",
+    "scans",
+    "defects",
+    "commissioning",
+    "records",
+    "effects",
+)
 
 
 @dataclass(frozen=True)
@@ -89,7 +100,9 @@ def simulate(site: Site, recorded: int, plan: Plan, note: Callable[[str], None] 
     air = weather.minutes(year, plan.start, n, streams["weather"])
     done = operation.operate(site, plan.start, n, streams["operation"])
     life = degradation.live(built, days, streams["life"], lambda c: tag_name(site, "water_outlet_temperature", c + 1))
-    note(f"station {site.station}: {site.cells} cells, {built.shares.shape[2]} sectors, {days} days, weather by {year.source}")
+    note(
+        f"station {site.station}: {site.cells} cells, {built.shares.shape[2]} sectors, {days} days, weather by {year.source}"
+    )
     columns = np.stack([air.dry, air.ratio, air.pressure, air.wind, air.direction, air.sun], axis=1)
     cells, station = compiled.run(
         built.cells, built.shares, built.numbers, hidden, built.rtd_s, columns, life.states, done.load, done.outage, done.trips,

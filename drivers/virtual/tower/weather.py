@@ -143,7 +143,12 @@ def made_year(climate: Climate, rng: np.random.Generator) -> Year:
     local = hour % 24.0
     season = -np.cos(2.0 * np.pi * (day - 20.0) / 365.0)
     swing = climate.day * (1.2 - 0.6 * clouds)
-    dry = climate.mean + climate.year * season + climate.spread * fronts + swing * np.cos(2.0 * np.pi * (local - 15.5) / 24.0)
+    dry = (
+        climate.mean
+        + climate.year * season
+        + climate.spread * fronts
+        + swing * np.cos(2.0 * np.pi * (local - 15.5) / 24.0)
+    )
     damp = _process(rng, HOURS, 0.97)
     dew = dry - swing * np.cos(2.0 * np.pi * (local - 15.5) / 24.0) - climate.depression * np.exp(0.45 * damp)
     declination = np.deg2rad(23.45) * np.sin(2.0 * np.pi * (284.0 + day) / 365.0)
@@ -188,7 +193,9 @@ def minutes(year: Year, start: datetime.datetime, n: int, rng: np.random.Generat
     gusts = 0.14 * _within_hour(rng, n)
     wind = np.maximum(of(year.wind) * (1.0 + gusts) + 0.2 * rng.normal(size=n), 0.0)
     ratio = ratios(dew, np.ones(n), pressure)
-    return Minutes(dry, ratio, pressure, wind, direction, np.maximum(of(year.sun) * (1.0 + 0.2 * _within_hour(rng, n)), 0.0))
+    return Minutes(
+        dry, ratio, pressure, wind, direction, np.maximum(of(year.sun) * (1.0 + 0.2 * _within_hour(rng, n)), 0.0)
+    )
 
 
 def _within_hour(rng: np.random.Generator, n: int) -> Array:

@@ -15,14 +15,28 @@ EFFECTS = ("recirculation", "bypass_leak", "neighbour", "solar")
 
 @click.command()
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder of the stations.")
-@click.option("--months", type=click.FloatRange(0.1, 36.0), default=14.0, show_default=True, help="Length of the record.")
-@click.option("--cells", type=click.IntRange(1, 6), default=6, show_default=True, help="Cells with a record, of A and then of B.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of plant, weather and operation.")
-@click.option("--start", type=click.DateTime(["%Y-%m-%d"]), default="2022-05-01", show_default=True, help="First day, UTC.")
-@click.option("--hide", multiple=True, type=click.Choice(EFFECTS), help="Undeclared effect; may be given several times.")
+@click.option(
+    "--months", type=click.FloatRange(0.1, 36.0), default=14.0, show_default=True, help="Length of the record."
+)
+@click.option(
+    "--cells", type=click.IntRange(1, 6), default=6, show_default=True, help="Cells with a record, of A and then of B."
+)
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of plant, weather and operation."
+)
+@click.option(
+    "--start", type=click.DateTime(["%Y-%m-%d"]), default="2022-05-01", show_default=True, help="First day, UTC."
+)
+@click.option(
+    "--hide", multiple=True, type=click.Choice(EFFECTS), help="Undeclared effect; may be given several times."
+)
 @click.option("--defects", is_flag=True, help="Seed defects into instruments and archive.")
 @click.option("--score", is_flag=True, help="Write the truth too: truth.parquet and KEY.json.")
-@click.option("--weather", type=click.Path(path_type=Path, file_okay=False), help="Folder of .epw and .tm2 files; default: $HIL_DATA/weather.")
+@click.option(
+    "--weather",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder of .epw and .tm2 files; default: $HIL_DATA/weather.",
+)
 def command(
     out: Path, months: float, cells: int, seed: int, start: datetime.datetime, hide: tuple[str, ...], defects: bool, score: bool,
     weather: Path | None,
@@ -56,7 +70,9 @@ def command(
         write_station(made, out / name, score=score)
         key[name] = key_of(made)
         samples = sum(len(one.time_s) for one in made.samples.values())
-        click.echo(f"{out / name}: {plan.days} days, {recorded} of {site.cells} cells recorded, {samples} samples of {len(made.samples)} tags")
+        click.echo(
+            f"{out / name}: {plan.days} days, {recorded} of {site.cells} cells recorded, {samples} samples of {len(made.samples)} tags"
+        )
         del made
     if score:
         (out / "KEY.json").write_text(json.dumps(key, indent=1) + "\n")
