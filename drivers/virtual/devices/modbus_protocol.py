@@ -184,10 +184,8 @@ class ModbusConnection(Connection):
             stop = at + 6 + length
             if stop > end:
                 break
-            if device == DEVICE_ID:
-                pdu = self.reply(data[at + 7 : stop])
-            else:
-                pdu = bytes((function | 0x80, NO_SUCH_DEVICE))
+            absent = bytes((function | 0x80, NO_SUCH_DEVICE))
+            pdu = self.reply(data[at + 7 : stop]) if device == DEVICE_ID else absent
             answers.append(_HEAD.pack(transaction, 0, len(pdu) + 1, device, pdu[0]) + pdu[1:])
             at = stop
         self._rest = data[at:]

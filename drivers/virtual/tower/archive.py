@@ -1,8 +1,8 @@
 """The historian of the virtual plant: scans with jitter, exception reporting, then swinging-door compression.
 
-A scan is sent when it leaves the last value sent by more than the exception deviation, or after the longest time; the scan
-before goes with it, so that a slope is not invented. The archive keeps what a door from the last kept sample cannot hold.
-Source: Bristol, Swinging door trending, ISA National Conference (1990), 749.
+A scan is sent when it leaves the last value sent by more than the exception deviation, or after the longest time; the
+scan before goes with it, so that a slope is not invented. The archive keeps what a door from the last kept sample
+cannot hold. Source: Bristol, Swinging door trending, ISA National Conference (1990), 749.
 """
 
 from __future__ import annotations

@@ -1,11 +1,15 @@
 """One cell of the virtual station, compiled: fan against resistance, water and air in sectors, wind and recirculation.
 
 A cell is a row of numbers in the order of `CELL`; its degradation a row in the order of `STATE`. The fan's pressure and
-the resistance are relative to those of the clean cell at design. The air that a fan moves is that which leaves the fill.
+the resistance are relative to those of the clean cell at design. The air that a fan moves is that which leaves the
+fill.
 """
+
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from drivers.virtual.plant.compiled_cache import may_cache
 from drivers.virtual.tower.moist_air import (
@@ -21,23 +25,28 @@ from drivers.virtual.tower.moist_air import (
 from drivers.virtual.tower.poppe import outlet
 
 CACHE = may_cache()
+Array = NDArray[Any]
+Leaving = tuple[float, float, float, float, float, float, float]
+"""Water degC and kg/s, air kg/s, its temperature and ratio, power of the fan kW, water lost kg/s."""
 
 CELL = (
-    "m_w0", "m_a0", "fill", "fill_water", "fill_air", "fill_hot", "spray", "rain", "starving", "dry_air", "fan_shut", "fan_slope",
+    "m_w0", "m_a0", "fill", "fill_water", "fill_air", "fill_hot", "spray", "rain", "starving", "dry_air", "fan_shut",
+    "fan_slope",
     "fan_bend", "load_drag", "wind_drag", "draft", "power", "drive_loss", "density0", "t_hot0", "recirculation",
     "recirculation_wind", "windmill",
 )  # fmt: skip
 """Numbers of a cell: design flows kg/s; Merkel number of the fill at design and its exponents of wetted water and air
 loading and of hot-water temperature; Merkel numbers of spray and rain; exponent of starving nozzles; air through a dry
-plan over that through a wet one; fan curve (shut-off, slope, bend); resistance by water load, by wind (per (m/s)^2), draft
-(per kg/m3 of density difference); fan power kW, loss of the drive; density kg/m3 and hot water degC of design; share of
-exhaust that comes back, and per m/s of wind; resistance of a fan at rest."""
+plan over that through a wet one; fan curve (shut-off, slope, bend); resistance by water load, by wind (per (m/s)^2),
+draft (per kg/m3 of density difference); fan power kW, loss of the drive; density kg/m3 and hot water degC of design;
+share of exhaust that comes back, and per m/s of wind; resistance of a fan at rest."""
 STATE = ("fill", "uniformity", "slip", "pitch", "blockage")
-"""Degradation of a cell: multiplier of the fill, of the wetted share; share lost by a slipping belt, by the blades' pitch;
-relative rise of the resistance."""
+"""Degradation of a cell: multiplier of the fill, of the wetted share; share lost by a slipping belt, by the blades'
+pitch; relative rise of the resistance."""
 
 (
-    M_W0, M_A0, FILL, FILL_WATER, FILL_AIR, FILL_HOT, SPRAY, RAIN, STARVING, DRY_AIR, FAN_SHUT, FAN_SLOPE, FAN_BEND, LOAD_DRAG,
+    M_W0, M_A0, FILL, FILL_WATER, FILL_AIR, FILL_HOT, SPRAY, RAIN, STARVING, DRY_AIR, FAN_SHUT, FAN_SLOPE, FAN_BEND,
+    LOAD_DRAG,
     WIND_DRAG, DRAFT, POWER, DRIVE_LOSS, DENSITY0, T_HOT0, RECIRCULATION, RECIRCULATION_WIND, WINDMILL,
 ) = range(len(CELL))  # fmt: skip
 S_FILL, S_UNIFORMITY, S_SLIP, S_PITCH, S_BLOCKAGE = range(len(STATE))
@@ -46,7 +55,9 @@ LEAST_AIR = 0.004
 
 
 @njit(cache=CACHE)
-def air_flow(cell, state, speed, water, density_out, density_in, wind):
+def air_flow(
+    cell: Array, state: Array, speed: float, water: float, density_out: float, density_in: float, wind: float
+) -> float:
     """Return the air flow, as a share of the design's volume, where fan curve and resistance meet.
 
     `speed` and `water` are shares of full speed and design flow; densities are of dry air, kg/m3.
@@ -66,7 +77,7 @@ def air_flow(cell, state, speed, water, density_out, density_in, wind):
 
 
 @njit(cache=CACHE)
-def fan_power(cell, state, speed, volume, density_out):
+def fan_power(cell: Array, state: Array, speed: float, volume: float, density_out: float) -> float:
     """Return the power of the fan's motor, kW; `volume` is the air flow as `air_flow` returns it."""
     if speed < 0.01:
         return 0.0
@@ -83,15 +94,28 @@ def fan_power(cell, state, speed, volume, density_out):
 
 
 @njit(cache=CACHE)
-def wetted_share(clean, plugged, uniformity, water, starving):
+def wetted_share(clean: float, plugged: float, uniformity: float, water: float, starving: float) -> float:
     """Return the wetted share of a sector's plan: nozzles starve as the flow falls."""
     full = clean * (1.0 - plugged * (1.0 - uniformity))
     return min(max(1.0 - (1.0 - full) * max(water, 0.02) ** -starving, 0.05), 1.0)
 
 
 @njit
-def cell_step(cell, state, shares, m_w, speed, t_in, t_air, w_air, p, wind, memory):
-    """Return what leaves the cell at rest: water degC and kg/s, air kg/s, its temperature, ratio, kW of the fan, kg/s lost.
+def cell_step(
+    cell: Array,
+    state: Array,
+    shares: Array,
+    m_w: float,
+    speed: float,
+    t_in: float,
+    t_air: float,
+    w_air: float,
+    p: float,
+    wind: float,
+    memory: Array,
+) -> Leaving:
+    """Return what leaves the cell at rest: water degC and kg/s, air kg/s, its temperature, ratio, kW of the fan, kg/s
+    lost.
 
     `shares (4, sectors)` are water, air, clean wetted share and susceptibility to plugging; `memory (2 sectors + 2)`
     keeps the last solution of each sector and the leaving air's state, and is updated.
@@ -139,8 +163,9 @@ def cell_step(cell, state, shares, m_w, speed, t_in, t_air, w_air, p, wind, memo
 
 
 @njit
-def leaving_temperature(i, w, p):
-    """Return the temperature of air by enthalpy and total water, whose droplets it carries where it is supersaturated."""
+def leaving_temperature(i: float, w: float, p: float) -> float:
+    """Return the temperature of air by enthalpy and total water, whose droplets it carries where it is
+    supersaturated."""
     t = (i - w * LATENT) / (CP_AIR + w * CP_VAPOUR)
     ps = saturation(t)
     if w <= 0.62198 * ps / (p - ps):
@@ -158,7 +183,19 @@ def leaving_temperature(i, w, p):
 
 
 @njit
-def steady_cell(cell, state, shares, m_w, speed, t_in, t_air, w_air, p, wind, memory):
+def steady_cell(
+    cell: Array,
+    state: Array,
+    shares: Array,
+    m_w: float,
+    speed: float,
+    t_in: float,
+    t_air: float,
+    w_air: float,
+    p: float,
+    wind: float,
+    memory: Array,
+) -> Leaving:
     """Return `cell_step` once the leaving air and the draft that it makes have settled."""
     result = cell_step(cell, state, shares, m_w, speed, t_in, t_air, w_air, p, wind, memory)
     for _ in range(12):

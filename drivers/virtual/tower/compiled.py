@@ -25,13 +25,13 @@ def _digest() -> str:
 def _entries(sources: str) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Return `plant.run` and `cell.steady_cell` compiled; numba's cache hashes `sources`, a closure variable."""
 
-    @njit(cache=may_cache())  # type: ignore[untyped-decorator]
+    @njit(cache=may_cache())
     def run(*arguments: Any) -> Any:
         if len(sources) == 0:
             raise ValueError
         return plant.run(*arguments)
 
-    @njit(cache=may_cache())  # type: ignore[untyped-decorator]
+    @njit(cache=may_cache())
     def steady_cell(*arguments: Any) -> Any:
         if len(sources) == 0:
             raise ValueError

@@ -160,9 +160,9 @@ def seed_scans(scans: dict[str, Samples], tags: Sequence[Instrument], seeding: S
         samples.value = np.where(samples.within(one.span), 100.0, samples.value)
     for one in seeding.of("stuck"):
         samples = scans[one.tags[0]]
-        rows = np.flatnonzero(samples.within(one.span))
-        if len(rows):
-            samples.value[rows] = samples.value[rows[0]]
+        still = np.flatnonzero(samples.within(one.span))
+        if len(still):
+            samples.value[still] = samples.value[still[0]]
     for one in seeding.of("unit_switch"):
         samples = scans[one.tags[0]]
         factor = OTHER_UNIT[one.more["from_unit"]][1]

@@ -1,8 +1,8 @@
 """Degradation of the cells day by day, what is done about it, and what people find out.
 
-Scale takes 0.2 to 0.6 % of the fill a week, nozzles plug, belts slip, eliminators clog, thermometers and flow meters drift.
-Cleaning, maintenance and replacement restore a part of it. Entries of maintenance carry a day that is up to three days
-off; some are missing.
+Scale takes 0.2 to 0.6 % of the fill a week, nozzles plug, belts slip, eliminators clog, thermometers and flow meters
+drift. Cleaning, maintenance and replacement restore a part of it. Entries of maintenance carry a day that is up to
+three days off; some are missing.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 MINUTES_A_DAY = 1440
 WORK_HOUR_UTC = 15
 LONG_MONTHS = 6.0
-"""From this length a record begins with a plant fresh from cleaning, so that it holds a healthy part; a shorter one begins
-anywhere between two cleanings."""
+"""From this length a record begins with a plant fresh from cleaning, so that it holds a healthy part; a shorter one
+begins anywhere between two cleanings."""
 CLEAN_EVERY_D = 150.0
 WRITTEN = 0.88
 """Share of maintenance work that has an entry."""
@@ -30,7 +30,8 @@ WRITTEN = 0.88
 
 @dataclass(frozen=True)
 class Life:
-    """States by day (days, cells, states), thermometers' bias K and flow meters' gain by day (days, cells), and records."""
+    """States by day (days, cells, states), thermometers' bias K and flow meters' gain by day (days, cells), and
+    records."""
 
     states: Array
     bias: Array

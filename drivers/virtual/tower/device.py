@@ -1,15 +1,16 @@
 """A station as a Modbus/TCP device that replays its historian in accelerated time.
 
-Input registers 0 and 1 are the station's clock, s since 1970 (uint32); from 10 on each tag takes two (float32), in the order
-of the tag dictionary. Measured values run along the lines between samples, as the compression promises; commands and states
-hold. A value is no number where the sample before it is not good, or where the next one is further than any tag's regular
-interval.
+Input registers 0 and 1 are the station's clock, s since 1970 (uint32); from 10 on each tag takes two (float32), in
+the order of the tag dictionary. Measured values run along the lines between samples, as the compression promises;
+commands and states hold. A value is no number where the sample before it is not good, or where the next one is
+further than any tag's regular interval.
 """
 
 from __future__ import annotations
 
 import asyncio
 import csv
+import json
 import struct
 import time
 from collections.abc import Callable
@@ -33,9 +34,11 @@ LONGEST_S = 3900.0
 GOOD = 192
 HELD = ("fan_speed_command", "fan_fault", "cell_in_service", "wind_direction")
 RIG_UNIT = {
-    "degC": ("degC", 1.0, 0.0), "degF": ("degC", 5.0 / 9.0, -160.0 / 9.0), "kPa": ("kPa", 1.0, 0.0), "psi": ("kPa", 6.894757, 0.0),
+    "degC": ("degC", 1.0, 0.0), "degF": ("degC", 5.0 / 9.0, -160.0 / 9.0), "kPa": ("kPa", 1.0, 0.0), "psi": ("kPa",
+    6.894757, 0.0),
     "hPa": ("mbar", 1.0, 0.0), "kW": ("kW", 1.0, 0.0), "MW": ("kW", 1e3, 0.0), "mph": ("m/s", 0.44704, 0.0),
-    "m/s": ("m/s", 1.0, 0.0), "m3/h": ("m3/h", 1.0, 0.0), "L/s": ("L/s", 1.0, 0.0), "kg/s": ("kg/s", 1.0, 0.0), "%": ("%", 1.0, 0.0),
+    "m/s": ("m/s", 1.0, 0.0), "m3/h": ("m3/h", 1.0, 0.0), "L/s": ("L/s", 1.0, 0.0), "kg/s": ("kg/s", 1.0, 0.0),
+    "%": ("%", 1.0, 0.0),
     "Hz": ("Hz", 1.0, 0.0), "deg": ("1", 1.0, 0.0), "0/1": ("1", 1.0, 0.0),
 }  # fmt: skip
 """Unit of a point by the unit of its tag, and the factor and offset from the tag's to the point's."""
@@ -122,7 +125,8 @@ def load_station(folder: Path) -> tuple[Served, ...]:
         point = f"cell{cell}_{row['role']}" if cell else row["role"]
         to, factor, offset = RIG_UNIT[unit]
         found.append(Served(
-            row["tag"], point, to, unit, row["role"], cell, row.get("description") or "", row.get("scan_s") or "60", stamp[mine],
+            row["tag"], point, to, unit, row["role"], cell, row.get("description") or "", row.get("scan_s") or "60",
+            stamp[mine],
             value[mine] * factor + offset, (quality[mine] >= GOOD) & np.isfinite(value[mine]),
         ))  # fmt: skip
     if not any(len(one.time_s) for one in found):
@@ -190,8 +194,7 @@ async def serve_station(replay: Replay, host: str, port: int, ready: Callable[[i
     )
     try:
         ready(int(server.sockets[0].getsockname()[1]))
-        while replay.now_s < replay.end_s:
-            await asyncio.sleep(min((replay.end_s - replay.now_s) / replay.speed + 0.01, 1.0))
+        await asyncio.sleep(max((replay.end_s - replay.now_s) / replay.speed, 0.0))
     finally:
         server.close()
         for connection in tuple(connections):
@@ -199,27 +202,38 @@ async def serve_station(replay: Replay, host: str, port: int, ready: Callable[[i
 
 
 def rig_text(tags: tuple[Served, ...], name: str, host: str, port: int, speed: float) -> str:
-    """Return a rig file of the station: one bus, its clock and a point for each tag. One poll is a minute of station time."""
+    """Return a rig file of the station: one bus, its clock, a point for each tag; a period is a minute of station
+    time."""
+    about = f"Cooling-tower station, replayed at {speed:g} times real time"
     period = max(round(60.0 / speed, 3), 0.1)
     parts = [
-        f'[rig]\nname = "{name}"\ndescription = "Cooling-tower station, replayed at {speed:g} times real time"\nperiod_s = {period}\n',
-        f'[bus.station]\ntransport = "modbus_tcp"\nhost = "{host}"\nport = {port}\nuptime = "station_clock"\n',
-        '[[point]]\nname = "station_clock"\nbus = "station"\ntable = "input"\naddress = 0\ntype = "uint32"\nunit = "s"\nkind = "status"\n'
-        'doc = "Time of the station, s since 1970 (UTC)"\n',
+        _section("[rig]", name=name, description=about, period_s=period),
+        _section("[bus.station]", transport="modbus_tcp", host=host, port=port, uptime="station_clock"),
+        _point("station_clock", 0, "uint32", "s", "Time of the station, s since 1970 (UTC)", kind="status"),
     ]
     for k, one in enumerate(tags):
-        text = f"{one.description}, {one.tag}".replace("\\", " ").replace('"', "'")
-        low, high = one.measuring_range()
-        more = '\nkind = "status"' if one.tag_unit == "0/1" else f"\nplausible = [{low}, {high}]"
-        parts.append(
-            f'[[point]]\nname = "{one.point}"\nbus = "station"\ntable = "input"\naddress = {FIRST_REGISTER + 2 * k}\n'
-            f'type = "float32"\nunit = "{one.unit}"{more}\ndoc = "{text}"\n'
-        )
+        more: dict[str, Any] = {"plausible": list(one.measuring_range())}
+        if one.tag_unit == "0/1":
+            more = {"kind": "status"}
+        about = f"{one.description}, {one.tag}"
+        parts.append(_point(one.point, FIRST_REGISTER + 2 * k, "float32", one.unit, about, **more))
     return "\n".join(parts)
 
 
+def _point(name: str, address: int, kind_of_number: str, unit: str, doc: str, **more: Any) -> str:
+    where = {"bus": "station", "table": "input", "address": address, "type": kind_of_number}
+    return _section("[[point]]", name=name, **where, unit=unit, **more, doc=doc)
+
+
+def _section(heading: str, **values: Any) -> str:
+    """Return a section of a TOML file; texts are quoted as in JSON, whose strings are TOML's too."""
+    lines = [heading, *(f"{key} = {json.dumps(value)}" for key, value in values.items())]
+    return "\n".join(lines) + "\n"
+
+
 def write_dictionary(tags: tuple[Served, ...], path: Path) -> None:
-    """Write the tag dictionary of a store that `hil tower collect` fills from the device: its points and their units."""
+    """Write the tag dictionary of a store that `hil tower collect` fills from the device: its points and their
+    units."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("tag", "description", "unit", "cell", "role", "scan_s"))

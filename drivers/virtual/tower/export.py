@@ -19,7 +19,8 @@ from drivers.virtual.tower.sites import Site
 from drivers.virtual.tower.station import Simulated, state_by_minute
 
 TESTS = (
-    (1.0, 1.0), (1.0, 1.0), (1.0, 1.0), (1.0, 1.0), (1.0, 0.92), (1.0, 0.9), (1.0, 0.9), (1.0, 0.9), (1.0, 1.1), (1.0, 1.1),
+    (1.0, 1.0), (1.0, 1.0), (1.0, 1.0), (1.0, 1.0), (1.0, 0.92), (1.0, 0.9), (1.0, 0.9), (1.0, 0.9), (1.0, 1.1), (1.0,
+    1.1),
     (1.0, 1.1), (1.0, 1.1), (0.8, 1.0), (0.6, 1.0), (0.5, 1.0),
 )  # fmt: skip
 """Fan speed and water flow, as shares, of the acceptance test of a cell."""
@@ -89,11 +90,13 @@ def datasheet(site: Site, recorded: int) -> dict[str, Any]:
         "cells_recorded": list(range(1, recorded + 1)),
         "design": {
             "water_flow_kg_s": site.water, "water_flow_m3_h": round(site.water * 3.61), "water_inlet_C": site.hot,
-            "water_outlet_C": site.cold, "range_K": round(site.hot - site.cold, 2), "approach_K": round(site.cold - site.wet, 2),
+            "water_outlet_C": site.cold, "range_K": round(site.hot - site.cold, 2),
+            "approach_K": round(site.cold - site.wet, 2),
             "wet_bulb_C": site.wet, "pressure_kPa": site.pressure, "water_to_air": round(site.water / site.air, 2),
         },
         "fan": {
-            "rated_power_kW": site.rated_power, "power_at_design_kW": site.power, "minimum_speed_pct": 30, "speed_100pct": "60 Hz",
+            "rated_power_kW": site.rated_power, "power_at_design_kW": site.power, "minimum_speed_pct": 30,
+            "speed_100pct": "60 Hz",
         },
         "fill": {"length_m": site.plan, "width_m": site.plan, "height_m": site.fill_height},
         "basin": {
@@ -125,12 +128,16 @@ def _commissioning(made: Simulated, path: Path) -> Path:
             )
             wet = wet_bulb(dry, ratio, pressure)
             rows.append((
-                cell, f"T{k + 1:02d}", _r(hot + rng.normal(0, 0.03), 2), _r(out + rng.normal(0, 0.03), 2), _r(wet + rng.normal(0, 0.06), 2),
-                _r(dry + rng.normal(0, 0.05), 2), _r(pressure, 2), _r(wind, 1), _r(m_w * rng.normal(1, 0.006), 2), _r(100 * speed, 1),
-                _r(power * rng.normal(1, 0.005), 2), _r(air * rng.normal(1, 0.012), 1), _r(lost * rng.normal(1, 0.02), 3),
+                cell, f"T{k + 1:02d}", _r(hot + rng.normal(0, 0.03), 2), _r(out + rng.normal(0, 0.03), 2),
+                _r(wet + rng.normal(0, 0.06), 2),
+                _r(dry + rng.normal(0, 0.05), 2), _r(pressure, 2), _r(wind, 1), _r(m_w * rng.normal(1, 0.006), 2),
+                _r(100 * speed, 1),
+                _r(power * rng.normal(1, 0.005), 2), _r(air * rng.normal(1, 0.012), 1), _r(lost * rng.normal(1, 0.02),
+                3),
             ))  # fmt: skip
     header = (
-        "cell", "test", "water_inlet_C", "water_outlet_C", "entering_wet_bulb_C", "dry_bulb_C", "pressure_kPa", "wind_m_s",
+        "cell", "test", "water_inlet_C", "water_outlet_C", "entering_wet_bulb_C", "dry_bulb_C", "pressure_kPa",
+        "wind_m_s",
         "water_flow_kg_s", "fan_speed_pct", "fan_power_kW", "air_flow_kg_s", "evaporation_kg_s",
     )  # fmt: skip
     return _table(path, header, rows)
@@ -141,7 +148,8 @@ def _r(value: float, digits: int) -> float:
 
 
 def _events(made: Simulated, path: Path) -> Path:
-    """Write the events: to the minute from the control system; by the day, sometimes wrong or missing, from maintenance."""
+    """Write the events: to the minute from the control system; by the day, sometimes wrong or missing, from
+    maintenance."""
     rng = made.streams["records"]
     rows = []
     for one in (*made.operation.happenings, *made.truth.life.happenings):
@@ -163,7 +171,8 @@ def _events(made: Simulated, path: Path) -> Path:
 
 def _labels(made: Simulated, path: Path) -> Path:
     rows = [
-        (iso(_moment(made, 60.0 * one.minute)), one.cell, one.parameter, "point" if one.value is not None else "interval",
+        (iso(_moment(made, 60.0 * one.minute)), one.cell, one.parameter,
+        "point" if one.value is not None else "interval",
          *("" if x is None else x for x in (one.value, one.sd, one.low, one.high)), one.source)
         for one in made.truth.life.labels if one.cell <= made.recorded
     ]  # fmt: skip
@@ -179,9 +188,11 @@ def _truth(made: Simulated, path: Path) -> Path:
     for cell in range(1, made.recorded + 1):
         daily = made.truth.life
         columns = {
-            "t_out": truth.cell("t_out", cell), "t_in": truth.cell("t_in", cell), "twb": truth.wet, "twb_in": truth.cell("wet_in", cell),
+            "t_out": truth.cell("t_out", cell), "t_in": truth.cell("t_in", cell), "twb": truth.wet,
+            "twb_in": truth.cell("wet_in", cell),
             "m_w": truth.cell("m_w", cell), "m_a": truth.cell("m_a", cell), "speed": truth.cell("speed", cell) / 100.0,
-            "bypass": truth.cell("bypass", cell) / 100.0, "evap": truth.cell("evaporation", cell), **state_by_minute(made, cell),
+            "bypass": truth.cell("bypass", cell) / 100.0, "evap": truth.cell("evaporation", cell),
+            **state_by_minute(made, cell),
             "bias": truth.held(daily.bias[:, cell - 1]), "flow_gain": truth.held(daily.flow_gain[:, cell - 1]),
         }  # fmt: skip
         head = {

@@ -21,8 +21,10 @@ MINUTE_S = 60.0
 M3_H = 3.6 / 0.997
 """m3/h of a kg/s of water."""
 UNITS: dict[str, tuple[float, float]] = {
-    "degC": (1.0, 0.0), "degF": (1.8, 32.0), "m3/h": (M3_H, 0.0), "L/s": (1.0 / 0.997, 0.0), "kg/s": (1.0, 0.0), "%": (1.0, 0.0),
-    "Hz": (0.6, 0.0), "kW": (1.0, 0.0), "MW": (1e-3, 0.0), "kPa": (1.0, 0.0), "psi": (1.0 / 6.894757, 0.0), "hPa": (10.0, 0.0),
+    "degC": (1.0, 0.0), "degF": (1.8, 32.0), "m3/h": (M3_H, 0.0), "L/s": (1.0 / 0.997, 0.0), "kg/s": (1.0, 0.0),
+    "%": (1.0, 0.0),
+    "Hz": (0.6, 0.0), "kW": (1.0, 0.0), "MW": (1e-3, 0.0), "kPa": (1.0, 0.0), "psi": (1.0 / 6.894757, 0.0),
+    "hPa": (10.0, 0.0),
     "m/s": (1.0, 0.0), "mph": (1.0 / 0.44704, 0.0), "deg": (1.0, 0.0), "0/1": (1.0, 0.0),
 }  # fmt: skip
 """Value in a tag's unit: factor times the value of the simulation (degC, kg/s, %, kW, kPa, m/s, deg) plus an offset."""
@@ -30,8 +32,9 @@ UNITS: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of instrument: role, description, name in loop numbers and in words, unit of each, interface, standard deviation
-    of the noise (absolute, and relative to the value), resolution and deviation of compression in the simulation's unit."""
+    """A kind of instrument: role, description, name in loop numbers and in words, unit of each, interface, standard
+    deviation of the noise (absolute, and relative to the value), resolution and deviation of compression in the
+    simulation's unit."""
 
     role: str
     description: str
@@ -122,24 +125,36 @@ ALSO_UNRECORDED = (
 )
 """Instruments of every cell of the station, also of one whose temperatures are not recorded."""
 OF_ALL = (
-    Kind("return_header_temperature", "return header temperature, process outlet", "TI-1001.PV", "CW_RETURN", ("degC", "degF"), "utility", 0.04, 0, 0.01, 0.15),
-    Kind("supply_temperature", "cold water supply temperature, pump suction", "TI-1002.PV", "CW_SUPPLY", ("degC", "degF"), "utility", 0.04, 0, 0.01, 0.1),
-    Kind("header_pressure", "riser header pressure, gauge", "PI-1001.PV", "CW_HDRPRESS", ("kPa", "psi"), "utility", 0.5, 0.002, 0.1, 1.0),
-    Kind("pump_power", "circulation pumps, electric power", "JI-1051.PV", "CWP_KW", ("kW", "kW"), "mcc", 0.3, 0.005, 0.1, 1.5),
+    Kind("return_header_temperature", "return header temperature, process outlet", "TI-1001.PV", "CW_RETURN", ("degC",
+    "degF"), "utility", 0.04, 0, 0.01, 0.15),
+    Kind("supply_temperature", "cold water supply temperature, pump suction", "TI-1002.PV", "CW_SUPPLY", ("degC",
+    "degF"), "utility", 0.04, 0, 0.01, 0.1),
+    Kind("header_pressure", "riser header pressure, gauge", "PI-1001.PV", "CW_HDRPRESS", ("kPa", "psi"), "utility",
+    0.5, 0.002, 0.1, 1.0),
+    Kind("pump_power", "circulation pumps, electric power", "JI-1051.PV", "CWP_KW", ("kW", "kW"), "mcc", 0.3, 0.005,
+    0.1, 1.5),
     Kind("makeup_flow", "makeup flow", "FI-1060.PV", "CT_MAKEUP", ("m3/h", "L/s"), "utility", 0.02, 0.01, 0.05, 0.3),
-    Kind("blowdown_flow", "blowdown flow", "FI-1061.PV", "CT_BLOWDN", ("m3/h", "L/s"), "utility", 0.01, 0.01, 0.02, 0.1),
+    Kind("blowdown_flow", "blowdown flow", "FI-1061.PV", "CT_BLOWDN", ("m3/h", "L/s"), "utility", 0.01, 0.01, 0.02,
+    0.1),
     Kind("basin_level", "basin level", "LI-1062.PV", "CT_LEVEL", ("%", "%"), "utility", 0.1, 0, 0.1, 0.3),
-    Kind("station_heat_load", "process heat load, calculated by the units' DCS", "QI-1080.PV", "PROC_HEAT", ("MW", "kW"), "utility", 20.0, 0.008, 10.0, 180.0),
-    Kind("dry_bulb_temperature", "ambient dry bulb, weather mast", "TI-1901.PV", "WX_TEMP", ("degC", "degF"), "met", 0.06, 0, 0.01, 0.1),
+    Kind("station_heat_load", "process heat load, calculated by the units' DCS", "QI-1080.PV", "PROC_HEAT", ("MW",
+    "kW"), "utility", 20.0, 0.008, 10.0, 180.0),
+    Kind("dry_bulb_temperature", "ambient dry bulb, weather mast", "TI-1901.PV", "WX_TEMP", ("degC", "degF"), "met",
+    0.06, 0, 0.01, 0.1),
     Kind("relative_humidity", "relative humidity A, mast", "MI-1902.PV", "WX_RH", ("%", "%"), "met", 0.25, 0, 0.1, 0.6),
-    Kind("relative_humidity_redundant", "relative humidity B, mast (redundant)", "MI-1903.PV", "WX_RH2", ("%", "%"), "met", 0.25, 0, 0.1, 0.6),
-    Kind("wet_bulb_temperature", "wet bulb, aspirated psychrometer", "TI-1904.PV", "WX_WETB", ("degC", "degF"), "met", 0.05, 0, 0.01, 0.1),
-    Kind("barometric_pressure", "barometric pressure, station", "PI-1905.PV", "WX_BARO", ("kPa", "hPa"), "met", 0.01, 0, 0.01, 0.04),
+    Kind("relative_humidity_redundant", "relative humidity B, mast (redundant)", "MI-1903.PV", "WX_RH2", ("%", "%"),
+    "met", 0.25, 0, 0.1, 0.6),
+    Kind("wet_bulb_temperature", "wet bulb, aspirated psychrometer", "TI-1904.PV", "WX_WETB", ("degC", "degF"), "met",
+    0.05, 0, 0.01, 0.1),
+    Kind("barometric_pressure", "barometric pressure, station", "PI-1905.PV", "WX_BARO", ("kPa", "hPa"), "met", 0.01,
+    0, 0.01, 0.04),
     Kind("wind_speed", "wind speed, mast", "SI-1906.PV", "WX_WSPD", ("m/s", "mph"), "met", 0.15, 0.03, 0.1, 0.5),
-    Kind("wind_direction", "wind direction, mast, from, degrees", "ZI-1907.PV", "WX_WDIR", ("deg", "deg"), "met", 3.0, 0, 1.0, 8.0),
+    Kind("wind_direction", "wind direction, mast, from, degrees", "ZI-1907.PV", "WX_WDIR", ("deg", "deg"), "met", 3.0,
+    0, 1.0, 8.0),
 )  # fmt: skip
 COLUMN = {
-    "water_inlet_temperature": "t_in", "water_outlet_temperature": "t_rtd", "basin_temperature": "t_basin", "water_flow": "m_w",
+    "water_inlet_temperature": "t_in", "water_outlet_temperature": "t_rtd", "basin_temperature": "t_basin",
+    "water_flow": "m_w",
     "riser_valve_position": "valve", "fan_speed_command": "command", "fan_power": "power", "bypass_position": "bypass",
     "fan_fault": "fault", "fan_speed": "speed", "cell_in_service": "on", "return_header_temperature": "t_return",
     "supply_temperature": "t_supply", "header_pressure": "header", "pump_power": "pump_power", "makeup_flow": "makeup",
@@ -184,7 +199,8 @@ def tag_name(site: Site, role: str, cell: int) -> str:
 
 
 def instruments(site: Site, recorded: int, rng: np.random.Generator) -> tuple[Instrument, ...]:
-    """Return the instruments of a station whose first `recorded` cells are recorded, in the order of the tag dictionary."""
+    """Return the instruments of a station whose first `recorded` cells are recorded, in the order of the tag
+    dictionary."""
     wanted = []
     for cell in range(1, site.cells + 1):
         kinds = (*OF_EACH_CELL, *ALSO_UNRECORDED) if cell <= recorded else ALSO_UNRECORDED

@@ -1,4 +1,5 @@
-"""Moist air of the virtual station, compiled. Temperatures degC, pressures kPa, enthalpies J/kg of dry air, ratios kg/kg.
+"""Moist air of the virtual station, compiled. Temperatures degC, pressures kPa, enthalpies J/kg of dry air, ratios
+kg/kg.
 
 Sources: saturation by Buck (1981), coefficients of 1996; wet bulb by adiabatic saturation, below 0 degC over ice. The
 coefficients of heat are those of VDI 4670, rounded; none is taken from the twin.

@@ -1,18 +1,22 @@
 """The station's minutes, compiled: control, hydraulics, cells, shared basin. One pass in the order of time.
 
-Fill and air are at rest within a minute; film, flume, basin, header, drives and thermometers are first-order lags that are
-solved exactly over it. Columns of the results are named by `OF_CELL` and `OF_STATION`.
+Fill and air are at rest within a minute; film, flume, basin, header, drives and thermometers are first-order lags
+that are solved exactly over it. Columns of the results are named by `OF_CELL` and `OF_STATION`.
 """
+
+from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from drivers.virtual.tower.cell import M_W0, RECIRCULATION, RECIRCULATION_WIND, cell_step
 from drivers.virtual.tower.moist_air import CP_WATER, wet_bulb
 
-
+Array = NDArray[Any]
 OF_CELL = (
-    "t_in", "t_out", "t_rtd", "t_basin", "m_w", "m_a", "valve", "command", "speed", "power", "fault", "on", "bypass", "evaporation",
+    "t_in", "t_out", "t_rtd", "t_basin", "m_w", "m_a", "valve", "command", "speed", "power", "fault", "on", "bypass",
+    "evaporation",
     "wet_in",
 )  # fmt: skip
 OF_STATION = ("t_return", "t_supply", "header", "pump_power", "makeup", "blowdown", "level", "load")
@@ -27,7 +31,8 @@ HIDDEN = ("recirculation", "direction", "leak", "leaking_cell", "sun", "neighbou
 """Undeclared effects: exhaust that comes back per m/s of wind from a direction deg; hot share past the fill of one cell
 (numbered from 0); heat of the sun kW per W/m2 and cell; exhaust of the neighbours at full speed."""
 (
-    LOAD_OF_CELL, SETPOINT, HEADER_VOLUME, BASIN_VOLUME, CELLS_PER_PUMP, VARIABLE_SPEED, BYPASS_SHARE, FIRST_CELLS, LEAST_SPEED,
+    LOAD_OF_CELL, SETPOINT, HEADER_VOLUME, BASIN_VOLUME, CELLS_PER_PUMP, VARIABLE_SPEED, BYPASS_SHARE, FIRST_CELLS,
+    LEAST_SPEED,
     FILM_S, FLUME_S, MAKEUP_C,
 ) = range(len(NUMBERS))  # fmt: skip
 (
@@ -60,12 +65,27 @@ DRIFT_LOSS = 5e-5
 
 
 @njit
-def run(cells, shares, numbers, hidden, rtd_s, weather, states, load, outage, trips, test_speed, test_flow, lead):
+def run(
+    cells: Array,
+    shares: Array,
+    numbers: Array,
+    hidden: Array,
+    rtd_s: Array,
+    weather: Array,
+    states: Array,
+    load: Array,
+    outage: Array,
+    trips: Array,
+    test_speed: Array,
+    test_flow: Array,
+    lead: Array,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the results by minute of the cells (n, cells, columns) and of the station (n, columns), float32.
 
-    `cells (c, .)` and `shares (c, 4, sectors)` as in `cell`; `rtd_s (c,)`; `weather (n, 6)`: dry bulb, ratio, kPa, m/s, deg,
-    W/m2; `states (days, c, .)` at the beginning of each day, joined by lines; `load (n,)` kW; `outage (n,)`; `trips`,
-    `test_speed`, `test_flow (n, c)`: fans tripped, and tests (NaN: none); `lead (n,)`: cell that starts first.
+    `cells (c, .)` and `shares (c, 4, sectors)` as in `cell`; `rtd_s (c,)`; `weather (n, 6)`: dry bulb, ratio, kPa,
+    m/s, deg, W/m2; `states (days, c, .)` at the beginning of each day, joined by lines; `load (n,)` kW; `outage
+    (n,)`; `trips`, `test_speed`, `test_flow (n, c)`: fans tripped, and tests (NaN: none); `lead (n,)`: cell that
+    starts first.
     """
     n, count = len(load), len(cells)
     sectors = shares.shape[2]

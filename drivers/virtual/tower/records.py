@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Happening:
-    """Something that happened: minute of the simulation, cell (0: the station), source (DCS or CMMS), class and text."""
+    """Something that happened: minute of the simulation, cell (0: the station), source (DCS or CMMS), class and
+    text."""
 
     minute: int
     cell: int

@@ -1,8 +1,8 @@
 """A simulated station from seed to files, in the format of a plant's export.
 
 `raw.parquet` (timestamp UTC, tag, value, quality), `tags.csv`, `datasheet.json`, `commissioning.csv`, `events.csv`,
-`labels.csv`; for scoring also `truth.parquet`. Every part draws from a stream of its own, so that a change of one leaves
-the others as they are.
+`labels.csv`; for scoring also `truth.parquet`. Every part draws from a stream of its own, so that a change of one
+leaves the others as they are.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from drivers.virtual.tower import compiled, degradation, operation, weather
+from drivers.virtual.tower.archive import archived, scan_times
 from drivers.virtual.tower.cell import S_FILL, STATE
 from drivers.virtual.tower.defects import Samples, Seeding, seed_archive, seed_scans
-from drivers.virtual.tower.archive import archived, scan_times
 from drivers.virtual.tower.effects import hidden_effects
 from drivers.virtual.tower.instruments import Instrument, Truth, instruments, scanned, tag_name
 from drivers.virtual.tower.sites import SITES, Built, Site, build
@@ -40,7 +40,8 @@ STREAMS = (
 
 @dataclass(frozen=True)
 class Plan:
-    """What to simulate: months, cells that are recorded, seed, beginning (UTC), effects to hide, defects, weather's folder."""
+    """What to simulate: months, cells that are recorded, seed, beginning (UTC), effects to hide, defects, weather's
+    folder."""
 
     months: float = 14.0
     cells: int = 6
@@ -100,12 +101,12 @@ def simulate(site: Site, recorded: int, plan: Plan, note: Callable[[str], None] 
     air = weather.minutes(year, plan.start, n, streams["weather"])
     done = operation.operate(site, plan.start, n, streams["operation"])
     life = degradation.live(built, days, streams["life"], lambda c: tag_name(site, "water_outlet_temperature", c + 1))
-    note(
-        f"station {site.station}: {site.cells} cells, {built.shares.shape[2]} sectors, {days} days, weather by {year.source}"
-    )
+    sectors = built.shares.shape[2]
+    note(f"station {site.station}: {site.cells} cells of {sectors} sectors, {days} days, weather by {year.source}")
     columns = np.stack([air.dry, air.ratio, air.pressure, air.wind, air.direction, air.sun], axis=1)
     cells, station = compiled.run(
-        built.cells, built.shares, built.numbers, hidden, built.rtd_s, columns, life.states, done.load, done.outage, done.trips,
+        built.cells, built.shares, built.numbers, hidden, built.rtd_s, columns, life.states, done.load, done.outage,
+        done.trips,
         done.test_speed, done.test_flow, done.lead,
     )  # fmt: skip
     truth = Truth(cells, station, air, air.wet_bulb(), air.humidity(), life)
@@ -144,5 +145,6 @@ def state_by_minute(made: Simulated, cell: int) -> dict[str, np.ndarray]:
     day = np.arange(len(made.truth.wet)) / MINUTES_A_DAY
     assert states.shape[1] == len(STATE)
     return {
-        "fill": np.interp(day, days, states[:, S_FILL]), "air": np.interp(day, days, air), "uniformity": np.interp(day, days, even),
+        "fill": np.interp(day, days, states[:, S_FILL]), "air": np.interp(day, days, air),
+        "uniformity": np.interp(day, days, even),
     }  # fmt: skip

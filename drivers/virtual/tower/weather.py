@@ -1,8 +1,8 @@
 """Weather of a station, minute by minute: from a typical year in a file, or from a seeded generator.
 
 Hourly values are joined by lines. Within the hour a second-order process is added whose numbers are those of a day of
-one-minute measurements (SURFRAD): standard deviation 0.55 K (dry) and 0.48 K (wet bulb), correlation 0.57 over 15 min and
-0.17 over 30 min. Each day has an anomaly of its own, so that no year comes twice.
+one-minute measurements (SURFRAD): standard deviation 0.55 K (dry) and 0.48 K (wet bulb), correlation 0.57 over 15 min
+and 0.17 over 30 min. Each day has an anomaly of its own, so that no year comes twice.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class WeatherError(DriverError):
 
 @dataclass(frozen=True)
 class Climate:
-    """Site for the generator: time zone h, mean dry bulb degC, half range over the year and the day K, dew point below it K,
-    day-to-day spread K, pressure kPa, wind m/s, direction deg that prevails, latitude deg."""
+    """Site for the generator: time zone h, mean dry bulb degC, half range over the year and the day K, dew point
+    below it K, day-to-day spread K, pressure kPa, wind m/s, direction deg that prevails, latitude deg."""
 
     zone_h: float
     mean: float
@@ -118,7 +118,8 @@ def read_year(path: Path) -> Year:
         zone = float(lines[0].split(",")[8]) if epw else float(lines[0][33:36])
     except (ValueError, IndexError):
         raise WeatherError(f"{path}:1: names no time zone; use a file with its header") from None
-    return Year(*(np.ascontiguousarray(out[:, k]) for k in range(6)), zone_h=zone, source=path.name)
+    dry, dew, pressure, wind, direction, sun = np.ascontiguousarray(out.T)
+    return Year(dry, dew, pressure, wind, direction, sun, zone, path.name)
 
 
 def _epw(line: str) -> tuple[float, ...]:
@@ -135,7 +136,8 @@ def _tm2(line: str) -> tuple[float, ...]:
 
 
 def made_year(climate: Climate, rng: np.random.Generator) -> Year:
-    """Return a year of the generator: harmonics of year and day, fronts that last some days, a dew point that follows."""
+    """Return a year of the generator: harmonics of year and day, fronts that last some days, a dew point that
+    follows."""
     hour = np.arange(HOURS, dtype=np.float64)
     day = hour / 24.0
     fronts = _process(rng, HOURS, 0.985)
@@ -174,7 +176,8 @@ def _autoregression(noise: Array, first: float, second: float) -> Array:
 
 
 def minutes(year: Year, start: datetime.datetime, n: int, rng: np.random.Generator) -> Minutes:
-    """Return `n` minutes of weather from `start` (UTC), of the typical year by its day and hour, with noise and anomalies."""
+    """Return `n` minutes of weather from `start` (UTC), of the typical year by its day and hour, with noise and
+    anomalies."""
     first = datetime.datetime(start.year, 1, 1, tzinfo=datetime.UTC)
     time_h = (start - first).total_seconds() / HOUR_S + np.arange(n) / 60.0 + year.zone_h
     days = int(n / 1440) + 3

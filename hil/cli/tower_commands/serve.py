@@ -34,8 +34,8 @@ def command(
 ) -> None:
     """Serve the folder STATION as a Modbus/TCP device in accelerated time, until its record ends or Ctrl-C.
 
-    Writes a rig file, and beside it <rig>_tags.csv: the dictionary of what `hil tower collect` stores. The device's clock
-    gives the samples the station's own times.
+    Writes a rig file, and beside it <rig>_tags.csv: the dictionary of what `hil tower collect` stores. The device's
+    clock gives the samples the station's own times.
 
     \b
     Example:

@@ -38,14 +38,15 @@ EFFECTS = ("recirculation", "bypass_leak", "neighbour", "solar")
     help="Folder of .epw and .tm2 files; default: $HIL_DATA/weather.",
 )
 def command(
-    out: Path, months: float, cells: int, seed: int, start: datetime.datetime, hide: tuple[str, ...], defects: bool, score: bool,
+    out: Path, months: float, cells: int, seed: int, start: datetime.datetime, hide: tuple[str, ...], defects: bool,
+    score: bool,
     weather: Path | None,
 ) -> None:  # fmt: skip
     """Simulate one or two stations of cooling towers and their historian.
 
-    Station A has four cells in Chicago, station B two in Miami; `--cells` says how many have a record, two thirds of them
-    of A. Writes OUT/stationA and OUT/stationB with raw.parquet, tags.csv, datasheet.json, commissioning.csv, events.csv
-    and labels.csv. Where there is no file of weather, a seeded generator makes it.
+    Station A has four cells in Chicago, station B two in Miami; `--cells` says how many have a record, two thirds of
+    them of A. Writes OUT/stationA and OUT/stationB with raw.parquet, tags.csv, datasheet.json, commissioning.csv,
+    events.csv and labels.csv. Where there is no file of weather, a seeded generator makes it.
 
     \b
     Example:
@@ -70,9 +71,8 @@ def command(
         write_station(made, out / name, score=score)
         key[name] = key_of(made)
         samples = sum(len(one.time_s) for one in made.samples.values())
-        click.echo(
-            f"{out / name}: {plan.days} days, {recorded} of {site.cells} cells recorded, {samples} samples of {len(made.samples)} tags"
-        )
+        what = f"{plan.days} days, {recorded} of {site.cells} cells recorded, {samples} samples"
+        click.echo(f"{out / name}: {what}")
         del made
     if score:
         (out / "KEY.json").write_text(json.dumps(key, indent=1) + "\n")
