@@ -78,7 +78,9 @@ def test_air_follows_wind_speed_and_draft(built: Built) -> None:
 
 def test_multipliers_of_the_truth_are_those_of_the_physics(built: Built) -> None:
     state = np.array([1.0, 0.95, 0.02, 0.05, 0.1])
-    assert built.air_multiplier(0, state) == pytest.approx(at_design(built, list(state))[2] / at_design(built, CLEAN)[2], rel=0.02)
+    assert built.air_multiplier(0, state) == pytest.approx(
+        at_design(built, list(state))[2] / at_design(built, CLEAN)[2], rel=0.02
+    )
     assert built.uniformity(0, state) == pytest.approx(0.95, abs=0.01)
 
 

@@ -16,7 +16,9 @@ START = datetime.datetime(2023, 7, 1, tzinfo=datetime.UTC)
 def epw(path: Path, hours: int = 8760) -> Path:
     """Write a file of EnergyPlus whose dry bulb is the hour of the day."""
     head = ["LOCATION,Town,ST,USA,TMY3,1,41.0,-87.0,-6.0,200.0", *["COMMENTS,x"] * 7]
-    rows = [f"1986,1,1,{k % 24 + 1},0,?9,{k % 24}.0,-5.0,40,98500,0,0,0,120,0,0,0,0,0,0,270,4.5,0" for k in range(hours)]
+    rows = [
+        f"1986,1,1,{k % 24 + 1},0,?9,{k % 24}.0,-5.0,40,98500,0,0,0,120,0,0,0,0,0,0,270,4.5,0" for k in range(hours)
+    ]
     path.write_text("\n".join(head + rows) + "\n")
     return path
 
@@ -34,7 +36,13 @@ def tm2(path: Path) -> Path:
 def test_a_file_of_energyplus_is_read(tmp_path: Path) -> None:
     year = read_year(epw(tmp_path / "USA_IL_Chicago.epw"))
     assert year.dry[:25].tolist() == [float(k % 24) for k in range(25)]
-    assert (year.dew[0], year.pressure[0], year.wind[0], year.direction[0], year.sun[0]) == (-5.0, 98.5, 4.5, 270.0, 120.0)
+    assert (year.dew[0], year.pressure[0], year.wind[0], year.direction[0], year.sun[0]) == (
+        -5.0,
+        98.5,
+        4.5,
+        270.0,
+        120.0,
+    )
     assert year.zone_h == -6.0
 
 
