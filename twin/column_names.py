@@ -34,7 +34,9 @@ UNITS_OF_SUFFIX = {
     "L_per_h": ("L/h", "l/h"),
     "m3_per_h": ("m3/h", "m³/h"),
     "kg_per_s": ("kg/s",),
+    "kg_s": ("kg/s",),
     "m_per_s": ("m/s",),
+    "m_s": ("m/s",),
     "s": ("s",),
 }
 """Suffix of a column's name -> ways to write that unit: a record's column is the signal's name and its unit."""

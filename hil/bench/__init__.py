@@ -19,6 +19,7 @@ BENCHMARKS = {
     "bus": "Round trips of the Modbus driver beside other people's clients; bus time of forty hours in lockstep",
     "wire": "Mutated Modbus replies and CAN frames: no wrong value is ever taken for a good one",
     "files": "Mutated files of every kind: each is read, or refused in a sentence that names it",
+    "tower": "Calibrations of a cooling tower's outlet on a record: commissioned, persistence, regression, learned",
     "records": "Public records of other rigs, beside the published figures",
 }
 """Name -> one line; each is a subcommand of `hil bench`."""

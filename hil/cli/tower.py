@@ -11,6 +11,10 @@ import click
 
 VERBS = {
     "align": "Make an aligned one-minute record of a historian's tags",
+    "calibrate": "Calibrate cells on a record: deviations, intervals, gates, proposals",
+    "commission": "Fit the clean cell to its test points and write its twin file",
+    "plan": "Propose the next step test of a cell: the one that makes its deviations identifiable",
+    "report": "Print or write the report of a calibration",
     "collect": "Poll a rig's points into a historian",
     "serve": "Serve a station as a Modbus/TCP device",
     "simulate": "Simulate stations of cooling towers with a historian",

@@ -6,7 +6,7 @@
     NTU  = Me m_w/(x m_a),  m* = x m_a C_s/(m_w c_p),  C_s = (h_s(T_in) - h_s(T_out))/(T_in - T_out)
     eps  = (1 - e^(-NTU (1-m*)))/(1 - m* e^(-NTU (1-m*)))
     Q    = eps x m_a (h_s(T_in) - h_in),  T_out = T_in - Q/(m_w c_p)
-    fan  = P_0 speed^3 (rho/rho0) (1 + kappa (1 - air))
+    fan  = P_i + P_0 speed^3 (rho/rho0) (1 + kappa (1 - air))           P_i: losses of motor and drive at any speed
 
 Sources: Braun, Klein & Mitchell, ASHRAE Trans. 95 (1989) 164 (effectiveness, effective surface for the evaporation);
 Kloppers & Kroeger, Int. J. Heat Mass Transfer 48 (2005) 765 (law of the fill).
@@ -49,7 +49,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Design:
-    """Clean cell, as commissioned: flows kg/s, power kW, density kg/m3; `evaporation` scales Merkel's evaporation."""
+    """Clean cell, as commissioned: flows kg/s, power kW, density kg/m3; `evaporation` scales Merkel's; `idle` kW."""
 
     m_w0: float
     m_a0: float
@@ -60,6 +60,7 @@ class Design:
     kappa: float = 0.0
     speed_exponent: float = 3.0
     evaporation: float = 1.0
+    idle: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,9 @@ def solve(u: Inputs, design: Design, deviations: Deviations = Deviations()) -> O
         heat = effectiveness * wet_air * (h_hot - h_in)
         t_out = u.t_in - heat / (m_w * CP_WATER)
     lost = design.evaporation * _evaporation(ntu, wet_air, h_in, heat, ratio_in, u.pressure)
-    power = design.power * speed**design.speed_exponent * rho / design.density
-    return Outputs(t_out, heat, lost, power * (1.0 + design.kappa * (1.0 - deviations.air)), m_a)
+    shaft = design.power * speed**design.speed_exponent * rho / design.density
+    power = design.idle + shaft * (1.0 + design.kappa * (1.0 - deviations.air))
+    return Outputs(t_out, heat, lost, power, m_a)
 
 
 def _effectiveness(ntu: Array, ratio: Array) -> Array:

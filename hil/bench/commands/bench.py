@@ -9,6 +9,7 @@ import click
 from hil.bench import BENCHMARKS
 from hil.bench.commands.blind import ablations_command, again_command, discovery_command, hiera_command
 from hil.bench.commands.rig import bus_command, faults_command, files_command, loop_command, wire_command
+from hil.bench.commands.tower import tower_command
 from hil.bench.commands.twin import fit_command, paper_command, records_command, structure_command, twin_command
 from hil.run.session.terminal import invocation
 
@@ -37,6 +38,6 @@ def command(context: click.Context) -> None:
 
 for _bench in (
     twin_command, fit_command, paper_command, records_command, hiera_command, ablations_command, discovery_command,
-    again_command, structure_command, faults_command, loop_command, bus_command, wire_command, files_command,
+    again_command, structure_command, tower_command, faults_command, loop_command, bus_command, wire_command, files_command,
 ):  # fmt: skip
     command.add_command(_bench)

@@ -1,0 +1,53 @@
+"""`hil tower commission`: the clean cell from its test points and datasheet, as a twin file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hil.cli.options.paths import INPUT_FILE
+
+
+@click.command()
+@click.argument("record", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--cell", required=True, type=int, help="Number of the cell.")
+@click.option("--datasheet", required=True, type=INPUT_FILE, help="Datasheet of the station, JSON.")
+@click.option("--points", required=True, type=INPUT_FILE, help="Test points of the clean cells, CSV.")
+@click.option("--out", required=True, type=click.Path(path_type=Path, dir_okay=False), help="Twin file to write.")
+def command(record: Path, cell: int, datasheet: Path, points: Path, out: Path) -> None:
+    """Fit the clean cell to its test points and write its twin file.
+
+    RECORD is the aligned record of the station; it must hold the cell. The Merkel number and its exponent are fitted to the
+    outlet temperatures; air flow, fan power and evaporation follow from what was measured of them. A fit that describes no
+    cooling tower is refused.
+
+    \b
+    Example:
+      hil tower commission record --cell 1 --datasheet datasheet.json --points commissioning.csv --out cell1.toml
+    """
+    from hil.record.raw import RecordError
+    from hil.run.session.terminal import console
+    from hil.tower.commission import commission_cell
+    from hil.tower.record import cells_of
+    from twin.twinfile import save
+
+    there = cells_of(record)
+    if cell not in there:
+        raise RecordError(f"{record}: has no cell {cell}; it has {', '.join(f'cell {n}' for n in there) or 'no cell'}")
+    network, fitted, found = commission_cell(cell, datasheet, points)
+    save(network, out)
+    terminal, design = console(), fitted.design
+    terminal.print(
+        f"cell {cell}: Merkel number {design.merkel:.3f}, exponent {design.exponent:.3f}, air {design.m_a0:.1f} kg/s, fan "
+        f"{design.power:.1f} kW and {design.idle:.2f} kW at any speed, evaporation {design.evaporation:.3f} of Merkel's",
+        markup=False,
+    )
+    worst = max(range(len(found.names)), key=lambda k: abs(fitted.residual[k]))
+    terminal.print(
+        f"{len(found.names)} test points: outlet RMSE {fitted.rmse:.3f} K, largest {fitted.residual[worst]:+.2f} K at {found.names[worst]}",
+        markup=False,
+    )
+    for remark in fitted.remarks:
+        terminal.print(remark, markup=False)
+    terminal.print(f"written: {out}", markup=False, soft_wrap=True)

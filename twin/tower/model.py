@@ -1,0 +1,164 @@
+"""Outlet and fan of a cell with its deviations and with what is uncertain about the twin itself.
+
+The deviations `SLOW` change in time; the `GLOBAL` quantities are constants of a record. They are what Merkel's method, the
+test points and the station's instruments leave open, each with a prior from physics or from the instrument. So the
+structural error of the twin is a function of the operating point that a fit can separate from a slow deviation:
+
+    effective speed = (speed^3 + draft^3)^(1/3),   draft = draft_0 sqrt(buoyancy)          free convection
+    Me             *= exp(merkel) (T_in/T_in0)^inlet (L/G)^-exponent                       law of the fill
+    T_wb at the fill = T_wb + (recirculation + wind terms) (T_exhaust - T_wb)              recirculation
+    t_out          += sum of weights times smooth functions of the operating point         discrepancy (Kennedy & O'Hagan)
+
+The smooth functions vanish at design, where the clean cell was measured, so there they are no fouling.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.tower import air as moist
+from twin.tower.air import Array
+from twin.tower.cell import STARVING, WETTED, Design, Deviations, Inputs, solve
+
+SLOW = ("fill", "air", "uniformity", "bias", "flow_meter")
+"""Slow deviations; the last is a nuisance that is never reported: a drifting flow meter is seen in the pumps, not here."""
+DEVIATIONS = SLOW[:4]
+INLET_C, WET_C, RANGE_K = 36.0, 25.0, 7.0
+"""Design point where the datasheet gives none: that of the Cooling Technology Institute's usual rating, 95/85/78 degF."""
+EXHAUST = 0.7
+"""Rise of the air's temperature as a share of the way from its wet bulb to the hot water; an effectiveness of 0.6 to 0.8."""
+
+
+@dataclass(frozen=True)
+class Global:
+    """A constant of a record with its prior."""
+
+    name: str
+    mean: float
+    sd: float
+    source: str
+
+
+GLOBALS: tuple[Global, ...] = (
+    Global("merkel", 0.0, 0.02, "logarithm; replaced by that of the commissioning"),
+    Global("exponent", 0.0, 0.10, "replaced by that of the commissioning"),
+    Global("inlet", -0.1, 0.15, "power of T_in in Me: Kloppers & Kroeger 2005 fit 0 to -0.4"),
+    Global("air_power", 0.0, 0.15, "power of the air in Me beyond that of the ratio: Kloppers & Kroeger 2005 fit both flows"),
+    Global("wetting", 0.7, 0.35, "effect of a dry share over the dry-fraction law's: water spreads on its way down the fill"),
+    Global("starving", 1.0, 0.7, "power by which nozzles starve as the flow falls: of their head, 0 to 2"),
+    Global("draft", 0.12, 0.05, "share of design air with the fan at rest, at 5 % of buoyancy: 5 to 20 % of counter-flow cells"),
+    Global("inlet_bias", 0.0, 0.15, "K, class A thermometer in a thermowell"),
+    Global("wet_bulb_bias", 0.0, 0.2, "K, aspirated psychrometer"),
+    Global("recirculation", 0.02, 0.015, "share of the exhaust; CTI allows 0.3 to 0.6 K of induced-draft cells"),
+    Global("recirculation_wind", 0.0, 0.015, "its change for 5 m/s"),
+    Global("recirculation_north", 0.0, 0.015, "its change for 5 m/s from the north"),
+    Global("recirculation_east", 0.0, 0.015, "its change for 5 m/s from the east"),
+    Global("wet_bulb_1", 0.0, 0.3, "K for 15 K below design: Merkel's method against Poppe's, Kloppers & Kroeger 2005"),
+    Global("wet_bulb_2", 0.0, 0.15, "K, square of it"),
+    Global("range_1", 0.0, 0.15, "K for half the design range"),
+    Global("speed_1", 0.0, 0.2, "K for half the speed"),
+    Global("flow_1", 0.0, 0.2, "K for half the flow"),
+    Global("wind_1", 0.0, 0.15, "K for 5 m/s"),
+    Global("neighbours_1", 0.0, 0.1, "K for neighbours' fans at full speed over at rest"),
+    Global("kappa", -1.3, 1.7, "power of the air in the fan's power, negative: 0.4 by fouling of the path, -3 by a slipping belt"),
+    Global("power_gain", 0.0, 0.25, "logarithm: pitch, belt and path move the level differently, so that only changes speak"),
+)
+NAMES = tuple(one.name for one in GLOBALS)
+
+
+@dataclass(frozen=True)
+class Site:
+    """Design point that the discrepancy is measured from: degC, K, kg/s."""
+
+    inlet: float = INLET_C
+    wet: float = WET_C
+    fall: float = RANGE_K
+    bypass_share: float = 0.0
+
+
+@dataclass(frozen=True)
+class Operation:
+    """Operating points of a cell (n,): inputs, and the share of water past the fill, wind m/s, its direction from, neighbours' speed 0 to 1."""
+
+    inputs: Inputs
+    bypass: Array
+    wind: Array
+    wind_deg: Array
+    neighbours: Array
+
+    def take(self, rows: Array) -> Operation:
+        """Return the operating points at these rows."""
+        return Operation(
+            self.inputs.take(rows), self.bypass[rows], self.wind[rows], self.wind_deg[rows], self.neighbours[rows],
+        )  # fmt: skip
+
+
+class CellModel:
+    """Outlet thermometer and fan power of one cell as functions of slow deviations (n, 5) and global quantities (19,)."""
+
+    def __init__(self, design: Design, site: Site) -> None:
+        self.design, self.site = design, site
+
+    def outlet(self, o: Operation, slow: Array, g: Array) -> Array:
+        """Return the temperature of the water in the flume, degC, without the thermometer's bias (n,)."""
+        q, u, d, site = dict(zip(NAMES, g, strict=True)), o.inputs, self.design, self.site
+        t_in = u.t_in + q["inlet_bias"]
+        wet = u.wet + q["wet_bulb_bias"]
+        m_w = u.m_w / np.exp(slow[:, 4])
+        strong = o.wind / 5.0
+        angle = np.radians(o.wind_deg)
+        share = q["recirculation"] + strong * (
+            q["recirculation_wind"] + q["recirculation_north"] * np.cos(angle) + q["recirculation_east"] * np.sin(angle)
+        )
+        inside = np.minimum(wet + share * EXHAUST * np.maximum(t_in - wet, 0.0), t_in)
+        dry = np.maximum(u.dry, inside)
+        speed = self._effective_speed(u.speed, t_in, inside, u.pressure, q["draft"])
+        loading = m_w / d.m_w0 / speed
+        rest = 1.0 - WETTED * (1.0 + max(q["wetting"], 0.0) * slow[:, 2])
+        # The law's own power is STARVING; another one is another uniformity at this flow.
+        uniformity = (1.0 - rest * (d.m_w0 / m_w) ** (q["starving"] - STARVING)) / WETTED
+        law = q["air_power"] * np.log(speed * (1.0 + slow[:, 1])) + q["merkel"] + q["inlet"] * np.log(np.maximum(t_in, 5.0) / site.inlet) - q["exponent"] * np.log(loading)
+        fill = (1.0 + slow[:, 0]) * np.exp(law)
+        points = Inputs(t_in, m_w, speed, dry, inside, u.pressure)
+        out = solve(points, d, Deviations(fill, 1.0 + slow[:, 1], uniformity)).t_out
+        out = out + self._discrepancy(o, q, t_in - out)
+        return out + o.bypass * (t_in - out)
+
+    def reading(self, o: Operation, slow: Array, g: Array) -> Array:
+        """Return the reading of the outlet thermometer, degC (n,)."""
+        return self.outlet(o, slow, g) + slow[:, 3]
+
+    def log_power(self, o: Operation, slow: Array, g: Array) -> Array:
+        """Return the logarithm of the fan's power in kW (n,)."""
+        q, u, d = dict(zip(NAMES, g, strict=True)), o.inputs, self.design
+        ratio = np.maximum(moist.ratio_from_wet_bulb(u.dry, u.wet, u.pressure), 0.0)
+        rho = moist.density(u.dry, ratio, u.pressure)
+        shaft = (1.0 + slow[:, 1]) ** -q["kappa"] * np.maximum(u.speed, 0.02) ** d.speed_exponent * rho / d.density
+        return np.asarray(np.log(max(d.power, 1e-9) * np.exp(q["power_gain"]) * shaft + d.idle))
+
+    @staticmethod
+    def _effective_speed(speed: Array, t_in: Array, wet: Array, pressure: Array, draft: float) -> Array:
+        """Return the fan's speed with which the air would flow as fan and buoyancy together make it flow."""
+        exhaust = wet + EXHAUST * np.maximum(t_in - wet, 0.0)
+        outside = moist.density(wet, moist.saturated_ratio(wet, pressure), pressure)
+        inside = moist.density(exhaust, moist.saturated_ratio(exhaust, pressure), pressure)
+        lifted = max(draft, 0.0) * np.sqrt(np.maximum(1.0 - inside / outside, 0.0) / 0.05)
+        return np.asarray(np.cbrt(np.maximum(speed, 0.0) ** 3 + lifted**3))
+
+    def _discrepancy(self, o: Operation, q: dict[str, float], fall: Array) -> Array:
+        """Return the twin's own error at the operating points, K; none at design."""
+        site, u = self.site, o.inputs
+        cold = (site.wet - u.wet) / 15.0
+        total = q["wet_bulb_1"] * cold + q["wet_bulb_2"] * cold**2
+        total = total + q["range_1"] * 2.0 * (fall / site.fall - 1.0)
+        total = total + q["speed_1"] * 2.0 * (1.0 - np.clip(u.speed, 0.0, 1.1))
+        total = total + q["flow_1"] * 2.0 * (1.0 - u.m_w / self.design.m_w0)
+        total = total + q["wind_1"] * (o.wind - 1.5) / 5.0 + q["neighbours_1"] * (o.neighbours - 1.0)
+        # Water that hardly cools cannot be off by more than it cools.
+        return np.asarray(np.clip(total, -1.5, 1.5) * np.clip(fall / (0.3 * site.fall), 0.0, 1.0))
+
+    def with_design(self, **changes: float) -> CellModel:
+        """Return the model of a clean cell with other constants."""
+        return CellModel(replace(self.design, **changes), self.site)

@@ -1,0 +1,346 @@
+"""Maximum a posteriori estimate of slow deviations over a whole record: Gauss-Newton on a grid of time.
+
+The deviations are constant within a cell of the grid and walk at random from one to the next; a documented event opens a
+jump at its date. The prior of a deviation is that of a part that wears: its mean a third of the bound on the lossy side, its
+standard deviation a third of the bound, so that the bound is two standard deviations below and a gain of a third of it two
+above. A thermometer's bias has mean 0. Residuals of the model are correlated in time, so a block of them counts as less than
+one observation, by their integrated autocorrelation time (Geyer 1992).
+
+Source: Bell, SIAM J. Optim. 4 (1994) 626 (Gauss-Newton as the iterated Kalman smoother).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotri
+
+from twin.tower.air import Array
+from twin.tower.evidence import Label, interval_as_gaussian
+from twin.tower.model import GLOBALS, NAMES, SLOW, CellModel, Operation
+
+DAY_S = 86400.0
+MOST_CELLS = 450
+"""Cells of the time grid: the equations are solved densely in their number times five."""
+WALK = {"fill": 0.002, "air": 0.0015, "uniformity": 0.002, "bias": 0.01, "flow_meter": 0.0005}
+"""Standard deviation of a day's change. Fills lose 0.2 to 0.6 % a week, so a month is known to some 1 %; thermometers drift
+by some 0.05 K a month, flow meters by some 0.3 %."""
+TREND = {"fill": -0.0006, "air": -0.0001, "uniformity": -0.0003, "bias": 0.0, "flow_meter": 0.0}
+"""Mean change of a day."""
+JUMP = {"fill": 0.08, "air": 0.06, "uniformity": 0.05, "bias": 0.4, "flow_meter": 0.0}
+"""Standard deviation of a jump that an event opens: a cleaning gives back what was lost, a new thermometer is another one."""
+FLOW_METER = 0.015
+"""Standard deviation of a flow meter's gain."""
+PASSES = 6
+BLOCK_S = 600.0
+HUBER = 2.5
+"""Standard deviations beyond which a block is weighed down."""
+STEPS = np.array([0.01, 0.01, 0.01, 0.01, 0.01])
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Steady blocks of a cell (n,): middle in s since 1970, operating point, outlet reading degC, log of fan power; NaN is missing."""
+
+    time_s: Array
+    operation: Operation
+    outlet: Array
+    log_power: Array
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A jump that an event opens: the times between which it happened, and the deviation."""
+
+    start_s: float
+    end_s: float
+    parameter: str
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Bounds of the deviations, and priors of global quantities that replace those of `GLOBALS`: name -> (mean, sd)."""
+
+    bounds: Mapping[str, float]
+    replaced: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def slow(self, name: str) -> tuple[float, float]:
+        """Return mean and standard deviation of a slow deviation."""
+        if name == "flow_meter":
+            return 0.0, FLOW_METER
+        bound = self.bounds[name]
+        return (0.0, bound / 2.0) if name == "bias" else (-bound / 3.0, bound / 3.0)
+
+    def constant(self) -> tuple[Array, Array]:
+        """Return means and standard deviations of the global quantities."""
+        pairs = [self.replaced.get(one.name, (one.mean, one.sd)) for one in GLOBALS]
+        return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Posterior of a record.
+
+    Attributes:
+        edges_s: of the time grid (k + 1,). slow: deviations (k, 5). constant: global quantities (19,).
+        covariance: of [slow row by row, constant]. sigma: of a block's outlet K, and of its log power, as weighed.
+        residual: outlet of each block K, NaN where it was not used. weights: of each block. cell: grid cell of each block.
+        jacobian: outlet of each block by slow and constant quantities (n, 24). time_correlation: in blocks.
+    """
+
+    edges_s: Array
+    slow: Array
+    constant: Array
+    covariance: Array
+    sigma: tuple[float, float]
+    residual: Array
+    weights: Array
+    cell: NDArray[np.intp]
+    jacobian: Array
+    time_correlation: float
+
+    def sd(self) -> Array:
+        """Return the standard deviations of the slow deviations (k, 5)."""
+        return np.sqrt(np.diag(self.covariance)[: self.slow.size]).reshape(self.slow.shape)
+
+    def cells_at(self, time_s: Array) -> NDArray[np.intp]:
+        """Return the grid cell of each time."""
+        found = np.searchsorted(self.edges_s, time_s, side="right") - 1
+        return np.clip(found, 0, len(self.slow) - 1)
+
+
+def time_grid(start_s: float, end_s: float) -> Array:
+    """Return the edges of the grid: half days, or as many as `MOST_CELLS` allow."""
+    count = int(np.clip(np.ceil((end_s - start_s) / (0.5 * DAY_S)), 1, MOST_CELLS))
+    return np.linspace(start_s, max(end_s, start_s + 1.0), count + 1)
+
+
+def estimate(
+    model: CellModel, blocks: Blocks, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening],
+    edges_s: Array | None = None, fixed: Sequence[str] = (),
+) -> Estimate:  # fmt: skip
+    """Return the posterior of the deviations over a record.
+
+    Parameters:
+        fixed: names of slow or global quantities that keep their prior mean.
+    """
+    solver = _Solver(model, blocks, priors, labels, openings, edges_s, fixed)
+    return solver.run()
+
+
+class _Solver:
+    def __init__(
+        self, model: CellModel, blocks: Blocks, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening],
+        edges_s: Array | None, fixed: Sequence[str],
+    ) -> None:  # fmt: skip
+        self.model, self.blocks, self.priors = model, blocks, priors
+        if edges_s is None:
+            edges_s = time_grid(float(blocks.time_s[0]), float(blocks.time_s[-1]) + 1.0)
+        self.edges = edges_s
+        self.k, self.s, self.g = len(edges_s) - 1, len(SLOW), len(GLOBALS)
+        self.cell = np.clip(np.searchsorted(edges_s, blocks.time_s, side="right") - 1, 0, self.k - 1)
+        self.labels = [label for label in labels if edges_s[0] - 3 * DAY_S <= label.time_s <= edges_s[-1] + 3 * DAY_S]
+        self.mean_g, self.sd_g = priors.constant()
+        self.precision, self.prior_mean = self._prior(openings, fixed)
+        self.sigma = [0.2, 0.03]
+        self._sites: dict[int, tuple[float, float]] = {}
+        self.tau = 6.0
+        self.tau_power = 6.0
+
+    def _prior(self, openings: Sequence[Opening], fixed: Sequence[str]) -> tuple[Array, Array]:
+        """Return the precision of [slow, constant] and its mean."""
+        k, s = self.k, self.s
+        n = k * s + self.g
+        precision, linear = np.zeros((n, n)), np.zeros(n)
+        middle = 0.5 * (self.edges[:-1] + self.edges[1:])
+        days = np.diff(middle) / DAY_S
+        for j, name in enumerate(SLOW):
+            mean, sd = self.priors.slow(name)
+            scale = 1e-6 if name in fixed else 1.0
+            variance = (WALK[name] * scale) ** 2 * days + 1e-14
+            drift = TREND[name] * scale * days
+            for opening in openings:
+                if opening.parameter != name:
+                    continue
+                inside = (self.edges[1:-1] >= opening.start_s - 0.5 * DAY_S) & (self.edges[1:-1] <= opening.end_s + 0.5 * DAY_S)
+                if inside.any():
+                    variance[inside] += JUMP[name] ** 2 / inside.sum()
+            rows = np.arange(k) * s + j
+            precision[rows[0], rows[0]] += 1.0 / (sd * scale) ** 2
+            linear[rows[0]] += mean / (sd * scale) ** 2
+            for i, v in enumerate(variance):
+                a, b = rows[i], rows[i + 1]
+                precision[a, a] += 1.0 / v
+                precision[b, b] += 1.0 / v
+                precision[a, b] -= 1.0 / v
+                precision[b, a] -= 1.0 / v
+                linear[b] += drift[i] / v
+                linear[a] -= drift[i] / v
+            # A walk may not leave the bounds however long it goes on: the prior holds, weakly, at every time.
+            precision[rows, rows] += 1.0 / (2.0 * sd * scale) ** 2 / k
+            linear[rows] += mean / (2.0 * sd * scale) ** 2 / k
+        sd_g = np.where([name in fixed for name in NAMES], 1e-6, self.sd_g)
+        ends = np.arange(k * s, n)
+        precision[ends, ends] = 1.0 / sd_g**2
+        linear[ends] = self.mean_g / sd_g**2
+        return precision, linear
+
+    def run(self) -> Estimate:
+        factor = cho_factor(self.precision)
+        x = cho_solve(factor, self.prior_mean)
+        covariance = np.diag(1.0 / np.diag(self.precision))
+        intervals = any(label.sd is None for label in self.labels)
+        for number in range(PASSES):
+            slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
+            here = slow[self.cell]
+            jac_t, res_t = self._outlet(here, g)
+            jac_p, res_p = self._power(here, g)
+            self._rescale(res_t, res_p)
+            w_t = _weights(res_t, self.sigma[0]) / (self.sigma[0] ** 2 * self.tau)
+            w_p = _weights(res_p, self.sigma[1]) / (self.sigma[1] ** 2 * self.tau_power)
+            normal, right = self.precision.copy(), self.prior_mean.copy()
+            full = np.concatenate([here, np.broadcast_to(g, (len(here), self.g))], axis=1)
+            for jac, res, w in ((jac_t, res_t, w_t), (jac_p, res_p, w_p)):
+                target = np.nan_to_num(res) + np.einsum("ij,ij->i", jac, full)
+                self._add(normal, right, jac, w, target)
+            self._add_labels(normal, right, x, covariance, first=number == 0)
+            factor = cho_factor(normal)
+            new = cho_solve(factor, right)
+            change = float(np.abs(new - x).max())
+            x = self._bounded(new)
+            last = number == PASSES - 1 or (number >= 3 and change < 2e-4)
+            if last or (number >= 1 and intervals):
+                covariance = _inverse(factor[0])
+            if last:
+                break
+        slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
+        residual = self.blocks.outlet - self.model.reading(self.blocks.operation, slow[self.cell], g)
+        weights = np.where(np.isfinite(residual), _weights(residual, self.sigma[0]) / (self.sigma[0] ** 2 * self.tau), 0.0)
+        return Estimate(
+            self.edges, slow, g, covariance, (self.sigma[0], self.sigma[1]), residual, weights, self.cell, jac_t, self.tau,
+        )  # fmt: skip
+
+    def _outlet(self, here: Array, g: Array) -> tuple[Array, Array]:
+        base = self.model.reading(self.blocks.operation, here, g)
+        return self._slopes(lambda s, c: self.model.reading(self.blocks.operation, s, c), base, here, g), self.blocks.outlet - base
+
+    def _power(self, here: Array, g: Array) -> tuple[Array, Array]:
+        base = self.model.log_power(self.blocks.operation, here, g)
+        jac = np.zeros((len(base), self.s + self.g))
+        kappa, air = g[NAMES.index("kappa")], here[:, 1]
+        shaft = 1.0 - self.model.design.idle / np.exp(base)
+        jac[:, 1] = -kappa / (1.0 + air) * shaft
+        jac[:, self.s + NAMES.index("kappa")] = -np.log(1.0 + air) * shaft
+        jac[:, self.s + NAMES.index("power_gain")] = shaft
+        return jac, self.blocks.log_power - base
+
+    def _slopes(self, function, base: Array, here: Array, g: Array) -> Array:  # type: ignore[no-untyped-def]
+        jac = np.zeros((len(base), self.s + self.g))
+        for j in range(self.s):
+            moved = here.copy()
+            moved[:, j] += STEPS[j]
+            jac[:, j] = (function(moved, g) - base) / STEPS[j] if SLOW[j] != "bias" else 1.0
+        for j in range(self.g):
+            if NAMES[j] in ("kappa", "power_gain"):
+                continue
+            moved_g = g.copy()
+            step = 0.1 * GLOBALS[j].sd
+            moved_g[j] += step
+            jac[:, self.s + j] = (function(here, moved_g) - base) / step
+        return jac
+
+    def _rescale(self, res_t: Array, res_p: Array) -> None:
+        """Take scale and autocorrelation time of the residuals as they are, never below those of the instruments."""
+        for j, (res, least) in enumerate(((res_t, 0.08), (res_p, 0.01))):
+            there = np.isfinite(res)
+            if there.sum() < 10:
+                continue
+            r = res[there]
+            scale = 1.4826 * float(np.median(np.abs(r - np.median(r))))
+            self.sigma[j] = max(scale, least)
+            tau = max(autocorrelation_time(np.clip(r, -4 * scale, 4 * scale)), 3.0)
+            if j == 0:
+                self.tau = tau
+            else:
+                self.tau_power = tau
+
+    def _add(self, normal: Array, right: Array, jac: Array, w: Array, target: Array) -> None:
+        """Add weighted rows to the normal equations, grid cell by grid cell."""
+        s, end = self.s, self.k * self.s
+        weighted = jac * w[:, None]
+        order = np.argsort(self.cell, kind="stable")
+        starts = np.searchsorted(self.cell[order], np.arange(self.k + 1))
+        for k in range(self.k):
+            rows = order[starts[k] : starts[k + 1]]
+            if not len(rows):
+                continue
+            h = weighted[rows].T @ jac[rows]
+            b = weighted[rows].T @ target[rows]
+            here = slice(k * s, (k + 1) * s)
+            normal[here, here] += h[:s, :s]
+            normal[here, end:] += h[:s, s:]
+            normal[end:, here] += h[s:, :s]
+            normal[end:, end:] += h[s:, s:]
+            right[here] += b[:s]
+            right[end:] += b[s:]
+
+    def _add_labels(self, normal: Array, right: Array, x: Array, covariance: Array, first: bool) -> None:
+        for label in self.labels:
+            j = SLOW.index(label.parameter)
+            k = int(np.clip(np.searchsorted(self.edges, label.time_s, side="right") - 1, 0, self.k - 1))
+            row = k * self.s + j
+            if label.sd is not None:
+                value, sd = label.low, label.sd
+            elif first:
+                value, sd = 0.5 * (label.low + label.high), 0.5 * (label.high - label.low)
+            else:
+                mean, spread = self._cavity(label, row, x, covariance)
+                value, sd = interval_as_gaussian(label.low, label.high, mean, spread)
+            if label.sd is None:
+                self._sites[id(label)] = (value, sd)
+            normal[row, row] += 1.0 / sd**2
+            right[row] += value / sd**2
+
+    def _cavity(self, label: Label, row: int, x: Array, covariance: Array) -> tuple[float, float]:
+        """Return mean and standard deviation of a deviation without its own label."""
+        value, sd = self._sites[id(label)]
+        variance = float(covariance[row, row])
+        precision = max(1.0 / variance - 1.0 / sd**2, 0.05 / variance)
+        mean = (float(x[row]) / variance - value / sd**2) / precision
+        return mean, precision**-0.5
+
+    def _bounded(self, x: Array) -> Array:
+        """Keep a step within what the model can be evaluated at."""
+        slow = x[: self.k * self.s].reshape(self.k, self.s)
+        slow[:, :3] = np.clip(slow[:, :3], -0.6, 0.5)
+        return x
+
+
+def _inverse(upper: Array) -> Array:
+    """Return the inverse of a matrix by its Cholesky factor as `cho_factor` returns it, with half of the work of solving."""
+    half, fault = dpotri(upper, lower=0)
+    if fault:
+        raise np.linalg.LinAlgError("the normal equations are singular")
+    inverse = np.triu(half)
+    return np.asarray(inverse + np.triu(half, 1).T)
+
+
+def _weights(residual: Array, sigma: float) -> Array:
+    """Return Huber's weights; 0 where a residual is missing."""
+    size = np.abs(np.nan_to_num(residual)) / sigma
+    return np.where(np.isfinite(residual), np.minimum(1.0, HUBER / np.maximum(size, 1e-9)), 0.0)
+
+
+def autocorrelation_time(r: Array) -> float:
+    """Return the integrated autocorrelation time of residuals (n,) in samples, 1 for white noise."""
+    r = r - r.mean()
+    spectrum = np.abs(np.fft.rfft(r, 2 * len(r))) ** 2
+    correlation = np.fft.irfft(spectrum)[: max(len(r) // 4, 2)]
+    correlation = correlation / max(correlation[0], 1e-300)
+    low = np.flatnonzero(correlation < 0.1)
+    until = int(low[0]) if low.size else len(correlation)
+    return 1.0 + 2.0 * float(correlation[1:until].sum())
