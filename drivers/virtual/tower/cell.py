@@ -50,8 +50,8 @@ pitch; relative rise of the resistance."""
     WIND_DRAG, DRAFT, POWER, DRIVE_LOSS, DENSITY0, T_HOT0, RECIRCULATION, RECIRCULATION_WIND, WINDMILL,
 ) = range(len(CELL))  # fmt: skip
 S_FILL, S_UNIFORMITY, S_SLIP, S_PITCH, S_BLOCKAGE = range(len(STATE))
-LEAST_AIR = 0.004
-"""Share of the design air that moves in any case, by leakage and gusts."""
+LEAST_AIR, GUST_AIR = 0.03, 0.003
+"""Share of the design air that passes a cell whose draft the wind stalls, and per m/s of wind through the louvres."""
 
 
 @njit(cache=CACHE)
@@ -71,9 +71,10 @@ def air_flow(
     a = cell[FAN_BEND] + resistance + idle
     b = n * cell[FAN_SLOPE]
     c = n * n * cell[FAN_SHUT] * (1.0 - state[S_PITCH]) + head / relative
+    least = LEAST_AIR + GUST_AIR * wind
     if c <= 0.0:
-        return LEAST_AIR
-    return max((-b + np.sqrt(b * b + 4.0 * a * c)) / (2.0 * a), LEAST_AIR)
+        return least
+    return max((-b + np.sqrt(b * b + 4.0 * a * c)) / (2.0 * a), least)
 
 
 @njit(cache=CACHE)
