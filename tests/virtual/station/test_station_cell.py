@@ -102,9 +102,8 @@ def test_a_fitted_merkel_twin_keeps_a_gap_to_the_plant(built: Built) -> None:
     ratio = other_air.humidity_ratio(humidity * other_air.saturation_pressure(dry), site.pressure)
     wet = other_air.wet_bulb(dry, humidity, site.pressure)
     rows = np.flatnonzero(t_in > wet + 4.0)
-    out = np.array([
-        built.steady(0, np.array(CLEAN), m_w[k], speed[k], t_in[k], dry[k], ratio[k], site.pressure, 2.0)[0] for k in rows
-    ])  # fmt: skip
+    clean, p = np.array(CLEAN), site.pressure
+    out = np.array([built.steady(0, clean, m_w[k], speed[k], t_in[k], dry[k], ratio[k], p, 2.0)[0] for k in rows])
     u = Inputs(t_in, m_w, speed, dry, wet, np.full(n, site.pressure)).take(rows)
 
     def miss(p: np.ndarray) -> np.ndarray:
