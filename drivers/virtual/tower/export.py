@@ -217,10 +217,18 @@ def key_of(made: Simulated) -> dict[str, Any]:
         {"time": iso(_moment(made, 60.0 * one.minute)), "cell": one.cell, "event": one.event}
         for one in made.truth.life.happenings if one.cell <= made.recorded and one.minute < len(made.truth.wet)
     ]  # fmt: skip
+    mix = {str(cell): _mix(made, cell) for cell in range(1, made.recorded + 1)}
     return {
-        "answer": made.answer,
-        "hidden": list(made.plan.hide),
-        "defects": defects,
-        "events": done,
-        "seed": made.plan.seed,
-    }
+        "answer": made.answer, "hidden": list(made.plan.hide), "defects": defects, "events": done, "seed": made.plan.seed,
+        "weather": made.weather_source, "mix": mix,
+    }  # fmt: skip
+
+
+def _mix(made: Simulated, cell: int) -> dict[str, Any]:
+    """Return the deviations of a cell at the beginning and the end: the mix that makes a commissioned twin's error."""
+    days = slice(made.plan.days)
+    daily = {
+        "bias": made.truth.life.bias[days, cell - 1], "flow_gain": made.truth.life.flow_gain[days, cell - 1],
+        **state_by_minute(made, cell),
+    }  # fmt: skip
+    return {name: [round(float(values[0]), 4), round(float(values[-1]), 4)] for name, values in daily.items()}

@@ -22,7 +22,7 @@ TRIP_EVERY_D, OUTAGE_EVERY_D, TEST_EVERY_D = 14.0, 45.0, 30.0
 
 @dataclass(frozen=True)
 class Operation:
-    """What is asked of the plant by minute: load kW, outage, trips and tests by cell (NaN: none), cell that starts
+    """Demands on the plant by minute: load kW, outage, trips and tests by cell (NaN: none), cell that starts
     first."""
 
     load: Array

@@ -41,26 +41,33 @@ HIDDEN = ("recirculation", "direction", "leak", "leaking_cell", "sun", "neighbou
 
 DT = 60.0
 RAMP = 0.25
-"""Of the drives, share of full speed a minute."""
+"""Change of speed that a drive allows, share of full speed a minute."""
 DEADBAND_K, START_K, STOP_K, BYPASS_K = 0.2, 0.3, 0.8, 2.0
 GAIN, RESET = 0.12, 0.02
-"""Of the fan control: speed per K, and per K and minute."""
+"""Gains of the fan control: speed per K, and per K and minute."""
 HOLD_MIN = 90
 """Minutes between two decisions on the number of cells in service."""
 FAN_HOLD_MIN = 8
-BUSY, IDLE = 0.92, 0.62
-"""Load of the cells in service over their design load at which one more starts, and at which one stops."""
+BUSY, IDLE = 0.92, 0.82
+"""Load of the cells in service over their design load at which one more starts; the same of the cells that remain, at
+which one stops."""
 LAG_BELOW, LEAD_ABOVE = 0.70, 0.80
-"""The same shares at which a lag pump stops and starts."""
+"""Loads, over that of the cells in service, at which the lag pump stops and starts."""
 SHUT_OFF, PUMP_DROP, LIFT, RISER = 1.30, 0.30, 0.45, 0.55
 """Heads, in those of design: pump at no flow, its fall at design flow, height, friction of the riser at design flow."""
+HEAD_KPA, PUMP_IDLE, PUMP_WORK = 150.0, 0.07, 0.31
+"""Head of design, kPa; power of a pump per kg/s of its design flow, kW: without flow, and with flow and head of design."""
 PIPE_LOSS_K = 0.02
+RISER_S, STILL_FLUME_S, STANDING_S = 25.0, 5400.0, 36000.0
+"""Time constants of riser and distribution, of a flume without flow, and of a header without flow."""
 EXCHANGE_KG_S = 60.0
 """Between the compartments, by eddies; the net flow comes on top."""
 CYCLES_HIGH, CYCLES_LOW = 4.0, 3.8
 LEVEL_LOW, LEVEL_HIGH = 62.0, 66.0
 MAKEUP_SHARE = 0.03
 """Makeup of an open valve over the design circulation: twice the evaporation at design load."""
+BLOWDOWN_SHARE = 0.006
+"""Blowdown of an open valve over the circulation: twice what four cycles take at half load."""
 DRIFT_LOSS = 5e-5
 
 
@@ -122,7 +129,7 @@ def run(
         if held >= HOLD_MIN:
             if share > BUSY and in_service < count:
                 in_service, held = in_service + 1, 0
-            elif in_service > 1 and share * in_service / (in_service - 1) < IDLE + 0.2:
+            elif in_service > 1 and share * in_service / (in_service - 1) < IDLE:
                 in_service, held = in_service - 1, 0
         # Fans on the temperature of the supply.
         error = supply - numbers[SETPOINT]
@@ -169,7 +176,7 @@ def run(
             target = supply + heat / (flow * CP_WATER * 1e-3)
             t_return += (target - t_return) * (1.0 - np.exp(-flow * DT / (numbers[HEADER_VOLUME] * 1e3)))
         else:
-            t_return += (dry - t_return) * (1.0 - np.exp(-DT / 36000.0))
+            t_return += (dry - t_return) * (1.0 - np.exp(-DT / STANDING_S))
         day = k / 1440.0
         d = min(int(day), len(states) - 2)
         part = day - d
@@ -204,7 +211,7 @@ def run(
                         t_air += mixed * (exit_t[other] - dry)
                         w_air += mixed * (exit_w[other] - ratio)
             if on:
-                t_in[c] += (t_return - PIPE_LOSS_K - t_in[c]) * (1.0 - np.exp(-DT / 25.0))
+                t_in[c] += (t_return - PIPE_LOSS_K - t_in[c]) * (1.0 - np.exp(-DT / RISER_S))
             for j in range(len(state)):
                 state[j] = states[d, c, j] + part * (states[d + 1, c, j] - states[d, c, j])
             past = bypass[c] * numbers[BYPASS_SHARE]
@@ -223,7 +230,9 @@ def run(
                 flume[c] += (mixed_t - flume[c]) * (1.0 - np.exp(-DT / numbers[FLUME_S] * load_share))
                 left_w[c] = arriving
             else:
-                flume[c] += (pool[0 if c < numbers[FIRST_CELLS] else 1] - flume[c]) * (1.0 - np.exp(-DT / 5400.0))
+                flume[c] += (pool[0 if c < numbers[FIRST_CELLS] else 1] - flume[c]) * (
+                    1.0 - np.exp(-DT / STILL_FLUME_S)
+                )
                 left_w[c] = 0.0
                 lost = 0.0
             rtd[c] += (flume[c] - rtd[c]) * (1.0 - np.exp(-DT / rtd_s[c]))
@@ -246,7 +255,7 @@ def run(
         makeup = 0.0
         if filling:
             makeup = MAKEUP_SHARE * cells[0, M_W0] * count
-        blowdown = 0.3 * makeup + 0.004 * flow if bleeding and flow > 0.0 else 0.0
+        blowdown = BLOWDOWN_SHARE * flow if bleeding and flow > 0.0 else 0.0
         mass = numbers[BASIN_VOLUME] * 500.0
         half = 0.5 * flow
         across = first_flow - half
@@ -265,11 +274,13 @@ def run(
         )
         bleeding = cycles > CYCLES_HIGH or (bleeding and cycles > CYCLES_LOW)
         through = flow / (cells[0, M_W0] * numbers[CELLS_PER_PUMP] * running_pumps)
-        pressure = 0.0 if stopped else 150.0 * (LIFT + RISER * rate * rate)
+        pressure = 0.0 if stopped else HEAD_KPA * (LIFT + RISER * rate * rate)
         pump_kw = 0.0
         if not stopped:
             head = SHUT_OFF * pump_speed**2 - PUMP_DROP * through * through
-            pump_kw = running_pumps * cells[0, M_W0] * numbers[CELLS_PER_PUMP] * (0.07 + 0.31 * through * head)
+            pump_kw = (
+                running_pumps * cells[0, M_W0] * numbers[CELLS_PER_PUMP] * (PUMP_IDLE + PUMP_WORK * through * head)
+            )
         s = station[k]
         s[0], s[1], s[2], s[3] = t_return, supply, pressure, pump_kw
         s[4], s[5], s[6], s[7] = makeup, blowdown, level, heat

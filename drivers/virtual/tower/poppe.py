@@ -23,7 +23,7 @@ from drivers.virtual.tower.moist_air import (
 )
 
 STEPS = 4
-"""Of Runge-Kutta: against 60 steps the outlet is off by less than 1e-3 K at nine points of ten, and by 0.03 K at
+"""Runge-Kutta steps: against 60 of them the outlet is off by less than 1e-3 K at nine points of ten, and by 0.03 K at
 worst."""
 LEAST_DRIVE = 1.0
 """Driving enthalpy, J/kg, at which the operating line counts as meeting saturation."""

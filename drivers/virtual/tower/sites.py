@@ -1,6 +1,6 @@
 """Sites of the virtual station, and the clean plant that a seed draws for one of them.
 
-What a datasheet states is the design. What is built deviates from it: each cell has its own fill, fan and distribution.
+A datasheet states the design. The station as built deviates from it: each cell has its own fill, fan and distribution.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Site:
-    """What the datasheet of a station states: flows kg/s, temperatures degC, kPa, kW, m, m3, and names."""
+    """Design of a station by its datasheet: flows kg/s, temperatures degC, kPa, kW, m, m3, and names."""
 
     station: str
     city: str

@@ -40,7 +40,7 @@ STREAMS = (
 
 @dataclass(frozen=True)
 class Plan:
-    """What to simulate: months, cells that are recorded, seed, beginning (UTC), effects to hide, defects, weather's
+    """Plan of a simulation: months, cells that are recorded, seed, beginning (UTC), effects to hide, defects, weather's
     folder."""
 
     months: float = 14.0

@@ -34,13 +34,12 @@ EFFECTS = ("recirculation", "bypass_leak", "neighbour", "solar")
 @click.option("--score", is_flag=True, help="Write the truth too: truth.parquet and KEY.json.")
 @click.option(
     "--weather",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
     help="Folder of .epw and .tm2 files; default: $HIL_DATA/weather.",
 )
 def command(
     out: Path, months: float, cells: int, seed: int, start: datetime.datetime, hide: tuple[str, ...], defects: bool,
-    score: bool,
-    weather: Path | None,
+    score: bool, weather: Path | None,
 ) -> None:  # fmt: skip
     """Simulate one or two stations of cooling towers and their historian.
 
@@ -56,23 +55,31 @@ def command(
     from drivers.virtual.tower.export import key_of, write_station
     from drivers.virtual.tower.sites import SITES
     from drivers.virtual.tower.station import Plan, simulate
+    from hil.record.raw import RecordError
     from hil.run.session.terminal import console
 
     say = console(stderr=True)
     folder = weather or (Path(os.environ["HIL_DATA"]) / "weather" if os.environ.get("HIL_DATA") else None)
     plan = Plan(months, cells, seed, start.replace(tzinfo=datetime.UTC), tuple(dict.fromkeys(hide)), defects, folder)
     key = {}
-    for site in SITES:
-        recorded = plan.recorded()[site.station]
-        if not recorded:
-            continue
-        made = simulate(site, recorded, plan, lambda text: say.print(text, markup=False, highlight=False))
-        name = f"station{site.station}"
-        write_station(made, out / name, score=score)
-        key[name] = key_of(made)
-        samples = sum(len(one.time_s) for one in made.samples.values())
-        what = f"{plan.days} days, {recorded} of {site.cells} cells recorded, {samples} samples"
-        click.echo(f"{out / name}: {what}")
-        del made
-    if score:
-        (out / "KEY.json").write_text(json.dumps(key, indent=1) + "\n")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "KEY.json").unlink(missing_ok=True)
+        for site in SITES:
+            recorded = plan.recorded()[site.station]
+            if not recorded:
+                continue
+            made = simulate(site, recorded, plan, lambda text: say.print(text, markup=False, highlight=False))
+            name = f"station{site.station}"
+            write_station(made, out / name, score=score)
+            key[name] = key_of(made)
+            samples = sum(len(one.time_s) for one in made.samples.values())
+            what = f"{plan.days} days, {recorded} of {site.cells} cells recorded, {samples} samples"
+            click.echo(f"{out / name}: {what}")
+            del made
+        if score:
+            (out / "KEY.json").write_text(json.dumps(key, indent=1) + "\n")
+    except OSError as error:
+        raise RecordError(
+            f"{out}: cannot be written: {error.strerror or error}; choose another folder or make room"
+        ) from error
