@@ -219,8 +219,8 @@ def key_of(made: Simulated) -> dict[str, Any]:
     ]  # fmt: skip
     mix = {str(cell): _mix(made, cell) for cell in range(1, made.recorded + 1)}
     return {
-        "answer": made.answer, "hidden": list(made.plan.hide), "defects": defects, "events": done, "seed": made.plan.seed,
-        "weather": made.weather_source, "mix": mix,
+        "answer": made.answer, "hidden": list(made.plan.hide), "defects": defects, "events": done,
+        "seed": made.plan.seed, "weather": made.weather_source, "mix": mix,
     }  # fmt: skip
 
 

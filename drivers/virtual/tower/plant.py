@@ -56,7 +56,8 @@ LAG_BELOW, LEAD_ABOVE = 0.70, 0.80
 SHUT_OFF, PUMP_DROP, LIFT, RISER = 1.30, 0.30, 0.45, 0.55
 """Heads, in those of design: pump at no flow, its fall at design flow, height, friction of the riser at design flow."""
 HEAD_KPA, PUMP_IDLE, PUMP_WORK = 150.0, 0.07, 0.31
-"""Head of design, kPa; power of a pump per kg/s of its design flow, kW: without flow, and with flow and head of design."""
+"""Head of design, kPa; power of a pump per kg/s of its design flow, kW: without flow, and with flow and head of
+design."""
 PIPE_LOSS_K = 0.02
 RISER_S, STILL_FLUME_S, STANDING_S = 25.0, 5400.0, 36000.0
 """Time constants of riser and distribution, of a flume without flow, and of a header without flow."""
