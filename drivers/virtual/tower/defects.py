@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.virtual.tower.instruments import Instrument, quantised
+from drivers.virtual.tower.instruments import Instrument, Truth, quantised
 
 Array = NDArray[np.float64]
 DAY_S, HOUR_S = 86400.0, 3600.0
 GOOD, UNCERTAIN, BAD = 192, 64, 0
+MOVING, TRIES = 6.0, 50
+"""Range of a quantity that moves, in deviations of its tag's compression; draws until one is found."""
 OTHER_UNIT = {
     "m3/h": ("L/s", 1.0 / 3.6),
     "L/s": ("m3/h", 3.6),
@@ -73,8 +75,11 @@ class Seeding:
         return [one for one in self.defects if one.kind == kind]
 
     @classmethod
-    def draw(cls, tags: Sequence[Instrument], days: int, zone: str, rng: np.random.Generator) -> Seeding:
-        """Return defects drawn for a record of `days`: as many as its length makes likely, one of each lasting kind."""
+    def draw(cls, tags: Sequence[Instrument], days: int, zone: str, truth: Truth, rng: np.random.Generator) -> Seeding:
+        """Return defects drawn for a record of `days`: as many as its length makes likely, one of each lasting kind.
+
+        An instrument sticks while its quantity moves: one that stands still by itself, as a fan at rest, shows no defect.
+        """
         found: list[Seeded] = []
         end = days * DAY_S
         months = days / 30.0
@@ -90,8 +95,12 @@ class Seeding:
             if one.kind.role in ("water_inlet_temperature", "water_flow", "fan_power", "basin_temperature")
         ]
         for _ in range(max(round(2 * months), 1)):
-            one = lively[int(rng.integers(len(lively)))]
-            found.append(Seeded("stuck", (one.tag,), span(3.0, 12.0)))
+            for _ in range(TRIES):
+                one, when = lively[int(rng.integers(len(lively)))], span(3.0, 12.0)
+                seen = truth.seen(one)[int(when[0] / 60.0) : int(when[1] / 60.0)]
+                if np.ptp(seen) > MOVING * one.kind.deviation:
+                    found.append(Seeded("stuck", (one.tag,), when))
+                    break
         groups: dict[str, list[str]] = {}
         for one in tags:
             groups.setdefault(one.interface, []).append(one.tag)

@@ -24,6 +24,8 @@ LONG_MONTHS = 6.0
 """From this length a record begins with a plant fresh from cleaning, so that it holds a healthy part; a shorter one
 begins anywhere between two cleanings."""
 CLEAN_EVERY_D = 150.0
+MOST_BIAS_K = 0.8
+"""Bias at which operators have a thermometer exchanged."""
 WRITTEN = 0.88
 """Share of maintenance work that has an entry."""
 
@@ -112,7 +114,7 @@ def _thermometer(rows: int, cell: int, rng: np.random.Generator, tag: str) -> tu
         step_in, replace_in = step_in - 1.0, replace_in - 1.0
         if step_in < 0.0:
             value, step_in = value + rng.choice([-1.0, 1.0]) * rng.uniform(0.25, 0.6), rng.exponential(90.0)
-        if replace_in < 0.0 or abs(value) > 1.0:
+        if replace_in < 0.0 or abs(value) > MOST_BIAS_K:
             value, replace_in = rng.normal(0.0, 0.06), rng.exponential(160.0)
             text = f"Transmitter of {tag} exchanged for a new one"
             done.append(Happening((day + 1) * MINUTES_A_DAY, cell + 1, "CMMS", "instrument_work", text))

@@ -111,7 +111,7 @@ def simulate(site: Site, recorded: int, plan: Plan, note: Callable[[str], None] 
     )  # fmt: skip
     truth = Truth(cells, station, air, air.wet_bulb(), air.humidity(), life)
     tags = instruments(site, recorded, streams["instruments"])
-    seeding = Seeding.draw(tags, days, site.timezone, streams["defects"]) if plan.defects else Seeding()
+    seeding = Seeding.draw(tags, days, site.timezone, truth, streams["defects"]) if plan.defects else Seeding()
     samples = _historian(tags, truth, plan, seeding, streams)
     return Simulated(plan, built, recorded, truth, done, tags, samples, seeding, year.source, answer, streams)
 
