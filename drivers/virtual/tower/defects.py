@@ -78,7 +78,7 @@ class Seeding:
     def draw(cls, tags: Sequence[Instrument], days: int, zone: str, truth: Truth, rng: np.random.Generator) -> Seeding:
         """Return defects drawn for a record of `days`: as many as its length makes likely, one of each lasting kind.
 
-        An instrument sticks while its quantity moves: one that stands still by itself, as a fan at rest, shows no defect.
+        An instrument sticks while its quantity moves: of one that rests, as a stopped fan, nobody sees a defect.
         """
         found: list[Seeded] = []
         end = days * DAY_S
