@@ -148,7 +148,7 @@ def _cell(site: Site, rng: np.random.Generator) -> Array:
     values = {
         "m_w0": site.water, "m_a0": site.air * rng.normal(1.0, 0.02), "fill": 1.0, "fill_water": rng.uniform(0.42,
         0.62),
-        "fill_air": rng.uniform(0.50, 0.66), "fill_hot": rng.uniform(0.08, 0.28), "spray": rng.uniform(0.08, 0.14),
+        "fill_air": rng.uniform(0.50, 0.66), "fill_hot": rng.uniform(0.20, 0.40), "spray": rng.uniform(0.08, 0.14),
         "rain": rng.uniform(0.12, 0.22), "starving": rng.uniform(1.1, 1.7), "dry_air": rng.uniform(1.05, 1.25),
         "fan_shut": 1.0 + slope + bend, "fan_slope": slope, "fan_bend": bend, "load_drag": rng.uniform(0.10, 0.22),
         "wind_drag": rng.uniform(0.0007, 0.0016), "draft": rng.uniform(0.4, 0.6),
@@ -162,7 +162,7 @@ def _cell(site: Site, rng: np.random.Generator) -> Array:
 
 def _shares(sectors: int, rng: np.random.Generator) -> Array:
     """Return water, air, clean wetted share and susceptibility to plugging of the sectors."""
-    water, air = rng.normal(1.0, 0.10, sectors), rng.normal(1.0, 0.07, sectors)
+    water, air = rng.normal(1.0, 0.18, sectors), rng.normal(1.0, 0.12, sectors)
     clean = np.clip(rng.normal(0.945, 0.02, sectors), 0.88, 0.985)
     plugged = rng.uniform(0.4, 1.6, sectors)
     plugged *= clean.sum() / (clean * plugged).sum()
