@@ -13,7 +13,16 @@ import pyarrow.parquet as pq
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
-from hil.tower.record import CellRecord, StationNotes, cells_of, read_cell, read_events, read_labels, read_notes, seconds
+from hil.tower.record import (
+    CellRecord,
+    StationNotes,
+    cells_of,
+    read_cell,
+    read_events,
+    read_labels,
+    read_notes,
+    seconds,
+)
 from twin.network import Network, TwinFileError
 from twin.tower.air import Array
 from twin.tower.basin import Drain, with_basin
@@ -28,7 +37,8 @@ from twin.twinfile import load
 
 TABLE = "calibrated.parquet"
 INFORMED = 0.8
-"""A deviation whose posterior standard deviation is above this share of its prior's is withheld: the record hardly says it."""
+"""A deviation whose posterior standard deviation is above this share of its prior's is withheld: the record hardly
+says it."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +100,8 @@ class _Draft:
 def joined_by_basin(
     fitted: Sequence[Fitted], records: Sequence[CellRecord], notes: StationNotes
 ) -> tuple[list[Fitted], set[int]]:
-    """Return the fits with the basin thermometers of each compartment whose cells are all there, and the cells that have one."""
+    """Return the fits with the basin thermometers of each compartment whose cells are all there, and the cells that
+    have one."""
     joined, second = list(fitted), set()
     for cells, volume in _compartments(notes):
         at = [k for k, one in enumerate(records) if one.cell in cells]
@@ -101,7 +112,9 @@ def joined_by_basin(
         drains = [_drain(joined[k], records[k]) for k in at]
         n = len(records[at[0]].time_s)
         makeup = records[at[0]].columns.get("makeup_kg_s", np.zeros(n))
-        changes = [0.5 * (o.start_s + o.end_s) for o in openings_of(notes, records[at[0]].cell) if o.parameter == "bias"]
+        changes = [
+            0.5 * (o.start_s + o.end_s) for o in openings_of(notes, records[at[0]].cell) if o.parameter == "bias"
+        ]
         updated = with_basin([joined[k].posterior for k in at], drains, records[at[0]].time_s, makeup, volume, changes)
         for k, posterior in zip(at, updated, strict=True):
             if posterior is not joined[k].posterior:
@@ -120,7 +133,13 @@ def _compartments(notes: StationNotes) -> list[tuple[tuple[int, ...], float]]:
         return []
     first = tuple(int(n) for n in basin.get("first_compartment_cells", everything))
     rest = tuple(n for n in everything if n not in first)
-    return [(first, volume / count), (rest, volume / count)] if count == 2 else [(everything, volume)] if count == 1 else []
+    return (
+        [(first, volume / count), (rest, volume / count)]
+        if count == 2
+        else [(everything, volume)]
+        if count == 1
+        else []
+    )
 
 
 def _drain(fitted: Fitted, record: CellRecord) -> Drain:
@@ -149,7 +168,9 @@ def _load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Netw
             raise TwinFileError(f"{path}: is of cell {cell}, as {loaded[cell][0]} is; give one twin for each cell")
         if cell not in there:
             cells = ", ".join(f"cell {n}" for n in there)
-            raise TwinFileError(f"{path}: is of cell {cell}, which {record} does not hold; it holds {cells}: give their twins")
+            raise TwinFileError(
+                f"{path}: is of cell {cell}, which {record} does not hold; it holds {cells}: give their twins"
+            )
         loaded[cell] = (path, network)
     return loaded
 
@@ -163,17 +184,22 @@ def _fit(
     flow = float(np.nanmedian(minutes.operation.inputs.m_w[minutes.known])) if minutes.known.any() else np.nan
     if not minutes.known.any():
         raise RecordError(
-            f"{minutes_read.path}: no minute has water above a fifth of the design flow, {design.m_w0:g} kg/s, and all inputs; "
+            f"{minutes_read.path}: no minute has water above a fifth of the design flow, {design.m_w0:g} kg/s, and "
+            f"all inputs; "
             "is the twin of this station, and the flow in kg/s?"
         )
     if flow > 2.0 * design.m_w0:
         raise RecordError(
-            f"{minutes_read.path}: the flow is {flow:.0f} kg/s at the median and the twin's design flow {design.m_w0:g} kg/s; "
+            f"{minutes_read.path}: the flow is {flow:.0f} kg/s at the median and the twin's design flow "
+            f"{design.m_w0:g} kg/s; "
             f"give the twin of this station instead of {path}"
         )
     priors = priors_of(network)
     try:
-        model, edges = CellModel(design, site_of(notes, share)), time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1]))
+        model, edges = (
+            CellModel(design, site_of(notes, share)),
+            time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1])),
+        )
         openings = openings_of(notes, cell)
         fitted = fit_cell(model, minutes, priors, labels, openings, edges)
         steps = thermometer_steps(fitted, minutes_read)
@@ -186,7 +212,8 @@ def _fit(
 
 
 def thermometer_steps(fitted: Fitted, record: CellRecord) -> tuple[Step, ...]:
-    """Return the steps of a cell's outlet thermometer; the basin's thermometer shows whether the water itself has stepped."""
+    """Return the steps of a cell's outlet thermometer; the basin's thermometer shows whether the water itself has
+    stepped."""
     predicted = predict_cell(fitted)
     rows = np.flatnonzero(fitted.minutes.steady & np.isfinite(fitted.minutes.outlet) & np.isfinite(predicted.t_out))
     residual = fitted.minutes.outlet[rows] - predicted.t_out[rows]
@@ -228,7 +255,9 @@ def openings_of(notes: StationNotes, cell: int) -> tuple[Opening, ...]:
         try:
             start, end = seconds(event["from"]), seconds(event["to"])
         except (KeyError, ValueError, AttributeError) as error:
-            raise RecordError(f"station.json: an event has no time that can be read ({error}); align the store again") from error
+            raise RecordError(
+                f"station.json: an event has no time that can be read ({error}); align the store again"
+            ) from error
         found += [Opening(start, end, name) for name in event.get("parameters", ())]
     return tuple(found)
 
@@ -240,7 +269,12 @@ def table_of(result: CellResult) -> pa.Table:
         "time": pa.array((result.minutes.time_s * 1e3).astype("datetime64[ms]"), pa.timestamp("ms", tz="UTC")),
         "cell": pa.array(np.full(n, result.cell, dtype=np.int32)),
     }
-    for name, values in (("t_out", c.t_out), ("t_out_lo", c.low), ("t_out_hi", c.high), ("t_out_commissioned", c.commissioned)):
+    for name, values in (
+        ("t_out", c.t_out),
+        ("t_out_lo", c.low),
+        ("t_out_hi", c.high),
+        ("t_out_commissioned", c.commissioned),
+    ):
         arrays[name] = pa.array(values.astype(np.float32), from_pandas=True)
     for j, name in enumerate(DEVIATIONS):
         value, sd = withheld(result, j)

@@ -23,10 +23,15 @@ REQUIRED = (
 OPTIONAL = ("pressure_kPa", "fan_power_kW", "air_flow_kg_s", "evaporation_kg_s", "wind_m_s")
 RANGES = {
     "water_inlet_C": (0.0, 70.0), "water_outlet_C": (0.0, 60.0), "entering_wet_bulb_C": (-30.0, 40.0),
-    "dry_bulb_C": (-40.0, 60.0), "water_flow_kg_s": (0.01, 1e5), "fan_speed_pct": (5.0, 120.0), "pressure_kPa": (50.0, 110.0),
+    "dry_bulb_C": (-40.0, 60.0), "water_flow_kg_s": (0.01, 1e5), "fan_speed_pct": (5.0, 120.0), "pressure_kPa": (50.0,
+    110.0),
 }  # fmt: skip
 """Values that a test point can have in these units; others are in another unit, which the message names."""
-HINTS = {"C": "it looks like degF: convert to degC", "kPa": "it looks like hPa: divide by 10", "pct": "give it in %, 0 to 100"}
+HINTS = {
+    "C": "it looks like degF: convert to degC",
+    "kPa": "it looks like hPa: divide by 10",
+    "pct": "give it in %, 0 to 100",
+}
 WET_BULB_MARGIN_K = 0.2
 """By which a measured outlet may lie below the entering wet bulb: two thermometers' uncertainty."""
 
@@ -65,11 +70,15 @@ def read_points(path: Path, cell: int, site_kPa: float = 101.325) -> Commissioni
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise RecordError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'it is no UTF-8 text'}") from error
+        raise RecordError(
+            f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'it is no UTF-8 text'}"
+        ) from error
     reader = csv.DictReader(text.splitlines())
     missing = [name for name in REQUIRED if name not in (reader.fieldnames or ())]
     if missing:
-        raise RecordError(f"{path}: lacks the column {', '.join(missing)}; its first line has {', '.join(reader.fieldnames or ())}")
+        raise RecordError(
+            f"{path}: lacks the column {', '.join(missing)}; its first line has {', '.join(reader.fieldnames or ())}"
+        )
     rows, names, cells = [], [], set()
     for row in reader:
         line = reader.line_num
@@ -77,7 +86,9 @@ def read_points(path: Path, cell: int, site_kPa: float = 101.325) -> Commissioni
         cells.add(int(number))
         if int(number) != cell:
             continue
-        rows.append({name: _value(path, line, name, row.get(name) or "", site_kPa) for name in (*REQUIRED[1:], *OPTIONAL)})
+        rows.append(
+            {name: _value(path, line, name, row.get(name) or "", site_kPa) for name in (*REQUIRED[1:], *OPTIONAL)}
+        )
         names.append(row.get("test") or f"line {line}")
         _refuse_impossible(path, line, rows[-1])
     if not rows:
@@ -105,7 +116,9 @@ def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, 
         share = float(sheet.get("bypass", {}).get("share_when_open", 0.0))
         site = float(design.get("pressure_kPa", 101.325))
     except (KeyError, TypeError, ValueError) as error:
-        raise RecordError(f"{datasheet}: design.water_flow_kg_s, the design water flow of a cell, is needed as a number") from error
+        raise RecordError(
+            f"{datasheet}: design.water_flow_kg_s, the design water flow of a cell, is needed as a number"
+        ) from error
     found = read_points(points, cell, site)
     try:
         fitted = fit_clean_cell(found.points, water_flow, water_flow / loading if loading > 0.0 else None)
@@ -145,11 +158,17 @@ def _refuse_impossible(path: Path, line: int, row: dict[str, float]) -> None:
     """Raise RecordError for a point that no cooling tower can have."""
     t_in, t_out, wet, dry = (row[k] for k in ("water_inlet_C", "water_outlet_C", "entering_wet_bulb_C", "dry_bulb_C"))
     if t_out >= t_in:
-        raise RecordError(f"{path}:{line}: the outlet, {t_out:g} degC, is not below the inlet, {t_in:g} degC; are they swapped?")
+        raise RecordError(
+            f"{path}:{line}: the outlet, {t_out:g} degC, is not below the inlet, {t_in:g} degC; are they swapped?"
+        )
     if t_out < wet - WET_BULB_MARGIN_K:
-        raise RecordError(f"{path}:{line}: the outlet, {t_out:g} degC, is below the entering wet bulb, {wet:g} degC; correct one")
+        raise RecordError(
+            f"{path}:{line}: the outlet, {t_out:g} degC, is below the entering wet bulb, {wet:g} degC; correct one"
+        )
     if wet > dry + WET_BULB_MARGIN_K:
-        raise RecordError(f"{path}:{line}: the wet bulb, {wet:g} degC, is above the dry bulb, {dry:g} degC; are they swapped?")
+        raise RecordError(
+            f"{path}:{line}: the wet bulb, {wet:g} degC, is above the dry bulb, {dry:g} degC; are they swapped?"
+        )
 
 
 def _listed(cells: set[int]) -> str:

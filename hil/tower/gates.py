@@ -42,7 +42,8 @@ JUMPED_SD = 4.0
 
 @dataclass(frozen=True)
 class Verdict:
-    """Reason codes of a window that hold for all deviations, and those of each deviation; `notes` are for information."""
+    """Reason codes of a window that hold for all deviations, and those of each deviation; `notes` are for
+    information."""
 
     codes: tuple[str, ...]
     of: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -55,8 +56,9 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Evidence beside the record: labels of the cell, inspections by event s, steps and jumps that nothing explains s, and
-    whether a basin thermometer is in use. `balance`: reason for which the heat balance is switched off, or nothing."""
+    """Evidence beside the record: labels of the cell, inspections by event s, steps and jumps that nothing explains
+    s, and whether a basin thermometer is in use. `balance`: reason for which the heat balance is switched off, or
+    nothing."""
 
     labels: Sequence[Label]
     inspections_s: Sequence[float]
@@ -71,7 +73,8 @@ def judge(
     """Return the verdict on each window.
 
     Parameters:
-        distance: of each window from the envelope. dropped, bypass: share of its minutes without wet bulb, and with bypass.
+        distance: of each window from the envelope. dropped, bypass: share of its minutes without wet bulb, and with
+        bypass.
     """
     finite = distance[np.isfinite(distance)]
     limit = float(np.quantile(finite, ENVELOPE_QUANTILE)) if len(finite) else np.inf

@@ -1,7 +1,7 @@
 """Governance of a calibration: append-only records, review queue, states, drift alarm.
 
-`records.jsonl` has a line for every five minutes of a cell, some 440 bytes. A line holds the hash of the line before, so a line
-that was changed or removed later is found. Its keys:
+`records.jsonl` has a line for every five minutes of a cell, some 440 bytes. A line holds the hash of the line before,
+so a line that was changed or removed later is found. Its keys:
 
 | key | content |
 |---|---|
@@ -33,7 +33,8 @@ from twin.tower.windows import Window
 
 RECORDS, QUEUE = "records.jsonl", "review_queue.json"
 STATES = ("shadow", "advisory", "controlled")
-"""Shadow writes records; advisory fills the review queue too; controlled saves accepted proposals as revisions of the twin."""
+"""Shadow writes records; advisory fills the review queue too; controlled saves accepted proposals as revisions of the
+twin."""
 EVERY_S = 300.0
 HASH = 12
 """Hex digits of a hash: 48 bits identify a line among some 1e5 with a chance of 1e-5 that two agree."""
@@ -44,7 +45,8 @@ DRIFT_LIMITS = {"residual_mean": 0.25, "coverage": 0.80, "withheld": 0.5, "missi
 
 @dataclass(frozen=True)
 class Indicators:
-    """Indicators of drift by hour (n,): mean residual K, coverage, shares withheld and missing, distance; NaN is unknown."""
+    """Indicators of drift by hour (n,): mean residual K, coverage, shares withheld and missing, distance; NaN is
+    unknown."""
 
     time_s: Array
     residual_mean: Array
@@ -57,7 +59,8 @@ class Indicators:
 def drift_alarms(found: Indicators) -> list[tuple[float, tuple[str, ...]]]:
     """Return the time of each drift alarm, s, with the indicators that have been beyond their limits for a day.
 
-    The alarm is raised when two or more have been beyond for `DRIFT_HOURS` hours running; it is raised anew after it has ended.
+    The alarm is raised when two or more have been beyond for `DRIFT_HOURS` hours running; it is raised anew after it
+    has ended.
     """
     beyond = {
         "residual_mean": np.abs(found.residual_mean) > DRIFT_LIMITS["residual_mean"],
@@ -69,7 +72,9 @@ def drift_alarms(found: Indicators) -> list[tuple[float, tuple[str, ...]]]:
     lasting = {name: _running(np.asarray(rows)) >= DRIFT_HOURS for name, rows in beyond.items()}
     count = np.sum(list(lasting.values()), axis=0)
     raised = (count >= 2) & ~np.r_[False, count[:-1] >= 2]
-    return [(float(found.time_s[i]), tuple(n for n, rows in lasting.items() if rows[i])) for i in np.flatnonzero(raised)]
+    return [
+        (float(found.time_s[i]), tuple(n for n, rows in lasting.items() if rows[i])) for i in np.flatnonzero(raised)
+    ]
 
 
 def _running(rows: Array) -> Array:
@@ -97,7 +102,8 @@ class CellLines:
 
 
 def append_records(path: Path, cells: Sequence[CellLines], state: str) -> int:
-    """Append the records of the cells to the file and return their number; times that it has already are not written again.
+    """Append the records of the cells to the file and return their number; times that it has already are not written
+    again.
 
     Raises:
         RecordError: the file ends in the middle of a line or a line of it was changed.
@@ -131,7 +137,8 @@ def _lines(cell: CellLines, state: str, after_s: float) -> Iterator[dict[str, An
             continue
         k = int(cell.window[i])
         yield {
-            "t": iso(time_s), "c": cell.cell, "m": state, "d": _rounded(cell.deviations[i], 4), "s": _rounded(cell.sd[i], 4),
+            "t": iso(time_s), "c": cell.cell, "m": state, "d": _rounded(cell.deviations[i], 4),
+            "s": _rounded(cell.sd[i], 4),
             "y": _number(cell.correction[i], 3), "w": _number(cell.half[i], 3), "r": int(cell.regime[i]),
             "k": _number(min(cell.windows[k].told.condition, 9999.0), 1), "h": _number(cell.windows[k].told.hidden, 3),
             "f": flags[k], "src": sources[k], "tw": cell.twin[:HASH],
@@ -167,10 +174,13 @@ def check_records(path: Path) -> tuple[str, dict[int, float]]:
                 follows = line["p"] == last and text.endswith("\n")
                 until[int(line["c"])] = _epoch(line["t"])
             except (ValueError, KeyError, TypeError) as error:
-                raise RecordError(f"{path}:{number}: is no record of a calibration; restore the file or give another folder") from error
+                raise RecordError(
+                    f"{path}:{number}: is no record of a calibration; restore the file or give another folder"
+                ) from error
             if not follows:
                 raise RecordError(
-                    f"{path}:{number}: does not follow from the line before: a line was changed or removed; restore the file or "
+                    f"{path}:{number}: does not follow from the line before: a line was changed or removed; restore "
+                    f"the file or "
                     "give another folder"
                 )
             last = hashlib.sha256(text.rstrip("\n").encode()).hexdigest()[:HASH]

@@ -23,7 +23,8 @@ from twin.tower.evidence import Label
 from twin.tower.twin_file import BOUNDS
 
 NEEDED = ("t_in_C", "t_out_C", "m_w_kg_s", "dry_C")
-"""Columns without which no outlet can be predicted; the fan's speed or its command, and a wet bulb, are needed as well."""
+"""Columns without which no outlet can be predicted; the fan's speed or its command, and a wet bulb, are needed as
+well."""
 EMPTY = 0.005
 """Share of minutes below which a column counts as missing throughout."""
 
@@ -89,12 +90,15 @@ def _is_number(table: pa.Table, name: str) -> bool:
 
 def _refuse_empty(path: Path, columns: dict[str, Array]) -> None:
     """Raise RecordError where a quantity that the prediction needs is missing throughout."""
+
     def there(name: str) -> bool:
         return name in columns and float(np.isfinite(columns[name]).mean()) > EMPTY
 
     for name in NEEDED:
         if not there(name):
-            raise RecordError(f"{path}: {name} is missing throughout; map its tag in the tag dictionary and align again")
+            raise RecordError(
+                f"{path}: {name} is missing throughout; map its tag in the tag dictionary and align again"
+            )
     for either in (("fan_speed_pct", "fan_command_pct"), ("wet_C", "wet_rh_C")):
         if not any(there(name) for name in either):
             raise RecordError(f"{path}: {' and '.join(either)} are missing throughout; map one's tag and align again")
@@ -140,13 +144,16 @@ def read_events(path: Path) -> tuple[dict[str, Any], ...]:
         try:
             time_s, cell = seconds(row["time"] or ""), int(row.get("cell") or 0)
         except ValueError as error:
-            raise RecordError(f"{path}:{line}: time or cell cannot be read ({error}); write a time as 2022-10-06T15:00:00Z") from error
+            raise RecordError(
+                f"{path}:{line}: time or cell cannot be read ({error}); write a time as 2022-10-06T15:00:00Z"
+            ) from error
         by_day = (row.get("precision") or "") == "day" or len(row["time"].strip()) <= 10
         event = Event(time_s, by_day, cell, row["event"], row.get("source") or "", row.get("text") or "")
         influence = influence_of(event.kind, event.text)
         low, high = event.window_s
         found.append({
-            "time": iso(time_s), "by_day": by_day, "cell": cell, "kind": event.kind, "source": event.source, "text": event.text,
+            "time": iso(time_s), "by_day": by_day, "cell": cell, "kind": event.kind, "source": event.source,
+            "text": event.text,
             "from": iso(low), "to": iso(high + 3600.0 * influence.hours), "parameters": list(influence.parameters),
         })  # fmt: skip
     return tuple(found)
@@ -161,11 +168,15 @@ def _rows(path: Path, required: tuple[str, ...]) -> list[tuple[int, dict[str, st
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise RecordError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'it is no UTF-8 text'}") from error
+        raise RecordError(
+            f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'it is no UTF-8 text'}"
+        ) from error
     reader = csv.DictReader(text.splitlines())
     missing = [n for n in required if n not in (reader.fieldnames or ())]
     if missing:
-        raise RecordError(f"{path}: lacks the column {', '.join(missing)}; its first line has {', '.join(reader.fieldnames or ())}")
+        raise RecordError(
+            f"{path}: lacks the column {', '.join(missing)}; its first line has {', '.join(reader.fieldnames or ())}"
+        )
     return [(reader.line_num, {k: v or "" for k, v in row.items() if k}) for row in reader]
 
 
@@ -173,7 +184,8 @@ def read_labels(path: Path, cells: tuple[int, ...]) -> tuple[Label, ...]:
     """Return the labels of these cells: inspections as intervals, traverses and certificates as points.
 
     Raises:
-        RecordError: a column is missing, or a line has no time, an unknown parameter or kind, or bounds the wrong way round.
+        RecordError: a column is missing, or a line has no time, an unknown parameter or kind, or bounds the wrong way
+        round.
     """
     found = [_label(path, line, row) for line, row in _rows(path, ("time", "cell", "parameter", "kind"))]
     return tuple(label for label in found if label.cell in cells)
@@ -184,7 +196,9 @@ def _label(path: Path, line: int, row: dict[str, str]) -> Label:
     try:
         time_s, cell = seconds(row["time"] or ""), int(row["cell"])
     except ValueError as error:
-        raise RecordError(f"{where}: time or cell cannot be read ({error}); write a time as 2022-10-06T15:00:00Z") from error
+        raise RecordError(
+            f"{where}: time or cell cannot be read ({error}); write a time as 2022-10-06T15:00:00Z"
+        ) from error
     parameter, kind = row["parameter"], row["kind"]
     if parameter not in BOUNDS:
         raise RecordError(f"{where}: parameter {parameter!r} is unknown; it is one of {', '.join(BOUNDS)}")

@@ -48,7 +48,13 @@ def report(out: Path) -> str:
     check_records(out / RECORDS)
     cells = table["cell"].to_numpy()
     columns = {name: table[name].to_numpy() for name in table.schema.names if name != "cell"}
-    text = ["# Calibration", "", _span(columns["time"]), "", *_outlet_table([_of(columns, cells == c, int(c)) for c in np.unique(cells)])]
+    text = [
+        "# Calibration",
+        "",
+        _span(columns["time"]),
+        "",
+        *_outlet_table([_of(columns, cells == c, int(c)) for c in np.unique(cells)]),
+    ]
     text += ["", *_flags(out / RECORDS), "", *_proposals(out / QUEUE)]
     return "\n".join(text).rstrip() + "\n"
 
@@ -74,12 +80,18 @@ def _of(columns: dict[str, Any], rows: Any, cell: int) -> _Cell:
 
 
 def _outlet_table(cells: list[_Cell]) -> list[str]:
-    lines = ["| cell | minutes | predicted | width K | correction K | fill | air | uniformity | bias K |", "|---|---|---|---|---|---|---|---|---|"]
+    lines = [
+        "| cell | minutes | predicted | width K | correction K | fill | air | uniformity | bias K |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
     for c in cells:
         moved = " | ".join(
-            "-" if not np.isfinite(c.last[name]) else f"{c.first[name]:.3f} to {c.last[name]:.3f}" for name in DEVIATIONS
+            "-" if not np.isfinite(c.last[name]) else f"{c.first[name]:.3f} to {c.last[name]:.3f}"
+            for name in DEVIATIONS
         )
-        lines.append(f"| {c.cell} | {c.minutes} | {100 * c.answered:.1f} % | {c.width:.2f} | {c.correction:.2f} | {moved} |")
+        lines.append(
+            f"| {c.cell} | {c.minutes} | {100 * c.answered:.1f} % | {c.width:.2f} | {c.correction:.2f} | {moved} |"
+        )
     return lines
 
 
@@ -93,7 +105,12 @@ def _flags(path: Path) -> list[str]:
             line = json.loads(text)
             total += 1
             count.update(line["f"])
-    lines = [f"{total} records of five minutes, in an unbroken chain. Reason codes:", "", "| code | share of records |", "|---|---|"]
+    lines = [
+        f"{total} records of five minutes, in an unbroken chain. Reason codes:",
+        "",
+        "| code | share of records |",
+        "|---|---|",
+    ]
     return lines + [f"| `{code}` | {100 * number / total:.1f} % |" for code, number in count.most_common()]
 
 
@@ -105,7 +122,9 @@ def _proposals(path: Path) -> list[str]:
     for e in entries:
         if "parameter" in e:
             verdict = "all gates hold" if e["accepted"] else f"held back: {', '.join(e['codes'])}"
-            lines.append(f"- {e['time']} cell {e['cell']}: {e['parameter']} {e['value']:.3f} ± {e['sd']:.3f}; {verdict}")
+            lines.append(
+                f"- {e['time']} cell {e['cell']}: {e['parameter']} {e['value']:.3f} ± {e['sd']:.3f}; {verdict}"
+            )
         else:
             further = f" of {e['size_K']:+.2f} K" if "size_K" in e else f" by {', '.join(e.get('indicators', []))}"
             lines.append(f"- {e['time']} cell {e['cell']}: {e['event'].replace('_', ' ')}{further}")

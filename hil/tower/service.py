@@ -1,4 +1,5 @@
-"""Calibration as a service: windows, gates, records, review queue and, in the controlled state, revisions of the twins."""
+"""Calibration as a service: windows, gates, records, review queue and, in the controlled state, revisions of the
+twins."""
 
 from __future__ import annotations
 
@@ -14,7 +15,14 @@ from hil.tower.align import iso
 from hil.tower.calibrate import CellResult, site_of
 from hil.tower.gates import Evidence, Verdict, judge
 from hil.tower.governance import (
-    EVERY_S, QUEUE, RECORDS, CellLines, Indicators, append_records, drift_alarms, write_queue,
+    EVERY_S,
+    QUEUE,
+    RECORDS,
+    CellLines,
+    Indicators,
+    append_records,
+    drift_alarms,
+    write_queue,
 )  # fmt: skip
 from hil.tower.record import StationNotes, seconds
 from twin.network import Revision
@@ -81,7 +89,11 @@ def _judged(result: CellResult, notes: StationNotes) -> tuple[list[Window], list
     dropped = _shares(result, windows, ~np.isfinite(columns.get("wet_C", np.full(n, np.nan))))
     bypass = _shares(result, windows, result.minutes.operation.bypass > 0.05)
     balance = "NO_MAKEUP" if "makeup_kg_s" not in columns else "NOT_ALL_CELLS" if _partial(result, notes) else ""
-    inspections = [seconds(e["time"]) for e in notes.events if e.get("kind") in INSPECTIONS and int(e.get("cell", 0)) in (0, result.cell)]
+    inspections = [
+        seconds(e["time"])
+        for e in notes.events
+        if e.get("kind") in INSPECTIONS and int(e.get("cell", 0)) in (0, result.cell)
+    ]
     unexplained = [s.start_s for s in result.steps if s.lasting and s.kind == "water"]
     evidence = Evidence(result.labels, inspections, unexplained, result.second, balance)
     return windows, judge(windows, distance, dropped, bypass, evidence), balance
@@ -131,7 +143,8 @@ def _indicators(result: CellResult, windows: Sequence[Window], verdicts: Sequenc
 
 
 def _queue(
-    result: CellResult, windows: Sequence[Window], verdicts: Sequence[Verdict], alarms: Sequence[tuple[float, tuple[str, ...]]],
+    result: CellResult, windows: Sequence[Window], verdicts: Sequence[Verdict], alarms: Sequence[tuple[float,
+    tuple[str, ...]]],
     state: str,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Return what waits for an engineer: the present proposal of each deviation, steps and alarms."""
@@ -141,7 +154,8 @@ def _queue(
         for name, value, sd in _proposals(result, windows[k]):
             codes = [*verdicts[k].codes, *verdicts[k].of.get(name, ())]
             entries.append({
-                "time": iso(windows[k].end_s), "cell": result.cell, "parameter": name, "value": round(value, 4), "sd": round(sd, 4),
+                "time": iso(windows[k].end_s), "cell": result.cell, "parameter": name, "value": round(value, 4),
+                "sd": round(sd, 4),
                 "accepted": not codes, "codes": codes, "condition": round(windows[k].told.condition, 1),
                 "combined": windows[k].told.says(), "state": state,
             })  # fmt: skip
@@ -149,9 +163,12 @@ def _queue(
         if step.lasting:
             entries.append({
                 "time": iso(step.alarm_s), "cell": result.cell, "event": f"{step.kind}_step", "from": iso(step.start_s),
-                "size_K": round(step.size, 2), "codes": ["CONTRADICTORY_EVENT"] if step.kind == "water" else ["THERMOMETER_STEP"],
+                "size_K": round(step.size, 2),
+                "codes": ["CONTRADICTORY_EVENT"] if step.kind == "water" else ["THERMOMETER_STEP"],
             })  # fmt: skip
-    entries += [{"time": iso(t), "cell": result.cell, "event": "drift_alarm", "indicators": list(names)} for t, names in alarms]
+    entries += [
+        {"time": iso(t), "cell": result.cell, "event": "drift_alarm", "indicators": list(names)} for t, names in alarms
+    ]
     return entries
 
 
@@ -192,7 +209,8 @@ def _controlled(one: CellGovernance) -> CellGovernance:
     residual = result.calibrated.posterior.residual
     before = result.minutes.outlet - result.calibrated.commissioned
     revision = Revision(
-        made_by="hil tower calibrate", notes=tuple(notes), record=result.record.digest, record_file=result.record.path.name,
+        made_by="hil tower calibrate", notes=tuple(notes), record=result.record.digest,
+        record_file=result.record.path.name,
         error_before_K={"outlet": _rms(before)}, error_after_K={"outlet": _rms(residual)},
         window_s=(float(result.minutes.time_s[0]), float(result.minutes.time_s[-1])),
         effects=tuple(f"{name} {values[name]:.4g}" for name in values), evidence="windows that passed all gates",

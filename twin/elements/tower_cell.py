@@ -4,12 +4,12 @@
     t_mixed = (1 - b) t_fill + b T_in,   b = bypass_share * bypass/100
     heat into the flume's node = m_w c_p (t_mixed - T_node)
 
-The fill holds so little water that it follows its inputs at once, so the fixed point is computed once for each sample and
-the network stays affine in its temperatures. `fill`, `air` and `uniformity` are deviations from the clean cell: multipliers
-of its Merkel number, of its air flow at full speed and of the wetted share of its plan at design flow.
+The fill holds so little water that it follows its inputs at once, so the fixed point is computed once for each sample
+and the network stays affine in its temperatures. `fill`, `air` and `uniformity` are deviations from the clean cell:
+multipliers of its Merkel number, of its air flow at full speed and of the wetted share of its plan at design flow.
 
-Sources: Braun, Klein & Mitchell, ASHRAE Trans. 95 (1989) 164; Kloppers & Kroeger, Int. J. Heat Mass Transfer 48 (2005) 765;
-saturation by Hyland & Wexler, ASHRAE Handbook Fundamentals 2017, chapter 1.
+Sources: Braun, Klein & Mitchell, ASHRAE Trans. 95 (1989) 164; Kloppers & Kroeger, Int. J. Heat Mass Transfer 48
+(2005) 765; saturation by Hyland & Wexler, ASHRAE Handbook Fundamentals 2017, chapter 1.
 """
 
 from __future__ import annotations
@@ -46,11 +46,15 @@ class TowerCell(Element):
         ParameterSpec("evaporation", "1", 1.0, 0.5, 2.0, "fixed", "evaporation over that of Merkel's method"),
         ParameterSpec("bypass_share", "1", 0.0, 0.0, 1.0, "fixed", "of the water that an open bypass valve lets past"),
         ParameterSpec("error_K", "K", 0.1, 0.001, 5.0, "fixed", "RMSE of the clean cell at its test points"),
-        ParameterSpec("merkel_sd", "1", 0.02, 1e-4, 1.0, "fixed", "standard deviation of the Merkel number's logarithm"),
+        ParameterSpec(
+            "merkel_sd", "1", 0.02, 1e-4, 1.0, "fixed", "standard deviation of the Merkel number's logarithm"
+        ),
         ParameterSpec("exponent_sd", "1", 0.1, 1e-4, 1.0, "fixed", "standard deviation of the exponent"),
         ParameterSpec("fill", "1", 1.0, 0.2, 1.8, "fixed", "Merkel number over that of the clean cell"),
         ParameterSpec("air", "1", 1.0, 0.2, 1.8, "fixed", "air flow over that of the clean cell"),
-        ParameterSpec("uniformity", "1", 1.0, 0.2, 1.8, "fixed", "wetted share of the plan over that of the clean cell"),
+        ParameterSpec(
+            "uniformity", "1", 1.0, 0.2, 1.8, "fixed", "wetted share of the plan over that of the clean cell"
+        ),
     )
 
     node: str = place("node", "node of the outlet flume")
@@ -79,13 +83,11 @@ class TowerCell(Element):
 
     def emit(self, n: Names) -> Fragment:
         t_in = f"min(max({n.input(self.inlet)}, 0.0), {HOTTEST_C})"
-        names = "t_in dry wet kPa w_in h_in rho_air fan_share hot h_hot m_w".split()
+        names = ["t_in", "dry", "wet", "kPa", "w_in", "h_in", "rho_air", "fan_share", "hot", "h_hot", "m_w"]
         uniform = {name: n.local(name) for name in names}
         dry, wet, kpa = uniform["dry"], uniform["wet"], uniform["kPa"]
         saturated, frozen = _ratio(wet, kpa), _ratio_over_ice(wet, kpa)
-        over_water = (
-            f"((2501.0 - 2.326 * {wet}) * {saturated} - 1.006 * ({dry} - {wet})) / (2501.0 + 1.86 * {dry} - 4.186 * {wet})"
-        )
+        over_water = f"((2501.0 - 2.326 * {wet}) * {saturated} - 1.006 * ({dry} - {wet})) / (2501.0 + 1.86 * {dry} - 4.186 * {wet})"
         over_ice = (
             f"((2830.0 - 0.24 * {wet}) * {frozen} - 1.006 * ({dry} - {wet})) / (2830.0 + 1.86 * {dry} - 2.1 * {wet})"
         )
@@ -125,8 +127,14 @@ class TowerCell(Element):
         design = f"{par('water_flow')} / {water}"
         rows = [
             (water, f"max({u['m_w']}, 1e-3 * {par('water_flow')})"),
-            (wetted, f"min(max(1.0 - (1.0 - {WETTED} * {par('uniformity')}) * exp({STARVING} * log({design})), 0.05), 1.0)"),
-            (wet_air, f"{wetted} * {par('air_flow')} * {par('air')} * {u['fan_share']} * {u['rho_air']} / {par('density')}"),
+            (
+                wetted,
+                f"min(max(1.0 - (1.0 - {WETTED} * {par('uniformity')}) * exp({STARVING} * log({design})), 0.05), 1.0)",
+            ),
+            (
+                wet_air,
+                f"{wetted} * {par('air_flow')} * {par('air')} * {u['fan_share']} * {u['rho_air']} / {par('density')}",
+            ),
             (loading, f"{water} / {wet_air}"),
             (
                 ntu,

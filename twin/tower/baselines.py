@@ -1,7 +1,8 @@
-"""Baselines of a cell's calibration behind one interface: fitted on one part of the blocks, asked about windows of another.
+"""Baselines of a cell's calibration behind one interface: fitted on one part of the blocks, asked about windows of
+another.
 
-Every baseline predicts the reading of the outlet thermometer in a target interval of two hours whose readings are hidden. It
-may use the inputs in it, and all readings that end before it.
+Every baseline predicts the reading of the outlet thermometer in a target interval of two hours whose readings are
+hidden. It may use the inputs in it, and all readings that end before it.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.calibration import WINDOW_S
-from twin.tower.cell import solve
+from twin.tower.cell import STARVING, solve
 from twin.tower.evidence import Label
-from twin.tower.model import DEVIATIONS, GLOBALS, NAMES, SLOW, CellModel
+from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel
 from twin.tower.smoother import DAY_S, Blocks, Estimate, Opening, Priors, estimate
 from twin.tower.smoother import WALK as DAILY
 
@@ -28,6 +29,8 @@ MONTH_S = 30.0 * DAY_S
 BLOCK_SIGMA = 0.3
 """Standard deviation of a block's outlet, K, for a fit that does not learn the twin's own error: METHODS 5.2."""
 PERSISTENT_BLOCKS = 3
+NEUTRAL = {"wetting": 1.0, "starving": STARVING, "draft": 0.02, "kappa": -1.3}
+"""Global quantities with which the model is the clean cell's; the others are 0."""
 TREES = {"n_estimators": 120, "min_samples_leaf": 5, "n_jobs": 1}
 
 
@@ -89,7 +92,9 @@ def monthly_least_squares(case: Case) -> Array:
 
 def gauss_newton(case: Case) -> Array:
     """Predict by deviations that a MAP estimate gives on the day before, the twin taken as right."""
-    return _linear(case, _reference(case, None), DAY_S, np.array([case.priors.slow(n)[1] for n in DEVIATIONS]), WINDOW_S)
+    return _linear(
+        case, _reference(case, None), DAY_S, np.array([case.priors.slow(n)[1] for n in DEVIATIONS]), WINDOW_S
+    )
 
 
 def with_discrepancy(case: Case) -> Array:
@@ -125,6 +130,15 @@ BASELINES: dict[str, Baseline] = {
 }  # fmt: skip
 
 
+def without_discrepancy(priors: Priors) -> Priors:
+    """Return the priors of a fit that takes the twin as right: its global quantities are held at what the clean cell
+    has."""
+    means, sds = priors.constant()
+    free = ("kappa", "power_gain")
+    held = {n: (m, s) if n in free else (NEUTRAL.get(n, 0.0), 1e-6) for n, m, s in zip(NAMES, means, sds, strict=True)}
+    return Priors(priors.bounds, held)
+
+
 def _windows(case: Case, length_s: float = WINDOW_S) -> list[tuple[float, NDArray[np.intp]]]:
     rows = np.flatnonzero(case.test)
     number = np.floor(case.blocks.time_s[rows] / length_s).astype(np.int64)
@@ -136,11 +150,10 @@ def _take(b: Blocks, rows: NDArray[np.intp]) -> Blocks:
 
 
 def _reference(case: Case, posterior: Estimate | None) -> tuple[Array, Array]:
-    """Return readings and their slopes by the deviations (n, 4) about a reference: the clean cell, or a posterior's end."""
+    """Return readings and their slopes by the deviations (n, 4) about a reference: the clean cell, or a posterior's
+    end."""
     if posterior is None:
-        constants = np.array([0.0 if one.name not in ("starving", "wetting", "draft", "kappa") else one.mean for one in GLOBALS])
-        constants[NAMES.index("wetting")], constants[NAMES.index("starving")] = 1.0, 1.5
-        slow = np.zeros(len(SLOW))
+        constants, slow = np.array([NEUTRAL.get(name, 0.0) for name in NAMES]), np.zeros(len(SLOW))
     else:
         constants, slow = posterior.constant, posterior.slow[-1]
     here = np.tile(slow, (len(case.blocks.time_s), 1))
@@ -167,7 +180,9 @@ def _linear(
         context = there & (case.blocks.time_s >= start - context_s) & (case.blocks.time_s < start)
         j = slopes[context] / (sigma * np.sqrt(3.0))  # blocks of ten minutes, errors of half an hour
         if prior_sd is None:
-            change = np.linalg.lstsq(slopes[context], error[context], rcond=1e-6)[0] if context.sum() >= 8 else np.zeros(4)
+            change = (
+                np.linalg.lstsq(slopes[context], error[context], rcond=1e-6)[0] if context.sum() >= 8 else np.zeros(4)
+            )
         else:
             right = j.T @ (error[context] / (sigma * np.sqrt(3.0)))
             change = np.linalg.solve(j.T @ j + np.diag(penalty), right)

@@ -4,9 +4,9 @@ A compartment of volume V is well mixed. With the outlet readings y_c = t_c + bi
 
     V rho dT/dt = sum of m_c (y_c - T),     T - T_basin = sum of h_c bias_c - offset
 
-where h_c is the share of its water that came from cell c, by the same filter. The offset of a basin thermometer is unknown, so
-a single cell learns as much as two thermometers of one class agree; two cells that run by turns learn their difference.
-Minutes with cold makeup water in the basin are left out.
+where h_c is the share of its water that came from cell c, by the same filter. The offset of a basin thermometer is
+unknown, so a single cell learns as much as two thermometers of one class agree; two cells that run by turns learn
+their difference. Minutes with cold makeup water in the basin are left out.
 
 Source of the update: batch Kalman (Bayesian linear) update of the cells' joint posterior.
 """
@@ -24,13 +24,15 @@ from twin.tower.model import DEVIATIONS, SLOW
 from twin.tower.smoother import Estimate
 
 OFFSET_K = 0.25
-"""Standard deviation of a basin thermometer's offset: a thermometer, stratification and the basin's own loss of heat."""
+"""Standard deviation of a basin thermometer's offset: a thermometer, stratification and the basin's own loss of
+heat."""
 PATTERN_K = 0.1
 """Of the error of perfect mixing in one pattern of running cells."""
 ROW_K = 0.15
 """Of the mean of half a day."""
 DILUTED = 0.003
-"""Share of makeup water in the compartment from which a minute is left out: 15 K colder, it moves the mean by 0.05 K."""
+"""Share of makeup water in the compartment from which a minute is left out: 15 K colder, it moves the mean by 0.05
+K."""
 MIXED = 3.0
 """Residence times after a gap until the mixture is that of the model."""
 FEWEST_MINUTES = 5
@@ -40,7 +42,8 @@ BIAS = DEVIATIONS.index("bias")
 
 @dataclass(frozen=True)
 class Drain:
-    """What a cell drains into the compartment, by minute (n,): flow kg/s (0 when off), outlet reading and basin reading degC.
+    """What a cell drains into the compartment, by minute (n,): flow kg/s (0 when off), outlet reading and basin
+    reading degC.
 
     `sampled`: the basin reading has a raw sample there.
     """
@@ -95,7 +98,9 @@ def with_basin(
     return [_updated(*pair) for pair in _pairs(posteriors, crosses, gain)]
 
 
-def _pairs(posteriors: Sequence[Estimate], crosses: list[Array], gain: Array) -> list[tuple[Estimate, Array, Array, Array]]:
+def _pairs(
+    posteriors: Sequence[Estimate], crosses: list[Array], gain: Array
+) -> list[tuple[Estimate, Array, Array, Array]]:
     found, start = [], 1
     for posterior, cross in zip(posteriors, crosses, strict=True):
         width = cross.shape[0]
@@ -118,7 +123,12 @@ def _updated(p: Estimate, cross: Array, innovation: Array, gain: Array) -> Estim
 
 
 def _rows(
-    posterior: Estimate, drains: Sequence[Drain], time_s: Array, makeup: Array, volume_m3: float, changes_s: Sequence[float]
+    posterior: Estimate,
+    drains: Sequence[Drain],
+    time_s: Array,
+    makeup: Array,
+    volume_m3: float,
+    changes_s: Sequence[float],
 ) -> _Rows | None:
     """Return the mean differences by grid cell, thermometer and pattern; None where there are none."""
     mixed, shares, ready = _mixture(drains, makeup, volume_m3)
@@ -148,7 +158,8 @@ def _rows(
 
 
 def _mixture(drains: Sequence[Drain], makeup: Array, volume_m3: float) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return the compartment's temperature by the outlet readings, the cells' shares of its water, and usable minutes."""
+    """Return the compartment's temperature by the outlet readings, the cells' shares of its water, and usable
+    minutes."""
     flow = np.stack([np.nan_to_num(d.flow) for d in drains], axis=1)
     outlet = np.stack([d.outlet for d in drains], axis=1)
     known = ~((flow > 0.0) & ~np.isfinite(outlet)).any(axis=1)

@@ -1,4 +1,5 @@
-"""Calibration of one cell over a record: the posterior, and the outlet's prediction with its own window's readings hidden."""
+"""Calibration of one cell over a record: the posterior, and the outlet's prediction with its own window's readings
+hidden."""
 
 from __future__ import annotations
 
@@ -95,7 +96,9 @@ def predict_cell(fitted: Fitted) -> Calibrated:
     t_out = predicted + _without_own_window(posterior, fitted.blocks, minutes)
     half = _half_width(minutes, t_out, slow[:, 3], posterior)
     sd = posterior.sd()[posterior.cells_at(minutes.time_s)]
-    return Calibrated(t_out, t_out - half, t_out + half, commissioned, slow[:, :4].copy(), sd[:, :4].copy(), posterior, fitted.blocks)
+    return Calibrated(
+        t_out, t_out - half, t_out + half, commissioned, slow[:, :4].copy(), sd[:, :4].copy(), posterior, fitted.blocks
+    )
 
 
 def _clean_outlet(model: CellModel, minutes: Minutes, rows: NDArray[np.intp]) -> Array:
@@ -142,8 +145,9 @@ def _without_own_window(p: Estimate, blocks: Blocks, minutes: Minutes) -> Array:
 def _half_width(minutes: Minutes, t_out: Array, bias: Array, p: Estimate) -> Array:
     """Return the half width of the outlet's 90 % interval (n,).
 
-    The quantile of the absolute residuals of hidden readings in each class of minutes, less the noise of the readings, which
-    the water does not have, and widened by the uncertainty of the thermometer's bias, which no residual shows.
+    The quantile of the absolute residuals of hidden readings in each class of minutes, less the noise of the
+    readings, which the water does not have, and widened by the uncertainty of the thermometer's bias, which no
+    residual shows.
     """
     residual = minutes.outlet - bias - t_out
     there = np.isfinite(residual)

@@ -1,7 +1,7 @@
 """Commissioning of a clean cell: Merkel number, exponent, air flow, fan law and evaporation from its test points.
 
-The Merkel number and its exponent are fitted to the outlet temperatures by least squares; the other constants follow each
-from a measured quantity of its own, in closed form. A fit that does not describe a cooling tower is refused.
+The Merkel number and its exponent are fitted to the outlet temperatures by least squares; the other constants follow
+each from a measured quantity of its own, in closed form. A fit that does not describe a cooling tower is refused.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ class CommissioningError(ValueError):
 
 @dataclass(frozen=True)
 class TestPoints:
-    """Measured steady points of the clean cell, arrays (n,); `power` kW, `m_a` kg/s and `evaporation` kg/s may be NaN."""
+    """Measured steady points of the clean cell, arrays (n,); `power` kW, `m_a` kg/s and `evaporation` kg/s may be
+    NaN."""
 
     __test__ = False
 
@@ -79,7 +80,9 @@ def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None
     """
     u, remarks = points.inputs, []
     if len(points.t_out) < FEWEST:
-        raise CommissioningError(f"has {len(points.t_out)} test points; at least {FEWEST} are needed for the law of the fill")
+        raise CommissioningError(
+            f"has {len(points.t_out)} test points; at least {FEWEST} are needed for the law of the fill"
+        )
     ratio = np.maximum(moist.ratio_from_wet_bulb(u.dry, u.wet, u.pressure), 0.0)
     rho = moist.density(u.dry, ratio, u.pressure)
     full = u.speed >= FULL_SPEED
@@ -116,8 +119,11 @@ def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None
     return result
 
 
-def _fill_law(points: TestPoints, water_flow: float, m_a0: float, rho0: float) -> tuple[float, float, tuple[float, float]]:
-    """Return Merkel number, exponent and their standard deviations; the exponent has a weak prior of 0.6 +- 0.3 for points at a single loading."""
+def _fill_law(
+    points: TestPoints, water_flow: float, m_a0: float, rho0: float
+) -> tuple[float, float, tuple[float, float]]:
+    """Return Merkel number, exponent and their standard deviations; the exponent has a weak prior of 0.6 +- 0.3 for
+    points at a single loading."""
 
     def misfit(p: Array) -> Array:
         cell = Design(water_flow, m_a0, float(np.exp(p[0])), float(p[1]), 0.0, rho0)
@@ -129,7 +135,8 @@ def _fill_law(points: TestPoints, water_flow: float, m_a0: float, rho0: float) -
     merkel, exponent = float(np.exp(found[0])), float(found[1])
     _within("Merkel number at design", merkel, MERKEL)
     _within("exponent of the fill", exponent, EXPONENT)
-    # Errors of a test point are those of its thermometers and of the method; they vary by more than 0.1 K where the fit says.
+    # Errors of a test point are those of its thermometers and of the method; they vary by more than 0.1 K where the
+    # fit says.
     scale = max(float(np.sqrt(np.mean(misfit(found)[:-1] ** 2))), 1.0)
     sd = scale * np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
     return merkel, exponent, (float(sd[0]), float(sd[1]))

@@ -1,8 +1,8 @@
 """Evidence about a cell's deviations beside its thermometers: inspections, traverses, certificates.
 
 An inspection gives an interval: inside it there is no loss, outside it the loss is linear. Such a loss is the negative
-logarithm of a density that is flat inside and has exponential tails; its product with a Gaussian is replaced by the Gaussian
-of the same mean and variance (moment matching, Minka 2001), so that it joins a least-squares fit.
+logarithm of a density that is flat inside and has exponential tails; its product with a Gaussian is replaced by the
+Gaussian of the same mean and variance (moment matching, Minka 2001), so that it joins a least-squares fit.
 """
 
 from __future__ import annotations
@@ -12,14 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 
 TAIL = 0.25
-"""Scale of an interval's exponential tails as a share of its width: an inspector's bounds are seldom exceeded by half of it."""
+"""Scale of an interval's exponential tails as a share of its width: an inspector's bounds are seldom exceeded by half
+of it."""
 LEAST_PRECISION = 1e-6
 """Of a moment-matched interval that says nothing beyond what is known, relative to that of the present knowledge."""
 
 
 @dataclass(frozen=True)
 class Label:
-    """A deviation seen otherwise, between `low` and `high`; with an `sd` a point, both bounds its value. As deviations."""
+    """A deviation seen otherwise, between `low` and `high`; with an `sd` a point, both bounds its value. As
+    deviations."""
 
     time_s: float
     cell: int

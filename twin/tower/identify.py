@@ -2,9 +2,9 @@
 
     S = d(observation)/d(deviation) * bound / tolerance,    condition = largest over smallest singular value of S
 
-A window whose condition number is above `MOST_CONDITION` is refused: the least singular vector names the deviations that only
-their combination is known of, and the weaker of them is frozen until the rest is identifiable. The Cramer-Rao standard
-deviations count the rows at the correlation time of the errors.
+A window whose condition number is above `MOST_CONDITION` is refused: the least singular vector names the deviations
+that only their combination is known of, and the weaker of them is frozen until the rest is identifiable. The
+Cramer-Rao standard deviations count the rows at the correlation time of the errors.
 
 Source: Brun, Reichert & Kuensch, Water Resour. Res. 37 (2001) 1015 (scaled sensitivities, collinearity); Ljung, System
 Identification, 2nd ed., sec. 7.4.
@@ -63,7 +63,11 @@ class Identifiability:
         """Return the combined direction in words."""
         ranked = sorted(self.combined.items(), key=lambda item: -abs(item[1]))
         first = np.sign(ranked[0][1]) or 1.0
-        parts = [f"{'-' if weight * first < 0 else '+'} {abs(weight):.2f} {name}" for name, weight in ranked if abs(weight) >= 0.2]
+        parts = [
+            f"{'-' if weight * first < 0 else '+'} {abs(weight):.2f} {name}"
+            for name, weight in ranked
+            if abs(weight) >= 0.2
+        ]
         return " ".join(parts).removeprefix("+ ")
 
 
@@ -80,7 +84,8 @@ def excited(u: Inputs, design: Design) -> bool:
 def cell_sensitivities(
     design: Design, u: Inputs, sensors: Sequence[str], at: Deviations = Deviations(), kappa: float = -1.0
 ) -> Array:
-    """Return the scaled sensitivities of a clean cell's observations (n * sensors, 4), row blocks in the order of `sensors`.
+    """Return the scaled sensitivities of a clean cell's observations (n * sensors, 4), row blocks in the order of
+    `sensors`.
 
     Parameters:
         sensors: among outlet, fan, evaporation, basin. kappa: of the fan's power in a loss of air.
@@ -92,7 +97,9 @@ def cell_sensitivities(
     return np.stack(columns, axis=1)
 
 
-def _observed(design: Design, u: Inputs, sensors: Sequence[str], at: Deviations, name: str, step: float, kappa: float) -> Array:
+def _observed(
+    design: Design, u: Inputs, sensors: Sequence[str], at: Deviations, name: str, step: float, kappa: float
+) -> Array:
     values = {n: float(getattr(at, n)) for n in DEVIATIONS}
     values[name] += step
     out = solve(u, design, Deviations(**values))
@@ -105,7 +112,9 @@ def _observed(design: Design, u: Inputs, sensors: Sequence[str], at: Deviations,
     return np.concatenate([rows[sensor] for sensor in sensors])
 
 
-def identifiability(scaled: Array, minutes_per_row: float = 1.0, hidden: float = 0.0, limit: float = MOST_CONDITION) -> Identifiability:
+def identifiability(
+    scaled: Array, minutes_per_row: float = 1.0, hidden: float = 0.0, limit: float = MOST_CONDITION
+) -> Identifiability:
     """Return what scaled sensitivities (n, 4) tell.
 
     Parameters:

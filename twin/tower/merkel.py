@@ -1,4 +1,5 @@
-"""Merkel's integral, K a V/L = integral of c_p dT/(h_s - h_a), by Gauss-Legendre quadrature: a check of the effectiveness form.
+"""Merkel's integral, K a V/L = integral of c_p dT/(h_s - h_a), by Gauss-Legendre quadrature: a check of the
+effectiveness form.
 
 Source: Merkel, VDI Forschungsarbeiten 275 (1925); Baker & Shryock, J. Heat Transfer 83 (1961) 339.
 """
@@ -15,7 +16,9 @@ ORDER = 16
 """Of the quadrature: beyond 12 the fifth digit stays, also for approaches of 1 K."""
 
 
-def merkel_number(hot_C: ArrayLike, cold_C: ArrayLike, air_in: ArrayLike, loading: ArrayLike, pressure_kPa: ArrayLike) -> Array:
+def merkel_number(
+    hot_C: ArrayLike, cold_C: ArrayLike, air_in: ArrayLike, loading: ArrayLike, pressure_kPa: ArrayLike
+) -> Array:
     """Return the Merkel number of counter-flow.
 
     Parameters:
@@ -23,7 +26,9 @@ def merkel_number(hot_C: ArrayLike, cold_C: ArrayLike, air_in: ArrayLike, loadin
 
     The number is infinite where the operating line meets saturation.
     """
-    hot, cold, h_in, ratio = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (hot_C, cold_C, air_in, loading)))
+    hot, cold, h_in, ratio = np.broadcast_arrays(
+        *(np.asarray(v, dtype=np.float64) for v in (hot_C, cold_C, air_in, loading))
+    )
     x, w = np.polynomial.legendre.leggauss(ORDER)
     share = 0.5 * (x + 1.0)
     t = cold[..., None] + share * (hot - cold)[..., None]

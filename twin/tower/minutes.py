@@ -16,7 +16,8 @@ from twin.tower.smoother import BLOCK_S, Blocks
 
 SEA_LEVEL_KPA = 101.325
 FOLLOWING_MIN = 1.5
-"""Time constant with which the flume and its thermometer follow the fill: film and flume a minute, thermowell half of one."""
+"""Time constant with which the flume and its thermometer follow the fill: film and flume a minute, thermowell half of
+one."""
 SETTLED_MIN = 15
 """After a change of fan, flow or bypass, and after a start, until a minute counts as steady."""
 MOVED = {"speed": 0.04, "flow": 0.05, "bypass": 0.03, "t_in": 1.0}
@@ -45,12 +46,17 @@ class Minutes:
 
 
 def minutes_of(
-    time_s: Array, columns: Mapping[str, Array], origin: Mapping[str, NDArray[np.uint8]], m_w0: float, bypass_share: float
+    time_s: Array,
+    columns: Mapping[str, Array],
+    origin: Mapping[str, NDArray[np.uint8]],
+    m_w0: float,
+    bypass_share: float,
 ) -> Minutes:
     """Return the minutes of an aligned record's columns.
 
     Parameters:
-        columns, origin: as in the aligned record. m_w0: design flow, kg/s. bypass_share: of the water past the fill when open.
+        columns, origin: as in the aligned record. m_w0: design flow, kg/s. bypass_share: of the water past the fill
+        when open.
     """
     n = len(time_s)
 
@@ -67,7 +73,9 @@ def minutes_of(
         inputs, share, _filled(column("wind_m_s"), 3.0), _filled(column("wind_deg"), 0.0),
         np.clip(_filled(column("neighbours_speed_pct"), 100.0) / 100.0, 0.0, 1.2),
     )  # fmt: skip
-    known = np.isfinite(inputs.t_in) & np.isfinite(inputs.m_w) & np.isfinite(speed) & np.isfinite(dry) & np.isfinite(wet)
+    known = (
+        np.isfinite(inputs.t_in) & np.isfinite(inputs.m_w) & np.isfinite(speed) & np.isfinite(dry) & np.isfinite(wet)
+    )
     known &= np.nan_to_num(inputs.m_w) > FLOWING * m_w0
     known &= np.nan_to_num(inputs.t_in - wet) > 0.5
     bad = (np.nan_to_num(column("check")).astype(int) & OFF_CHECK) > 0

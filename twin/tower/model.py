@@ -1,13 +1,15 @@
 """Outlet and fan of a cell with its deviations and with what is uncertain about the twin itself.
 
-The deviations `SLOW` change in time; the `GLOBAL` quantities are constants of a record. They are what Merkel's method, the
-test points and the station's instruments leave open, each with a prior from physics or from the instrument. So the
-structural error of the twin is a function of the operating point that a fit can separate from a slow deviation:
+The deviations `SLOW` change in time; the `GLOBAL` quantities are constants of a record. They are what Merkel's
+method, the test points and the station's instruments leave open, each with a prior from physics or from the
+instrument. So the structural error of the twin is a function of the operating point that a fit can separate from a
+slow deviation:
 
     effective speed = (speed^3 + draft^3)^(1/3),   draft = draft_0 sqrt(buoyancy)          free convection
     Me             *= exp(merkel) (T_in/T_in0)^inlet (L/G)^-exponent                       law of the fill
     T_wb at the fill = T_wb + (recirculation + wind terms) (T_exhaust - T_wb)              recirculation
-    t_out          += sum of weights times smooth functions of the operating point         discrepancy (Kennedy & O'Hagan)
+    t_out          += sum of weights times smooth functions of the operating point         discrepancy (Kennedy &
+    O'Hagan)
 
 The smooth functions vanish at design, where the clean cell was measured, so there they are no fouling.
 """
@@ -23,12 +25,15 @@ from twin.tower.air import Array
 from twin.tower.cell import STARVING, WETTED, Design, Deviations, Inputs, solve
 
 SLOW = ("fill", "air", "uniformity", "bias", "flow_meter")
-"""Slow deviations; the last is a nuisance that is never reported: a drifting flow meter is seen in the pumps, not here."""
+"""Slow deviations; the last is a nuisance that is never reported: a drifting flow meter is seen in the pumps, not
+here."""
 DEVIATIONS = SLOW[:4]
 INLET_C, WET_C, RANGE_K = 36.0, 25.0, 7.0
-"""Design point where the datasheet gives none: that of the Cooling Technology Institute's usual rating, 95/85/78 degF."""
+"""Design point where the datasheet gives none: that of the Cooling Technology Institute's usual rating, 95/85/78
+degF."""
 EXHAUST = 0.7
-"""Rise of the air's temperature as a share of the way from its wet bulb to the hot water; an effectiveness of 0.6 to 0.8."""
+"""Rise of the air's temperature as a share of the way from its wet bulb to the hot water; an effectiveness of 0.6 to
+0.8."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +50,25 @@ GLOBALS: tuple[Global, ...] = (
     Global("merkel", 0.0, 0.02, "logarithm; replaced by that of the commissioning"),
     Global("exponent", 0.0, 0.10, "replaced by that of the commissioning"),
     Global("inlet", -0.1, 0.15, "power of T_in in Me: Kloppers & Kroeger 2005 fit 0 to -0.4"),
-    Global("air_power", 0.0, 0.15, "power of the air in Me beyond that of the ratio: Kloppers & Kroeger 2005 fit both flows"),
-    Global("wetting", 0.7, 0.35, "effect of a dry share over the dry-fraction law's: water spreads on its way down the fill"),
+    Global(
+        "air_power",
+        0.0,
+        0.15,
+        "power of the air in Me beyond that of the ratio: Kloppers & Kroeger 2005 fit both flows",
+    ),
+    Global(
+        "wetting",
+        0.7,
+        0.35,
+        "effect of a dry share over the dry-fraction law's: water spreads on its way down the fill",
+    ),
     Global("starving", 1.0, 0.7, "power by which nozzles starve as the flow falls: of their head, 0 to 2"),
-    Global("draft", 0.12, 0.05, "share of design air with the fan at rest, at 5 % of buoyancy: 5 to 20 % of counter-flow cells"),
+    Global(
+        "draft",
+        0.12,
+        0.05,
+        "share of design air with the fan at rest, at 5 % of buoyancy: 5 to 20 % of counter-flow cells",
+    ),
     Global("inlet_bias", 0.0, 0.15, "K, class A thermometer in a thermowell"),
     Global("wet_bulb_bias", 0.0, 0.2, "K, aspirated psychrometer"),
     Global("recirculation", 0.02, 0.015, "share of the exhaust; CTI allows 0.3 to 0.6 K of induced-draft cells"),
@@ -62,8 +82,18 @@ GLOBALS: tuple[Global, ...] = (
     Global("flow_1", 0.0, 0.2, "K for half the flow"),
     Global("wind_1", 0.0, 0.15, "K for 5 m/s"),
     Global("neighbours_1", 0.0, 0.1, "K for neighbours' fans at full speed over at rest"),
-    Global("kappa", -1.3, 1.7, "power of the air in the fan's power, negative: 0.4 by fouling of the path, -3 by a slipping belt"),
-    Global("power_gain", 0.0, 0.25, "logarithm: pitch, belt and path move the level differently, so that only changes speak"),
+    Global(
+        "kappa",
+        -1.3,
+        1.7,
+        "power of the air in the fan's power, negative: 0.4 by fouling of the path, -3 by a slipping belt",
+    ),
+    Global(
+        "power_gain",
+        0.0,
+        0.25,
+        "logarithm: pitch, belt and path move the level differently, so that only changes speak",
+    ),
 )
 NAMES = tuple(one.name for one in GLOBALS)
 
@@ -80,7 +110,8 @@ class Site:
 
 @dataclass(frozen=True)
 class Operation:
-    """Operating points of a cell (n,): inputs, and the share of water past the fill, wind m/s, its direction from, neighbours' speed 0 to 1."""
+    """Operating points of a cell (n,): inputs, and the share of water past the fill, wind m/s, its direction from,
+    neighbours' speed 0 to 1."""
 
     inputs: Inputs
     bypass: Array
@@ -96,7 +127,8 @@ class Operation:
 
 
 class CellModel:
-    """Outlet thermometer and fan power of one cell as functions of slow deviations (n, 5) and global quantities (19,)."""
+    """Outlet thermometer and fan power of one cell as functions of slow deviations (n, 5) and global quantities
+    (19,)."""
 
     def __init__(self, design: Design, site: Site) -> None:
         self.design, self.site = design, site
@@ -119,7 +151,12 @@ class CellModel:
         rest = 1.0 - WETTED * (1.0 + max(q["wetting"], 0.0) * slow[:, 2])
         # The law's own power is STARVING; another one is another uniformity at this flow.
         uniformity = (1.0 - rest * (d.m_w0 / m_w) ** (q["starving"] - STARVING)) / WETTED
-        law = q["air_power"] * np.log(speed * (1.0 + slow[:, 1])) + q["merkel"] + q["inlet"] * np.log(np.maximum(t_in, 5.0) / site.inlet) - q["exponent"] * np.log(loading)
+        law = (
+            q["air_power"] * np.log(speed * (1.0 + slow[:, 1]))
+            + q["merkel"]
+            + q["inlet"] * np.log(np.maximum(t_in, 5.0) / site.inlet)
+            - q["exponent"] * np.log(loading)
+        )
         fill = (1.0 + slow[:, 0]) * np.exp(law)
         points = Inputs(t_in, m_w, speed, dry, inside, u.pressure)
         out = solve(points, d, Deviations(fill, 1.0 + slow[:, 1], uniformity)).t_out

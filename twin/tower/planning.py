@@ -23,12 +23,14 @@ MOST_WARMER_K = 2.5
 """By which the outlet may rise during a test where the user gives no limit: half of a usual approach."""
 FAN_PATTERN = np.array([0.0, -0.5, 0.5, 0.0, -0.5, 0.5, 0.0])
 FLOW_PATTERN = np.array([0.0, 0.0, 0.0, -1.0, -1.0, -1.0, 0.0])
-"""Steps as shares of the range. The fan moves in both halves, the flow only downwards and in one: all four pairs are visited."""
+"""Steps as shares of the range. The fan moves in both halves, the flow only downwards and in one: all four pairs are
+visited."""
 
 
 @dataclass(frozen=True)
 class StepTest:
-    """A step test: range of fan and flow, its steps (7,), what the day with it tells, and the outlet's rise and fall, K."""
+    """A step test: range of fan and flow, its steps (7,), what the day with it tells, and the outlet's rise and fall,
+    K."""
 
     fan: float
     flow: float
@@ -45,7 +47,8 @@ def plan_tests(
     """Return what a day tells without a test, and the tests within the limit, best first.
 
     Parameters:
-        day: operating points of a usual day, evenly spaced. at: present deviations. sensors: as in `cell_sensitivities`.
+        day: operating points of a usual day, evenly spaced. at: present deviations. sensors: as in
+        `cell_sensitivities`.
     """
     minutes = 1440.0 / max(len(day.t_in), 1)
     base = cell_sensitivities(design, day, sensors, at, kappa)
@@ -67,7 +70,15 @@ def plan_tests(
             if warmer <= most_warmer:
                 stairs = slice(int(STEP_MIN / BLOCK_MIN) - 1, None, int(STEP_MIN / BLOCK_MIN))
                 found.append(
-                    StepTest(fan, flow, tuple(test.speed[stairs].tolist()), tuple(test.m_w[stairs].tolist()), told, warmer, colder)
+                    StepTest(
+                        fan,
+                        flow,
+                        tuple(test.speed[stairs].tolist()),
+                        tuple(test.m_w[stairs].tolist()),
+                        told,
+                        warmer,
+                        colder,
+                    )
                 )
     return without, sorted(found, key=lambda one: one.told.condition)
 
@@ -75,7 +86,9 @@ def plan_tests(
 def _test(design: Design, middle: Inputs, at: Deviations, fan: float, flow: float) -> Inputs:
     """Return the operating points of a test about the middle of a day, the load held."""
     repeat = int(STEP_MIN / BLOCK_MIN)
-    centre = float(np.clip(middle.speed[0], LEAST_SPEED + 0.5 * fan, 1.0 - 0.5 * fan)) if fan else float(middle.speed[0])
+    centre = (
+        float(np.clip(middle.speed[0], LEAST_SPEED + 0.5 * fan, 1.0 - 0.5 * fan)) if fan else float(middle.speed[0])
+    )
     speed = np.repeat(np.clip(centre + fan * FAN_PATTERN, LEAST_SPEED, 1.0) if fan else np.full(STEPS, centre), repeat)
     m_w = np.repeat(middle.m_w[0] + design.m_w0 * flow * FLOW_PATTERN, repeat)
     n = len(speed)

@@ -1,10 +1,10 @@
 """Maximum a posteriori estimate of slow deviations over a whole record: Gauss-Newton on a grid of time.
 
-The deviations are constant within a cell of the grid and walk at random from one to the next; a documented event opens a
-jump at its date. The prior of a deviation is that of a part that wears: its mean a third of the bound on the lossy side, its
-standard deviation a third of the bound, so that the bound is two standard deviations below and a gain of a third of it two
-above. A thermometer's bias has mean 0. Residuals of the model are correlated in time, so a block of them counts as less than
-one observation, by their integrated autocorrelation time (Geyer 1992).
+The deviations are constant within a cell of the grid and walk at random from one to the next; a documented event
+opens a jump at its date. The prior of a deviation is that of a part that wears: its mean a third of the bound on the
+lossy side, its standard deviation a third of the bound, so that the bound is two standard deviations below and a gain
+of a third of it two above. A thermometer's bias has mean 0. Residuals of the model are correlated in time, so a block
+of them counts as less than one observation, by their integrated autocorrelation time (Geyer 1992).
 
 Source: Bell, SIAM J. Optim. 4 (1994) 626 (Gauss-Newton as the iterated Kalman smoother).
 """
@@ -27,12 +27,13 @@ DAY_S = 86400.0
 MOST_CELLS = 450
 """Cells of the time grid: the equations are solved densely in their number times five."""
 WALK = {"fill": 0.002, "air": 0.0015, "uniformity": 0.002, "bias": 0.01, "flow_meter": 0.0005}
-"""Standard deviation of a day's change. Fills lose 0.2 to 0.6 % a week, so a month is known to some 1 %; thermometers drift
-by some 0.05 K a month, flow meters by some 0.3 %."""
+"""Standard deviation of a day's change. Fills lose 0.2 to 0.6 % a week, so a month is known to some 1 %; thermometers
+drift by some 0.05 K a month, flow meters by some 0.3 %."""
 TREND = {"fill": -0.0006, "air": -0.0001, "uniformity": -0.0003, "bias": 0.0, "flow_meter": 0.0}
 """Mean change of a day."""
 JUMP = {"fill": 0.08, "air": 0.06, "uniformity": 0.05, "bias": 0.4, "flow_meter": 0.0}
-"""Standard deviation of a jump that an event opens: a cleaning gives back what was lost, a new thermometer is another one."""
+"""Standard deviation of a jump that an event opens: a cleaning gives back what was lost, a new thermometer is another
+one."""
 FLOW_METER = 0.015
 """Standard deviation of a flow meter's gain."""
 PASSES = 6
@@ -44,7 +45,8 @@ STEPS = np.array([0.01, 0.01, 0.01, 0.01, 0.01])
 
 @dataclass(frozen=True)
 class Blocks:
-    """Steady blocks of a cell (n,): middle in s since 1970, operating point, outlet reading degC, log of fan power; NaN is missing."""
+    """Steady blocks of a cell (n,): middle in s since 1970, operating point, outlet reading degC, log of fan power;
+    NaN is missing."""
 
     time_s: Array
     operation: Operation
@@ -88,8 +90,8 @@ class Estimate:
     Attributes:
         edges_s: of the time grid (k + 1,). slow: deviations (k, 5). constant: global quantities (19,).
         covariance: of [slow row by row, constant]. sigma: of a block's outlet K, and of its log power, as weighed.
-        residual: outlet of each block K, NaN where it was not used. weights: of each block. cell: grid cell of each block.
-        jacobian: outlet of each block by slow and constant quantities (n, 24). time_correlation: in blocks.
+        residual: outlet of each block K, NaN where it was not used. weights: of each block. cell: grid cell of each
+        block. jacobian: outlet of each block by slow and constant quantities (n, 24). time_correlation: in blocks.
     """
 
     edges_s: Array
@@ -166,7 +168,9 @@ class _Solver:
             for opening in openings:
                 if opening.parameter != name:
                     continue
-                inside = (self.edges[1:-1] >= opening.start_s - 0.5 * DAY_S) & (self.edges[1:-1] <= opening.end_s + 0.5 * DAY_S)
+                inside = (self.edges[1:-1] >= opening.start_s - 0.5 * DAY_S) & (
+                    self.edges[1:-1] <= opening.end_s + 0.5 * DAY_S
+                )
                 if inside.any():
                     variance[inside] += JUMP[name] ** 2 / inside.sum()
             rows = np.arange(k) * s + j
@@ -219,14 +223,18 @@ class _Solver:
                 break
         slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
         residual = self.blocks.outlet - self.model.reading(self.blocks.operation, slow[self.cell], g)
-        weights = np.where(np.isfinite(residual), _weights(residual, self.sigma[0]) / (self.sigma[0] ** 2 * self.tau), 0.0)
+        weights = np.where(
+            np.isfinite(residual), _weights(residual, self.sigma[0]) / (self.sigma[0] ** 2 * self.tau), 0.0
+        )
         return Estimate(
             self.edges, slow, g, covariance, (self.sigma[0], self.sigma[1]), residual, weights, self.cell, jac_t, self.tau,
         )  # fmt: skip
 
     def _outlet(self, here: Array, g: Array) -> tuple[Array, Array]:
         base = self.model.reading(self.blocks.operation, here, g)
-        return self._slopes(lambda s, c: self.model.reading(self.blocks.operation, s, c), base, here, g), self.blocks.outlet - base
+        return self._slopes(
+            lambda s, c: self.model.reading(self.blocks.operation, s, c), base, here, g
+        ), self.blocks.outlet - base
 
     def _power(self, here: Array, g: Array) -> tuple[Array, Array]:
         base = self.model.log_power(self.blocks.operation, here, g)
@@ -321,7 +329,8 @@ class _Solver:
 
 
 def _inverse(upper: Array) -> Array:
-    """Return the inverse of a matrix by its Cholesky factor as `cho_factor` returns it, with half of the work of solving."""
+    """Return the inverse of a matrix by its Cholesky factor as `cho_factor` returns it, with half of the work of
+    solving."""
     half, fault = dpotri(upper, lower=0)
     if fault:
         raise np.linalg.LinAlgError("the normal equations are singular")

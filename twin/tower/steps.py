@@ -1,9 +1,10 @@
 """Steps of an outlet thermometer: a two-sided cumulative sum of the residuals of its readings.
 
-A fill scales over weeks, so a change within minutes is never fouling: a step is a bias event, and it opens a jump of the bias
-alone. Where a second thermometer in the basin makes the same step, the water itself has changed.
+A fill scales over weeks, so a change within minutes is never fouling: a step is a bias event, and it opens a jump of
+the bias alone. Where a second thermometer in the basin makes the same step, the water itself has changed.
 
-Source: Page, Biometrika 41 (1954) 100 (cumulative sum); Basseville & Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.
+Source: Page, Biometrika 41 (1954) 100 (cumulative sum); Basseville & Nikiforov, Detection of Abrupt Changes, 1993,
+ch. 2.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ SMALLEST_K = 0.5
 SLACK_K = 0.2
 """Reference value: a little below half of the step, as slow errors of the twin may stand against it."""
 LIMIT_K = 0.35
-"""Sum at which a step is reported: two or three readings of a step of 0.5 K, 10 to 15 min at a scan of 5 min. It is five
-standard deviations of a reading's residual, beyond a reference value of three, so that noise hardly ever reaches it."""
+"""Sum at which a step is reported: two or three readings of a step of 0.5 K, 10 to 15 min at a scan of 5 min. It is
+five standard deviations of a reading's residual, beyond a reference value of three, so that noise hardly ever reaches
+it."""
 NOISE = (1.5, 4.0)
 """Reference value and limit in standard deviations of the residuals, where those are larger than above."""
 BASE_S, APART_S = 3 * 3600.0, 1200.0
-"""The level before: the median over three hours that end twenty minutes ago, so that a step does not enter its own level."""
+"""The level before: the median over three hours that end twenty minutes ago, so that a step does not enter its own
+level."""
 CONFIRM_S = 3 * 3600.0
 CONFIRMED = 0.6
 """Share of the smallest step by which the median of three hours after must differ for the step to stand."""
@@ -80,7 +83,8 @@ def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> l
 
 
 def _level_before(t: Array, r: Array) -> Array:
-    """Return the median of the readings of three hours that end twenty minutes before each, NaN where there are too few."""
+    """Return the median of the readings of three hours that end twenty minutes before each, NaN where there are too
+    few."""
     first = np.searchsorted(t, t - APART_S - BASE_S)
     last = np.searchsorted(t, t - APART_S)
     return np.array([np.median(r[a:b]) if b - a >= FEWEST else np.nan for a, b in zip(first, last, strict=True)])

@@ -1,4 +1,5 @@
-"""Twin of a cell as a network of elements: its file is a twin file like any other, so revisions and diagnosis work on it."""
+"""Twin of a cell as a network of elements: its file is a twin file like any other, so revisions and diagnosis work on
+it."""
 
 from __future__ import annotations
 
@@ -26,13 +27,20 @@ _INPUTS = (
 
 
 def cell_network(
-    cell: int, station: str, design: Design, bypass_share: float, error_K: float, sd: tuple[float, float], revision: Revision
+    cell: int,
+    station: str,
+    design: Design,
+    bypass_share: float,
+    error_K: float,
+    sd: tuple[float, float],
+    revision: Revision,
 ) -> Network:
     """Return the twin of a clean cell.
 
     Parameters:
         cell, station: number and name. bypass_share: of the water that an open bypass lets past.
-        error_K: RMSE of the fit. sd: of the Merkel number's logarithm and of the exponent. revision: origin and evidence.
+        error_K: RMSE of the fit. sd: of the Merkel number's logarithm and of the exponent. revision: origin and
+        evidence.
     """
     inputs: dict[str, Any] = {}
     for name, nominal, low, high, unit in _INPUTS:
@@ -57,7 +65,13 @@ def cell_network(
         element[name] = {
             "value": 1.0, "lower": 1.0 - bound, "upper": 1.0 + bound, "status": "tunable", "source": "clean cell; bounds of a deviation",
         }  # fmt: skip
-    bias = {"value": 0.0, "lower": -BOUNDS["bias"], "upper": BOUNDS["bias"], "status": "tunable", "source": "thermometer in calibration"}
+    bias = {
+        "value": 0.0,
+        "lower": -BOUNDS["bias"],
+        "upper": BOUNDS["bias"],
+        "status": "tunable",
+        "source": "thermometer in calibration",
+    }
     tables = {
         "format": 1, "name": f"{_plain(station)}cell{cell}", "title": f"Cell {cell}{f' of station {station}' if station else ''}",
         "inputs": inputs,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.tower.air import Array
-from twin.tower.cell import Inputs
 from twin.tower.calibration import WINDOW_S, Calibrated
+from twin.tower.cell import Inputs
 from twin.tower.identify import TOLERANCE, Identifiability, excited, identifiability
 from twin.tower.minutes import Minutes
 from twin.tower.model import DEVIATIONS, GLOBALS, NAMES, CellModel
@@ -25,8 +25,8 @@ class Window:
 
     Attributes:
         start_s, end_s: of the target interval. told: what the day tells. excited: it passes the excitation thresholds.
-        features: mean operating point of the target interval: wet bulb degC, inlet over wet bulb K, speed, flow as shares.
-        share_known: of its minutes with all inputs. half: mean half width of the outlet's interval, K.
+        features: mean operating point of the target interval: wet bulb degC, inlet over wet bulb K, speed, flow as
+        shares. share_known: of its minutes with all inputs. half: mean half width of the outlet's interval, K.
     """
 
     start_s: float
@@ -93,7 +93,8 @@ def _features(minutes: Minutes, within: slice, m_w0: float) -> Array:
 
 
 def distances(features: Sequence[Array], reference: Sequence[int]) -> Array:
-    """Return the Mahalanobis distance of each operating point from those of the reference windows, with shrunk covariance.
+    """Return the Mahalanobis distance of each operating point from those of the reference windows, with shrunk
+    covariance.
 
     Source: Ledoit & Wolf, J. Multivariate Anal. 88 (2004) 365, with the fixed weight of a tenth.
     """

@@ -38,6 +38,7 @@ def command(context: click.Context) -> None:
 
 for _bench in (
     twin_command, fit_command, paper_command, records_command, hiera_command, ablations_command, discovery_command,
-    again_command, structure_command, tower_command, faults_command, loop_command, bus_command, wire_command, files_command,
+    again_command, structure_command, tower_command, faults_command, loop_command, bus_command, wire_command,
+    files_command,
 ):  # fmt: skip
     command.add_command(_bench)

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("record", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option("--twin", "twins", required=True, multiple=True, type=INPUT_FILE, help="Twin file of a cell; may be repeated.")
+@click.option(
+    "--twin", "twins", required=True, multiple=True, type=INPUT_FILE, help="Twin file of a cell; may be repeated."
+)
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder of the results.")
 @click.option("--labels", type=INPUT_FILE, help="Inspections, traverses and certificates, CSV.")
 @click.option("--events", type=INPUT_FILE, help="Events, CSV; default: those of the record.")
@@ -24,12 +26,14 @@ if TYPE_CHECKING:
     "--mode", type=click.Choice(("shadow", "advisory", "controlled")), default="shadow", show_default=True,
     help="Records alone; the review queue too; revisions of the twins too.",
 )  # fmt: skip
-def command(record: Path, twins: tuple[Path, ...], out: Path, labels: Path | None, events: Path | None, mode: str) -> None:
+def command(
+    record: Path, twins: tuple[Path, ...], out: Path, labels: Path | None, events: Path | None, mode: str
+) -> None:
     """Calibrate cells on RECORD, the aligned record of their station.
 
-    Writes OUT/calibrated.parquet, the outlet with its 90 % interval and the deviations by minute, OUT/records.jsonl, a record
-    for every five minutes, and OUT/review_queue.json. In the controlled mode a deviation that passes all gates is saved as a
-    revision of the twin; `hil twin revert` undoes it.
+    Writes OUT/calibrated.parquet, the outlet with its 90 % interval and the deviations by minute, OUT/records.jsonl,
+    a record for every five minutes, and OUT/review_queue.json. In the controlled mode a deviation that passes all
+    gates is saved as a revision of the twin; `hil twin revert` undoes it.
 
     \b
     Example:
@@ -55,7 +59,9 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
     from twin.tower.model import DEVIATIONS
 
     terminal = console()
-    table = Table(title="Deviations at the end of the record, and the outlet's error against its readings", title_justify="left")
+    table = Table(
+        title="Deviations at the end of the record, and the outlet's error against its readings", title_justify="left"
+    )
     for heading in ("cell", *DEVIATIONS, "error before K", "after K", "held back"):
         table.add_column(heading)
     for one in cells:
@@ -71,7 +77,10 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
         for step in one.result.steps:
             if step.lasting:
                 subject = "the water" if step.kind == "water" else "the outlet thermometer"
-                terminal.print(f"cell {one.result.cell}: {subject} stepped by {step.size:+.2f} K at {iso(step.start_s)}", markup=False)
+                terminal.print(
+                    f"cell {one.result.cell}: {subject} stepped by {step.size:+.2f} K at {iso(step.start_s)}",
+                    markup=False,
+                )
         for time_s, names in one.alarms:
             terminal.print(f"cell {one.result.cell}: drift alarm at {iso(time_s)}: {', '.join(names)}", markup=False)
         if one.balance:

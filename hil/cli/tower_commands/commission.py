@@ -18,9 +18,9 @@ from hil.cli.options.paths import INPUT_FILE
 def command(record: Path, cell: int, datasheet: Path, points: Path, out: Path) -> None:
     """Fit the clean cell to its test points and write its twin file.
 
-    RECORD is the aligned record of the station; it must hold the cell. The Merkel number and its exponent are fitted to the
-    outlet temperatures; air flow, fan power and evaporation follow from what was measured of them. A fit that describes no
-    cooling tower is refused.
+    RECORD is the aligned record of the station; it must hold the cell. The Merkel number and its exponent are fitted
+    to the outlet temperatures; air flow, fan power and evaporation follow from what was measured of them. A fit that
+    describes no cooling tower is refused.
 
     \b
     Example:
@@ -39,13 +39,16 @@ def command(record: Path, cell: int, datasheet: Path, points: Path, out: Path) -
     save(network, out)
     terminal, design = console(), fitted.design
     terminal.print(
-        f"cell {cell}: Merkel number {design.merkel:.3f}, exponent {design.exponent:.3f}, air {design.m_a0:.1f} kg/s, fan "
-        f"{design.power:.1f} kW and {design.idle:.2f} kW at any speed, evaporation {design.evaporation:.3f} of Merkel's",
+        f"cell {cell}: Merkel number {design.merkel:.3f}, exponent {design.exponent:.3f}, air {design.m_a0:.1f} "
+        f"kg/s, fan "
+        f"{design.power:.1f} kW and {design.idle:.2f} kW at any speed, evaporation {design.evaporation:.3f} of "
+        f"Merkel's",
         markup=False,
     )
     worst = max(range(len(found.names)), key=lambda k: abs(fitted.residual[k]))
     terminal.print(
-        f"{len(found.names)} test points: outlet RMSE {fitted.rmse:.3f} K, largest {fitted.residual[worst]:+.2f} K at {found.names[worst]}",
+        f"{len(found.names)} test points: outlet RMSE {fitted.rmse:.3f} K, largest {fitted.residual[worst]:+.2f} K "
+        f"at {found.names[worst]}",
         markup=False,
     )
     for remark in fitted.remarks:

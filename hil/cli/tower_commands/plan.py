@@ -14,12 +14,18 @@ SHOWN = 6
 @click.command()
 @click.argument("record", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--twin", required=True, type=INPUT_FILE, help="Twin file of the cell, as calibrated.")
-@click.option("--warmer", type=click.FloatRange(0.1, 20.0), default=2.5, show_default=True, help="Most that the outlet may rise, K.")
+@click.option(
+    "--warmer",
+    type=click.FloatRange(0.1, 20.0),
+    default=2.5,
+    show_default=True,
+    help="Most that the outlet may rise, K.",
+)
 def command(record: Path, twin: Path, warmer: float) -> None:
     """Propose the step test of fan and flow that makes a cell's deviations identifiable.
 
-    Starts from the last day of RECORD on which the cell ran. The tests are those that let the outlet rise by no more than
-    WARMER; the first lowers the condition number most. Above 80 a window is refused.
+    Starts from the last day of RECORD on which the cell ran. The tests are those that let the outlet rise by no more
+    than WARMER; the first lowers the condition number most. Above 80 a window is refused.
 
     \b
     Example:
@@ -37,17 +43,23 @@ def command(record: Path, twin: Path, warmer: float) -> None:
         f"{found.without.says()}", markup=False,
     )  # fmt: skip
     if not found.tests:
-        terminal.print(f"no test keeps the outlet within {warmer:g} K; allow more with --warmer or wait for a lower load", markup=False)
+        terminal.print(
+            f"no test keeps the outlet within {warmer:g} K; allow more with --warmer or wait for a lower load",
+            markup=False,
+        )
         return
     table = Table(title="Step tests, best first: 7 steps of 75 min at the usual load", title_justify="left")
     for heading in ("fan", "flow", "condition", "fill sd", "outlet"):
         table.add_column(heading)
     for test in found.tests[:SHOWN]:
         table.add_row(
-            f"{100 * test.fan:.0f} %", f"{100 * test.flow:.0f} %", f"{test.told.condition:.0f}", f"{100 * test.told.sd['fill']:.1f} %",
+            f"{100 * test.fan:.0f} %", f"{100 * test.flow:.0f} %", f"{test.told.condition:.0f}",
+            f"{100 * test.told.sd['fill']:.1f} %",
             f"+{test.warmer:.1f} / -{test.colder:.1f} K",
         )  # fmt: skip
     terminal.print(table)
     best = found.tests[0]
-    steps = "; ".join(f"{100 * speed:.0f} % {flow:.0f} kg/s" for speed, flow in zip(best.speeds, best.flows, strict=True))
+    steps = "; ".join(
+        f"{100 * speed:.0f} % {flow:.0f} kg/s" for speed, flow in zip(best.speeds, best.flows, strict=True)
+    )
     terminal.print(f"steps of the first (fan speed, water flow): {steps}", markup=False)

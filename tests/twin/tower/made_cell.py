@@ -1,4 +1,5 @@
-"""A cell that the tests make: Merkel's integral by the trapezoidal rule with Magnus' formula, noise and slow degradation.
+"""A cell that the tests make: Merkel's integral by the trapezoidal rule with Magnus' formula, noise and slow
+degradation.
 
 Nothing here is shared with the twin: other psychrometrics, another solution, and errors that the twin does not have.
 """
@@ -65,19 +66,25 @@ def made_cell(
 ) -> Made:  # fmt: skip
     """Minutes of a cell with a fill that goes from the first to the second value.
 
-    `step`: day and size K of a step of the outlet thermometer. `test_days`: with a step test of fan and flow. `error_K`: size
-    of an error of the twin's structure that follows the wet bulb.
+    `step`: day and size K of a step of the outlet thermometer. `test_days`: with a step test of fan and flow.
+    `error_K`: size of an error of the twin's structure that follows the wet bulb.
     """
     rng = np.random.default_rng(seed)
     n = int(days * 1440)
     coarse = np.arange(0, n + 10, 10)
     day = coarse / 1440.0
-    wet = hot + 3.0 * np.sin(2 * np.pi * (day - 0.35)) + np.interp(day, np.arange(int(days) + 2), rng.normal(0, 2, int(days) + 2))
+    wet = (
+        hot
+        + 3.0 * np.sin(2 * np.pi * (day - 0.35))
+        + np.interp(day, np.arange(int(days) + 2), rng.normal(0, 2, int(days) + 2))
+    )
     dry = wet + 4.0 + 2.5 * np.sin(2 * np.pi * (day - 0.35))
     speed = 0.75 + 0.15 * np.sin(2 * np.pi * (day - 0.5))
     flow = np.full(len(day), M_W0 * 0.98)
     for at in test_days:
-        for k, (v, m) in enumerate(((0.5, 1.0), (0.8, 1.0), (1.0, 1.0), (1.0, 0.72), (0.6, 0.72), (0.8, 0.72), (0.8, 1.0))):
+        for k, (v, m) in enumerate(
+            ((0.5, 1.0), (0.8, 1.0), (1.0, 1.0), (1.0, 0.72), (0.6, 0.72), (0.8, 0.72), (0.8, 1.0))
+        ):
             rows = (day >= at + 0.4 + k * 75 / 1440) & (day < at + 0.4 + (k + 1) * 75 / 1440)
             speed[rows], flow[rows] = v, M_W0 * m
     fill_now = np.interp(day, [0, days], fill)
@@ -111,7 +118,7 @@ def made_cell(
         "basin_C": np.interp(minute - 15, coarse, out) + rng.normal(0, 0.03, n), "makeup_kg_s": np.zeros(n),
     }  # fmt: skip
     truth = {"t_out": t_out, "fill": fine(fill_now), "air": np.full(n, air), "bias": np.full(n, bias)}
-    return Made(START_S + 60.0 * minute, columns, {name: sampled for name in columns}, truth)
+    return Made(START_S + 60.0 * minute, columns, dict.fromkeys(columns, sampled), truth)
 
 
 def made_points(seed: int = 1) -> dict[str, Array]:

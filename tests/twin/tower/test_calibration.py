@@ -1,4 +1,5 @@
-"""Calibration of a made cell: deviations, intervals, the outlet with its window hidden, and evidence beside the record."""
+"""Calibration of a made cell: deviations, intervals, the outlet with its window hidden, and evidence beside the
+record."""
 
 from __future__ import annotations
 
@@ -40,7 +41,9 @@ def minutes(made: Made) -> Minutes:
 def test_commissioning_finds_the_clean_cell_of_another_solver() -> None:
     found = fit_clean_cell(clean(), M_W0)
     assert found.design.merkel == pytest.approx(ME0, rel=0.03)
-    assert found.design.exponent == pytest.approx(EXPONENT, abs=0.15)  # the made cell wets all of its plan at every flow
+    assert found.design.exponent == pytest.approx(
+        EXPONENT, abs=0.15
+    )  # the made cell wets all of its plan at every flow
     assert found.design.m_a0 == pytest.approx(M_A0, rel=0.02)
     assert found.rmse < 0.08
     assert any("evaporation" in remark for remark in found.remarks)
@@ -48,7 +51,11 @@ def test_commissioning_finds_the_clean_cell_of_another_solver() -> None:
 
 @pytest.mark.parametrize(
     ("changes", "says"),
-    [({"air": 8.0}, "water over air"), ({"out": -4.0}, "Merkel number|RMSE"), ({"flow": 2.2}, "Merkel number|RMSE|exponent")],
+    [
+        ({"air": 8.0}, "water over air"),
+        ({"out": -4.0}, "Merkel number|RMSE"),
+        ({"flow": 2.2}, "Merkel number|RMSE|exponent"),
+    ],
 )
 def test_commissioning_refuses_points_that_make_no_cooling_tower(changes: dict[str, float], says: str) -> None:
     with pytest.raises(CommissioningError, match=says):
@@ -78,7 +85,8 @@ def test_deviations_are_found_with_intervals_and_the_outlet_gets_better(model: C
 def test_outlet_of_a_window_does_not_follow_its_own_readings(model: CellModel) -> None:
     made = made_cell(4, seed=5)
     base = predict_cell(fit_cell(model, minutes(made), Priors(BOUNDS), (), ()))
-    # The readings of one target interval are off by 1 K: its own prediction must hardly move, towards them least of all.
+    # The readings of one target interval are off by 1 K: its own prediction must hardly move, towards them least of
+    # all.
     rows = slice(2 * 1440 + 600, 2 * 1440 + 720)
     moved = made_cell(4, seed=5)
     moved.columns["t_out_C"][rows] += 1.0
@@ -95,7 +103,9 @@ def test_a_documented_exchange_opens_a_jump_of_the_bias_and_nothing_else_does(mo
     made = made_cell(8, seed=7, step=(4.0, 0.6), fill=(0.9, 0.9))
     at = float(made.time_s[4 * 1440])
     label = [Label(made.time_s[1440], 1, "bias", 0.3, 0.3, 0.05)]
-    opened = predict_cell(fit_cell(model, minutes(made), Priors(BOUNDS), label, [Opening(at - 3600, at + 3600, "bias")]))
+    opened = predict_cell(
+        fit_cell(model, minutes(made), Priors(BOUNDS), label, [Opening(at - 3600, at + 3600, "bias")])
+    )
     closed = predict_cell(fit_cell(model, minutes(made), Priors(BOUNDS), label, ()))
     bias = opened.deviations[:, 3]
     assert bias[6 * 1440] - bias[2 * 1440] == pytest.approx(0.6, abs=0.12)
@@ -105,7 +115,9 @@ def test_a_documented_exchange_opens_a_jump_of_the_bias_and_nothing_else_does(mo
 
 
 @pytest.mark.parametrize(("mean", "sd", "moves"), [(0.0, 0.01, False), (0.2, 0.05, True), (-0.3, 0.1, True)])
-def test_an_inspection_says_nothing_inside_its_interval_and_pulls_from_outside(mean: float, sd: float, moves: bool) -> None:
+def test_an_inspection_says_nothing_inside_its_interval_and_pulls_from_outside(
+    mean: float, sd: float, moves: bool
+) -> None:
     value, spread = interval_as_gaussian(-0.1, 0.1, mean, sd)
     joint = (mean / sd**2 + value / spread**2) / (1 / sd**2 + 1 / spread**2)
     assert (abs(joint - mean) > 0.2 * sd) == moves

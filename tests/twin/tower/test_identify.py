@@ -1,4 +1,5 @@
-"""Identifiability: the order and size of condition numbers by excitation and sensors, refusal, frozen parameter, plan."""
+"""Identifiability: the order and size of condition numbers by excitation and sensors, refusal, frozen parameter,
+plan."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ def day(fan: float = 0.0, flow: float = 0.0, load: float = 0.0, seed: int = 0, w
 def condition(sensors: str, **excitation: float) -> float:
     names = [SENSORS[letter] for letter in sensors]
     found = [
-        identifiability(cell_sensitivities(CELL, day(seed=s, **excitation), names, AT, KAPPA), 5.0).condition for s in range(4)
+        identifiability(cell_sensitivities(CELL, day(seed=s, **excitation), names, AT, KAPPA), 5.0).condition
+        for s in range(4)
     ]
     return float(np.median(found))
 

@@ -50,8 +50,12 @@ def test_moist_air_is_that_of_coolprop_and_psychrolib(kPa: float) -> None:
     for dry, wet in ((30.0, 22.0), (15.0, 9.0), (38.0, 27.0), (-3.0, -4.0)):
         ratio = library.GetHumRatioFromTWetBulb(dry, wet, kPa * 1e3)
         assert float(moist.ratio_from_wet_bulb(dry, wet, kPa)) == pytest.approx(ratio, rel=1e-3)
-        assert float(moist.enthalpy(dry, ratio)) == pytest.approx(library.GetMoistAirEnthalpy(dry, ratio), rel=1e-3, abs=20.0)
-        assert float(moist.density(dry, ratio, kPa)) == pytest.approx(library.GetMoistAirDensity(dry, ratio, kPa * 1e3), rel=1e-3)
+        assert float(moist.enthalpy(dry, ratio)) == pytest.approx(
+            library.GetMoistAirEnthalpy(dry, ratio), rel=1e-3, abs=20.0
+        )
+        assert float(moist.density(dry, ratio, kPa)) == pytest.approx(
+            library.GetMoistAirDensity(dry, ratio, kPa * 1e3), rel=1e-3
+        )
     cool = pytest.importorskip("CoolProp.HumidAirProp")
     for t in (5.0, 20.0, 35.0):
         ratio = cool.HAPropsSI("W", "T", t + 273.15, "P", kPa * 1e3, "R", 0.5)
@@ -93,10 +97,13 @@ def test_supersaturated_air_of_kloppers_is_missed_by_what_constant_heat_capaciti
 
 
 def test_effectiveness_form_inverts_merkels_integral() -> None:
-    # Of the outlet that a Merkel number gives, the integral gives that number back: the chord of C_s costs most in hot weather and at wide ranges.
+    # Of the outlet that a Merkel number gives, the integral gives that number back: the chord of C_s costs most in
+    # hot weather and at wide ranges.
     design = Design(250.0, 205.0, 1.4, 0.0, 40.0, 1.15)
     wet, fall = np.meshgrid(np.linspace(5.0, 27.0, 6), np.linspace(8.0, 16.0, 5))
-    u = Inputs((wet + fall).ravel(), np.full(30, 250.0), np.ones(30), (wet + 4.0).ravel(), wet.ravel(), np.full(30, 99.0))
+    u = Inputs(
+        (wet + fall).ravel(), np.full(30, 250.0), np.ones(30), (wet + 4.0).ravel(), wet.ravel(), np.full(30, 99.0)
+    )
     out = solve(u, design, Deviations(uniformity=1.0 / WETTED))
     back = merkel_number(u.t_in, out.t_out, entering_enthalpy(u.dry, u.wet, u.pressure), u.m_w / out.m_a, 99.0)
     assert back == pytest.approx(np.full(30, 1.4), rel=0.14)
@@ -125,7 +132,10 @@ def test_real_tower_calibrated_on_one_test_predicts_another() -> None:
     def read(name: str) -> dict[str, np.ndarray]:
         with reference(f"psa_cooling/{name}").open() as handle:
             table = list(csv.DictReader(handle))
-        return {k: np.array([float(row[k]) for row in table]) for k in ("Tamb", "HR", "Tin", "q", "w_fan", "Tout", "m_w_lost")}
+        return {
+            k: np.array([float(row[k]) for row in table])
+            for k in ("Tamb", "HR", "Tin", "q", "w_fan", "Tout", "m_w_lost")
+        }
 
     def run(v: dict[str, np.ndarray], p: np.ndarray):  # type: ignore[no-untyped-def]
         wet = moist.wet_bulb(v["Tamb"], v["HR"] / 100.0, 95.4)
