@@ -16,6 +16,8 @@ VERBS = {
     "plan": "Propose the next step test of a cell: the one that makes its deviations identifiable",
     "report": "Print or write the report of a calibration",
     "collect": "Poll a rig's points into a historian",
+    "serve": "Serve a station as a Modbus/TCP device",
+    "simulate": "Simulate stations of cooling towers with a historian",
 }
 """Verb and its summary; its command is in `hil.cli.tower_commands.<verb>`."""
 

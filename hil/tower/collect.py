@@ -25,6 +25,8 @@ CODES = {
 """OPC quality code of each quality of a reading."""
 FLUSH_S = 60.0
 """Time after which collected samples are stored: at most these are lost in a crash."""
+CALENDAR_S = 1.0e9
+"""Source time from which a device's clock shows the calendar, s since 1970: no device runs for thirty years."""
 MOST_WAITING = 1_000_000
 """Samples that wait for a store that is away (some 30 MB); beyond, the collection ends with the store's error."""
 
@@ -46,6 +48,8 @@ class _Waiting:
     rows: dict[str, list[tuple[float, float, int]]] = field(default_factory=dict)
     since_s: float = 0.0
     count: int = 0
+    ahead_s: float = 0.0
+    """Calendar of the devices ahead of that of this machine."""
 
     def add(self, name: str, time_s: float, value: float, quality: int) -> None:
         self.rows.setdefault(name, []).append((time_s, value, quality))
@@ -73,9 +77,10 @@ async def collect(
 ) -> Collected:
     """Poll the rig's points every `every_s` into the store until cancelled or `minutes` have passed.
 
-    Every reading is stored with the time of its poll in UTC and its quality; a reading that failed is stored as a
-    bad sample without a number, so that a gap of the link is not taken for a value that stands still. What was
-    collected is stored when the collection ends, however it ends.
+    Every reading is stored with its quality and the time of its poll in UTC, or the time of its device where the
+    device's clock (`uptime` of its bus) shows the calendar. A reading that failed is stored as a bad sample without a
+    number, so that a gap of the link is not taken for a value that stands still. What was collected is stored when the
+    collection ends, however it ends.
 
     Raises:
         LinkError: the rig cannot be reached at the beginning; later failures are counted.
@@ -104,7 +109,7 @@ async def collect(
 
 async def _poll(connection: RigConnection, waiting: _Waiting, done: Collected, now: Callable[[], float]) -> None:
     """Read all points once and keep them."""
-    stamp = now()
+    stamp = now() + waiting.ahead_s
     done.polls += 1
     try:
         snapshot = await connection.read()
@@ -117,5 +122,10 @@ async def _poll(connection: RigConnection, waiting: _Waiting, done: Collected, n
     if snapshot.faults:
         done.failures += 1
         done.last_failure = snapshot.faults[-1]
-    for point, value, quality in zip(connection.points, snapshot.values, snapshot.quality, strict=True):
-        waiting.add(point.name, stamp, value, CODES[Quality(quality)])
+    calendar = [moment for moment in snapshot.source_time_s if moment >= CALENDAR_S]
+    if calendar:
+        waiting.ahead_s += max(calendar) - stamp
+        stamp = max(calendar)
+    rows = zip(connection.points, snapshot.values, snapshot.quality, snapshot.source_time_s, strict=True)
+    for point, value, quality, source in rows:
+        waiting.add(point.name, source if source >= CALENDAR_S else stamp, value, CODES[Quality(quality)])

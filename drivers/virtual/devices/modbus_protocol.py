@@ -164,6 +164,10 @@ class ModbusConnection(Connection):
         self._registers = registers
         self._rest = b""
 
+    def reply(self, pdu: bytes) -> bytes:
+        """Return the response PDU to a request PDU; a device of another register map answers in its own way."""
+        return answer(self._registers, pdu)
+
     def data_received(self, data: bytes) -> None:
         """Answer every whole frame in the buffer with one write; keep a partial one."""
         if self._rest:
@@ -180,10 +184,8 @@ class ModbusConnection(Connection):
             stop = at + 6 + length
             if stop > end:
                 break
-            if device == DEVICE_ID:
-                pdu = answer(self._registers, data[at + 7 : stop])
-            else:
-                pdu = bytes((function | 0x80, NO_SUCH_DEVICE))
+            absent = bytes((function | 0x80, NO_SUCH_DEVICE))
+            pdu = self.reply(data[at + 7 : stop]) if device == DEVICE_ID else absent
             answers.append(_HEAD.pack(transaction, 0, len(pdu) + 1, device, pdu[0]) + pdu[1:])
             at = stop
         self._rest = data[at:]

@@ -3,13 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+from hil.cli.options.paths import INPUT_FILE
+
+if TYPE_CHECKING:
+    from twin.historian.events import Event
+
+INPUT_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
 @click.command()
 @click.argument("out", type=click.Path(exists=True, file_okay=False, path_type=Path))
-def command(out: Path) -> None:
+@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw a cell over time, .png or .svg.")
+@click.option("--cell", type=int, help="Cell of the picture; default: the first.")
+@click.option("--labels", type=INPUT_FILE, help="Inspections, traverses and certificates for the picture, CSV.")
+@click.option("--record", type=INPUT_FOLDER, help="Aligned record, whose maintenance is marked in the picture.")
+@click.option("--truth", type=INPUT_FILE, help="Truth of a simulated station, to compare with: table and picture.")
+def command(
+    out: Path, picture: Path | None, cell: int | None, labels: Path | None, record: Path | None, truth: Path | None
+) -> None:
     """Print the report of OUT, the folder of a calibration, and write it to OUT/report.md.
 
     The chain of the records is checked: a line that was changed or removed is reported.
@@ -17,12 +32,61 @@ def command(out: Path) -> None:
     \b
     Example:
       hil tower report out
+      hil tower report out --picture cell1.png --cell 1 --labels labels.csv --record record
     """
     from hil.files.atomic import replacing
+    from hil.record.raw import RecordError
     from hil.run.session.terminal import console
+    from hil.tower.calibrate import TABLE
+    from hil.tower.picture import draw_cell
     from hil.tower.report import REPORT, report
+    from hil.tower.truth import compare, read_minutes, read_truth
 
     text = report(out)
+    true = None if truth is None else read_truth(truth)
+    remedy = "calibrate again"
+    needed = ("t_out", "t_out_lo", "t_out_hi", "t_out_commissioned", "fill", "air", "uniformity", "bias")
+    found = {} if picture is None and true is None else read_minutes(out / TABLE, needed, remedy)
+    if true is not None:
+        text += "\n" + "\n".join(compare(found, true)) + "\n"
     with replacing(out / REPORT) as unfinished:
         unfinished.write_text(text)
     console().print(text, markup=False)
+    if picture is None:
+        return
+    if picture.suffix.lower() not in (".png", ".svg"):
+        raise click.UsageError(f"{picture}: a picture is a .png or an .svg; choose one")
+    drawn = min(found) if cell is None else cell
+    if drawn not in found:
+        have = ", ".join(str(one) for one in found)
+        raise RecordError(f"{out}: has no cell {drawn}; its cells are {have}")
+    of_truth = None if true is None else true.get(drawn)
+    events = () if record is None else read_events(record)
+    draw_cell(found[drawn], picture, cell=drawn, truth=of_truth, labels=labels, events=events)
+    click.echo(f"written: {picture}")
+
+
+def read_events(record: Path) -> tuple[Event, ...]:
+    """Return the events of an aligned record, as its station.json has them.
+
+    Raises:
+        RecordError: the record holds no station.json that can be read.
+    """
+    import datetime
+    import json
+
+    from hil.record.raw import RecordError
+    from twin.historian.events import Event
+
+    path = record / "station.json"
+    try:
+        rows = json.loads(path.read_text())["events"]
+        return tuple(
+            Event(
+                datetime.datetime.fromisoformat(row["time"].replace("Z", "+00:00")).timestamp(), bool(row["by_day"]),
+                int(row["cell"]), row["kind"], row["source"], row["text"],
+            )
+            for row in rows
+        )  # fmt: skip
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RecordError(f"{path}: holds no events that can be read ({error}); align the record again") from error

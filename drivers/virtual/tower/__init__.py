@@ -1,0 +1,56 @@
+"""Virtual cooling-tower station: physics, operation, degradation, historian and device of a plant that no twin knows.
+
+It shares no code and no formula with `twin`: Poppe's method in sectors, a fan curve against a resistance, own moist
+air.
+
+The names below are the package's interface; they are loaded on first use.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from drivers.virtual.tower.device import Replay, load_station, rig_text, serve_station, write_dictionary
+    from drivers.virtual.tower.export import key_of, write_station
+    from drivers.virtual.tower.sites import SITES
+    from drivers.virtual.tower.station import Plan, simulate
+
+_HOME = {
+    "Plan": "drivers.virtual.tower.station",
+    "Replay": "drivers.virtual.tower.device",
+    "SITES": "drivers.virtual.tower.sites",
+    "key_of": "drivers.virtual.tower.export",
+    "load_station": "drivers.virtual.tower.device",
+    "rig_text": "drivers.virtual.tower.device",
+    "serve_station": "drivers.virtual.tower.device",
+    "simulate": "drivers.virtual.tower.station",
+    "write_dictionary": "drivers.virtual.tower.device",
+    "write_station": "drivers.virtual.tower.export",
+}
+
+__all__ = [
+    "SITES",
+    "Plan",
+    "Replay",
+    "key_of",
+    "load_station",
+    "rig_text",
+    "serve_station",
+    "simulate",
+    "write_dictionary",
+    "write_station",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module on first use."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return sorted(__all__)

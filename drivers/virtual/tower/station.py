@@ -1,0 +1,150 @@
+"""A simulated station from seed to files, in the format of a plant's export.
+
+`raw.parquet` (timestamp UTC, tag, value, quality), `tags.csv`, `datasheet.json`, `commissioning.csv`, `events.csv`,
+`labels.csv`; for scoring also `truth.parquet`. Every part draws from a stream of its own, so that a change of one
+leaves the others as they are.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drivers.virtual.tower import compiled, degradation, operation, weather
+from drivers.virtual.tower.archive import archived, scan_times
+from drivers.virtual.tower.cell import S_FILL, STATE
+from drivers.virtual.tower.defects import Samples, Seeding, seed_archive, seed_scans
+from drivers.virtual.tower.effects import hidden_effects
+from drivers.virtual.tower.instruments import Instrument, Truth, instruments, scanned, tag_name
+from drivers.virtual.tower.sites import SITES, Built, Site, build
+
+MINUTES_A_DAY = 1440
+DAYS_A_MONTH = 30.4375
+STREAMS = (
+    "build",
+    "weather",
+    "operation",
+    "life",
+    "instruments",
+    "scans",
+    "defects",
+    "commissioning",
+    "records",
+    "effects",
+)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Plan of a simulation: months, cells that are recorded, seed, beginning (UTC), effects to hide, defects, weather's
+    folder."""
+
+    months: float = 14.0
+    cells: int = 6
+    seed: int = 0
+    start: datetime.datetime = datetime.datetime(2022, 5, 1, tzinfo=datetime.UTC)
+    hide: tuple[str, ...] = ()
+    defects: bool = False
+    weather: Path | None = None
+
+    @property
+    def days(self) -> int:
+        """Whole days, two at least."""
+        return max(round(self.months * DAYS_A_MONTH), 2)
+
+    def recorded(self) -> dict[str, int]:
+        """Return the number of recorded cells by station: two thirds are of A, as far as it has them."""
+        of_a = min(-(-2 * self.cells // 3), SITES[0].cells)
+        return {"A": of_a, "B": min(self.cells - of_a, SITES[1].cells)}
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A simulated station: as built, its truth, operation, instruments, raw samples by tag, and what was seeded."""
+
+    plan: Plan
+    built: Built
+    recorded: int
+    truth: Truth
+    operation: operation.Operation
+    instruments: tuple[Instrument, ...]
+    samples: dict[str, Samples]
+    seeded: Seeding
+    weather_source: str
+    answer: dict[str, object]
+    streams: dict[str, np.random.Generator]
+
+    @property
+    def site(self) -> Site:
+        """Site of the station."""
+        return self.built.site
+
+
+def simulate(site: Site, recorded: int, plan: Plan, note: Callable[[str], None] = lambda _: None) -> Simulated:
+    """Return a station with `recorded` cells simulated by the plan.
+
+    Raises:
+        WeatherError: a file of weather cannot be read.
+        ValueError: an effect to hide is not known.
+    """
+    days, n = plan.days, plan.days * MINUTES_A_DAY
+    seeds = np.random.SeedSequence([plan.seed, ord(site.station)]).spawn(len(STREAMS))
+    streams = {name: np.random.default_rng(one) for name, one in zip(STREAMS, seeds, strict=True)}
+    built = build(site, streams["build"])
+    hidden, answer = hidden_effects(plan.hide, site, recorded, streams["effects"])
+    file = weather.find_file(plan.weather, site.weather_words)
+    year = weather.read_year(file) if file else weather.made_year(site.climate, streams["weather"])
+    air = weather.minutes(year, plan.start, n, streams["weather"])
+    done = operation.operate(site, plan.start, n, streams["operation"])
+    life = degradation.live(built, days, streams["life"], lambda c: tag_name(site, "water_outlet_temperature", c + 1))
+    sectors = built.shares.shape[2]
+    note(f"station {site.station}: {site.cells} cells of {sectors} sectors, {days} days, weather by {year.source}")
+    columns = np.stack([air.dry, air.ratio, air.pressure, air.wind, air.direction, air.sun], axis=1)
+    cells, station = compiled.run(
+        built.cells, built.shares, built.numbers, hidden, built.rtd_s, columns, life.states, done.load, done.outage,
+        done.trips,
+        done.test_speed, done.test_flow, done.lead,
+    )  # fmt: skip
+    truth = Truth(cells, station, air, air.wet_bulb(), air.humidity(), life)
+    tags = instruments(site, recorded, streams["instruments"])
+    seeding = Seeding.draw(tags, days, site.timezone, truth, streams["defects"]) if plan.defects else Seeding()
+    samples = _historian(tags, truth, plan, seeding, streams)
+    return Simulated(plan, built, recorded, truth, done, tags, samples, seeding, year.source, answer, streams)
+
+
+def _historian(
+    tags: Sequence[Instrument], truth: Truth, plan: Plan, seeding: Seeding, streams: dict[str, np.random.Generator]
+) -> dict[str, Samples]:
+    """Return what the archive holds of each tag."""
+    end_s = plan.days * 86400.0
+    scans = {}
+    for one in tags:
+        time_s = scan_times(0.0, end_s, one.scan_s, streams["scans"])
+        scans[one.tag] = Samples(time_s, scanned(one, truth, time_s, streams["scans"]))
+    seed_scans(scans, tags, seeding)
+    kept = {}
+    for one in tags:
+        samples = scans[one.tag]
+        longest = 600.0 if one.unit != "0/1" and one.kind.deviation < 0.3 and one.kind.interface == "met" else 3600.0
+        rows = archived(samples.time_s, samples.value, one.kind.deviation * one.factor, longest)
+        kept[one.tag] = samples.rows(rows)
+    seed_archive(kept, tags, seeding, plan.start, streams["defects"])
+    return kept
+
+
+def state_by_minute(made: Simulated, cell: int) -> dict[str, np.ndarray]:
+    """Return fill, air, uniformity of a cell (numbered from 1) by the minute, as in the truth."""
+    states = made.truth.life.states[:, cell - 1]
+    days = np.arange(len(states))
+    air = np.array([made.built.air_multiplier(cell - 1, row) for row in states])
+    even = np.array([made.built.uniformity(cell - 1, row) for row in states])
+    day = np.arange(len(made.truth.wet)) / MINUTES_A_DAY
+    assert states.shape[1] == len(STATE)
+    return {
+        "fill": np.interp(day, days, states[:, S_FILL]), "air": np.interp(day, days, air),
+        "uniformity": np.interp(day, days, even),
+    }  # fmt: skip

@@ -1,0 +1,88 @@
+"""Comparison of a calibration with the truth of a simulated station.
+
+`truth.parquet` has one row a minute and cell: time, cell, running, t_out, and fill, air, uniformity and bias. Only
+`hil tower simulate --score` writes it; a plant has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from hil.record.raw import RecordError
+
+PARAMETERS = ("fill", "air", "uniformity", "bias")
+Columns = dict[str, NDArray[Any]]
+
+
+def read_minutes(path: Path, needed: tuple[str, ...], remedy: str) -> dict[int, Columns]:
+    """Return the columns of a table of minutes by cell; `time` as datetime64[ms].
+
+    Raises:
+        RecordError: the file cannot be read or lacks a column; the message ends with `remedy`.
+    """
+    try:
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowInvalid) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise RecordError(f"{path}: cannot be read ({reason}); {remedy}") from error
+    missing = [name for name in ("time", "cell", *needed) if name not in table.column_names]
+    if missing:
+        raise RecordError(f"{path}: has no column {', '.join(missing)}; {remedy}")
+    columns = {name: table[name].to_numpy() for name in table.column_names}
+    columns["time"] = columns["time"].astype("datetime64[ms]")
+    return {
+        int(cell): {name: values[columns["cell"] == cell] for name, values in columns.items()}
+        for cell in np.unique(columns["cell"])
+    }
+
+
+def read_truth(path: Path) -> dict[int, Columns]:
+    """Return the truth by cell.
+
+    Raises:
+        RecordError: the file cannot be read or lacks a column.
+    """
+    return read_minutes(path, ("running", "t_out", *PARAMETERS), "use truth.parquet of hil tower simulate --score")
+
+
+def compare(calibrated: Mapping[int, Columns], truth: Mapping[int, Columns]) -> list[str]:
+    """Return a Markdown table of the mean absolute errors against the truth: outlet by minute, parameters by day."""
+    head = "| cell | outlet as commissioned K | calibrated K | within 90 % | fill % | air % | uniformity % | bias K |"
+    rows = [head, "|---|---|---|---|---|---|---|---|"]
+    for cell, found in calibrated.items():
+        if cell not in truth:
+            continue
+        true = truth[cell]
+        _, mine, its = np.intersect1d(found["time"], true["time"], return_indices=True)
+        runs = true["running"][its]
+        mine, its = mine[runs], its[runs]
+        got, real = found["t_out"][mine], true["t_out"][its]
+        inside = (found["t_out_lo"][mine] <= real) & (real <= found["t_out_hi"][mine])
+        known = np.isfinite(got)
+        before = np.nanmean(np.abs(found["t_out_commissioned"][mine] - real)) if known.any() else np.nan
+        figures = [f"{before:.2f}", f"{np.nanmean(np.abs(got - real)):.2f}" if known.any() else "-"]
+        figures.append(f"{100.0 * inside[known].mean():.0f} %" if known.any() else "-")
+        for name in PARAMETERS:
+            figures.append(
+                _daily(found["time"][mine], found[name][mine], true[name][its], 1.0 if name == "bias" else 100.0)
+            )
+        rows.append(f"| {cell} | {' | '.join(figures)} |")
+    return ["Mean absolute errors against the truth of the simulated station:", "", *rows] if len(rows) > 2 else []
+
+
+def _daily(time: NDArray[Any], found: NDArray[Any], true: NDArray[Any], scale: float) -> str:
+    """Return the mean over days of the absolute error of a daily mean, as text."""
+    known = np.isfinite(found)
+    if not known.any():
+        return "-"
+    day = time[known].astype("datetime64[D]")
+    _, index, count = np.unique(day, return_inverse=True, return_counts=True)
+    error = np.bincount(index, found[known] - true[known]) / count
+    return f"{scale * np.abs(error).mean():.2f}" if scale == 1.0 else f"{scale * np.abs(error).mean():.1f}"
