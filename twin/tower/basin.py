@@ -27,9 +27,9 @@ OFFSET_K = 0.25
 """Standard deviation of a basin thermometer's offset: a thermometer, stratification and the basin's own loss of
 heat."""
 PATTERN_K = 0.1
-"""Of the error of perfect mixing in one pattern of running cells."""
+"""Standard deviation of the error of perfect mixing in one pattern of running cells."""
 ROW_K = 0.15
-"""Of the mean of half a day."""
+"""Standard deviation of the mean of half a day."""
 DILUTED = 0.003
 """Share of makeup water in the compartment from which a minute is left out: 15 K colder, it moves the mean by 0.05
 K."""
@@ -42,7 +42,7 @@ BIAS = DEVIATIONS.index("bias")
 
 @dataclass(frozen=True)
 class Drain:
-    """What a cell drains into the compartment, by minute (n,): flow kg/s (0 when off), outlet reading and basin
+    """Water that a cell drains into the compartment, by minute (n,): flow kg/s (0 when off), outlet reading and basin
     reading degC.
 
     `sampled`: the basin reading has a raw sample there.

@@ -29,7 +29,7 @@ START_MIN = (5, 20)
 WET_C = (5.0, 12.0, 18.0, 23.0)
 """Wet bulbs between which classes lie: the twin's error grows with the distance from its test points."""
 LEAST_SHARE = 0.8
-"""Of a quantile that is left when the noise is taken off it: what differences show is not noise alone."""
+"""Share of a quantile that is left when the noise is taken off it: what differences show is not noise alone."""
 LEAST_WIDTH_K = 0.05
 
 

@@ -29,7 +29,7 @@ WETTED = 0.94
 STARVING = 1.5
 """Power by which nozzles starve as the flow falls."""
 PASSES = 6
-"""Of the fixed point for C_s: the error is below 1e-3 K for ranges up to 15 K."""
+"""Passes of the fixed point for C_s: the error is below 1e-3 K for ranges up to 15 K."""
 LEAST_AIR = 0.02
 """Share of the design air flow that passes with the fan at rest, by free convection."""
 

@@ -15,7 +15,7 @@ TAIL = 0.25
 """Scale of an interval's exponential tails as a share of its width: an inspector's bounds are seldom exceeded by half
 of it."""
 LEAST_PRECISION = 1e-6
-"""Of a moment-matched interval that says nothing beyond what is known, relative to that of the present knowledge."""
+"""Precision of a moment-matched interval that says nothing beyond what is known, relative to that of the present knowledge."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ CLEAN = Deviations()
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What a window tells of the deviations.
+    """Identifiability of the deviations in a window.
 
     Attributes:
         condition: of all deviations. sd: Cramer-Rao standard deviations by name, in units of the deviation.

@@ -13,7 +13,7 @@ from twin.tower.air import CP_WATER, Array, ratio_from_wet_bulb, saturated_entha
 from twin.tower.air import enthalpy as moist_enthalpy
 
 ORDER = 16
-"""Of the quadrature: beyond 12 the fifth digit stays, also for approaches of 1 K."""
+"""Order of the quadrature: beyond 12 the fifth digit stays, also for approaches of 1 K."""
 
 
 def merkel_number(
