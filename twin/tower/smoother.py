@@ -39,7 +39,8 @@ FLOW_METER = 0.015
 PASSES = 10
 BLOCK_S = 600.0
 CORRELATION = (3.0, 144.0)
-"""Least and most autocorrelation time, blocks: half an hour (METHODS 4.4), and a day. What stays for longer is for the slow
+"""Least and most autocorrelation time, blocks: half an hour (METHODS 4.4), and a day. What stays for longer is for
+the slow
 deviations to explain: without a limit a bad fit would weigh itself ever less."""
 HUBER = 2.5
 """Standard deviations beyond which a block is weighed down."""
