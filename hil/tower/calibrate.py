@@ -37,7 +37,7 @@ from twin.twinfile import load
 
 TABLE = "calibrated.parquet"
 DRIVEN = 0.25
-"""Share of full fan speed above which a thermometer is watched for steps: below it, free convection acts as well."""
+"""Share of full fan speed above which a thermometer is watched for steps: below, free convection acts too."""
 INFORMED = 0.8
 """A deviation whose posterior standard deviation is above this share of its prior's is withheld: the record hardly
 says it."""

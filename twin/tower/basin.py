@@ -42,7 +42,7 @@ BIAS = DEVIATIONS.index("bias")
 
 @dataclass(frozen=True)
 class Drain:
-    """Drain of a cell into the compartment, by minute (n,): flow kg/s (0 when off), outlet reading and basin
+    """Water that a cell drains into the compartment, by minute (n,): flow kg/s (0 when off), outlet reading and basin
     reading degC.
 
     `sampled`: the basin reading has a raw sample there.

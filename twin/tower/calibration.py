@@ -27,7 +27,7 @@ FEWEST_RESIDUALS = 40
 START_MIN = (5, 20)
 """Minutes after a start that make classes of their own."""
 WET_C = (5.0, 12.0, 18.0, 23.0)
-"""Wet bulbs between classes: the twin's error grows with the distance from its test points, in hot weather."""
+"""Wet bulbs between which classes lie: the twin's error grows with the distance from its test points."""
 LEAST_SHARE = 0.8
 """Share of a quantile that is left when the noise is taken off it: what differences show is not noise alone."""
 LEAST_WIDTH_K = 0.05
@@ -168,7 +168,7 @@ def _half_width(minutes: Minutes, t_out: Array, bias: Array, p: Estimate) -> Arr
 
 
 def _classes(minutes: Minutes) -> NDArray[np.intp]:
-    """Return the class of each minute: first minutes after a start, else its regime, steady or not, by the weather."""
+    """Return the class of each minute: just after a start, else its regime, steady or not, by the weather."""
     index = np.arange(len(minutes.known))
     since = index - np.maximum.accumulate(np.where(minutes.known, -1, index))
     since = np.where(np.maximum.accumulate(~minutes.known), since, START_MIN[-1] + 1)

@@ -20,7 +20,7 @@ FEWEST = 4
 MERKEL, EXPONENT = (0.1, 10.0), (0.0, 1.5)
 """Merkel numbers and exponents of counter-flow fills with margin; published fills have 0.5 to 4 and 0.4 to 0.9."""
 EVAPORATION = (0.7, 1.4)
-"""Bounds of the factor of Merkel's evaporation."""
+"""Range of the evaporation over Merkel's."""
 MOST_IDLE = 0.3
 """Losses of motor and drive at any speed as a share of the power at full speed; usually 2 to 8 %."""
 LOADING = (0.2, 4.0)

@@ -15,7 +15,7 @@ TAIL = 0.25
 """Scale of an interval's exponential tails as a share of its width: an inspector's bounds are seldom exceeded by half
 of it."""
 LEAST_PRECISION = 1e-6
-"""Least precision of a moment-matched interval that adds nothing, relative to the present precision."""
+"""Precision, relative to that of what is known, of a moment-matched interval that adds nothing to it."""
 
 
 @dataclass(frozen=True)

@@ -36,8 +36,12 @@ JUMP = {"fill": 0.08, "air": 0.06, "uniformity": 0.05, "bias": 0.4, "flow_meter"
 one."""
 FLOW_METER = 0.015
 """Standard deviation of a flow meter's gain."""
-PASSES = 6
+PASSES = 10
 BLOCK_S = 600.0
+CORRELATION = (3.0, 144.0)
+"""Least and most autocorrelation time, blocks: half an hour (METHODS 4.4), and a day. What stays for longer is for
+the slow
+deviations to explain: without a limit a bad fit would weigh itself ever less."""
 HUBER = 2.5
 """Standard deviations beyond which a block is weighed down."""
 STEPS = np.array([0.01, 0.01, 0.01, 0.01, 0.01])
@@ -271,7 +275,7 @@ class _Solver:
             r = res[there]
             scale = 1.4826 * float(np.median(np.abs(r - np.median(r))))
             self.sigma[j] = max(scale, least)
-            tau = max(autocorrelation_time(np.clip(r, -4 * scale, 4 * scale)), 3.0)
+            tau = float(np.clip(autocorrelation_time(np.clip(r, -4 * scale, 4 * scale)), *CORRELATION))
             if j == 0:
                 self.tau = tau
             else:

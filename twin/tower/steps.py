@@ -31,8 +31,8 @@ level."""
 CONFIRM_S = 3 * 3600.0
 DAY_S = 86400.0
 UNUSUAL = 4.0
-"""Standard deviations of the usual differences between a day's median and the next one's, above which a step stands.
-The twin's own error moves from day to day with the weather, a thermometer's step stays."""
+"""Standard deviations of the usual differences between one day's median and the next, above which a step stands: the
+twin's own error moves from day to day with the weather, a thermometer's step stays."""
 CONFIRMED = 0.4
 """Share of the smallest step by which the median of three hours after must differ for the step to stand."""
 FEWEST = 8

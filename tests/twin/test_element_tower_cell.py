@@ -1,0 +1,60 @@
+"""The tower cell as an element: equal to the cell's own equations, affine in the network's temperatures, and fast."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from twin.kernel import simulate
+from twin.network import Network, Revision
+from twin.steady import steady_readings
+from twin.tower.cell import Design, Deviations, Inputs, solve
+from twin.tower.twin_file import cell_network
+
+DESIGN = Design(250.0, 205.0, 1.5, 0.7, 40.0, 1.15, evaporation=1.05, idle=1.0)
+
+
+def network(**deviations: float) -> Network:
+    net = cell_network(1, "Z", DESIGN, 0.7, 0.1, (0.02, 0.1), Revision())
+    return net.with_values({f"cell.{name}": value for name, value in deviations.items()})
+
+
+def operating_points(n: int, seed: int = 0) -> np.ndarray:
+    """Inputs in the order of the twin file: inlet, flow, speed, dry bulb, wet bulb, pressure, bypass."""
+    rng = np.random.default_rng(seed)
+    dry = rng.uniform(-5.0, 38.0, n)
+    wet = dry - rng.uniform(0.0, 5.0, n)
+    inlet = np.maximum(wet, 3.0) + rng.uniform(3.0, 25.0, n)
+    return np.stack(
+        [inlet, rng.uniform(100, 300, n), rng.uniform(0, 100, n), dry, wet, rng.uniform(80, 102, n), np.zeros(n)],
+        axis=1,
+    )
+
+
+def test_element_and_cell_agree_at_every_operating_point() -> None:
+    u = operating_points(200)
+    net = network(fill=0.86, air=0.93, uniformity=0.95)
+    found = steady_readings(net, u)[:, 0]
+    inputs = Inputs(u[:, 0], u[:, 1], u[:, 2] / 100.0, u[:, 3], u[:, 4], u[:, 5])
+    assert found == pytest.approx(solve(inputs, DESIGN, Deviations(0.86, 0.93, 0.95)).t_out, abs=1e-6)
+
+
+def test_bypass_mixes_hot_water_into_the_flume_and_the_bias_shifts_the_reading_alone() -> None:
+    u = operating_points(20, seed=1)
+    shut = steady_readings(network(), u)[:, 0]
+    u[:, 6] = 100.0
+    assert steady_readings(network(), u)[:, 0] == pytest.approx(0.3 * shut + 0.7 * u[:, 0], abs=1e-6)
+    biased = network().with_values({"outlet.bias_K": 0.4})
+    assert steady_readings(biased, u)[:, 0] == pytest.approx(steady_readings(network(), u)[:, 0] + 0.4, abs=1e-9)
+
+
+def test_minutes_are_simulated_by_the_hundred_thousand_a_second() -> None:
+    # Half a million a second on a core of its own; the limit allows for a machine that is shared by several.
+    net, u = network(), operating_points(20_000, seed=2)
+    times = 60.0 * np.arange(len(u))
+    simulate(net, times[:100], u[:100], np.array([25.0]))
+    began = time.process_time()
+    assert np.isfinite(simulate(net, times, u, np.array([25.0]))).all()
+    assert len(u) / (time.process_time() - began) > 1e5
