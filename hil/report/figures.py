@@ -16,7 +16,6 @@ from hil.report.actuators import pair_actuators
 from hil.report.statistics import TimeUnit, good_values, symbol
 
 MEASURED, STATIC = "#30343a", "#e07b1f"
-BELOW = "#c3c7cd"
 TRACKED = ("#1f77c9", "#2a9d6f", "#8a4fbf", "#b03a5b")
 _OTHERS = ("#a8322a", "#1f77c9", "#2a9d6f", "#b8860b", "#8a4fbf", "#0f8b8d", "#b03a5b", "#6b705c", "#e07b1f", "#30343a")
 _MOST_POINTS = 4000
@@ -88,13 +87,12 @@ def twin_colours(names: Sequence[str]) -> dict[str, str]:
 def _against_twin(drawn: Curves) -> Iterator[_Plot]:
     colours = twin_colours(tuple(drawn.twins))
     for position, (sensor, values) in enumerate(drawn.measured.items()):
-        # The measurement lies below, wide and pale, and each twin is thinner than the one before: coinciding curves are
-        # visible.
-        curves = [_Curve("measured", values, BELOW, 5.0, above=1)]
-        curves += [
-            _Curve(name, outputs[:, position], colours[name], max(2.4 - 0.6 * k, 0.6))
+        # The measured curve is thin and on top, so that those below it are seen beside it.
+        curves = [
+            _Curve(name, outputs[:, position], colours[name], max(2.4 - 0.5 * k, 1.0))
             for k, (name, outputs) in enumerate(drawn.twins.items())
         ]
+        curves.append(_Curve("measured", values, MEASURED, 0.7, above=5))
         yield _Plot(f"{sensor.removesuffix('_C')} / °C", tuple(curves), 2.6, own_legend=False)
 
 

@@ -59,7 +59,7 @@ def test_a_vendors_table_becomes_a_rig_file_that_is_accepted(tmp_path):
     assert "no mistakes found" in checked.output
     again = CliRunner().invoke(init, ["--from", str(source), "--addressing", "modicon", "--out", str(out)])
     assert again.exit_code == 2
-    assert "is there already" in again.output
+    assert "exists already" in again.output
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import pytest
 from hil.bench.faults.judge import tries_on
 from hil.bench.faults.places import PROJECT, take_places_out, without_places
 from hil.errors import exhausted_resource, explained
-from hil.run.session.event_loop import finished
+from hil.run.session.event_loop import session_result
 
 
 def test_no_place_of_the_machine_is_left_in_the_texts_of_a_result():
@@ -77,6 +77,6 @@ def test_a_loop_that_cannot_be_closed_costs_no_result(monkeypatch):
         return 7
 
     try:
-        assert finished(session()) == 7
+        assert session_result(session()) == 7
     finally:
         monkeypatch.undo()

@@ -157,7 +157,7 @@ def test_a_flat_or_shuffled_record_moves_nothing_and_says_why(
                "--network-mode", "controlled")  # fmt: skip
     assert f"hiera_unet held everything in 30 of 30 proposals; {code} in {times} (" in done.output
     # Of blocks in another order the first window is as it was measured, and is judged before anything is torn.
-    assert damage == "blocks" or "that the twin does not know of" not in done.output
+    assert damage == "blocks" or "that the twin does not model" not in done.output
     assert "no revision is saved" in done.output and len(list(tmp_path.glob("*.toml"))) == 1
 
 
@@ -213,11 +213,11 @@ def test_a_room_is_tracked_by_the_calibrators_that_take_any_twin(tmp_path: Path)
 
 def test_small_powers_are_told_with_digits() -> None:
     document = {"disturbed": "heater_1", "disturbed_W": 0.187, "disturbed_interval90_W": (0.1, 0.2751)}
-    assert disturbance(document) == "heater_1 gives off 0.19 W (0.1 to 0.28) that the twin does not know of"
+    assert disturbance(document) == "heater_1 gives off 0.19 W (0.1 to 0.28) that the twin does not model"
     document |= {"disturbed_W": 187.2, "disturbed_interval90_W": (99.6, 270.1)}
-    assert disturbance(document) == "heater_1 gives off 187 W (100 to 270) that the twin does not know of"
+    assert disturbance(document) == "heater_1 gives off 187 W (100 to 270) that the twin does not model"
     document.update(disturbed_W=-187.4, disturbed_interval90_W=(-270.0, -100.0))
-    assert disturbance(document) == "heater_1 takes up 187 W (100 to 270) that the twin does not know of"
+    assert disturbance(document) == "heater_1 takes up 187 W (100 to 270) that the twin does not model"
 
 
 @network_here

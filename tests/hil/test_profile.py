@@ -222,7 +222,7 @@ def test_a_row_between_two_ticks_is_refused(tmp_path: Path) -> None:
 
 def test_a_profile_without_heater_power_is_refused_and_without_fan_noted(tmp_path: Path) -> None:
     (problem,) = _problems(tmp_path, "time_s,pump_speed_pct\n0,100\n900,100\n")
-    assert "does not say heater_power_W; add it" in problem
+    assert "has no column heater_power_W; add it" in problem
     notes = validate(
         read_profile(_write(tmp_path, "time_s,heater_power_W,pump_speed_pct\n0,600,100\n900,600,100\n")),
         LIMITS,

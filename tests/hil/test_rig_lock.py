@@ -239,7 +239,7 @@ def test_a_claim_that_ends_leaves_nothing_locked_and_nothing_behind(home):
     rig = with_bus()
     with claimed(rig, pytest.fail) as claim:
         with (
-            pytest.raises(RigBusyError, match=rf"process {os.getpid()} is starting .*whatever its device ids"),
+            pytest.raises(RigBusyError, match=rf"process {os.getpid()} is starting .*whatever their ids"),
             claimed(with_bus(device_id=9), pytest.fail),
         ):
             pass
