@@ -37,6 +37,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "loop": (*_LOOP, "hil/bench/loop", "hil/tracking"),
     "bus": ("drivers/bus", "drivers/modbus", "drivers/signals", "hil/bench/loop", "hil/bench/peers"),
     "wire": ("drivers/bus", "drivers/can", "drivers/modbus", "drivers/signals", "hil/bench/fuzz"),
+    "tower": ("twin/tower", "twin/historian", "hil/tower"),
     "files": (
         *_TWIN, "drivers/can", "drivers/importers", "drivers/rig_file", "hil/bench/fuzz", "hil/files", "hil/profile",
         "hil/record",
