@@ -239,7 +239,7 @@ def _operators_resolved_once() -> Iterator[None]:
     def remembered(function: Any, context: Any, args: Any, kws: Any) -> Any:
         if kws or not all(isinstance(arg, types.Number | types.Boolean) for arg in args):
             return resolve(function, context, args, kws)
-        key = (id(context), function, tuple(args))
+        key = (context, function, tuple(args))  # the context itself: an id may be given again
         if key not in known:
             known[key] = resolve(function, context, args, kws)
         return known[key]

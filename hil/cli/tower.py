@@ -10,14 +10,14 @@ import importlib
 import click
 
 VERBS = {
-    "align": "Make an aligned one-minute record of a historian's tags",
-    "calibrate": "Calibrate cells on a record: deviations, intervals, gates, proposals",
-    "commission": "Fit the clean cell to its test points and write its twin file",
-    "plan": "Propose the next step test of a cell: the one that makes its deviations identifiable",
-    "report": "Print or write the report of a calibration",
-    "collect": "Poll a rig's points into a historian",
-    "serve": "Serve a station as a Modbus/TCP device",
     "simulate": "Simulate stations of cooling towers with a historian",
+    "serve": "Serve a station as a Modbus/TCP device",
+    "collect": "Poll a rig's points into a historian",
+    "align": "Make an aligned one-minute record of a historian's tags",
+    "commission": "Fit the clean cell to its test points and write its twin file",
+    "calibrate": "Calibrate cells on a record: deviations, intervals, gates, proposals",
+    "report": "Print or write the report of a calibration",
+    "plan": "Propose the next step test of a cell: the one that makes its deviations identifiable",
 }
 """Verb and its summary; its command is in `hil.cli.tower_commands.<verb>`."""
 
@@ -43,5 +43,8 @@ def command() -> None:
 
     \b
     Example:
-      hil tower align STORE --tags tags.csv --out record
+      hil tower align STORE --tags tags.csv --datasheet datasheet.json --out record
+      hil tower commission record --cell 1 --datasheet datasheet.json --points commissioning.csv --out cell1.toml
+      hil tower calibrate record --twin cell1.toml --out out
+      hil tower report out
     """

@@ -55,7 +55,7 @@ from hil.record.raw import RecordError
 from hil.tower.errors import TowerOutputError
 from hil.tower.station import Station
 from twin.historian.defects import Repaired, find_and_repair
-from twin.historian.events import disturbed, influence_of
+from twin.historian.events import Event, disturbed, influence_of
 from twin.historian.plausible import in_usual_units, order_and_silence
 from twin.historian.record import CellMinutes, cell_minutes, shared_minutes
 from twin.historian.tags import Defect, Series
@@ -144,7 +144,7 @@ def write_record(repaired: Repaired, station: Station, out: Path, remarks: list[
             "remarks": remarks,
         }
         _write_json(staging / "alignment.json", report)
-        about = {"datasheet": station.datasheet, "events": [_event(event) for event in station.events]}
+        about = {"datasheet": station.datasheet, "events": [event_entry(event) for event in station.events]}
         _write_json(staging / "station.json", about)
     files = tuple(out / f"cell{cell}.parquet" for cell in station.cells)
     return Aligned(repaired.defects, tuple(remarks), files, len(shared.minute_s), complete)
@@ -193,7 +193,8 @@ def _defect(one: Defect) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _event(event: Any) -> dict[str, Any]:
+def event_entry(event: Event) -> dict[str, Any]:
+    """Return an event as `station.json` holds it, with its influence period and the parameters that it may change."""
     influence = influence_of(event.kind, event.text)
     low, high = event.window_s
     return {

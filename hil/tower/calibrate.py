@@ -17,8 +17,8 @@ from hil.tower.record import (
     CellRecord,
     StationNotes,
     cells_of,
+    event_entries,
     read_cell,
-    read_events,
     read_labels,
     read_notes,
     seconds,
@@ -70,7 +70,7 @@ def calibrate(
     loaded = _load_all(twins, record)
     notes = read_notes(record)
     if events is not None:
-        notes = replace(notes, events=read_events(events))
+        notes = replace(notes, events=event_entries(events))
     found = read_labels(labels, tuple(loaded)) if labels is not None else ()
     drafts = [
         _fit(record, cell, path, network, notes, tuple(label for label in found if label.cell == cell))

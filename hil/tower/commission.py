@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hil.record.raw import RecordError
+from hil.tower.input_files import read_object, read_rows
 from twin.network import Network, Revision, digest
 from twin.tower.cell import Inputs
 from twin.tower.commissioning import Commissioned, CommissioningError, TestPoints, fit_clean_cell
@@ -44,44 +42,14 @@ class CommissioningPoints:
     names: tuple[str, ...]
 
 
-def read_datasheet(path: Path) -> dict[str, Any]:
-    """Return a datasheet.
-
-    Raises:
-        RecordError: the file cannot be read, is not JSON or not an object.
-    """
-    try:
-        found = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise RecordError(f"{path}: is not valid JSON: {error}") from error
-    if not isinstance(found, dict):
-        raise RecordError(f"{path}: is not a JSON object; a datasheet has keys such as design and fan")
-    return found
-
-
 def read_points(path: Path, cell: int, site_kPa: float = 101.325) -> CommissioningPoints:
     """Return the test points of a cell.
 
     Raises:
         RecordError: a column or the cell is missing, or a value is no number or cannot be in the column's unit.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordError(
-            f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'it is no UTF-8 text'}"
-        ) from error
-    reader = csv.DictReader(text.splitlines())
-    missing = [name for name in REQUIRED if name not in (reader.fieldnames or ())]
-    if missing:
-        raise RecordError(
-            f"{path}: lacks the column {', '.join(missing)}; its first line has {', '.join(reader.fieldnames or ())}"
-        )
     rows, names, cells = [], [], set()
-    for row in reader:
-        line = reader.line_num
+    for line, row in read_rows(path, REQUIRED):
         number = _number(path, line, "cell", row["cell"])
         cells.add(int(number))
         if int(number) != cell:
@@ -108,7 +76,7 @@ def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, 
     Raises:
         RecordError: a file cannot be used, or the fit describes no cooling tower.
     """
-    sheet = read_datasheet(datasheet)
+    sheet = read_object(datasheet)
     design = sheet.get("design", {})
     try:
         water_flow = float(design["water_flow_kg_s"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import datetime
 import hashlib
 import json
@@ -18,6 +17,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from hil.record.raw import RecordError
+from hil.tower.align import event_entry
+from hil.tower.input_files import read_rows
+from hil.tower.station import read_events
 from twin.tower.air import Array
 from twin.tower.evidence import Label
 from twin.tower.twin_file import BOUNDS
@@ -130,54 +132,9 @@ def seconds(text: str) -> float:
     return (found if found.tzinfo else found.replace(tzinfo=datetime.UTC)).timestamp()
 
 
-def read_events(path: Path) -> tuple[dict[str, Any], ...]:
-    """Return events in the form of the record's `station.json`.
-
-    Raises:
-        RecordError: a column is missing, or a line has no time or cell that can be read.
-    """
-    from hil.tower.align import iso
-    from twin.historian.events import Event, influence_of
-
-    found = []
-    for line, row in _rows(path, ("time", "event")):
-        try:
-            time_s, cell = seconds(row["time"] or ""), int(row.get("cell") or 0)
-        except ValueError as error:
-            raise RecordError(
-                f"{path}:{line}: time or cell cannot be read ({error}); write a time as 2022-10-06T15:00:00Z"
-            ) from error
-        by_day = (row.get("precision") or "") == "day" or len(row["time"].strip()) <= 10
-        event = Event(time_s, by_day, cell, row["event"], row.get("source") or "", row.get("text") or "")
-        influence = influence_of(event.kind, event.text)
-        low, high = event.window_s
-        found.append({
-            "time": iso(time_s), "by_day": by_day, "cell": cell, "kind": event.kind, "source": event.source,
-            "text": event.text,
-            "from": iso(low), "to": iso(high + 3600.0 * influence.hours), "parameters": list(influence.parameters),
-        })  # fmt: skip
-    return tuple(found)
-
-
-def _rows(path: Path, required: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:
-    """Return the rows of a CSV file with their line numbers.
-
-    Raises:
-        RecordError: the file cannot be read or lacks a column.
-    """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordError(
-            f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'it is no UTF-8 text'}"
-        ) from error
-    reader = csv.DictReader(text.splitlines())
-    missing = [n for n in required if n not in (reader.fieldnames or ())]
-    if missing:
-        raise RecordError(
-            f"{path}: lacks the column {', '.join(missing)}; its first line has {', '.join(reader.fieldnames or ())}"
-        )
-    return [(reader.line_num, {k: v or "" for k, v in row.items() if k}) for row in reader]
+def event_entries(path: Path) -> tuple[dict[str, Any], ...]:
+    """Return the events of a file as the record's `station.json` holds them; raises what `read_events` raises."""
+    return tuple(event_entry(event) for event in read_events(path))
 
 
 def read_labels(path: Path, cells: tuple[int, ...]) -> tuple[Label, ...]:
@@ -187,7 +144,7 @@ def read_labels(path: Path, cells: tuple[int, ...]) -> tuple[Label, ...]:
         RecordError: a column is missing, or a line has no time, an unknown parameter or kind, or bounds the wrong way
         round.
     """
-    found = [_label(path, line, row) for line, row in _rows(path, ("time", "cell", "parameter", "kind"))]
+    found = [_label(path, line, row) for line, row in read_rows(path, ("time", "cell", "parameter", "kind"))]
     return tuple(label for label in found if label.cell in cells)
 
 

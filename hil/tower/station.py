@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import datetime
-import json
 import zoneinfo
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from hil.record.raw import RecordError
+from hil.tower.input_files import read_object, read_rows
 from twin.historian.columns import OF_CELL, OF_STATION
 from twin.historian.events import Event
 from twin.historian.tags import Tag
@@ -70,22 +69,8 @@ def read_station(tags: Path, datasheet: Path | None = None, events: Path | None 
     """
     dictionary, remarks, places = _tags(tags)
     sheet = _datasheet(datasheet) if datasheet is not None else {}
-    happened = _events(events) if events is not None else ()
+    happened = read_events(events) if events is not None else ()
     return Station(dictionary, sheet, happened, tuple(remarks), places)
-
-
-def _rows(path: Path, required: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is no UTF-8 text"
-        raise RecordError(f"{path}: cannot be read: {reason}") from error
-    reader = csv.DictReader(text.splitlines())
-    missing = [name for name in required if name not in (reader.fieldnames or ())]
-    if missing:
-        have = ", ".join(reader.fieldnames or ()) or "nothing"
-        raise RecordError(f"{path}: lacks the column {', '.join(missing)}; its first line has {have}")
-    return [(reader.line_num, {k: (v or "").strip() for k, v in row.items() if k}) for row in reader]
 
 
 def _tags(path: Path) -> tuple[dict[str, Tag], list[str], dict[str, str]]:
@@ -93,7 +78,7 @@ def _tags(path: Path) -> tuple[dict[str, Tag], list[str], dict[str, str]]:
     places: dict[str, str] = {}
     taken: dict[tuple[str, int | None], str] = {}
     remarks = []
-    for line, row in _rows(path, REQUIRED):
+    for line, row in read_rows(path, REQUIRED):
         name, role = row["tag"], row["role"]
         if not name:
             raise RecordError(f"{path}:{line}: the tag has no name; give one or remove the line")
@@ -149,23 +134,21 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
 
 
 def _datasheet(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise RecordError(f"{path}: is no JSON: {error}") from error
-    if not isinstance(found, dict):
-        raise RecordError(f"{path}: holds {type(found).__name__} and no object of the datasheet's fields")
+    found = read_object(path)
     zone = found.get("timezone")
     if zone is not None and zone not in zoneinfo.available_timezones():
         raise RecordError(f"{path}: {zone!r} is no time zone; give one of the IANA names, such as Europe/Madrid")
     return found
 
 
-def _events(path: Path) -> tuple[Event, ...]:
+def read_events(path: Path) -> tuple[Event, ...]:
+    """Return the events of a station in the order of time.
+
+    Raises:
+        RecordError: a column is missing, or a line has no time or cell that can be read.
+    """
     found = []
-    for line, row in _rows(path, ("time", "event")):
+    for line, row in read_rows(path, ("time", "event")):
         text = row["time"]
         by_day = row.get("precision", "") == "day" or len(text) <= 10
         try:

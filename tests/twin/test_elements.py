@@ -182,3 +182,11 @@ def test_every_kind_says_where_its_parameters_come_from() -> None:
             assert spec.lower < spec.upper
             if spec.default is not None:
                 assert spec.lower <= spec.default <= spec.upper
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_kind_of_element_has_no_hook_that_nobody_calls(kind: str) -> None:
+    # A hook under another name than that of the base class is never asked, and no type checker sees it.
+    public = {name: value for name, value in vars(KINDS[kind]).items() if not name.startswith("_") and callable(value)}
+    hooks = {name for name, value in public.items() if "sites" in value.__code__.co_varnames[:2]}
+    assert hooks <= {"changed_candidates"}

@@ -66,25 +66,19 @@ class TowerCell(Element):
     pressure: str = place("input", "input column with the barometric pressure in kPa")
     bypass: str = place("input", "input column with the position of the bypass valve in %")
 
-    def moved(self, sites: Sites) -> tuple[Candidate, ...]:
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         place_of = sites.places[self.node]
         says = {
             "fill": "has a fill whose Merkel number differs by {value}",
             "air": "gets an air flow that differs by {value}",
             "uniformity": "has a wetted share of its plan that differs by {value}",
         }
-        return tuple(
-            self.parameter_candidate(
-                name,
-                "heat_rejection",
-                place_of,
-                name,
-                EffectSize("of the clean cell", 0.05, 0.2 - now, 1.8 - now),
-                words,
-            )
-            for name, words in says.items()
-            for now in (sites.values[f"{self.name}.{name}"],)
-        )
+        found = []
+        for name, words in says.items():
+            now = sites.values[f"{self.name}.{name}"]
+            size = EffectSize("1", 0.05, 0.2 - now, 1.8 - now)
+            found.append(self.parameter_candidate(name, "heat_rejection", place_of, "constant", size, words))
+        return tuple(found)
 
     def emit(self, n: Names) -> Fragment:
         t_in = f"min(max({n.input(self.inlet)}, 0.0), {HOTTEST_C})"

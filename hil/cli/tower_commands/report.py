@@ -61,12 +61,12 @@ def command(
         have = ", ".join(str(one) for one in found)
         raise RecordError(f"{out}: has no cell {drawn}; its cells are {have}")
     of_truth = None if true is None else true.get(drawn)
-    events = () if record is None else read_events(record)
+    events = () if record is None else recorded_events(record)
     draw_cell(found[drawn], picture, cell=drawn, truth=of_truth, labels=labels, events=events)
     click.echo(f"written: {picture}")
 
 
-def read_events(record: Path) -> tuple[Event, ...]:
+def recorded_events(record: Path) -> tuple[Event, ...]:
     """Return the events of an aligned record, as its station.json has them.
 
     Raises:

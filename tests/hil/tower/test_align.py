@@ -201,7 +201,7 @@ def test_an_outlet_above_the_inlet_is_marked_and_named(
 @pytest.mark.parametrize(
     ("file", "text", "message"),
     [
-        ("datasheet.json", "{", "datasheet.json: is no JSON"),
+        ("datasheet.json", "{", "datasheet.json: is not valid JSON"),
         ("datasheet.json", '{"timezone": "Mars/Olympus"}', "'Mars/Olympus' is no time zone"),
         ("events.csv", "time,event\nyesterday,fan_trip\n", "events.csv:2: 'yesterday' is no time"),
         ("events.csv", "when,event\n", "events.csv: lacks the column time"),
