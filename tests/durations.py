@@ -1,7 +1,7 @@
 """Measured durations of tests: slow ones are marked, and their files are handed out first.
 
 `tests/durations.txt` has a line for every test function that takes long: seconds on two quiet cores, all of its
-parameters and fixtures together, and its name. `pytest -n 2 --write-durations` measures them anew.
+parameters and fixtures together, and its name. `pytest -n 3 --write-durations` measures them anew.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ def test_a_training_in_pieces_ends_with_card_picture_and_ensemble(data: Training
     assert {"hil", "torch", "numpy"} == card["versions"].keys()
     assert card["command"] == "hil train" and card["seed"] == 0 and len(card["metrics"]["blind"]["mae"]) == 2
     load(tmp_path / "fake_small_0.safetensors", IDENTITY, fake.config())
-    assert any("unseen windows" in line for line in done.lines)
+    assert any("held-out windows" in line for line in done.lines)
     trained(data, tmp_path, 1)
     ensemble = json.loads((tmp_path / "fake_small.json").read_text())
     assert list(ensemble["members"]) == ["fake_small_0.safetensors", "fake_small_1.safetensors"]
