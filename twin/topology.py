@@ -10,7 +10,7 @@ from twin.elements.bypass import Bypass
 from twin.elements.empirical_heat import EmpiricalHeat
 from twin.elements.flow import Flow
 from twin.elements.heat_source import HeatSource
-from twin.elements.law import LawActuator, LawFluid, LawHeat
+from twin.elements.law import LawActuator, LawFlow, LawFluid, LawHeat, LawReading
 from twin.elements.node import Node
 from twin.elements.pipe import Pipe
 from twin.elements.radiator import Radiator
@@ -103,7 +103,7 @@ def _on_a_flow_path(elements: tuple[Element, ...], flows: list[Flow], fail: Call
 
 def _all_reachable(elements: tuple[Element, ...], nodes: list[str], fail: Callable[[str, str], object]) -> None:
     """Check that all nodes are connected, or that each component has heat of its own or a way to the room."""
-    acting = [e for e in elements if not isinstance(e, Node | Sensor)]
+    acting = [e for e in elements if not isinstance(e, Node | Sensor | LawReading | LawFlow)]
     neighbours: dict[str, set[str]] = {node: set() for node in nodes}
     for element in acting:
         touched = element.nodes()

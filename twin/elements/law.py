@@ -112,7 +112,7 @@ class Law(Element):
         """Return the unit of the driver and that of its differences."""
         if not self.driver and (self.minus or self.minus_input):
             return "K", "K"
-        if self.of:
+        if not self.driver:
             return "degC", "K"
         known = [suffix for suffix in UNITS_OF_SUFFIX if self.driver.endswith(f"_{suffix}")]
         suffix = max(known, key=len, default=self.driver.rsplit("_", 1)[-1])

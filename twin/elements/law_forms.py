@@ -71,11 +71,11 @@ Par = Callable[[str], str]
 _TIMES = {
     "start_s": ("s", None, -MOST_S, MOST_S, "begins at this stamp"),
     "end_s": ("s", None, -MOST_S, MOST_S, "ends at this stamp"),
-    "settle_s": ("s", None, 1.0, 1.0e8, "time constant of the growth"),
+    "settle_s": ("s", None, 1.0, 1.0e7, "time constant of the growth"),
     "period_s": ("s", None, 1.0, 1.0e8, "from one switching on to the next"),
     "duty": ("1", 0.5, 0.0, 1.0, "share of the period in which it is on"),
-    "decay_s": ("s", None, 1.0e-3, 1.0e8, "time constant of the decay"),
-    "edge_s": ("s", 1.0, 1.0e-3, 1.0e6, "interval of the samples, over which the course is averaged"),
+    "decay_s": ("s", None, 1.0e-3, 1.0e7, "time constant of the decay"),
+    "edge_s": ("s", 1.0, 1.0e-2, 1.0e6, "interval of the samples, over which the course is averaged"),
 }
 
 
