@@ -203,7 +203,11 @@ class KernelGenerator:
         s = self.system
         if ALWAYS in columns:
             return "True"
-        if any(d.dead_time or d.lag or d.varies for _, d in s.drives if self.network.input_columns.index(d.column) in columns):
+        if any(
+            d.dead_time or d.lag or d.varies
+            for _, d in s.drives
+            if self.network.input_columns.index(d.column) in columns
+        ):
             return "True"
         return " or ".join(f"inputs[i, {c}] != inputs[i - 1, {c}]" for c in sorted(columns)) or "False"
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.kernel import Kernel
 from twin.elements.base import STAMP
+from twin.kernel import Kernel
 from twin.network import Array, Network
 
 LONG_GAP_S = 300.0

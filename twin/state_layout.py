@@ -71,8 +71,8 @@ class StateLayout:
         """
         if state.shape[1] not in (self.nodes, self.size):
             raise TwinFileError(
-                f"a state of twin {self.network.name!r} has {self.nodes} temperatures, or {self.size} entries with what it "
-                f"remembers; got {state.shape[1]}"
+                f"a state of twin {self.network.name!r} has {self.nodes} temperatures, or {self.size} entries with "
+                f"what it remembers; got {state.shape[1]}"
             )
         full = state.shape[1] == self.size
         known = state

@@ -133,4 +133,6 @@ def _all_reachable(elements: tuple[Element, ...], nodes: list[str], fail: Callab
 
 def _brings_heat(element: Element) -> bool:
     """Return True for an element that exchanges heat with the outside: a source, or one with a temperature as input."""
-    return isinstance(element, HeatSource | EmpiricalHeat | LawHeat | LawFluid) or any(c.endswith("_C") for c in element.inputs())
+    return isinstance(element, HeatSource | EmpiricalHeat | LawHeat | LawFluid) or any(
+        c.endswith("_C") for c in element.inputs()
+    )

@@ -18,7 +18,9 @@ from twin.tracking import TwinTracker
 from twin.twinfile import load, parse, save
 
 LOSSES = '[elements.l]\nkind="ambient_loss"\nnode="b"\nhA={ value = 8.0, lower = 1.0, upper = 30.0 }\n'
-POWER = '[elements.p]\nkind="heat_source"\nnode="a"\ndriver="heater_power_W"\nfactor={ value = 1.0, status = "fixed" }\n'
+POWER = (
+    '[elements.p]\nkind="heat_source"\nnode="a"\ndriver="heater_power_W"\nfactor={ value = 1.0, status = "fixed" }\n'
+)
 WIND = np.array([2.0, 4.0, np.nan, 3.0, 9.0])
 
 
@@ -72,8 +74,9 @@ def test_an_actuator_law_brings_an_actuator_once(twin: Network) -> None:
     two = adopt_law(one, site, {"driver": "fan_speed_pct"}, "linear", {"gain": 0.001})
     assert [e.kind for e in two.elements].count("actuator") == 1
     time, u = np.arange(50.0), np.tile(twin.nominal_inputs, (50, 1))
-    less, plain = simulate(two, time, u, [20.0, 20.0]), simulate(
-        twin.with_values({"p.factor": 0.9 * 1.05}), time, u, [20.0, 20.0]
+    less, plain = (
+        simulate(two, time, u, [20.0, 20.0]),
+        simulate(twin.with_values({"p.factor": 0.9 * 1.05}), time, u, [20.0, 20.0]),
     )
     assert less == pytest.approx(plain, abs=1e-9)
 

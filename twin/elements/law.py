@@ -310,7 +310,9 @@ class LawConductance(Law):
         # A negative conductance feeds itself: it needs a limit.
         exchange = (q, f"min(max({g} * ({away} - {n.temperature(self.node)}), -{most!r}), {most!r})")
         bound = n.local("bound")
-        largest = f"min({n.local('slope')} * 200.0, {LIMITS['W/K']!r})" if self.follows_temperature else f"max({g}, -{g})"
+        largest = (
+            f"min({n.local('slope')} * 200.0, {LIMITS['W/K']!r})" if self.follows_temperature else f"max({g}, -{g})"
+        )
         heat = {self.node: q} | ({self.to: f"-{q}"} if self.to else {})
         more = Fragment(
             sample=(*parts.sample, (bound, largest)), stage=(*parts.stage, exchange), states=parts.states,
