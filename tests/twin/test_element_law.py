@@ -71,7 +71,7 @@ def test_a_law_is_a_named_element_where_they_coincide(one: str, other: str) -> N
     for temperatures, power, speed in (((40.0, 30.0), 500.0, 80.0), ((18.0, 61.0), 950.0, 15.0)):
         inputs = np.where([True, True, True, *5 * [False]], [power, speed, speed, *5 * [0.0]], U)
         expected = heat(other, temperatures, inputs)
-        assert np.abs(expected).max() > 1.0 and heat(one, temperatures, inputs) == pytest.approx(expected, abs=1e-9)
+        assert np.abs(expected).max() > 0.1 and heat(one, temperatures, inputs) == pytest.approx(expected, abs=1e-9)
 
 
 def test_kernels_agree_with_the_named_elements_too() -> None:
@@ -91,7 +91,8 @@ def test_kernels_agree_with_the_named_elements_too() -> None:
     other += '[elements.s]\nkind="heat_source"\nnode="b"\npower=50.0\n'
     other += '[elements.l]\nkind="ambient_loss"\nnode="b"\nhA=6.0\n'
     other += '[elements.c]\nkind="conduction"\nfrom="a"\nto="b"\nresistance=0.25\n'
-    assert np.abs(run(one) - run(other)).max() < 1e-4
+    # Two integrators: a limited exchange of temperatures is no longer affine. Their errors are those of a jump by 12 K.
+    assert np.abs(run(one, 40) - run(other, 40)).max() < 5e-4
 
 
 def test_a_reading_follows_its_own_temperature_as_a_gain_does() -> None:

@@ -118,13 +118,14 @@ VALUES = {
     "off": 35.0, "lag_s": 70.0, "start_s": 155.0, "end_s": 1204.0, "settle_s": 200.0, "period_s": 130.0, "duty": 0.3,
     "decay_s": 150.0, "edge_s": 5.0,
 }  # fmt: skip
+REMEMBERING = [("threshold", "always"), ("memory", "periodic"), ("rate", "always")]
 LAWS = [*((form, "always") for form in FORMS), *(("linear", course) for course in COURSES)]
 
 
-def stores() -> str:
+def stores(laws: list[tuple[str, str]]) -> str:
     """A node without losses for each law, and a law in each."""
     text = 'format = 1\nname = "stores"\n[inputs]\nfan_speed_pct = { nominal = 50.0 }\ntime_s = { nominal = 0.0 }\n'
-    for k, (form, course) in enumerate(LAWS):
+    for k, (form, course) in enumerate(laws):
         text += f'[elements.n{k}]\nkind = "node"\ncapacitance = 1000.0\n'
         text += f'[elements.T_{k}_C]\nkind = "sensor"\nnode = "n{k}"\ncolumns = ["T_{k}_C"]\n'
         text += f'[elements.x{k}]\nkind = "law_heat"\nnode = "n{k}"\nform = "{form}"\ncourse = "{course}"\n'
@@ -133,19 +134,19 @@ def stores() -> str:
     return text
 
 
-def test_a_compiled_store_gains_the_heat_of_its_law() -> None:
-    """In several lanes; and in one, cut in two, whose second part goes on from the memory of the first."""
-    net = parse(stores())
+@pytest.mark.parametrize(("laws", "particles"), [(LAWS, 1), (REMEMBERING, 3)])
+def test_a_compiled_store_gains_the_heat_of_its_law(laws: list[tuple[str, str]], particles: int) -> None:
+    """Cut in two: the second part goes on from the memory of the first."""
+    net = parse(stores(laws))
     time = np.cumsum(np.random.default_rng(1).choice([5.0, 5.0, 20.0], 200))
     fan = np.repeat(np.random.default_rng(2).uniform(20.0, 90.0, 40), 5)
-    inputs, start = np.column_stack([fan, np.full(200, -1.0)]), np.full(len(LAWS), 20.0)  # the kernel fills the stamps
-    kernel = Kernel(net, tuple(p.id for p in net.parameters.values() if p.name in VALUES))
-    readings, _ = kernel.trace(np.tile(net.values, (3, 1)), start, time, inputs)
-    first, state = kernel.trace(net.values, start, time[:90], inputs[:90])
-    second, _ = kernel.trace(net.values, state, time[89:], inputs[89:])
-    in_two = np.concatenate([first[0], second[0][1:]])
-    for k, (form, course) in enumerate(LAWS):
+    inputs, start = np.column_stack([fan, np.full(200, -1.0)]), np.full(len(laws), 20.0)  # the kernel fills the stamps
+    free = tuple(p.id for p in net.parameters.values() if p.name in VALUES) if particles > 1 else ()
+    kernel, full = Kernel(net, free), np.tile(net.values, (particles, 1))
+    first, state = kernel.trace(full, start, time[:90], inputs[:90])
+    second, _ = kernel.trace(full, state, time[89:], inputs[89:])
+    readings = np.concatenate([first[-1], second[-1][1:]])
+    for k, (form, course) in enumerate(laws):
         heat = law_values(form, course, VALUES, fan if form != "constant" else None, time)
         gained = 20.0 + np.concatenate([[0.0], np.cumsum(heat[:-1] * np.diff(time)) / 1000.0])
-        for found in (readings[2, :, k], in_two[:, k]):
-            assert found == pytest.approx(gained, rel=1e-8, abs=1e-7), (form, course)
+        assert readings[:, k] == pytest.approx(gained, rel=1e-8, abs=1e-7), (form, course)

@@ -137,6 +137,8 @@ class Law(Element):
         return self.unit
 
     def problem(self, values: Mapping[str, float]) -> str | None:
+        if "end_s" in COURSES[self.course] and values["end_s"] <= values["start_s"]:
+            return "end_s must be later than start_s"
         given = [key for key in ("driver", "of") if getattr(self, key)]
         others = [key for key in ("minus", "minus_input") if getattr(self, key)]
         if self.form == "constant":
@@ -151,8 +153,6 @@ class Law(Element):
             return f"minus_input {self.minus_input!r} is no temperature in degC: its name does not end in _C"
         if self.minus and self.minus == self.of:
             return "minus names the same node as of"
-        if "end_s" in COURSES[self.course] and values["end_s"] <= values["start_s"]:
-            return "end_s must be later than start_s"
         return None
 
     def driver_text(self, n: Names) -> str:
