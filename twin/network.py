@@ -154,6 +154,11 @@ class Network:
         return tuple(self.inputs)
 
     @cached_property
+    def recorded_inputs(self) -> tuple[str, ...]:
+        """Return the input columns that a record must have: all but the stamps, which the kernels fill."""
+        return tuple(c for c in self.inputs if c != STAMP)
+
+    @cached_property
     def sensor_columns(self) -> Mapping[str, tuple[str, ...]]:
         """Return, per sensor, the measured columns that it averages."""
         return MappingProxyType({s.name: s.measured for s in self.sensors})
@@ -268,7 +273,7 @@ class Network:
         TwinFileError
             An input column is missing, more than half of the sensors are, or columns differ in length.
         """
-        missing = [c for c in self.input_columns if c not in columns and c != STAMP]
+        missing = [c for c in self.recorded_inputs if c not in columns]
         unread = self.unread(columns)
         if missing or 2 * len(unread) > len(self.sensors):
             missing += unread
