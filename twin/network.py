@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.column_names import column_hint
 from twin.elements import Element, Parameter
-from twin.elements.base import STAMP
+from twin.elements.base import STAMP as STAMP
 from twin.elements.node import Node
 from twin.elements.sensor import Sensor
 

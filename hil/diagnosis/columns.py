@@ -19,8 +19,7 @@ from hil.record.times.time_axis import span
 from hil.record.values.units import beyond_declared
 from twin.discovery.healthy.basis import Columns, Commissioned
 from twin.discovery.records.grid import require_enough
-from twin.elements.base import STAMP
-from twin.network import InputSpec, Network, TwinFileError
+from twin.network import STAMP, InputSpec, Network, TwinFileError
 from twin.revisions import chain
 
 CLOCK = "time_of_day_h"

@@ -70,7 +70,7 @@ def planned_inputs(
     network: Network, plan: Profile, hour: float | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
     """Return time (n,) s and inputs (n, c) of a profile, and notes on inputs that it does not set."""
-    from twin.elements.base import STAMP
+    from twin.network import STAMP
 
     time = np.arange(0.0, plan.duration_s, STEP_S)
     values = plan.sample(time)
