@@ -14,7 +14,7 @@ from functools import cached_property
 
 from twin.affine import ZERO, AffineForm, NotAffineError, add, affine_form, multiply, names_in, parse_expression
 from twin.elements import Fragment, Names
-from twin.elements.base import InputDrive
+from twin.elements.base import InputDrive, SampleMemory
 from twin.elements.symbols import Stream, Symbols
 from twin.network import Network
 
@@ -76,9 +76,17 @@ class NetworkEquations:
             if p.value in (0.0, 1.0) and _stays(network, p.same_as or p.id, free)
         }
         parts: list[tuple[str, Fragment]] = []
+        own = {
+            e.name: {name[len(e.name) + 1 :]: v for name, v in neutral.items() if name.startswith(f"{e.name}.")}
+            for e in network.elements
+        }
+        changes: dict[str, tuple[str, ...]] = {}
         for e in network.elements:
-            own = {name[len(e.name) + 1 :]: v for name, v in neutral.items() if name.startswith(f"{e.name}.")}
-            fragment = e.emit(Names(e.name, own, streams, symbols))
+            if target := e.changes():
+                text = e.change(Names(e.name, own[e.name], streams, symbols))
+                changes[target] = (*changes.get(target, ()), *((text,) if text else ()))
+        for e in network.elements:
+            fragment = e.emit(Names(e.name, own[e.name], streams, symbols, changes))
             symbols.settle(fragment.remembered(e.name))
             parts.append((e.name, fragment))
         self.parts = tuple(parts)
@@ -86,6 +94,11 @@ class NetworkEquations:
         self.lags = tuple(symbols.names["f"])
         self.drives: tuple[tuple[str, InputDrive], ...] = tuple((name, f.drive) for name, f in parts if f.drive)
         self.driven = {network.input_columns.index(d.column) for _, d in self.drives}
+        self.memories: tuple[tuple[str, SampleMemory], ...] = tuple((name, m) for name, f in parts for m in f.memories)
+
+    def stored(self, element: str, memory: SampleMemory) -> tuple[str, str]:
+        """Return the identifiers of a memory's value and of the number that it stores."""
+        return self._symbols.local(element, memory.name), self._symbols.local(element, f"{memory.name}_before")
 
     @cached_property
     def delays(self) -> tuple[DelayLine, ...]:
@@ -285,7 +298,7 @@ class NetworkEquations:
 
     @cached_property
     def rest_values(self) -> tuple[str, ...]:
-        """Return the values at rest, in node temperatures: of the states after the nodes, then of the lags."""
+        """Return the values at rest, in node temperatures and inputs: of the states after the nodes, of the lags."""
         states = [s.start for _, f in self.parts for s in f.states]
         return (*states, *(lag.of for _, f in self.parts for lag in f.lags))
 
@@ -316,13 +329,25 @@ def python_source(network: Network) -> str:
     remembering = {name for name, f in NetworkEquations(network, network.ids).parts if f.states}
     system = NetworkEquations(network, tuple(p.id for p in network.parameters.values() if p.element not in remembering))
     body: list[str] = []
-    for k, (_, drive) in enumerate(system.drives):
-        column = network.input_columns.index(drive.column)
-        body.append(f"a{k} = u{column}")
-        body.append(f"u{column} = {drive.value}")
+    for varies in (False, True):  # a memory follows what elements see, and a drive that varies may need a memory
+        for k, (_, drive) in enumerate(system.drives):
+            if drive.varies == varies:
+                column = network.input_columns.index(drive.column)
+                body += [f"a{k} = u{column}", f"u{column} = {drive.value}"]
+        if not varies:
+            body += _without_past(system)
     body += [f"{line.late} = 0.0" for line in system.delays]
     body += [f"D{k} = 0.0" for k in range(len(system.delays))]
     return _function("rhs(T, u, p)", [*body, *_locals(system)], f"[{', '.join(_plain_rates(system))}]")
+
+
+def _without_past(system: NetworkEquations) -> list[str]:
+    """Return the assignments of the memories for one instant: each stores its start."""
+    lines = ["span = 1.0"] if system.memories else []
+    for name, memory in system.memories:
+        value, before = system.stored(name, memory)
+        lines += [f"{before} = {memory.start}", f"{value} = {memory.value}"]
+    return lines
 
 
 def stateful_source(system: NetworkEquations) -> str:
@@ -330,7 +355,7 @@ def stateful_source(system: NetworkEquations) -> str:
 
     ``now(T, D, u, p)``, with states T and outlets of delays D, returns dT/dt, the water that enters each delay and the
     input of each lag. ``pushed(u, p)`` returns each delay's flow, L/s, and volume, L, and each lag's time constant, s.
-    ``read(T, F, p, now)`` returns the readings, with F the lagged values.
+    ``read(T, F, u, p, now)`` returns the readings, with F the lagged values.
     """
     entering = [f.delay.water for _, f in system.parts if f.delay]
     followed = [lag.of for _, f in system.parts for lag in f.lags]
@@ -345,7 +370,7 @@ def stateful_source(system: NetworkEquations) -> str:
         [
             _function("now(T, D, u, p)", [*late, *_locals(system)], f"({results})"),
             _function("pushed(u, p)", steps, f"({pushed})"),
-            _function("read(T, F, p, now)", [], f"[{', '.join(system.readings)}]"),
+            _function("read(T, F, u, p, now)", [], f"[{', '.join(system.readings)}]"),
         ]
     )
 

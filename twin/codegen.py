@@ -28,7 +28,7 @@ from twin.assembly import NetworkEquations
 from twin.delays import NEVER, SLOTS, delay_lines
 from twin.integrators import PAIRS, Integrator
 from twin.kernel_functions import ARRIVED, EXP, PIECES
-from twin.kernel_text import NAME, KernelText, indent
+from twin.kernel_text import NAME, KernelText, indent, renamed
 from twin.network import Network
 
 LANES = 32
@@ -39,6 +39,8 @@ much as a full one.
 """
 MOST_STEPS = 1.0e6
 """Largest number of substeps in one sample interval."""
+ALWAYS = -1
+"""Index, beside those of input columns, of all that changes from sample to sample: the memories of samples."""
 Mode = Literal["cost", "trace"]
 MODES: tuple[Mode, ...] = ("cost", "trace")
 
@@ -82,6 +84,8 @@ class KernelGenerator:
             self.text.row(f"sse{j}")
         for c in s.driven:
             self.text.row(f"u{c}")
+        for name, memory in s.memories:
+            self.text.row(s.stored(name, memory)[0])
         same_flow = lanes == 1 or (same_flow and self._pushed_equally())
         self.delays = delay_lines(s, self.text, same_flow) if s.delays else None
         self.integrator = Integrator(s, self.text, self.delays)
@@ -98,9 +102,10 @@ class KernelGenerator:
         return [f"x{j}" for j in range(self.k)]
 
     def memories(self) -> list[str]:
-        """Return the names of lagged values, then of commands on their way through a lag."""
-        lags = [f"f{j}" for j in range(len(self.system.lags))]
-        return lags + [f"z{j}" for j, (_, d) in enumerate(self.system.drives) if d.lag]
+        """Return the names of lagged values, of commands on their way through a lag, and of stored numbers."""
+        s = self.system
+        lags = [f"f{j}" for j in range(len(s.lags))] + [f"z{j}" for j, (_, d) in enumerate(s.drives) if d.lag]
+        return lags + [s.stored(name, memory)[1] for name, memory in s.memories]
 
     def _levels(self) -> None:
         """Sort coefficients by their dependencies: lanes, inputs, the delayed share of a pipe."""
@@ -109,10 +114,12 @@ class KernelGenerator:
         self.uses: dict[str, frozenset[int]] = {}
         self.late: set[str] = set(late)
         self.expressions: dict[str, str] = {}
+        renewed = {s.stored(name, memory)[0] for name, memory in s.memories}
         for name, text in self._hoisted():
             self.expressions[name] = text
             needed = names_in(text)
             inputs = {int(n[1:]) for n in needed if re.fullmatch(r"u\d+", n)}
+            inputs |= {ALWAYS} if needed & renewed else set()
             self.uses[name] = frozenset(inputs).union(*(self.uses.get(n, frozenset()) for n in needed))
             if needed & self.late:
                 self.late.add(name)
@@ -123,7 +130,7 @@ class KernelGenerator:
         named = set().union(*(names_in(t) for t in matrix))
         self.slow = frozenset().union(*(self.uses.get(n, frozenset()) for n in named))
         inputs = {int(n[1:]) for t in matrix for n in names_in(t) if re.fullmatch(r"u\d+", n)}
-        self.slow |= inputs
+        self.slow |= inputs | ({ALWAYS} if any(names_in(t) & renewed for t in matrix) else set())
         self.fast = frozenset().union(*self.uses.values()) - self.slow if self.uses else frozenset()
 
     def _hoisted(self) -> Iterator[tuple[str, str]]:
@@ -153,10 +160,13 @@ class KernelGenerator:
                     out.append(f"{self.text.at(name)} = {name}")
         return out
 
-    def drive(self) -> list[str]:
+    def drive(self, varies: bool) -> list[str]:
         """Return the lines that turn driven input columns into the values that the elements see in this interval."""
         out: list[str] = []
+        varying = [self.network.input_columns.index(d.column) for _, d in self.system.drives if d.varies]
         for k, (_, d) in enumerate(self.system.drives):
+            if d.varies != varies:
+                continue
             c = self.network.input_columns.index(d.column)
             command = f"inputs[i, {c}]"
             body = [f"a{k} = {command}"]
@@ -170,14 +180,34 @@ class KernelGenerator:
                     f"{self.text.at(f'z{k}')} = a{k} + gone * decay",
                     f"a{k} = a{k} + gone * share * (1.0 - decay)",
                 ]
-            body += [f"u{c} = {d.value}", f"{self.text.at(f'u{c}')} = u{c}"]
+            # Of other inputs that vary too, the recorded value: the order of the elements must not count.
+            others = {f"u{k}": f"inputs[i, {k}]" for k in varying if k != c}
+            body += [f"u{c} = {renamed(d.value, others)}", f"{self.text.at(f'u{c}')} = u{c}"]
             out += self.text.loop(body)
+        return out
+
+    def renew(self) -> list[str]:
+        """Return the lines that renew the memories of samples, after the drives that they follow."""
+        s = self.system
+        out = ["span = time[i + 1] - time[i]"] if s.memories else []
+        columns = [self.network.input_columns.index(d.column) for _, d in s.drives if d.varies]
+        recorded = {f"u{c}": f"inputs[i, {c}]" for c in columns}
+        for name, memory in s.memories:
+            value, before = s.stored(name, memory)
+            body = [f"{value} = {renamed(memory.value, recorded)}", f"{self.text.at(value)} = {value}"]
+            out += self.text.loop([*body, f"{self.text.at(before)} = {renamed(memory.after, recorded)}"])
         return out
 
     def changed(self, columns: frozenset[int]) -> str:
         """Return the condition that one of some input columns has changed since the last sample."""
         s = self.system
-        if any(d.dead_time or d.lag for _, d in s.drives if self.network.input_columns.index(d.column) in columns):
+        if ALWAYS in columns:
+            return "True"
+        if any(
+            d.dead_time or d.lag or d.varies
+            for _, d in s.drives
+            if self.network.input_columns.index(d.column) in columns
+        ):
             return "True"
         return " or ".join(f"inputs[i, {c}] != inputs[i - 1, {c}]" for c in sorted(columns)) or "False"
 
@@ -256,7 +286,9 @@ class KernelGenerator:
 
     def observe(self) -> list[str]:
         """Return the lines that compare the state at sample i with the measurement, or store the readings."""
-        readings = self.system.readings
+        # A reading follows the recorded input: what elements see of it is known from its interval on.
+        recorded = {f"u{c}": f"inputs[i, {c}]" for c in self.system.driven}
+        readings = [renamed(text, recorded) for text in self.system.readings]
         lines = ["now = time[i]"] if any("now" in names_in(r) for r in readings) else []
         if self.mode == "trace":
             return lines + self.text.loop([f"Y[b, i, {j}, l] = {reading}" for j, reading in enumerate(readings)])
@@ -281,7 +313,9 @@ class KernelGenerator:
         lines = self.copied(0, len(remembered), "start[b, r, l]", store=False)
         lines += self.copied(len(remembered), len(self.parameters), "lanes[b, r, l]", store=False)
         lagging = [self.network.input_columns.index(d.column) for _, d in s.drives if d.lag]
-        rest = [*s.rest_values, *(f"inputs[first, {c}]" for c in lagging)]
+        rest = [*s.rest_values, *(f"inputs[first, {c}]" for c in lagging), *(m.start for _, m in s.memories)]
+        held = {f"u{c}": f"inputs[first, {c}]" for c in range(len(self.network.input_columns))}
+        rest = [renamed(text, held) for text in rest]
         # Loops rather than lines, here and at the end: the compiler's time goes with the number of statements.
         body = []
         for name, at_rest in zip(remembered[len(self.network.nodes) :], rest, strict=True):
@@ -297,7 +331,8 @@ class KernelGenerator:
         if self.delays:
             inner = [*self.delays.look(), *inner, *self.delays.advance()]
         interval = [f"u{c} = inputs[i, {c}]" for c in range(len(self.network.input_columns)) if c not in s.driven]
-        interval += [*self.observe(), "if i == n - 1:", "    break", *self.drive(), *refresh]
+        interval += [*self.observe(), "if i == n - 1:", "    break", *self.drive(varies=False), *self.renew()]
+        interval += [*self.drive(varies=True), *refresh]
         interval += [*[f"h{i} = h / {i}.0" for i in range(2, 7)], "for step in range(steps):", *indent(inner)]
         lines += [
             "limit = 0.0",

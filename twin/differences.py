@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from twin.elements import Element, Parameter
+from twin.elements.law import Law
+from twin.law_equation import law_equation
 from twin.network import Network
 from twin.twinfile import to_tables
 
@@ -15,12 +17,13 @@ ABSENT = "absent"
 
 @dataclass(frozen=True)
 class ElementDiff:
-    """An element that only one of the two twins has: its places (key -> name), and its parameters."""
+    """An element that only one of the two twins has: its places (key -> name), its parameters, a law's equation."""
 
     name: str
     kind: str
     places: Mapping[str, str]
     parameters: tuple[Parameter, ...]
+    equation: str = ""
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,8 @@ def diff(a: Network, b: Network) -> TwinDiff:
 def _piece(network: Network, element: Element) -> ElementDiff:
     places = {key: _text(getattr(element, field.name)) for key, field in element.places().items()}
     own = tuple(p for p in network.parameters.values() if p.element == element.name)
-    return ElementDiff(element.name, element.kind, {k: v for k, v in places.items() if v}, own)
+    equation = str(law_equation(network, element)) if isinstance(element, Law) else ""
+    return ElementDiff(element.name, element.kind, {k: v for k, v in places.items() if v}, own, equation)
 
 
 def _comparable(network: Network) -> dict[str, Any]:

@@ -15,8 +15,10 @@ from typing import Any
 from twin.elements import Element
 from twin.elements.actuator import Actuator
 from twin.elements.flow import Flow
+from twin.elements.law import Law, LawActuator, LawFlow, LawReading
 from twin.elements.pipe import Pipe
 from twin.elements.sensor import Sensor
+from twin.law_equation import law_equation
 from twin.network import Network
 
 Point = tuple[float, float]
@@ -164,13 +166,19 @@ def _labels(
     alone: dict[str, list[tuple[str, str]]] = {}
     between: dict[tuple[str, str], list[str]] = {}
     for e in network.elements:
-        if e.kind in ("node", "flow", "pipe", "actuator"):
+        if e.kind in ("node", "flow", "pipe", "actuator", "law_actuator"):
             continue
         nodes = e.nodes()
         if isinstance(e, Sensor):
             columns = e.measured if len(e.measured) < 3 else (e.measured[0], "..", e.measured[-1])
             text = e.name if e.measured == (e.name,) else f"{e.name} = {', '.join(columns)}"
             alone.setdefault(e.node, []).append((f"reads {text}", READ))
+        elif isinstance(e, LawReading):
+            node = next(s.node for s in network.sensors if s.name == e.sensor)
+            alone.setdefault(node, []).append((_named(network, e), READ))
+        elif isinstance(e, LawFlow):
+            path = next(f.path for f in network.elements if isinstance(f, Flow) and f.name == e.flow)
+            alone.setdefault(path[0], []).append((_named(network, e), WATER))
         elif len(nodes) > 1:
             between.setdefault((nodes[0], nodes[1]), []).append(_named(network, e))
         elif nodes:
@@ -179,7 +187,9 @@ def _labels(
 
 
 def _named(network: Network, e: Element) -> str:
-    """Return name, first parameter and drivers of an element."""
+    """Return name, first parameter and drivers of an element; of a law its equation."""
+    if isinstance(e, Law):
+        return f"{e.name}  {law_equation(network, e).symbols}"
     specs = e.parameter_specs()
     value = ""
     if specs:
@@ -214,6 +224,7 @@ def _link(axes: Any, a: Point, b: Point, texts: list[str], centre: Point) -> Non
 def _legend(axes: Any, network: Network) -> None:
     names = [f"{c} ({s.unit})" if s.unit else c for c, s in network.inputs.items()]
     names += [f"{e.column} through {e.name}" for e in network.elements if isinstance(e, Actuator)]
+    names += [_named(network, e) for e in network.elements if isinstance(e, LawActuator)]
     axes.text(0.0, 0.0, "inputs: " + ", ".join(names), transform=axes.transAxes, color=DRIVE, fontsize=8, va="bottom")
     for k, (text, colour) in enumerate((("read", READ), ("heat", HEAT), ("water", WATER))):
         axes.annotate(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.codegen import LANES, Mode, kernel_source
+from twin.elements.base import STAMP
 from twin.kernel_cache import compile_kernel
 from twin.network import Array, Network, TwinFileError
 from twin.state_layout import StateLayout
@@ -179,6 +180,7 @@ class _Call:
         self.same_flow = layout.pushed_equally(past)
         self.history = history
         self.time, self.inputs = layout.with_history(history, time, inputs)
+        self.inputs = with_stamps(layout.network, self.time, self.inputs)
         self.first = len(self.time) - len(time)
         self.end = np.empty((self.blocks, self._start.shape[1], lanes))
         self.no_future = np.empty((0, 0, 0))
@@ -263,6 +265,15 @@ def hold_inputs(network: Network, inputs: ArrayLike, last: Array | None = None) 
     row = np.where(good, np.arange(1, len(u) + 1)[:, None], 0)
     latest = np.maximum.accumulate(row, axis=0)
     return np.ascontiguousarray(np.take_along_axis(filled, latest, axis=0))
+
+
+def with_stamps(network: Network, time: Array, inputs: Array) -> Array:
+    """Return inputs (n, c) with the stamps (n,) s in the column of that name, where the network has it."""
+    if STAMP not in network.inputs:
+        return inputs
+    stamped = inputs.copy()
+    stamped[:, network.input_columns.index(STAMP)] = time
+    return stamped
 
 
 def clean_time(time: ArrayLike) -> Array:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.column_names import column_hint
 from twin.elements import Element, Parameter
+from twin.elements.base import STAMP as STAMP
 from twin.elements.node import Node
 from twin.elements.sensor import Sensor
 
@@ -153,6 +154,11 @@ class Network:
         return tuple(self.inputs)
 
     @cached_property
+    def recorded_inputs(self) -> tuple[str, ...]:
+        """Return the input columns that a record must have: all but the stamps, which the kernels fill."""
+        return tuple(c for c in self.inputs if c != STAMP)
+
+    @cached_property
     def sensor_columns(self) -> Mapping[str, tuple[str, ...]]:
         """Return, per sensor, the measured columns that it averages."""
         return MappingProxyType({s.name: s.measured for s in self.sensors})
@@ -254,7 +260,8 @@ class Network:
 
         A sensor of several thermometers is the mean of those that are finite at that sample (`mean_of_sensors`).
         NaN and infinite values become NaN: the simulation holds the last good input, the fit masks the measurement. A
-        sensor without a column (`unread`) is NaN throughout.
+        sensor without a column (`unread`) is NaN throughout. The column of stamps (`STAMP`) may be absent: the kernels
+        fill it.
 
         Parameters
         ----------
@@ -266,7 +273,7 @@ class Network:
         TwinFileError
             An input column is missing, more than half of the sensors are, or columns differ in length.
         """
-        missing = [c for c in self.input_columns if c not in columns]
+        missing = [c for c in self.recorded_inputs if c not in columns]
         unread = self.unread(columns)
         if missing or 2 * len(unread) > len(self.sensors):
             missing += unread
@@ -278,12 +285,14 @@ class Network:
                 + ("; ".join(hints) or "rename the columns of the record or the keys of the twin file")
             )
         taken: dict[str, Array] = {}
-        for c in (*self.input_columns, *(c for s in self.sensors for c in s.measured if c in columns)):
-            taken[c] = np.asarray(columns[c], dtype=np.float64)
+        for c in (*self.input_columns, *(c for s in self.sensors for c in s.measured)):
+            if c in columns:
+                taken[c] = np.asarray(columns[c], dtype=np.float64)
         if len({a.shape for a in taken.values()}) > 1:
             lengths = ", ".join(f"{c}: {a.size}" for c, a in taken.items())
             raise TwinFileError(f"the columns of the record differ in length ({lengths})")
-        inputs = _finite(np.column_stack([taken[c] for c in self.input_columns]))
+        no_stamps = np.full(next(iter(taken.values())).size, np.nan)
+        inputs = _finite(np.column_stack([taken.get(c, no_stamps) for c in self.input_columns]))
         measured = np.full((len(inputs), len(self.sensors)), np.nan)
         for j, sensor in enumerate(self.sensors):
             if read := [taken[c] for c in sensor.measured if c in taken]:

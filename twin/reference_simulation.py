@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from twin.assembly import NetworkEquations, python_source, stateful_source
 from twin.generated_code import define_functions, evaluate_formula
-from twin.kernel import clean_time, hold_inputs
+from twin.kernel import clean_time, hold_inputs, with_stamps
 from twin.network import Array, Network, TwinFileError
 
 Rhs = Callable[[Array, Array, Array], list[float]]
@@ -48,7 +48,8 @@ def simulate_exact(
     """
     from scipy.linalg import expm
 
-    t, u = clean_time(time), hold_inputs(network, inputs)
+    t = clean_time(time)
+    u = with_stamps(network, t, hold_inputs(network, inputs))
     p = network.values if parameters is None else np.asarray(parameters, dtype=np.float64)
     rhs, k = right_hand_side(network), len(network.nodes)
     known: dict[tuple[float, bytes], tuple[Array, Array]] = {}
@@ -98,23 +99,26 @@ def simulate_fine_steps(
     Raises
     ------
     TwinFileError
-        The network has actuators.
+        The network has actuators, or elements with a memory of samples.
 
     Notes ----- Heun's method. Water is followed by the volume that has been pushed in behind it, on a straight line
     between its values at the ends of steps: the error is of second order in the step.
     """
     system = NetworkEquations(network, ())
-    if system.drives:
-        raise TwinFileError(f"twin {network.name!r} has actuators, which the slow simulation does not know")
+    if system.drives or system.memories:
+        what = "actuators" if system.drives else "elements with a memory of samples"
+        raise TwinFileError(f"twin {network.name!r} has {what}, which the slow simulation does not know")
     scope = define_functions(stateful_source(system), f"<{network.name}, remembering>")
-    t, u, p = clean_time(time), hold_inputs(network, inputs), network.values.tolist()
+    t, p = clean_time(time), network.values.tolist()
+    u = with_stamps(network, t, hold_inputs(network, inputs))
     x = np.concatenate([np.asarray(state, dtype=np.float64), np.empty(len(system.states) - len(network.nodes))])
-    at_rest = {f"x{j}": float(v) for j, v in enumerate(x)}
+    at_rest = {f"x{j}": float(v) for j, v in enumerate(x)} | {f"u{j}": float(v) for j, v in enumerate(u[0])}
+    at_rest |= {f"p{j}": float(v) for j, v in enumerate(p)}
     rest = [evaluate_formula(text, at_rest) for text in system.rest_values]
     x[len(network.nodes) :] = rest[: len(x) - len(network.nodes)]
     lagged = np.array(rest[len(x) - len(network.nodes) :])
     pipes = [_Pipe(evaluate_formula(d.start, at_rest)) for d in system.delays]
-    out = [scope["read"](x.tolist(), lagged.tolist(), p, float(t[0]))]
+    out = [scope["read"](x.tolist(), lagged.tolist(), u[0].tolist(), p, float(t[0]))]
     for i in range(t.size - 1):
         now, h = u[i].tolist(), float(t[i + 1] - t[i]) / pieces
         flows, volumes, constants = scope["pushed"](now, p)
@@ -134,7 +138,7 @@ def simulate_fine_steps(
             for q, w in zip(pipes, water, strict=True):
                 q.correct(w)
             lagged = _followed(lagged, seen, seen_then, lag, h)
-        out.append(scope["read"](x.tolist(), lagged.tolist(), p, float(t[i + 1])))
+        out.append(scope["read"](x.tolist(), lagged.tolist(), u[i + 1].tolist(), p, float(t[i + 1])))
     return np.array(out)
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.elements.base import STAMP
 from twin.kernel import Kernel
 from twin.network import Array, Network
 
@@ -81,7 +82,11 @@ def find_segments(network: Network, time: Array, inputs: Array) -> Segments:
     inputs
         (N, c) with NaN where there was no value.
     """
-    driven = [j for j, c in enumerate(network.input_columns) if not c.endswith("_C") and not c.startswith(CLOCK_PREFIX)]
+    driven = [
+        j
+        for j, c in enumerate(network.input_columns)
+        if not c.endswith("_C") and not c.startswith(CLOCK_PREFIX) and c != STAMP
+    ]
     good = np.isfinite(inputs[:, driven])
     good |= good.mean(axis=0) < LOGGED_SHARE if len(inputs) else False
     rows = np.flatnonzero(good.all(axis=1))

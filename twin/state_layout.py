@@ -33,6 +33,8 @@ class StateLayout:
 
     Attributes
     ----------
+    network
+        The network.
     nodes
         Number of node temperatures.
     size
@@ -42,7 +44,7 @@ class StateLayout:
     """
 
     def __init__(self, network: Network, free: tuple[str, ...], held: tuple[str, ...] = ()) -> None:
-        self._name = network.name
+        self.network = network
         own, inner = NetworkEquations(network, held), NetworkEquations(network, free)
         self.nodes = len(network.nodes)
         names, wanted = _names(own), _names(inner)
@@ -69,8 +71,8 @@ class StateLayout:
         """
         if state.shape[1] not in (self.nodes, self.size):
             raise TwinFileError(
-                f"a state of twin {self._name!r} has {self.nodes} temperatures, or {self.size} entries with what it "
-                f"remembers; got {state.shape[1]}"
+                f"a state of twin {self.network.name!r} has {self.nodes} temperatures, or {self.size} entries with "
+                f"what it remembers; got {state.shape[1]}"
             )
         full = state.shape[1] == self.size
         known = state
@@ -125,4 +127,4 @@ class StateLayout:
 
 def _names(system: NetworkEquations) -> list[str]:
     driven = [f"{name}.arrived" for name, drive in system.drives if drive.lag]
-    return [*system.states, *system.lags, *driven]
+    return [*system.states, *system.lags, *driven, *(f"{name}.{m.name}" for name, m in system.memories)]

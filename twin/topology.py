@@ -10,6 +10,7 @@ from twin.elements.bypass import Bypass
 from twin.elements.empirical_heat import EmpiricalHeat
 from twin.elements.flow import Flow
 from twin.elements.heat_source import HeatSource
+from twin.elements.law import LawActuator, LawFlow, LawFluid, LawHeat, LawReading
 from twin.elements.node import Node
 from twin.elements.pipe import Pipe
 from twin.elements.radiator import Radiator
@@ -36,6 +37,7 @@ def check_topology(elements: tuple[Element, ...], most_nodes: int, fail: Callabl
                 fail(flow.name, f"node {node!r} is already fed by {fed[node]!r}; two flows need a mixer")
             fed[node] = flow.name
     _pipes_and_drives(elements, fed, fail)
+    _named_elements(elements, fail)
     _on_a_flow_path(elements, flows, fail)
     _all_reachable(elements, nodes, fail)
     sensors = [e for e in elements if isinstance(e, Sensor)]
@@ -65,6 +67,23 @@ def _pipes_and_drives(elements: tuple[Element, ...], fed: dict[str, str], fail: 
             driven[e.column] = e.name
 
 
+def _named_elements(elements: tuple[Element, ...], fail: Callable[[str, str], object]) -> None:
+    """Check that elements which change another element, or an input, name one that takes the change."""
+    kinds = {e.name: e.kind for e in elements}
+    driven = {e.column for e in elements if isinstance(e, Actuator)}
+    for e in elements:
+        for key, field in e.places().items():
+            if field.metadata["role"] != "element":
+                continue
+            other, wanted = getattr(e, field.name), field.metadata["kinds"]
+            known = [name for name, kind in kinds.items() if kind in wanted]
+            if other not in known:
+                hint = did_you_mean(other, known) or f"; it has: {', '.join(known) or 'none'}"
+                fail(e.name, f"{key} {other!r} is no element of kind {' or '.join(wanted)}{hint}")
+        if isinstance(e, LawActuator) and e.column not in driven:
+            fail(e.name, f"input {e.column!r} has no actuator to change; add an element of kind 'actuator' for it")
+
+
 def _on_a_flow_path(elements: tuple[Element, ...], flows: list[Flow], fail: Callable[[str, str], object]) -> None:
     """Check that elements which correct the water of a flow path stand on one."""
     for e in elements:
@@ -84,7 +103,7 @@ def _on_a_flow_path(elements: tuple[Element, ...], flows: list[Flow], fail: Call
 
 def _all_reachable(elements: tuple[Element, ...], nodes: list[str], fail: Callable[[str, str], object]) -> None:
     """Check that all nodes are connected, or that each component has heat of its own or a way to the room."""
-    acting = [e for e in elements if not isinstance(e, Node | Sensor)]
+    acting = [e for e in elements if not isinstance(e, Node | Sensor | LawReading | LawFlow)]
     neighbours: dict[str, set[str]] = {node: set() for node in nodes}
     for element in acting:
         touched = element.nodes()
@@ -114,4 +133,6 @@ def _all_reachable(elements: tuple[Element, ...], nodes: list[str], fail: Callab
 
 def _brings_heat(element: Element) -> bool:
     """Return True for an element that exchanges heat with the outside: a source, or one with a temperature as input."""
-    return isinstance(element, HeatSource | EmpiricalHeat) or any(c.endswith("_C") for c in element.inputs())
+    return isinstance(element, HeatSource | EmpiricalHeat | LawHeat | LawFluid) or any(
+        c.endswith("_C") for c in element.inputs()
+    )

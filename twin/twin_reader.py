@@ -191,6 +191,9 @@ class TwinReader:
         problem = element.problem({p.name: p.value for p in own})
         if problem:
             self.fail(keys, problem)
+        for column in element.inputs():
+            if column not in inputs:
+                self.fail(keys, f"needs the input {column!r}; declare it under inputs")
         return element, own
 
     def place(
@@ -205,6 +208,8 @@ class TwinReader:
         if meta["role"] == "input" and text not in inputs:
             hint = did_you_mean(text, inputs) or "; declare it under inputs"
             self.fail(keys, f"no such input {text!r}{hint}")
+        if meta["role"] == "element":
+            self.name(text, keys)
         if meta["role"] == "choice" and text not in meta["choices"]:
             self.fail(keys, f"{text!r} is not one of {', '.join(meta['choices'])}")
         return text

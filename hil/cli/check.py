@@ -252,7 +252,7 @@ def _twin(file: Path, _: Path, out: Console) -> None:
         bounds = f"{parameter.lower:g} to {parameter.upper:g}"
         table.add_row(name, f"{parameter.value:.5g}", bounds, parameter.unit, parameter.status, parameter.source)
     out.print(table)
-    out.print(f"needs {', '.join(network.input_columns)}")
+    out.print(f"needs {', '.join(network.recorded_inputs)}")
     for sensor, columns in network.sensor_columns.items():
         out.print(f"predicts {sensor}" + (f" (mean of {', '.join(columns)})" if len(columns) > 1 else ""))
     revision = network.revision

@@ -83,7 +83,7 @@ def command(
     network = from_datasheet(datasheet, twin) if datasheet is not None else load(twin or "")
     record = record_of(target)
     data = read_record(record, choice=choice)
-    data.require(*network.input_columns)
+    data.require(*network.recorded_inputs)
     try:
         inputs, measured = network.select(data.columns)
     except TwinFileError as error:

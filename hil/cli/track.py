@@ -72,7 +72,7 @@ def command(
     subject = subject_of(target, twin)
     data = read_record(subject.record, choice=choice)
     twins = Twins(TrackingConfig(subject.twin, tuple(data.columns), names, seed, optional, card=card))
-    data.require(*twins.network.input_columns)
+    data.require(*twins.network.recorded_inputs)
     began = time.monotonic()
     outputs: dict[str, list[NDArray[np.float64]]] = {}
     windows: dict[str, dict[str, int]] = {name: {} for name in twins.calibrators}

@@ -151,7 +151,10 @@ def _show_log(entries: tuple[ChainEntry, ...]) -> None:
 
 def _sentences(entry: ChainEntry) -> list[str]:
     revision = entry.network.revision
+    from twin.law_equation import law_equations
+
     lines = [f"effect: {effect}" for effect in revision.effects]
+    lines += [f"law {name}: {equation}" for name, equation in law_equations(entry.network).items()]
     lines += [f"evidence: {revision.evidence}"] if revision.evidence else []
     for what, span in (("fitted", revision.window_s), ("errors", revision.held_out_s)):
         if span is not None:
@@ -172,6 +175,9 @@ def _show_diff(found: TwinDiff, a: Path, b: Path) -> None:
     for what, pieces in (("added", found.added), ("removed", found.removed)):
         if pieces:
             out.print(_pieces(f"Elements {what}", pieces))
+        for piece in pieces:
+            if piece.equation:
+                _indented(out, f"{piece.name}: {piece.equation}", "")
     if found.moved:
         numbers = ("before", "after", "change")
         table = _table("Parameters moved", ("parameter", *numbers, "unit"), numbers)

@@ -19,7 +19,7 @@ from hil.record.times.time_axis import span
 from hil.record.values.units import beyond_declared
 from twin.discovery.healthy.basis import Columns, Commissioned
 from twin.discovery.records.grid import require_enough
-from twin.network import InputSpec, Network, TwinFileError
+from twin.network import STAMP, InputSpec, Network, TwinFileError
 from twin.revisions import chain
 
 CLOCK = "time_of_day_h"
@@ -72,6 +72,8 @@ def columns_of(network: Network, record: Record, hour_at_0: float | None) -> Col
     columns: dict[str, NDArray[np.float64]] = dict(record.columns)
     if CLOCK in network.inputs and CLOCK not in columns:
         columns[CLOCK] = (((hour_at_0 or 0.0) + record.time_s / 3600.0) % 24.0).astype(np.float64)
+    if STAMP in network.inputs:
+        columns[STAMP] = record.time_s.astype(np.float64)
     Record(record.time_s, columns, path=record.path).require(*network.input_columns)
     return Columns.of(network, record.time_s, columns)
 

@@ -70,6 +70,8 @@ def planned_inputs(
     network: Network, plan: Profile, hour: float | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
     """Return time (n,) s and inputs (n, c) of a profile, and notes on inputs that it does not set."""
+    from twin.network import STAMP
+
     time = np.arange(0.0, plan.duration_s, STEP_S)
     values = plan.sample(time)
     inputs = np.empty((len(time), len(network.input_columns)))
@@ -79,6 +81,8 @@ def planned_inputs(
             inputs[:, j] = values[:, plan.columns.index(column)]
         elif column == CLOCK:
             inputs[:, j] = ((hour or 0.0) + time / 3600.0) % 24.0
+        elif column == STAMP:
+            inputs[:, j] = time
         else:
             inputs[:, j] = spec.nominal
             notes.append(f"{column} is not in {plan.name}: taken as {spec.nominal:g} {spec.unit}".rstrip())

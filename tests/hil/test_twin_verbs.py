@@ -12,6 +12,7 @@ from rich.console import Console
 from hil.cli import group
 from hil.errors import exit_code
 from hil.run.session import terminal
+from twin.law_adoption import adopt_law
 from twin.network import Revision
 from twin.revisions import save_revision, with_elements
 from twin.twinfile import load, save
@@ -185,3 +186,14 @@ def test_tables_fit_eighty_columns(second: Path, monkeypatch: pytest.MonkeyPatch
         assert tables
         assert max(map(len, tables)) <= 80
         assert "…" not in printed
+
+
+def test_log_and_diff_show_the_equation_of_a_law(tmp_path: Path) -> None:
+    first = save(load(LOOP), tmp_path / "my_twin.toml")
+    site, driver = {"kind": "law_heat", "node": "tank"}, {"driver": "fan_speed_pct"}
+    law = {"size": -40.0, "on": 80.0, "off": 60.0}
+    path = save_revision(adopt_law(load(first), site, driver, "threshold", law, revision=EVIDENCE), first)
+    equation = "Q(tank) = -40 W from fan_speed_pct = 80 % until fan_speed_pct = 60 %, else 0"
+    for verb in ("log", "diff"):
+        code, printed = hil("twin", verb, path)
+        assert code == 0 and equation in " ".join(printed.split()), printed

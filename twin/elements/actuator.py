@@ -2,7 +2,7 @@
 
     c(t)  = command(t - dead_time_s)
     lag_s * da/dt = c - a
-    value = gain * a * (1 - droop * a / full) + offset
+    value = gain * a * (1 - droop * a / full) + offset, times the change that a `law_actuator` may name
 
 The value is the mean over each sample interval, so that it is continuous in dead time and lag and no energy is
 lost between the samples. With gain = 1 and everything else 0 it is the column itself.
@@ -17,7 +17,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, InputDrive, Names, ParameterSpec, Sites, place
+from twin.elements.base import (
+    STAMP,
+    Candidate,
+    Element,
+    Fragment,
+    InputDrive,
+    Names,
+    ParameterSpec,
+    Sites,
+    input_target,
+    place,
+)
 
 LUMPED_S = 25.0
 """Lag that an element's heat capacity and the transport of water give to an immediate step, s."""
@@ -49,7 +60,7 @@ class Actuator(Element):
         having = {e.column for e in sites.having(cls.kind)}
         found: list[Candidate] = []
         for column in sites.inputs:
-            if column not in having and column != sites.clock:
+            if column not in having and column not in (sites.clock, STAMP):
                 name = f"actuator_of_{column}"
                 table = {name: {"kind": cls.kind, "column": column}}
                 found += [replace(c, adds=table) for c in _faults(column, name, _NEUTRAL)]
@@ -69,11 +80,14 @@ class Actuator(Element):
             value += f" * (1.0 - {n.par('droop')} * {n.arrived()} / {n.par('full')})"
         if n.constant("offset") != 0.0:
             value += f" + {n.par('offset')}"
+        changes = n.changed_by(input_target(self.column))
+        for change in changes:
+            value = f"({value}) * {change.format(command=n.arrived())}"
         dead_time = None if n.constant("dead_time_s") == 0.0 else n.par("dead_time_s")
         lag = None if n.constant("lag_s") == 0.0 else n.par("lag_s")
         if value == n.arrived() and dead_time is None and lag is None:
             return Fragment()
-        return Fragment(drive=InputDrive(self.column, value, dead_time, lag))
+        return Fragment(drive=InputDrive(self.column, value, dead_time, lag, varies=bool(changes)))
 
 
 _NEUTRAL = {"gain": 1.0, "droop": 0.0, "lag_s": 0.0, "offset": 0.0}

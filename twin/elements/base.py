@@ -14,7 +14,10 @@ The levels of an expression, cheapest first:
 
 An element may also have memory. An `ElementState` is a temperature of its own that is integrated with those of the
 nodes. A `SensorLag` follows a temperature without acting on it. A `PlugFlowDelay` hands on water after the flow has
-pushed it through. An `InputDrive` stands between an input column and the value that the elements see.
+pushed it through. An `InputDrive` stands between an input column and the value that the elements see. A `SampleMemory`
+is renewed once a sample, for switches with hysteresis and for quantities that follow an input.
+
+An element may change another one (`changes`, `change`): its formula becomes part of the other's.
 
 The kernel generator takes apart every expression that is affine in the temperatures, so an element need not care how it
 writes it down. Every parameter that switches an effect off should do so at exactly 0 or 1. While such a parameter is
@@ -33,6 +36,8 @@ from twin.elements.symbols import Names
 
 Status = Literal["fixed", "boundary", "tunable"]
 STATUSES: tuple[Status, ...] = ("fixed", "boundary", "tunable")
+STAMP = "time_s"
+"""Input column that holds the stamps of the samples; the kernels fill it, so no record needs it."""
 
 
 @dataclass(frozen=True)
@@ -149,12 +154,41 @@ class InputDrive:
         Expression of ``Names.arrived()``, the command after dead time and lag.
     dead_time, lag
         s, parameters only, or None.
+    varies
+        True if `value` depends on more than the command and parameters.
     """
 
     column: str
     value: str
     dead_time: str | None = None
     lag: str | None = None
+    varies: bool = False
+
+
+@dataclass(frozen=True)
+class SampleMemory:
+    """A number that is renewed once a sample interval, at its beginning, and holds during it.
+
+    `Names.local` of `name` is the identifier of its value in the interval, `Names.before` that of the number that was
+    stored in the interval before, and `Names.span` the length of the interval, s. Its expressions use inputs,
+    parameters, and temperatures at the sample. A simulation that knows no past sees `start` as the number stored.
+
+    Attributes
+    ----------
+    name
+        Name within the element.
+    value
+        Value in the interval.
+    after
+        Number that is stored at the end of the interval.
+    start
+        Number that is stored before the first interval, in node temperatures and inputs.
+    """
+
+    name: str
+    value: str
+    after: str
+    start: str
 
 
 @dataclass(frozen=True)
@@ -176,7 +210,7 @@ class Fragment:
         the node's own temperature, W/K. It sets the substeps.
     observe
         Expression of a sensor's reading, degC, or None.
-    states, lags, delay, drive
+    states, lags, delay, drive, memories
         The element's memory.
     """
 
@@ -190,6 +224,7 @@ class Fragment:
     lags: tuple[SensorLag, ...] = ()
     delay: PlugFlowDelay | None = None
     drive: InputDrive | None = None
+    memories: tuple[SampleMemory, ...] = ()
 
     def remembered(self, element: str) -> dict[str, tuple[str, ...]]:
         """Return the names in the element's memory, by the first letter of their identifiers."""
@@ -317,14 +352,19 @@ class Sites:
         return tuple(e for e in self.elements if e.kind == kind)
 
 
-def place(role: Literal["node", "nodes", "input", "columns", "choice"], about: str, **extra: Any) -> Any:
+def input_target(column: str) -> str:
+    """Return the name under which `Element.changes` names an input column; no element can have it."""
+    return f"input {column}"
+
+
+def place(role: Literal["node", "nodes", "input", "columns", "choice", "element"], about: str, **extra: Any) -> Any:
     """Return a dataclass field that a twin file fills: a place of the element, or its driver.
 
     Parameters
     ----------
     role
         ``node`` one node; ``nodes`` a list of nodes; ``input`` an input column; ``columns`` measured columns;
-        ``choice`` one of ``choices``.
+        ``choice`` one of ``choices``; ``element`` another element, of one of the kinds ``kinds``.
     about
         One line for the error message and the documentation.
     extra
@@ -393,6 +433,14 @@ class Element(ABC):
     def feeds(self) -> Mapping[str, str]:
         """Return node -> node before it on the element's flow path ("" at an inlet); flows only."""
         return {}
+
+    def changes(self) -> str:
+        """Return the element (or, as `input_target`, the input column) that `change` changes; "" for none."""
+        return ""
+
+    def change(self, n: Names) -> str:
+        """Return the expression that enters into the formulas of `changes`, in names that any element may use."""
+        return ""
 
     def nodes(self) -> tuple[str, ...]:
         """Return the nodes that the element touches."""

@@ -1,6 +1,6 @@
 """Coolant flow along a path of nodes, which closes by itself unless an inlet is given.
 
-    q = nominal * pump/100 * factor / 60             L/s
+    q = nominal * pump/100 * factor / 60             L/s, and the change that a `law_flow` may name
     m cp = q * density * cp                          W/K
     heat into node j = a_j * m cp * (w_in - T_j)
     water leaving j:  w_j = w_in - a_j * (w_in - T_j)        (outlet = "exchanged")
@@ -110,8 +110,11 @@ class Flow(Element):
 
     def emit(self, n: Names) -> Fragment:
         flow, mcp = n.local("q"), n.local("mcp")
+        litres = f"{n.par('nominal')} / 60.0 * {n.par('factor')} * max({n.input(self.pump)} * 0.01, 0.0)"
+        for change in n.changed_by():
+            litres = change.format(flow=f"({litres})")
         sample = [
-            (flow, f"{n.par('nominal')} / 60.0 * {n.par('factor')} * max({n.input(self.pump)} * 0.01, 0.0)"),
+            (flow, litres),
             (mcp, f"{flow} * {WATER_DENSITY!r} * {n.par('cp')}"),
         ]
         mixed = {node: n.constant(f"effectiveness_{node}") == 1.0 for node in self.path}

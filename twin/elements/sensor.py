@@ -2,11 +2,11 @@
 
     seen    = (1 - cross_talk) * T(node) + cross_talk * T(other)
     lag_s * dz/dt = seen - z
-    reading = gain * z + bias_K + drift_K_per_h * t / 3600 + noise
+    reading = gain * z + bias_K + drift_K_per_h * t / 3600 + change + noise
 
-with t the time stamp in s. `other` is a node whose temperature the thermometer picks up (through its sheath, or a
-common reference junction); without it there is no cross-talk. The noise of a mean of k thermometers is
-sigma / sqrt(k). Missing columns of a list are left out of the mean; a sample with none left is masked.
+with t the time stamp in s. A `law_reading` may name a change. `other` is a node whose temperature the thermometer picks
+up (through its sheath, or a common reference junction); without it there is no cross-talk. The noise of a mean of k
+thermometers is sigma / sqrt(k). Missing columns of a list are left out of the mean; a sample with none left is masked.
 
 Source: first-order thermometer (Doebelin, Measurement Systems, 5th ed., sec. 3.3); gain, bias and drift as in the
 Guide to the Expression of Uncertainty in Measurement, JCGM 100:2008, annex H.3.
@@ -149,4 +149,6 @@ class Sensor(Element):
             reading += f" + {n.par('bias_K')}"
         if n.constant("drift_K_per_h") != 0.0:
             reading += f" + {n.par('drift_K_per_h')} * {n.time()} * {1.0 / 3600.0!r}"
+        for change in n.changed_by():
+            reading += f" + {change}"
         return Fragment(observe=reading, lags=lags)

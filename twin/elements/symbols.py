@@ -115,6 +115,7 @@ class Names:
     constants: Mapping[str, float] = field(default_factory=dict)
     streams: Mapping[str, Stream] = field(default_factory=dict)
     symbols: Symbols = field(default_factory=Symbols)
+    changes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def of(self, element: str) -> Names:
         """Return the identifiers of another element, for its parameters and locals."""
@@ -139,6 +140,18 @@ class Names:
     def local(self, name: str, element: str = "") -> str:
         """Return a local of the element's own (or of another's) for a `uniform`, `sample` or `stage` expression."""
         return self.symbols.local(element or self.element, name)
+
+    def before(self, name: str) -> str:
+        """Return the number that the element's own `SampleMemory` stored in the sample interval before."""
+        return self.local(f"{name}_before")
+
+    def span(self) -> str:
+        """Return the length of the sample interval, s; for a `SampleMemory` only."""
+        return "span"
+
+    def changed_by(self, target: str = "") -> tuple[str, ...]:
+        """Return the expressions of the elements that change this one, or that change the input column `target`."""
+        return self.changes.get(target or self.element, ())
 
     def state(self, name: str) -> str:
         """Return the temperature of the element's own `ElementState`, degC."""

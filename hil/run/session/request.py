@@ -229,7 +229,7 @@ def _check_twin_columns(path: Path, network: Network, rig: Rig) -> list[str]:
     """
     measured = {point.as_signal().column for point in rig.point if point.is_polled}
     commanded = {point.as_signal().column for point in rig.setpoints} - measured
-    inputs = set(network.input_columns)
+    inputs = set(network.recorded_inputs)
     sensors = set().union(*network.sensor_columns.values())
     missing = sorted((inputs - measured - commanded) | (sensors - measured))
     if missing:
