@@ -102,16 +102,13 @@ def _loss(exponent: float, course: Course, drivers: tuple[str, ...] = ()) -> Cal
     return build
 
 
-def _evaporation(daily: bool) -> Callable[[Scene], Injection]:
-    def build(s: Scene) -> Injection:
-        b = s.some_part("tank")
-        # A humidity that stands still is that of the mean: the modifier's law reads the drive's own course.
-        wet = s.step * (1.0 if daily else 1.0)
-        mods = tuple(Modifier(HEAT, c, -wet, EVAPORATION, c) for c in b.water[:1])
-        size = SOURCE_SHARE * s.power_w / 4000.0
-        return Injection("W/Pa", size, 10.0 * size, (Answer("heat_loss", b.part.node),), b.part.node, s.onset_s, mods)
-
-    return build
+def _evaporation(s: Scene) -> Injection:
+    """Return evaporation from the uppermost layer, with the day's humidity, which no column records."""
+    b = s.some_part("tank")
+    mods = tuple(Modifier(HEAT, c, -s.step, EVAPORATION, c) for c in b.water[:1])
+    # About 4 kPa lie between warm water and the room's air.
+    size = SOURCE_SHARE * s.power_w / 4000.0
+    return Injection("W/Pa", size, 10.0 * size, (Answer("heat_loss", b.part.node),), b.part.node, s.onset_s, mods)
 
 
 def _transfer(course: Course, law: int = ALWAYS, element: bool = False) -> Callable[[Scene], Injection]:
@@ -119,7 +116,8 @@ def _transfer(course: Course, law: int = ALWAYS, element: bool = False) -> Calla
 
     def build(s: Scene) -> Injection:
         a, b = s.two_parts()
-        size = SOURCE_SHARE * s.power_w / (1.0 if law == ALWAYS else 1.0)
+        # The temperatures of two parts differ by a few kelvin, so the first guess serves for W/K too.
+        size = SOURCE_SHARE * s.power_w
         kind = "coupling" if element else "heat_transfer"
         answers = (
             Answer(kind, a.part.node), Answer(kind, b.part.node), Answer("coupling", a.part.node),
@@ -199,7 +197,7 @@ HEAT_EFFECTS: tuple[EffectType, ...] = (
     EffectType("loss in one spell", "loss", False, _loss(1.0, lambda s: s.spell)),
     EffectType("loss with the fan's draught", "loss", False, _loss(1.0, _follows_fan)),
     EffectType("loss in gusts", "loss", False, _loss(1.0, lambda s: np.abs(s.erratic)), True),
-    EffectType("evaporation with the day's humidity", "loss", False, _evaporation(True)),
+    EffectType("evaporation with the day's humidity", "loss", False, _evaporation),
     EffectType("coupling of two parts", "transfer", True, _transfer(lambda s: s.step, POWER, True)),
     EffectType("power from one part to another", "transfer", False, _transfer(lambda s: s.step)),
     EffectType("power from one part to another with load", "transfer", False, _transfer(_heater_power)),
