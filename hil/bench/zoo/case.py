@@ -1,8 +1,8 @@
 """One case of the zoo: plant, healthy record, commissioned twin, record with a hidden effect, and the truth.
 
-    from hil.bench.zoo.case import make_case
-    case = make_case("serial", 7)
-    twin.discovery.diagnose(case.network, case.record, case.healthy)
+from hil.bench.zoo.case import make_case
+case = make_case("serial", 7)
+twin.discovery.diagnose(case.network, case.record, case.healthy)
 """
 
 from __future__ import annotations
@@ -132,7 +132,8 @@ def make_case(
         for _ in range(1 if given else 4):
             shown, inputs = inject(plant, drive, schedule, injection, amount, calm, calm_shown)
             scores = ruler.scores(
-                *reversed(_of(fit.network, shown, inputs)), *reversed(_of(fit.network, calm_shown, plant.columns(drive)))
+                *reversed(_of(fit.network, shown, inputs)),
+                *reversed(_of(fit.network, calm_shown, plant.columns(drive))),
             )
             factor = wanted / max(scores[0], 1e-9)
             ended = abs(factor - 1.0) < CLOSE or (factor > 1.0 and amount >= injection.most)
@@ -142,7 +143,8 @@ def make_case(
         else:
             shown, inputs = inject(plant, drive, schedule, injection, amount, calm, calm_shown)
             scores = ruler.scores(
-                *reversed(_of(fit.network, shown, inputs)), *reversed(_of(fit.network, calm_shown, plant.columns(drive)))
+                *reversed(_of(fit.network, shown, inputs)),
+                *reversed(_of(fit.network, calm_shown, plant.columns(drive))),
             )
         truth |= {
             "effect": kind.name, "group": kind.group, "element": kind.element, "place": injection.place,
@@ -189,7 +191,7 @@ def inject(
     shown = dict(calm_shown)
     if injection.modifiers or injection.commands:
         acting = _delivered(plant, drive, injection, size)
-        shown = plant.readings(plant.run(acting, schedule.period_s, injection.sized(size)), schedule.period_s)
+        shown = plant.readings(plant.run(acting, schedule.period_s, injection.sized(size), calm[0]), schedule.period_s)
     context = {**shown, **inputs}
     for column, form in injection.readings.items():
         shown[column] = form(size, shown[column], context)

@@ -129,13 +129,21 @@ class Scene:
     def sun(self) -> Array:
         """Return a half sine between two hours of each day, (n,)."""
         rise, set_ = float(self.rng.uniform(5.0, 9.0)), float(self.rng.uniform(15.0, 20.0))
-        return self.step * np.clip(np.sin(np.pi * (self.hour - rise) / (set_ - rise)), 0.0, None) * (self.hour > rise)
+        course = np.clip(np.sin(np.pi * (self.hour - rise) / (set_ - rise)), 0.0, None)
+        return self._acting(course * ((self.hour > rise) & (self.hour < set_)))
 
     @property
     def lamp(self) -> Array:
         """Return 1 between two hours of each day, (n,)."""
         begin = float(self.rng.uniform(9.0, 14.0))
-        return self.step * ((self.hour >= begin) & (self.hour < begin + float(self.rng.uniform(2.0, 5.0))))
+        return self._acting((self.hour >= begin) & (self.hour < begin + float(self.rng.uniform(2.0, 5.0))))
+
+    def _acting(self, course: np.ndarray) -> Array:
+        """Return a course after the onset; raise NoSuchPlaceError if the record ends before it acts."""
+        acting = self.step * course
+        if not acting.any():
+            raise NoSuchPlaceError("the record does not reach these hours")
+        return acting
 
     @property
     def hour(self) -> Array:

@@ -90,9 +90,7 @@ def _with_room(s: Scene) -> Injection:
 def _loss(exponent: float, course: Course, drivers: tuple[str, ...] = ()) -> Callable[[Scene], Injection]:
     def build(s: Scene) -> Injection:
         b = s.some_part("read")
-        mods = tuple(
-            Modifier(HEAT, c, -course(s) / len(b.water), POWER, c, ROOM, exponent) for c in b.water
-        )
+        mods = tuple(Modifier(HEAT, c, -course(s) / len(b.water), POWER, c, ROOM, exponent) for c in b.water)
         size = SOURCE_SHARE * s.power_w / USUAL_RISE_K**exponent
         answers = [Answer("heat_loss", b.part.node, drivers)]
         if b.part.fan:
@@ -145,9 +143,7 @@ def _refill(hot: bool, repeated: bool) -> Callable[[Scene], Injection]:
         since = s.time_s - max(s.onset_s, 0.1 * float(s.time_s[-1]))
         period = float(s.rng.uniform(2.0, 5.0)) * 3600.0
         course = ((since % period if repeated else since) < 60.0 * minutes) & (since >= 0.0)
-        mods = tuple(
-            Modifier(HEAT, c, -course.astype(np.float64) / len(b.water), LINEAR, c, p0=fresh) for c in b.water
-        )
+        mods = tuple(Modifier(HEAT, c, -course.astype(np.float64) / len(b.water), LINEAR, c, p0=fresh) for c in b.water)
         most = 4000.0 * b.part.litres / (60.0 * minutes)
         answers = (Answer("heat_source", b.part.node), Answer("heat_loss", b.part.node))
         return Injection("W/K", 0.1 * most, most, answers, b.part.node, s.onset_s, mods)

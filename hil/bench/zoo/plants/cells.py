@@ -49,9 +49,9 @@ class CellNetwork:
         (l,) ends (`ROOM` for the room), conductance in W/K, group.
     link_flow, link_flow_exponent
         Loop that a link's film follows (-1 none), with its exponent.
-    link_fan_exponent, link_warmth, link_power, link_layer
-        Exponent of the fan (0 none), growth with mean temperature in 1/K, exponent of the difference, and 1 for a
-        link between layers, from the upper to the lower one.
+    link_fan_exponent, link_warmth, link_natural, link_layer
+        Exponent of the fan (0 none), growth with mean temperature in 1/K, 1 for natural convection (heat grows with
+        the difference to the power 1.25), and 1 for a link between layers, from the upper to the lower one.
     loop_kg_s, loop_cp, loop_pump_cell, loop_pump_exponent, loop_density, loop_viscosity
         (q,) mass flow at full speed, J/(kg K), cell at the pump, exponent of the speed, fall of the density and growth
         of the flow in 1/K.
@@ -77,7 +77,7 @@ class CellNetwork:
     link_flow_exponent: Array
     link_fan_exponent: Array
     link_warmth: Array
-    link_power: Array
+    link_natural: Index
     link_layer: Index
     loop_kg_s: Array
     loop_cp: Array
@@ -205,7 +205,7 @@ def _pressure(celsius: float) -> float:
 @numba.njit(cache=True)
 def _integrate(
     capacity, curvature, s_loop, s_from, s_to, s_share, s_gate, s_skips, l_a, l_b, l_G, l_group, l_flow, l_flow_exp,
-    l_fan_exp, l_warmth, l_power, l_layer, q_kg, q_cp, q_cell, q_exp, q_density, q_viscosity, gate0, h_cell, h_column,
+    l_fan_exp, l_warmth, l_natural, l_layer, q_kg, q_cp, q_cell, q_exp, q_density, q_viscosity, gate0, h_cell, h_column,
     h_share, groups, pump, fan, heat, room, humidity, flow_noise, fan_noise, period, substeps, start, count, amplitudes,
     whole, limits, trace,
 ):  # fmt: skip
@@ -213,9 +213,9 @@ def _integrate(
     dt = period / substeps
     t = start.copy()
     enthalpy = capacity * (t + 0.5 * curvature * t * t)
-    before = enthalpy.sum()
+    before, now = enthalpy.sum(), enthalpy.copy()
     rate = np.zeros((2, n))
-    kg = np.zeros(len(q_kg))
+    kg, pumped = np.zeros(len(q_kg)), np.zeros(len(q_kg))
     gate, factor = gate0.copy(), np.ones(groups)
     on = np.zeros(max(count, 1), dtype=np.int64)
     film, air = np.ones(len(l_G)), np.ones(len(l_G))
@@ -230,8 +230,10 @@ def _integrate(
                 film[k] = max(pump[row, l_flow[k]], 0.02) ** l_flow_exp[k]
             if l_fan_exp[k] > 0.0:
                 air[k] = (0.04 + max(fan[row], 0.0) ** l_fan_exp[k]) * fan_noise[row]
+        for q in range(len(q_kg)):
+            pumped[q] = q_kg[q] * max(pump[row, q], 0.0) ** q_exp[q] * flow_noise[row]
         for _ in range(substeps):
-            now = enthalpy.copy()
+            now[:] = enthalpy
             for stage in range(2):
                 d = rate[stage]
                 d[:] = 0.0
@@ -240,8 +242,7 @@ def _integrate(
                 gate[:] = gate0
                 for q in range(len(q_kg)):
                     warm = t[q_cell[q]] - 25.0
-                    kg[q] = q_kg[q] * max(pump[row, q], 0.0) ** q_exp[q] * flow_noise[row]
-                    kg[q] *= (1.0 - q_density[q] * warm) * (1.0 + q_viscosity[q] * warm)
+                    kg[q] = pumped[q] * (1.0 - q_density[q] * warm) * (1.0 + q_viscosity[q] * warm)
                 for k in range(count):
                     target, index, index2, law, sense, other = whole[k]
                     at = t[sense]
@@ -294,8 +295,8 @@ def _integrate(
                     g = l_G[k] * film[k] * air[k] * factor[l_group[k]]
                     if l_warmth[k] != 0.0:
                         g *= max(1.0 + l_warmth[k] * (0.5 * (t[a] + far) - 25.0), 0.1)
-                    if l_power[k] != 1.0:
-                        g *= (abs(gap) / 20.0 + 1e-6) ** (l_power[k] - 1.0)
+                    if l_natural[k] == 1:
+                        g *= np.sqrt(np.sqrt(abs(gap) / 20.0))
                     if l_layer[k] == 1 and gap < 0.0:
                         g *= LAYER_BOOST
                     flow = g * gap

@@ -70,14 +70,14 @@ def _loop(
 
 
 def _serial(rng: np.random.Generator, s: float) -> tuple[list[Loop], None]:
-    cell = _cell(rng, s, 1, name="load", node="load", metal=_spread(rng, 2000.0 * s), cells=4, film=_spread(rng, 150.0 * s))
+    cell = _cell(
+        rng, s, 1, name="load", node="load", metal=_spread(rng, 2000.0 * s), cells=4, film=_spread(rng, 150.0 * s)
+    )
     return [_loop(rng, s, [(_heater(rng, s),), (cell,), (_radiator(rng, s),), (_tank(rng, s),)])], None
 
 
 def _cells(rng: np.random.Generator, s: float, count: int, reads: str, heated: bool) -> tuple[list[Loop], None]:
-    cells = [
-        _cell(rng, s, k + 1, reads=reads, heat="cells_power_W" if heated else "") for k in range(count)
-    ]
+    cells = [_cell(rng, s, k + 1, reads=reads, heat="cells_power_W" if heated else "") for k in range(count)]
     stations = [(_heater(rng, s),), *((c,) for c in cells), (_radiator(rng, s),), (_tank(rng, s),)]
     return [_loop(rng, s, stations)], None
 
@@ -93,7 +93,9 @@ def _cells_in_water(rng: np.random.Generator, s: float) -> tuple[list[Loop], Non
 def _lumped_cells(rng: np.random.Generator, s: float) -> tuple[list[Loop], None]:
     """Ten heat sinks that the twin holds as one volume, and a layered tank."""
     loops, _ = _cells(rng, 0.5 * s, 10, "metal", False)
-    stations = [tuple(replace(p, node="cells" if p.name.startswith("cell") else p.node) for p in st) for st in loops[0].stations]
+    stations = [
+        tuple(replace(p, node="cells" if p.name.startswith("cell") else p.node) for p in st) for st in loops[0].stations
+    ]
     stations[-1] = (replace(stations[-1][0], layered=True, cells=5),)
     return [replace(loops[0], stations=tuple(stations))], None
 
@@ -112,7 +114,9 @@ def _layered(rng: np.random.Generator, s: float) -> tuple[list[Loop], None]:
 
 
 def _parallel(rng: np.random.Generator, s: float) -> tuple[list[Loop], None]:
-    branches = tuple(_cell(rng, s, k, metal=_spread(rng, 1200.0 * s), name=f"branch{k}", node="branches") for k in (1, 2))
+    branches = tuple(
+        _cell(rng, s, k, metal=_spread(rng, 1200.0 * s), name=f"branch{k}", node="branches") for k in (1, 2)
+    )
     return [_loop(rng, s, [(_heater(rng, s),), branches, (_radiator(rng, s),), (_tank(rng, s),)])], None
 
 
@@ -140,7 +144,10 @@ def _branched_exchanger(rng: np.random.Generator, s: float) -> tuple[list[Loop],
     branches = tuple(_cell(rng, s, k, name=f"branch{k}", node="branches", heat="cells_power_W") for k in (1, 2))
     first = loops[0]
     stations = (first.stations[0], branches, *first.stations[1:])
-    return [replace(first, stations=stations, pipe_litres=(*first.pipe_litres, _spread(rng, 0.15 * s))), loops[1]], exchanger
+    return [
+        replace(first, stations=stations, pipe_litres=(*first.pipe_litres, _spread(rng, 0.15 * s))),
+        loops[1],
+    ], exchanger
 
 
 FAMILIES: dict[str, Draw] = {

@@ -82,7 +82,7 @@ class Assembly:
     capacity: list[float] = field(default_factory=list)
     curvature: list[float] = field(default_factory=list)
     streams: list[tuple[int, int, int, float, int, int]] = field(default_factory=list)
-    links: list[tuple[int, int, float, int, int, float, float, float, float, int]] = field(default_factory=list)
+    links: list[tuple[int, int, float, int, int, float, float, float, int, int]] = field(default_factory=list)
     heats: list[tuple[int, str, float]] = field(default_factory=list)
     gates: list[float] = field(default_factory=list)
     groups: int = 0
@@ -100,10 +100,10 @@ class Assembly:
 
     def link(
         self, a: int, b: int, conductance: float, group: int, *, loop: int = -1, flow: float = 0.0, fan: float = 0.0,
-        warmth: float = 0.0, power: float = 1.0, layer: int = 0,
+        warmth: float = 0.0, natural: bool = False, layer: int = 0,
     ) -> None:  # fmt: skip
         """Add a link."""
-        self.links.append((a, b, conductance, group, loop, flow, fan, warmth, power, layer))
+        self.links.append((a, b, conductance, group, loop, flow, fan, warmth, int(natural), layer))
 
 
 def assemble(
@@ -159,7 +159,7 @@ def _loop(a: Assembly, q: int, loop: Loop, built: list[Built], pump_cells: list[
             if loop.pipe_metal > 0.0:
                 outside = a.cell(loop.pipe_metal * litres / count)
                 a.link(water, outside, 30.0 * loop.kg_s * 60.0 / count, loss, loop=q, flow=0.8)
-            a.link(outside, ROOM, loop.pipe_loss * litres / count, loss, power=1.2)
+            a.link(outside, ROOM, loop.pipe_loss * litres / count, loss, natural=True)
             if k:
                 a.streams.append((q, cells[k - 1], water, 1.0, -1, 0))
         tees.append(cells)
@@ -194,7 +194,7 @@ def _part(a: Assembly, q: int, loop: Loop, part: Part, share: float, mixing: int
     outer = metal or water
     for cell in outer:
         if part.loss > 0.0:
-            a.link(cell, ROOM, part.loss / n, loss, power=1.25)
+            a.link(cell, ROOM, part.loss / n, loss, natural=True)
         if part.fan > 0.0:
             a.link(cell, ROOM, part.fan / n, fan, fan=0.62)
         if part.heat:
@@ -228,7 +228,7 @@ def _network(a: Assembly, loops: Sequence[Loop], columns: Sequence[str], pump_ce
         link_flow_exponent=real(k[5]),
         link_fan_exponent=real(k[6]),
         link_warmth=real(k[7]),
-        link_power=real(k[8]),
+        link_natural=whole(k[8]),
         link_layer=whole(k[9]),
         loop_kg_s=real([loop.kg_s for loop in loops]),
         loop_cp=real([loop.cp for loop in loops]),

@@ -13,6 +13,7 @@ from hil.bench.zoo.plants.parts import Built
 
 ROOM_COLUMN = "T_ambient_C"
 FAN_COLUMN = "fan_speed_pct"
+WARM_UP_S, WARM_UP_STEP_S = 7200.0, 60.0
 ROOM_SIGMA_K = 0.05
 """Noise of the room's thermometer, K."""
 
@@ -70,19 +71,21 @@ class Plant:
         """Return the first thermometer at a node, or None."""
         return next((t for t in self.thermometers if t.node == node), None)
 
-    def run(self, drive: Drive, period_s: float, modifiers: tuple[Modifier, ...] = ()) -> Array:
-        """Return the temperatures (n, cells) degC of a record that begins after the plant has warmed up.
+    def run(
+        self, drive: Drive, period_s: float, modifiers: tuple[Modifier, ...] = (), start: Array | None = None
+    ) -> Array:
+        """Return the temperatures (n, cells) degC of a record.
 
-        The warm-up is two hours with the first inputs, without modifiers.
+        It begins at `start` (cells,) degC, by default after the plant has warmed up for two hours with the first
+        inputs and without modifiers; the ballast has the room's temperature.
         """
-        start = np.full(len(self.network.capacity), float(drive.room[0]))
-        warm = max(int(2.0 * 3600.0 / period_s), 2)
-        first = Drive(
-            *(np.repeat(np.asarray(x)[:1], warm, axis=0) for x in _fields(drive)),
-        )
-        begun = simulate(self.network, first, period_s, start).temperature[-1].copy()
-        begun[self.ballast] = float(drive.room[0])
-        return simulate(self.network, drive, period_s, begun, modifiers).temperature
+        if start is None:
+            cold = np.full(len(self.network.capacity), float(drive.room[0]))
+            warm = max(int(WARM_UP_S / WARM_UP_STEP_S), 2)
+            first = Drive(*(np.repeat(np.asarray(x)[:1], warm, axis=0) for x in _fields(drive)))
+            start = simulate(self.network, first, WARM_UP_STEP_S, cold).temperature[-1].copy()
+            start[self.ballast] = float(drive.room[0])
+        return simulate(self.network, drive, period_s, start, modifiers).temperature
 
     def readings(self, temperature: Array, period_s: float) -> dict[str, Array]:
         """Return what the thermometers show without noise: first-order lags, exact for held temperatures."""

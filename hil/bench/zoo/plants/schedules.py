@@ -110,9 +110,7 @@ def _times(t: Array, rng: np.random.Generator, shortest_h: float, longest_h: flo
     return np.concatenate([[0.0], np.cumsum(rng.uniform(shortest_h, longest_h, count) * HOUR_S)])
 
 
-def _steps(
-    t: Array, rng: np.random.Generator, shortest_h: float, longest_h: float, low: float, high: float
-) -> Array:
+def _steps(t: Array, rng: np.random.Generator, shortest_h: float, longest_h: float, low: float, high: float) -> Array:
     times = _times(t, rng, shortest_h, longest_h)
     levels = rng.uniform(low, high, len(times))
     return np.asarray(levels[np.searchsorted(times, t, side="right") - 1])
