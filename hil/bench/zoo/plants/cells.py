@@ -166,7 +166,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Motion:
-    """Simulated temperatures (n, cells) degC at the samples, and the energies in J: stored, put in, lost to the room."""
+    """Temperatures (n, cells) degC at the samples, and the energies in J: stored, put in, lost to the room."""
 
     temperature: Array
     stored: float
@@ -190,8 +190,8 @@ def simulate(
     trace = np.empty((rows, len(start)), dtype=np.float64)
     inputs = (drive.pump, drive.fan, drive.heat, drive.room, drive.humidity, drive.flow_noise, drive.fan_noise)
     stored, put_in, lost = _integrate(
-        *network.arrays(), network.groups, *inputs, period_s, substeps, start, len(modifiers), amplitudes, whole, limits,
-        trace,
+        *network.arrays(), network.groups, *inputs, period_s, substeps, start, len(modifiers), amplitudes, whole,
+        limits, trace,
     )  # fmt: skip
     return Motion(trace, stored, put_in, lost)
 
