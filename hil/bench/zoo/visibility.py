@@ -4,7 +4,7 @@
 
 d is the change of the residual (reading minus twin) that the effect makes, without noise, in means over blocks. J holds
 the twin's sensitivities to its tunables and initial state; sd is what commissioning leaves open. v is the variance of a
-healthy residual in such a mean: noise, and what the twin's structure leaves in the healthy record, times its
+healthy residual in such a mean: noise and model error of the healthy record, times its
 correlation time. The score of noise alone has the noise alone in v; the structure usually lowers it a good deal.
 
 Source: Rao, Proc. Camb. Phil. Soc. 44 (1948) 50, with the tunables projected out.

@@ -107,7 +107,7 @@ class Scene:
         return self.ramp**3
 
     @property
-    def spell(self) -> Array:
+    def interval(self) -> Array:
         """Return 1 in one interval, 0 elsewhere, (n,)."""
         end = float(self.time_s[-1])
         first = float(self.rng.uniform(0.2, 0.5)) * end
