@@ -18,7 +18,7 @@ from hil.bench.zoo.plan import plan
 from hil.bench.zoo.plants.families import DEVELOPMENT, SEALED, draw_plant
 from hil.bench.zoo.tables import tables
 from hil.bench.zoo.twins import sheet_twin
-from hil.bench.zoo.visibility import blocks
+from hil.bench.zoo.visibility import Yardstick, blocks
 
 PUMP_HEAT = [{"kind": "heat_source", "where": "tank", "drivers": ["pump_speed"]}]
 ANY_LOSS = [{"kind": "heat_loss", "where": "tank", "drivers": []}]
@@ -140,3 +140,42 @@ def test_each_family_has_a_lumped_twin_of_three_to_nine_volumes(family: str) -> 
 
 def test_block_means_leave_out_the_rest() -> None:
     assert blocks(np.arange(481.0)[:, None])[:2, 0] == pytest.approx([0.5, 2.5])
+
+
+def test_the_true_score_counts_what_re_tuning_cannot_absorb() -> None:
+    n = 480
+    calm, inputs = np.full((n, 1), 30.0), np.zeros((n, 1))
+    late = (np.arange(n) >= n // 2).astype(float)[:, None]
+    tunable = np.where(np.arange(240) < 120, 1.0, 0.0)[:, None]
+    yard = Yardstick(lambda u: calm, 50.0 * tunable, np.full(240, 0.04), np.full(240, 0.01))
+    # Nothing that the tunable does resembles an effect in the second half: 120 blocks of 0.1 K over 0.2 K.
+    assert yard.scores(calm + 0.1 * late, inputs, calm, inputs) == pytest.approx((30.0**0.5, 120.0**0.5))
+    # An effect in the first half is what the tunable does at a five-hundredth of its standard deviation.
+    absorbed, _ = yard.scores(calm + 0.1 * (1.0 - late), inputs, calm, inputs)
+    assert absorbed < 0.01
+    assert yard.scores(calm, inputs, calm, inputs) == (0.0, 0.0)
+
+
+def test_an_error_of_a_recorded_input_counts_through_the_twin() -> None:
+    n = 240
+    calm = np.full((n, 1), 30.0)
+    yard = Yardstick(lambda u: 2.0 * u, np.zeros((240, 1)), np.full(240, 1.0), np.full(240, 1.0))
+    seen, _ = yard.scores(calm, np.ones((n, 1)), calm, np.zeros((n, 1)))
+    assert seen == pytest.approx(2.0 * 240.0**0.5)
+
+
+def test_a_case_has_a_fitted_twin_and_an_effect_of_the_wanted_score_or_the_largest_size() -> None:
+    case = make_case("layered_tank", 4, "thermometer: bias")
+    truth = case.truth
+    assert truth["answers"][0]["kind"] == "sensor"
+    assert truth["answers"][0]["where"] == truth["place"]
+    assert truth["size"] == pytest.approx(8.0) or truth["score"] == pytest.approx(truth["wanted"], rel=0.4)
+    assert len(case.record.time_s) == truth["rows"] <= 150_000
+    fitted, before = (case.network.revision.error_after_K, case.network.revision.error_before_K)
+    assert all(fitted[name] < before[name] for name in fitted)
+    column = case.network.sensor_names.index(truth["place"])
+    after = case.record.time_s >= truth["onset_s"]
+    healthy = make_case("layered_tank", 4, "thermometer: bias", size=0.0)
+    change = (case.record.measured - healthy.record.measured)[:, column]
+    assert change[after] == pytest.approx(truth["size"])
+    assert np.abs(change[~after]).max(initial=0.0) < 1e-9
