@@ -23,8 +23,7 @@ def scene(family: str, seed: int = 3, schedule: Schedule = SHORT) -> Scene:
     plant = draw_plant(family, seed)
     rng = np.random.default_rng(seed)
     drive = draw_drive(schedule, plant.full_w, len(plant.pumps), rng)
-    t = np.arange(schedule.rows) * schedule.period_s
-    return Scene(plant, drive, schedule, t, 1200.0, rng, plant.run(drive, schedule.period_s))
+    return Scene(plant, drive, schedule, schedule.times, 1200.0, rng, plant.run(drive, schedule.period_s))
 
 
 @pytest.mark.parametrize("family", FAMILIES)

@@ -115,7 +115,7 @@ def make_case(
 
     drive = draw_drive(schedule, plant.full_w, len(plant.pumps), rng)
     onset = 0.0 if rng.random() < ALL_ALONG else float(rng.uniform(0.15, 0.6)) * schedule.hours * HOUR_S
-    t = np.arange(schedule.rows) * schedule.period_s
+    t = schedule.times
     calm = plant.run(drive, schedule.period_s)
     calm_shown = plant.readings(calm, schedule.period_s)
     scene = Scene(plant, drive, schedule, t, onset, rng, calm)
@@ -225,7 +225,7 @@ def noisy(
 
 
 def _healthy(plant: Plant, schedule: Schedule, drive: Drive, rng: np.random.Generator) -> Record:
-    t = np.arange(schedule.rows) * schedule.period_s
+    t = schedule.times
     shown = plant.readings(plant.run(drive, schedule.period_s), schedule.period_s)
     return noisy(plant, t, shown, plant.columns(drive), rng)
 

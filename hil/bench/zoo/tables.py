@@ -88,7 +88,7 @@ def _by(key: str, title: str, hidden: Sequence[ZooScore], of: Callable[[ZooScore
     names = sorted({of(s) for s in hidden})
     if key == "score":
         names.sort(key=lambda n: float(n.removeprefix("above ").split(" ")[0]))
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for each in names:
         found = [s for s in hidden if of(s) == each]
         rows.append((

@@ -41,7 +41,7 @@ def _bypass(course: Course, law: int = 0) -> Callable[[Scene], Injection]:
         span = max(s.quantile(cell, 0.98) - high, 0.3)
         first, most = (0.08, 0.85) if law != ABOVE else (0.3 / span, 1.5 / span)
         mods = (Modifier(GATE, b.gate, course(s), law, cell, ROOM, high, s.quantile(cell, 0.4)),)
-        answers = (Answer("flow", b.part.node),)
+        answers: tuple[Answer, ...] = (Answer("flow", b.part.node),)
         if b.part.fan:
             answers = (*answers, Answer("heat_rejection", b.part.node))
         return Injection("1" if law != ABOVE else "1/K", first, most, answers, b.part.node, s.onset_s, mods)
@@ -85,6 +85,7 @@ def _film(course: Course) -> Callable[[Scene], Injection]:
         if not found:
             raise NoSuchPlaceError("no wall is read and there is no exchanger")
         b = found[int(s.rng.integers(len(found)))]
+        answers: tuple[Answer, ...]
         if b.part.name == "hot":
             answers = (Answer("coupling", "cold"), Answer("coupling", "hot"))
         else:

@@ -12,6 +12,7 @@ Source: upwind finite volumes (Patankar, Numerical Heat Transfer and Fluid Flow,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
@@ -189,7 +190,8 @@ def simulate(
         limits[k] = (m.p0, m.p1)
     trace = np.empty((rows, len(start)), dtype=np.float64)
     inputs = (drive.pump, drive.fan, drive.heat, drive.room, drive.humidity, drive.flow_noise, drive.fan_noise)
-    stored, put_in, lost = _integrate(
+    kernel: Any = _integrate
+    stored, put_in, lost = kernel(
         *network.arrays(), network.groups, *inputs, period_s, substeps, start, len(modifiers), amplitudes, whole,
         limits, trace,
     )  # fmt: skip
@@ -204,11 +206,13 @@ def _pressure(celsius: float) -> float:
 
 @numba.njit(cache=True)
 def _integrate(
-    capacity, curvature, s_loop, s_from, s_to, s_share, s_gate, s_skips, l_a, l_b, l_G, l_group, l_flow, l_flow_exp,
-    l_fan_exp, l_warmth, l_natural, l_layer, q_kg, q_cp, q_cell, q_exp, q_density, q_viscosity, gate0, h_cell, h_column,
-    h_share, groups, pump, fan, heat, room, humidity, flow_noise, fan_noise, period, substeps, start, count, amplitudes,
-    whole, limits, trace,
-):  # fmt: skip
+    capacity: Any, curvature: Any, s_loop: Any, s_from: Any, s_to: Any, s_share: Any, s_gate: Any, s_skips: Any,
+    l_a: Any, l_b: Any, l_G: Any, l_group: Any, l_flow: Any, l_flow_exp: Any, l_fan_exp: Any, l_warmth: Any,
+    l_natural: Any, l_layer: Any, q_kg: Any, q_cp: Any, q_cell: Any, q_exp: Any, q_density: Any, q_viscosity: Any,
+    gate0: Any, h_cell: Any, h_column: Any, h_share: Any, groups: Any, pump: Any, fan: Any, heat: Any, room: Any,
+    humidity: Any, flow_noise: Any, fan_noise: Any, period: Any, substeps: Any, start: Any, count: Any,
+    amplitudes: Any, whole: Any, limits: Any, trace: Any,
+) -> tuple[float, float, float]:  # fmt: skip
     n, rows = len(capacity), len(room)
     dt = period / substeps
     t = start.copy()

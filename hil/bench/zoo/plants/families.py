@@ -175,7 +175,7 @@ def _glycol(rng: np.random.Generator, s: float) -> tuple[list[Loop], None]:
     """Cells read in the water or on the metal by chance, in a coolant whose viscosity falls as it warms."""
     cells = [_cell(rng, s, k + 1, reads=str(rng.choice(["water", "metal"]))) for k in range(int(rng.integers(1, 4)))]
     stations = [(_heater(rng, s),), *((c,) for c in cells), (_radiator(rng, s),), (_tank(rng, s),)]
-    thick = {"cp": 3500.0, "curvature": 1.2e-3, "viscosity": float(rng.uniform(2e-3, 5e-3))}
+    thick: dict[str, Any] = {"cp": 3500.0, "curvature": 1.2e-3, "viscosity": float(rng.uniform(2e-3, 5e-3))}
     return [_loop(rng, s, stations, **thick)], None
 
 
@@ -248,10 +248,10 @@ def _sheet(
             after = path[(path.index(station[0].node) + 1) % len(path)]
             pipes[after] = pipes.get(after, 0.0) + litres
         if family in PIPED:
-            pipes = {node: nominal(litres) for node, litres in pipes.items()}
+            pipes = {name: nominal(litres) for name, litres in pipes.items()}
         else:
-            for node, litres in pipes.items():
-                nodes[node]["J_per_K"] += nominal(litres * loop.cp)
+            for name, litres in pipes.items():
+                nodes[name]["J_per_K"] += nominal(litres * loop.cp)
             pipes = {}
         paths.append({
             "pump": loop.pump, "L_per_min": nominal(loop.kg_s * 60.0), "path": path, "cp": loop.cp, "pipes_L": pipes,

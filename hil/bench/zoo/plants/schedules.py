@@ -35,10 +35,15 @@ class Schedule:
         """Return the number of samples."""
         return int(self.hours * HOUR_S / self.period_s) + 1
 
+    @property
+    def times(self) -> Array:
+        """Return the times of the samples (n,), s."""
+        return np.arange(self.rows, dtype=np.float64) * self.period_s
+
 
 def draw_drive(schedule: Schedule, full_w: Array, loops: int, rng: np.random.Generator) -> Drive:
     """Draw the inputs of a record; `full_w` (k,) W is the full power of each heat column."""
-    n, t = schedule.rows, np.arange(schedule.rows) * schedule.period_s
+    n, t = schedule.rows, schedule.times
     common = load(schedule.kind, t, rng)
     heat = np.empty((n, len(full_w)))
     for k, full in enumerate(full_w):
