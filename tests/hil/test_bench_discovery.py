@@ -251,7 +251,7 @@ def test_two_cases_from_end_to_end(tmp_path: Path) -> None:
 
 
 def test_a_crash_counts_as_no_answer() -> None:
-    o = judged(discovery._no_answer("LinAlgError: Singular matrix"))
+    o = judged(discovery.no_answer("LinAlgError: Singular matrix"))
     assert failure(o) == "no answer"
     size = discovery.TrialSize((0,), (), 4.0, True)
     found = tables([discovery.FinishedCase(o, {}, None)], size)

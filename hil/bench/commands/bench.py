@@ -11,6 +11,7 @@ from hil.bench.commands.blind import ablations_command, again_command, discovery
 from hil.bench.commands.rig import bus_command, faults_command, files_command, loop_command, wire_command
 from hil.bench.commands.tower import tower_command
 from hil.bench.commands.twin import fit_command, paper_command, records_command, structure_command, twin_command
+from hil.bench.commands.zoo import zoo_command
 from hil.run.session.terminal import invocation
 
 
@@ -47,6 +48,7 @@ for _bench in (
     ablations_command,
     discovery_command,
     again_command,
+    zoo_command,
     structure_command,
     tower_command,
     faults_command,

@@ -11,6 +11,8 @@ import json
 from pathlib import Path
 
 EVENTS = ("sealed", "answered", "opened")
+NOTE = "noted"
+"""Event of a line about the trial as a whole."""
 
 
 class LedgerError(RuntimeError):
@@ -32,6 +34,8 @@ class Ledger:
         if entry["before"] != self._last:
             raise LedgerError(f"{self._path}: the line of {entry['case']} does not follow the one above it")
         self._last = hashlib.sha256(line.encode()).hexdigest()
+        if entry["event"] == NOTE:
+            return
         if entry["event"] == "sealed":
             self._state[entry["case"]] = {}
         self._state[entry["case"]][entry["event"]] = entry["sha256"]
@@ -44,7 +48,14 @@ class Ledger:
             raise LedgerError(f"{case} cannot be {event}: so far it was {', '.join(have) or 'not even sealed'}")
         if event == "opened" and sha256 != have["sealed"]:
             raise LedgerError(f"the truth of {case} is not the one that was sealed")
-        line = json.dumps({"case": case, "event": event, "sha256": sha256, "before": self._last})
+        self._append({"case": case, "event": event, "sha256": sha256, "before": self._last})
+
+    def note(self, subject: str, text: str) -> None:
+        """Append a line about the trial as a whole: its subject, and a text in place of a hash."""
+        self._append({"case": subject, "event": NOTE, "text": text, "before": self._last})
+
+    def _append(self, entry: dict[str, str]) -> None:
+        line = json.dumps(entry)
         with self._path.open("a", encoding="utf-8") as file:
             file.write(line + "\n")
         self._take(json.loads(line), line)

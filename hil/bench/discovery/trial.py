@@ -117,7 +117,7 @@ class BlindTrial:
                 path, took = Path(handed_in["answer"]), (float(handed_in["seconds"]), float(handed_in["cpu_s"]))
             except WorkerError as error:
                 path, took = folder / "diagnosis.json", (float("nan"), float("nan"))
-                path.write_text(json.dumps(_no_answer(str(error))), encoding="utf-8")
+                path.write_text(json.dumps(no_answer(str(error))), encoding="utf-8")
             self._ledger.write(name, "answered", sha256_of(path))
             truth = self._sealed / f"{name}.json"
             self._ledger.write(name, "opened", sha256_of(truth))
@@ -241,7 +241,8 @@ def _with_ports(rig: Path, ports: dict[str, int]) -> str:
     return "".join(line for line in text.splitlines(keepends=True) if not line.startswith(_NOT_IN_A_TRIAL))
 
 
-def _no_answer(error: str) -> dict[str, Any]:
+def no_answer(error: str) -> dict[str, Any]:
+    """Return the document of a diagnosis that ended with an error."""
     return {
         "verdict": "crashed",
         "summary": error,

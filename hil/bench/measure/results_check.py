@@ -33,6 +33,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "ablations": (*_FITS, *_NETWORK, "hil/training"),
     "discovery": _DIAGNOSIS,
     "again": _DIAGNOSIS,
+    "zoo": (*_FITS, "twin/discovery", "hil/bench/discovery", "hil/bench/zoo", "hil/diagnosis"),
     "faults": (*_LOOP, "hil/bench/chaos", "hil/bench/faults", "hil/guardian"),
     "loop": (*_LOOP, "hil/bench/loop", "hil/tracking"),
     "bus": ("drivers/bus", "drivers/modbus", "drivers/signals", "hil/bench/loop", "hil/bench/peers"),

@@ -1,0 +1,66 @@
+"""Command `hil bench zoo`: the diagnosis on random plants."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hil.bench.commands.output import JSON, OUT, QUICK, SEED, finish
+
+QUICK_CASES = (6, 2)
+"""Cases with an effect and healthy ones of a trial run: one of each family for development."""
+
+
+@click.command("zoo")
+@click.option(
+    "--families", type=click.Choice(["dev", "sealed"]), default="dev", show_default=True, help="Half of the families."
+)
+@click.option("--open-sealed", is_flag=True, help="Confirm that the sealed families are opened; the ledger notes it.")
+@click.option("--cases", default=40, show_default=True, help="Number of records with a hidden effect.")
+@click.option("--healthy", default=10, show_default=True, help="Number of records without one.")
+@click.option("--jobs", type=click.IntRange(1, 64), default=1, show_default=True, help="Cases at a time.")
+@click.option(
+    "--work",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("runs/bench/zoo"),
+    show_default=True,
+    help="Folder for finished cases.",
+)
+@QUICK
+@SEED
+@OUT
+@JSON
+def zoo_command(
+    families: str,
+    open_sealed: bool,
+    cases: int,
+    healthy: int,
+    jobs: int,
+    work: Path,
+    quick: bool,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Diagnose random plants, unlike any twin, with hidden effects and sealed answers.
+
+    \b
+    Example:
+      hil bench zoo --quick
+      hil bench zoo --families dev --cases 40 --healthy 10 --jobs 2 --out docs/results
+    """
+    if families == "sealed" and not open_sealed:
+        raise click.UsageError(
+            "the sealed families are kept for one published figure; add --open-sealed to open them for it"
+        )
+    from hil.bench.zoo import trial
+    from hil.bench.zoo.tables import tables
+    from hil.run.session.terminal import ProgressBar
+
+    if quick:
+        cases, healthy = QUICK_CASES
+    with ProgressBar("diagnosing", 1.0, quiet=as_json) as steps:
+        done = trial.measure(families, cases, healthy, seed, jobs, work, steps.update)
+    name = "zoo_dev" if families == "dev" else "zoo"
+    finish(name, seed, tables(done, families), (), out, as_json)

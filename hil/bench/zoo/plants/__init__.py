@@ -1,0 +1,1 @@
+"""Random thermal plants with equations of their own; nothing here imports `twin`."""
