@@ -1,0 +1,362 @@
+"""Search for undeclared effects of a station's cells: scan, refit, held-out weeks, permutations.
+
+The search sees the record without its held-out weeks. A class of effects is claimed if its posterior log odds against
+no effect exceed `CLAIM`, if the refit with it predicts the held-out weeks better, and if circular shifts of its driver
+do not reach its evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from twin.tower.air import Array
+from twin.tower.calibration import Fitted, fit_cell
+from twin.tower.diagnosis.candidates import DECOYS, FAULT, Candidate, candidates, decoys, onset_grid
+from twin.tower.diagnosis.evidence import Evidence
+from twin.tower.effects import Effect, pattern, patterns
+from twin.tower.evidence import Label
+from twin.tower.minutes import Minutes, blocks_of
+from twin.tower.model import CellModel
+from twin.tower.smoother import Opening, Priors
+
+CLAIM = 12.0
+"""Posterior log odds from which an effect is claimed: healthy records stay below 6 (METHODS of the loop's diagnosis)."""
+RIVAL = 3.0
+"""Log odds within which another class is a rival that the record does not exclude, a factor of 20."""
+MOST_EFFECTS = 3
+TRIED = 3
+"""Classes that are refitted before a search gives up: the first may fail on the held-out weeks."""
+SHIFTS = 199
+"""Circular shifts: with 199 the least p-value is 0.005."""
+LARGEST_P = 0.01
+UNSHIFTED = ("always", "solar")
+"""Drivers that a shift leaves as they are."""
+REFITS = 2
+WEEK_S = 7 * 86400.0
+SEED = 20
+
+
+@dataclass(frozen=True)
+class CellCase:
+    """A cell with what its calibration is made of; `columns` are those of its aligned record."""
+
+    cell: int
+    model: CellModel
+    minutes: Minutes
+    columns: Mapping[str, Array]
+    priors: Priors
+    labels: tuple[Label, ...]
+    openings: tuple[Opening, ...]
+    edges_s: Array
+
+    def fit(self, effects: Sequence[Effect], held: NDArray[np.bool_]) -> Fitted:
+        """Return the calibration with more effects, without the outlet readings of the held-out minutes."""
+        every = (*self.model.effects, *effects)
+        drivers = patterns(every, self.minutes.time_s, self.columns, self.model.design.m_w0)
+        minutes = replace(
+            self.minutes, operation=replace(self.minutes.operation, patterns=drivers),
+            outlet=np.where(held, np.nan, self.minutes.outlet),
+        )  # fmt: skip
+        model = CellModel(self.model.design, self.model.site, every)
+        return fit_cell(model, minutes, self.priors, self.labels, self.openings, self.edges_s)
+
+    def held_out_error(self, fitted: Fitted, held: NDArray[np.bool_]) -> Array:
+        """Return reading minus prediction of the steady held-out blocks, K (m,)."""
+        blocks, _ = blocks_of(replace(fitted.minutes, outlet=np.where(held, self.minutes.outlet, np.nan)))
+        p = fitted.posterior
+        reading = fitted.model.reading(blocks.operation, p.slow[p.cells_at(blocks.time_s)], p.constant)
+        error = blocks.outlet - reading
+        return np.asarray(error[np.isfinite(error)])
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A class at some cells: posterior log odds against no effect, and its best form with sizes by cell."""
+
+    candidate: Candidate
+    cells: tuple[int, ...]
+    log_odds: float
+    effects: Mapping[int, Effect]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A claimed effect: sizes by cell, evidence, p-value (None where the driver cannot be shifted), errors K and
+    rivals."""
+
+    hypothesis: Hypothesis
+    effects: Mapping[int, Effect]
+    p_value: float | None
+    before: Mapping[int, float]
+    after: Mapping[int, float]
+    rivals: tuple[Hypothesis, ...]
+
+
+@dataclass(frozen=True)
+class TowerDiagnosis:
+    """Result of a search.
+
+    Attributes:
+        findings: claimed effects, strongest first. rejected: sentence for each class that failed a check.
+        leading: classes of the last scan, by their log odds. decoy: log odds of the best decoy in the first scan.
+        held_s: start and end of each held-out part. before, after: mean absolute error of the outlet on it by cell, K.
+    """
+
+    findings: tuple[Finding, ...]
+    rejected: tuple[str, ...]
+    leading: tuple[Hypothesis, ...]
+    decoy: float
+    held_s: tuple[tuple[float, float], ...]
+    before: Mapping[int, float]
+    after: Mapping[int, float]
+
+
+def held_out_parts(time_s: Array) -> tuple[tuple[float, float], ...]:
+    """Return the parts of a record that no fit sees: every third week, the second first; thirds if it is short."""
+    start, end = float(time_s[0]), float(time_s[-1]) + 60.0
+    length = min(WEEK_S, (end - start) / 3.0)
+    count = int(round((end - start) / length))
+    return tuple((start + k * length, min(start + (k + 1) * length, end)) for k in range(1, count, 3))
+
+
+def search(
+    cases: Sequence[CellCase], timezone: str | None, say: Callable[[str], None] = lambda text: None
+) -> TowerDiagnosis:
+    """Return the undeclared effects of the cells of one station.
+
+    Parameters:
+        timezone: of the station, for the sun. say: called with each stage.
+
+    Raises:
+        CalibrationError: the record is too short to calibrate a cell without its held-out weeks.
+    """
+    parts = held_out_parts(cases[0].minutes.time_s)
+    held = {c.cell: _inside(c.minutes.time_s, parts) for c in cases}
+    say("calibrating without the held-out weeks")
+    fits = {c.cell: c.fit((), held[c.cell]) for c in cases}
+    errors = {c.cell: c.held_out_error(fits[c.cell], held[c.cell]) for c in cases}
+    before = {cell: _mean_absolute(e) for cell, e in errors.items()}
+    extra = {c.cell: decoys(c.columns, SEED + 10 * c.cell) for c in cases}
+    known: dict[int, tuple[Effect, ...]] = {c.cell: () for c in cases}
+    findings: list[Finding] = []
+    rejected: list[str] = []
+    ranked: list[Hypothesis] = []
+    decoy = -np.inf
+    while len(findings) < MOST_EFFECTS:
+        say("comparing effects")
+        evidence = {c.cell: Evidence(fits[c.cell], {**c.columns, **extra[c.cell]}) for c in cases}
+        ranked = scan(cases, evidence, timezone, known)
+        if not findings:
+            decoy = max((one.log_odds for one in ranked if _is_decoy(one)), default=-np.inf)
+        claimed = None
+        for one in [h for h in ranked if h.log_odds >= CLAIM][:TRIED]:
+            say(f"refitting with {one.candidate.name}")
+            claimed, why, fits_new, errors_new = _checked(cases, held, fits, errors, known, evidence, one, ranked)
+            if claimed is not None:
+                break
+            rejected.append(f"{one.candidate.name}, cell {_listed(one.cells)}: {why}")
+        if claimed is None:
+            break
+        findings.append(claimed)
+        for cell, effect in claimed.effects.items():
+            known[cell] = (*(e for e in known[cell]), effect)
+        fits, errors = fits_new, errors_new
+    after = {cell: _mean_absolute(e) for cell, e in errors.items()}
+    return TowerDiagnosis(tuple(findings), tuple(rejected), tuple(ranked[:8]), float(decoy), parts, before, after)
+
+
+def scan(
+    cases: Sequence[CellCase], evidence: Mapping[int, Evidence], timezone: str | None,
+    known: Mapping[int, tuple[Effect, ...]],
+) -> list[Hypothesis]:  # fmt: skip
+    """Return the classes at every cell and at each alone, by their posterior log odds, highest first."""
+    time_s = cases[0].minutes.time_s
+    onsets = onset_grid(float(time_s[0]), float(time_s[-1]))
+    classes = {c.cell: {one.name: one for one in candidates(evidence[c.cell].columns, c.minutes.time_s, timezone)}
+               for c in cases}  # fmt: skip
+    names = list(dict.fromkeys(name for of in classes.values() for name in of))
+    found: list[Hypothesis] = []
+    for name in names:
+        tables, sizes = {}, {}
+        for c in cases:
+            if name not in classes[c.cell]:
+                continue
+            candidate = classes[c.cell][name]
+            if any(_same(candidate.forms[0], one) for one in known[c.cell]):
+                continue  # a freer form of an effect that is known is no further effect
+            tables[c.cell], sizes[c.cell] = _table(evidence[c.cell], candidate, onsets)
+        sites = [(cell,) for cell in tables]
+        if len(tables) == len(cases) > 1 and len({t.shape for t in tables.values()}) == 1:
+            sites.append(tuple(tables))
+        for site in sites:
+            candidate = classes[site[0]][name]
+            table = np.sum([tables[cell] for cell in site], axis=0)
+            prior = np.log(FAULT / (1.0 - FAULT)) - np.log(len(names))
+            if len(cases) > 1:
+                prior += np.log(0.5) if len(site) > 1 else np.log(0.5 / len(cases))
+            found += _hypotheses(candidate, site, table, sizes, onsets, float(prior))
+    return sorted(found, key=lambda one: -one.log_odds)
+
+
+def _table(evidence: Evidence, candidate: Candidate, onsets: Sequence[float]) -> tuple[Array, Array]:
+    """Return log Bayes factors and sizes of the forms by onset (1 + onsets, m); the first row is all along."""
+    h = evidence.responses(candidate.forms)
+    rows, sizes = [], []
+    for onset in (None, *onsets):
+        part = h if onset is None else h * (evidence.fitted.blocks.time_s >= onset)[:, None]
+        scored = evidence.score(part, candidate.size_sd, candidate.sign)
+        rows.append(scored.gain)
+        sizes.append(scored.size)
+    return np.array(rows), np.array(sizes)
+
+
+def _hypotheses(
+    candidate: Candidate, site: tuple[int, ...], table: Array, sizes: Mapping[int, Array], onsets: Sequence[float],
+    prior: float,
+) -> list[Hypothesis]:  # fmt: skip
+    """Return a class at some cells, its forms and onsets marginalised; decoys of a free class apart."""
+    weight = np.full(table.shape, -np.log(table.shape[1]))
+    weight[0] += np.log(0.5)
+    weight[1:] += np.log(0.5 / len(onsets))
+    decoy = np.array([one.column in DECOYS for one in candidate.forms])
+    found = []
+    for rows in (~decoy, decoy):
+        if not rows.any():
+            continue
+        joint = np.where(rows, table + weight, -np.inf)
+        row, m = np.unravel_index(int(joint.argmax()), joint.shape)
+        onset = None if row == 0 else onsets[int(row) - 1]
+        effects = {
+            cell: replace(candidate.forms[int(m)], onset_s=onset, size=float(sizes[cell][row, m])) for cell in site
+        }
+        found.append(Hypothesis(candidate, site, prior + float(logsumexp(joint)), effects))
+    return found
+
+
+def _checked(
+    cases: Sequence[CellCase], held: Mapping[int, NDArray[np.bool_]], fits: Mapping[int, Fitted],
+    errors: Mapping[int, Array], known: Mapping[int, tuple[Effect, ...]], evidence: Mapping[int, Evidence],
+    one: Hypothesis, ranked: Sequence[Hypothesis],
+) -> tuple[Finding | None, str, dict[int, Fitted], dict[int, Array]]:  # fmt: skip
+    """Return the finding, or None and the reason, with fits and errors that include it."""
+    new_fits, new_errors = dict(fits), dict(errors)
+    if _is_decoy(one):
+        return None, "it is a decoy, so chance reaches this far", new_fits, new_errors
+    refitted = {}
+    for c in cases:
+        if c.cell in one.cells:
+            refitted[c.cell], new_fits[c.cell] = _refit(c, known[c.cell], one, held[c.cell])
+            new_errors[c.cell] = c.held_out_error(new_fits[c.cell], held[c.cell])
+    refitted = _kept(refitted, one.candidate.sign)
+    if not refitted:
+        return None, "the refit has a size of the wrong sign", new_fits, new_errors
+    for cell in set(one.cells) - set(refitted):
+        new_fits[cell], new_errors[cell] = fits[cell], errors[cell]
+    old, new = (np.concatenate([e[cell] for cell in refitted]) for e in (errors, new_errors))
+    if float(np.mean(new**2)) >= float(np.mean(old**2)):
+        return None, "the held-out weeks are predicted no better with it", dict(fits), dict(errors)
+    p = p_value(evidence, one)
+    if p is not None and p > LARGEST_P:
+        return None, f"circular shifts of its driver reach its evidence, p = {p:.3f}", dict(fits), dict(errors)
+    before = {cell: _mean_absolute(errors[cell]) for cell in refitted}
+    after = {cell: _mean_absolute(new_errors[cell]) for cell in refitted}
+    rivals = tuple(
+        r for r in ranked
+        if r.log_odds > one.log_odds - RIVAL and r.candidate.name != one.candidate.name and not _is_decoy(r)
+    )  # fmt: skip
+    return Finding(one, refitted, p, before, after, rivals), "", new_fits, new_errors
+
+
+def _refit(
+    case: CellCase, known: tuple[Effect, ...], one: Hypothesis, held: NDArray[np.bool_]
+) -> tuple[Effect, Fitted]:  # fmt: skip
+    """Return an effect refitted as part of the cell's own physics: Gauss-Newton on size and form, all else
+    marginalised."""
+    effect = one.effects[case.cell]
+    fitted = case.fit((*known, effect), held)
+    for step in range(REFITS):
+        evidence = Evidence(fitted, case.columns)
+        forms = _near(effect, one.candidate, step)
+        h = evidence.responses(forms)
+        own = evidence.responses((effect,))[:, 0]
+        offset = effect.size * (h.T @ evidence.solve(own[:, None])[:, 0])
+        scored = evidence.score(h, np.full(len(forms), float(one.candidate.size_sd[0])), one.candidate.sign, offset)
+        best = int(scored.gain.argmax())
+        effect = replace(forms[best], size=float(scored.size[best]), sd=float(scored.sd[best]))
+        fitted = case.fit((*known, effect), held)
+    return effect, fitted
+
+
+def _near(effect: Effect, candidate: Candidate, step: int) -> tuple[Effect, ...]:
+    """Return forms near an effect's, ever nearer."""
+    if effect.form is None or len(candidate.forms) < 2:
+        return (effect,)
+    values = sorted({float(one.form or 0.0) for one in candidate.forms})
+    width = min(np.diff(values)) * (1.0 if step == 0 else 0.3)
+    shifts = np.linspace(-width, width, 9)
+    if effect.driver == "wind_direction":
+        return tuple(replace(effect, form=float((effect.form + s) % 360.0)) for s in shifts)
+    return tuple(replace(effect, form=float(effect.form + s)) for s in shifts)
+
+
+def p_value(evidence: Mapping[int, Evidence], one: Hypothesis) -> float | None:
+    """Return the share of circular shifts of the driver whose best form reaches the evidence of the class.
+
+    None for drivers that a shift leaves as they are, as the sun's.
+    """
+    first = one.candidate.forms[0]
+    if first.driver in UNSHIFTED:
+        return None
+    chosen = next(iter(one.effects.values()))
+    forms = [f for f in one.candidate.forms if f.path == chosen.path and f.column == chosen.column]
+    forms = forms[:: max(len(forms) // 12, 1)]
+    onset = chosen.onset_s
+    total = np.zeros((SHIFTS + 1, len(forms)))
+    for cell in one.cells:
+        e = evidence[cell]
+        f, n = e.fitted, len(e.fitted.minutes.time_s)
+        rng = np.random.default_rng(SEED)
+        shifts = np.concatenate([[0], rng.integers(n // 20, n - n // 20, SHIFTS)])
+        drivers = [pattern(form, f.minutes.time_s, e.columns, f.model.design.m_w0) for form in forms]
+        slope = e.sensitivity(chosen.path)
+        since = np.ones(len(slope)) if onset is None else (f.blocks.time_s >= onset).astype(float)
+        sd = np.full(len(forms), float(one.candidate.size_sd[one.candidate.forms.index(forms[0])]))
+        for k, shift in enumerate(shifts):
+            h = np.stack([slope * since * e.block_means(np.roll(g, shift)) for g in drivers], axis=1)
+            total[k] += e.score(h, sd, one.candidate.sign).gain
+    best = total.max(axis=1)
+    return float((1 + np.sum(best[1:] >= best[0])) / (SHIFTS + 1))
+
+
+def _kept(effects: Mapping[int, Effect], sign: int) -> dict[int, Effect]:
+    return {cell: e for cell, e in effects.items() if sign == 0 or sign * e.size > 0.0}
+
+
+def _same(form: Effect, known: Effect) -> bool:
+    """Return True if a class has the path and the driver of an effect, so that it is another form of it."""
+    wind = {"wind_direction", "wind_speed"}
+    return form.path == known.path and (form.driver == known.driver or {form.driver, known.driver} <= wind)
+
+
+def _is_decoy(one: Hypothesis) -> bool:
+    return next(iter(one.effects.values())).column in DECOYS
+
+
+def _inside(time_s: Array, parts: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
+    found = np.zeros(len(time_s), dtype=bool)
+    for start, end in parts:
+        found |= (time_s >= start) & (time_s < end)
+    return found
+
+
+def _mean_absolute(error: Array) -> float:
+    return float(np.mean(np.abs(error))) if len(error) else float("nan")
+
+
+def _listed(cells: Sequence[int]) -> str:
+    return ", ".join(str(cell) for cell in cells)
