@@ -24,6 +24,7 @@ from hil.tower.record import (
     seconds,
 )
 from twin.network import Network, TwinFileError
+from twin.tower.adoption import effects_of
 from twin.tower.air import Array
 from twin.tower.basin import Drain, with_basin
 from twin.tower.calibration import NORMAL, Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
@@ -67,15 +68,7 @@ def calibrate(
     Raises:
         RecordError, TwinFileError: a file cannot be used, or the record cannot calibrate a cell.
     """
-    loaded = _load_all(twins, record)
-    notes = read_notes(record)
-    if events is not None:
-        notes = replace(notes, events=event_entries(events))
-    found = read_labels(labels, tuple(loaded)) if labels is not None else ()
-    drafts = [
-        _fit(record, cell, path, network, notes, tuple(label for label in found if label.cell == cell))
-        for cell, (path, network) in loaded.items()
-    ]
+    drafts, notes = fitted_drafts(record, twins, labels, events)
     fitted, second = joined_by_basin([draft.fitted for draft in drafts], [draft.record for draft in drafts], notes)
     return [
         CellResult(
@@ -86,8 +79,23 @@ def calibrate(
     ], notes  # fmt: skip
 
 
+def fitted_drafts(
+    record: Path, twins: Sequence[Path], labels: Path | None, events: Path | None = None
+) -> tuple[list[Draft], StationNotes]:
+    """Fit the cells of these twins one by one; raises as `calibrate`."""
+    loaded = _load_all(twins, record)
+    notes = read_notes(record)
+    if events is not None:
+        notes = replace(notes, events=event_entries(events))
+    found = read_labels(labels, tuple(loaded)) if labels is not None else ()
+    return [
+        _fit(record, cell, path, network, notes, tuple(label for label in found if label.cell == cell))
+        for cell, (path, network) in loaded.items()
+    ], notes  # fmt: skip
+
+
 @dataclass(frozen=True)
-class _Draft:
+class Draft:
     """A cell's fit before the basin's thermometers join it to the others."""
 
     twin: Path
@@ -97,6 +105,7 @@ class _Draft:
     priors: Priors
     labels: tuple[Label, ...]
     steps: tuple[Step, ...] = ()
+    openings: tuple[Opening, ...] = ()
 
 
 def joined_by_basin(
@@ -179,10 +188,11 @@ def _load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Netw
 
 def _fit(
     record: Path, cell: int, path: Path, network: Network, notes: StationNotes, labels: tuple[Label, ...]
-) -> _Draft:  # fmt: skip
+) -> Draft:  # fmt: skip
     minutes_read = read_cell(record, cell)
     design, share = design_of(network), value_of(network, "cell.bypass_share")
-    minutes = minutes_of(minutes_read.time_s, minutes_read.columns, minutes_read.origin, design.m_w0, share)
+    effects = effects_of(network)
+    minutes = minutes_of(minutes_read.time_s, minutes_read.columns, minutes_read.origin, design.m_w0, share, effects)
     flow = float(np.nanmedian(minutes.operation.inputs.m_w[minutes.known])) if minutes.known.any() else np.nan
     if not minutes.known.any():
         raise RecordError(
@@ -199,7 +209,7 @@ def _fit(
     priors = priors_of(network)
     try:
         model, edges = (
-            CellModel(design, site_of(notes, share)),
+            CellModel(design, site_of(notes, share), effects),
             time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1])),
         )
         openings = openings_of(notes, cell)
@@ -210,7 +220,7 @@ def _fit(
             fitted = fit_cell(model, minutes, priors, labels, (*openings, *more), edges)
     except CalibrationError as error:
         raise RecordError(f"{minutes_read.path}: {error}") from error
-    return _Draft(path, network, minutes_read, fitted, priors, labels, steps)
+    return Draft(path, network, minutes_read, fitted, priors, labels, steps, (*openings, *more))
 
 
 def thermometer_steps(fitted: Fitted, record: CellRecord) -> tuple[Step, ...]:
@@ -279,6 +289,7 @@ def table_of(result: CellResult) -> pa.Table:
         ("t_out_lo", c.low),
         ("t_out_hi", c.high),
         ("t_out_commissioned", c.commissioned),
+        ("t_out_measured", result.minutes.outlet),
     ):
         arrays[name] = pa.array(values.astype(np.float32), from_pandas=True)
     for j, name in enumerate(DEVIATIONS):

@@ -31,10 +31,11 @@ FEWEST_VALUES = 0.5
 FOLLOWS = "follows"
 ENDOGENOUS = (
     "t_out_C", "basin_C", "supply_C", "return_C", "check", "disturbed", "regime", "closure_K", "in_service",
-    "fan_fault", "wind_deg", "level_pct",
+    "fan_fault", "wind_deg", "level_pct", "fan_speed_pct", "fan_command_pct", "m_w_kg_s", "wet_C", "wet_rh_C", "t_in_C",
+    "header_kPa", "riser_valve_pct",
 )  # fmt: skip
-"""Columns that drive nothing: those that the outlet itself moves, marks of the alignment, and an angle, whose values
-have no order."""
+"""Columns that drive nothing free: those that the outlet itself moves, marks of the alignment, an angle, whose values
+have no order, and the cell's operating point, whose error is the twin's own (`evidence.structural_error`)."""
 FREE_SD = {"outlet": 0.5, "inlet": 0.5, "wet_bulb": 0.5, "water": 0.05}
 """Readings that may follow a column, and the standard deviation of the size for the column's spread, K or 1."""
 LEAST_SPREAD = 1e-9

@@ -29,9 +29,9 @@ FORM_ERROR = 0.1
 """Relative error of an effect's form once it is in the twin: its next hour is not that of the law."""
 FORM_BLOCKS = 12
 """Blocks of ten minutes over which a form's error stays the same, two hours."""
-DEPRESSION_K, DEPRESSION_SD = 10.0, 0.2
-"""Depression of the wet bulb, K, and the outlet's error for it, K: Merkel's method knows the air by its enthalpy alone
-and misses by some tenths of a kelvin between moist and dry air of one wet bulb (Kloppers & Kroeger 2005)."""
+STRUCTURE_K = 0.15
+"""Standard deviation of each term of the twin's own error, K: Merkel's method misses Poppe's by some tenths of a kelvin
+over flows, fan speeds, wet bulb and humidity (Kloppers & Kroeger 2005)."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Forms:
 class Evidence:
     """Linear evidence about a fitted cell; rows that the fit did not use weigh nothing.
 
-    The twin's own error with the depression of the wet bulb, which Merkel's method leaves out, is marginalised too.
+    The twin's own error over its operating points, `structural_error`, is marginalised too.
     """
 
     def __init__(self, fitted: Fitted, columns: Mapping[str, Array]) -> None:
@@ -60,11 +60,9 @@ class Evidence:
         rows = np.repeat(np.arange(n), s + g)
         self.jacobian = csr_matrix((np.nan_to_num(p.jacobian).ravel(), (rows, index.ravel())), shape=(n, k + g))
         self._discount_form_error()
-        u = fitted.blocks.operation.inputs
-        self.structure = (u.dry - u.wet)[:, None] / DEPRESSION_K * DEPRESSION_SD
-        w = self._solve(self.structure)
-        self._inner = np.eye(1) + self.structure.T @ w
-        self._structure = w
+        self.structure = structural_error(fitted)
+        self._structure = self._solve(self.structure)
+        self._inner = np.eye(self.structure.shape[1]) + self.structure.T @ self._structure
 
     def _solve(self, h: Array) -> Array:
         """Return S^-1 h (n, m) without the structure's columns."""
@@ -116,7 +114,11 @@ class Evidence:
         Parameters:
             offset: h'S^-1 of what is added to the data, as that of an effect that the model has (m,).
         """
-        a = np.einsum("ij,ij->j", h, self.solve(h))
+        weighted = h * self.weights[:, None]
+        u = self.jacobian.T @ weighted
+        a = np.einsum("ij,ij->j", h, weighted) - np.einsum("ij,ij->j", u, self.fitted.posterior.covariance @ u)
+        v = self._structure.T @ h
+        a -= np.einsum("ij,ij->j", v, np.linalg.solve(self._inner, v))
         b = h.T @ self.error()
         return gain(np.maximum(a, 0.0), b if offset is None else b + offset, size_sd, sign)
 
@@ -127,6 +129,20 @@ class Evidence:
         return np.asarray(
             np.bincount(of[rows], values[rows], count) / np.maximum(np.bincount(of[rows], minlength=count), 1)
         )
+
+
+def structural_error(fitted: Fitted) -> Array:
+    """Return the twin's own error as a quadratic function of the operating point, each term scaled to its prior (n, 20).
+
+    The operating point is wet bulb, depression of the wet bulb, inlet over wet bulb, fan speed and flow. An error that
+    follows these is model discrepancy (Kennedy & O'Hagan 2001) and no undeclared effect.
+    """
+    u = fitted.blocks.operation.inputs
+    points = [u.wet, u.dry - u.wet, u.t_in - u.wet, u.speed, u.m_w / fitted.model.design.m_w0]
+    used = np.isfinite(fitted.blocks.outlet)
+    scaled = [(v - np.mean(v[used])) / max(float(np.std(v[used])), 1e-6) / 2.0 for v in points]
+    terms = scaled + [scaled[i] * scaled[j] for i in range(len(scaled)) for j in range(i, len(scaled))]
+    return np.clip(np.stack(terms, axis=1), -3.0, 3.0) * STRUCTURE_K
 
 
 def gain(a: Array, b: Array, size_sd: Array, sign: int) -> Forms:

@@ -29,15 +29,19 @@ CLAIM = 12.0
 RIVAL = 3.0
 """Log odds within which another class is a rival that the record does not exclude, a factor of 20."""
 MOST_EFFECTS = 3
-TRIED = 3
+TRIED = 2
 """Classes that are refitted before a search gives up: the first may fail on the held-out weeks."""
 SHIFTS = 199
 """Circular shifts: with 199 the least p-value is 0.005."""
 LARGEST_P = 0.01
 UNSHIFTED = ("always", "solar")
 """Drivers that a shift leaves as they are."""
-REFITS = 2
+REFITS = 1
+LEAST_Z = 2.0
+"""Standard errors by which the held-out days must be predicted better, and which a size must be from 0."""
 WEEK_S = 7 * 86400.0
+BLOCKS_OF_DAY = 100
+"""Steady blocks of ten minutes that count as a day."""
 SEED = 20
 
 
@@ -252,14 +256,14 @@ def _checked(
         if c.cell in one.cells:
             refitted[c.cell], new_fits[c.cell] = _refit(c, known[c.cell], one, held[c.cell])
             new_errors[c.cell] = c.held_out_error(new_fits[c.cell], held[c.cell])
-    refitted = _kept(refitted, one.candidate.sign)
+    refitted = {cell: e for cell, e in refitted.items() if _lasts(e, one.candidate.sign)}
     if not refitted:
-        return None, "the refit has a size of the wrong sign", new_fits, new_errors
+        return None, "the refit leaves nothing of it", dict(fits), dict(errors)
     for cell in set(one.cells) - set(refitted):
         new_fits[cell], new_errors[cell] = fits[cell], errors[cell]
-    old, new = (np.concatenate([e[cell] for cell in refitted]) for e in (errors, new_errors))
-    if float(np.mean(new**2)) >= float(np.mean(old**2)):
-        return None, "the held-out weeks are predicted no better with it", dict(fits), dict(errors)
+    z = _improvement([(errors[cell], new_errors[cell]) for cell in refitted])
+    if z < LEAST_Z:
+        return None, f"the held-out weeks are predicted no better with it, z = {z:.1f}", dict(fits), dict(errors)
     p = p_value(evidence, one)
     if p is not None and p > LARGEST_P:
         return None, f"circular shifts of its driver reach its evidence, p = {p:.3f}", dict(fits), dict(errors)
@@ -333,8 +337,19 @@ def p_value(evidence: Mapping[int, Evidence], one: Hypothesis) -> float | None:
     return float((1 + np.sum(best[1:] >= best[0])) / (SHIFTS + 1))
 
 
-def _kept(effects: Mapping[int, Effect], sign: int) -> dict[int, Effect]:
-    return {cell: e for cell, e in effects.items() if sign == 0 or sign * e.size > 0.0}
+def _lasts(effect: Effect, sign: int) -> bool:
+    """Return True if a refitted size is well away from 0, on the side that physics allows."""
+    return (sign == 0 or sign * effect.size > 0.0) and abs(effect.size) > LEAST_Z * effect.sd
+
+
+def _improvement(pairs: Sequence[tuple[Array, Array]]) -> float:
+    """Return by how many standard errors the squared error of a day falls; the days of the blocks count as
+    independent."""
+    falls = []
+    for old, new in pairs:
+        days = np.array_split(old**2 - new**2, max(len(old) // BLOCKS_OF_DAY, 2))
+        falls += [float(np.mean(day)) for day in days if len(day)]
+    return float(np.mean(falls) / max(np.std(falls, ddof=1) / np.sqrt(len(falls)), 1e-12))
 
 
 def _same(form: Effect, known: Effect) -> bool:
