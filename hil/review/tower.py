@@ -67,8 +67,8 @@ def _cells(table: Path) -> dict[int, Columns]:
                     columns[column] = _thinned(np.asarray(data[column].to_numpy(), dtype=np.float64)[rows])
             found[int(cell)] = columns
         for columns in found.values():
-            for column in ("t_out", "t_out_lo", "t_out_hi", "t_out_commissioned", *DEVIATIONS):
-                columns[column]  # noqa: B018
+            for column in {"t_out", "t_out_lo", "t_out_hi", "t_out_commissioned", *DEVIATIONS} - columns.keys():
+                raise KeyError(column)
     except (OSError, pa.ArrowInvalid, KeyError, ValueError) as error:
         raise ValueError(f"{table}: is no table of hil tower calibrate ({error}); calibrate again") from error
     if not found:

@@ -83,15 +83,38 @@ def fitted_drafts(
     record: Path, twins: Sequence[Path], labels: Path | None, events: Path | None = None
 ) -> tuple[list[Draft], StationNotes]:
     """Fit the cells of these twins one by one; raises as `calibrate`."""
+    ready, notes = prepare_cells(record, twins, labels, events)
+    return [_fit(one) for one in ready], notes
+
+
+def prepare_cells(
+    record: Path, twins: Sequence[Path], labels: Path | None, events: Path | None = None
+) -> tuple[list[Prepared], StationNotes]:
+    """Read the cells of these twins, each with what its calibration is made of; raises as `calibrate`."""
     loaded = _load_all(twins, record)
     notes = read_notes(record)
     if events is not None:
         notes = replace(notes, events=event_entries(events))
     found = read_labels(labels, tuple(loaded)) if labels is not None else ()
     return [
-        _fit(record, cell, path, network, notes, tuple(label for label in found if label.cell == cell))
+        _prepare(record, cell, path, network, notes, tuple(label for label in found if label.cell == cell))
         for cell, (path, network) in loaded.items()
-    ], notes  # fmt: skip
+    ], notes
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A cell with what its calibration is made of."""
+
+    twin: Path
+    network: Network
+    record: CellRecord
+    model: CellModel
+    minutes: Minutes
+    priors: Priors
+    labels: tuple[Label, ...]
+    openings: tuple[Opening, ...]
+    edges_s: Array
 
 
 @dataclass(frozen=True)
@@ -105,7 +128,6 @@ class Draft:
     priors: Priors
     labels: tuple[Label, ...]
     steps: tuple[Step, ...] = ()
-    openings: tuple[Opening, ...] = ()
 
 
 def joined_by_basin(
@@ -186,9 +208,9 @@ def _load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Netw
     return loaded
 
 
-def _fit(
+def _prepare(
     record: Path, cell: int, path: Path, network: Network, notes: StationNotes, labels: tuple[Label, ...]
-) -> Draft:  # fmt: skip
+) -> Prepared:  # fmt: skip
     minutes_read = read_cell(record, cell)
     design, share = design_of(network), value_of(network, "cell.bypass_share")
     effects = effects_of(network)
@@ -206,21 +228,31 @@ def _fit(
             f"{design.m_w0:g} kg/s; "
             f"give the twin of this station instead of {path}"
         )
-    priors = priors_of(network)
+    edges = time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1]))
+    model = CellModel(design, site_of(notes, share), effects)
+    return Prepared(
+        path, network, minutes_read, model, minutes, priors_of(network), labels, tuple(openings_of(notes, cell)), edges
+    )
+
+
+def _fit(one: Prepared) -> Draft:
+    def fitted_with(openings: tuple[Opening, ...]) -> Fitted:
+        return fit_cell(one.model, one.minutes, one.priors, one.labels, openings, one.edges_s)
+
     try:
-        model, edges = (
-            CellModel(design, site_of(notes, share), effects),
-            time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1])),
-        )
-        openings = openings_of(notes, cell)
-        fitted = fit_cell(model, minutes, priors, labels, openings, edges)
-        steps = thermometer_steps(fitted, minutes_read)
-        more = tuple(Opening(s.start_s, s.alarm_s, "bias") for s in steps if s.lasting and s.kind == "thermometer")
+        fitted = fitted_with(one.openings)
+        steps = thermometer_steps(fitted, one.record)
+        more = step_openings(steps)
         if more:
-            fitted = fit_cell(model, minutes, priors, labels, (*openings, *more), edges)
+            fitted = fitted_with((*one.openings, *more))
     except CalibrationError as error:
-        raise RecordError(f"{minutes_read.path}: {error}") from error
-    return Draft(path, network, minutes_read, fitted, priors, labels, steps, (*openings, *more))
+        raise RecordError(f"{one.record.path}: {error}") from error
+    return Draft(one.twin, one.network, one.record, fitted, one.priors, one.labels, steps)
+
+
+def step_openings(steps: Sequence[Step]) -> tuple[Opening, ...]:
+    """Return the jumps of the bias that lasting steps of a thermometer open."""
+    return tuple(Opening(s.start_s, s.alarm_s, "bias") for s in steps if s.lasting and s.kind == "thermometer")
 
 
 def thermometer_steps(fitted: Fitted, record: CellRecord) -> tuple[Step, ...]:

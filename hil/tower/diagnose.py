@@ -13,24 +13,25 @@ import numpy as np
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
 from hil.tower.align import iso
-from hil.tower.calibrate import Draft, fitted_drafts
+from hil.tower.calibrate import Prepared, prepare_cells, step_openings, thermometer_steps
 from hil.tower.errors import TowerOutputError
 from twin.network import Revision
 from twin.revisions import save_revision
 from twin.tower.adoption import adopted
-from twin.tower.calibration import CalibrationError
+from twin.tower.calibration import CalibrationError, Fitted
 from twin.tower.diagnosis.search import CellCase, Finding, Hypothesis, TowerDiagnosis, search
 from twin.tower.effects import UNITS, Effect
+from twin.tower.smoother import Opening
 
 DOCUMENT = "diagnosis.json"
 
 
 @dataclass(frozen=True)
 class StationDiagnosis:
-    """Diagnosis of the cells of a station, and the fits that it began with."""
+    """Diagnosis of the cells of a station, and the cells as they were read."""
 
     record: Path
-    drafts: tuple[Draft, ...]
+    cells: tuple[Prepared, ...]
     found: TowerDiagnosis
 
 
@@ -42,21 +43,25 @@ def diagnose_station(
     Raises:
         RecordError, TwinFileError: a file cannot be used, or the record is too short.
     """
-    say("calibrating")
-    drafts, notes = fitted_drafts(record, twins, labels)
+    cells, notes = prepare_cells(record, twins, labels)
+    records = {one.record.cell: one.record for one in cells}
     cases = [
         CellCase(
-            d.record.cell, d.fitted.model, d.fitted.minutes, d.record.columns, d.priors, d.labels, d.openings,
-            d.fitted.posterior.edges_s,
+            one.record.cell, one.model, one.minutes, one.record.columns, one.priors, one.labels, one.openings,
+            one.edges_s,
         )
-        for d in drafts
+        for one in cells
     ]  # fmt: skip
+
+    def steps(cell: int, fitted: Fitted) -> tuple[Opening, ...]:
+        return step_openings(thermometer_steps(fitted, records[cell]))
+
     zone = notes.datasheet.get("timezone")
     try:
-        found = search(cases, zone if isinstance(zone, str) else None, say)
+        found = search(cases, zone if isinstance(zone, str) else None, steps, say)
     except CalibrationError as error:
         raise RecordError(f"{record}: without its held-out weeks it {error}") from error
-    return StationDiagnosis(record, tuple(drafts), found)
+    return StationDiagnosis(record, tuple(cells), found)
 
 
 def document(diagnosis: StationDiagnosis, revisions: Sequence[Path] = ()) -> dict[str, Any]:
@@ -68,7 +73,7 @@ def document(diagnosis: StationDiagnosis, revisions: Sequence[Path] = ()) -> dic
         "verdict": "effects found" if effects else "adequate",
         "summary": [says(entry) for entry in effects] or ["no undeclared effect is supported by the record"],
         "record": str(diagnosis.record),
-        "twins": {str(d.record.cell): str(d.twin) for d in diagnosis.drafts},
+        "twins": {str(d.record.cell): str(d.twin) for d in diagnosis.cells},
         "effects": effects,
         "held_out": [{"from": iso(a), "to": iso(b)} for a, b in found.held_s],
         "error_K": {
@@ -141,8 +146,8 @@ def adopt(diagnosis: StationDiagnosis) -> list[Path]:
         TwinFileError: a twin cannot be saved.
     """
     found, saved = diagnosis.found, []
-    first = diagnosis.drafts[0].fitted.minutes.time_s[0] if diagnosis.drafts else 0.0
-    for draft in diagnosis.drafts:
+    first = diagnosis.cells[0].minutes.time_s[0]
+    for draft in diagnosis.cells:
         cell = draft.record.cell
         entries = [_effect(f, cell, f.effects[cell]) for f in found.findings if cell in f.effects]
         effects = [f.effects[cell] for f in found.findings if cell in f.effects]

@@ -132,7 +132,7 @@ class Evidence:
 
 
 def structural_error(fitted: Fitted) -> Array:
-    """Return the twin's own error as a quadratic function of the operating point, each term scaled to its prior (n, 20).
+    """Return the terms of the twin's own error, a quadratic of the operating point, each scaled to its prior (n, 20).
 
     The operating point is wet bulb, depression of the wet bulb, inlet over wet bulb, fan speed and flow. An error that
     follows these is model discrepancy (Kennedy & O'Hagan 2001) and no undeclared effect.

@@ -25,7 +25,7 @@ from twin.tower.model import CellModel
 from twin.tower.smoother import Opening, Priors
 
 CLAIM = 12.0
-"""Posterior log odds from which an effect is claimed: healthy records stay below 6 (METHODS of the loop's diagnosis)."""
+"""Posterior log odds from which an effect is claimed: odds of 1.6e5, as for a diagnosis of the loop."""
 RIVAL = 3.0
 """Log odds within which another class is a rival that the record does not exclude, a factor of 20."""
 MOST_EFFECTS = 3
@@ -124,17 +124,20 @@ def held_out_parts(time_s: Array) -> tuple[tuple[float, float], ...]:
     """Return the parts of a record that no fit sees: every third week, the second first; thirds if it is short."""
     start, end = float(time_s[0]), float(time_s[-1]) + 60.0
     length = min(WEEK_S, (end - start) / 3.0)
-    count = int(round((end - start) / length))
+    count = round((end - start) / length)
     return tuple((start + k * length, min(start + (k + 1) * length, end)) for k in range(1, count, 3))
 
 
 def search(
-    cases: Sequence[CellCase], timezone: str | None, say: Callable[[str], None] = lambda text: None
-) -> TowerDiagnosis:
+    cases: Sequence[CellCase], timezone: str | None,
+    steps: Callable[[int, Fitted], tuple[Opening, ...]] = lambda cell, fitted: (),
+    say: Callable[[str], None] = lambda text: None,
+) -> TowerDiagnosis:  # fmt: skip
     """Return the undeclared effects of the cells of one station.
 
     Parameters:
-        timezone: of the station, for the sun. say: called with each stage.
+        timezone: of the station, for the sun. steps: jumps that the first fit of a cell shows to be needed. say:
+        called with each stage.
 
     Raises:
         CalibrationError: the record is too short to calibrate a cell without its held-out weeks.
@@ -143,6 +146,9 @@ def search(
     held = {c.cell: _inside(c.minutes.time_s, parts) for c in cases}
     say("calibrating without the held-out weeks")
     fits = {c.cell: c.fit((), held[c.cell]) for c in cases}
+    more = {c.cell: steps(c.cell, fits[c.cell]) for c in cases}
+    cases = [replace(c, openings=(*c.openings, *more[c.cell])) for c in cases]
+    fits |= {c.cell: c.fit((), held[c.cell]) for c in cases if more[c.cell]}
     errors = {c.cell: c.held_out_error(fits[c.cell], held[c.cell]) for c in cases}
     before = {cell: _mean_absolute(e) for cell, e in errors.items()}
     extra = {c.cell: decoys(c.columns, SEED + 10 * c.cell) for c in cases}
