@@ -174,7 +174,7 @@ def search(
             break
         findings.append(claimed)
         for cell, effect in claimed.effects.items():
-            known[cell] = (*(e for e in known[cell]), effect)
+            known[cell] = (*known[cell], effect)
         fits, errors = fits_new, errors_new
     after = {cell: _mean_absolute(e) for cell, e in errors.items()}
     return TowerDiagnosis(tuple(findings), tuple(rejected), tuple(ranked[:8]), float(decoy), parts, before, after)
@@ -197,7 +197,7 @@ def scan(
             if name not in classes[c.cell]:
                 continue
             candidate = classes[c.cell][name]
-            if any(_same(candidate.forms[0], one) for one in known[c.cell]):
+            if any(_same(candidate.forms[0], one) for one in (*c.model.effects, *known[c.cell])):
                 continue  # a freer form of an effect that is known is no further effect
             tables[c.cell], sizes[c.cell] = _table(evidence[c.cell], candidate, onsets)
         sites = [(cell,) for cell in tables]
