@@ -20,6 +20,7 @@ from twin.revisions import save_revision
 from twin.tower.adoption import adopted
 from twin.tower.calibration import CalibrationError, Fitted
 from twin.tower.diagnosis.search import CellCase, Finding, Hypothesis, TowerDiagnosis, search
+from twin.tower.diagnosis.validation import HeldOut
 from twin.tower.effects import UNITS, Effect
 from twin.tower.smoother import Opening
 
@@ -77,8 +78,7 @@ def document(diagnosis: StationDiagnosis, revisions: Sequence[Path] = ()) -> dic
         "effects": effects,
         "held_out": [{"from": iso(a), "to": iso(b)} for a, b in found.held_s],
         "error_K": {
-            str(cell): {"before": _number(found.before[cell]), "after": _number(found.after[cell])}
-            for cell in found.before
+            str(cell): _errors(found.before[cell], found.after[cell]) for cell in found.before
         },
         "rejected": list(found.rejected),
         "leading": [_leading(one) for one in found.leading],
@@ -95,13 +95,23 @@ def _effect(finding: Finding, cell: int, effect: Effect) -> dict[str, Any]:
         "size": _number(effect.size), "sd": _number(effect.sd), "unit": UNITS[effect.path],
         "size_is": finding.hypothesis.candidate.says,
         "log_odds": _number(finding.hypothesis.log_odds, 1), "p_value": finding.p_value,
-        "error_K": {"before": _number(finding.before[cell]), "after": _number(finding.after[cell])},
+        "held_out_gain": _number(finding.held_out_gain, 1),
+        "error_K": _errors(finding.before[cell], finding.after[cell]),
         "rivals": [_leading(one) for one in finding.rivals],
     }  # fmt: skip
     if effect.form is not None:
         key = {"wind_direction": "from_deg", "solar": "noon_h_utc"}.get(effect.driver, "below_share_of_flow")
         entry[key] = round(effect.form, 2)
     return entry
+
+
+def _errors(before: HeldOut, after: HeldOut) -> dict[str, float | None]:
+    """Return mean absolute errors of the held-out weeks, and those about the median of each week, K."""
+    return {
+        "before": _number(before.mean_absolute()), "after": _number(after.mean_absolute()),
+        "before_without_offset": _number(before.without_offset()),
+        "after_without_offset": _number(after.without_offset()),
+    }  # fmt: skip
 
 
 def says(entry: dict[str, Any]) -> str:
@@ -112,7 +122,8 @@ def says(entry: dict[str, Any]) -> str:
     errors = entry["error_K"]
     return (
         f"cell {entry['cell']}: {entry['mechanism']} ({entry['path']}), {driver}, {since}: {entry['size']:.3g} "
-        f"+- {entry['sd']:.2g} ({entry['size_is']}); held-out error {errors['before']:.3f} -> {errors['after']:.3f} K"
+        f"+- {entry['sd']:.2g} ({entry['size_is']}); held-out error {errors['before']:.3f} -> {errors['after']:.3f} K, "
+        f"without the weeks' offsets {errors['before_without_offset']:.3f} -> {errors['after_without_offset']:.3f} K"
     )
 
 
@@ -156,7 +167,8 @@ def adopt(diagnosis: StationDiagnosis) -> list[Path]:
         start, end = found.held_s[0][0], found.held_s[-1][1]
         revision = Revision(
             made_by="hil diagnose", record=draft.record.digest, record_file=draft.record.path.name,
-            error_before_K={"outlet": found.before[cell]}, error_after_K={"outlet": found.after[cell]},
+            error_before_K={"outlet": found.before[cell].mean_absolute()},
+            error_after_K={"outlet": found.after[cell].mean_absolute()},
             held_out_s=(float(start - first), float(end - first)),
             effects=tuple(f"{e.kind} by {e.named_driver()}, {e.size:.4g}" for e in effects),
             evidence="; ".join(f"{e['mechanism']}: log odds {e['log_odds']}" for e in entries),

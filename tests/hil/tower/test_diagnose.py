@@ -54,7 +54,7 @@ def test_diagnosis_names_the_effect_adopts_it_and_the_grown_twin_calibrates(plan
     (effect,) = told["effects"]
     assert (effect["kind"], effect["driver"], effect["cell"]) == ("recirculation", "wind_direction", 1)
     assert effect["time"] is None and abs(effect["from_deg"] - 300.0) < 15.0
-    assert effect["error_K"]["after"] < 0.9 * effect["error_K"]["before"]
+    assert effect["error_K"]["after_without_offset"] < 0.9 * effect["error_K"]["before_without_offset"]
     (revision,) = map(Path, told["revisions"])
     log = hil("twin", "log", revision)
     assert log.exit_code == 0 and "recirculation" in log.output

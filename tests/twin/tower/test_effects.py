@@ -15,7 +15,8 @@ from twin.tower.adoption import adopted, effects_of
 from twin.tower.commissioning import fit_clean_cell
 from twin.tower.diagnosis.candidates import candidates, decoys, noons
 from twin.tower.diagnosis.evidence import gain
-from twin.tower.diagnosis.search import CellCase, held_out_parts, search
+from twin.tower.diagnosis.search import CellCase, search
+from twin.tower.diagnosis.validation import held_out_parts
 from twin.tower.effects import Effect, pattern, sun_height
 from twin.tower.minutes import minutes_of
 from twin.tower.model import CellModel
@@ -119,4 +120,5 @@ def test_search_names_hidden_recirculation_with_its_direction_and_nothing_on_a_h
     effect = found.findings[0].effects[1]
     assert effect.driver == "wind_direction" and effect.form == pytest.approx(240.0, abs=15.0)
     assert effect.onset_s is None and found.findings[0].p_value == pytest.approx(0.005)
-    assert found.after[1] < 0.9 * found.before[1]
+    assert found.after[1].without_offset() < 0.9 * found.before[1].without_offset()
+    assert found.findings[0].held_out_gain > 3.0

@@ -17,11 +17,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
 from scipy.stats import norm
 
 from twin.tower.air import Array
 from twin.tower.calibration import Fitted
+from twin.tower.diagnosis.validation import jacobian_of
 from twin.tower.effects import Effect, pattern
 from twin.tower.model import NAMES, SLOW
 
@@ -51,14 +51,10 @@ class Evidence:
 
     def __init__(self, fitted: Fitted, columns: Mapping[str, Array]) -> None:
         self.fitted, self.columns = fitted, columns
-        p, s = fitted.posterior, len(SLOW)
+        p = fitted.posterior
         self.residual = np.nan_to_num(p.linear_residual)
         self.weights = p.linear_weights * np.isfinite(p.linear_residual)
-        n, k, g = len(self.residual), p.slow.size, p.constant.size
-        slow = p.cell[:, None] * s + np.arange(s)
-        index = np.concatenate([slow, np.broadcast_to(k + np.arange(g), (n, g))], axis=1)
-        rows = np.repeat(np.arange(n), s + g)
-        self.jacobian = csr_matrix((np.nan_to_num(p.jacobian).ravel(), (rows, index.ravel())), shape=(n, k + g))
+        self.jacobian = jacobian_of(p)
         self._discount_form_error()
         self.structure = structural_error(fitted)
         self._structure = self._solve(self.structure)

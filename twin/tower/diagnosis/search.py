@@ -18,9 +18,10 @@ from twin.tower.air import Array
 from twin.tower.calibration import Fitted, fit_cell
 from twin.tower.diagnosis.candidates import DECOYS, FAULT, Candidate, candidates, decoys, onset_grid
 from twin.tower.diagnosis.evidence import Evidence
+from twin.tower.diagnosis.validation import HeldOut, Parts, held_out, held_out_parts, inside, predictive_gain
 from twin.tower.effects import Effect, pattern, patterns
 from twin.tower.evidence import Label
-from twin.tower.minutes import Minutes, blocks_of
+from twin.tower.minutes import Minutes
 from twin.tower.model import CellModel
 from twin.tower.smoother import Opening, Priors
 
@@ -38,10 +39,9 @@ UNSHIFTED = ("always", "solar")
 """Drivers that a shift leaves as they are."""
 REFITS = 1
 LEAST_Z = 2.0
-"""Standard errors by which the held-out days must be predicted better, and which a size must be from 0."""
-WEEK_S = 7 * 86400.0
-BLOCKS_OF_DAY = 100
-"""Steady blocks of ten minutes that count as a day."""
+"""Standard deviations that a refitted size must be from 0."""
+LEAST_GAIN = 3.0
+"""Log predictive density of the held-out weeks that a refit must gain, a factor of 20."""
 SEED = 20
 
 
@@ -69,14 +69,6 @@ class CellCase:
         model = CellModel(self.model.design, self.model.site, every)
         return fit_cell(model, minutes, self.priors, self.labels, self.openings, self.edges_s)
 
-    def held_out_error(self, fitted: Fitted, held: NDArray[np.bool_]) -> Array:
-        """Return reading minus prediction of the steady held-out blocks, K (m,)."""
-        blocks, _ = blocks_of(replace(fitted.minutes, outlet=np.where(held, self.minutes.outlet, np.nan)))
-        p = fitted.posterior
-        reading = fitted.model.reading(blocks.operation, p.slow[p.cells_at(blocks.time_s)], p.constant)
-        error = blocks.outlet - reading
-        return np.asarray(error[np.isfinite(error)])
-
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -90,14 +82,15 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Finding:
-    """A claimed effect: sizes by cell, evidence, p-value (None where the driver cannot be shifted), errors K and
-    rivals."""
+    """A claimed effect: sizes by cell, evidence, p-value (None where the driver cannot be shifted), log predictive
+    density that the held-out weeks gain, their errors by cell, and rivals."""
 
     hypothesis: Hypothesis
     effects: Mapping[int, Effect]
     p_value: float | None
-    before: Mapping[int, float]
-    after: Mapping[int, float]
+    held_out_gain: float
+    before: Mapping[int, HeldOut]
+    after: Mapping[int, HeldOut]
     rivals: tuple[Hypothesis, ...]
 
 
@@ -108,7 +101,7 @@ class TowerDiagnosis:
     Attributes:
         findings: claimed effects, strongest first. rejected: sentence for each class that failed a check.
         leading: classes of the last scan, by their log odds. decoy: log odds of the best decoy in the first scan.
-        held_s: start and end of each held-out part. before, after: mean absolute error of the outlet on it by cell, K.
+        held_s: start and end of each held-out part. before, after: errors of the outlet on them by cell.
     """
 
     findings: tuple[Finding, ...]
@@ -116,16 +109,8 @@ class TowerDiagnosis:
     leading: tuple[Hypothesis, ...]
     decoy: float
     held_s: tuple[tuple[float, float], ...]
-    before: Mapping[int, float]
-    after: Mapping[int, float]
-
-
-def held_out_parts(time_s: Array) -> tuple[tuple[float, float], ...]:
-    """Return the parts of a record that no fit sees: every third week, the second first; thirds if it is short."""
-    start, end = float(time_s[0]), float(time_s[-1]) + 60.0
-    length = min(WEEK_S, (end - start) / 3.0)
-    count = round((end - start) / length)
-    return tuple((start + k * length, min(start + (k + 1) * length, end)) for k in range(1, count, 3))
+    before: Mapping[int, HeldOut]
+    after: Mapping[int, HeldOut]
 
 
 def search(
@@ -143,14 +128,14 @@ def search(
         CalibrationError: the record is too short to calibrate a cell without its held-out weeks.
     """
     parts = held_out_parts(cases[0].minutes.time_s)
-    held = {c.cell: _inside(c.minutes.time_s, parts) for c in cases}
+    held = {c.cell: inside(c.minutes.time_s, parts) for c in cases}
     say("calibrating without the held-out weeks")
     fits = {c.cell: c.fit((), held[c.cell]) for c in cases}
     more = {c.cell: steps(c.cell, fits[c.cell]) for c in cases}
     cases = [replace(c, openings=(*c.openings, *more[c.cell])) for c in cases]
     fits |= {c.cell: c.fit((), held[c.cell]) for c in cases if more[c.cell]}
-    errors = {c.cell: c.held_out_error(fits[c.cell], held[c.cell]) for c in cases}
-    before = {cell: _mean_absolute(e) for cell, e in errors.items()}
+    errors = {c.cell: held_out(fits[c.cell], c.minutes.outlet, parts) for c in cases}
+    first = errors
     extra = {c.cell: decoys(c.columns, SEED + 10 * c.cell) for c in cases}
     known: dict[int, tuple[Effect, ...]] = {c.cell: () for c in cases}
     findings: list[Finding] = []
@@ -166,7 +151,9 @@ def search(
         claimed = None
         for one in [h for h in ranked if h.log_odds >= CLAIM][:TRIED]:
             say(f"refitting with {one.candidate.name}")
-            claimed, why, fits_new, errors_new = _checked(cases, held, fits, errors, known, evidence, one, ranked)
+            claimed, why, fits_new, errors_new = _checked(
+                cases, parts, held, fits, errors, known, evidence, one, ranked
+            )
             if claimed is not None:
                 break
             rejected.append(f"{one.candidate.name}, cell {_listed(one.cells)}: {why}")
@@ -176,8 +163,7 @@ def search(
         for cell, effect in claimed.effects.items():
             known[cell] = (*known[cell], effect)
         fits, errors = fits_new, errors_new
-    after = {cell: _mean_absolute(e) for cell, e in errors.items()}
-    return TowerDiagnosis(tuple(findings), tuple(rejected), tuple(ranked[:8]), float(decoy), parts, before, after)
+    return TowerDiagnosis(tuple(findings), tuple(rejected), tuple(ranked[:8]), float(decoy), parts, first, errors)
 
 
 def scan(
@@ -249,10 +235,10 @@ def _hypotheses(
 
 
 def _checked(
-    cases: Sequence[CellCase], held: Mapping[int, NDArray[np.bool_]], fits: Mapping[int, Fitted],
-    errors: Mapping[int, Array], known: Mapping[int, tuple[Effect, ...]], evidence: Mapping[int, Evidence],
+    cases: Sequence[CellCase], parts: Parts, held: Mapping[int, NDArray[np.bool_]], fits: Mapping[int, Fitted],
+    errors: Mapping[int, HeldOut], known: Mapping[int, tuple[Effect, ...]], evidence: Mapping[int, Evidence],
     one: Hypothesis, ranked: Sequence[Hypothesis],
-) -> tuple[Finding | None, str, dict[int, Fitted], dict[int, Array]]:  # fmt: skip
+) -> tuple[Finding | None, str, dict[int, Fitted], dict[int, HeldOut]]:  # fmt: skip
     """Return the finding, or None and the reason, with fits and errors that include it."""
     new_fits, new_errors = dict(fits), dict(errors)
     if _is_decoy(one):
@@ -261,25 +247,25 @@ def _checked(
     for c in cases:
         if c.cell in one.cells:
             refitted[c.cell], new_fits[c.cell] = _refit(c, known[c.cell], one, held[c.cell])
-            new_errors[c.cell] = c.held_out_error(new_fits[c.cell], held[c.cell])
+            new_errors[c.cell] = held_out(new_fits[c.cell], c.minutes.outlet, parts)
     refitted = {cell: e for cell, e in refitted.items() if _lasts(e, one.candidate.sign)}
     if not refitted:
         return None, "the refit leaves nothing of it", dict(fits), dict(errors)
     for cell in set(one.cells) - set(refitted):
         new_fits[cell], new_errors[cell] = fits[cell], errors[cell]
-    z = _improvement([(errors[cell], new_errors[cell]) for cell in refitted])
-    if z < LEAST_Z:
-        return None, f"the held-out weeks are predicted no better with it, z = {z:.1f}", dict(fits), dict(errors)
+    gained = sum(predictive_gain(fits[cell], errors[cell], new_errors[cell]) for cell in refitted)
+    if gained < LEAST_GAIN:
+        why = f"the held-out weeks are predicted no better with it, log predictive density {gained:+.1f}"
+        return None, why, dict(fits), dict(errors)
     p = p_value(evidence, one)
     if p is not None and p > LARGEST_P:
         return None, f"circular shifts of its driver reach its evidence, p = {p:.3f}", dict(fits), dict(errors)
-    before = {cell: _mean_absolute(errors[cell]) for cell in refitted}
-    after = {cell: _mean_absolute(new_errors[cell]) for cell in refitted}
+    before, after = ({cell: e[cell] for cell in refitted} for e in (errors, new_errors))
     rivals = tuple(
         r for r in ranked
         if r.log_odds > one.log_odds - RIVAL and r.candidate.name != one.candidate.name and not _is_decoy(r)
     )  # fmt: skip
-    return Finding(one, refitted, p, before, after, rivals), "", new_fits, new_errors
+    return Finding(one, refitted, p, gained, before, after, rivals), "", new_fits, new_errors
 
 
 def _refit(
@@ -348,16 +334,6 @@ def _lasts(effect: Effect, sign: int) -> bool:
     return (sign == 0 or sign * effect.size > 0.0) and abs(effect.size) > LEAST_Z * effect.sd
 
 
-def _improvement(pairs: Sequence[tuple[Array, Array]]) -> float:
-    """Return by how many standard errors the squared error of a day falls; the days of the blocks count as
-    independent."""
-    falls = []
-    for old, new in pairs:
-        days = np.array_split(old**2 - new**2, max(len(old) // BLOCKS_OF_DAY, 2))
-        falls += [float(np.mean(day)) for day in days if len(day)]
-    return float(np.mean(falls) / max(np.std(falls, ddof=1) / np.sqrt(len(falls)), 1e-12))
-
-
 def _same(form: Effect, known: Effect) -> bool:
     """Return True if a class has the path and the driver of an effect, so that it is another form of it."""
     wind = {"wind_direction", "wind_speed"}
@@ -366,17 +342,6 @@ def _same(form: Effect, known: Effect) -> bool:
 
 def _is_decoy(one: Hypothesis) -> bool:
     return next(iter(one.effects.values())).column in DECOYS
-
-
-def _inside(time_s: Array, parts: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
-    found = np.zeros(len(time_s), dtype=bool)
-    for start, end in parts:
-        found |= (time_s >= start) & (time_s < end)
-    return found
-
-
-def _mean_absolute(error: Array) -> float:
-    return float(np.mean(np.abs(error))) if len(error) else float("nan")
 
 
 def _listed(cells: Sequence[int]) -> str:
