@@ -80,22 +80,23 @@ def _is_tower(folder: Path) -> bool:
 
 def _tower_review(folder: Path) -> Path:
     """Write the review of a tower's calibration and return its file."""
-    from hil.diagnosis.store import REVIEW
     from hil.record.raw import RecordError
     from hil.review.tower import write_tower_review
+    from hil.run_folder.folder import RunFolder
     from hil.tower.calibrate import TABLE
 
     if not (folder / TABLE).is_file():
         raise RecordError(
             f"{folder}: holds no {TABLE} to show; calibrate with hil tower calibrate and review its folder"
         )
+    rrd = RunFolder(folder).review
     try:
-        write_tower_review(folder / TABLE, folder / REVIEW, folder.resolve().name)
+        write_tower_review(folder / TABLE, rrd, folder.resolve().name)
     except ValueError as error:
         raise RecordError(str(error)) from error
     except OSError as error:
-        raise RecordError(f"{folder / REVIEW}: cannot be written: {error.strerror or error}; make room") from error
-    return folder / REVIEW
+        raise RecordError(f"{rrd}: cannot be written: {error.strerror or error}; make room") from error
+    return rrd
 
 
 def _older(folder: RunFolder) -> bool:
