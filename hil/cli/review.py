@@ -116,6 +116,10 @@ def _show(run: Path, rrd: Path, tab: str | None, screenshot: Path | None) -> Non
             problems = screenshot_review(rrd, screenshot, tab=tab)
         except KeyError as error:
             raise click.UsageError(str(error.args[0])) from None
+        except TimeoutError:
+            raise click.ClickException(
+                f"the viewer did not answer in time, so there is no picture; repeat the command, or open {rrd}"
+            ) from None
         for problem in problems:
             click.echo(f"hil: {problem}", err=True)
         click.echo(f"{screenshot}")
