@@ -3,7 +3,7 @@
 | prior | value |
 |---|---|
 | an effect; each further one | `FAULT` each |
-| class (mechanism and driver) | uniform; the free columns together are one class |
+| class (mechanism and driver) | `FREE` for the free columns together, uniform over the others |
 | form (direction, threshold, hour; column and path of a free column) | uniform within its class |
 | onset | one half "all along", else uniform over the grid |
 | cells | one half "every recorded cell", else uniform over the cells |
@@ -23,6 +23,9 @@ from twin.tower.air import Array
 from twin.tower.effects import Effect
 
 FAULT = 0.05
+FREE = 1e-3
+"""Share of the free columns in the prior of an effect: some hundred pairs of reading and column hardly ever have a
+physical link, and what has one is a class of its own."""
 DIRECTIONS = tuple(float(d) for d in range(0, 360, 10))
 THRESHOLDS = (0.6, 0.7, 0.8, 0.9, 1.0, 1.1)
 """Flows, share of design, below which nozzles may starve beyond the law of the clean cell."""
@@ -32,10 +35,11 @@ FOLLOWS = "follows"
 ENDOGENOUS = (
     "t_out_C", "basin_C", "supply_C", "return_C", "check", "disturbed", "regime", "closure_K", "in_service",
     "fan_fault", "wind_deg", "level_pct", "fan_speed_pct", "fan_command_pct", "m_w_kg_s", "wet_C", "wet_rh_C", "t_in_C",
-    "header_kPa", "riser_valve_pct",
+    "header_kPa", "riser_valve_pct", "fan_power_kW", "pump_kW", "makeup_kg_s", "blowdown_kg_s",
 )  # fmt: skip
 """Columns that drive nothing free: those that the outlet itself moves, marks of the alignment, an angle, whose values
-have no order, and the cell's operating point, whose error is the twin's own (`evidence.structural_error`)."""
+have no order, and the cell's operating point with what follows from it, powers and evaporation: an error that follows
+these is the twin's own (`evidence.structural_error`)."""
 FREE_SD = {"outlet": 0.5, "inlet": 0.5, "wet_bulb": 0.5, "water": 0.05}
 """Readings that may follow a column, and the standard deviation of the size for the column's spread, K or 1."""
 LEAST_SPREAD = 1e-9

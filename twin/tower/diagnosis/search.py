@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 
 from twin.tower.air import Array
 from twin.tower.calibration import Fitted, fit_cell
-from twin.tower.diagnosis.candidates import DECOYS, FAULT, Candidate, candidates, decoys, onset_grid
+from twin.tower.diagnosis.candidates import DECOYS, FAULT, FREE, Candidate, candidates, decoys, onset_grid
 from twin.tower.diagnosis.evidence import Evidence
 from twin.tower.diagnosis.validation import HeldOut, Parts, held_out, held_out_parts, inside, predictive_gain
 from twin.tower.effects import Effect, pattern, patterns
@@ -25,8 +25,9 @@ from twin.tower.minutes import Minutes
 from twin.tower.model import CellModel
 from twin.tower.smoother import Opening, Priors
 
-CLAIM = 12.0
-"""Posterior log odds from which an effect is claimed: odds of 1.6e5, as for a diagnosis of the loop."""
+CLAIM = 5.0
+"""Posterior log odds from which an effect is claimed, if the checks below hold too: 150 to 1, very strong evidence by
+Kass & Raftery 1995."""
 RIVAL = 3.0
 """Log odds within which another class is a rival that the record does not exclude, a factor of 20."""
 MOST_EFFECTS = 3
@@ -192,7 +193,8 @@ def scan(
         for site in sites:
             candidate = classes[site[0]][name]
             table = np.sum([tables[cell] for cell in site], axis=0)
-            prior = np.log(FAULT / (1.0 - FAULT)) - np.log(len(names))
+            prior = np.log(FAULT / (1.0 - FAULT))
+            prior += np.log(FREE) if candidate.sign == 0 else np.log((1.0 - FREE) / max(len(names) - 1, 1))
             if len(cases) > 1:
                 prior += np.log(0.5) if len(site) > 1 else np.log(0.5 / len(cases))
             found += _hypotheses(candidate, site, table, sizes, onsets, float(prior))
