@@ -78,9 +78,9 @@ def _cells(table: Path) -> dict[int, Columns]:
 
 def _thinned(values: NDArray[Any]) -> NDArray[np.float64]:
     """Return means of ten minutes; a part without a number stays empty."""
-    parts = np.full(-(-len(values) // EVERY) * EVERY, np.nan)
-    parts[: len(values)] = values
-    parts = parts.reshape(-1, EVERY)
+    padded = np.full(-(-len(values) // EVERY) * EVERY, np.nan)
+    padded[: len(values)] = values
+    parts = padded.reshape(-1, EVERY)
     there = np.isfinite(parts)
     total = np.where(there, parts, 0.0).sum(axis=1)
     return np.where(there.any(axis=1), total / np.maximum(there.sum(axis=1), 1), np.nan)

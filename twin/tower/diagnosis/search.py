@@ -36,8 +36,8 @@ TRIED = 2
 SHIFTS = 199
 """Circular shifts: with 199 the least p-value is 0.005."""
 LARGEST_P = 0.01
-UNSHIFTED = ("always", "solar")
-"""Drivers that a shift leaves as they are."""
+PHASES_H = tuple(float(h) for h in range(4, 21))
+"""Hours from noon at which a sun would be none: an error of another time of day must have less evidence."""
 REFITS = 1
 LEAST_Z = 2.0
 """Standard deviations that a refitted size must be from 0."""
@@ -187,7 +187,7 @@ def scan(
             if any(_same(candidate.forms[0], one) for one in (*c.model.effects, *known[c.cell])):
                 continue  # a freer form of an effect that is known is no further effect
             tables[c.cell], sizes[c.cell] = _table(evidence[c.cell], candidate, onsets)
-        sites = [(cell,) for cell in tables]
+        sites: list[tuple[int, ...]] = [(cell,) for cell in tables]
         if len(tables) == len(cases) > 1 and len({t.shape for t in tables.values()}) == 1:
             sites.append(tuple(tables))
         for site in sites:
@@ -260,7 +260,8 @@ def _checked(
         why = f"the held-out weeks are predicted no better with it, log predictive density {gained:+.1f}"
         return None, why, dict(fits), dict(errors)
     p = p_value(evidence, one)
-    if p is not None and p > LARGEST_P:
+    least = 1.0 / (len(PHASES_H) + 1) if one.candidate.forms[0].driver == "solar" else LARGEST_P
+    if p is not None and p > least:
         return None, f"circular shifts of its driver reach its evidence, p = {p:.3f}", dict(fits), dict(errors)
     before, after = ({cell: e[cell] for cell in refitted} for e in (errors, new_errors))
     rivals = tuple(
@@ -305,12 +306,19 @@ def _near(effect: Effect, candidate: Candidate, step: int) -> tuple[Effect, ...]
 def p_value(evidence: Mapping[int, Evidence], one: Hypothesis) -> float | None:
     """Return the share of circular shifts of the driver whose best form reaches the evidence of the class.
 
-    None for drivers that a shift leaves as they are, as the sun's.
+    A sun is moved to other hours of the day instead, so that 1/18 is its least value. None for what is always there,
+    which a shift leaves as it is.
     """
     first = one.candidate.forms[0]
-    if first.driver in UNSHIFTED:
-        return None
     chosen = next(iter(one.effects.values()))
+    if first.driver == "always":
+        return None
+    if first.driver == "solar":
+        moved = [replace(chosen, form=(float(chosen.form or 0.0) + h) % 24.0) for h in (0.0, *PHASES_H)]
+        sd = np.full(len(moved), float(one.candidate.size_sd[0]))
+        scores = [evidence[cell].score(evidence[cell].responses(moved), sd, one.candidate.sign) for cell in one.cells]
+        gains = np.sum([found.gain for found in scores], axis=0)
+        return float((1 + np.sum(gains[1:] >= gains[0])) / len(moved))
     forms = [f for f in one.candidate.forms if f.path == chosen.path and f.column == chosen.column]
     forms = forms[:: max(len(forms) // 12, 1)]
     onset = chosen.onset_s
