@@ -30,7 +30,14 @@ STEPS = 6.0
 
 @click.command()
 @click.argument("target", type=INPUT_PATH, metavar="RUN|RECORD")
-@click.option("--twin", type=INPUT_FILE, help="Twin file; default for a run: the twin that it ran with.")
+@click.option(
+    "--twin",
+    "twins",
+    type=INPUT_FILE,
+    multiple=True,
+    help="Twin file; default for a run: the twin that it ran with. Repeat it for the cells of a tower record.",
+)
+@click.option("--labels", type=INPUT_FILE, help="Inspections and certificates of a tower record's cells, CSV.")
 @click.option("--healthy", type=INPUT_FILE, help="Healthy record of the rig; default: the one stored with the twin.")
 @click.option("--no-healthy", is_flag=True, help="Estimate the noise floor from RECORD alone.")
 @click.option("--with", "more", type=INPUT_FILE, multiple=True, help="Later record of the rig; may be repeated.")
@@ -64,7 +71,8 @@ STEPS = 6.0
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as JSON.")
 def command(
     target: Path,
-    twin: Path | None,
+    twins: tuple[Path, ...],
+    labels: Path | None,
     healthy: Path | None,
     no_healthy: bool,
     more: tuple[Path, ...],
@@ -90,6 +98,9 @@ def command(
     grown instead, on records of up to 4000 samples and on steady states (--at-rest): effects that are present from the
     beginning are added, in sets, strongest evidence first.
 
+    On an aligned record of a tower, a folder, effects that its cells' twins lack are named by mechanism and driver,
+    with the outlet's error on held-out weeks before and after.
+
     \b
     Example:
       hil diagnose runs/<a run>
@@ -99,8 +110,24 @@ def command(
       hil diagnose operating_points.csv --at-rest --twin first_guess.toml
       hil diagnose my_load.csv --forecast --twin my_twin.toml
       hil diagnose campaign.parquet --twin my_twin.toml --bootstrap 40
+      hil diagnose record --twin cell1.toml --twin cell2.toml --out diagnosis
     """
     from hil.cli.options.subject import subject_of
+    from hil.cli.tower_diagnosis import diagnose_tower, is_tower
+
+    if is_tower(target):
+        others = {
+            "--healthy": healthy, "--no-healthy": no_healthy, "--with": more, "--at-rest": at_rest, "--rig": rig,
+            "--clock": clock, "--empirical": empirical, "--review": review, "--forecast": forecast,
+            "--bootstrap": bootstrap,
+        }  # fmt: skip
+        diagnose_tower(target, twins, labels, out, dry, as_json, [name for name, value in others.items() if value])
+        return
+    if labels is not None:
+        raise click.UsageError("--labels is for the aligned record of a tower; leave it out")
+    if len(twins) > 1:
+        raise click.UsageError("several --twin are for the cells of a tower's aligned record; give one")
+    twin = twins[0] if twins else None
     from hil.diagnosis.experiment_file import rig_of
     from hil.diagnosis.forecast import show_forecast
     from hil.diagnosis.session import DiagnosisRequest, described, diagnose_files, prepare, write_results

@@ -26,7 +26,8 @@ LIVE_REVIEW_S = 180.0
 def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot: Path | None) -> None:
     """Show RUN, a run folder: measured against static and tracked twin, residuals, parameters, events.
 
-    If RUN has been diagnosed, one tab shows the diagnosis. A folder that `hil diagnose` wrote may be given, too.
+    If RUN has been diagnosed, one tab shows the diagnosis. A folder that `hil diagnose` wrote may be given, too, and
+    one that `hil tower calibrate` wrote: outlet measured against the twin with its interval, and the deviations.
 
     \b
     Example:
@@ -45,6 +46,10 @@ def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot:
 
         write_findings_review(run, run / REVIEW)
         _show(run, run / REVIEW, tab, screenshot)
+        return
+    if not folder.manifest.is_file() and _is_tower(run):
+        require_plain(run, RunFolderError)
+        _show(run, _tower_review(run), tab, screenshot)
         return
     finished = folder.read_manifest()["exit_status"] != "running"
     if follow:
@@ -65,6 +70,35 @@ def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot:
     _show(run, folder.review, tab, screenshot)
 
 
+def _is_tower(folder: Path) -> bool:
+    """Return True for a folder of a tower: of its calibration, its diagnosis or its aligned record."""
+    from hil.tower.calibrate import TABLE
+    from hil.tower.record import cells_of
+
+    return any((folder / name).is_file() for name in (TABLE, "diagnosis.json")) or bool(cells_of(folder))
+
+
+def _tower_review(folder: Path) -> Path:
+    """Write the review of a tower's calibration and return its file."""
+    from hil.record.raw import RecordError
+    from hil.review.tower import write_tower_review
+    from hil.run_folder.folder import RunFolder
+    from hil.tower.calibrate import TABLE
+
+    if not (folder / TABLE).is_file():
+        raise RecordError(
+            f"{folder}: holds no {TABLE} to show; calibrate with hil tower calibrate and review its folder"
+        )
+    rrd = RunFolder(folder).review
+    try:
+        write_tower_review(folder / TABLE, rrd, folder.resolve().name)
+    except ValueError as error:
+        raise RecordError(str(error)) from error
+    except OSError as error:
+        raise RecordError(f"{rrd}: cannot be written: {error.strerror or error}; make room") from error
+    return rrd
+
+
 def _older(folder: RunFolder) -> bool:
     """Return True if the review was made before the diagnosis that it is to show."""
     from hil.diagnosis.store import CURVES
@@ -82,6 +116,10 @@ def _show(run: Path, rrd: Path, tab: str | None, screenshot: Path | None) -> Non
             problems = screenshot_review(rrd, screenshot, tab=tab)
         except KeyError as error:
             raise click.UsageError(str(error.args[0])) from None
+        except TimeoutError:
+            raise click.ClickException(
+                f"the viewer did not answer in time, so there is no picture; repeat the command, or open {rrd}"
+            ) from None
         for problem in problems:
             click.echo(f"hil: {problem}", err=True)
         click.echo(f"{screenshot}")

@@ -24,6 +24,7 @@ from hil.tower.record import (
     seconds,
 )
 from twin.network import Network, TwinFileError
+from twin.tower.adoption import effects_of
 from twin.tower.air import Array
 from twin.tower.basin import Drain, with_basin
 from twin.tower.calibration import NORMAL, Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
@@ -67,15 +68,7 @@ def calibrate(
     Raises:
         RecordError, TwinFileError: a file cannot be used, or the record cannot calibrate a cell.
     """
-    loaded = _load_all(twins, record)
-    notes = read_notes(record)
-    if events is not None:
-        notes = replace(notes, events=event_entries(events))
-    found = read_labels(labels, tuple(loaded)) if labels is not None else ()
-    drafts = [
-        _fit(record, cell, path, network, notes, tuple(label for label in found if label.cell == cell))
-        for cell, (path, network) in loaded.items()
-    ]
+    drafts, notes = fitted_drafts(record, twins, labels, events)
     fitted, second = joined_by_basin([draft.fitted for draft in drafts], [draft.record for draft in drafts], notes)
     return [
         CellResult(
@@ -86,8 +79,46 @@ def calibrate(
     ], notes  # fmt: skip
 
 
+def fitted_drafts(
+    record: Path, twins: Sequence[Path], labels: Path | None, events: Path | None = None
+) -> tuple[list[Draft], StationNotes]:
+    """Fit the cells of these twins one by one; raises as `calibrate`."""
+    ready, notes = prepare_cells(record, twins, labels, events)
+    return [_fit(one) for one in ready], notes
+
+
+def prepare_cells(
+    record: Path, twins: Sequence[Path], labels: Path | None, events: Path | None = None
+) -> tuple[list[Prepared], StationNotes]:
+    """Read the cells of these twins, each with what its calibration is made of; raises as `calibrate`."""
+    loaded = _load_all(twins, record)
+    notes = read_notes(record)
+    if events is not None:
+        notes = replace(notes, events=event_entries(events))
+    found = read_labels(labels, tuple(loaded)) if labels is not None else ()
+    return [
+        _prepare(record, cell, path, network, notes, tuple(label for label in found if label.cell == cell))
+        for cell, (path, network) in loaded.items()
+    ], notes
+
+
 @dataclass(frozen=True)
-class _Draft:
+class Prepared:
+    """A cell with what its calibration is made of."""
+
+    twin: Path
+    network: Network
+    record: CellRecord
+    model: CellModel
+    minutes: Minutes
+    priors: Priors
+    labels: tuple[Label, ...]
+    openings: tuple[Opening, ...]
+    edges_s: Array
+
+
+@dataclass(frozen=True)
+class Draft:
     """A cell's fit before the basin's thermometers join it to the others."""
 
     twin: Path
@@ -177,12 +208,13 @@ def _load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Netw
     return loaded
 
 
-def _fit(
+def _prepare(
     record: Path, cell: int, path: Path, network: Network, notes: StationNotes, labels: tuple[Label, ...]
-) -> _Draft:  # fmt: skip
+) -> Prepared:  # fmt: skip
     minutes_read = read_cell(record, cell)
     design, share = design_of(network), value_of(network, "cell.bypass_share")
-    minutes = minutes_of(minutes_read.time_s, minutes_read.columns, minutes_read.origin, design.m_w0, share)
+    effects = effects_of(network)
+    minutes = minutes_of(minutes_read.time_s, minutes_read.columns, minutes_read.origin, design.m_w0, share, effects)
     flow = float(np.nanmedian(minutes.operation.inputs.m_w[minutes.known])) if minutes.known.any() else np.nan
     if not minutes.known.any():
         raise RecordError(
@@ -196,21 +228,31 @@ def _fit(
             f"{design.m_w0:g} kg/s; "
             f"give the twin of this station instead of {path}"
         )
-    priors = priors_of(network)
+    edges = time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1]))
+    model = CellModel(design, site_of(notes, share), effects)
+    return Prepared(
+        path, network, minutes_read, model, minutes, priors_of(network), labels, tuple(openings_of(notes, cell)), edges
+    )
+
+
+def _fit(one: Prepared) -> Draft:
+    def fitted_with(openings: tuple[Opening, ...]) -> Fitted:
+        return fit_cell(one.model, one.minutes, one.priors, one.labels, openings, one.edges_s)
+
     try:
-        model, edges = (
-            CellModel(design, site_of(notes, share)),
-            time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1])),
-        )
-        openings = openings_of(notes, cell)
-        fitted = fit_cell(model, minutes, priors, labels, openings, edges)
-        steps = thermometer_steps(fitted, minutes_read)
-        more = tuple(Opening(s.start_s, s.alarm_s, "bias") for s in steps if s.lasting and s.kind == "thermometer")
+        fitted = fitted_with(one.openings)
+        steps = thermometer_steps(fitted, one.record)
+        more = step_openings(steps)
         if more:
-            fitted = fit_cell(model, minutes, priors, labels, (*openings, *more), edges)
+            fitted = fitted_with((*one.openings, *more))
     except CalibrationError as error:
-        raise RecordError(f"{minutes_read.path}: {error}") from error
-    return _Draft(path, network, minutes_read, fitted, priors, labels, steps)
+        raise RecordError(f"{one.record.path}: {error}") from error
+    return Draft(one.twin, one.network, one.record, fitted, one.priors, one.labels, steps)
+
+
+def step_openings(steps: Sequence[Step]) -> tuple[Opening, ...]:
+    """Return the jumps of the bias that lasting steps of a thermometer open."""
+    return tuple(Opening(s.start_s, s.alarm_s, "bias") for s in steps if s.lasting and s.kind == "thermometer")
 
 
 def thermometer_steps(fitted: Fitted, record: CellRecord) -> tuple[Step, ...]:
@@ -279,6 +321,7 @@ def table_of(result: CellResult) -> pa.Table:
         ("t_out_lo", c.low),
         ("t_out_hi", c.high),
         ("t_out_commissioned", c.commissioned),
+        ("t_out_measured", result.minutes.outlet),
     ):
         arrays[name] = pa.array(values.astype(np.float32), from_pandas=True)
     for j, name in enumerate(DEVIATIONS):

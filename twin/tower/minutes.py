@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from twin.tower.air import Array
 from twin.tower.cell import Inputs
+from twin.tower.effects import Effect, patterns
 from twin.tower.model import Operation
 from twin.tower.smoother import BLOCK_S, Blocks
 
@@ -51,12 +52,13 @@ def minutes_of(
     origin: Mapping[str, NDArray[np.uint8]],
     m_w0: float,
     bypass_share: float,
+    effects: Sequence[Effect] = (),
 ) -> Minutes:
     """Return the minutes of an aligned record's columns.
 
     Parameters:
         columns, origin: as in the aligned record. m_w0: design flow, kg/s. bypass_share: of the water past the fill
-        when open.
+        when open. effects: of the cell's model.
     """
     n = len(time_s)
 
@@ -72,6 +74,7 @@ def minutes_of(
     operation = Operation(
         inputs, share, _filled(column("wind_m_s"), 3.0), _filled(column("wind_deg"), 0.0),
         np.clip(_filled(column("neighbours_speed_pct"), 100.0) / 100.0, 0.0, 1.2),
+        patterns(effects, time_s, columns, m_w0),
     )  # fmt: skip
     known = (
         np.isfinite(inputs.t_in) & np.isfinite(inputs.m_w) & np.isfinite(speed) & np.isfinite(dry) & np.isfinite(wet)
@@ -143,7 +146,9 @@ def blocks_of(minutes: Minutes) -> tuple[Blocks, NDArray[np.intp]]:
     inputs = Inputs(*(mean(getattr(u, name)) for name in u.__dataclass_fields__))
     angle = np.radians(o.wind_deg)
     direction = np.degrees(np.arctan2(mean(np.sin(angle)), mean(np.cos(angle)))) % 360.0
-    operation = Operation(inputs, mean(o.bypass), mean(o.wind), direction, mean(o.neighbours))
+    driven = [mean(column) for column in o.patterns.T] if o.patterns.size else []
+    drivers = np.stack(driven, axis=1) if driven else np.zeros((count, 0))
+    operation = Operation(inputs, mean(o.bypass), mean(o.wind), direction, mean(o.neighbours), drivers)
     # A mean of the outlet belongs to the minutes with a sample of it; in a steady block the inputs hardly differ.
     with np.errstate(invalid="ignore", divide="ignore"):
         log_power = np.where(minutes.operation.inputs.speed > 0.15, np.log(minutes.power), np.nan)

@@ -16,13 +16,15 @@ The smooth functions vanish at design, where the clean cell was measured, so the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from twin.tower import air as moist
 from twin.tower.air import Array
 from twin.tower.cell import STARVING, WETTED, Design, Deviations, Inputs, Rows, solve
+from twin.tower.effects import Effect, after_fill, before_fill
 
 SLOW = ("fill", "air", "uniformity", "bias", "flow_meter")
 """Slow deviations; the last is a nuisance that is never reported: a drifting flow meter is seen in the pumps, not
@@ -116,18 +118,20 @@ class Site:
 @dataclass(frozen=True)
 class Operation:
     """Operating points of a cell (n,): inputs, and the share of water past the fill, wind m/s, its direction from,
-    neighbours' speed 0 to 1."""
+    neighbours' speed 0 to 1; `patterns` (n, k) are the drivers of the model's effects."""
 
     inputs: Inputs
     bypass: Array
     wind: Array
     wind_deg: Array
     neighbours: Array
+    patterns: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def take(self, rows: Rows) -> Operation:
         """Return the operating points at these rows."""
         return Operation(
             self.inputs.take(rows), self.bypass[rows], self.wind[rows], self.wind_deg[rows], self.neighbours[rows],
+            self.patterns[rows] if self.patterns.size else self.patterns,
         )  # fmt: skip
 
 
@@ -135,11 +139,12 @@ class CellModel:
     """Outlet thermometer and fan power of one cell as functions of slow deviations (n, 5) and global quantities
     (19,)."""
 
-    def __init__(self, design: Design, site: Site) -> None:
-        self.design, self.site = design, site
+    def __init__(self, design: Design, site: Site, effects: Sequence[Effect] = ()) -> None:
+        self.design, self.site, self.effects = design, site, tuple(effects)
 
     def outlet(self, o: Operation, slow: Array, g: Array) -> Array:
         """Return the temperature of the water in the flume, degC, without the thermometer's bias (n,)."""
+        o, slow = before_fill(self.effects, o, slow, EXHAUST)
         q, u, d, site = dict(zip(NAMES, g, strict=True)), o.inputs, self.design, self.site
         t_in = u.t_in + q["inlet_bias"]
         wet = u.wet + q["wet_bulb_bias"]
@@ -168,7 +173,7 @@ class CellModel:
         points = Inputs(t_in, m_w, speed, dry, inside, u.pressure)
         out = solve(points, d, Deviations(fill, 1.0 + slow[:, 1], uniformity)).t_out
         out = out + self._discrepancy(o, q, t_in - out)
-        return out + o.bypass * (t_in - out)
+        return after_fill(self.effects, o, t_in, out + o.bypass * (t_in - out))
 
     def reading(self, o: Operation, slow: Array, g: Array) -> Array:
         """Return the reading of the outlet thermometer, degC (n,)."""
@@ -205,4 +210,4 @@ class CellModel:
 
     def with_design(self, **changes: float) -> CellModel:
         """Return the model of a clean cell with other constants."""
-        return CellModel(replace(self.design, **changes), self.site)
+        return CellModel(replace(self.design, **changes), self.site, self.effects)

@@ -96,6 +96,7 @@ class Estimate:
         covariance: of [slow row by row, constant]. sigma: of a block's outlet K, and of its log power, as weighed.
         residual: outlet of each block K, NaN where it was not used. weights: of each block. cell: grid cell of each
         block. jacobian: outlet of each block by slow and constant quantities (n, 28). time_correlation: in blocks.
+        linear_residual: of the last linear problem, whose mode this is exactly, and `linear_weights`, its weights.
     """
 
     edges_s: Array
@@ -108,6 +109,8 @@ class Estimate:
     cell: NDArray[np.intp]
     jacobian: Array
     time_correlation: float
+    linear_residual: Array
+    linear_weights: Array
 
     def sd(self) -> Array:
         """Return the standard deviations of the slow deviations (k, 5)."""
@@ -218,6 +221,10 @@ class _Solver:
             self._add_labels(normal, right, x, covariance, first=number == 0)
             factor = cho_factor(normal)
             new = cho_solve(factor, right)
+            moved = x - new
+            linear = res_t + np.einsum(
+                "ij,ij->i", jac_t[:, : self.s], moved[: self.k * self.s].reshape(self.k, self.s)[self.cell]
+            ) + jac_t[:, self.s :] @ moved[self.k * self.s :]  # fmt: skip
             change = float(np.abs(new - x).max())
             x = self._bounded(new)
             last = number == PASSES - 1 or (number >= 3 and change < 2e-4)
@@ -232,7 +239,7 @@ class _Solver:
         )
         return Estimate(
             self.edges, slow, g, covariance, (self.sigma[0], self.sigma[1]), residual, weights, self.cell, jac_t,
-            self.tau,
+            self.tau, linear, w_t,
         )  # fmt: skip
 
     def _outlet(self, here: Array, g: Array) -> tuple[Array, Array]:

@@ -108,7 +108,7 @@ def calibrated(plant: Path) -> Path:
 
 def test_calibrated_table_has_outlet_and_deviations_with_intervals(calibrated: Path) -> None:
     table = pq.read_table(calibrated / "calibrated.parquet")
-    names = ["time", "cell", "t_out", "t_out_lo", "t_out_hi", "t_out_commissioned"]
+    names = ["time", "cell", "t_out", "t_out_lo", "t_out_hi", "t_out_commissioned", "t_out_measured"]
     assert table.schema.names == names + [
         f"{n}{s}" for n in ("fill", "air", "uniformity", "bias") for s in ("", "_lo", "_hi")
     ]

@@ -1,0 +1,116 @@
+"""Review of a tower's calibration: outlet measured, by the twin and with its interval, and the four deviations.
+
+/tower/cell<N>/measured, /tower/cell<N>/twin   degC, (n, 1) and (n, 4): calibrated, interval, as commissioned
+/tower/cell<N>/error                           measured minus calibrated, and minus commissioned, K, (n, 2)
+/tower/cell<N>/<deviation>                     deviation with its 90 % interval, (n, 3)
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.files.atomic import replacing
+from hil.files.names import utf8_path
+from hil.journal.rows import Header
+from hil.review.batches import Rows
+from hil.review.rerun_io import Recording
+from hil.review.styles import FAINT, NEUTRAL, ORANGE, TRACKED, Lines, Panel, Plan, Stack
+
+EVERY = 10
+"""Minutes of one point: a mean of ten minutes is a steady block of the calibration."""
+DEVIATIONS = {
+    "fill": "fill, share of clean", "air": "air, share of clean", "uniformity": "uniformity, share of clean",
+    "bias": "bias of the outlet thermometer [K]",
+}  # fmt: skip
+BLUE = TRACKED["blue"]
+Columns = dict[str, NDArray[np.float64]]
+
+
+def write_tower_review(table: Path, rrd: Path, name: str) -> None:
+    """Write the calibrated table of a station's cells to `rrd`, completely or not at all.
+
+    Raises:
+        ValueError: the table cannot be read, or lacks a column; one sentence.
+        OSError: the file cannot be written.
+    """
+    cells = _cells(table)
+    start = min(float(c["time_s"][0]) for c in cells.values())
+    end = max(float(c["time_s"][-1]) for c in cells.values()) - start
+    plan = _plan(cells, name, end)
+    with replacing(rrd) as unfinished, utf8_path(unfinished) as path:
+        recording = Recording(plan, name, path=path)
+        for cell, columns in cells.items():
+            for entity, values in _curves(cell, columns):
+                recording.send(Rows(entity, columns["time_s"] - start, values))
+        recording.layout(plan, end)
+        recording.close()
+
+
+def _cells(table: Path) -> dict[int, Columns]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        data = pq.read_table(table)
+        found: dict[int, Columns] = {}
+        number = np.asarray(data["cell"].to_numpy())
+        time_s = data["time"].cast(pa.int64()).to_numpy().astype(np.float64) / 1e3
+        for cell in np.unique(number):
+            rows = np.flatnonzero(number == cell)
+            columns = {"time_s": _thinned(time_s[rows])}
+            for column in data.schema.names:
+                if column not in ("time", "cell"):
+                    columns[column] = _thinned(np.asarray(data[column].to_numpy(), dtype=np.float64)[rows])
+            found[int(cell)] = columns
+        for columns in found.values():
+            for column in {"t_out", "t_out_lo", "t_out_hi", "t_out_commissioned", *DEVIATIONS} - columns.keys():
+                raise KeyError(column)
+    except (OSError, pa.ArrowInvalid, KeyError, ValueError) as error:
+        raise ValueError(f"{table}: is no table of hil tower calibrate ({error}); calibrate again") from error
+    if not found:
+        raise ValueError(f"{table}: holds no minute; calibrate again")
+    return found
+
+
+def _thinned(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Return means of ten minutes; a part without a number stays empty."""
+    padded = np.full(-(-len(values) // EVERY) * EVERY, np.nan)
+    padded[: len(values)] = values
+    parts = padded.reshape(-1, EVERY)
+    there = np.isfinite(parts)
+    total = np.where(there, parts, 0.0).sum(axis=1)
+    return np.where(there.any(axis=1), total / np.maximum(there.sum(axis=1), 1), np.nan)
+
+
+def _curves(cell: int, c: Columns) -> list[tuple[str, NDArray[np.float64]]]:
+    base = f"/tower/cell{cell}"
+    measured = c.get("t_out_measured", np.full(len(c["time_s"]), np.nan))
+    twin = np.stack([c["t_out"], c["t_out_lo"], c["t_out_hi"], c["t_out_commissioned"]], axis=1)
+    error = np.stack([measured - c["t_out"], measured - c["t_out_commissioned"]], axis=1)
+    found = [(f"{base}/measured", measured[:, None]), (f"{base}/twin", twin), (f"{base}/error", error)]
+    for name in DEVIATIONS:
+        band = [c.get(f"{name}{end}", np.full(len(c[name]), np.nan)) for end in ("", "_lo", "_hi")]
+        found.append((f"{base}/{name}", np.stack(band, axis=1)))
+    return found
+
+
+def _plan(cells: dict[int, Columns], name: str, end_s: float) -> Plan:
+    lines: list[Lines] = []
+    tabs = []
+    for cell in cells:
+        base = f"/tower/cell{cell}"
+        lines += [
+            Lines(f"{base}/measured", ("measured",), (NEUTRAL,)),
+            Lines(f"{base}/twin", ("calibrated", "5 %", "95 %", "as commissioned"), (BLUE, FAINT, FAINT, ORANGE)),
+            Lines(f"{base}/error", ("minus calibrated", "minus commissioned"), (BLUE, ORANGE)),
+            *(Lines(f"{base}/{d}", (d, "5 %", "95 %"), (BLUE, FAINT, FAINT)) for d in DEVIATIONS),
+        ]
+        outlet = Panel("lines", "outlet [°C]", (f"{base}/measured", f"{base}/twin"), 2.0)
+        error = Panel("lines", "reading minus twin [K]", (f"{base}/error",))
+        panels = tuple(Panel("lines", title, (f"{base}/{d}",)) for d, title in DEVIATIONS.items())
+        tabs.append(Stack("rows", (outlet, error, *panels), title=f"Cell {cell}"))
+    return Plan(Header((), {}, (), name, end_s, 1.0, {}), tuple(lines), (), tuple(tabs))

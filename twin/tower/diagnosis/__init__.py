@@ -1,0 +1,1 @@
+"""Diagnosis of a calibrated tower cell: undeclared effects by log marginal likelihood with declared priors."""

@@ -1,0 +1,165 @@
+"""Effects that a clean cell lacks: a driver from the record, a path by which it acts, and a size.
+
+    pattern     g(t) = driver by minute, from the effect's onset on: 0 where it does not act
+    exhaust     T_wb at the fill += size g EXHAUST (T_in - T_wb)           air that comes back, of this cell or others
+    past_fill   T_out += size g (T_in - T_out)                             hot water that leaks past the fill
+    wetted      wetted share of the plan -= size g                         nozzles that starve
+    outlet      T_out += size g                                            heat of the channel, or of its thermometer
+    inlet, wet_bulb, water                                                 errors of these readings, K, K, logarithm
+
+Each is the same physics as the cell's own, so a refit with an effect stays a fit of Merkel's method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twin.tower.air import Array
+
+if TYPE_CHECKING:
+    from twin.tower.model import Operation
+
+PATHS = ("exhaust", "past_fill", "wetted", "outlet", "inlet", "wet_bulb", "water")
+DRIVERS = ("always", "wind_direction", "wind_speed", "neighbours_speed", "solar", "low_flow", "column")
+UNITS = {
+    "exhaust": "1", "past_fill": "1", "wetted": "1", "outlet": "K", "inlet": "K", "wet_bulb": "K", "water": "1",
+}  # fmt: skip
+LATITUDE = 40.0
+"""Degrees north, for the sun's height where no irradiance is recorded: between 25 and 55 the shape of a day hardly
+differs, and the size takes the rest."""
+WIND_M_S = 5.0
+"""Wind speed at which a size is given, m/s."""
+MOST_SHARE = 0.6
+"""Bound of a share that an effect may reach in any minute."""
+HOUR_S, DAY_S, YEAR_S = 3600.0, 86400.0, 365.25 * 86400.0
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect on a cell.
+
+    Attributes:
+        kind: its name in an answer: recirculation, bypass_leak, ... path, driver: as in `PATHS` and `DRIVERS`.
+        form: direction from which the wind brings it, deg; hour of the sun's highest stand, UTC; flow below which it
+        acts, as a share of design. None for other drivers.
+        column: of the record, its centre and the spread that counts as 1, for the driver "column".
+        onset_s: since when, s since 1970; None is all along. size: at driver 1; its standard deviation `sd`.
+    """
+
+    kind: str
+    path: str
+    driver: str
+    form: float | None = None
+    column: str = ""
+    centre: float = 0.0
+    spread: float = 1.0
+    onset_s: float | None = None
+    size: float = 0.0
+    sd: float = 0.0
+
+    def named_driver(self) -> str:
+        """Return the driver's name in an answer."""
+        names = {"always": "bypass" if self.path == "past_fill" else "none", "low_flow": "water_flow"}
+        return self.column if self.driver == "column" else names.get(self.driver, self.driver)
+
+
+def pattern(effect: Effect, time_s: Array, columns: Mapping[str, Array], m_w0: float) -> Array:
+    """Return the driver of an effect by minute (n,), 1 where it acts with its full size; gaps are bridged.
+
+    Parameters:
+        columns: of the aligned record. m_w0: design flow, kg/s.
+    """
+    n = len(time_s)
+
+    def column(name: str) -> Array:
+        return complete(columns.get(name, np.full(n, np.nan)))
+
+    if effect.driver == "always":
+        values = np.ones(n)
+    elif effect.driver == "wind_direction":
+        angle = np.radians(column("wind_deg") - float(effect.form or 0.0))
+        values = column("wind_m_s") / WIND_M_S * np.maximum(np.cos(angle), 0.0)
+    elif effect.driver == "wind_speed":
+        values = column("wind_m_s") / WIND_M_S
+    elif effect.driver == "neighbours_speed":
+        values = np.clip(column("neighbours_speed_pct") / 100.0, 0.0, 1.2)
+    elif effect.driver == "solar":
+        values = sun_height(time_s, float(effect.form or 12.0))
+    elif effect.driver == "low_flow":
+        values = np.maximum(float(effect.form or 0.0) - column("m_w_kg_s") / m_w0, 0.0)
+    else:
+        values = np.clip((column(effect.column) - effect.centre) / effect.spread, -3.0, 3.0)
+    if effect.onset_s is not None:
+        values = values * (time_s >= effect.onset_s)
+    return np.nan_to_num(values)
+
+
+def complete(values: Array) -> Array:
+    """Return values with their gaps bridged by straight lines; 0 throughout where there are none."""
+    there = np.isfinite(values)
+    if not there.any():
+        return np.zeros(len(values))
+    return np.interp(np.arange(len(values)), np.flatnonzero(there), values[there])
+
+
+def sun_height(time_s: Array, noon_h: float) -> Array:
+    """Return the sine of the sun's elevation, 0 at night (n,). Source: Cooper, Solar Energy 12 (1969) 333
+    (declination).
+
+    Parameters:
+        noon_h: hour of its highest stand, UTC.
+    """
+    day = np.mod(time_s, YEAR_S) / DAY_S
+    declination = np.radians(23.45 * np.sin(2.0 * np.pi * (284.0 + day) / 365.0))
+    hour = 2.0 * np.pi * (np.mod(time_s, DAY_S) / HOUR_S - noon_h) / 24.0
+    phi = np.radians(LATITUDE)
+    return np.maximum(
+        np.sin(phi) * np.sin(declination) + np.cos(phi) * np.cos(declination) * np.cos(hour), 0.0
+    )  # fmt: skip
+
+
+def patterns(effects: Sequence[Effect], time_s: Array, columns: Mapping[str, Array], m_w0: float) -> Array:
+    """Return the drivers of effects by minute (n, k)."""
+    found = [pattern(one, time_s, columns, m_w0) for one in effects]
+    return np.stack(found, axis=1) if found else np.zeros((len(time_s), 0))
+
+
+def before_fill(effects: Sequence[Effect], o: Operation, slow: Array, rise: float) -> tuple[Operation, Array]:
+    """Return operating points and slow deviations (n, 5) as the effects change them.
+
+    Parameters:
+        rise: of the exhaust over the wet bulb, as a share of the way to the hot water.
+    """
+    for k, one in enumerate(effects):
+        x, u = one.size * o.patterns[:, k], o.inputs
+        if one.path == "exhaust":
+            share = np.clip(x, -MOST_SHARE, MOST_SHARE)
+            wet = u.wet + share * rise * np.maximum(u.t_in - u.wet, 0.0)
+            u = replace(u, wet=wet, dry=np.maximum(u.dry, wet))
+        elif one.path == "inlet":
+            u = replace(u, t_in=u.t_in + x)
+        elif one.path == "wet_bulb":
+            wet = u.wet + x
+            u = replace(u, wet=wet, dry=np.maximum(u.dry, wet))
+        elif one.path == "water":
+            u = replace(u, m_w=u.m_w * np.exp(np.clip(x, -1.0, 1.0)))
+        elif one.path == "wetted":
+            slow = slow.copy()
+            slow[:, 2] -= x
+        o = replace(o, inputs=u)
+    return o, slow
+
+
+def after_fill(effects: Sequence[Effect], o: Operation, t_in: Array, t_out: Array) -> Array:
+    """Return the outlet's temperature as the effects between fill and thermometer change it, degC (n,)."""
+    for k, one in enumerate(effects):
+        x = one.size * o.patterns[:, k]
+        if one.path == "past_fill":
+            t_out = t_out + np.clip(x, -MOST_SHARE, MOST_SHARE) * (t_in - t_out)
+        elif one.path == "outlet":
+            t_out = t_out + x
+    return t_out
