@@ -16,6 +16,7 @@ from twin.elements import Element
 from twin.elements.actuator import Actuator
 from twin.elements.flow import Flow
 from twin.elements.pipe import Pipe
+from twin.elements.meter import Meter
 from twin.elements.sensor import Sensor
 from twin.network import Network
 
@@ -171,6 +172,9 @@ def _labels(
             columns = e.measured if len(e.measured) < 3 else (e.measured[0], "..", e.measured[-1])
             text = e.name if e.measured == (e.name,) else f"{e.name} = {', '.join(columns)}"
             alone.setdefault(e.node, []).append((f"reads {text}", READ))
+        elif isinstance(e, Meter):
+            at = next((n for other in network.elements if other.name == e.of for n in other.nodes()), "")
+            alone.setdefault(at, []).append((f"reads {e.name}: {e.quantity} of {e.of}", READ))
         elif len(nodes) > 1:
             between.setdefault((nodes[0], nodes[1]), []).append(_named(network, e))
         elif nodes:

@@ -114,7 +114,7 @@ def simulate_fine_steps(
     x[len(network.nodes) :] = rest[: len(x) - len(network.nodes)]
     lagged = np.array(rest[len(x) - len(network.nodes) :])
     pipes = [_Pipe(evaluate_formula(d.start, at_rest)) for d in system.delays]
-    out = [scope["read"](x.tolist(), lagged.tolist(), p, float(t[0]))]
+    out = [scope["read"](x.tolist(), lagged.tolist(), u[0].tolist(), p, float(t[0]))]
     for i in range(t.size - 1):
         now, h = u[i].tolist(), float(t[i + 1] - t[i]) / pieces
         flows, volumes, constants = scope["pushed"](now, p)
@@ -134,7 +134,7 @@ def simulate_fine_steps(
             for q, w in zip(pipes, water, strict=True):
                 q.correct(w)
             lagged = _followed(lagged, seen, seen_then, lag, h)
-        out.append(scope["read"](x.tolist(), lagged.tolist(), p, float(t[i + 1])))
+        out.append(scope["read"](x.tolist(), lagged.tolist(), u[i + 1].tolist(), p, float(t[i + 1])))
     return np.array(out)
 
 

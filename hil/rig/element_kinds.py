@@ -18,6 +18,7 @@ _ROLES = {
     "nodes": "a list of nodes",
     "input": "an input column",
     "columns": "a list of columns",
+    "element": "an element",
 }
 
 

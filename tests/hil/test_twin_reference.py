@@ -24,6 +24,7 @@ EXAMPLE = PAGE.code["toml"][0]
 ROLES = {
     "node": ("node", "declared"), "nodes": ("list of nodes", "declared"), "input": ("input column", "declared"),
     "columns": ("list of columns", "of the record"), "choice": ("text", ""),
+    "element": ("element", "declared"),
 }  # fmt: skip
 MARKED = "qqqqqqqq"
 ASKED = {

@@ -17,7 +17,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Candidate, Element, Fragment, InputDrive, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, Element, Export, Fragment, InputDrive, Names, ParameterSpec, Sites, place
+from twin.elements.meter import unit_of
 
 LUMPED_S = 25.0
 """Lag that an element's heat capacity and the transport of water give to an immediate step, s."""
@@ -71,9 +72,11 @@ class Actuator(Element):
             value += f" + {n.par('offset')}"
         dead_time = None if n.constant("dead_time_s") == 0.0 else n.par("dead_time_s")
         lag = None if n.constant("lag_s") == 0.0 else n.par("lag_s")
+        unit = unit_of(self.column)
+        exports = {"delivered": Export(unit, n.input(self.column))} if unit else {}
         if value == n.arrived() and dead_time is None and lag is None:
-            return Fragment()
-        return Fragment(drive=InputDrive(self.column, value, dead_time, lag))
+            return Fragment(exports=exports)
+        return Fragment(drive=InputDrive(self.column, value, dead_time, lag), exports=exports)
 
 
 _NEUTRAL = {"gain": 1.0, "droop": 0.0, "lag_s": 0.0, "offset": 0.0}

@@ -158,6 +158,36 @@ class InputDrive:
 
 
 @dataclass(frozen=True)
+class Export:
+    """A quantity that a `meter` can read, beside the heat that the network needs.
+
+    Attributes
+    ----------
+    unit
+        W, kW, kg/s or %.
+    value
+        Expression of anything but the outlets of delays.
+    steps
+        (local name, expression) that `value` needs beyond `uniform`, `sample` and `stage`; computed only where a meter
+        reads it.
+    """
+
+    unit: str
+    value: str
+    steps: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Metered:
+    """The quantity of an element that a meter reads: the local `name` is `factors[unit]` times the export's value."""
+
+    element: str
+    quantity: str
+    name: str
+    factors: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class Fragment:
     """An element's part of the kernel.
 
@@ -175,7 +205,11 @@ class Fragment:
         Node -> expression of `uniform`, `sample` and parameters only: an upper bound on the dependence of the heat on
         the node's own temperature, W/K. It sets the substeps.
     observe
-        Expression of a sensor's reading, degC, or None.
+        Expression of an instrument's reading, degC of a thermometer, or None.
+    exports
+        Quantity -> what a meter can read of the element.
+    metered
+        What the element reads of another one; meters only.
     states, lags, delay, drive
         The element's memory.
     """
@@ -186,6 +220,8 @@ class Fragment:
     heat: Mapping[str, str] = field(default_factory=dict)
     conductance: Mapping[str, str] = field(default_factory=dict)
     observe: str | None = None
+    exports: Mapping[str, Export] = field(default_factory=dict)
+    metered: Metered | None = None
     states: tuple[ElementState, ...] = ()
     lags: tuple[SensorLag, ...] = ()
     delay: PlugFlowDelay | None = None
@@ -317,14 +353,14 @@ class Sites:
         return tuple(e for e in self.elements if e.kind == kind)
 
 
-def place(role: Literal["node", "nodes", "input", "columns", "choice"], about: str, **extra: Any) -> Any:
+def place(role: Literal["node", "nodes", "input", "columns", "choice", "element"], about: str, **extra: Any) -> Any:
     """Return a dataclass field that a twin file fills: a place of the element, or its driver.
 
     Parameters
     ----------
     role
         ``node`` one node; ``nodes`` a list of nodes; ``input`` an input column; ``columns`` measured columns;
-        ``choice`` one of ``choices``.
+        ``choice`` one of ``choices``; ``element`` another element.
     about
         One line for the error message and the documentation.
     extra
@@ -403,5 +439,5 @@ class Element(ABC):
         return self._of_role("input")
 
     def columns(self) -> tuple[str, ...]:
-        """Return the measured columns that the element reads (sensors only)."""
+        """Return the measured columns that the element reads (sensors and meters only)."""
         return self._of_role("columns")
