@@ -367,7 +367,8 @@ def stateful_source(system: NetworkEquations) -> str:
             _function("now(T, D, u, p)", [*late, *_locals(system)], f"({results})"),
             _function("pushed(u, p)", steps, f"({pushed})"),
             _function(
-                "read(T, F, u, p, now)", [f"{name} = {value}" for name, value in system.metering.items()],
+                "read(T, F, u, p, now)",
+                [f"{name} = {value}" for name, value in system.metering.items()],
                 f"[{', '.join(system.readings)}]",
             ),
         ]

@@ -281,7 +281,9 @@ class KernelGenerator:
         used = set().union(*(names_in(text) for text in steps.values())) if steps else set()
         read: dict[str, str] = {}
         for c in sorted(int(name[1:]) for name in used if re.fullmatch(r"u\d+", name)):
-            drive = next(((k, d) for k, (_, d) in enumerate(s.drives) if self.network.input_columns[c] == d.column), None)
+            drive = next(
+                ((k, d) for k, (_, d) in enumerate(s.drives) if self.network.input_columns[c] == d.column), None
+            )
             if drive is None:
                 read[f"u{c}"] = f"inputs[i, {c}]"
                 continue

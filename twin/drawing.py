@@ -15,8 +15,8 @@ from typing import Any
 from twin.elements import Element
 from twin.elements.actuator import Actuator
 from twin.elements.flow import Flow
-from twin.elements.pipe import Pipe
 from twin.elements.meter import Meter
+from twin.elements.pipe import Pipe
 from twin.elements.sensor import Sensor
 from twin.network import Network
 

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from twin.column_names import column_hint
 from twin.elements import Element, Parameter
-from twin.elements.node import Node
 from twin.elements.meter import USUAL_K, Meter
+from twin.elements.node import Node
 from twin.elements.sensor import Sensor
 
 Array = NDArray[np.float64]

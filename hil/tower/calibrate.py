@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
@@ -27,6 +28,7 @@ from twin.network import Network, TwinFileError
 from twin.tower.air import Array
 from twin.tower.basin import Drain, with_basin
 from twin.tower.calibration import NORMAL, Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
+from twin.tower.evaporation import Balance, with_evaporation
 from twin.tower.evidence import Label
 from twin.tower.minutes import MEASURED, Minutes, minutes_of
 from twin.tower.model import DEVIATIONS, CellModel, Site
@@ -57,6 +59,8 @@ class CellResult:
     labels: tuple[Label, ...]
     steps: tuple[Step, ...] = ()
     second: bool = False
+    unused: str = ""
+    """Why the station's water balance is not used, "" where it is."""
 
 
 def calibrate(
@@ -76,11 +80,13 @@ def calibrate(
         _fit(record, cell, path, network, notes, tuple(label for label in found if label.cell == cell))
         for cell, (path, network) in loaded.items()
     ]
-    fitted, second = joined_by_basin([draft.fitted for draft in drafts], [draft.record for draft in drafts], notes)
+    records = [draft.record for draft in drafts]
+    fitted, second = joined_by_basin([draft.fitted for draft in drafts], records, notes)
+    fitted, unused = joined_by_makeup(fitted, records, notes)
     return [
         CellResult(
             d.record.cell, d.twin, d.network, d.record, one.minutes, predict_cell(one), d.priors, d.labels, d.steps,
-            d.record.cell in second,
+            d.record.cell in second, unused,
         )
         for d, one in zip(drafts, fitted, strict=True)
     ], notes  # fmt: skip
@@ -123,6 +129,42 @@ def joined_by_basin(
                 second.add(records[k].cell)
             joined[k] = replace(joined[k], posterior=posterior)
     return joined, second
+
+
+def joined_by_makeup(
+    fitted: Sequence[Fitted], records: Sequence[CellRecord], notes: StationNotes
+) -> tuple[list[Fitted], str]:
+    """Return the fits with the station's makeup as an observation of their evaporation, and why it is not used or
+    ""."""
+    columns, n = records[0].columns, len(records[0].time_s)
+    if not np.isfinite(columns.get("makeup_kg_s", np.full(n, np.nan))).any():
+        return list(fitted), "NO_MAKEUP"
+    try:
+        cells, volume = int(notes.datasheet["cells_in_station"]), float(notes.datasheet["basin"]["volume_m3"])
+    except (KeyError, TypeError, ValueError):
+        return list(fitted), "NO_BASIN"
+    if {r.cell for r in records} != set(range(1, cells + 1)) or len({len(r.time_s) for r in records}) > 1:
+        return list(fitted), "NOT_ALL_CELLS"
+    water = Balance(
+        records[0].time_s, columns["makeup_kg_s"], np.nan_to_num(columns.get("blowdown_kg_s", np.zeros(n))),
+        columns.get("level_pct", np.full(n, np.nan)) / 100.0, volume,
+    )  # fmt: skip
+    posteriors, unused = with_evaporation(fitted, [_off(f, r) for f, r in zip(fitted, records, strict=True)], water)
+    joined = [replace(one, posterior=posterior) for one, posterior in zip(fitted, posteriors, strict=True)]
+    return joined, unused
+
+
+def _off(fitted: Fitted, record: CellRecord) -> NDArray[np.bool_]:
+    """Return the minutes in which a cell has no water."""
+    flow = fitted.minutes.operation.inputs.m_w
+    share = record.columns.get("in_service", np.full(len(flow), np.nan))
+    return np.asarray(
+        np.where(
+            np.isfinite(flow),
+            np.nan_to_num(flow) < 0.02 * fitted.model.design.m_w0,
+            np.nan_to_num(share, nan=1.0) < 0.5,
+        )
+    )
 
 
 def _compartments(notes: StationNotes) -> list[tuple[tuple[int, ...], float]]:

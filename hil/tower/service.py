@@ -84,12 +84,12 @@ def _judged(result: CellResult, notes: StationNotes) -> tuple[list[Window], list
     model = CellModel(design, site_of(notes, value_of(result.network, "cell.bypass_share")))
     columns, n = result.record.columns, len(result.record.time_s)
     hidden = np.mean([~np.isfinite(columns.get(name, np.full(n, np.nan))) for name in REQUIRED], axis=0)
-    windows = windows_of(model, result.minutes, result.calibrated, hidden, result.second)
+    windows = windows_of(model, result.minutes, result.calibrated, hidden, result.second, not result.unused)
     told = [k for k, w in enumerate(windows) if not w.told.refused]
     distance = distances([w.features for w in windows], told)
     dropped = _shares(result, windows, ~np.isfinite(columns.get("wet_C", np.full(n, np.nan))))
     bypass = _shares(result, windows, result.minutes.operation.bypass > 0.05)
-    balance = "NO_MAKEUP" if "makeup_kg_s" not in columns else "NOT_ALL_CELLS" if _partial(result, notes) else ""
+    balance = result.unused
     inspections = [
         seconds(e["time"])
         for e in notes.events
@@ -98,11 +98,6 @@ def _judged(result: CellResult, notes: StationNotes) -> tuple[list[Window], list
     unexplained = [s.start_s for s in result.steps if s.lasting and s.kind == "water"]
     evidence = Evidence(result.labels, inspections, unexplained, result.second, balance)
     return windows, judge(windows, distance, dropped, bypass, evidence), balance
-
-
-def _partial(result: CellResult, notes: StationNotes) -> bool:
-    recorded = notes.datasheet.get("cells_recorded")
-    return not isinstance(recorded, list) or len(recorded) < int(notes.datasheet.get("cells_in_station", 0) or 0)
 
 
 def _shares(result: CellResult, windows: Sequence[Window], rows: NDArray[np.bool_]) -> Array:

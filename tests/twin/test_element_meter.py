@@ -180,7 +180,7 @@ def test_a_meter_that_cannot_be_is_refused_with_its_remedy(change: tuple[str, st
 
 
 def test_the_network_calibrator_refuses_a_twin_with_a_meter(loop_text: str) -> None:
-    net = parse(loop_text + METER.replace("of = \"heater\"", "of = \"heater_power\""))
+    net = parse(loop_text + METER.replace('of = "heater"', 'of = "heater_power"'))
     assert np.isfinite(simulate(net, *drive(100), np.array([37.0, 36.8, 34.5, 34.0]))).all()
-    with pytest.raises(TwinFileError, match="takes thermometers only, and twin .* has the meter 'heater_meter'"):
+    with pytest.raises(TwinFileError, match=r"takes thermometers only, and twin .* has the meter 'heater_meter'"):
         make_calibrator("hiera_unet", net)

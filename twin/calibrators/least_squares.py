@@ -46,7 +46,9 @@ class LeastSquares:
         """Fit the tunables and the initial state to a window."""
         sigma, scaling = self.network.sigma, self._scaling
         wide = scaling.prior_sd()
-        opened = np.clip(0.3 * (normalised_misfit(window, np.hypot(sigma, model_error(self.network))) - 1.0), QUIET_SHARE, 1.0)
+        opened = np.clip(
+            0.3 * (normalised_misfit(window, np.hypot(sigma, model_error(self.network))) - 1.0), QUIET_SHARE, 1.0
+        )
         prior = self._covariance + np.diag((opened * wide) ** 2)
         weight = sample_sd(self.network, window.time)
         noise = float(np.mean((sigma / weight) ** 2))

@@ -107,9 +107,9 @@ def structural_covariance(
     precision[off] = 0.0
     precision[:, off] = 0.0
     precision += np.diag(np.where(off, 0.0, apart**-2.0))
-    found: Array = persistent_error_covariance(
-        problem, v, precision, error_size(window, problem.kernel.network), chi
-    )[:q, :q]
+    found: Array = persistent_error_covariance(problem, v, precision, error_size(window, problem.kernel.network), chi)[
+        :q, :q
+    ]
     return found
 
 

@@ -84,7 +84,7 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
         for time_s, names in one.alarms:
             terminal.print(f"cell {one.result.cell}: drift alarm at {iso(time_s)}: {', '.join(names)}", markup=False)
         if one.balance:
-            terminal.print(f"cell {one.result.cell}: the heat balance is not used: {one.balance}", markup=False)
+            terminal.print(f"cell {one.result.cell}: the water balance is not used: {one.balance}", markup=False)
         if one.revision is not None:
             terminal.print(f"written: {one.revision}", markup=False, soft_wrap=True)
     terminal.print(f"written: {path}", markup=False, soft_wrap=True)
