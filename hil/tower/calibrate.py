@@ -71,7 +71,7 @@ def calibrate(
     Raises:
         RecordError, TwinFileError: a file cannot be used, or the record cannot calibrate a cell.
     """
-    loaded = _load_all(twins, record)
+    loaded = load_all(twins, record)
     notes = read_notes(record)
     if events is not None:
         notes = replace(notes, events=event_entries(events))
@@ -197,7 +197,12 @@ def _drain(fitted: Fitted, record: CellRecord) -> Drain:
     return Drain(flow, record.columns["t_out_C"], basin, sampled)
 
 
-def _load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Network]]:
+def load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Network]]:
+    """Return file and network of each twin by its cell.
+
+    Raises:
+        RecordError, TwinFileError: a twin is of no cell of the record, or of the cell of another one.
+    """
     loaded: dict[int, tuple[Path, Network]] = {}
     there = cells_of(record)
     if not there:
@@ -240,19 +245,30 @@ def _fit(
         )
     priors = priors_of(network)
     try:
-        model, edges = (
-            CellModel(design, site_of(notes, share)),
-            time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1])),
-        )
-        openings = openings_of(notes, cell)
-        fitted = fit_cell(model, minutes, priors, labels, openings, edges)
-        steps = thermometer_steps(fitted, minutes_read)
-        more = tuple(Opening(s.start_s, s.alarm_s, "bias") for s in steps if s.lasting and s.kind == "thermometer")
-        if more:
-            fitted = fit_cell(model, minutes, priors, labels, (*openings, *more), edges)
+        model, openings = CellModel(design, site_of(notes, share)), openings_of(notes, cell)
+        fitted, steps = fit_with_steps(model, network, minutes_read, labels, openings)
     except CalibrationError as error:
         raise RecordError(f"{minutes_read.path}: {error}") from error
     return _Draft(path, network, minutes_read, fitted, priors, labels, steps)
+
+
+def fit_with_steps(
+    model: CellModel, network: Network, record: CellRecord, labels: Sequence[Label], openings: Sequence[Opening]
+) -> tuple[Fitted, tuple[Step, ...]]:
+    """Fit a cell; where its thermometer has stepped, fit it again with a jump of the bias opened there.
+
+    Raises:
+        CalibrationError: the record has too few steady minutes.
+    """
+    design, share = model.design, value_of(network, "cell.bypass_share")
+    minutes = minutes_of(record.time_s, record.columns, record.origin, design.m_w0, share)
+    edges, priors = time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1])), priors_of(network)
+    fitted = fit_cell(model, minutes, priors, labels, openings, edges)
+    steps = thermometer_steps(fitted, record)
+    more = tuple(Opening(s.start_s, s.alarm_s, "bias") for s in steps if s.lasting and s.kind == "thermometer")
+    if more:
+        fitted = fit_cell(model, minutes, priors, labels, (*openings, *more), edges)
+    return fitted, steps
 
 
 def thermometer_steps(fitted: Fitted, record: CellRecord) -> tuple[Step, ...]:
