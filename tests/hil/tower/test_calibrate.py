@@ -28,9 +28,9 @@ SHEET = {
 }  # fmt: skip
 
 
-def write_record(folder: Path, cell: int = 1, **options: Any) -> None:
+def write_record(folder: Path, cell: int = 1, days: float = 6, **options: Any) -> None:
     """Write a record of a made cell as the alignment does."""
-    made = made_cell(6, seed=21, **options)
+    made = made_cell(days, seed=21, **options)
     folder.mkdir(exist_ok=True)
     arrays = {"time": pa.array((made.time_s * 1e3).astype("datetime64[ms]"), pa.timestamp("ms", tz="UTC"))}
     for name, values in made.columns.items():
