@@ -30,6 +30,7 @@ from twin.network import Revision
 from twin.revisions import save_revision
 from twin.tower.air import Array
 from twin.tower.calibration import WINDOW_S
+from twin.tower.identify import MOST_CONDITION
 from twin.tower.model import DEVIATIONS, CellModel
 from twin.tower.twin_file import IDS, design_of, value_of
 from twin.tower.windows import Window, distances, windows_of
@@ -55,6 +56,21 @@ class CellGovernance:
         """Share of the windows in which each deviation is held back."""
         n = max(len(self.verdicts), 1)
         return {name: sum(not v.accepts(name) for v in self.verdicts) / n for name in DEVIATIONS}
+
+    @property
+    def low_sensitivity(self) -> str:
+        """Refusal of the last window in which the cell ran, in words; "" where the deviations are identifiable."""
+        k = _latest(self.windows)
+        if k is None or not self.windows[k].told.refused:
+            return ""
+        told = self.windows[k].told
+        if told.refused == "MISSING_REQUIRED":
+            return f"the last window is refused: {100 * told.hidden:.0f} % of its channels are hidden"
+        return (
+            f"the last day does not identify all deviations (condition {told.condition:.0f}, limit "
+            f"{MOST_CONDITION:.0f}); known least: {told.says()}; {', '.join(told.frozen)} is held back. "
+            f"`hil tower plan` proposes a step test"
+        )
 
 
 def govern(results: Sequence[CellResult], notes: StationNotes, out: Path, state: str) -> list[CellGovernance]:

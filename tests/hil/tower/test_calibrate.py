@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -184,6 +185,39 @@ def test_without_certificate_and_inspection_bias_and_fill_are_held_back(plant: P
     entries = json.loads((tmp_path / "out" / "review_queue.json").read_text())["proposals"]
     codes = {e["parameter"]: e["codes"] for e in entries if "parameter" in e}
     assert "NO_SECOND_THERMOMETER" in codes["bias"] and "NO_INSPECTION" in codes["fill"]
+
+
+def test_without_a_step_test_the_combined_direction_is_named_and_the_weaker_deviation_held_back(
+    plant: Path, tmp_path: Path
+) -> None:
+    record = tmp_path / "record"
+    write_record(record, test_days=())
+    shutil.copy(plant / "cell1.toml", tmp_path / "cell1.toml")
+    done = run("calibrate", record, "--twin", tmp_path / "cell1.toml", "--out", tmp_path / "out", "--mode", "advisory")
+    shown = done.output.replace("\n", " ")
+    assert "cell 1: the last day does not identify all deviations (condition " in shown and "limit 80)" in shown
+    named = re.search(r"known least: (.*?); (\w+).*? is held back", shown)
+    assert named and named[2] in named[1]
+    entries = json.loads((tmp_path / "out" / "review_queue.json").read_text())["proposals"]
+    held = next(e for e in entries if e.get("parameter") == named[2])
+    assert f"LOW_SENSITIVITY:{named[2]}" in held["codes"] and held["condition"] > 80.0
+    assert f"known least: {held['combined']}" in run("report", tmp_path / "out").output.replace("\n", " ")
+
+
+def test_hidden_channels_refuse_the_window_and_a_makeup_of_zero_is_not_weighed(plant: Path, tmp_path: Path) -> None:
+    record = tmp_path / "record"
+    write_record(record)
+    table = pq.read_table(record / "cell1.parquet")
+    for name in ("fan_power_kW", "pressure_kPa"):
+        lost = np.where(np.arange(table.num_rows) > table.num_rows - 1440, np.nan, table[name].to_numpy())
+        table = table.set_column(table.schema.get_field_index(name), name, pa.array(lost))
+    pq.write_table(table, record / "cell1.parquet")
+    shutil.copy(plant / "cell1.toml", tmp_path / "cell1.toml")
+    done = run("calibrate", record, "--twin", tmp_path / "cell1.toml", "--out", tmp_path / "out", "--mode", "advisory")
+    assert "cell 1: the last window is refused: 29 % of its channels are hidden" in done.output.replace("\n", " ")
+    assert "the water balance is not used: NOT_CLOSED" in done.output
+    entries = json.loads((tmp_path / "out" / "review_queue.json").read_text())["proposals"]
+    assert all("MISSING_REQUIRED" in e["codes"] for e in entries if "parameter" in e)
 
 
 def test_a_step_of_the_thermometer_becomes_a_bias_and_no_fouling(plant: Path, tmp_path: Path) -> None:
