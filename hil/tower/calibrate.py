@@ -23,6 +23,7 @@ from hil.tower.record import (
     read_labels,
     read_notes,
     seconds,
+    station_of,
 )
 from twin.network import Network, TwinFileError
 from twin.tower.air import Array
@@ -34,7 +35,7 @@ from twin.tower.minutes import MEASURED, Minutes, minutes_of
 from twin.tower.model import DEVIATIONS, CellModel, Site
 from twin.tower.smoother import Opening, Priors, time_grid
 from twin.tower.steps import Step, find_steps
-from twin.tower.twin_file import IDS, cell_of, design_of, value_of
+from twin.tower.twin_file import IDS, cell_of, design_of, station_of_twin, value_of
 from twin.twinfile import load
 
 TABLE = "calibrated.parquet"
@@ -219,6 +220,12 @@ def load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Netwo
             cells = ", ".join(f"cell {n}" for n in there)
             raise TwinFileError(
                 f"{path}: is of cell {cell}, which {record} does not hold; it holds {cells}: give their twins"
+            )
+        of_record, of_twin = station_of(record, cell), station_of_twin(network)
+        if of_record and of_twin and of_record != of_twin:
+            raise TwinFileError(
+                f"{path}: is of station {of_twin!r} and {record} of station {of_record!r}; give the twins of that "
+                f"station"
             )
         loaded[cell] = (path, network)
     return loaded

@@ -192,6 +192,13 @@ def test_without_a_step_test_the_combined_direction_is_named_and_the_weaker_devi
 ) -> None:
     record = tmp_path / "record"
     write_record(record, test_days=())
+    notes = json.loads((record / "station.json").read_text())
+    (record / "station.json").write_text(json.dumps({**notes, "datasheet": {**SHEET, "basin": {}}}))
+    table = pq.read_table(record / "cell1.parquet")
+    lost = pa.array(np.full(table.num_rows, np.nan))
+    pq.write_table(
+        table.set_column(table.schema.get_field_index("fan_power_kW"), "fan_power_kW", lost), record / "cell1.parquet"
+    )
     shutil.copy(plant / "cell1.toml", tmp_path / "cell1.toml")
     done = run("calibrate", record, "--twin", tmp_path / "cell1.toml", "--out", tmp_path / "out", "--mode", "advisory")
     shown = done.output.replace("\n", " ")
@@ -242,6 +249,22 @@ def test_a_twin_of_another_cell_is_refused_by_name(plant: Path, tmp_path: Path) 
     says = refused(run("calibrate", tmp_path / "record", "--twin", plant / "cell1.toml", "--out", tmp_path / "out"))
     assert "is of cell 1" in says and "cell 2" in says
     assert not (tmp_path / "out").exists()
+
+
+def test_a_twin_of_another_station_is_refused_unless_its_title_names_none(plant: Path, tmp_path: Path) -> None:
+    text = (plant / "cell1.toml").read_text()
+    (tmp_path / "other.toml").write_text(text.replace("of station Z", "of station Y"))
+    done = run("calibrate", plant / "record", "--twin", tmp_path / "other.toml", "--out", tmp_path / "out")
+    assert "is of station 'Y'" in refused(done) and "of station 'Z'" in refused(done)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_result_that_cannot_be_written_is_one_sentence(calibrated: Path, plant: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    done = run("calibrate", plant / "record", "--twin", plant / "cell1.toml", "--out", tmp_path / "file" / "out")
+    assert exit_code(done.exception) == 1 and "cannot be written: Not a directory; make room" in str(done.exception)
+    done = run("report", calibrated, "--picture", tmp_path / "file" / "cell1.png")
+    assert exit_code(done.exception) == 1 and "cannot be written" in str(done.exception)
 
 
 def test_a_twin_of_no_tower_is_refused(plant: Path, tmp_path: Path) -> None:
