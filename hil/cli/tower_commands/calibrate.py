@@ -87,7 +87,7 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
         for time_s, names in one.alarms:
             terminal.print(f"cell {one.result.cell}: drift alarm at {iso(time_s)}: {', '.join(names)}", markup=False)
         if refused := one.low_sensitivity:
-            terminal.print(f"cell {one.result.cell}: {refused}", markup=False)
+            terminal.print(f"cell {one.result.cell}: {refused}", markup=False, soft_wrap=True)
         if one.balance:
             terminal.print(f"cell {one.result.cell}: the water balance is not used: {one.balance}", markup=False)
         if one.revision is not None:

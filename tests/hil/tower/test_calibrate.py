@@ -201,14 +201,14 @@ def test_without_a_step_test_the_combined_direction_is_named_and_the_weaker_devi
     )
     shutil.copy(plant / "cell1.toml", tmp_path / "cell1.toml")
     done = run("calibrate", record, "--twin", tmp_path / "cell1.toml", "--out", tmp_path / "out", "--mode", "advisory")
-    shown = done.output.replace("\n", " ")
+    shown = " ".join(done.output.split())
     assert "cell 1: the last day does not identify all deviations (condition " in shown and "limit 80)" in shown
     named = re.search(r"known least: (.*?); (\w+).*? is held back", shown)
     assert named and named[2] in named[1]
     entries = json.loads((tmp_path / "out" / "review_queue.json").read_text())["proposals"]
     held = next(e for e in entries if e.get("parameter") == named[2])
     assert f"LOW_SENSITIVITY:{named[2]}" in held["codes"] and held["condition"] > 80.0
-    assert f"known least: {held['combined']}" in run("report", tmp_path / "out").output.replace("\n", " ")
+    assert f"known least: {held['combined']}" in " ".join(run("report", tmp_path / "out").output.split())
 
 
 def test_hidden_channels_refuse_the_window_and_a_makeup_of_zero_is_not_weighed(plant: Path, tmp_path: Path) -> None:
