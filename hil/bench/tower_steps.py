@@ -72,7 +72,8 @@ def try_steps(
     loaded, notes = load_all(twins, record), read_notes(record)
     networks = {cell: network for cell, (_, network) in loaded.items()}
     cells = {cell: read_cell(record, cell) for cell in networks}
-    rng, found = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    found: list[Trial] = []
     times = {cell: _times(networks[cell], whole) for cell, whole in cells.items()}
     running = [cell for cell, some in times.items() if len(some)]
     if not running:
