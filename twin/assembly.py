@@ -283,6 +283,27 @@ class NetworkEquations:
         return tuple(f.observe for _, f in self.parts if f.observe is not None)
 
     @cached_property
+    def metering(self) -> dict[str, str]:
+        """Return all that the meters' readings need beside states, inputs and parameters: name -> expression, each
+        after those that it needs.
+        """
+        exports = {(name, quantity): e for name, f in self.parts for quantity, e in f.exports.items()}
+        metered: dict[str, str] = {}
+        for m in (f.metered for _, f in self.parts if f.metered):
+            e = exports[m.element, m.quantity]
+            metered |= dict(e.steps)
+            metered[m.name] = f"{m.factors[e.unit]!r} * ({e.value})"
+        known = {**self.own_coefficients, **self.locals_, **metered} if metered else {}
+        wanted = [name for name in metered if any(name in names_in(r) for r in self.readings)]
+        kept: set[str] = set()
+        while wanted:
+            name = wanted.pop()
+            if name not in kept:
+                kept.add(name)
+                wanted += names_in(known[name]) & known.keys()
+        return {name: value for name, value in _in_order(known).items() if name in kept}
+
+    @cached_property
     def lag_terms(self) -> tuple[FirstOrderLag, ...]:
         """Return the lags with the affine forms that they follow."""
         return tuple(
@@ -370,7 +391,11 @@ def stateful_source(system: NetworkEquations) -> str:
         [
             _function("now(T, D, u, p)", [*late, *_locals(system)], f"({results})"),
             _function("pushed(u, p)", steps, f"({pushed})"),
-            _function("read(T, F, u, p, now)", [], f"[{', '.join(system.readings)}]"),
+            _function(
+                "read(T, F, u, p, now)",
+                [f"{name} = {value}" for name, value in system.metering.items()],
+                f"[{', '.join(system.readings)}]",
+            ),
         ]
     )
 

@@ -76,6 +76,7 @@ class KernelGenerator:
         self.system = s = NetworkEquations(network, lane_ids)
         self.k, self.m = len(s.states), len(s.readings)
         self.text = KernelText(lanes)
+        self.of_lanes: set[str] = set()
         self.table: dict[str, int] = {}
         self.parameters = {f"p{i}": row for row, i in enumerate(network.index(lane_ids))}
         for name in (*self.states(), *self.memories(), *self.parameters):
@@ -290,14 +291,50 @@ class KernelGenerator:
         recorded = {f"u{c}": f"inputs[i, {c}]" for c in self.system.driven}
         readings = [renamed(text, recorded) for text in self.system.readings]
         lines = ["now = time[i]"] if any("now" in names_in(r) for r in readings) else []
+        shared, body, names = self.metering()
+        lines += shared
+        readings = tuple(renamed(reading, names) for reading in readings)
         if self.mode == "trace":
-            return lines + self.text.loop([f"Y[b, i, {j}, l] = {reading}" for j, reading in enumerate(readings)])
+            return lines + self.text.loop(body + [f"Y[b, i, {j}, l] = {r}" for j, r in enumerate(readings)])
         lines += [f"w{j} = weight[i, {j}]" for j in range(self.m)]
         lines += [f"y{j} = y[i, {j}]" for j in range(self.m)]
-        body = []
         for j, reading in enumerate(readings):
             body += [f"r{j} = ({reading} - y{j}) * w{j}", f"{self.text.at(f'sse{j}')} += r{j} * r{j}"]
         return lines + self.text.loop(body)
+
+    def metering(self) -> tuple[list[str], list[str], dict[str, str]]:
+        """Return what the meters' readings need at sample i: lines of scalars, lines of lanes, and the names in them.
+
+        The coefficients of the integrator are those of the interval before, so they are computed anew under names of
+        their own, with the inputs of the sample.
+        """
+        s = self.system
+        steps = dict(s.metering)
+        used = set().union(*(names_in(text) for text in steps.values())) if steps else set()
+        read: dict[str, str] = {}
+        for c in sorted(int(name[1:]) for name in used if re.fullmatch(r"u\d+", name)):
+            drive = next(
+                ((k, d) for k, (_, d) in enumerate(s.drives) if self.network.input_columns[c] == d.column), None
+            )
+            if drive is None:
+                read[f"u{c}"] = f"inputs[i, {c}]"
+                continue
+            k, d = drive
+            now = f"arrived(time, inputs, {c}, i, {d.dead_time})" if d.dead_time else f"inputs[i, {c}]"
+            read |= {f"a{k}": f"z{k}" if d.lag else now, f"u{c}": d.value}
+        steps = {**read, **steps}
+        names = {name: f"m_{name}" for name in steps}
+        shared, body = [], []
+        apart = set(self.text.rows)
+        for name, text in steps.items():
+            needed = set(NAME.findall(text))
+            line = f"{names[name]} = {renamed(text, names)}"
+            if needed & (apart - names.keys()) or needed & self.of_lanes:
+                self.of_lanes.add(name)
+                body.append(line)
+            else:
+                shared.append(line)
+        return shared, body, names
 
     def copied(self, row: int, count: int, place: str, store: bool) -> list[str]:
         """Return loops that copy rows of the work array from or to an array."""

@@ -16,6 +16,7 @@ from twin.elements import Element
 from twin.elements.actuator import Actuator
 from twin.elements.flow import Flow
 from twin.elements.law import Law, LawActuator, LawFlow, LawReading
+from twin.elements.meter import Meter
 from twin.elements.pipe import Pipe
 from twin.elements.sensor import Sensor
 from twin.law_equation import law_equation
@@ -179,6 +180,9 @@ def _labels(
         elif isinstance(e, LawFlow):
             path = next(f.path for f in network.elements if isinstance(f, Flow) and f.name == e.flow)
             alone.setdefault(path[0], []).append((_named(network, e), WATER))
+        elif isinstance(e, Meter):
+            at = next((n for other in network.elements if other.name == e.of for n in other.nodes()), "")
+            alone.setdefault(at, []).append((f"reads {e.name}: {e.quantity} of {e.of}", READ))
         elif len(nodes) > 1:
             between.setdefault((nodes[0], nodes[1]), []).append(_named(network, e))
         elif nodes:

@@ -83,7 +83,7 @@ class Kernel:
             There is no sample, or a parameter or state is not finite.
         """
         parameters, state = np.atleast_2d(parameters), np.atleast_2d(state)
-        count, k, m = max(len(parameters), len(state)), len(self.network.nodes), len(self.network.sensors)
+        count, k, m = max(len(parameters), len(state)), len(self.network.nodes), len(self.network.instruments)
         sse, end = np.empty((count, m)), np.empty((count, k))
         for low in range(0, count, CHUNK):
             part = slice(low, low + CHUNK)
@@ -130,7 +130,7 @@ class Kernel:
             As for `trace`.
         """
         call = self._call(parameters, state, time, inputs, lanes=lanes)
-        m = len(self.network.sensors)
+        m = len(self.network.instruments)
         readings = np.empty((call.blocks, len(call.time), m, call.lanes))
         call.run_pieces(self._variant("trace", call), cuts, readings)
         # Of one block this is a view.
@@ -234,7 +234,7 @@ def simulate(
     Returns
     -------
     ndarray
-        Readings (n, m) in degC, in the order of ``network.sensor_names``.
+        Readings (n, m) in degC, of meters in their own unit, in the order of ``network.sensor_names``.
 
     Raises
     ------

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from twin.column_names import column_hint
 from twin.elements import Element, Parameter
 from twin.elements.base import STAMP as STAMP
+from twin.elements.meter import USUAL_K, Meter
 from twin.elements.node import Node
 from twin.elements.sensor import Sensor
 
@@ -140,13 +141,23 @@ class Network:
 
     @cached_property
     def sensors(self) -> tuple[Sensor, ...]:
-        """Return the sensors, in file order."""
+        """Return the thermometers, in file order."""
         return tuple(e for e in self.elements if isinstance(e, Sensor))
 
     @cached_property
+    def instruments(self) -> tuple[Sensor | Meter, ...]:
+        """Return thermometers and meters, in file order: the columns of every measured array."""
+        return tuple(e for e in self.elements if isinstance(e, Sensor | Meter))
+
+    @cached_property
+    def meters(self) -> tuple[Meter, ...]:
+        """Return the meters, in file order."""
+        return tuple(e for e in self.instruments if isinstance(e, Meter))
+
+    @cached_property
     def sensor_names(self) -> tuple[str, ...]:
-        """Return the sensor names; the order of every measured array."""
-        return tuple(s.name for s in self.sensors)
+        """Return the names of thermometers and meters; the order of every measured array."""
+        return tuple(s.name for s in self.instruments)
 
     @cached_property
     def input_columns(self) -> tuple[str, ...]:
@@ -160,13 +171,24 @@ class Network:
 
     @cached_property
     def sensor_columns(self) -> Mapping[str, tuple[str, ...]]:
-        """Return, per sensor, the measured columns that it averages."""
-        return MappingProxyType({s.name: s.measured for s in self.sensors})
+        """Return, per thermometer and meter, the measured columns that it averages."""
+        return MappingProxyType({s.name: s.measured for s in self.instruments})
 
     @cached_property
     def sigma(self) -> Array:
-        """Return the noise of each sensor (m,), K: one thermometer's over the root of the number that is averaged."""
-        return np.array([self.parameters[f"{s.name}.sigma"].value / np.sqrt(len(s.measured)) for s in self.sensors])
+        """Return the noise of each reading (m,), K or its own unit: one instrument's over the root of their number."""
+        return np.array([self.parameters[f"{s.name}.sigma"].value / np.sqrt(len(s.measured)) for s in self.instruments])
+
+    @cached_property
+    def kelvin_per_unit(self) -> Array:
+        """Return the weight (m,) of a reading's unit where errors are stated as one number in K: 1 for a thermometer.
+
+        One sigma of a meter counts as much as one sigma of a usual thermometer.
+        """
+        return np.array(
+            [USUAL_K / self.parameters[f"{s.name}.sigma"].value if isinstance(s, Meter) else 1.0
+             for s in self.instruments]
+        )  # fmt: skip
 
     @cached_property
     def ids(self) -> tuple[str, ...]:
@@ -275,9 +297,9 @@ class Network:
         """
         missing = [c for c in self.recorded_inputs if c not in columns]
         unread = self.unread(columns)
-        if missing or 2 * len(unread) > len(self.sensors):
+        if missing or 2 * len(unread) > len(self.instruments):
             missing += unread
-            wanted = {*self.input_columns, *(c for s in self.sensors for c in s.measured)}
+            wanted = {*self.input_columns, *(c for s in self.instruments for c in s.measured)}
             others = [c for c in columns if c not in wanted]
             hints = [f"for {c}, {text}" for c in missing if (text := column_hint(c, others))]
             raise TwinFileError(
@@ -285,7 +307,7 @@ class Network:
                 + ("; ".join(hints) or "rename the columns of the record or the keys of the twin file")
             )
         taken: dict[str, Array] = {}
-        for c in (*self.input_columns, *(c for s in self.sensors for c in s.measured)):
+        for c in (*self.input_columns, *(c for s in self.instruments for c in s.measured)):
             if c in columns:
                 taken[c] = np.asarray(columns[c], dtype=np.float64)
         if len({a.shape for a in taken.values()}) > 1:
@@ -293,8 +315,8 @@ class Network:
             raise TwinFileError(f"the columns of the record differ in length ({lengths})")
         no_stamps = np.full(next(iter(taken.values())).size, np.nan)
         inputs = _finite(np.column_stack([taken.get(c, no_stamps) for c in self.input_columns]))
-        measured = np.full((len(inputs), len(self.sensors)), np.nan)
-        for j, sensor in enumerate(self.sensors):
+        measured = np.full((len(inputs), len(self.instruments)), np.nan)
+        for j, sensor in enumerate(self.instruments):
             if read := [taken[c] for c in sensor.measured if c in taken]:
                 measured[:, j] = mean_of_sensors(_finite(np.column_stack(read)))
         return inputs, measured
@@ -302,7 +324,7 @@ class Network:
     def unread(self, columns: Iterable[str]) -> tuple[str, ...]:
         """Return the columns of the sensors for which a record with these columns has no thermometer."""
         there = set(columns)
-        return tuple(c for s in self.sensors if there.isdisjoint(s.measured) for c in s.measured)
+        return tuple(c for s in self.instruments if there.isdisjoint(s.measured) for c in s.measured)
 
     def initial_state(self, measured: ArrayLike) -> Array:
         """Return the state (k,) at the first sample: the mean of each node's finite readings in the rows of `measured`.
@@ -318,7 +340,9 @@ class Network:
         rows = np.atleast_2d(np.asarray(measured, dtype=np.float64))
         per_sensor = _mean_of_finite(_finite(rows).T)
         state = np.full(len(self.nodes), np.nan)
-        for j, sensor in enumerate(self.sensors):
+        for j, sensor in enumerate(self.instruments):
+            if isinstance(sensor, Meter):
+                continue
             k = self.nodes.index(sensor.node)
             if np.isfinite(per_sensor[j]) and np.isnan(state[k]):
                 state[k] = per_sensor[j]

@@ -11,6 +11,7 @@ from twin.elements.empirical_heat import EmpiricalHeat
 from twin.elements.flow import Flow
 from twin.elements.heat_source import HeatSource
 from twin.elements.law import LawActuator, LawFlow, LawFluid, LawHeat, LawReading
+from twin.elements.meter import Meter
 from twin.elements.node import Node
 from twin.elements.pipe import Pipe
 from twin.elements.radiator import Radiator
@@ -44,7 +45,7 @@ def check_topology(elements: tuple[Element, ...], most_nodes: int, fail: Callabl
     if not sensors:
         fail("", "there is no sensor; add an element of kind 'sensor'")
     read: dict[str, str] = {}
-    for sensor in sensors:
+    for sensor in (e for e in elements if isinstance(e, Sensor | Meter)):
         for column in sensor.measured:
             if column in read:
                 fail(sensor.name, f"column {column!r} is already read by sensor {read[column]!r}")

@@ -25,6 +25,7 @@ from twin.calibrators.base import Proposer, Restartable, SampleFilter, Window, f
 from twin.calibrators.disturbance import DisturbanceLocaliser
 from twin.calibrators.results import skipped_calibration
 from twin.calibrators.windows import last_row_of_window, make_window, window_index
+from twin.elements.sensor import Sensor
 from twin.kernel import Kernel, hold_inputs
 from twin.network import Array, Network, TwinFileError
 
@@ -116,7 +117,7 @@ class TwinTracker:
         )
         self._kernel = Kernel(network, self.calibrator.ids)
         self._localiser = DisturbanceLocaliser(network)
-        k, m, c = len(network.nodes), len(network.sensors), len(network.inputs)
+        k, m, c = len(network.nodes), len(network.instruments), len(network.inputs)
         self._parameters = network.values.copy()
         self._last_good = network.nominal_inputs.copy()
         self._origin: float | None = None
@@ -134,7 +135,9 @@ class TwinTracker:
         self._window_errors: list[tuple[float, float]] = []
         # rows: squared errors and counts of static, tracked, fitted
         self._sums = np.zeros((6, m))
-        self._reads = [(j, network.nodes.index(s.node)) for j, s in enumerate(network.sensors)]
+        self._reads = [
+            (j, network.nodes.index(s.node)) for j, s in enumerate(network.instruments) if isinstance(s, Sensor)
+        ]
 
     @property
     def values(self) -> dict[str, float]:
@@ -162,7 +165,7 @@ class TwinTracker:
         t = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
         y = np.atleast_2d(np.asarray(measured, dtype=np.float64))
         u = hold_inputs(self.network, inputs, self._last_good)
-        n, m = len(t), len(self.network.sensors)
+        n, m = len(t), len(self.network.instruments)
         if n == 0 or t.ndim != 1 or u.shape[0] != n or y.shape != (n, m):
             raise TwinFileError(
                 f"a block of {n} samples needs inputs ({n}, {len(self.network.inputs)}) and measured ({n}, {m}), "
@@ -365,6 +368,7 @@ class TwinTracker:
             np.concatenate(buffer.live),
             self.network.rules,
             np.concatenate(buffer.read),
+            self.network.kelvin_per_unit,
         )
 
     def _count(self, row: int, residual: Array) -> None:
@@ -379,7 +383,9 @@ class TwinTracker:
         """Return predictions (2 or 4, n, m) in which a sample that does not advance repeats the one before it."""
         if before is None:
             first = self.network.initial_state(y[0])
-            before = np.stack([first[[k for _, k in self._reads]]] * 2)
+            before = np.full((2, y.shape[1]), np.nan)
+            for j, k in self._reads:
+                before[:, j] = first[k]
         before = np.vstack([before, before[1:], np.full_like(before[1:], np.nan)])[: len(out)]
         known = np.concatenate([before[:, None, :], out], axis=1)
         position = np.searchsorted(rows, np.arange(n), side="right")

@@ -138,7 +138,27 @@ class TwinReader:
             assert NetworkEquations(network, network.ids).slopes
         except ValueError as error:
             self.fail((), f"the elements do not fit together: {error}")
+        self.meters(network)
         return network
+
+    def meters(self, network: Network) -> None:
+        """Check that every meter reads a quantity that there is, in a unit of its kind."""
+        parts = dict(NetworkEquations(network, network.ids).parts) if network.meters else {}
+        for meter in network.meters:
+            keys = ("elements", meter.name)
+            if meter.of not in parts:
+                self.fail((*keys, "of"), f"no such element {meter.of!r}{did_you_mean(meter.of, parts)}")
+            exports = parts[meter.of].exports
+            if meter.quantity not in exports:
+                others = ", ".join(exports) or "no quantity that a meter reads"
+                self.fail((*keys, "quantity"), f"{meter.of} has no {meter.quantity}; it has {others}")
+            unit = exports[meter.quantity].unit
+            if meter.factor(unit) is None:
+                self.fail(
+                    (*keys, "columns"),
+                    f"{meter.measured[0]} is in {meter.unit} and the {meter.quantity} of {meter.of} in {unit}; read a "
+                    f"column of that unit",
+                )
 
     def input(self, column: str, spec: Any) -> InputSpec:
         """Read one input column."""

@@ -99,9 +99,12 @@ def read_series(store: HistorianStore, station: Station) -> tuple[list[Series], 
     absent = [name for name in station.tags if name not in there]
     if not wanted:
         example = ", ".join(sorted(there)[:3]) or "none"
-        raise RecordError(f"the store has none of the dictionary's {len(station.tags)} tags; it has {example}")
+        raise RecordError(
+            f"the store has none of the dictionary's {len(station.tags)} tags; it has {example}: write the store's "
+            f"names into the dictionary"
+        )
     further = there - set(station.tags)
-    remarks = [_absent(name, further) for name in absent]
+    remarks = [f"{station.places.get(name, 'the dictionary')}: {_absent(name, further)}" for name in absent]
     samples = store.read(wanted)
     raw = [_series(station, name, samples[name]) for name in wanted]
     empty = [one.tag.name for one in raw if not one.good.any()]
@@ -113,7 +116,7 @@ def _absent(name: str, further: set[str]) -> str:
     import difflib
 
     near = difflib.get_close_matches(name, sorted(further), n=1, cutoff=0.6)
-    hint = f"; is it {near[0]} now? then rename it in the dictionary" if near else ""
+    hint = f"; is it {near[0]} now? then rename it in the dictionary" if near else "; map it or remove the line"
     return f"{name} of the dictionary is not in the store; its column stays missing{hint}"
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
@@ -22,18 +23,20 @@ from hil.tower.record import (
     read_labels,
     read_notes,
     seconds,
+    station_of,
 )
 from twin.network import Network, TwinFileError
 from twin.tower.adoption import effects_of
 from twin.tower.air import Array
 from twin.tower.basin import Drain, with_basin
 from twin.tower.calibration import NORMAL, Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
+from twin.tower.evaporation import Balance, with_evaporation
 from twin.tower.evidence import Label
 from twin.tower.minutes import MEASURED, Minutes, minutes_of
 from twin.tower.model import DEVIATIONS, CellModel, Site
 from twin.tower.smoother import Opening, Priors, time_grid
 from twin.tower.steps import Step, find_steps
-from twin.tower.twin_file import IDS, cell_of, design_of, value_of
+from twin.tower.twin_file import IDS, cell_of, design_of, station_of_twin, value_of
 from twin.twinfile import load
 
 TABLE = "calibrated.parquet"
@@ -58,6 +61,8 @@ class CellResult:
     labels: tuple[Label, ...]
     steps: tuple[Step, ...] = ()
     second: bool = False
+    unused: str = ""
+    """Why the station's water balance is not used, "" where it is."""
 
 
 def calibrate(
@@ -69,11 +74,13 @@ def calibrate(
         RecordError, TwinFileError: a file cannot be used, or the record cannot calibrate a cell.
     """
     drafts, notes = fitted_drafts(record, twins, labels, events)
-    fitted, second = joined_by_basin([draft.fitted for draft in drafts], [draft.record for draft in drafts], notes)
+    records = [draft.record for draft in drafts]
+    fitted, second = joined_by_basin([draft.fitted for draft in drafts], records, notes)
+    fitted, unused = joined_by_makeup(fitted, records, notes)
     return [
         CellResult(
             d.record.cell, d.twin, d.network, d.record, one.minutes, predict_cell(one), d.priors, d.labels, d.steps,
-            d.record.cell in second,
+            d.record.cell in second, unused,
         )
         for d, one in zip(drafts, fitted, strict=True)
     ], notes  # fmt: skip
@@ -91,7 +98,7 @@ def prepare_cells(
     record: Path, twins: Sequence[Path], labels: Path | None, events: Path | None = None
 ) -> tuple[list[Prepared], StationNotes]:
     """Read the cells of these twins, each with what its calibration is made of; raises as `calibrate`."""
-    loaded = _load_all(twins, record)
+    loaded = load_all(twins, record)
     notes = read_notes(record)
     if events is not None:
         notes = replace(notes, events=event_entries(events))
@@ -156,6 +163,42 @@ def joined_by_basin(
     return joined, second
 
 
+def joined_by_makeup(
+    fitted: Sequence[Fitted], records: Sequence[CellRecord], notes: StationNotes
+) -> tuple[list[Fitted], str]:
+    """Return the fits with the station's makeup as an observation of their evaporation, and why it is not used or
+    ""."""
+    columns, n = records[0].columns, len(records[0].time_s)
+    if not np.isfinite(columns.get("makeup_kg_s", np.full(n, np.nan))).any():
+        return list(fitted), "NO_MAKEUP"
+    try:
+        cells, volume = int(notes.datasheet["cells_in_station"]), float(notes.datasheet["basin"]["volume_m3"])
+    except (KeyError, TypeError, ValueError):
+        return list(fitted), "NO_BASIN"
+    if {r.cell for r in records} != set(range(1, cells + 1)) or len({len(r.time_s) for r in records}) > 1:
+        return list(fitted), "NOT_ALL_CELLS"
+    water = Balance(
+        records[0].time_s, columns["makeup_kg_s"], np.nan_to_num(columns.get("blowdown_kg_s", np.zeros(n))),
+        columns.get("level_pct", np.full(n, np.nan)) / 100.0, volume,
+    )  # fmt: skip
+    posteriors, unused = with_evaporation(fitted, [_off(f, r) for f, r in zip(fitted, records, strict=True)], water)
+    joined = [replace(one, posterior=posterior) for one, posterior in zip(fitted, posteriors, strict=True)]
+    return joined, unused
+
+
+def _off(fitted: Fitted, record: CellRecord) -> NDArray[np.bool_]:
+    """Return the minutes in which a cell has no water."""
+    flow = fitted.minutes.operation.inputs.m_w
+    share = record.columns.get("in_service", np.full(len(flow), np.nan))
+    return np.asarray(
+        np.where(
+            np.isfinite(flow),
+            np.nan_to_num(flow) < 0.02 * fitted.model.design.m_w0,
+            np.nan_to_num(share, nan=1.0) < 0.5,
+        )
+    )
+
+
 def _compartments(notes: StationNotes) -> list[tuple[tuple[int, ...], float]]:
     """Return the cells and the volume, m3, of each compartment that the datasheet describes."""
     basin = notes.datasheet.get("basin", {})
@@ -186,7 +229,12 @@ def _drain(fitted: Fitted, record: CellRecord) -> Drain:
     return Drain(flow, record.columns["t_out_C"], basin, sampled)
 
 
-def _load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Network]]:
+def load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Network]]:
+    """Return file and network of each twin by its cell.
+
+    Raises:
+        RecordError, TwinFileError: a twin is of no cell of the record, or of the cell of another one.
+    """
     loaded: dict[int, tuple[Path, Network]] = {}
     there = cells_of(record)
     if not there:
@@ -203,6 +251,12 @@ def _load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Netw
             cells = ", ".join(f"cell {n}" for n in there)
             raise TwinFileError(
                 f"{path}: is of cell {cell}, which {record} does not hold; it holds {cells}: give their twins"
+            )
+        of_record, of_twin = station_of(record, cell), station_of_twin(network)
+        if of_record and of_twin and of_record != of_twin:
+            raise TwinFileError(
+                f"{path}: is of station {of_twin!r} and {record} of station {of_record!r}; give the twins of that "
+                f"station"
             )
         loaded[cell] = (path, network)
     return loaded
@@ -236,15 +290,8 @@ def _prepare(
 
 
 def _fit(one: Prepared) -> Draft:
-    def fitted_with(openings: tuple[Opening, ...]) -> Fitted:
-        return fit_cell(one.model, one.minutes, one.priors, one.labels, openings, one.edges_s)
-
     try:
-        fitted = fitted_with(one.openings)
-        steps = thermometer_steps(fitted, one.record)
-        more = step_openings(steps)
-        if more:
-            fitted = fitted_with((*one.openings, *more))
+        fitted, steps = fit_with_steps(one.model, one.network, one.record, one.labels, one.openings)
     except CalibrationError as error:
         raise RecordError(f"{one.record.path}: {error}") from error
     return Draft(one.twin, one.network, one.record, fitted, one.priors, one.labels, steps)
@@ -253,6 +300,25 @@ def _fit(one: Prepared) -> Draft:
 def step_openings(steps: Sequence[Step]) -> tuple[Opening, ...]:
     """Return the jumps of the bias that lasting steps of a thermometer open."""
     return tuple(Opening(s.start_s, s.alarm_s, "bias") for s in steps if s.lasting and s.kind == "thermometer")
+
+
+def fit_with_steps(
+    model: CellModel, network: Network, record: CellRecord, labels: Sequence[Label], openings: Sequence[Opening]
+) -> tuple[Fitted, tuple[Step, ...]]:
+    """Fit a cell; where its thermometer has stepped, fit it again with a jump of the bias opened there.
+
+    Raises:
+        CalibrationError: the record has too few steady minutes.
+    """
+    design, share = model.design, value_of(network, "cell.bypass_share")
+    minutes = minutes_of(record.time_s, record.columns, record.origin, design.m_w0, share, model.effects)
+    edges, priors = time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1])), priors_of(network)
+    fitted = fit_cell(model, minutes, priors, labels, openings, edges)
+    steps = thermometer_steps(fitted, record)
+    more = step_openings(steps)
+    if more:
+        fitted = fit_cell(model, minutes, priors, labels, (*openings, *more), edges)
+    return fitted, steps
 
 
 def thermometer_steps(fitted: Fitted, record: CellRecord) -> tuple[Step, ...]:

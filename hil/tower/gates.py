@@ -12,7 +12,10 @@
 | `NO_SECOND_THERMOMETER` | of the bias: neither a second thermometer nor a certificate |
 | `FEW_EXCITED_WINDOWS` | of fill, air, uniformity: fewer than three excited windows before |
 | `NO_INSPECTION` | of fill and uniformity: no inspection within 90 days |
-| `BALANCE_OFF:<reason>` | a constraint that is switched off, for information |
+| `BALANCE_OFF:<reason>` | the station's water balance is not used, for information |
+
+Reasons: `NO_MAKEUP` and `NO_BASIN` where flow or volume is unknown, `NOT_ALL_CELLS` where a cell of the station is not
+calibrated, `NO_WHOLE_SUM` without six hours of known flows, `NOT_CLOSED` where most sums contradict the cells.
 """
 
 from __future__ import annotations
@@ -57,7 +60,7 @@ class Verdict:
 @dataclass(frozen=True)
 class Evidence:
     """Evidence beside the record: labels of the cell, inspections by event s, steps and jumps that nothing explains
-    s, and whether a basin thermometer is in use. `balance`: reason for which the heat balance is switched off, or
+    s, and whether a basin thermometer is in use. `balance`: reason for which the water balance is not used, or
     nothing."""
 
     labels: Sequence[Label]

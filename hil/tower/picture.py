@@ -54,6 +54,7 @@ def draw_cell(
         axis.set_title(title, loc="left", fontsize=9)
     if labels is not None:
         _labels(dict(zip(TITLES, axes[1:], strict=True)), labels, cell)
+        axes[1].plot([], [], color=ORANGE, linewidth=2.5, label="inspection or measurement")
     first, last = time[0], time[-1]
     for event in events:
         moment = np.datetime64(int(event.time_s * 1e3), "ms")

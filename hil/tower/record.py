@@ -57,6 +57,15 @@ def cells_of(record: Path) -> tuple[int, ...]:
     return tuple(sorted(int(match[1]) for match in found if match))
 
 
+def station_of(record: Path, cell: int) -> str:
+    """Return the station that a cell's file names; "" where it names none or is damaged."""
+    try:
+        about = json.loads((pq.read_schema(record / f"cell{cell}.parquet").metadata or {}).get(b"hil.tower", b"{}"))
+    except (OSError, ValueError, pa.ArrowInvalid):
+        return ""
+    return str(about.get("station", ""))
+
+
 def read_cell(record: Path, cell: int) -> CellRecord:
     """Return the minutes of a cell.
 

@@ -122,6 +122,8 @@ def _proposals(path: Path) -> list[str]:
     for e in entries:
         if "parameter" in e:
             verdict = "all gates hold" if e["accepted"] else f"held back: {', '.join(e['codes'])}"
+            if any(code.startswith("LOW_SENSITIVITY") for code in e["codes"]):
+                verdict += f"; condition {e['condition']:g}, known least: {e['combined']}"
             lines.append(
                 f"- {e['time']} cell {e['cell']}: {e['parameter']} {e['value']:.3f} ± {e['sd']:.3f}; {verdict}"
             )

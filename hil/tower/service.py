@@ -30,6 +30,7 @@ from twin.network import Revision
 from twin.revisions import save_revision
 from twin.tower.air import Array
 from twin.tower.calibration import WINDOW_S
+from twin.tower.identify import MOST_CONDITION
 from twin.tower.model import DEVIATIONS, CellModel
 from twin.tower.twin_file import IDS, design_of, value_of
 from twin.tower.windows import Window, distances, windows_of
@@ -55,6 +56,21 @@ class CellGovernance:
         """Share of the windows in which each deviation is held back."""
         n = max(len(self.verdicts), 1)
         return {name: sum(not v.accepts(name) for v in self.verdicts) / n for name in DEVIATIONS}
+
+    @property
+    def low_sensitivity(self) -> str:
+        """Refusal of the last window in which the cell ran, in words; "" where the deviations are identifiable."""
+        k = _latest(self.windows)
+        if k is None or not self.windows[k].told.refused:
+            return ""
+        told = self.windows[k].told
+        if told.refused == "MISSING_REQUIRED":
+            return f"the last window is refused: {100 * told.hidden:.0f} % of its channels are hidden"
+        return (
+            f"the last day does not identify all deviations (condition {told.condition:.0f}, limit "
+            f"{MOST_CONDITION:.0f}); known least: {told.says()}; {', '.join(told.frozen)} is held back. "
+            f"`hil tower plan` proposes a step test"
+        )
 
 
 def govern(results: Sequence[CellResult], notes: StationNotes, out: Path, state: str) -> list[CellGovernance]:
@@ -84,12 +100,12 @@ def _judged(result: CellResult, notes: StationNotes) -> tuple[list[Window], list
     model = CellModel(design, site_of(notes, value_of(result.network, "cell.bypass_share")))
     columns, n = result.record.columns, len(result.record.time_s)
     hidden = np.mean([~np.isfinite(columns.get(name, np.full(n, np.nan))) for name in REQUIRED], axis=0)
-    windows = windows_of(model, result.minutes, result.calibrated, hidden, result.second)
+    windows = windows_of(model, result.minutes, result.calibrated, hidden, result.second, not result.unused)
     told = [k for k, w in enumerate(windows) if not w.told.refused]
     distance = distances([w.features for w in windows], told)
     dropped = _shares(result, windows, ~np.isfinite(columns.get("wet_C", np.full(n, np.nan))))
     bypass = _shares(result, windows, result.minutes.operation.bypass > 0.05)
-    balance = "NO_MAKEUP" if "makeup_kg_s" not in columns else "NOT_ALL_CELLS" if _partial(result, notes) else ""
+    balance = result.unused
     inspections = [
         seconds(e["time"])
         for e in notes.events
@@ -98,11 +114,6 @@ def _judged(result: CellResult, notes: StationNotes) -> tuple[list[Window], list
     unexplained = [s.start_s for s in result.steps if s.lasting and s.kind == "water"]
     evidence = Evidence(result.labels, inspections, unexplained, result.second, balance)
     return windows, judge(windows, distance, dropped, bypass, evidence), balance
-
-
-def _partial(result: CellResult, notes: StationNotes) -> bool:
-    recorded = notes.datasheet.get("cells_recorded")
-    return not isinstance(recorded, list) or len(recorded) < int(notes.datasheet.get("cells_in_station", 0) or 0)
 
 
 def _shares(result: CellResult, windows: Sequence[Window], rows: NDArray[np.bool_]) -> Array:

@@ -123,6 +123,11 @@ def default_tunables(network: Network) -> str | tuple[str, ...]:
 
 def _require_loop(name: str, network: Network, tunables: str | None) -> None:
     """Raise TwinFileError for a twin without the sets of the coolant loop."""
+    if network.meters and name != "pso_paper":
+        raise TwinFileError(
+            f"{name} takes thermometers only, and twin {network.name!r} has the meter {network.meters[0].name!r}; take "
+            f"another calibrator, or a twin without meters"
+        )
     wanted = "paper4" if name == "pso_paper" else "nine"
     if tunables is None and wanted not in network.sets:
         raise TwinFileError(

@@ -86,7 +86,7 @@ class DisturbanceLocaliser:
         self._kernel = Kernel(self._probed, self._powers)
         # Compiled now: a live twin that has just been surprised should not wait for a compiler.
         here = np.zeros(1), network.nominal_inputs[None, :].copy()
-        self._kernel.trace(self._probed.values, network.initial_state(np.full(len(network.sensors), np.nan)), *here)
+        self._kernel.trace(self._probed.values, network.initial_state(np.full(len(network.instruments), np.nan)), *here)
 
     def locate(self, window: Window) -> DisturbanceLocation:
         """Return the place, where the live twin's mismatch over the window is significant."""

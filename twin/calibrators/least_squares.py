@@ -18,7 +18,7 @@ import numpy as np
 from twin.calibrators.base import Calibration, Window, normalised_misfit
 from twin.calibrators.posterior import WindowPosterior, WindowPrior, fit_window, limit_covariance, window_data
 from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
-from twin.calibrators.structural_error import MODEL_K, sample_sd, structural_covariance
+from twin.calibrators.structural_error import model_error, sample_sd, structural_covariance
 from twin.gauss_newton import FitProblem, Scaling
 from twin.kernel import Kernel
 from twin.network import Array, Network
@@ -46,9 +46,11 @@ class LeastSquares:
         """Fit the tunables and the initial state to a window."""
         sigma, scaling = self.network.sigma, self._scaling
         wide = scaling.prior_sd()
-        opened = np.clip(0.3 * (normalised_misfit(window, np.hypot(sigma, MODEL_K)) - 1.0), QUIET_SHARE, 1.0)
+        opened = np.clip(
+            0.3 * (normalised_misfit(window, np.hypot(sigma, model_error(self.network))) - 1.0), QUIET_SHARE, 1.0
+        )
         prior = self._covariance + np.diag((opened * wide) ** 2)
-        weight = sample_sd(sigma, window.time)
+        weight = sample_sd(self.network, window.time)
         noise = float(np.mean((sigma / weight) ** 2))
         before = WindowPrior(self._mean, prior, window.state)
         done = fit_window(self.kernel, scaling, weight, window, before, noise=noise)

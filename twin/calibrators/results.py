@@ -59,7 +59,7 @@ def fitted_calibration(
 ) -> Calibration:
     """Return the calibration of `window` for the tunables `ids`."""
     residual = fit.readings - window.measured
-    error = total_rmse(residual)
+    error = total_rmse(residual * network.kelvin_per_unit)
     return Calibration(
         window=window.number,
         start_s=float(window.time[0]),

@@ -14,7 +14,7 @@ import numpy as np
 from twin.calibrators.base import Window
 from twin.calibrators.posterior import STATE_SD
 from twin.gauss_newton import FitProblem
-from twin.network import Array
+from twin.network import Array, Network
 
 MODEL_K = 0.02
 """Structural error of a healthy twin, K."""
@@ -24,20 +24,31 @@ PERSISTENCE_S = 300.0
 """Assumed duration of an error for its effect on parameters, s."""
 
 
-def sample_sd(sigma: Array, time: Array) -> Array:
-    """Return the standard deviation (m,), K, of one of the samples at `time` (n,) s, noise `sigma` (m,) included."""
+def model_error(network: Network) -> Array:
+    """Return the structural error of a healthy twin (m,): `MODEL_K`, of a meter as much in its own unit."""
+    return np.asarray(MODEL_K / network.kelvin_per_unit)
+
+
+def sample_sd(network: Network, time: Array) -> Array:
+    """Return the standard deviation (m,), K or the reading's unit, of one of the samples at `time` (n,) s, noise
+    included.
+    """
     correlated = max(CORRELATED_S / _pace(time), 1.0)
-    found: Array = np.sqrt(sigma**2 + MODEL_K**2 * correlated)
+    found: Array = np.sqrt(network.sigma**2 + model_error(network) ** 2 * correlated)
     return found
 
 
-def error_size(window: Window, sigma: Array) -> Array:
-    """Return the twin's error (m,), K: that of the live twin in the window beyond noise, `MODEL_K` at least."""
+def error_size(window: Window, network: Network) -> Array:
+    """Return the twin's error (m,), K or the reading's unit: that of the live twin in the window beyond noise,
+    `model_error` at least.
+    """
     squares = (window.live - window.measured) ** 2
     good = np.isfinite(squares)
     count = good.sum(axis=0)
     mean = np.where(good, squares, 0.0).sum(axis=0) / np.maximum(count, 1)
-    found: Array = np.sqrt(MODEL_K**2 + np.where(count > 0, np.maximum(mean - sigma**2, 0.0), 0.0))
+    found: Array = np.sqrt(
+        model_error(network) ** 2 + np.where(count > 0, np.maximum(mean - network.sigma**2, 0.0), 0.0)
+    )
     return found
 
 
@@ -96,9 +107,9 @@ def structural_covariance(
     precision[off] = 0.0
     precision[:, off] = 0.0
     precision += np.diag(np.where(off, 0.0, apart**-2.0))
-    found: Array = persistent_error_covariance(
-        problem, v, precision, error_size(window, problem.kernel.network.sigma), chi
-    )[:q, :q]
+    found: Array = persistent_error_covariance(problem, v, precision, error_size(window, problem.kernel.network), chi)[
+        :q, :q
+    ]
     return found
 
 

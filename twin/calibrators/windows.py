@@ -47,12 +47,13 @@ def make_window(
     live: Array,
     rules: WindowRules,
     read: np.ndarray | None = None,
+    kelvin_per_unit: Array | float = 1.0,
 ) -> Window:
     """Return a completed window with its errors and kind (see `Window` for the shapes); without `read` all inputs
-    were read.
+    were read. `kelvin_per_unit` (m,) weighs the readings in those errors (`Network.kelvin_per_unit`).
     """
     read = np.ones(inputs.shape, dtype=bool) if read is None else read
-    residual = live - measured
+    residual = (live - measured) * kelvin_per_unit
     first = max(int(np.searchsorted(time, time[0] + rules.first_s)), 1)
     mismatch = initial_mismatch(residual[:first])
     error = total_rmse(residual)

@@ -21,6 +21,7 @@ from twin.elements.base import (
     STAMP,
     Candidate,
     Element,
+    Export,
     Fragment,
     InputDrive,
     Names,
@@ -29,6 +30,7 @@ from twin.elements.base import (
     input_target,
     place,
 )
+from twin.elements.meter import unit_of
 
 LUMPED_S = 25.0
 """Lag that an element's heat capacity and the transport of water give to an immediate step, s."""
@@ -85,9 +87,12 @@ class Actuator(Element):
             value = f"({value}) * {change.format(command=n.arrived())}"
         dead_time = None if n.constant("dead_time_s") == 0.0 else n.par("dead_time_s")
         lag = None if n.constant("lag_s") == 0.0 else n.par("lag_s")
+        unit = unit_of(self.column)
+        exports = {"delivered": Export(unit, n.input(self.column))} if unit else {}
         if value == n.arrived() and dead_time is None and lag is None:
-            return Fragment()
-        return Fragment(drive=InputDrive(self.column, value, dead_time, lag, varies=bool(changes)))
+            return Fragment(exports=exports)
+        drive = InputDrive(self.column, value, dead_time, lag, varies=bool(changes))
+        return Fragment(drive=drive, exports=exports)
 
 
 _NEUTRAL = {"gain": 1.0, "droop": 0.0, "lag_s": 0.0, "offset": 0.0}

@@ -192,6 +192,36 @@ class SampleMemory:
 
 
 @dataclass(frozen=True)
+class Export:
+    """A quantity that a `meter` can read, beside the heat that the network needs.
+
+    Attributes
+    ----------
+    unit
+        W, kW, kg/s or %.
+    value
+        Expression of anything but the outlets of delays.
+    steps
+        (local name, expression) that `value` needs beyond `uniform`, `sample` and `stage`; computed only where a meter
+        reads it.
+    """
+
+    unit: str
+    value: str
+    steps: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Metered:
+    """The quantity of an element that a meter reads: the local `name` is `factors[unit]` times the export's value."""
+
+    element: str
+    quantity: str
+    name: str
+    factors: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class Fragment:
     """An element's part of the kernel.
 
@@ -209,7 +239,11 @@ class Fragment:
         Node -> expression of `uniform`, `sample` and parameters only: an upper bound on the dependence of the heat on
         the node's own temperature, W/K. It sets the substeps.
     observe
-        Expression of a sensor's reading, degC, or None.
+        Expression of an instrument's reading, degC of a thermometer, or None.
+    exports
+        Quantity -> what a meter can read of the element.
+    metered
+        What the element reads of another one; meters only.
     states, lags, delay, drive, memories
         The element's memory.
     """
@@ -220,6 +254,8 @@ class Fragment:
     heat: Mapping[str, str] = field(default_factory=dict)
     conductance: Mapping[str, str] = field(default_factory=dict)
     observe: str | None = None
+    exports: Mapping[str, Export] = field(default_factory=dict)
+    metered: Metered | None = None
     states: tuple[ElementState, ...] = ()
     lags: tuple[SensorLag, ...] = ()
     delay: PlugFlowDelay | None = None
@@ -451,5 +487,5 @@ class Element(ABC):
         return self._of_role("input")
 
     def columns(self) -> tuple[str, ...]:
-        """Return the measured columns that the element reads (sensors only)."""
+        """Return the measured columns that the element reads (sensors and meters only)."""
         return self._of_role("columns")

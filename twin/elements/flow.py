@@ -34,7 +34,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Export, Fragment, Names, ParameterSpec, Sites, place
 
 WATER_DENSITY = 0.997
 """kg/L at 25 degC (IAPWS-95)."""
@@ -159,6 +159,7 @@ class Flow(Element):
             stage=tuple(stage),
             heat=heat,
             conductance={node: f"{mcp} * {share[node]}" for node in self.path},
+            exports={"mass_flow": Export("kg/s", f"{flow} * {WATER_DENSITY!r}")},
         )
 
 

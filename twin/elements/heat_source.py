@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
-from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Export, Fragment, Names, ParameterSpec, Sites, place
 
 LAWS = ("proportional", "linear", "squared", "cubed", "daily", "daylight")
 POWERS = ("squared", "cubed")
@@ -221,6 +221,11 @@ class HeatSource(Element):
         )
 
     def emit(self, n: Names) -> Fragment:
+        found = self._heat(n)
+        return replace(found, exports={"heat": Export("W", found.heat[self.node])})
+
+    def _heat(self, n: Names) -> Fragment:
+        """Return the formulas of the law."""
         if not self.driver:
             return Fragment(heat={self.node: n.par("power")})
         column = n.input(self.driver)

@@ -18,12 +18,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Candidate, EffectSize, Element, Export, Fragment, Names, ParameterSpec, Sites, place
 
 CP_DRY, CP_STEAM, LATENT, CP_WATER = 1006.0, 1860.0, 2.501e6, 4186.0
 """J/(kg K) of dry air and vapour, J/kg at 0 degC, J/(kg K) of water."""
 WETTED, STARVING, PASSES, LEAST_AIR = 0.94, 1.5, 6, 0.02
 """As in `twin.tower.cell`; a test holds the two equal."""
+NEWTON = 6
+"""Newton's steps for the temperature of saturated air of a given enthalpy: the error is below 1e-6 K."""
 COLDEST_C, HOTTEST_C = -30.0, 80.0
 """Temperatures between which saturated air is evaluated."""
 _LONGEST = 50.0
@@ -118,8 +120,39 @@ class TowerCell(Element):
         ]
         return Fragment(
             uniform=first, sample=tuple(sample), heat={self.node: f"{mcp} * ({mixed} - {n.temperature(self.node)})"},
-            conductance={self.node: mcp},
+            conductance={self.node: mcp}, exports=self._exports(n, uniform, fill_out),
         )  # fmt: skip
+
+    def _exports(self, n: Names, u: Mapping[str, str], fill_out: str) -> dict[str, Export]:
+        """Return heat rejected, fan power and evaporation, as `twin.tower.cell` has them."""
+        par, water, wet_air = n.par, n.local("water"), n.local("wet_air")
+        share, surface, slope = n.local("wet_share"), n.local("surface"), n.local("surface_slope")
+        at = n.local("surface_t")
+        steps = [
+            (share, f"1.0 - exp(-min({n.local('ntu')}, {_LONGEST}))"),
+            (surface, f"{u['h_in']} + ({u['t_in']} - {fill_out}) * {water} * {CP_WATER} / ({wet_air} * {share})"),
+            (at, f"min(max(({surface} - 1.0e4) / 3.0e3, -10.0), 60.0)"),
+        ]
+        for k in range(NEWTON):
+            h, following = n.local(f"surface_h{k}"), n.local(f"surface_t{k}")
+            warmer = f"({at} + 0.01)"
+            steps += [
+                (h, _enthalpy(at, _ratio(at, u["kPa"]))),
+                (f"{slope}{k}", f"({_enthalpy(warmer, _ratio(warmer, u['kPa']))} - {h}) * 100.0"),
+                (following, f"min(max({at} - ({h} - {surface}) / {slope}{k}, {COLDEST_C}), {HOTTEST_C})"),
+            ]
+            at = following
+        lost = f"{par('evaporation')} * {wet_air} * {share} * ({_ratio(at, u['kPa'])} - {u['w_in']})"
+        speed = n.local("speed")
+        shaft = f"{par('fan_power')} * {speed} * {speed} * {speed} * {u['rho_air']} / {par('density')}"
+        return {
+            "heat_rejected": Export("kW", f"0.001 * {n.local('mcp')} * ({u['t_in']} - {n.local('mixed')})"),
+            "fan_power": Export(
+                "kW", f"{par('fan_idle')} + {shaft} * (1.0 + {par('kappa')} * (1.0 - {par('air')}))",
+                ((speed, u["fan_share"]),),
+            ),
+            "evaporation": Export("kg/s", lost, tuple(steps)),
+        }  # fmt: skip
 
     def _fixed_point(self, n: Names, u: Mapping[str, str]) -> tuple[list[tuple[str, str]], str]:
         """Return the locals of the fixed point and the name of the temperature of the water that leaves the fill."""

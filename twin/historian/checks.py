@@ -22,10 +22,21 @@ SETTLED_MIN = 30
 """Minutes of flow before an outlet is held against inlet and wet bulb."""
 NAMES = {FAN_LAW: "fan power is not that of its speed", PUMP_WORK: "pump power is not that of flow and pressure",
          BELOW_WET_BULB: "the outlet is below the wet bulb", ABOVE_INLET: "the outlet is above the inlet"}  # fmt: skip
+COMPARED = {
+    FAN_LAW: ("fan_speed_pct", "fan_power_kW"), PUMP_WORK: ("pump_kW", "m_w_kg_s", "header_kPa"),
+    BELOW_WET_BULB: ("t_out_C", "wet_C"), ABOVE_INLET: ("t_out_C", "t_in_C"),
+}  # fmt: skip
+"""Columns that a check compares."""
 
 
-def check_flags(columns: Mapping[str, NDArray[np.generic]]) -> tuple[NDArray[np.uint8], list[str]]:
-    """Return the failed checks of each minute as bits (n,), and a sentence for each check that fails often."""
+def check_flags(
+    columns: Mapping[str, NDArray[np.generic]], minute_s: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.uint8], list[str]]:
+    """Return the failed checks of each minute as bits (n,), and a sentence for each check that fails often.
+
+    Parameters:
+        minute_s: beginning of each minute, s since 1970, for the sentences.
+    """
     c = {name: np.asarray(values, dtype=np.float64) for name, values in columns.items() if values.dtype.kind == "f"}
     n = len(c["t_out_C"])
     flags = np.zeros(n, dtype=np.uint8)
@@ -40,7 +51,11 @@ def check_flags(columns: Mapping[str, NDArray[np.generic]]) -> tuple[NDArray[np.
         share = float(((flags & bit) > 0).mean())
         if share > 0.02:
             first = int(np.flatnonzero(flags & bit)[0])
-            remarks.append(f"{text} in {100 * share:.0f} % of the minutes, first in minute {first}; look at these tags")
+            when = "" if minute_s is None else f" ({np.datetime64(int(minute_s[first]), 's')}Z)"
+            remarks.append(
+                f"{text} in {100 * share:.0f} % of the minutes, first in row {first + 1}{when}; check the tags of "
+                f"{' and '.join(COMPARED[bit])} for a swap, a wrong unit or a fault"
+            )
     return flags, remarks
 
 

@@ -27,6 +27,11 @@ USUAL: dict[str, tuple[float, float]] = {
     "fan_speed_command": (-1.0, 120.0),
 }
 """Canonical values between which most samples of a tower in operation lie, by role."""
+FANS = ("fan_speed", "fan_speed_command")
+SHARE = (0.4, 1.3)
+"""High and highest values of a fan that is given as a share of full: one that stands reads less, one in % more."""
+TURNING = (5.0, 120.0)
+"""Speed of a fan that turns, %."""
 LEAST_SHARE = 0.2
 """Share of the samples in the usual range; a unit switch leaves more on one side."""
 FLOW = (0.1, 3.0)
@@ -53,6 +58,8 @@ def in_usual_units(
         values = one.value[one.good]
         if one.tag.role == "water_flow" and len(values):
             values = values[values > 0.1 * np.quantile(values, 0.95)]
+        if one.tag.role in FANS and len(values) and SHARE[0] < np.quantile(values, 0.95) and values.max() < SHARE[1]:
+            usual, values = TURNING, values[values > 0.1 * np.quantile(values, 0.95)]
         unit = unit_of(one.tag.unit)
         if usual is None or len(values) < 20 or _share(values, unit.scale, unit.offset, usual) >= LEAST_SHARE:
             kept.append(one)
@@ -91,12 +98,18 @@ def order_and_silence(series: Sequence[Series], places: dict[str, str]) -> list[
     def day(time_s: float) -> str:
         return datetime.datetime.fromtimestamp(time_s, datetime.UTC).strftime("%Y-%m-%d")
 
-    remarks = []
+    remarks, turned = [], [one for one in series if (np.diff(one.time_s) < 0.0).any()]
+    if turned:
+        first = turned[0]
+        back = np.flatnonzero(np.diff(first.time_s) < 0.0)
+        others = f", as do those of {len(turned) - 1} further tags" if len(turned) > 1 else ""
+        remarks.append(
+            f"{places.get(first.tag.name, 'the dictionary')}: the times of {first.tag.name} go back {len(back)} times "
+            f"in the store, first in row {back[0] + 2} of its samples{others}; they were sorted: check the "
+            f"logger's clock"
+        )
     for one in series:
         place = places.get(one.tag.name, "the dictionary")
-        back = int((np.diff(one.time_s) < 0.0).sum())
-        if back:
-            remarks.append(f"{place}: the times of {one.tag.name} go back {back} times in the store; they were sorted")
         times = np.sort(one.time_s)
         for k in np.flatnonzero(np.diff(times) > SILENT_DAYS * DAY_S):
             remarks.append(f"{place}: {one.tag.name} has no sample from {day(times[k])} to {day(times[k + 1])}")

@@ -74,7 +74,7 @@ def cell_minutes(
     others = [speed for number, speed in shared.fans.items() if number != cell]
     columns["neighbours_speed_pct"] = _mean(others, len(shared.minute_s)).astype(np.float32)
     columns |= shared.columns
-    check, remarks = check_flags(columns)
+    check, remarks = check_flags(columns, shared.minute_s)
     columns["check"] = check
     columns["disturbed"] = disturbed
     columns["regime"] = regimes(

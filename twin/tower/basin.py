@@ -14,12 +14,13 @@ Source of the update: batch Kalman (Bayesian linear) update of the cells' joint 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.tower.air import Array
+from twin.tower.joint import joint_update
 from twin.tower.model import DEVIATIONS, SLOW
 from twin.tower.smoother import Estimate
 
@@ -94,33 +95,7 @@ def with_basin(
         stacked += rows.shares[:, c][:, None] * cross[at]
         innovation -= rows.shares[:, c] * posterior.slow[rows.grid, BIAS]
         crosses.append(cross)
-    right = np.column_stack([innovation, *(cross.T for cross in crosses)])
-    gain = np.asarray(np.linalg.solve(stacked + noise, right), dtype=np.float64)
-    return [_updated(*pair) for pair in _pairs(posteriors, crosses, gain)]
-
-
-def _pairs(
-    posteriors: Sequence[Estimate], crosses: list[Array], gain: Array
-) -> list[tuple[Estimate, Array, Array, Array]]:
-    found, start = [], 1
-    for posterior, cross in zip(posteriors, crosses, strict=True):
-        width = cross.shape[0]
-        found.append((posterior, cross, gain[:, 0], gain[:, start : start + width]))
-        start += width
-    return found
-
-
-def _updated(p: Estimate, cross: Array, innovation: Array, gain: Array) -> Estimate:
-    """Return a posterior after the update; the residuals follow linearly."""
-    change = cross @ innovation
-    covariance = p.covariance - cross @ gain
-    slow = p.slow + change[: p.slow.size].reshape(p.slow.shape)
-    constant = p.constant + change[p.slow.size :]
-    moved = np.concatenate(
-        [(slow - p.slow)[p.cell], np.broadcast_to(constant - p.constant, (len(p.cell), len(constant)))], axis=1
-    )
-    residual = p.residual - np.einsum("ij,ij->i", p.jacobian, moved)
-    return replace(p, slow=slow, constant=constant, covariance=0.5 * (covariance + covariance.T), residual=residual)
+    return joint_update(posteriors, crosses, stacked + noise, innovation)
 
 
 def _rows(

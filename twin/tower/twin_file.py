@@ -128,6 +128,12 @@ def _fixed(value: float, source: str) -> dict[str, Any]:
     return {"value": float(f"{value:.7g}"), "status": "fixed", "source": source}
 
 
+def station_of_twin(network: Network) -> str:
+    """Return the station that a twin's title names as `cell_network` writes it, "" where it names none."""
+    found = re.fullmatch(r"Cell \d+ of station (.+)", network.title)
+    return found[1] if found else ""
+
+
 def _plain(station: str) -> str:
     text = re.sub(r"[^A-Za-z0-9]+", "_", station).strip("_").lower()
     return f"{text}_" if text else ""

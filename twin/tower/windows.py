@@ -10,6 +10,7 @@ import numpy as np
 from twin.tower.air import Array
 from twin.tower.calibration import WINDOW_S, Calibrated
 from twin.tower.cell import Inputs
+from twin.tower.evaporation import GAIN
 from twin.tower.identify import TOLERANCE, Identifiability, excited, identifiability
 from twin.tower.minutes import Minutes
 from twin.tower.model import DEVIATIONS, GLOBALS, NAMES, CellModel
@@ -38,14 +39,17 @@ class Window:
     half: float
 
 
-def windows_of(model: CellModel, minutes: Minutes, calibrated: Calibrated, hidden: Array, second: bool) -> list[Window]:
+def windows_of(
+    model: CellModel, minutes: Minutes, calibrated: Calibrated, hidden: Array, second: bool, makeup: bool = False
+) -> list[Window]:
     """Return the windows of a record in the order of time.
 
     Parameters:
-        hidden: share of hidden required channels by minute (n,). second: a basin thermometer is in use.
+        hidden: share of hidden required channels by minute (n,). second: a basin thermometer is in use. makeup: the
+        station's evaporation is.
     """
     blocks, posterior = calibrated.blocks, calibrated.posterior
-    slopes = _scaled(calibrated, second)
+    slopes = _scaled(calibrated, second, makeup)
     first, last = float(minutes.time_s[0]), float(minutes.time_s[-1])
     starts = np.arange(np.floor(first / WINDOW_S) * WINDOW_S, last + 1.0, WINDOW_S)
     running = np.isfinite(blocks.outlet) & (posterior.weights > 0.0)
@@ -67,7 +71,7 @@ def windows_of(model: CellModel, minutes: Minutes, calibrated: Calibrated, hidde
     return found
 
 
-def _scaled(calibrated: Calibrated, second: bool) -> Array:
+def _scaled(calibrated: Calibrated, second: bool, makeup: bool) -> Array:
     """Return the scaled sensitivities of each block by sensor (sensors, n, 4)."""
     jac = calibrated.posterior.jacobian[:, : len(DEVIATIONS)]
     bounds = np.array([BOUNDS[name] for name in DEVIATIONS])
@@ -77,10 +81,15 @@ def _scaled(calibrated: Calibrated, second: bool) -> Array:
     # The level of the fan's power is open by as much as its prior: a window learns little of the air from it.
     level = next(one.sd for one in GLOBALS if one.name == "power_gain")
     rows = [jac / TOLERANCE["outlet"], fan / np.hypot(TOLERANCE["fan"], level)]
+    water = jac.copy()
+    water[:, DEVIATIONS.index("bias")] = 0.0
     if second:
-        water = jac.copy()
-        water[:, DEVIATIONS.index("bias")] = 0.0
         rows.append(water / TOLERANCE["basin"])
+    if makeup:
+        u = calibrated.blocks.operation.inputs
+        fall = np.maximum(u.t_in - calibrated.blocks.outlet, 1.0)[:, None]
+        # A cell's own share of the station's evaporation is known as well as the sum: the others' errors are its own.
+        rows.append(np.where(np.isfinite(fall), -water / fall, 0.0) / np.hypot(TOLERANCE["evaporation"], GAIN))
     return np.stack(rows) * bounds
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hil.bench.commands.output import JSON, OUT, finish
+from hil.bench.commands.output import JSON, OUT, SEED, finish
 from hil.cli.options.paths import INPUT_FILE
 
 
@@ -17,17 +17,34 @@ from hil.cli.options.paths import INPUT_FILE
 )
 @click.option("--labels", type=INPUT_FILE, help="Inspections, traverses and certificates, CSV.")
 @click.option("--truth", type=INPUT_FILE, help="Truth of a made station, Parquet: errors of the deviations too.")
+@click.option(
+    "--steps", type=click.IntRange(1), help="Trials with a step of the outlet thermometer, instead of the baselines."
+)
+@click.option("--step-size", default=0.5, show_default=True, help="Size of these steps, K.")
+@SEED
 @OUT
 @JSON
 def tower_command(
-    record: Path, twins: tuple[Path, ...], labels: Path | None, truth: Path | None, out: Path | None, as_json: bool
-) -> None:
+    record: Path, twins: tuple[Path, ...], labels: Path | None, truth: Path | None, steps: int | None,
+    step_size: float, seed: int, out: Path | None, as_json: bool,
+) -> None:  # fmt: skip
     """Predictions of a cell's outlet on RECORD by each baseline, its own readings hidden.
+
+    With --steps: steps of an outlet thermometer, how soon each is found, and the fouling that the refit then reports.
 
     \b
     Example:
       hil bench tower record --twin cell1.toml
+      hil bench tower record --twin cell1.toml --twin cell2.toml --steps 200
     """
+    if steps is not None:
+        from hil.bench.tower_steps import tables_of, try_steps
+
+        trials = try_steps(
+            record, twins, steps, step_size, seed, lambda k: click.echo(f"trial {k} of {steps}", err=True)
+        )
+        finish("tower_steps", seed, tuple(tables_of(trials, step_size)), (), out, as_json)
+        return
     from hil.bench.tower import compare
 
     tables, skipped = compare(record, twins, labels, truth)

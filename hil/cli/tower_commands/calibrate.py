@@ -40,14 +40,17 @@ def command(
       hil tower calibrate record --twin cell1.toml --twin cell2.toml --labels labels.csv --out out
     """
     from hil.tower.calibrate import calibrate, write_table
+    from hil.tower.errors import writing
     from hil.tower.governance import RECORDS, check_records
     from hil.tower.service import govern
 
     if out.is_dir():
         check_records(out / RECORDS)
     results, notes = calibrate(record, twins, labels, events)
-    path = write_table(results, out)
-    _show(govern(results, notes, out, mode), path)
+    with writing(out):
+        path = write_table(results, out)
+        governed = govern(results, notes, out, mode)
+    _show(governed, path)
 
 
 def _show(cells: Sequence[CellGovernance], path: Path) -> None:
@@ -83,8 +86,10 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
                 )
         for time_s, names in one.alarms:
             terminal.print(f"cell {one.result.cell}: drift alarm at {iso(time_s)}: {', '.join(names)}", markup=False)
+        if refused := one.low_sensitivity:
+            terminal.print(f"cell {one.result.cell}: {refused}", markup=False, soft_wrap=True)
         if one.balance:
-            terminal.print(f"cell {one.result.cell}: the heat balance is not used: {one.balance}", markup=False)
+            terminal.print(f"cell {one.result.cell}: the water balance is not used: {one.balance}", markup=False)
         if one.revision is not None:
             terminal.print(f"written: {one.revision}", markup=False, soft_wrap=True)
     terminal.print(f"written: {path}", markup=False, soft_wrap=True)

@@ -38,6 +38,7 @@ def command(
     from hil.record.raw import RecordError
     from hil.run.session.terminal import console
     from hil.tower.calibrate import TABLE
+    from hil.tower.errors import writing
     from hil.tower.picture import draw_cell
     from hil.tower.report import REPORT, report
     from hil.tower.truth import compare, read_minutes, read_truth
@@ -49,7 +50,7 @@ def command(
     found = {} if picture is None and true is None else read_minutes(out / TABLE, needed, remedy)
     if true is not None:
         text += "\n" + "\n".join(compare(found, true)) + "\n"
-    with replacing(out / REPORT) as unfinished:
+    with writing(out), replacing(out / REPORT) as unfinished:
         unfinished.write_text(text)
     console().print(text, markup=False)
     if picture is None:
@@ -62,7 +63,8 @@ def command(
         raise RecordError(f"{out}: has no cell {drawn}; its cells are {have}")
     of_truth = None if true is None else true.get(drawn)
     events = () if record is None else recorded_events(record)
-    draw_cell(found[drawn], picture, cell=drawn, truth=of_truth, labels=labels, events=events)
+    with writing(picture):
+        draw_cell(found[drawn], picture, cell=drawn, truth=of_truth, labels=labels, events=events)
     click.echo(f"written: {picture}")
 
 

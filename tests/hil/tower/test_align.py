@@ -142,6 +142,7 @@ def test_a_wrong_line_of_the_dictionary_is_named(
         ("RHA", 0.01, 0.0, "give it the unit 1 there"),
         ("TDB", 1.8, 32.0, "give it the unit degF there"),
         ("F1", 4.4, 0.0, "gpm"),
+        ("SI1", 0.01, 0.0, "give it the unit 1 there"),
     ],
 )
 def test_a_tag_in_another_unit_throughout_is_left_out_with_the_remedy(
@@ -173,7 +174,9 @@ def test_a_clock_that_goes_back_and_days_of_silence_are_named(
     folder = _station(tmp_path / "station", series)
     assert _hil("tower", "align", folder, "--out", tmp_path / "record") == 0
     shown = capsys.readouterr().out.replace("\n", " ")
-    assert "the times of TRET go back 1 times in the store; they were sorted" in shown
+    assert (
+        "the times of TRET go back 1 times in the store, first in row" in shown and "check the logger's clock" in shown
+    )
     assert "TSUP has no sample from 20" in shown
 
 
@@ -194,7 +197,9 @@ def test_an_outlet_above_the_inlet_is_marked_and_named(
     series = [replace(one, value=one.value + 25.0) if one.tag.name == "T1OUT" else one for one in clean]
     folder = _station(tmp_path / "station", series)
     assert _hil("tower", "align", folder, "--out", tmp_path / "record") == 0
-    assert "cell 1: the outlet is above the inlet" in capsys.readouterr().out.replace("\n", " ")
+    shown = capsys.readouterr().out.replace("\n", " ")
+    assert "cell 1: the outlet is above the inlet" in shown and ", first in row " in shown
+    assert "check the tags of t_out_C and t_in_C" in shown
     assert (pq.read_table(tmp_path / "record" / "cell1.parquet")["check"].to_numpy() & 8).mean() > 0.3
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -28,9 +29,9 @@ SHEET = {
 }  # fmt: skip
 
 
-def write_record(folder: Path, cell: int = 1, **options: Any) -> None:
+def write_record(folder: Path, cell: int = 1, days: float = 6, **options: Any) -> None:
     """Write a record of a made cell as the alignment does."""
-    made = made_cell(6, seed=21, **options)
+    made = made_cell(days, seed=21, **options)
     folder.mkdir(exist_ok=True)
     arrays = {"time": pa.array((made.time_s * 1e3).astype("datetime64[ms]"), pa.timestamp("ms", tz="UTC"))}
     for name, values in made.columns.items():
@@ -186,6 +187,46 @@ def test_without_certificate_and_inspection_bias_and_fill_are_held_back(plant: P
     assert "NO_SECOND_THERMOMETER" in codes["bias"] and "NO_INSPECTION" in codes["fill"]
 
 
+def test_without_a_step_test_the_combined_direction_is_named_and_the_weaker_deviation_held_back(
+    plant: Path, tmp_path: Path
+) -> None:
+    record = tmp_path / "record"
+    write_record(record, test_days=())
+    notes = json.loads((record / "station.json").read_text())
+    (record / "station.json").write_text(json.dumps({**notes, "datasheet": {**SHEET, "basin": {}}}))
+    table = pq.read_table(record / "cell1.parquet")
+    lost = pa.array(np.full(table.num_rows, np.nan))
+    pq.write_table(
+        table.set_column(table.schema.get_field_index("fan_power_kW"), "fan_power_kW", lost), record / "cell1.parquet"
+    )
+    shutil.copy(plant / "cell1.toml", tmp_path / "cell1.toml")
+    done = run("calibrate", record, "--twin", tmp_path / "cell1.toml", "--out", tmp_path / "out", "--mode", "advisory")
+    shown = " ".join(done.output.split())
+    assert "cell 1: the last day does not identify all deviations (condition " in shown and "limit 80)" in shown
+    named = re.search(r"known least: (.*?); (\w+).*? is held back", shown)
+    assert named and named[2] in named[1]
+    entries = json.loads((tmp_path / "out" / "review_queue.json").read_text())["proposals"]
+    held = next(e for e in entries if e.get("parameter") == named[2])
+    assert f"LOW_SENSITIVITY:{named[2]}" in held["codes"] and held["condition"] > 80.0
+    assert f"known least: {held['combined']}" in " ".join(run("report", tmp_path / "out").output.split())
+
+
+def test_hidden_channels_refuse_the_window_and_a_makeup_of_zero_is_not_weighed(plant: Path, tmp_path: Path) -> None:
+    record = tmp_path / "record"
+    write_record(record)
+    table = pq.read_table(record / "cell1.parquet")
+    for name in ("fan_power_kW", "pressure_kPa"):
+        lost = np.where(np.arange(table.num_rows) > table.num_rows - 1440, np.nan, table[name].to_numpy())
+        table = table.set_column(table.schema.get_field_index(name), name, pa.array(lost))
+    pq.write_table(table, record / "cell1.parquet")
+    shutil.copy(plant / "cell1.toml", tmp_path / "cell1.toml")
+    done = run("calibrate", record, "--twin", tmp_path / "cell1.toml", "--out", tmp_path / "out", "--mode", "advisory")
+    assert "cell 1: the last window is refused: 29 % of its channels are hidden" in done.output.replace("\n", " ")
+    assert "the water balance is not used: NOT_CLOSED" in done.output
+    entries = json.loads((tmp_path / "out" / "review_queue.json").read_text())["proposals"]
+    assert all("MISSING_REQUIRED" in e["codes"] for e in entries if "parameter" in e)
+
+
 def test_a_step_of_the_thermometer_becomes_a_bias_and_no_fouling(plant: Path, tmp_path: Path) -> None:
     record = tmp_path / "record"
     write_record(record, step=(3.5, 0.6), fill=(0.88, 0.88))
@@ -208,6 +249,22 @@ def test_a_twin_of_another_cell_is_refused_by_name(plant: Path, tmp_path: Path) 
     says = refused(run("calibrate", tmp_path / "record", "--twin", plant / "cell1.toml", "--out", tmp_path / "out"))
     assert "is of cell 1" in says and "cell 2" in says
     assert not (tmp_path / "out").exists()
+
+
+def test_a_twin_of_another_station_is_refused_unless_its_title_names_none(plant: Path, tmp_path: Path) -> None:
+    text = (plant / "cell1.toml").read_text()
+    (tmp_path / "other.toml").write_text(text.replace("of station Z", "of station Y"))
+    done = run("calibrate", plant / "record", "--twin", tmp_path / "other.toml", "--out", tmp_path / "out")
+    assert "is of station 'Y'" in refused(done) and "of station 'Z'" in refused(done)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_result_that_cannot_be_written_is_one_sentence(calibrated: Path, plant: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    done = run("calibrate", plant / "record", "--twin", plant / "cell1.toml", "--out", tmp_path / "file" / "out")
+    assert exit_code(done.exception) == 1 and "cannot be written: Not a directory; make room" in str(done.exception)
+    done = run("report", calibrated, "--picture", tmp_path / "file" / "cell1.png")
+    assert exit_code(done.exception) == 1 and "cannot be written" in str(done.exception)
 
 
 def test_a_twin_of_no_tower_is_refused(plant: Path, tmp_path: Path) -> None:

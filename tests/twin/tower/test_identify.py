@@ -57,6 +57,37 @@ def test_condition_numbers_by_excitation_are_those_of_the_study(
     assert condition(sensors, **excitation) == pytest.approx(published, rel=0.35)
 
 
+DEVIATIONS_SD = [
+    ("TFEB", {"load": 0.3}, {"fill": 0.51, "uniformity": 0.22, "bias": 0.06}),
+    ("TF", {"load": 0.3, "fan": 0.15}, {"fill": 0.38, "uniformity": 0.21, "bias": 0.53}),
+    ("TFEB", {"load": 0.3, "fan": 0.15}, {"fill": 0.26, "uniformity": 0.12, "bias": 0.06}),
+    ("TFE", {"load": 0.3, "fan": 0.15, "flow": 0.12}, {"fill": 0.15, "uniformity": 0.064, "bias": 0.08}),
+    ("T", {"load": 0.3, "fan": 0.4, "flow": 0.3}, {"fill": 0.13, "air": 0.066, "uniformity": 0.028, "bias": 0.29}),
+    ("TFEB", {"load": 0.3, "fan": 0.4, "flow": 0.3}, {"fill": 0.049, "uniformity": 0.019, "bias": 0.06}),
+    ("TFEB", {"load": 0.8, "fan": 0.4, "flow": 0.5}, {"fill": 0.032, "uniformity": 0.011, "bias": 0.06}),
+]
+"""Excitation and sensors with the Cramer-Rao standard deviations of the same study."""
+
+
+@pytest.mark.parametrize(("sensors", "excitation", "published"), DEVIATIONS_SD)
+def test_standard_deviations_by_excitation_are_those_of_the_study(
+    sensors: str, excitation: dict[str, float], published: dict[str, float]
+) -> None:
+    names = [SENSORS[letter] for letter in sensors]
+    days = [identifiability(cell_sensitivities(CELL, day(seed=s, **excitation), names, AT, KAPPA), 5.0)
+            for s in range(4)]  # fmt: skip
+    found = {name: float(np.median([one.sd[name] for one in days])) for name in published}
+    assert found == pytest.approx(published, rel=0.4)
+
+
+def test_a_second_thermometer_or_evaporation_separates_the_bias() -> None:
+    def bias(sensors: str) -> float:
+        rows = cell_sensitivities(CELL, day(load=0.3, fan=0.15), [SENSORS[s] for s in sensors], AT, KAPPA)
+        return identifiability(rows, 5.0).sd["bias"]
+
+    assert bias("TF") > 0.3 > 0.15 > bias("TFE") and bias("TFEB") < bias("TFE")
+
+
 def test_without_a_change_of_flow_a_lone_thermometer_is_singular() -> None:
     assert condition("T", load=0.3, fan=0.0) > 300.0
 

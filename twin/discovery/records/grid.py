@@ -66,8 +66,13 @@ def on_grid(
             degC; NaN is left out.
 
     Raises:
-        TooShortError: it is too short. TwinFileError: not a single reading.
+        TooShortError: it is too short. TwinFileError: not a single reading, or the twin has meters.
     """
+    if network.meters:
+        raise TwinFileError(
+            f"a diagnosis takes thermometers only, and twin {network.name!r} has the meter "
+            f"{network.meters[0].name!r}; give a twin without meters"
+        )
     t, u = clean_time(time_s), bridged(network, time_s, inputs)
     known = find_segments(network, t, np.asarray(inputs, dtype=np.float64))
     y = np.where(known.lost[:, None], np.nan, np.asarray(measured, dtype=np.float64))
