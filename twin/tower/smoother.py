@@ -127,21 +127,38 @@ def time_grid(start_s: float, end_s: float) -> Array:
 
 def estimate(
     model: CellModel, blocks: Blocks, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening],
-    edges_s: Array | None = None, fixed: Sequence[str] = (),
+    edges_s: Array | None = None, fixed: Sequence[str] = (), start: Estimate | None = None,
+    least_correlation: bool = False,
 ) -> Estimate:  # fmt: skip
     """Return the posterior of the deviations over a record.
 
     Parameters:
         fixed: names of slow or global quantities that keep their prior mean.
+        start: an estimate on the same time grid to begin at. least_correlation: residuals count with the shortest
+        autocorrelation time, as they are.
     """
-    solver = _Solver(model, blocks, priors, labels, openings, edges_s, fixed)
-    return solver.run()
+    solver = _Solver(model, blocks, priors, labels, openings, edges_s, fixed, least_correlation)
+    return solver.run(start)
+
+
+def walk_variance(edges_s: Array, name: str, openings: Sequence[Opening]) -> tuple[Array, Array]:
+    """Return variance and mean of a deviation's increments between the cells of a time grid (k - 1,)."""
+    middle = 0.5 * (edges_s[:-1] + edges_s[1:])
+    days = np.diff(middle) / DAY_S
+    variance = WALK[name] ** 2 * days + 1e-14
+    for opening in openings:
+        if opening.parameter != name:
+            continue
+        inside = (edges_s[1:-1] >= opening.start_s - 0.5 * DAY_S) & (edges_s[1:-1] <= opening.end_s + 0.5 * DAY_S)
+        if inside.any():
+            variance[inside] += JUMP[name] ** 2 / inside.sum()
+    return variance, TREND[name] * days
 
 
 class _Solver:
     def __init__(
         self, model: CellModel, blocks: Blocks, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening],
-        edges_s: Array | None, fixed: Sequence[str],
+        edges_s: Array | None, fixed: Sequence[str], least_correlation: bool,
     ) -> None:  # fmt: skip
         self.model, self.blocks, self.priors = model, blocks, priors
         if edges_s is None:
@@ -154,29 +171,19 @@ class _Solver:
         self.precision, self.prior_mean = self._prior(openings, fixed)
         self.sigma = [0.2, 0.03]
         self._sites: dict[int, tuple[float, float]] = {}
-        self.tau = 6.0
-        self.tau_power = 6.0
+        self.tau = self.tau_power = CORRELATION[0] if least_correlation else 6.0
+        self.longest = CORRELATION[0] if least_correlation else CORRELATION[1]
 
     def _prior(self, openings: Sequence[Opening], fixed: Sequence[str]) -> tuple[Array, Array]:
         """Return the precision of [slow, constant] and its mean."""
         k, s = self.k, self.s
         n = k * s + self.g
         precision, linear = np.zeros((n, n)), np.zeros(n)
-        middle = 0.5 * (self.edges[:-1] + self.edges[1:])
-        days = np.diff(middle) / DAY_S
         for j, name in enumerate(SLOW):
             mean, sd = self.priors.slow(name)
             scale = 1e-6 if name in fixed else 1.0
-            variance = (WALK[name] * scale) ** 2 * days + 1e-14
-            drift = TREND[name] * scale * days
-            for opening in openings:
-                if opening.parameter != name:
-                    continue
-                inside = (self.edges[1:-1] >= opening.start_s - 0.5 * DAY_S) & (
-                    self.edges[1:-1] <= opening.end_s + 0.5 * DAY_S
-                )
-                if inside.any():
-                    variance[inside] += JUMP[name] ** 2 / inside.sum()
+            variance, drift = walk_variance(self.edges, name, () if name in fixed else openings)
+            variance, drift = variance * scale**2 + 1e-14, drift * scale
             rows = np.arange(k) * s + j
             precision[rows[0], rows[0]] += 1.0 / (sd * scale) ** 2
             linear[rows[0]] += mean / (sd * scale) ** 2
@@ -197,9 +204,12 @@ class _Solver:
         linear[ends] = self.mean_g / sd_g**2
         return precision, linear
 
-    def run(self) -> Estimate:
-        factor = cho_factor(self.precision)
-        x = cho_solve(factor, self.prior_mean)
+    def run(self, start: Estimate | None) -> Estimate:
+        if start is None:
+            x = cho_solve(cho_factor(self.precision), self.prior_mean)
+        else:
+            x = np.concatenate([start.slow.ravel(), start.constant])
+            self.sigma = list(start.sigma)
         covariance = np.diag(1.0 / np.diag(self.precision))
         intervals = any(label.sd is None for label in self.labels)
         for number in range(PASSES):
@@ -275,7 +285,7 @@ class _Solver:
             r = res[there]
             scale = 1.4826 * float(np.median(np.abs(r - np.median(r))))
             self.sigma[j] = max(scale, least)
-            tau = float(np.clip(autocorrelation_time(np.clip(r, -4 * scale, 4 * scale)), *CORRELATION))
+            tau = float(np.clip(autocorrelation_time(np.clip(r, -4 * scale, 4 * scale)), CORRELATION[0], self.longest))
             if j == 0:
                 self.tau = tau
             else:
