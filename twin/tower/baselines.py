@@ -29,7 +29,7 @@ MONTH_S = 30.0 * DAY_S
 BLOCK_SIGMA = 0.3
 """Standard deviation of a block's outlet, K, for a fit that does not learn the twin's own error: METHODS 5.2."""
 PERSISTENT_BLOCKS = 3
-NEUTRAL = {"wetting": 1.0, "starving": STARVING, "draft": 0.02, "kappa": -1.3}
+NEUTRAL = {"fill_share": 1.0, "wetting": 1.0, "starving": STARVING, "draft": 0.02, "kappa": -1.3}
 """Global quantities with which the model is the clean cell's; the others are 0."""
 TREES = {"n_estimators": 120, "min_samples_leaf": 5, "n_jobs": 1}
 

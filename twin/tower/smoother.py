@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotri
 
+from twin.tower import discrepancy
 from twin.tower.air import Array
 from twin.tower.evidence import Label, interval_as_gaussian
 from twin.tower.model import GLOBALS, NAMES, SLOW, CellModel, Operation
@@ -73,6 +74,7 @@ class Priors:
 
     bounds: Mapping[str, float]
     replaced: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    discrepancy: bool = True
 
     def slow(self, name: str) -> tuple[float, float]:
         """Return mean and standard deviation of a slow deviation."""
@@ -84,6 +86,7 @@ class Priors:
     def constant(self) -> tuple[Array, Array]:
         """Return means and standard deviations of the global quantities."""
         pairs = [self.replaced.get(one.name, (one.mean, one.sd)) for one in GLOBALS]
+        pairs += [(0.0, discrepancy.prior_sd())] * discrepancy.FEATURES if self.discrepancy else []
         return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
 
 
@@ -164,11 +167,13 @@ class _Solver:
         if edges_s is None:
             edges_s = time_grid(float(blocks.time_s[0]), float(blocks.time_s[-1]) + 1.0)
         self.edges = edges_s
-        self.k, self.s, self.g = len(edges_s) - 1, len(SLOW), len(GLOBALS)
+        self.k, self.s, self.g = len(edges_s) - 1, len(SLOW), len(priors.constant()[0])
         self.cell = np.clip(np.searchsorted(edges_s, blocks.time_s, side="right") - 1, 0, self.k - 1)
         self.labels = [label for label in labels if edges_s[0] - 3 * DAY_S <= label.time_s <= edges_s[-1] + 3 * DAY_S]
         self.mean_g, self.sd_g = priors.constant()
         self.precision, self.prior_mean = self._prior(openings, fixed)
+        o = blocks.operation
+        self.features = model.features(o) * (1.0 - o.bypass)[:, None] if self.g > len(NAMES) else None
         self.sigma = [0.2, 0.03]
         self._sites: dict[int, tuple[float, float]] = {}
         self.tau = self.tau_power = CORRELATION[0] if least_correlation else 6.0
@@ -198,7 +203,8 @@ class _Solver:
             # A walk may not leave the bounds however long it goes on: the prior holds, weakly, at every time.
             precision[rows, rows] += 1.0 / (2.0 * sd * scale) ** 2 / k
             linear[rows] += mean / (2.0 * sd * scale) ** 2 / k
-        sd_g = np.where([name in fixed for name in NAMES], 1e-6, self.sd_g)
+        sd_g = self.sd_g.copy()
+        sd_g[: len(NAMES)][[name in fixed for name in NAMES]] = 1e-6
         ends = np.arange(k * s, n)
         precision[ends, ends] = 1.0 / sd_g**2
         linear[ends] = self.mean_g / sd_g**2
@@ -267,13 +273,15 @@ class _Solver:
             moved = here.copy()
             moved[:, j] += STEPS[j]
             jac[:, j] = (function(moved, g) - base) / STEPS[j] if SLOW[j] != "bias" else 1.0
-        for j in range(self.g):
+        for j in range(len(NAMES)):
             if NAMES[j] in ("kappa", "power_gain"):
                 continue
             moved_g = g.copy()
             step = 0.1 * GLOBALS[j].sd
             moved_g[j] += step
             jac[:, self.s + j] = (function(here, moved_g) - base) / step
+        if self.features is not None:
+            jac[:, self.s + len(NAMES) :] = self.features
         return jac
 
     def _rescale(self, res_t: Array, res_p: Array) -> None:
