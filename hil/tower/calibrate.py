@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
+from hil.tower.healthy import known_by, path_beside, read_healthy
 from hil.tower.record import (
     CellRecord,
     StationNotes,
@@ -27,6 +28,7 @@ from twin.network import Network, TwinFileError
 from twin.tower.air import Array
 from twin.tower.basin import Drain, with_basin
 from twin.tower.calibration import NORMAL, Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
+from twin.tower.changes import undeclared_changes
 from twin.tower.evidence import Label
 from twin.tower.minutes import MEASURED, Minutes, minutes_of
 from twin.tower.model import DEVIATIONS, CellModel, Site
@@ -196,7 +198,9 @@ def _fit(
             f"{design.m_w0:g} kg/s; "
             f"give the twin of this station instead of {path}"
         )
-    priors = priors_of(network)
+    healthy = read_healthy(path_beside(path, network))
+    priors, stated = known_by(healthy, priors_of(network), minutes, cell)
+    labels = (*labels, *stated)
     try:
         model, edges = (
             CellModel(design, site_of(notes, share)),
@@ -205,9 +209,9 @@ def _fit(
         openings = openings_of(notes, cell)
         fitted = fit_cell(model, minutes, priors, labels, openings, edges)
         steps = thermometer_steps(fitted, minutes_read)
-        more = tuple(Opening(s.start_s, s.alarm_s, "bias") for s in steps if s.lasting and s.kind == "thermometer")
-        if more:
-            fitted = fit_cell(model, minutes, priors, labels, (*openings, *more), edges)
+        openings += tuple(Opening(s.start_s, s.alarm_s, "bias") for s in steps if s.lasting and s.kind == "thermometer")
+        openings += undeclared_changes(model, fitted.blocks, priors, labels, openings, fitted.posterior)
+        fitted = fit_cell(model, minutes, priors, labels, openings, edges, fitted.posterior)
     except CalibrationError as error:
         raise RecordError(f"{minutes_read.path}: {error}") from error
     return _Draft(path, network, minutes_read, fitted, priors, labels, steps)

@@ -35,20 +35,18 @@ ROUNDS = 4
 
 def undeclared_changes(
     model: CellModel, blocks: Blocks, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening],
-    edges_s: Array,
+    start: Estimate,
 ) -> tuple[Opening, ...]:  # fmt: skip
     """Return the jumps that the record shows and no event announces, in the order of time.
 
     Parameters:
-        openings: jumps that are known.
-        edges_s: of the time grid.
+        openings: jumps that are known. start: an estimate of the record without the others.
     """
     found: list[Opening] = []
-    start: Estimate | None = None
     for _ in range(ROUNDS):
         known = (*openings, *found)
         # The shortest correlation time: residuals about a jump that is not open look like slow ones.
-        start = estimate(model, blocks, priors, labels, known, edges_s, start=start, least_correlation=True)
+        start = estimate(model, blocks, priors, labels, known, start.edges_s, start=start, least_correlation=True)
         more = _likely(start, known)
         if not more:
             break

@@ -24,8 +24,8 @@ AMPLITUDE_K = 0.1
 """Standard deviation of the twin's error that the terms of `twin.tower.model` leave: a third of the 0.3 K that Merkel's
 method leaves of a Poppe tower in all weather."""
 LENGTHS = (8.0, 5.0, 0.3, 0.3, 4.0)
-"""Correlation lengths: wet bulb K, inlet above it K, shares of full speed and of design flow, wind m/s; about a third of
-the range that a cell sees in a year."""
+"""Correlation lengths: wet bulb K, inlet above it K, shares of full speed and of design flow, wind m/s; about a third
+of the range that a cell sees in a year."""
 _PRIMES = (2, 3, 5, 7, 11)
 
 

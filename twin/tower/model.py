@@ -65,8 +65,8 @@ GLOBALS: tuple[Global, ...] = (
         "fill_share",
         0.82,
         0.07,
-        "share of the transfer in the fill itself, which scale acts on; up to 15 % is in the spray and 10 to 20 % in the "
-        "rain zone, Kroeger 2004",
+        "share of the transfer in the fill itself, which scale acts on; up to 15 % is in the spray and 10 to 20 % in "
+        "the rain zone, Kroeger 2004",
     ),
     Global(
         "wetting",

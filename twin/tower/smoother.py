@@ -38,6 +38,8 @@ one."""
 FLOW_METER = 0.015
 """Standard deviation of a flow meter's gain."""
 PASSES = 10
+FLAT = 0.02
+"""Largest change of a step below which the sensitivities of the step before are used again."""
 BLOCK_S = 600.0
 CORRELATION = (3.0, 144.0)
 """Least and most autocorrelation time, blocks: half an hour (METHODS 4.4), and a day. What stays for longer is for
@@ -70,11 +72,15 @@ class Opening:
 
 @dataclass(frozen=True)
 class Priors:
-    """Bounds of the deviations, and priors of global quantities that replace those of `GLOBALS`: name -> (mean, sd)."""
+    """Bounds of the deviations, and priors of global quantities that replace those of `GLOBALS`: name -> (mean, sd).
+
+    `discrepancy`: marginalise its weights. `learned`: mean and covariance of all constants, of a healthy record.
+    """
 
     bounds: Mapping[str, float]
     replaced: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     discrepancy: bool = True
+    learned: tuple[Array, Array] | None = None
 
     def slow(self, name: str) -> tuple[float, float]:
         """Return mean and standard deviation of a slow deviation."""
@@ -84,7 +90,9 @@ class Priors:
         return (0.0, bound / 2.0) if name == "bias" else (-bound / 3.0, bound / 3.0)
 
     def constant(self) -> tuple[Array, Array]:
-        """Return means and standard deviations of the global quantities."""
+        """Return means and standard deviations of the constants: global quantities, then weights of the discrepancy."""
+        if self.learned is not None:
+            return self.learned[0], np.sqrt(np.diag(self.learned[1]))
         pairs = [self.replaced.get(one.name, (one.mean, one.sd)) for one in GLOBALS]
         pairs += [(0.0, discrepancy.prior_sd())] * discrepancy.FEATURES if self.discrepancy else []
         return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
@@ -95,10 +103,12 @@ class Estimate:
     """Posterior of a record.
 
     Attributes:
-        edges_s: of the time grid (k + 1,). slow: deviations (k, 5). constant: global quantities (23,).
+        edges_s: of the time grid (k + 1,). slow: deviations (k, 5). constant: global quantities (24,), then
+        the weights of the discrepancy's features.
         covariance: of [slow row by row, constant]. sigma: of a block's outlet K, and of its log power, as weighed.
         residual: outlet of each block K, NaN where it was not used. weights: of each block. cell: grid cell of each
-        block. jacobian: outlet of each block by slow and constant quantities (n, 28). time_correlation: in blocks.
+        block. jacobian: outlet of each block by slow and constant quantities (n, 5 + constants).
+        time_correlation: in blocks.
     """
 
     edges_s: Array
@@ -207,7 +217,9 @@ class _Solver:
         sd_g[: len(NAMES)][[name in fixed for name in NAMES]] = 1e-6
         ends = np.arange(k * s, n)
         precision[ends, ends] = 1.0 / sd_g**2
-        linear[ends] = self.mean_g / sd_g**2
+        if self.priors.learned is not None:
+            precision[np.ix_(ends, ends)] += np.linalg.inv(self.priors.learned[1]) - np.diag(1.0 / self.sd_g**2)
+        linear[ends] = precision[np.ix_(ends, ends)] @ self.mean_g
         return precision, linear
 
     def run(self, start: Estimate | None) -> Estimate:
@@ -218,10 +230,13 @@ class _Solver:
             self.sigma = list(start.sigma)
         covariance = np.diag(1.0 / np.diag(self.precision))
         intervals = any(label.sd is None for label in self.labels)
+        jac_t, change = np.zeros((0, 0)), np.inf
         for number in range(PASSES):
             slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
             here = slow[self.cell]
-            jac_t, res_t = self._outlet(here, g)
+            if change > FLAT:
+                jac_t = self._outlet(here, g)
+            res_t = self.blocks.outlet - self.model.reading(self.blocks.operation, here, g)
             jac_p, res_p = self._power(here, g)
             self._rescale(res_t, res_p)
             w_t = _weights(res_t, self.sigma[0]) / (self.sigma[0] ** 2 * self.tau)
@@ -236,7 +251,7 @@ class _Solver:
             new = cho_solve(factor, right)
             change = float(np.abs(new - x).max())
             x = self._bounded(new)
-            last = number == PASSES - 1 or (number >= 3 and change < 2e-4)
+            last = number == PASSES - 1 or (number >= (3 if start is None else 2) and change < 2e-4)
             if last or (number >= 1 and intervals):
                 covariance = _inverse(factor[0])
             if last:
@@ -251,11 +266,10 @@ class _Solver:
             self.tau,
         )  # fmt: skip
 
-    def _outlet(self, here: Array, g: Array) -> tuple[Array, Array]:
+    def _outlet(self, here: Array, g: Array) -> Array:
+        """Return the slopes of the outlet's reading."""
         base = self.model.reading(self.blocks.operation, here, g)
-        return self._slopes(
-            lambda s, c: self.model.reading(self.blocks.operation, s, c), base, here, g
-        ), self.blocks.outlet - base
+        return self._slopes(lambda s, c: self.model.reading(self.blocks.operation, s, c), base, here, g)
 
     def _power(self, here: Array, g: Array) -> tuple[Array, Array]:
         base = self.model.log_power(self.blocks.operation, here, g)
