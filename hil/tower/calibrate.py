@@ -59,6 +59,7 @@ class CellResult:
     labels: tuple[Label, ...]
     steps: tuple[Step, ...] = ()
     second: bool = False
+    changes: tuple[Opening, ...] = ()
 
 
 def calibrate(
@@ -82,7 +83,7 @@ def calibrate(
     return [
         CellResult(
             d.record.cell, d.twin, d.network, d.record, one.minutes, predict_cell(one), d.priors, d.labels, d.steps,
-            d.record.cell in second,
+            d.record.cell in second, d.changes,
         )
         for d, one in zip(drafts, fitted, strict=True)
     ], notes  # fmt: skip
@@ -99,6 +100,7 @@ class _Draft:
     priors: Priors
     labels: tuple[Label, ...]
     steps: tuple[Step, ...] = ()
+    changes: tuple[Opening, ...] = ()
 
 
 def joined_by_basin(
@@ -210,11 +212,11 @@ def _fit(
         fitted = fit_cell(model, minutes, priors, labels, openings, edges)
         steps = thermometer_steps(fitted, minutes_read)
         openings += tuple(Opening(s.start_s, s.alarm_s, "bias") for s in steps if s.lasting and s.kind == "thermometer")
-        openings += undeclared_changes(model, fitted.blocks, priors, labels, openings, fitted.posterior)
-        fitted = fit_cell(model, minutes, priors, labels, openings, edges, fitted.posterior)
+        changes = undeclared_changes(model, fitted.blocks, priors, labels, openings, fitted.posterior)
+        fitted = fit_cell(model, minutes, priors, labels, (*openings, *changes), edges, fitted.posterior)
     except CalibrationError as error:
         raise RecordError(f"{minutes_read.path}: {error}") from error
-    return _Draft(path, network, minutes_read, fitted, priors, labels, steps)
+    return _Draft(path, network, minutes_read, fitted, priors, labels, steps, changes)
 
 
 def thermometer_steps(fitted: Fitted, record: CellRecord) -> tuple[Step, ...]:

@@ -22,8 +22,8 @@ from twin.tower.model import NAMES
 from twin.tower.smoother import DAY_S, Priors
 
 CLEAN = {"fill": 0.015, "air": 0.01, "uniformity": 0.01}
-"""Standard deviation of the deviations of a cell that counts as clean: two to four weeks of scale, an air flow as it was
-measured to 1 %."""
+"""Standard deviation of the deviations of a cell that counts as clean: two to four weeks of scale, an air flow as it
+was measured to 1 %."""
 FORMAT = 1
 
 

@@ -137,7 +137,7 @@ def without_discrepancy(priors: Priors) -> Priors:
     means, sds = priors.constant()
     free = ("kappa", "power_gain")
     held = {n: (m, s) if n in free else (NEUTRAL.get(n, 0.0), 1e-6) for n, m, s in zip(NAMES, means, sds, strict=True)}
-    return Priors(priors.bounds, held)
+    return Priors(priors.bounds, held, discrepancy=False)
 
 
 def _windows(case: Case, length_s: float = WINDOW_S) -> list[tuple[float, NDArray[np.intp]]]:
