@@ -355,7 +355,8 @@ def tower() -> plt.Figure:
             (Deviations(fill=0.9), BLUE, "fill"), (Deviations(air=0.9), ORANGE, "air"),
             (Deviations(uniformity=0.9), GREEN, "uniformity"),
         ):  # fmt: skip
-            axis.plot(x, solve(u, design, lost).t_out - clean, color=colour, label=name)
+            dashes = (4, 3) if name == "uniformity" else (None, None)
+            axis.plot(x, solve(u, design, lost).t_out - clean, color=colour, label=name, dashes=dashes)
         axis.set(xlabel=label)
     axes[0].set(ylabel="rise of the outlet, K")
     axes[0].set_ylim(bottom=0.0)
