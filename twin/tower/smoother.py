@@ -182,6 +182,8 @@ class _Solver:
         self.labels = [label for label in labels if edges_s[0] - 3 * DAY_S <= label.time_s <= edges_s[-1] + 3 * DAY_S]
         self.mean_g, self.sd_g = priors.constant()
         self.precision, self.prior_mean = self._prior(openings, fixed)
+        # Changes of the constants count in tenths of their priors' standard deviations.
+        self.unit = np.concatenate([np.ones(self.k * self.s), 10.0 * self.sd_g])
         o = blocks.operation
         self.features = model.features(o) * (1.0 - o.bypass)[:, None] if self.g > len(NAMES) else None
         self.sigma = [0.2, 0.03]
@@ -228,8 +230,7 @@ class _Solver:
         else:
             x = np.concatenate([start.slow.ravel(), start.constant])
             self.sigma = list(start.sigma)
-        covariance = np.diag(1.0 / np.diag(self.precision))
-        intervals = any(label.sd is None for label in self.labels)
+        variance: Array = np.zeros(0)
         jac_t, change = np.zeros((0, 0)), np.inf
         for number in range(PASSES):
             slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
@@ -246,16 +247,16 @@ class _Solver:
             for jac, res, w in ((jac_t, res_t, w_t), (jac_p, res_p, w_p)):
                 target = np.nan_to_num(res) + np.einsum("ij,ij->i", jac, full)
                 self._add(normal, right, jac, w, target)
-            self._add_labels(normal, right, x, covariance, first=number == 0)
+            self._add_labels(normal, right, x, variance)
             factor = cho_factor(normal)
             new = cho_solve(factor, right)
-            change = float(np.abs(new - x).max())
+            change = float((np.abs(new - x) / self.unit).max())
             x = self._bounded(new)
             last = number == PASSES - 1 or (number >= (3 if start is None else 2) and change < 2e-4)
-            if last or (number >= 1 and intervals):
-                covariance = _inverse(factor[0])
             if last:
                 break
+            variance = self._label_variance(factor)
+        covariance = _inverse(factor[0])
         slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
         residual = self.blocks.outlet - self.model.reading(self.blocks.operation, slow[self.cell], g)
         weights = np.where(
@@ -333,30 +334,41 @@ class _Solver:
             right[here] += b[:s]
             right[end:] += b[s:]
 
-    def _add_labels(self, normal: Array, right: Array, x: Array, covariance: Array, first: bool) -> None:
-        for label in self.labels:
-            j = SLOW.index(label.parameter)
-            k = int(np.clip(np.searchsorted(self.edges, label.time_s, side="right") - 1, 0, self.k - 1))
-            row = k * self.s + j
+    def _label_row(self, label: Label) -> int:
+        """Return the row of the deviation and time of a label."""
+        k = int(np.clip(np.searchsorted(self.edges, label.time_s, side="right") - 1, 0, self.k - 1))
+        return k * self.s + SLOW.index(label.parameter)
+
+    def _label_variance(self, factor: tuple[Array, bool]) -> Array:
+        """Return the posterior variance of what each label is about (labels,)."""
+        rows = [self._label_row(label) for label in self.labels]
+        if not rows:
+            return np.zeros(0)
+        unit = np.zeros((len(self.prior_mean), len(rows)))
+        unit[rows, np.arange(len(rows))] = 1.0
+        return np.asarray(cho_solve(factor, unit)[rows, np.arange(len(rows))])
+
+    def _add_labels(self, normal: Array, right: Array, x: Array, variance: Array) -> None:
+        """Add the labels as Gaussian observations; `variance` of their deviations, none before the first solution."""
+        for number, label in enumerate(self.labels):
+            row = self._label_row(label)
             if label.sd is not None:
                 value, sd = label.low, label.sd
-            elif first:
+            elif not len(variance):
                 value, sd = 0.5 * (label.low + label.high), 0.5 * (label.high - label.low)
             else:
-                mean, spread = self._cavity(label, row, x, covariance)
+                mean, spread = self._cavity(number, float(x[row]), float(variance[number]))
                 value, sd = interval_as_gaussian(label.low, label.high, mean, spread)
             if label.sd is None:
-                self._sites[id(label)] = (value, sd)
+                self._sites[number] = (value, sd)
             normal[row, row] += 1.0 / sd**2
             right[row] += value / sd**2
 
-    def _cavity(self, label: Label, row: int, x: Array, covariance: Array) -> tuple[float, float]:
+    def _cavity(self, number: int, mean: float, variance: float) -> tuple[float, float]:
         """Return mean and standard deviation of a deviation without its own label."""
-        value, sd = self._sites[id(label)]
-        variance = float(covariance[row, row])
+        value, sd = self._sites[number]
         precision = max(1.0 / variance - 1.0 / sd**2, 0.05 / variance)
-        mean = (float(x[row]) / variance - value / sd**2) / precision
-        return mean, precision**-0.5
+        return (mean / variance - value / sd**2) / precision, precision**-0.5
 
     def _bounded(self, x: Array) -> Array:
         """Keep a step within what the model can be evaluated at."""
