@@ -134,7 +134,7 @@ BASELINES: dict[str, Baseline] = {
 def without_discrepancy(priors: Priors) -> Priors:
     """Return the priors of a fit that takes the twin as right: its global quantities are held at what the clean cell
     has."""
-    means, sds = priors.constant()
+    means, sds = (values[: len(NAMES)] for values in priors.constant())
     free = ("kappa", "power_gain")
     held = {n: (m, s) if n in free else (NEUTRAL.get(n, 0.0), 1e-6) for n, m, s in zip(NAMES, means, sds, strict=True)}
     return Priors(priors.bounds, held, discrepancy=False)
