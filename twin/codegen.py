@@ -293,7 +293,7 @@ class KernelGenerator:
         lines = ["now = time[i]"] if any("now" in names_in(r) for r in readings) else []
         shared, body, names = self.metering()
         lines += shared
-        readings = tuple(renamed(reading, names) for reading in readings)
+        readings = [renamed(reading, names) for reading in readings]
         if self.mode == "trace":
             return lines + self.text.loop(body + [f"Y[b, i, {j}, l] = {r}" for j, r in enumerate(readings)])
         lines += [f"w{j} = weight[i, {j}]" for j in range(self.m)]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import resource
 import time
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,11 +13,12 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from hil.bench.measure.report import Cell, ReportTable
+from hil.bench.tower_truth import against_truth
 from hil.record.raw import RecordError
 from hil.tower.calibrate import CellResult, calibrate, openings_of, site_of
 from twin.tower.baselines import BASELINES, Case, split, without_discrepancy
 from twin.tower.model import DEVIATIONS, CellModel
-from twin.tower.smoother import estimate
+from twin.tower.smoother import DAY_S, estimate
 from twin.tower.twin_file import design_of, value_of
 
 COLUMNS = ("method", "MAE K", "RMSE K", "p90 K", "CPU s")
@@ -25,6 +29,7 @@ NOTES = (
 )
 
 
+GAINS = ("goal", "ratio", "at most", "reached")
 PARAMETERS = ("method", "cell", "fill %", "air %", "uniformity %", "bias K")
 
 
@@ -36,7 +41,9 @@ def compare(
     Raises:
         RecordError, TwinFileError: a file cannot be used.
     """
+    began = time.process_time()
     results, notes = calibrate(record, twins, labels)
+    cost = time.process_time() - began
     true = _truth(truth) if truth is not None else None
     tables, skipped, errors = [], [], []
     for result in results:
@@ -80,7 +87,63 @@ def compare(
                 "parameters", "Mean absolute error of the deviations against the truth", PARAMETERS, tuple(errors)
             )
         )
+    if truth is not None:
+        tables += against_truth(results, notes, truth)
+        tables.append(ReportTable("gains", "Goals against Gauss-Newton", GAINS, tuple(_gains(tables))))
+    tables += [_changes(results), _defects(record), _cost(results, cost)]
     return tables, skipped
+
+
+def _gains(tables: Sequence[ReportTable]) -> list[tuple[Cell, ...]]:
+    """Return the ratios of errors with discrepancy to those of Gauss-Newton, and whether the goals are reached."""
+    found: list[tuple[Cell, ...]] = []
+    for table in tables:
+        rows = {(str(row[0]), row[1] if table.key == "parameters" else 0): row for row in table.rows}
+        if table.key == "parameters":
+            for (name, cell), row in rows.items():
+                plain = rows.get(("Gauss-Newton MAP", cell))
+                if name == "with discrepancy" and plain is not None:
+                    found.append(_gain(f"cell {cell}: fill error, of Gauss-Newton's", row[2], plain[2], 0.5))
+        elif table.columns == COLUMNS:
+            plain, ours = (rows.get((name, 0)) for name in ("Gauss-Newton MAP", "Gauss-Newton MAP with discrepancy"))
+            if plain is not None and ours is not None:
+                found.append(_gain(f"{table.key}: outlet MAE, of Gauss-Newton's", ours[1], plain[1], 0.85))
+    return found
+
+
+def _gain(name: str, ours: Cell, plain: Cell, most: float) -> tuple[Cell, ...]:
+    if not isinstance(ours, float) or not isinstance(plain, float) or plain <= 0.0:
+        return (name, None, most, "not measured")
+    return (name, ours / plain, most, "yes" if ours / plain <= most else "no")
+
+
+def _changes(results: Sequence[CellResult]) -> ReportTable:
+    """Return the jumps that were found: lasting steps of a thermometer, and undeclared changes, in days."""
+    rows: list[tuple[Cell, ...]] = []
+    for one in results:
+        start = float(one.minutes.time_s[0])
+        found = [(s.start_s, "bias", "step of the readings") for s in one.steps if s.lasting and s.kind != "water"]
+        found += [(c.start_s, c.parameter, "smoother") for c in one.changes]
+        rows += [(str(one.cell), (t - start) / DAY_S, name, source) for t, name, source in sorted(found)]
+    return ReportTable("changes", "Undeclared changes that were found", ("cell", "day", "deviation", "by"), tuple(rows))
+
+
+def _defects(record: Path) -> ReportTable:
+    """Return the number of defects of the store by kind, as the alignment found them."""
+    path = record / "alignment.json"
+    try:
+        found = json.loads(path.read_text())["defects"] if path.is_file() else []
+        count = Counter(str(one["type"]) for one in found)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RecordError(f"{path}: cannot be read ({error}); align the store again") from error
+    return ReportTable("defects", "Defects of the store", ("defect", "found"), tuple(count.most_common()))
+
+
+def _cost(results: Sequence[CellResult], seconds: float) -> ReportTable:
+    days = sum(len(one.minutes.time_s) for one in results) / 1440.0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2.0**20
+    row = (len(results), days, seconds, peak)
+    return ReportTable("cost", "Cost of the calibration", ("cells", "cell days", "CPU s", "peak GiB"), (row,))
 
 
 def _truth(path: Path) -> dict[str, np.ndarray]:

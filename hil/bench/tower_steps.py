@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hil.bench.measure.report import Cell, ReportTable
 from hil.record.raw import RecordError
-from hil.tower.calibrate import DRIVEN, fit_with_steps, load_all, openings_of, site_of
+from hil.tower.calibrate import DRIVEN, fit_with_steps, load_all, openings_of, priors_of, site_of
 from hil.tower.record import CellRecord, StationNotes, read_cell, read_notes
 from twin.network import Network
 from twin.tower.air import Array
@@ -113,8 +113,11 @@ def _part(whole: CellRecord, rows: slice) -> CellRecord:
 
 def _fit(network: Network, record: CellRecord, notes: StationNotes) -> tuple[Fitted, tuple[Step, ...]]:
     share = value_of(network, "cell.bypass_share")
-    model = CellModel(design_of(network), site_of(notes, share))
-    return fit_with_steps(model, network, record, (), openings_of(notes, record.cell))
+    design = design_of(network)
+    minutes = minutes_of(record.time_s, record.columns, record.origin, design.m_w0, share)
+    model, openings = CellModel(design, site_of(notes, share)), openings_of(notes, record.cell)
+    fitted, steps, _ = fit_with_steps(model, minutes, record, priors_of(network), (), openings)
+    return fitted, steps
 
 
 def _watched(network: Network, record: CellRecord) -> NDArray[np.bool_]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
+from hil.tower.healthy import known_by, path_beside, read_healthy
 from hil.tower.record import (
     CellRecord,
     StationNotes,
@@ -30,6 +31,7 @@ from twin.tower.adoption import effects_of
 from twin.tower.air import Array
 from twin.tower.basin import Drain, with_basin
 from twin.tower.calibration import NORMAL, Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
+from twin.tower.changes import undeclared_changes
 from twin.tower.evaporation import Balance, with_evaporation
 from twin.tower.evidence import Label
 from twin.tower.minutes import MEASURED, Minutes, minutes_of
@@ -63,6 +65,7 @@ class CellResult:
     second: bool = False
     unused: str = ""
     """Why the station's water balance is not used, "" where it is."""
+    changes: tuple[Opening, ...] = ()
 
 
 def calibrate(
@@ -80,7 +83,7 @@ def calibrate(
     return [
         CellResult(
             d.record.cell, d.twin, d.network, d.record, one.minutes, predict_cell(one), d.priors, d.labels, d.steps,
-            d.record.cell in second, unused,
+            d.record.cell in second, unused, d.changes,
         )
         for d, one in zip(drafts, fitted, strict=True)
     ], notes  # fmt: skip
@@ -135,6 +138,7 @@ class Draft:
     priors: Priors
     labels: tuple[Label, ...]
     steps: tuple[Step, ...] = ()
+    changes: tuple[Opening, ...] = ()
 
 
 def joined_by_basin(
@@ -282,19 +286,23 @@ def _prepare(
             f"{design.m_w0:g} kg/s; "
             f"give the twin of this station instead of {path}"
         )
+    healthy = read_healthy(path_beside(path, network))
+    priors, stated = known_by(healthy, priors_of(network), minutes, cell)
     edges = time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1]))
     model = CellModel(design, site_of(notes, share), effects)
     return Prepared(
-        path, network, minutes_read, model, minutes, priors_of(network), labels, tuple(openings_of(notes, cell)), edges
+        path, network, minutes_read, model, minutes, priors, (*labels, *stated), tuple(openings_of(notes, cell)), edges
     )
 
 
 def _fit(one: Prepared) -> Draft:
     try:
-        fitted, steps = fit_with_steps(one.model, one.network, one.record, one.labels, one.openings)
+        fitted, steps, changes = fit_with_steps(
+            one.model, one.minutes, one.record, one.priors, one.labels, one.openings
+        )  # fmt: skip
     except CalibrationError as error:
         raise RecordError(f"{one.record.path}: {error}") from error
-    return Draft(one.twin, one.network, one.record, fitted, one.priors, one.labels, steps)
+    return Draft(one.twin, one.network, one.record, fitted, one.priors, one.labels, steps, changes)
 
 
 def step_openings(steps: Sequence[Step]) -> tuple[Opening, ...]:
@@ -303,22 +311,20 @@ def step_openings(steps: Sequence[Step]) -> tuple[Opening, ...]:
 
 
 def fit_with_steps(
-    model: CellModel, network: Network, record: CellRecord, labels: Sequence[Label], openings: Sequence[Opening]
-) -> tuple[Fitted, tuple[Step, ...]]:
-    """Fit a cell; where its thermometer has stepped, fit it again with a jump of the bias opened there.
+    model: CellModel, minutes: Minutes, record: CellRecord, priors: Priors, labels: Sequence[Label],
+    openings: Sequence[Opening],
+) -> tuple[Fitted, tuple[Step, ...], tuple[Opening, ...]]:  # fmt: skip
+    """Fit a cell; where its thermometer has stepped, or a deviation jumped undeclared, fit it again with that opened.
 
     Raises:
         CalibrationError: the record has too few steady minutes.
     """
-    design, share = model.design, value_of(network, "cell.bypass_share")
-    minutes = minutes_of(record.time_s, record.columns, record.origin, design.m_w0, share, model.effects)
-    edges, priors = time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1])), priors_of(network)
+    edges = time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1]))
     fitted = fit_cell(model, minutes, priors, labels, openings, edges)
     steps = thermometer_steps(fitted, record)
-    more = step_openings(steps)
-    if more:
-        fitted = fit_cell(model, minutes, priors, labels, (*openings, *more), edges)
-    return fitted, steps
+    known = (*openings, *step_openings(steps))
+    changes = undeclared_changes(model, fitted.blocks, priors, labels, known, fitted.posterior)
+    return fit_cell(model, minutes, priors, labels, (*known, *changes), edges, fitted.posterior), steps, changes
 
 
 def thermometer_steps(fitted: Fitted, record: CellRecord) -> tuple[Step, ...]:

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from hil.record.raw import RecordError
+from hil.tower.calibrate import priors_of, site_of
+from hil.tower.healthy import Healthy
 from hil.tower.input_files import read_object, read_rows
+from hil.tower.record import read_cell, read_notes
 from twin.network import Network, Revision, digest
+from twin.tower.calibration import CalibrationError, fit_cell
 from twin.tower.cell import Inputs
 from twin.tower.commissioning import Commissioned, CommissioningError, TestPoints, fit_clean_cell
-from twin.tower.twin_file import cell_network
+from twin.tower.minutes import minutes_of
+from twin.tower.model import CellModel
+from twin.tower.twin_file import cell_network, cell_of, design_of, value_of
 
 REQUIRED = (
     "cell", "water_inlet_C", "water_outlet_C", "entering_wet_bulb_C", "dry_bulb_C", "water_flow_kg_s", "fan_speed_pct",
@@ -99,6 +105,30 @@ def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, 
     )  # fmt: skip
     station = str(sheet.get("station", ""))
     return cell_network(cell, station, fitted.design, share, fitted.rmse, fitted.sd, revision), fitted, found
+
+
+def learn_healthy(record: Path, network: Network, span: tuple[float, float]) -> Healthy:
+    """Return what the healthy span of a record teaches of a clean cell's constants and discrepancy.
+
+    Raises:
+        RecordError: the record cannot be used or has too little of the span.
+    """
+    cell, design = read_cell(record, cell_of(network)), design_of(network)
+    share = value_of(network, "cell.bypass_share")
+    rows = (cell.time_s >= span[0]) & (cell.time_s < span[1])
+    if not rows.any():
+        raise RecordError(f"{cell.path}: holds no minute of the healthy span; give days of this record")
+    columns = {name: values[rows] for name, values in cell.columns.items()}
+    origin = {name: values[rows] for name, values in cell.origin.items()}
+    minutes = minutes_of(cell.time_s[rows], columns, origin, design.m_w0, share)
+    clean = Healthy(*span, np.zeros(0), np.zeros((0, 0)))
+    model = CellModel(design, site_of(read_notes(record), share))
+    try:
+        found = fit_cell(model, minutes, priors_of(network), clean.labels(cell.cell), ()).posterior
+    except CalibrationError as error:
+        raise RecordError(f"{cell.path}: the healthy span {error}") from error
+    at = found.slow.size
+    return replace(clean, mean=found.constant, covariance=found.covariance[at:, at:])
 
 
 def _number(path: Path, line: int, name: str, text: str) -> float:

@@ -29,7 +29,7 @@ MONTH_S = 30.0 * DAY_S
 BLOCK_SIGMA = 0.3
 """Standard deviation of a block's outlet, K, for a fit that does not learn the twin's own error: METHODS 5.2."""
 PERSISTENT_BLOCKS = 3
-NEUTRAL = {"wetting": 1.0, "starving": STARVING, "draft": 0.02, "kappa": -1.3}
+NEUTRAL = {"fill_share": 1.0, "wetting": 1.0, "starving": STARVING, "draft": 0.02, "kappa": -1.3}
 """Global quantities with which the model is the clean cell's; the others are 0."""
 TREES = {"n_estimators": 120, "min_samples_leaf": 5, "n_jobs": 1}
 
@@ -134,10 +134,10 @@ BASELINES: dict[str, Baseline] = {
 def without_discrepancy(priors: Priors) -> Priors:
     """Return the priors of a fit that takes the twin as right: its global quantities are held at what the clean cell
     has."""
-    means, sds = priors.constant()
+    means, sds = (values[: len(NAMES)] for values in priors.constant())
     free = ("kappa", "power_gain")
     held = {n: (m, s) if n in free else (NEUTRAL.get(n, 0.0), 1e-6) for n, m, s in zip(NAMES, means, sds, strict=True)}
-    return Priors(priors.bounds, held)
+    return Priors(priors.bounds, held, discrepancy=False)
 
 
 def _windows(case: Case, length_s: float = WINDOW_S) -> list[tuple[float, NDArray[np.intp]]]:

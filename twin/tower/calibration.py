@@ -70,9 +70,9 @@ class Fitted:
 
 def fit_cell(
     model: CellModel, minutes: Minutes, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening],
-    edges_s: Array | None = None,
+    edges_s: Array | None = None, start: Estimate | None = None,
 ) -> Fitted:  # fmt: skip
-    """Fit the deviations of a cell to its steady blocks.
+    """Fit the deviations of a cell to its steady blocks, from the estimate `start` on the same time grid if given.
 
     Raises:
         CalibrationError: the record has too few steady minutes with an outlet reading.
@@ -84,7 +84,9 @@ def fit_cell(
             f"has {usable} steady blocks of ten minutes with an outlet reading; {FEWEST_BLOCKS} are needed: give a "
             f"longer record"
         )
-    return Fitted(model, minutes, blocks, of_minute, estimate(model, blocks, priors, labels, openings, edges_s))
+    return Fitted(
+        model, minutes, blocks, of_minute, estimate(model, blocks, priors, labels, openings, edges_s, start=start)
+    )
 
 
 def predict_cell(fitted: Fitted) -> Calibrated:
@@ -117,7 +119,8 @@ def _without_own_window(p: Estimate, blocks: Blocks, minutes: Minutes) -> Array:
     """Return the shift of each minute's prediction when the outlet readings of its window are hidden, K (n,).
 
     The posterior is Gaussian about its mode, so leaving out rows J with weights W changes the estimate by
-    -C J' (W^-1 - J C J')^-1 r. The shift of a minute is taken linearly between those of the blocks.
+    -C J' (W^-1 - J C J')^-1 r. The shift of a minute is taken linearly between those of its own window's blocks: those
+    of the next window hide other readings. In a window without blocks it is taken between those about it.
     """
     window = np.floor(blocks.time_s / WINDOW_S).astype(np.int64)
     s, end = len(SLOW), p.slow.size
@@ -142,7 +145,15 @@ def _without_own_window(p: Estimate, blocks: Blocks, minutes: Minutes) -> Array:
         water[:, [k * s + SLOW.index("bias") for k in range(len(cells))]] = 0.0
         inner = np.diag(1.0 / p.weights[rows][used]) - jac[used] @ local @ jac[used].T
         shift[rows] = -(water @ local @ jac[used].T) @ np.linalg.solve(inner, p.residual[rows][used])
-    return np.interp(minutes.time_s, blocks.time_s, shift) if len(shift) else np.zeros(len(minutes.time_s))
+    if not len(shift):
+        return np.zeros(len(minutes.time_s))
+    found = np.interp(minutes.time_s, blocks.time_s, shift)
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        rows = order[a:b]
+        start = float(window[rows[0]]) * WINDOW_S
+        first, last = np.searchsorted(minutes.time_s, (start, start + WINDOW_S))
+        found[first:last] = np.interp(minutes.time_s[first:last], blocks.time_s[rows], shift[rows])
+    return found
 
 
 def _half_width(minutes: Minutes, t_out: Array, bias: Array, p: Estimate) -> Array:

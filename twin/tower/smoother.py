@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotri
 
+from twin.tower import discrepancy
 from twin.tower.air import Array
 from twin.tower.evidence import Label, interval_as_gaussian
 from twin.tower.model import GLOBALS, NAMES, SLOW, CellModel, Operation
@@ -37,6 +38,8 @@ one."""
 FLOW_METER = 0.015
 """Standard deviation of a flow meter's gain."""
 PASSES = 10
+FLAT = 0.02
+"""Largest change of a step below which the sensitivities of the step before are used again."""
 BLOCK_S = 600.0
 CORRELATION = (3.0, 144.0)
 """Least and most autocorrelation time, blocks: half an hour (METHODS 4.4), and a day. What stays for longer is for
@@ -69,10 +72,15 @@ class Opening:
 
 @dataclass(frozen=True)
 class Priors:
-    """Bounds of the deviations, and priors of global quantities that replace those of `GLOBALS`: name -> (mean, sd)."""
+    """Bounds of the deviations, and priors of global quantities that replace those of `GLOBALS`: name -> (mean, sd).
+
+    `discrepancy`: marginalise its weights. `learned`: mean and covariance of all constants, of a healthy record.
+    """
 
     bounds: Mapping[str, float]
     replaced: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    discrepancy: bool = True
+    learned: tuple[Array, Array] | None = None
 
     def slow(self, name: str) -> tuple[float, float]:
         """Return mean and standard deviation of a slow deviation."""
@@ -82,8 +90,11 @@ class Priors:
         return (0.0, bound / 2.0) if name == "bias" else (-bound / 3.0, bound / 3.0)
 
     def constant(self) -> tuple[Array, Array]:
-        """Return means and standard deviations of the global quantities."""
+        """Return means and standard deviations of the constants: global quantities, then weights of the discrepancy."""
+        if self.learned is not None:
+            return self.learned[0], np.sqrt(np.diag(self.learned[1]))
         pairs = [self.replaced.get(one.name, (one.mean, one.sd)) for one in GLOBALS]
+        pairs += [(0.0, discrepancy.prior_sd())] * discrepancy.FEATURES if self.discrepancy else []
         return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
 
 
@@ -92,10 +103,12 @@ class Estimate:
     """Posterior of a record.
 
     Attributes:
-        edges_s: of the time grid (k + 1,). slow: deviations (k, 5). constant: global quantities (23,).
+        edges_s: of the time grid (k + 1,). slow: deviations (k, 5). constant: global quantities (24,), then
+        the weights of the discrepancy's features.
         covariance: of [slow row by row, constant]. sigma: of a block's outlet K, and of its log power, as weighed.
         residual: outlet of each block K, NaN where it was not used. weights: of each block. cell: grid cell of each
-        block. jacobian: outlet of each block by slow and constant quantities (n, 28). time_correlation: in blocks.
+        block. jacobian: outlet of each block by slow and constant quantities (n, 5 + constants).
+        time_correlation: in blocks.
         linear_residual: of the last linear problem, whose mode this is exactly, and `linear_weights`, its weights.
     """
 
@@ -130,56 +143,67 @@ def time_grid(start_s: float, end_s: float) -> Array:
 
 def estimate(
     model: CellModel, blocks: Blocks, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening],
-    edges_s: Array | None = None, fixed: Sequence[str] = (),
+    edges_s: Array | None = None, fixed: Sequence[str] = (), start: Estimate | None = None,
+    least_correlation: bool = False,
 ) -> Estimate:  # fmt: skip
     """Return the posterior of the deviations over a record.
 
     Parameters:
         fixed: names of slow or global quantities that keep their prior mean.
+        start: an estimate on the same time grid to begin at. least_correlation: residuals count with the shortest
+        autocorrelation time, as they are.
     """
-    solver = _Solver(model, blocks, priors, labels, openings, edges_s, fixed)
-    return solver.run()
+    solver = _Solver(model, blocks, priors, labels, openings, edges_s, fixed, least_correlation)
+    return solver.run(start)
+
+
+def walk_variance(edges_s: Array, name: str, openings: Sequence[Opening]) -> tuple[Array, Array]:
+    """Return variance and mean of a deviation's increments between the cells of a time grid (k - 1,)."""
+    middle = 0.5 * (edges_s[:-1] + edges_s[1:])
+    days = np.diff(middle) / DAY_S
+    variance = WALK[name] ** 2 * days + 1e-14
+    for opening in openings:
+        if opening.parameter != name:
+            continue
+        inside = (edges_s[1:-1] >= opening.start_s - 0.5 * DAY_S) & (edges_s[1:-1] <= opening.end_s + 0.5 * DAY_S)
+        if inside.any():
+            variance[inside] += JUMP[name] ** 2 / inside.sum()
+    return variance, TREND[name] * days
 
 
 class _Solver:
     def __init__(
         self, model: CellModel, blocks: Blocks, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening],
-        edges_s: Array | None, fixed: Sequence[str],
+        edges_s: Array | None, fixed: Sequence[str], least_correlation: bool,
     ) -> None:  # fmt: skip
         self.model, self.blocks, self.priors = model, blocks, priors
         if edges_s is None:
             edges_s = time_grid(float(blocks.time_s[0]), float(blocks.time_s[-1]) + 1.0)
         self.edges = edges_s
-        self.k, self.s, self.g = len(edges_s) - 1, len(SLOW), len(GLOBALS)
+        self.k, self.s, self.g = len(edges_s) - 1, len(SLOW), len(priors.constant()[0])
         self.cell = np.clip(np.searchsorted(edges_s, blocks.time_s, side="right") - 1, 0, self.k - 1)
         self.labels = [label for label in labels if edges_s[0] - 3 * DAY_S <= label.time_s <= edges_s[-1] + 3 * DAY_S]
         self.mean_g, self.sd_g = priors.constant()
         self.precision, self.prior_mean = self._prior(openings, fixed)
+        # Changes of the constants count in tenths of their priors' standard deviations.
+        self.unit = np.concatenate([np.ones(self.k * self.s), 10.0 * self.sd_g])
+        o = blocks.operation
+        self.features = model.features(o) * (1.0 - o.bypass)[:, None] if self.g > len(NAMES) else None
         self.sigma = [0.2, 0.03]
         self._sites: dict[int, tuple[float, float]] = {}
-        self.tau = 6.0
-        self.tau_power = 6.0
+        self.tau = self.tau_power = CORRELATION[0] if least_correlation else 6.0
+        self.longest = CORRELATION[0] if least_correlation else CORRELATION[1]
 
     def _prior(self, openings: Sequence[Opening], fixed: Sequence[str]) -> tuple[Array, Array]:
         """Return the precision of [slow, constant] and its mean."""
         k, s = self.k, self.s
         n = k * s + self.g
         precision, linear = np.zeros((n, n)), np.zeros(n)
-        middle = 0.5 * (self.edges[:-1] + self.edges[1:])
-        days = np.diff(middle) / DAY_S
         for j, name in enumerate(SLOW):
             mean, sd = self.priors.slow(name)
             scale = 1e-6 if name in fixed else 1.0
-            variance = (WALK[name] * scale) ** 2 * days + 1e-14
-            drift = TREND[name] * scale * days
-            for opening in openings:
-                if opening.parameter != name:
-                    continue
-                inside = (self.edges[1:-1] >= opening.start_s - 0.5 * DAY_S) & (
-                    self.edges[1:-1] <= opening.end_s + 0.5 * DAY_S
-                )
-                if inside.any():
-                    variance[inside] += JUMP[name] ** 2 / inside.sum()
+            variance, drift = walk_variance(self.edges, name, () if name in fixed else openings)
+            variance, drift = variance * scale**2 + 1e-14, drift * scale
             rows = np.arange(k) * s + j
             precision[rows[0], rows[0]] += 1.0 / (sd * scale) ** 2
             linear[rows[0]] += mean / (sd * scale) ** 2
@@ -194,21 +218,29 @@ class _Solver:
             # A walk may not leave the bounds however long it goes on: the prior holds, weakly, at every time.
             precision[rows, rows] += 1.0 / (2.0 * sd * scale) ** 2 / k
             linear[rows] += mean / (2.0 * sd * scale) ** 2 / k
-        sd_g = np.where([name in fixed for name in NAMES], 1e-6, self.sd_g)
+        sd_g = self.sd_g.copy()
+        sd_g[: len(NAMES)][[name in fixed for name in NAMES]] = 1e-6
         ends = np.arange(k * s, n)
         precision[ends, ends] = 1.0 / sd_g**2
-        linear[ends] = self.mean_g / sd_g**2
+        if self.priors.learned is not None:
+            precision[np.ix_(ends, ends)] += np.linalg.inv(self.priors.learned[1]) - np.diag(1.0 / self.sd_g**2)
+        linear[ends] = precision[np.ix_(ends, ends)] @ self.mean_g
         return precision, linear
 
-    def run(self) -> Estimate:
-        factor = cho_factor(self.precision)
-        x = cho_solve(factor, self.prior_mean)
-        covariance = np.diag(1.0 / np.diag(self.precision))
-        intervals = any(label.sd is None for label in self.labels)
+    def run(self, start: Estimate | None) -> Estimate:
+        if start is None:
+            x = cho_solve(cho_factor(self.precision), self.prior_mean)
+        else:
+            x = np.concatenate([start.slow.ravel(), start.constant])
+            self.sigma = list(start.sigma)
+        variance: Array = np.zeros(0)
+        jac_t, change = np.zeros((0, 0)), np.inf
         for number in range(PASSES):
             slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
             here = slow[self.cell]
-            jac_t, res_t = self._outlet(here, g)
+            if change > FLAT:
+                jac_t = self._outlet(here, g)
+            res_t = self.blocks.outlet - self.model.reading(self.blocks.operation, here, g)
             jac_p, res_p = self._power(here, g)
             self._rescale(res_t, res_p)
             w_t = _weights(res_t, self.sigma[0]) / (self.sigma[0] ** 2 * self.tau)
@@ -218,20 +250,20 @@ class _Solver:
             for jac, res, w in ((jac_t, res_t, w_t), (jac_p, res_p, w_p)):
                 target = np.nan_to_num(res) + np.einsum("ij,ij->i", jac, full)
                 self._add(normal, right, jac, w, target)
-            self._add_labels(normal, right, x, covariance, first=number == 0)
+            self._add_labels(normal, right, x, variance)
             factor = cho_factor(normal)
             new = cho_solve(factor, right)
             moved = x - new
             linear = res_t + np.einsum(
                 "ij,ij->i", jac_t[:, : self.s], moved[: self.k * self.s].reshape(self.k, self.s)[self.cell]
             ) + jac_t[:, self.s :] @ moved[self.k * self.s :]  # fmt: skip
-            change = float(np.abs(new - x).max())
+            change = float((np.abs(new - x) / self.unit).max())
             x = self._bounded(new)
-            last = number == PASSES - 1 or (number >= 3 and change < 2e-4)
-            if last or (number >= 1 and intervals):
-                covariance = _inverse(factor[0])
+            last = number == PASSES - 1 or (number >= (3 if start is None else 2) and change < 2e-4)
             if last:
                 break
+            variance = self._label_variance(factor)
+        covariance = _inverse(factor[0])
         slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
         residual = self.blocks.outlet - self.model.reading(self.blocks.operation, slow[self.cell], g)
         weights = np.where(
@@ -242,11 +274,10 @@ class _Solver:
             self.tau, linear, w_t,
         )  # fmt: skip
 
-    def _outlet(self, here: Array, g: Array) -> tuple[Array, Array]:
+    def _outlet(self, here: Array, g: Array) -> Array:
+        """Return the slopes of the outlet's reading."""
         base = self.model.reading(self.blocks.operation, here, g)
-        return self._slopes(
-            lambda s, c: self.model.reading(self.blocks.operation, s, c), base, here, g
-        ), self.blocks.outlet - base
+        return self._slopes(lambda s, c: self.model.reading(self.blocks.operation, s, c), base, here, g)
 
     def _power(self, here: Array, g: Array) -> tuple[Array, Array]:
         base = self.model.log_power(self.blocks.operation, here, g)
@@ -264,13 +295,15 @@ class _Solver:
             moved = here.copy()
             moved[:, j] += STEPS[j]
             jac[:, j] = (function(moved, g) - base) / STEPS[j] if SLOW[j] != "bias" else 1.0
-        for j in range(self.g):
+        for j in range(len(NAMES)):
             if NAMES[j] in ("kappa", "power_gain"):
                 continue
             moved_g = g.copy()
             step = 0.1 * GLOBALS[j].sd
             moved_g[j] += step
             jac[:, self.s + j] = (function(here, moved_g) - base) / step
+        if self.features is not None:
+            jac[:, self.s + len(NAMES) :] = self.features
         return jac
 
     def _rescale(self, res_t: Array, res_p: Array) -> None:
@@ -282,7 +315,7 @@ class _Solver:
             r = res[there]
             scale = 1.4826 * float(np.median(np.abs(r - np.median(r))))
             self.sigma[j] = max(scale, least)
-            tau = float(np.clip(autocorrelation_time(np.clip(r, -4 * scale, 4 * scale)), *CORRELATION))
+            tau = float(np.clip(autocorrelation_time(np.clip(r, -4 * scale, 4 * scale)), CORRELATION[0], self.longest))
             if j == 0:
                 self.tau = tau
             else:
@@ -308,30 +341,41 @@ class _Solver:
             right[here] += b[:s]
             right[end:] += b[s:]
 
-    def _add_labels(self, normal: Array, right: Array, x: Array, covariance: Array, first: bool) -> None:
-        for label in self.labels:
-            j = SLOW.index(label.parameter)
-            k = int(np.clip(np.searchsorted(self.edges, label.time_s, side="right") - 1, 0, self.k - 1))
-            row = k * self.s + j
+    def _label_row(self, label: Label) -> int:
+        """Return the row of the deviation and time of a label."""
+        k = int(np.clip(np.searchsorted(self.edges, label.time_s, side="right") - 1, 0, self.k - 1))
+        return k * self.s + SLOW.index(label.parameter)
+
+    def _label_variance(self, factor: tuple[Array, bool]) -> Array:
+        """Return the posterior variance of what each label is about (labels,)."""
+        rows = [self._label_row(label) for label in self.labels]
+        if not rows:
+            return np.zeros(0)
+        unit = np.zeros((len(self.prior_mean), len(rows)))
+        unit[rows, np.arange(len(rows))] = 1.0
+        return np.asarray(cho_solve(factor, unit)[rows, np.arange(len(rows))])
+
+    def _add_labels(self, normal: Array, right: Array, x: Array, variance: Array) -> None:
+        """Add the labels as Gaussian observations; `variance` of their deviations, none before the first solution."""
+        for number, label in enumerate(self.labels):
+            row = self._label_row(label)
             if label.sd is not None:
                 value, sd = label.low, label.sd
-            elif first:
+            elif not len(variance):
                 value, sd = 0.5 * (label.low + label.high), 0.5 * (label.high - label.low)
             else:
-                mean, spread = self._cavity(label, row, x, covariance)
+                mean, spread = self._cavity(number, float(x[row]), float(variance[number]))
                 value, sd = interval_as_gaussian(label.low, label.high, mean, spread)
             if label.sd is None:
-                self._sites[id(label)] = (value, sd)
+                self._sites[number] = (value, sd)
             normal[row, row] += 1.0 / sd**2
             right[row] += value / sd**2
 
-    def _cavity(self, label: Label, row: int, x: Array, covariance: Array) -> tuple[float, float]:
+    def _cavity(self, number: int, mean: float, variance: float) -> tuple[float, float]:
         """Return mean and standard deviation of a deviation without its own label."""
-        value, sd = self._sites[id(label)]
-        variance = float(covariance[row, row])
+        value, sd = self._sites[number]
         precision = max(1.0 / variance - 1.0 / sd**2, 0.05 / variance)
-        mean = (float(x[row]) / variance - value / sd**2) / precision
-        return mean, precision**-0.5
+        return (mean / variance - value / sd**2) / precision, precision**-0.5
 
     def _bounded(self, x: Array) -> Array:
         """Keep a step within what the model can be evaluated at."""

@@ -337,9 +337,36 @@ def trial() -> plt.Figure:
     return figure
 
 
+def tower() -> plt.Figure:
+    """Draw the rise of a cell's outlet for a loss of 10 % of each deviation, over the water flow and the fan speed."""
+    from twin.tower.cell import Design, Deviations, Inputs, solve
+
+    design = Design(250.0, 200.0, 1.5, 0.6, 45.0, 1.13)
+    figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.2), sharey=True)
+    share = np.linspace(0.5, 1.15, 60)
+    speed = np.linspace(0.3, 1.0, 60)
+    one = np.ones(60)
+    for axis, flow, fan, x, label in (
+        (axes[0], share, one, share, "water flow over that of design"), (axes[1], one, speed, speed, "fan speed"),
+    ):  # fmt: skip
+        u = Inputs(36.0 * one, 250.0 * flow, fan, 30.0 * one, 24.0 * one, 99.0 * one)
+        clean = solve(u, design).t_out
+        for lost, colour, name in (
+            (Deviations(fill=0.9), BLUE, "fill"), (Deviations(air=0.9), ORANGE, "air"),
+            (Deviations(uniformity=0.9), GREEN, "uniformity"),
+        ):  # fmt: skip
+            dashes = (4, 3) if name == "uniformity" else (None, None)
+            axis.plot(x, solve(u, design, lost).t_out - clean, color=colour, label=name, dashes=dashes)
+        axis.set(xlabel=label)
+    axes[0].set(ylabel="rise of the outlet, K")
+    axes[0].set_ylim(bottom=0.0)
+    axes[1].legend(frameon=False, fontsize=8)
+    return figure
+
+
 FIGURES: dict[str, Callable[[], plt.Figure]] = {
     "integrator": integrator, "windows": windows, "hiera": hiera, "scores": scores, "states": states, "reads": reads,
-    "trial": trial,
+    "trial": trial, "tower": tower,
 }  # fmt: skip
 
 

@@ -15,28 +15,38 @@ from hil.cli.options.paths import INPUT_FILE
 @click.option("--datasheet", required=True, type=INPUT_FILE, help="Datasheet of the station, JSON.")
 @click.option("--points", required=True, type=INPUT_FILE, help="Test points of the clean cells, CSV.")
 @click.option("--out", required=True, type=click.Path(path_type=Path, dir_okay=False), help="Twin file to write.")
-def command(record: Path, cell: int, datasheet: Path, points: Path, out: Path) -> None:
+@click.option("--healthy", metavar="FROM..TO", help="Days of RECORD on which the cell was clean.")
+def command(record: Path, cell: int, datasheet: Path, points: Path, out: Path, healthy: str | None) -> None:
     """Fit the clean cell to its test points and write its twin file.
 
     RECORD is the aligned record of the station; it must hold the cell. The Merkel number and its exponent are fitted
     to the outlet temperatures; air flow, fan power and evaporation follow from what was measured of them. A fit that
     describes no cooling tower is refused.
 
+    With --healthy the twin's own error is learned from these days and kept beside the twin file, as
+    <name>.healthy.json. A calibration with this twin subtracts it and carries its uncertainty.
+
     \b
     Example:
       hil tower commission record --cell 1 --datasheet datasheet.json --points commissioning.csv --out cell1.toml
+      hil tower commission record --cell 1 ... --out cell1.toml --healthy 2022-05-01..2022-05-15
     """
     from hil.record.raw import RecordError
     from hil.run.session.terminal import console
-    from hil.tower.commission import commission_cell
+    from hil.tower.commission import commission_cell, learn_healthy
+    from hil.tower.healthy import parse_span, path_beside, write_healthy
     from hil.tower.record import cells_of
     from twin.twinfile import save
 
+    span = None if healthy is None else parse_span(healthy)
     there = cells_of(record)
     if cell not in there:
         raise RecordError(f"{record}: has no cell {cell}; it has {', '.join(f'cell {n}' for n in there) or 'no cell'}")
     network, fitted, found = commission_cell(cell, datasheet, points)
+    kept = None if span is None else learn_healthy(record, network, span)
     save(network, out)
+    if kept is not None:
+        write_healthy(kept, path_beside(out, network))
     terminal, design = console(), fitted.design
     terminal.print(
         f"cell {cell}: Merkel number {design.merkel:.3f}, exponent {design.exponent:.3f}, air {design.m_a0:.1f} "
@@ -53,4 +63,9 @@ def command(record: Path, cell: int, datasheet: Path, points: Path, out: Path) -
     )
     for remark in fitted.remarks:
         terminal.print(remark, markup=False)
+    if kept is not None:
+        terminal.print(
+            f"healthy record: {(kept.end_s - kept.start_s) / 86400.0:.0f} days, {path_beside(out, network)}",
+            markup=False, soft_wrap=True,
+        )  # fmt: skip
     terminal.print(f"written: {out}", markup=False, soft_wrap=True)
