@@ -117,7 +117,7 @@ def _course(law: Law, shown: Callable[[str], str]) -> str:
     start = shown("start_s")
     if law.course == "step":
         return f"from t = {start} on"
-    if law.course == "spell":
+    if law.course == "interval":
         return f"from t = {start} to t = {shown('end_s')}"
     if law.course == "ramp":
         return f"growing from t = {start} to its whole size at t = {shown('end_s')}"

@@ -113,7 +113,7 @@ def _integral(course: str, p: Mapping[str, float], s: Array) -> Array:
     late = np.maximum(s, 0.0)
     if course == "step":
         return late
-    if course == "spell":
+    if course == "interval":
         return np.minimum(late, max(p["end_s"] - p["start_s"], 0.0))
     if course == "periodic":
         phase = late % p["period_s"]

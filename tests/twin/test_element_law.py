@@ -233,7 +233,7 @@ def test_inconsistent_laws_are_refused_in_one_sentence(extra: str, said: str) ->
 
 def test_a_spell_must_end_after_it_begins() -> None:
     with pytest.raises(TwinFileError, match="end_s must be later"):
-        parse(STAMPED + law("law_heat", node="a", course="spell", start_s=9.0, end_s=3.0))
+        parse(STAMPED + law("law_heat", node="a", course="interval", start_s=9.0, end_s=3.0))
 
 
 @pytest.mark.parametrize(("kind", "own"), sites())

@@ -54,7 +54,7 @@ def test_a_time_course_brings_the_stamps_and_the_interval_of_the_samples(twin: N
         {},
         "constant",
         {"size": 90.0, "start_s": 100.0, "end_s": 400.0},
-        course="spell",
+        course="interval",
         sample_s=10.0,
     )
     assert new.inputs["time_s"].unit == "s" and new.parameters["law_heat_a.edge_s"].value == 10.0

@@ -13,7 +13,7 @@ The value of a form is multiplied by that of a time course, from 0 to 1, with s 
 
     always       1
     step         0, from start_s on 1
-    spell        1 from start_s to end_s, else 0
+    interval        1 from start_s to end_s, else 0
     ramp         from 0 at start_s in a straight line to 1 at end_s
     settling     1 - exp(-s / settle_s)
     periodic     1 in the first `duty` of each period_s from start_s on, else 0
@@ -49,7 +49,7 @@ FORMS: dict[str, tuple[str, ...]] = {
 COURSES: dict[str, tuple[str, ...]] = {
     "always": (),
     "step": ("start_s", "edge_s"),
-    "spell": ("start_s", "end_s", "edge_s"),
+    "interval": ("start_s", "end_s", "edge_s"),
     "ramp": ("start_s", "end_s", "edge_s"),
     "settling": ("start_s", "settle_s", "edge_s"),
     "periodic": ("start_s", "period_s", "duty", "edge_s"),
@@ -191,7 +191,7 @@ def course_text(course: str, t: str, par: Par) -> str:
     s, after = f"({t} - {start})", f"({t} + {edge} - {start})"
     if course == "step":
         return f"min(max({after}, 0.0), {edge}) / {edge}"
-    if course == "spell":
+    if course == "interval":
         length = f"max({par('end_s')} - {start}, 0.0)"
         return f"(min(max({after}, 0.0), {length}) - min(max({s}, 0.0), {length})) / {edge}"
     if course == "ramp":
