@@ -162,7 +162,7 @@ def test_a_twin_with_a_meter_survives_its_file(plant: Network) -> None:
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (('of = "heater"', 'of = "heeter"'), "heater_meter.of: no such element 'heeter'; did you mean 'heater'"),
+        (('of = "heater"', 'of = "heeter"'), "heater_meter: of 'heeter' is no element of kind heat_source or"),
         (('"heat"', '"mass_flow"'), "heater_meter.quantity: heater has no mass_flow; it has heat"),
         (("_meter_kW", "_meter_kg_s"), "is in kg/s and the heat of heater in W; read a column of that unit"),
         (("_meter_kW", "_meter_degF"), "has no unit that a meter reads: end its name in _kg_s, _kW, _W, _pct"),
