@@ -48,6 +48,7 @@ class DiagnosisRequest:
         rig: rig file whose limits a next experiment keeps; None keeps it within what the record has seen.
         clock: time of day at 0 s of the record, like 08:00; None takes what the record says of it.
         choice: how the records are read.
+        open_laws: weigh every effect by one evidence, with any input as its driver.
     """
 
     record: Path
@@ -59,6 +60,7 @@ class DiagnosisRequest:
     rig: Path | None = None
     clock: str | None = None
     choice: Reading | None = None
+    open_laws: bool = False
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,10 @@ def diagnose_files(ready: Prepared, say: Callable[[str], None], note: Callable[[
     for message in messages:
         note(message)
     try:
-        found = answer(network, record, ready.healthy, more=later, limits=limits, at_rest=request.at_rest, say=say)
+        found = answer(
+            network, record, ready.healthy, more=later, limits=limits, at_rest=request.at_rest,
+            open_laws=request.open_laws, say=say,
+        )  # fmt: skip
     except NotHealthyError as error:
         raise TwinFileError(f"{ready.healthy_file}: {error}") from None
     except TwinFileError as error:
@@ -178,6 +183,7 @@ def answer(
     more: Mapping[str, Columns],
     limits: Limits | None,
     at_rest: bool,
+    open_laws: bool = False,
     say: Callable[[str], None],
 ) -> Diagnosis:
     """Return the diagnosis: a contest of effects for a commissioned twin, or the growth of one that never was.
@@ -185,10 +191,12 @@ def answer(
     Raises:
         TwinFileError: the record cannot be diagnosed.
     """
-    if at_rest or (healthy is None and fits_growth(network, record)):
+    if at_rest or (healthy is None and not open_laws and fits_growth(network, record)):
         found = diagnose_grown(network, record, more=tuple(more.values()), at_rest=at_rest, say=say)
     else:
-        found = diagnose(network, record, healthy, more=tuple(more.values()), say=say, limits=limits)
+        found = diagnose(
+            network, record, healthy, more=tuple(more.values()), say=say, limits=limits, by_evidence=open_laws
+        )
     found = with_unused(found, network, record.inputs)
     if not more:
         return found

@@ -10,6 +10,8 @@ import numpy as np
 from twin.discovery.answer.case import Case
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis, SensorError
+from twin.discovery.evidence.inquiry import Inquiry as EvidenceInquiry
+from twin.discovery.evidence.weighing import weighed as weighed_by_evidence
 from twin.discovery.healthy.basis import Basis, Columns, basis
 from twin.discovery.healthy.visited import beside_unvisited
 from twin.discovery.places.localise import courses
@@ -38,7 +40,7 @@ from twin.discovery.selection.ranking import Finding
 from twin.discovery.thermometers.at_fault import beside_late, explained_by_one, without_late
 from twin.discovery.thermometers.members import Members, members
 from twin.network import Array, Network, TwinFileError, mean_of_sensors
-from twin.segments import CLOCK_PREFIX, find_segments
+from twin.segments import CLOCK_PREFIX, Segments, find_segments
 from twin.steady import steady_state
 
 HELD_OUT = 0.25
@@ -53,6 +55,7 @@ def diagnose(
     say: Callable[[str], None] = lambda _: None,
     held_out: float = HELD_OUT,
     limits: Limits | None = None,
+    by_evidence: bool = False,
 ) -> Diagnosis:
     """Trace the residual of a record to an effect that the twin lacks, or say that there is none, or that none fits.
 
@@ -62,6 +65,8 @@ def diagnose(
         more: records made later on the same rig, by which causes that this record cannot tell apart are weighed.
         say: called with what is being done. held_out: share of the record, at its end, that no fit sees.
         limits: of the rig, for the next experiment; by default it stays within what the record has seen.
+        by_evidence: weigh every hypothesis by its marginal likelihood and declared priors (`twin.discovery.evidence`),
+            with any input as driver and courses that end, come back or fade.
 
     Raises:
         TwinFileError: a record too short or without readings, a healthy record that is not healthy.
@@ -77,16 +82,26 @@ def diagnose(
     single = _members(known, record, grid, healthy, block_edges(len(grid.time)))
 
     def again(other: Columns) -> Diagnosis:
-        return diagnose(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
+        return diagnose(
+            network, other, healthy, more=more, say=say, held_out=held_out, limits=limits, by_evidence=by_evidence
+        )
 
     late = without_late(single, network, given, float(grid.time[0]))
     if late is not None:
         return beside_late(late[0], again(late[1]))
     say("scanning")
+    if by_evidence:
+        found = _weighed_by_evidence(
+            EvidenceInquiry(network, record, known, grid, say), single, still, [*unread, *_said(known, gaps, stood)],
+            more, held_out, limits,
+        )  # fmt: skip
+        return explained_by_one(
+            beside_unvisited(found, network, record, healthy), network, replace(record, inputs=given.inputs), single,
+            again,
+        )  # fmt: skip
     inquiry = Inquiry(network, record, known, grid, say)
     whole = inquiry.whole
-    said = (known, known.structure, known.bootstrap, gaps, stood)
-    notes = [*unread, *(told.sentence for told in said if told is not None and told.sentence)]
+    notes = [*unread, *_said(known, gaps, stood)]
     answer = inquiry.answer(held_out)
     finding, split, doubted = answer.finding, answer.split, answer.doubted
     notes += answer.notes
@@ -138,6 +153,52 @@ def diagnose(
     found = beside_unvisited(conclude(case, tuple(notes)), network, record, healthy)
     # What stood still is found anew there, and told as that.
     return explained_by_one(found, network, replace(record, inputs=given.inputs), single, again)
+
+
+def _said(known: Basis, *others: Segments | Standstill | None) -> list[str]:
+    """What is to say of a healthy record and of a record's gaps and standstills."""
+    said = (known, known.structure, known.bootstrap, *others)
+    return [told.sentence for told in said if told is not None and told.sentence]
+
+
+def _weighed_by_evidence(
+    inquiry: EvidenceInquiry, single: tuple[Members, ...], still: tuple[Stuck, ...], notes: list[str],
+    more: tuple[Columns, ...], held_out: float, limits: Limits | None,
+) -> Diagnosis:  # fmt: skip
+    """The diagnosis of a record by the evidence of every hypothesis."""
+    known, whole, network = inquiry.known, inquiry.whole, inquiry.network
+    answer = inquiry.answer(held_out)
+    finding, split = answer.finding, answer.split
+    notes = [*notes, *answer.notes]
+    answers = [e.candidate for r in finding.ranked for e in r.entries]
+    whole.know(answers)
+    further: list[Part] = []
+    if more and len(finding.ranked) > 1:
+        inquiry.say("comparing with further records")
+        further = [inquiry.part(on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
+        for each in further:
+            each.know(answers)
+        finding, decided = weighed_by_evidence(finding, answer.train, further)
+        notes += decided
+    off = inquiry.on_unseen(finding, split)
+    # Without a healthy record nothing else tells how much a lumped twin leaves of a healthy rig.
+    usual = known.plain is None and as_commissioned(network, off)
+    if usual:
+        finding, off = nothing(finding), retuned_alone(off)
+    if finding.fit is None:
+        notes += _hidden(whole, known)
+        unseen = unseen_kinds(whole.contest, whole.laws, known.book.candidates)
+        notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []
+    inquiry.say("judging")
+    return conclude(
+        Case(
+            finding=finding, known=known, whole=whole.contest, laws=whole.laws, lasting=whole.entries,
+            grid=inquiry.grid, split=split, errors=off,
+            free=courses(whole.contest, sites_of(network, whole.contest, whole.laws)), usual=usual, single=single,
+            still=still, limits=limits, later=tuple(part.grid for part in further), by_evidence=True,
+        ),
+        tuple(notes),
+    )  # fmt: skip
 
 
 def _doubtful(inquiry: Inquiry, answer: Answer, finding: Finding, off: dict[str, SensorError]) -> bool:

@@ -306,6 +306,10 @@ class Candidate:
         Input column whose temperature an added mass has at its onset, or "" for that of its place.
     slow_s, slower
         Time constant of a temperature of its own, s, or 0, and a function that makes the same with another one.
+    column, follows, injects, reads, adopts
+        Of an open law: the column that its elements follow, a function of stamps (n,) and inputs (n, c) that makes its
+        values (n,), the nodes and the sensors on which a value of 1 acts with these weights, if it acts on nothing
+        else, and what an adopted law's element has.
     """
 
     kind: str
@@ -327,6 +331,11 @@ class Candidate:
     begins: str = ""
     slow_s: float = 0.0
     slower: Callable[[float], Candidate] | None = None
+    column: str = ""
+    follows: Callable[[Any, Any], Any] | None = None
+    injects: Mapping[str, float] = field(default_factory=dict)
+    reads: Mapping[str, float] = field(default_factory=dict)
+    adopts: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def id(self) -> str:
@@ -334,6 +343,7 @@ class Candidate:
         weights = ",".join(f"{name}*{weight:.4g}" for name, weight in self.changes.items())
         others = "".join(f"|{key}={value}" for keys in self.replaces.values() for key, value in keys.items())
         others += f"|from {self.begins}" if self.begins else ""
+        others += f"|{sorted(self.adopts.items())}" if self.adopts else ""
         return f"{self.kind}@{self.where}~{self.driver}[{weights}{others}]{self.typical:.3g}"
 
 

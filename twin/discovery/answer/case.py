@@ -29,6 +29,7 @@ class Case:
         doubted: an answer to less of the record was contradicted by the rest, so that this one has to leave nothing.
         single: thermometers that are one of several. still: those that stopped, and when.
         limits: of the rig, for the next experiment. later: records made since, by which the finding has been weighed.
+        by_evidence: the finding is one of the search by evidence.
     """
 
     finding: Finding
@@ -46,3 +47,4 @@ class Case:
     still: tuple[Stuck, ...] = ()
     limits: Limits | None = None
     later: tuple[Grid, ...] = ()
+    by_evidence: bool = False

@@ -7,6 +7,7 @@ import numpy as np
 from twin.discovery.answer.case import Case
 from twin.discovery.answer.spells import explained, outdone
 from twin.discovery.effects.catalogue import LATE
+from twin.discovery.evidence.priors import CLAIM
 from twin.discovery.refit.validation import holds
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.equivalence import remaining
@@ -31,6 +32,8 @@ evening, it is anything that lasts for minutes."""
 def good(case: Case) -> bool:
     """Whether effects leave no more than they may: of the squares, in each fold, and where no fit saw the record."""
     finding, network = case.finding, case.known.probe.network
+    if case.by_evidence:
+        return finding.fit is not None and not contradicted(case.errors, network)
     rest = finding.ladder[-1].best_z
     refuted = finding.refuted and rest < REFUTED_SHARE * finding.ladder[0].best_z
     quiet = finding.beside is None and (refuted or finding.formed or rest < finding.threshold)
@@ -58,6 +61,8 @@ def acts_s(entry: Entry, contest: Contest) -> float:
 def adequate(case: Case) -> bool:
     """Whether the twin needs nothing, where no effect is claimed: what it leaves is noise or what it always leaves."""
     finding, lasting = case.finding, case.lasting
+    if case.by_evidence:
+        return finding.fit is None and (case.usual or max(finding.odds, finding.unlisted) < CLAIM)
     silent = bool(case.free) and case.free[0].log_evidence <= 0.0
     if finding.fit is not None and not silent:
         return False

@@ -11,6 +11,7 @@ from twin.discovery.answer.spells import explained
 from twin.discovery.answer.words import sentence
 from twin.discovery.diagnosis import Alternative, Effect, Verdict
 from twin.discovery.effects.phrases import interval
+from twin.discovery.effects.shapes import TIMED
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.equivalence import instead, remaining
 from twin.discovery.scoring.search import Entry, able_to_begin
@@ -30,6 +31,38 @@ def told(finding: Finding, grid: Grid) -> tuple[Verdict, tuple[Effect, ...]]:
     shares = [_with_and_without(e, finding) for e in finding.entries[:-1]]
     entries = zip(finding.fit.entries, [*shares, sure], strict=True)
     return "effect found" if clear else "ambiguous", tuple(_effect(e, finding, s, grid) for e, s in entries)
+
+
+def told_by_evidence(finding: Finding, grid: Grid) -> tuple[Verdict, tuple[Effect, ...]]:
+    """Each effect of the best fit, and whether each is sure enough to be named alone: its share of the posterior."""
+    assert finding.fit is not None
+    sure = [share_of(e, finding.ranked) for e in finding.entries]
+    # What is likelier beforehand alone is not named alone: the record itself has to say so.
+    told_apart = min(ahead(e, finding.ranked) for e in finding.entries) >= math.log(SURE / (1.0 - SURE))
+    verdict: Verdict = "effect found" if min(sure) >= SURE and told_apart else "ambiguous"
+    return verdict, tuple(
+        _effect(e, finding, {(e.candidate.kind, e.candidate.where): s}, grid)
+        for e, s in zip(finding.fit.entries, sure, strict=True)
+    )
+
+
+def share_of(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
+    """Posterior share of the explanations that have such a kind at such a place."""
+    place = (entry.candidate.kind, entry.candidate.where)
+    total = sum(r.weight for r in ranked)
+    mine = sum(r.weight for r in ranked if any((e.candidate.kind, e.candidate.where) == place for e in r.entries))
+    return mine / max(total, 1e-300)
+
+
+def ahead(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
+    """By how much, in log Bayes factor, the best explanation with such a kind at such a place is ahead of the best
+    without."""
+    place = (entry.candidate.kind, entry.candidate.where)
+    best = {True: -math.inf, False: -math.inf}
+    for r in ranked:
+        has = any((e.candidate.kind, e.candidate.where) == place for e in r.entries)
+        best[has] = max(best[has], r.log_bayes)
+    return best[True] - best[False] if best[False] > -math.inf else math.inf
 
 
 def rivals(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...], tuple[Alternative, ...]]:
@@ -117,6 +150,12 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
         growth_s=entry.shape.growth_s,
         says=says,
     )
+
+
+def at_end(entry: Entry, grid: Grid) -> float:
+    """Share of its size that is there when the record ends: what is adopted."""
+    end = grid.span_s
+    return entry.shape.mean(end - 1.0, end) if entry.shape.grows or entry.shape.name in TIMED else 1.0
 
 
 def _groups(ranked: tuple[Ranked, ...]) -> dict[tuple[str, str], float]:

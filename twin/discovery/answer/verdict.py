@@ -13,10 +13,11 @@ from twin.discovery.answer.case import Case
 from twin.discovery.answer.judging import adequate, good
 from twin.discovery.answer.spells import Spell, as_effect, came_and_went, described, explains
 from twin.discovery.answer.switches import switched
-from twin.discovery.answer.telling import grown_by_end, likelier_in_all, near_misses, rivals, told
+from twin.discovery.answer.telling import at_end, likelier_in_all, near_misses, rivals, told, told_by_evidence
 from twin.discovery.answer.words import summarise
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Verdict
 from twin.discovery.effects.lint import lint
+from twin.discovery.effects.open_laws import adopted
 from twin.discovery.effects.probe import Run
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.places.empirical import Empirical, offer
@@ -104,6 +105,8 @@ def _fine(case: Case) -> Answer:
 
 def _answer(case: Case, claimed: bool) -> Answer:
     finding, free = case.finding, case.free
+    if case.by_evidence:
+        return _named(case) if claimed else _unknown(case)
     spell = came_and_went(case.whole, case.laws, case.lasting, finding.entries if claimed else ())
     if spell is not None and (claimed or explains(spell, free[0])):
         return _for_a_spell(case, spell)
@@ -145,8 +148,8 @@ def _offered(case: Case) -> Empirical | None:
 def _named(case: Case) -> Answer:
     finding, grid, network = case.finding, case.grid, case.known.probe.network
     assert finding.fit is not None
-    verdict, effects = told(finding, grid)
-    likelier = likelier_in_all(case)
+    verdict, effects = told_by_evidence(finding, grid) if case.by_evidence else told(finding, grid)
+    likelier = () if case.by_evidence else likelier_in_all(case)
     if likelier:
         verdict = "ambiguous"
     others, alternatives = rivals(finding, verdict)
@@ -204,8 +207,9 @@ def _run(finding: Finding, fitted: Fit, network: Network, grid: Grid) -> Array:
 def _bigger(finding: Finding, network: Network, grid: Grid) -> Network:
     """The twin with its effects at the size that they have at the record's end, and its re-tuned parameters."""
     assert finding.fit is not None
-    model = Model.alone(finding.contest.probe, finding.fit.entries)
-    full = np.array([[e.size * grown_by_end(e, grid) for e in finding.fit.entries]])
+    named = tuple(e for e in finding.fit.entries if not e.candidate.column)
+    model = Model.alone(finding.contest.probe, named)
+    full = np.array([[e.size * at_end(e, grid) for e in named]])
     vector = model.parameters(finding.fit.values[None, :], full)[0]
     own = {p.id for p in model.network.parameters.values() if not p.same_as}
     values = {
@@ -213,7 +217,11 @@ def _bigger(finding: Finding, network: Network, grid: Grid) -> Network:
         for i, v, p in zip(model.network.ids, vector, model.network.parameters.values(), strict=True)
         if i in own and v != p.value
     }
-    return model.network.with_values(values)
+    bigger = model.network.with_values(values)
+    for entry in finding.fit.entries:
+        if entry.candidate.column:
+            bigger = adopted(bigger, entry.candidate, entry.size * at_end(entry, grid), grid)
+    return bigger
 
 
 def _moved(finding: Finding, known: Basis) -> tuple[Moved, ...]:

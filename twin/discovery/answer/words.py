@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from twin.discovery.diagnosis import Alternative, Effect, SensorError, Verdict
-from twin.discovery.effects.phrases import amount, clock, said, when
+from twin.discovery.effects.phrases import amount, clock, lasting, said, when
 from twin.discovery.places.sites import spoken
 from twin.discovery.scoring.equivalence import OPEN
 from twin.discovery.scoring.search import Entry
@@ -28,6 +28,15 @@ def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0, spread: float
         return f"{text} by the end, having grown steadily {since}{until}"
     if entry.shape.name == "saturating":
         return f"{text} by the end, growing {since} with a time constant of {clock(entry.shape.growth_s)}"
+    if entry.shape.name == "spell":
+        first = start + entry.shape.onset_s
+        return f"{text}, from {clock(first)} to {clock(first + entry.shape.growth_s)}, and no longer"
+    if entry.shape.name == "periodic":
+        on = entry.shape.duty * entry.shape.growth_s
+        return f"{text}, {since} for {clock(on)} in every {clock(entry.shape.growth_s)}"
+    if entry.shape.name == "pulse":
+        fading = lasting(entry.shape.growth_s)
+        return f"{text} at {clock(start + entry.shape.onset_s)}, fading with a time constant of {fading}"
     return f"{text}, {since}"
 
 

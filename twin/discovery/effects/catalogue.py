@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -101,12 +101,23 @@ def _places(network: Network) -> dict[str, str]:
     return {node: places.get(node, node) for node in network.nodes}
 
 
+def with_columns(network: Network, columns: Sequence[str]) -> Network:
+    """The network with further input columns for the values of open laws, 0 without one."""
+    if not columns:
+        return network
+    inputs = dict(network.inputs)
+    for column in columns:
+        inputs.setdefault(column, InputSpec(column, 0.0, -1.0e9, 1.0e9, "1"))
+    return replace(network, inputs=MappingProxyType(inputs), digest="")
+
+
 def extended(network: Network, candidate: Candidate) -> Network:
     """The network with a candidate's elements, still without effect: sizes at their neutral values.
 
     Raises:
         TwinFileError: the element does not fit this network.
     """
+    network = with_columns(network, [candidate.column] if candidate.column else [])
     elements = list(network.elements)
     parameters = dict(network.parameters)
     for name, table in candidate.adds.items():

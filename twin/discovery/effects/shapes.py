@@ -21,14 +21,23 @@ BEYOND = 1.5
 """Lengths of a record until which what is still rising at its end is taken to rise: beyond what will be looked at."""
 
 
+TIMED = ("spell", "periodic", "pulse")
+"""Shapes that end, come back or fade: each has a second time, `growth_s`, that is told by the record."""
+
+
 @dataclass(frozen=True)
 class Shape:
-    """`name` step, ramp, saturating or put in; `onset_s` from the record's beginning; `growth_s` the duration of a
-    ramp, or the time constant with which a saturating one nears its size and what was put in nears its place's."""
+    """`name` step, ramp, saturating, put in, or one of `TIMED`; `onset_s` from the record's beginning.
+
+    `growth_s`: the duration of a ramp or a spell, the period of a periodic one, or the time constant with which a
+    saturating one nears its size, what was put in nears its place's and a pulse fades. `duty`: share of a period in
+    which a periodic one is there, from its onset on.
+    """
 
     name: str
     onset_s: float = 0.0
     growth_s: float = 0.0
+    duty: float = 0.5
 
     def block_means(self, edges_s: Array) -> Array:
         """Mean amplitude (b,) between `edges_s` (b + 1,), s from the record's beginning."""
@@ -39,7 +48,15 @@ class Shape:
         if self.name == "step":
             return (b - a) / width
         growth = max(self.growth_s, 1.0)
-        if self.name == "put in":
+        if self.name == "spell":
+            there: Array = (np.minimum(b, growth) - np.minimum(a, growth)) / width
+            return there
+        if self.name == "periodic":
+            on = self.duty * growth
+            upto = [on * (x // growth) + np.minimum(x % growth, on) for x in (a, b)]
+            back: Array = (upto[1] - upto[0]) / width
+            return back
+        if self.name in ("put in", "pulse"):
             faded: Array = growth * (np.exp(-a / growth) - np.exp(-b / growth)) / width
             return faded
         if self.name == "ramp":
@@ -75,7 +92,11 @@ class Shape:
 
     def free(self, span_s: float) -> bool:
         """Whether a record of `span_s` tells the growth apart from the size: a ramp that goes on does not."""
-        return self.name == "saturating" or (self.name == "ramp" and self.onset_s + self.growth_s < 0.98 * span_s)
+        if self.name == "spell":
+            return self.onset_s + self.growth_s < 0.98 * span_s
+        return self.name in ("saturating", "periodic", "pulse") or (
+            self.name == "ramp" and self.onset_s + self.growth_s < 0.98 * span_s
+        )
 
 
 def family(name: str, span_s: float) -> tuple[float, ...]:

@@ -11,14 +11,23 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 
-from twin.discovery.effects.catalogue import LATE, catalogue, extended
-from twin.elements import KINDS
-from twin.elements.base import Candidate
+from twin.discovery.effects.catalogue import LATE, catalogue, extended, with_columns
+from twin.elements import KINDS, Parameter
+from twin.elements.base import Candidate, Status
+from twin.elements.heat_source import HeatSource
 from twin.kernel import Kernel
 from twin.network import Network
 
+SLOTS = 2
+"""Open laws that may stand in one hypothesis: each brings heat of a course and size of its own."""
 _SLOW = ("thermal_mass", "sensor")
+
+
+def injection(slot: int, node: str) -> str:
+    """Name of the element that brings the heat of an open law into a node, and the beginning of its column's."""
+    return f"inject_{slot}_{node}"
 
 
 @dataclass(frozen=True)
@@ -38,6 +47,24 @@ class SharedKernel:
                 bigger = extended(bigger, replace(candidate, adds=missing))
             ids |= dict.fromkeys(candidate.changes)
         return cls(bigger, Kernel(bigger, tuple(ids), whole_memory=True))
+
+    def with_injections(self) -> SharedKernel:
+        """The same with heat of any course into every node, for as many open laws as have a slot."""
+        places = [(slot, node) for slot in range(SLOTS) for node in self.network.nodes]
+        bigger = with_columns(self.network, [injection(slot, node) + "_W" for slot, node in places])
+        elements, parameters = list(bigger.elements), dict(bigger.parameters)
+        for slot, node in places:
+            name = injection(slot, node)
+            elements.append(HeatSource(name, node, f"{name}_W", "linear"))
+            for spec in elements[-1].parameter_specs():
+                key = f"{name}.{spec.name}"
+                status: Status = "tunable" if spec.name == "gain" else "fixed"
+                parameters[key] = Parameter(
+                    key, name, spec.name, 0.0, spec.unit, spec.lower, spec.upper, status, "an open law"
+                )  # fmt: skip
+        bigger = replace(bigger, elements=tuple(elements), parameters=MappingProxyType(parameters), digest="")
+        gains = (f"{injection(slot, node)}.gain" for slot, node in places)
+        return SharedKernel(bigger, Kernel(bigger, (*self.kernel.lane_ids, *gains), whole_memory=True))
 
     def holds(self, candidates: tuple[Candidate, ...]) -> bool:
         """Whether all of them are a matter of numbers here."""
@@ -67,8 +94,18 @@ class SharedKernels:
         held = (c for c in self._plain if c.driver not in LATE or c.kind in _SLOW)
         return SharedKernel.of(self._network, self._tunables, held)
 
+    @cached_property
+    def _open(self) -> SharedKernel:
+        return self._quick.with_injections()
+
     def holding(self, candidates: tuple[Candidate, ...]) -> SharedKernel | None:
         """The quickest that holds these candidates, or None."""
+        opened = [c for c in candidates if c.column]
+        if len([c for c in opened if c.injects]) > SLOTS or any(not c.injects and not c.reads for c in opened):
+            return None
+        candidates = tuple(c for c in candidates if not c.column)
+        if opened:
+            return self._open if self._open.holds(candidates) else None
         if self._quick.holds(candidates):
             return self._quick
         return self._all if self._all.holds(candidates) else None

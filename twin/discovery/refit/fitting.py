@@ -85,6 +85,13 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     steps[q : q + k] = _STATE_STEP
     steps[q + k : first_time] = [_SIZE_STEP * x.candidate.typical for x in entries]
     steps[first_time:first_growth], steps[first_growth:] = 6.0 * hours, 0.05
+    for place, i in enumerate(grown):
+        # A period is told by where its last turn is; the end of a spell as closely as its beginning.
+        shape = entries[i].shape
+        if shape.name in ("periodic", "spell"):
+            told_s = grid.span_s if shape.name == "periodic" else shape.growth_s
+            steps[first_growth + place] = 6.0 * grid.step_s / max(told_s, grid.step_s)
+            reach[first_growth + place] = contest.step_s / max(told_s, grid.step_s)
     scale = np.ones(count)
     scale[q + k : first_time] = [x.candidate.typical for x in entries]
 

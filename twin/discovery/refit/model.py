@@ -13,6 +13,7 @@ from twin.codegen import FEW_LANES
 from twin.discovery.effects.catalogue import extended
 from twin.discovery.effects.probe import Probe
 from twin.discovery.effects.shapes import Shape
+from twin.discovery.effects.shared_kernels import injection
 from twin.discovery.scoring.search import Entry
 from twin.elements.base import Candidate
 from twin.kernel import Kernel
@@ -21,6 +22,8 @@ from twin.segments import restarted_states, segment_rows
 
 SETTLE_S, FIRST_ROWS, STATE_STEP_K = 900.0, 6, 1.0e-2
 """Readings at a beginning that tell its temperatures, those that give a first guess, and how far it is moved."""
+FADED = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0)
+"""Time constants of a pulse after which it is held anew."""
 PIECE_S, READ_PIECE_S = 600.0, 300.0
 """A growing effect is held constant for so long; an error of reading, which nothing evens out, for less."""
 
@@ -97,8 +100,13 @@ class Model:
         """
         out = np.tile(self.network.values, (len(values), 1))
         out[:, self._here] = values
+        slots = dict(self._injected)
         for j, entry in enumerate(self.entries):
-            self._enter(entry.candidate, out, sizes[:, j])
+            if j in slots:
+                for node in entry.candidate.injects:
+                    out[:, self._places[f"{injection(slots[j], node)}.gain"]] = sizes[:, j]
+            elif not set(entry.candidate.adds) - {e.name for e in self.network.elements}:
+                self._enter(entry.candidate, out, sizes[:, j])
         for k, other in self._shared:
             out[:, k] = out[:, other]
         return out
@@ -135,6 +143,7 @@ class Model:
             sizes: (P, e). shapes: (P, e) how the effects come in, as the entries say by default.
             begins: (s,) rows at which stretches begin.
         """
+        given, inputs = inputs, self._driven(time, inputs)
         since = time - time[0]
         each = shapes or tuple(tuple(e.shape for e in self.entries) for _ in range(len(values)))
         all_shapes = {s for row in each for s in row}
@@ -170,7 +179,48 @@ class Model:
             cut = (cuts[leg:then] - first).tolist()
             found, state = self.kernel.trace_pieces(full[leg:then], state, time[part], inputs[part], cut, FEW_LANES)
             readings[:, first:last] = found[:, : last - first]
+        self._read(readings, time, given, sizes, sized, cuts)
         return readings
+
+    @cached_property
+    def _injected(self) -> tuple[tuple[int, int], ...]:
+        """Effects that are open laws of heat in a shared kernel, and their slots there."""
+        shared = injection(0, self.network.nodes[0]) in {e.name for e in self.network.elements}
+        heats = [i for i, e in enumerate(self.entries) if e.candidate.injects] if shared else []
+        return tuple((i, slot) for slot, i in enumerate(heats))
+
+    def _driven(self, time: Array, inputs: Array) -> Array:
+        """Inputs (n, c) with the values of open laws in the columns that their elements follow."""
+        more = self.network.input_columns[inputs.shape[1] :]
+        if not more:
+            return inputs
+        slots = dict(self._injected)
+        values: dict[str, Array] = {}
+        for i, entry in enumerate(self.entries):
+            c = entry.candidate
+            if c.follows is None:
+                continue
+            course = c.follows(time, inputs)
+            values[c.column] = course
+            if i in slots:
+                values |= {f"{injection(slots[i], node)}_W": weight * course for node, weight in c.injects.items()}
+        nothing = np.zeros(len(inputs))
+        return np.ascontiguousarray(np.column_stack([inputs, *(values.get(column, nothing) for column in more)]))
+
+    def _read(self, readings: Array, time: Array, inputs: Array, sizes: Array, course: Array, cuts: np.ndarray) -> None:
+        """Add the errors of reading of open laws in a shared kernel to the readings (P, n, m).
+
+        Args:
+            sizes: (P, e). course: (P, e, pieces), between `cuts`.
+        """
+        names = {e.name for e in self.network.elements}
+        for i, entry in enumerate(self.entries):
+            c = entry.candidate
+            if not c.reads or c.follows is None or not names.isdisjoint(c.adds):
+                continue
+            amount = np.repeat(sizes[:, i, None] * course[:, i], np.diff(cuts), axis=1) * c.follows(time, inputs)
+            for sensor, weight in c.reads.items():
+                readings[:, :, self.original.sensor_names.index(sensor)] += weight * amount
 
     def begun(
         self,
@@ -214,7 +264,14 @@ def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
     borders = {0.0}
     for shape in shapes:
         borders.add(min(shape.onset_s, float(since[-1])))
-        if shape.grows:
+        if shape.name == "spell":
+            borders.add(min(shape.onset_s + shape.growth_s, float(since[-1])))
+        if shape.name == "periodic":
+            turns = np.arange(shape.onset_s, since[-1], max(shape.growth_s, 2.0 * READ_PIECE_S))
+            borders.update([*turns.tolist(), *(turns + shape.duty * shape.growth_s).tolist()])
+        if shape.name == "pulse":
+            borders.update(min(shape.onset_s + shape.growth_s * f, float(since[-1])) for f in FADED)
+        if shape.grows or shape.name == "pulse":
             borders.update(np.arange(piece * np.ceil(shape.onset_s / piece), since[-1], piece).tolist())
     cuts = np.unique(np.searchsorted(since, sorted(borders)))
     return np.concatenate([cuts[cuts < len(since)], [len(since)]])

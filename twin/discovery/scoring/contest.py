@@ -284,6 +284,14 @@ class Contest:
         found: Array = self._columns @ vectors.reshape(len(vectors), -1).T
         return found
 
+    def responses(self, vectors: Array) -> Array:
+        """Block means (e, b, m), K, of what effects at size 1, `vectors` (e, sites, b), do to the readings."""
+        flat = vectors.reshape(len(vectors), -1)
+        there = flat.any(axis=0)
+        white = (self._columns[:, there] @ flat[:, there].T).T.reshape(len(vectors), self.b, self.m)
+        found: Array = np.stack([self.noise.colour(w, self.step_s) for w in white])
+        return found
+
     def across(self, signatures: Array) -> Array:
         """Gram matrix (e, e) of whitened signatures (b * m, e), tunables and initial state projected out."""
         pull = self.slopes.T @ signatures

@@ -29,7 +29,8 @@ _TINY = 1e-12
 class Entry:
     """One hypothesis, its size fitted alone: `vector` (sites, b) at size 1.
 
-    `sd` of what grows is that of what it comes to at the record's end, as a size.
+    `sd` of what grows is that of what it comes to at the record's end, as a size. `log_bayes` is its log evidence over
+    no effect, averaged over onsets by their prior, and `log_occam` the logarithm of that average over its best.
     """
 
     law: Law
@@ -39,6 +40,8 @@ class Entry:
     sd: float
     gain: float
     onset_sd_s: float = 0.0
+    log_bayes: float = 0.0
+    log_occam: float = 0.0
 
     @property
     def candidate(self) -> Candidate:
@@ -60,6 +63,8 @@ class Entry:
     @property
     def driver(self) -> str:
         """What the effect follows: time where it grows, else what its law says."""
+        if self.shape.name == "periodic":
+            return "periodic"
         return "elapsed_time" if self.shape.grows else self.candidate.driver
 
     @property

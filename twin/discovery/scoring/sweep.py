@@ -15,13 +15,18 @@ from twin.network import Array
 LAST_SHARE = 0.95
 """Onsets are looked for up to this share of the record; an effect needs some time to show."""
 _KNOWN = 1e-10
+FADING_S = (60.0, 600.0, 3600.0)
+"""Time constants of pulses that are tried, s: water that is poured in, a wall, a room."""
+LEAST_BLOCKS, LEAST_TURNS, PERIODS, PHASES = 3.0, 2.0, 40, 12
+"""Blocks in the shortest period and periods in a record, how many periods are tried and how many phases of each."""
+DUTIES = (0.25, 0.5, 0.75)
 
 
 @dataclass(frozen=True)
 class Courses:
     """Onsets (i,), s, of steps and their courses (b, i); shapes that grow, j of them, and theirs (b, j).
 
-    `edges_s` (b + 1,) bound the blocks.
+    `edges_s` (b + 1,) bound the blocks. `timed` are periodic shapes and pulses, and `returns` (b, k) their courses.
     """
 
     onsets: Array
@@ -29,6 +34,9 @@ class Courses:
     grown: list[Shape]
     growths: Array
     edges_s: Array
+    steps_shapes: list[Shape]
+    timed: list[Shape]
+    returns: Array
     _fading: dict[float, tuple[list[Shape], Array]] = field(default_factory=dict)
 
     @classmethod
@@ -101,7 +109,8 @@ class Given:
 def _courses(contest: Contest) -> Courses:
     edges_s = contest.edges * contest.grid.step_s
     onsets = edges_s[: max(int(contest.b * LAST_SHARE), 1)]
-    steps = np.stack([Shape("step", float(t)).block_means(edges_s) for t in onsets], axis=1)
+    begins = [Shape("step", float(t)) for t in onsets]
+    steps = np.stack([shape.block_means(edges_s) for shape in begins], axis=1)
     # Growth begins so gently that every third block is enough; `refine` looks between them.
     grown = [
         Shape(name, float(t), growth).going_on(float(edges_s[-1]))
@@ -110,7 +119,27 @@ def _courses(contest: Contest) -> Courses:
         for t in onsets[::3]
     ]
     growths = np.stack([shape.block_means(edges_s) for shape in grown], axis=1)
-    return Courses(onsets, steps, grown, growths, edges_s)
+    timed = _timed(onsets, edges_s)
+    empty = np.empty((len(edges_s) - 1, 0))
+    returns = np.stack([shape.block_means(edges_s) for shape in timed], axis=1) if timed else empty
+    return Courses(onsets, steps, grown, growths, edges_s, begins, timed, returns)
+
+
+def _timed(onsets: Array, edges_s: Array) -> list[Shape]:
+    """Periodic shapes and pulses that a record of these blocks may tell; `refined` looks between them."""
+    span, block = float(edges_s[-1]), float(edges_s[1] - edges_s[0])
+    found = [
+        Shape("pulse", float(t), decay) for decay in FADING_S if block < 8.0 * decay and decay < 0.5 * span
+        for t in onsets[1:]
+    ]  # fmt: skip
+    long_enough = span > LEAST_TURNS * LEAST_BLOCKS * block
+    periods = np.geomspace(LEAST_BLOCKS * block, span / LEAST_TURNS, PERIODS) if long_enough else np.empty(0)
+    for period in periods:
+        count = int(np.clip(np.ceil(period / block), 4, PHASES))
+        found += [
+            Shape("periodic", float(period * k / count), float(period), duty) for duty in DUTIES for k in range(count)
+        ]
+    return found
 
 
 def _late_sums(gram: Array) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import Law
+from twin.discovery.effects.open_laws import OpenLaw, open_laws
 from twin.discovery.effects.probe import Run, free_run
 from twin.discovery.effects.shapes import EARLY_S, Shape
 from twin.discovery.healthy.basis import Basis
@@ -103,7 +104,19 @@ class Part:
         """Keep the laws of further candidates at hand, without looking for them."""
         known = {law.candidate.id for law in self.laws}
         further = {c.id: c for c in candidates if c.id not in known}
-        self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, tuple(further.values()))]
+        named = tuple(c for c in further.values() if not c.column)
+        sites = {law.site.column: law.site for law in self.opened}
+        opened = [
+            OpenLaw(c, sites[c.column], c.follows(self.grid.time, self.grid.inputs))
+            for c in further.values()
+            if c.column in sites and c.follows is not None
+        ]
+        self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, named), *opened]
+
+    @cached_property
+    def opened(self) -> list[OpenLaw]:
+        """Laws without a name: any input at every site."""
+        return open_laws(self.basis.probe.network, self.grid, self.laws)
 
     def late(self, onset_s: float) -> list[Entry]:
         """Every law that is late, at several times a typical size, all along and since an onset.
@@ -157,6 +170,15 @@ def fitted(part: Part, groups: list[tuple[Entry, ...]], rounds: int = ROUNDS) ->
         found = pool.map(lambda g: _fit(part, part.contest, g, rounds=rounds), new.values())
         part.fits.update(zip(new, found, strict=True))
     return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
+
+
+def continued(part: Part, found: list[Fit], rounds: int = ROUNDS) -> list[Fit]:
+    """Fits gone on with from where they ended; what would have led no further stays as it is."""
+    open_ones = [f for f in found if not f.done]
+    with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
+        new = pool.map(lambda f: _fit(part, part.contest, f.entries, f.moved, rounds), open_ones)
+        by = {id(old): other for old, other in zip(open_ones, new, strict=True)}
+    return [by.get(id(f), f) for f in found]
 
 
 def plainly(part: Part, found: Fit) -> Fit:

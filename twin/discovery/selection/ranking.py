@@ -122,11 +122,15 @@ def _way(entry: Entry) -> str:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A set of effects, fitted: `cost` is -2 log likelihood and complexity up to a constant, `weight` its share."""
+    """A set of effects, fitted: `cost` is -2 log likelihood and complexity up to a constant, `weight` its share.
+
+    By evidence, `cost` is -2 times the log posterior odds, and `log_bayes` what the record alone says.
+    """
 
     fit: Fit
     cost: float
     weight: float
+    log_bayes: float = 0.0
 
     @property
     def entries(self) -> tuple[Entry, ...]:
@@ -138,7 +142,9 @@ class Finding:
     """What the search ended with; `fit` is None where nothing passed the threshold, `beside` still scores with it.
 
     `shorter` is what it had found before its last effect, None where that was the only one; `refuted` where one more
-    scored, but did not foretell; `formed` where one more did, but only mended the form of one that is told.
+    scored, but did not foretell; `formed` where one more did, but only mended the form of one that is told. By
+    evidence, `odds` are the log posterior odds of the likeliest effects against none, and `unlisted` those of an
+    unknown of no listed form.
     """
 
     entries: tuple[Entry, ...]
@@ -157,6 +163,8 @@ class Finding:
     shorter: Finding | None = None
     refuted: bool = False
     formed: bool = False
+    odds: float = -math.inf
+    unlisted: float = -math.inf
 
     @property
     def threshold(self) -> float:

@@ -1,0 +1,126 @@
+"""Weighing by evidence: integrals against quadrature, and records with laws that no catalogue names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import norm
+
+from tests.discovery.conftest import Bench
+from twin.discovery.diagnosis import Diagnosis, Effect
+from twin.discovery.effects.catalogue import with_columns
+from twin.discovery.effects.shapes import Shape
+from twin.discovery.engine import diagnose
+from twin.discovery.evidence.marginal import log_bayes_of_sizes, log_mass
+from twin.discovery.evidence.priors import SPREAD
+from twin.discovery.healthy.basis import Columns
+from twin.elements.base import Candidate
+from twin.kernel import Kernel
+from twin.network import Array
+from twin.revisions import with_elements
+
+HOUR = 3600.0
+
+
+def heated(bench: Bench, course: Callable[[Array], Array]) -> Columns:
+    """Return sixteen hours of the loop with heat of a course, W by seconds, in its tank."""
+    network = with_columns(bench.network, ["hidden_x"])
+    table = {"kind": "law_heat", "node": "tank", "driver": "hidden_x", "form": "linear", "gain": 1.0}
+    network = with_elements(network, {"hidden": table})
+    t, u = bench.inputs(16.0, 1)
+    start = np.array([37.0, 36.8, 34.5, 34.0])
+    read, _ = Kernel(network, ()).trace(network.values, start, t, np.column_stack([u, course(t)]))
+    noise = bench.network.sigma * np.random.default_rng(101).normal(0.0, 1.0, read[0].shape)
+    return Columns(t, u, read[0] + noise)
+
+
+def misread(bench: Bench, sensor: str, error: Callable[[Columns], Array]) -> Columns:
+    """Return a record whose sensor is off by an error, K."""
+    record = bench.record()
+    measured = record.measured.copy()
+    measured[:, bench.network.sensor_names.index(sensor)] += error(record)
+    return replace(record, measured=measured)
+
+
+def only(found: Diagnosis) -> Effect:
+    assert found.verdict == "effect found"
+    (effect,) = found.effects
+    return effect
+
+
+@pytest.mark.parametrize(("low", "high"), [(-1.0, 2.0), (3.0, 4.0), (-9.0, -8.0), (8.0, np.inf), (-np.inf, np.inf)])
+def test_a_probability_between_bounds_is_that_of_the_normal_law(low: float, high: float) -> None:
+    expected = norm.logcdf(-low) if high == np.inf and low > 0.0 else np.log(norm.cdf(high) - norm.cdf(low))
+    assert float(log_mass(np.array(low), np.array(high))) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(("top", "bottom"), [(3.0, 1.5), (-4.0, 0.7), (0.2, 4.0)])
+@pytest.mark.parametrize("bounds", [(-20.0, 20.0), (0.0, 20.0), (-0.5, 0.4)])
+def test_the_evidence_of_a_size_is_its_integral(top: float, bottom: float, bounds: tuple[float, float]) -> None:
+    law = Candidate("heat_source", "tank", "constant", "new", {}, "W", 0.4, *bounds, "gives off {value}")
+    prior = norm(0.0, SPREAD * law.typical)
+    inside = prior.cdf(bounds[1]) - prior.cdf(bounds[0])
+    mean, _ = quad(lambda x: np.exp(top * x - 0.5 * bottom * x**2) * prior.pdf(x) / inside, *bounds, points=[0.0])
+    found, size = log_bayes_of_sizes(law, np.array(top), np.array(bottom))
+    assert float(found) == pytest.approx(np.log(mean), abs=1e-6)
+    assert bounds[0] <= float(size) <= bounds[1]
+
+
+@pytest.mark.parametrize(
+    "shape", [Shape("spell", 700.0, 1900.0), Shape("periodic", 130.0, 900.0, 0.3), Shape("pulse", 400.0, 250.0)]
+)
+def test_block_means_of_what_ends_are_its_average(shape: Shape) -> None:
+    edges = np.linspace(0.0, 6000.0, 31)
+    fine = np.linspace(0.0, 6000.0, 600_001)
+    mean = [shape.block_means(np.array([a, b]))[0] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    point = shape.block_means(fine)
+    assert np.allclose(mean, point.reshape(30, -1).mean(axis=1), atol=1e-6)
+
+
+def test_nothing_is_claimed_of_a_healthy_record(bench: Bench, healthy: Columns) -> None:
+    assert diagnose(bench.network, bench.record(), healthy, by_evidence=True).verdict == "adequate"
+
+
+def test_a_reading_that_follows_heater_power_is_named_and_adopted(bench: Bench, healthy: Columns) -> None:
+    def error(record: Columns) -> Array:
+        return np.where(record.time_s > 4.0 * HOUR, 8e-4 * record.inputs[:, 0], 0.0)
+
+    found = diagnose(bench.network, misread(bench, "T_radiator_C", error), healthy, by_evidence=True)
+    effect = only(found)
+    assert (effect.kind, effect.where, effect.driver, effect.unit) == ("sensor", "T_radiator_C", "heater_power", "K/W")
+    assert effect.value == pytest.approx(8e-4, rel=0.02) and effect.onset_s == pytest.approx(4.0 * HOUR, abs=120.0)
+    assert found.network is not None
+    (law,) = [e for e in found.network.elements if e.kind == "law_reading"]
+    assert found.network.parameters[f"{law.name}.gain"].value == pytest.approx(8e-4, rel=0.02)
+
+
+def test_heat_that_came_and_went_is_named_with_both_ends(bench: Bench, healthy: Columns) -> None:
+    record = heated(bench, lambda t: 80.0 * ((t > 5.0 * HOUR) & (t < 8.0 * HOUR)))
+    effect = only(diagnose(bench.network, record, healthy, by_evidence=True))
+    assert (effect.kind, effect.where, effect.shape) == ("heat_source", "tank", "spell")
+    assert effect.value == pytest.approx(80.0, rel=0.02)
+    assert (effect.onset_s, effect.growth_s) == pytest.approx((5.0 * HOUR, 3.0 * HOUR), abs=120.0)
+
+
+def test_heat_that_comes_back_is_named_with_its_period(bench: Bench, healthy: Columns) -> None:
+    record = heated(bench, lambda t: 80.0 * ((t % 5400.0) < 1800.0))
+    effect = only(diagnose(bench.network, record, healthy, by_evidence=True))
+    assert (effect.kind, effect.where, effect.driver) == ("heat_source", "tank", "periodic")
+    assert effect.value == pytest.approx(80.0, rel=0.03) and effect.growth_s == pytest.approx(5400.0, rel=0.01)
+
+
+def test_a_pulse_of_heat_is_told_by_its_energy(bench: Bench, healthy: Columns) -> None:
+    record = heated(bench, lambda t: 4e5 / 300.0 * np.exp(-np.maximum(t - 6.2 * HOUR, 0.0) / 300.0) * (t > 6.2 * HOUR))
+    effect = only(diagnose(bench.network, record, healthy, by_evidence=True))
+    assert (effect.kind, effect.where, effect.shape) == ("heat_source", "tank", "pulse")
+    assert effect.value * effect.growth_s == pytest.approx(4e5, rel=0.05)
+
+
+def test_two_effects_are_named_and_no_third(bench: Bench, healthy: Columns) -> None:
+    both = bench.with_values(tank_loss__hA=8.5, T_heater_C__bias_K=0.5)
+    found = diagnose(bench.network, bench.record(changed=both, onset_h=3.0), healthy, by_evidence=True)
+    assert {(e.kind, e.where) for e in found.effects} == {("heat_loss", "tank"), ("sensor", "T_heater_C")}

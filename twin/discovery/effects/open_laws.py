@@ -1,0 +1,300 @@
+"""Laws without a name: any recorded input as driver, in several forms, at every site of a network.
+
+A site is a place where something may act with a value of one unit: heat into a node or out of one into another, a share
+of a flow, a conductance to the room, an error of a reading, a share of an actuator's output. Its response per unit is
+that of the named law there, or of its element. A law is a site, a driver and a form; what it is worth is told by the
+same evidence as that of a named one, from a smaller prior.
+
+All laws of a network are fitted in one kernel, in which each site follows a column of its own with the law's values.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from twin.discovery.effects.laws import Law
+from twin.discovery.records.grid import Grid
+from twin.elements import KINDS
+from twin.elements.base import STAMP, Candidate
+from twin.elements.law_forms import FORMS
+from twin.law_adoption import adopt_law
+from twin.law_values import law_values
+from twin.network import Array, Network
+
+MOST_LEVELS = 8
+"""Levels of a column up to which a threshold is sought between each two; beyond, at quartiles."""
+LAGS_S = (900.0, 3600.0)
+"""Time constants with which an effect may follow its driver, s: those of a volume and of a room."""
+LEAST_SPREAD = 1.0e-3
+"""Standard deviation of a column, as a share of its largest magnitude, below which nothing can follow it."""
+NAMES = {"heater_power_W": "heater_power", "pump_speed_pct": "pump_speed", "fan_speed_pct": "fan_speed"}
+
+
+@dataclass(frozen=True)
+class OpenSite:
+    """A place of an open law.
+
+    Attributes:
+        name: of its column. kind, where: in a diagnosis's words. tables: elements that act there, following the column.
+        changes: parameter -> weight. unit: of a value; `typical`, `lower`, `upper` in it.
+        heat, reading: response (n, k) W or (n, m) K per unit; None where it is none. says: with {value}.
+        injects, reads: nodes and sensors on which a value of 1 acts, where that is all that it does.
+    """
+
+    name: str
+    kind: str
+    where: str
+    tables: Mapping[str, Mapping[str, Any]]
+    changes: Mapping[str, float]
+    unit: str
+    typical: float
+    lower: float
+    upper: float
+    heat: Array | None
+    reading: Array | None
+    says: str
+
+    injects: Mapping[str, float] = field(default_factory=dict)
+    reads: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def column(self) -> str:
+        """Return the name of the column that the site's elements follow."""
+        return f"open_{self.name}"
+
+
+@dataclass(frozen=True)
+class Values:
+    """Values of a form for a driver, one for a unit of its strength.
+
+    Attributes:
+        driver: in a diagnosis's words. form, course, parameters: as in `twin.elements.law_forms`, the strength 1.
+        column: index of the input that is followed, or None. scale: largest magnitude of the values.
+        says: what it follows, in words.
+    """
+
+    driver: str
+    form: str
+    course: str
+    parameters: Mapping[str, float]
+    column: int | None
+    scale: float
+    says: str
+
+    def at(self, time_s: Array, inputs: Array) -> Array:
+        """Return the values (n,) for inputs (n, c); times count from the record's beginning."""
+        x = None if self.column is None else inputs[:, self.column]
+        return law_values(self.form, self.course, self.parameters, x, time_s - time_s[0])
+
+
+class OpenLaw(Law):
+    """A law at a site; its response is made when it is asked for, as there are hundreds of them."""
+
+    site: OpenSite
+    values: Array
+
+    def __init__(self, candidate: Candidate, site: OpenSite, values: Array) -> None:
+        for name, value in (("candidate", candidate), ("site", site), ("values", values)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def heat(self) -> Array | None:
+        """Return the heat (n, k) into the nodes, W."""
+        return None if self.site.heat is None else self.site.heat * self.values[:, None]
+
+    @property
+    def reading(self) -> Array | None:
+        """Return the change of the readings (n, m), K."""
+        return None if self.site.reading is None else self.site.reading * self.values[:, None]
+
+
+def open_laws(network: Network, grid: Grid, named: Sequence[Law]) -> list[OpenLaw]:
+    """Return the laws of any input at every site that are not among the named ones."""
+    known = {(law.candidate.kind, law.candidate.where, law.candidate.driver) for law in named}
+    every = [(v, v.at(grid.time, grid.inputs)) for v in values_of(network, grid)]
+    found = []
+    for site in sites_of(network, named):
+        for values, course in every:
+            if values.form == "linear" and (site.kind, site.where, values.driver) in known:
+                continue
+            found.append(OpenLaw(candidate_of(network, site, values), site, course))
+    return found
+
+
+def candidate_of(network: Network, site: OpenSite, values: Values) -> Candidate:
+    """Return the candidate of a law at a site."""
+    scale = max(values.scale, 1.0e-12)
+    return Candidate(
+        site.kind, site.where, values.driver, "new", site.changes, _unit(network, site, values), site.typical / scale,
+        site.lower / scale, site.upper / scale, f"{site.says} {values.says}", adds=site.tables, shapes=("step",),
+        column=site.column, follows=values.at, injects=site.injects, reads=site.reads,
+        adopts={"form": values.form, "course": values.course, "column": values.column, **values.parameters},
+    )  # fmt: skip
+
+
+def _unit(network: Network, site: OpenSite, values: Values) -> str:
+    """Return the unit of the strength of a law, as its element has it."""
+    table = next(iter(site.tables.values()))
+    kind = KINDS[str(table["kind"])]
+    places = {kind.places()[key].name: value for key, value in table.items() if key not in ("kind", "driver", "form")}
+    driver = "" if values.column is None else network.input_columns[values.column]
+    law: dict[str, Any] = {**places, "driver": driver, "form": values.form, "course": values.course}
+    element = kind(name="law", **law)
+    strength = FORMS[values.form][0]
+    unit = next(spec.unit for spec in element.parameter_specs() if spec.name == strength)
+    return site.unit if unit == "1" else unit
+
+
+def values_of(network: Network, grid: Grid) -> Iterator[Values]:
+    """Yield the forms that an effect may have as a function of the inputs of a record."""
+    for j, column in enumerate(network.input_columns):
+        x = grid.inputs[:, j]
+        spread, largest = float(np.std(x)), float(np.abs(x).max())
+        if column.startswith("time_of_day") or column == STAMP or spread <= LEAST_SPREAD * max(largest, 1e-9):
+            continue
+        stem, _, unit = column.rpartition("_")
+        driver = NAMES.get(column, "temperature" if unit == "C" else stem or column)
+        spoken = (stem or column).replace("_", " ")
+        of = partial(Values, driver, course="always", column=j)
+        low, high = float(x.min()), float(x.max())
+        references = (low, high, float(np.median(x))) if unit == "C" else (0.0,)
+        for reference in references:
+            scale = float(np.abs(x - reference).max())
+            above = f" above {reference:.4g}" if reference else ""
+            yield of("linear", parameters={"gain": 1.0, "reference": reference}, scale=scale,
+                     says=f"in proportion to {spoken}{above}")  # fmt: skip
+        if unit == "pct":
+            yield of("power", parameters={"size": 1.0, "reference": 0.0, "scale": 100.0, "exponent": 2.0}, scale=1.0,
+                     says=f"with the square of {spoken}")  # fmt: skip
+        for lag in LAGS_S:
+            reference = references[-1] if unit == "C" else 0.0
+            scale = float(np.abs(x - reference).max())
+            yield of("memory", parameters={"gain": 1.0, "reference": reference, "lag_s": lag}, scale=scale,
+                     says=f"following {spoken} within {lag / 60:.0f} min")  # fmt: skip
+        for level in _levels(x):
+            yield of("threshold", parameters={"size": 1.0, "on": level, "off": level}, scale=1.0,
+                     says=f"while {spoken} is above {level:.4g}")  # fmt: skip
+
+
+def _levels(x: Array) -> list[float]:
+    levels = np.unique(np.round(x, 6))
+    if len(levels) <= MOST_LEVELS:
+        return [float(v) for v in 0.5 * (levels[1:] + levels[:-1])]
+    return [float(v) for v in np.unique(np.quantile(x, (0.25, 0.5, 0.75)))]
+
+
+def sites_of(network: Network, named: Sequence[Law]) -> list[OpenSite]:
+    """Return the sites of a network, with the responses of the named laws there."""
+    found: dict[str, OpenSite] = {}
+    for law in named:
+        c = law.candidate
+        if c.shapes == () or c.begins:
+            continue
+        site: OpenSite | None = None
+        if c.kind == "heat_source" and c.driver == "constant" and law.heat is not None:
+            site = _heat_site(network, law)
+        elif c.kind == "sensor" and c.driver == "constant" and law.reading is not None:
+            site = _reading_site(network, law)
+        elif c.kind == "flow" and c.driver == "constant" and c.where == "loop":
+            site = _flow_site(network, law)
+        elif c.kind == "heat_loss" and c.driver == "temperature_difference":
+            site = _loss_site(network, law)
+        if site is not None:
+            found.setdefault(site.name, site)
+    for site in _transfers(network, named):
+        found.setdefault(site.name, site)
+    return list(found.values())
+
+
+def _plain(text: str) -> str:
+    return "".join(ch if ch.isalnum() else "_" for ch in text)
+
+
+def _heat_site(network: Network, law: Law) -> OpenSite:
+    assert law.heat is not None
+    c = law.candidate
+    weight = np.abs(law.heat).max(axis=0)
+    name = f"heat_{_plain(c.where)}"
+    nodes = [(network.nodes[k], float(w / weight.sum())) for k, w in enumerate(weight) if w > 0.0]
+    response = law.heat / max(float(law.heat.sum(axis=1).max()), 1e-12)
+    tables = {f"{name}_{node}": {"kind": "law_heat", "node": node, "driver": f"open_{name}", "form": "linear"}
+              for node, _ in nodes}  # fmt: skip
+    changes = {f"{name}_{node}.gain": share for node, share in nodes}
+    return OpenSite(name, "heat_source", c.where, tables, changes, "W", 20.0, -2000.0, 2000.0, response, None,
+                    "gives off {value}", injects=dict(nodes))  # fmt: skip
+
+
+def _reading_site(network: Network, law: Law) -> OpenSite | None:
+    c = law.candidate
+    names = [key.split(".")[0] for key in c.changes]
+    if any(n not in network.sensor_names for n in names):
+        return None
+    name = f"read_{_plain(c.where)}"
+    tables = {f"{name}_{s}": {"kind": "law_reading", "sensor": s, "driver": f"open_{name}", "form": "linear"}
+              for s in names}  # fmt: skip
+    changes = {f"{name}_{s}.gain": 1.0 for s in names}
+    return OpenSite(name, "sensor", c.where, tables, changes, "K", 0.2, -20.0, 20.0, None, law.reading,
+                    "reads {value} too high", reads=dict.fromkeys(names, 1.0))  # fmt: skip
+
+
+def _flow_site(network: Network, law: Law) -> OpenSite | None:
+    c = law.candidate
+    (key, *others) = c.changes
+    element, parameter = key.split(".")
+    if others or parameter != "factor" or law.heat is None:
+        return None
+    factor = network.parameters[key].value
+    name = f"flow_{_plain(element)}"
+    tables = {name: {"kind": "law_flow", "flow": element, "driver": f"open_{name}", "form": "linear"}}
+    return OpenSite(name, "flow", c.where, tables, {f"{name}.gain": 1.0}, "of the flow", 0.03, -0.8, 1.0,
+                    law.heat * factor, None, "carries {value} more")  # fmt: skip
+
+
+def _loss_site(network: Network, law: Law) -> OpenSite | None:
+    c = law.candidate
+    room = next((col for col in network.input_columns if col.startswith("T_amb")), "")
+    if law.heat is None or not room:
+        return None
+    active = np.flatnonzero(np.abs(law.heat).max(axis=0) > 0.0)
+    if len(active) != 1:
+        return None
+    node = network.nodes[int(active[0])]
+    name = f"loss_{_plain(node)}"
+    tables = {name: {"kind": "law_conductance", "node": node, "ambient": room, "driver": f"open_{name}",
+                     "form": "linear"}}  # fmt: skip
+    return OpenSite(name, "heat_loss", c.where, tables, {f"{name}.gain": 1.0}, "W/K", 1.0, -60.0, 60.0, law.heat, None,
+                    "loses {value} more to the room")  # fmt: skip
+
+
+def _transfers(network: Network, named: Sequence[Law]) -> Iterator[OpenSite]:
+    """Yield heat that is taken from one node that is read and given to another."""
+    count = next((len(law.heat) for law in named if law.heat is not None), 0)
+    read = list(dict.fromkeys(s.node for s in network.sensors))
+    for a, b in itertools.combinations(read, 2):
+        heat = np.zeros((count, len(network.nodes)))
+        heat[:, network.nodes.index(a)], heat[:, network.nodes.index(b)] = 1.0, -1.0
+        name = f"transfer_{_plain(a)}_{_plain(b)}"
+        tables = {name: {"kind": "law_heat", "node": a, "source": b, "driver": f"open_{name}", "form": "linear"}}
+        yield OpenSite(name, "heat_transfer", a, tables, {f"{name}.gain": 1.0}, "W", 20.0, -2000.0, 2000.0, heat, None,
+                       f"receives {{value}} from {b}", injects={a: 1.0, b: -1.0})  # fmt: skip
+
+
+def adopted(network: Network, candidate: Candidate, size: float, grid: Grid) -> Network:
+    """Return the network with the elements of an open law at a size, following the column of the record itself."""
+    law = dict(candidate.adopts)
+    form, course, column = law.pop("form"), law.pop("course"), law.pop("column")
+    strength = FORMS[form][0]
+    for name, table in candidate.adds.items():
+        site = {key: str(value) for key, value in table.items() if key not in ("driver", "form")}
+        weight = candidate.changes[f"{name}.gain"]
+        times = {key: float(grid.time[0]) + value for key, value in law.items() if key in ("start_s", "end_s")}
+        parameters = {**law, **times, strength: size * weight * law[strength]}
+        driver = {} if column is None else {"driver": network.input_columns[column]}
+        network = adopt_law(network, site, driver, form, parameters, course=course, sample_s=grid.step_s)
+    return network

@@ -1,0 +1,315 @@
+"""The search by evidence: single effects, then sets of them in a beam, then the likeliest fitted as real elements."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from twin.discovery.diagnosis import Rung
+from twin.discovery.effects.catalogue import LATE
+from twin.discovery.effects.laws import Law
+from twin.discovery.evidence.marginal import Joint, form_quadratic, joint
+from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, UNLISTED
+from twin.discovery.evidence.scan import refined, scan
+from twin.discovery.places.localise import WALK_PER_BLOCK, courses
+from twin.discovery.places.sites import sites_of
+from twin.discovery.refit.fitting import Fit, look_at
+from twin.discovery.refit.model import Model
+from twin.discovery.scoring.search import Entry
+from twin.discovery.selection.part import Part, continued, fitted
+
+LEADING = 24
+"""Single effects that are tried as one of a pair: true pairs were missed with five."""
+MOST_EFFECTS = 3
+BESIDE = 6
+"""Further effects that are tried beside each."""
+PER_CLASS = 3
+"""Laws of one class that lead: what it follows is told by fits."""
+AMBIGUOUS, LEADS = 10.0, 0.02
+"""Log odds behind the best, and that share of them, within which a fit that has begun is gone on with."""
+FITTED, NEXT, MOST_FITTED = 6, 3, 9
+"""Hypotheses that are fitted as real elements at first, then at once, and in all: while one that is not fitted leads,
+it is next."""
+
+MOST_LATE = 4
+"""Places and kinds of what is late that are fitted: those that score most to first order."""
+BEGUN = 3
+"""Rounds in which a fit of what is late shows what it comes to."""
+
+MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heater"}
+"""What an actuator moves: a pump that turns slower is a flow that is less."""
+
+Class = tuple[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A set of effects, `odds` its log posterior odds against no effect; `fit` None while only linear."""
+
+    entries: tuple[Entry, ...]
+    log_prior: float
+    log_bayes: float
+    quadratic: float
+    form_error: float
+    fit: Fit | None = None
+    settled: bool = False
+
+    @property
+    def odds(self) -> float:
+        return self.log_prior + self.log_bayes
+
+    @property
+    def classes(self) -> tuple[Class, ...]:
+        return tuple(sorted(class_of(e) for e in self.entries))
+
+    @property
+    def labels(self) -> tuple[tuple[str, str, str], ...]:
+        return tuple(sorted(e.label for e in self.entries))
+
+
+@dataclass(frozen=True)
+class Found:
+    """Hypotheses by falling odds, and the log odds of an unknown of no listed form."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    retuned: Fit
+    unlisted: float
+
+    @property
+    def told(self) -> Hypothesis | None:
+        """Return the likeliest fitted hypothesis, less effects without which it would be as good but for `CLAIM`."""
+        fits = [h for h in self.hypotheses if h.fit is not None]
+        if not fits:
+            return None
+        enough = [h for h in fits if h.odds >= fits[0].odds - CLAIM * max(len(fits[0].entries) - len(h.entries), 0)]
+        fewest = min(len(h.entries) for h in enough)
+        return next(h for h in enough if len(h.entries) == fewest)
+
+    def share(self, chosen: Callable[[Hypothesis], bool]) -> float:
+        """Return the posterior share of the hypotheses that are chosen."""
+        odds = np.array([h.odds for h in self.hypotheses])
+        total = logsumexp(np.append(odds, [0.0, self.unlisted]))
+        mine = [h.odds for h in self.hypotheses if chosen(h)]
+        return float(np.exp(logsumexp(mine) - total)) if mine else 0.0
+
+
+def class_of(entry: Entry) -> Class:
+    """Return kind and place of an effect."""
+    return entry.candidate.kind, entry.candidate.where
+
+
+class Prior:
+    """Prior of single effects: a fault, its class, its law in the class; named laws have most of a class."""
+
+    def __init__(self, named: Iterable[Law], opened: Iterable[Law] = ()) -> None:
+        self._each: tuple[dict[Class, float], dict[Class, float]] = ({}, {})
+        for weights, laws in zip(self._each, (named, opened), strict=True):
+            for law in laws:
+                place = law.candidate.kind, law.candidate.where
+                weights[place] = weights.get(place, 0.0) + DRIVERS.get(law.candidate.driver, 1.0)
+        classes = self._each[0].keys() | self._each[1].keys()
+        self._total = sum(KINDS.get(kind, 0.5) for kind, _ in classes)
+
+    def of(self, entry: Entry) -> float:
+        """Return the log probability of an effect, apart from its time course and size."""
+        place, is_open = class_of(entry), bool(entry.candidate.column)
+        alike, others = self._each[is_open].get(place, 1.0), self._each[not is_open].get(place, 0.0)
+        share = (UNLISTED if is_open else 1.0 - UNLISTED) if others else 1.0
+        weight = DRIVERS.get(entry.candidate.driver, 1.0) / alike
+        return math.log(FAULT * share * weight * KINDS.get(place[0], 0.5) / self._total)
+
+
+def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
+    """Return the hypotheses of a part of a record with their posterior odds."""
+    contest = part.contest
+    laws: list[Law] = [*part.laws, *part.opened]
+    prior = Prior(part.laws, part.opened)
+    part.reset()
+    say("re-tuning")
+    ((retuned, _),) = fitted(part, [()])
+    part.reset()
+    say("scanning by evidence")
+    leading = [refined(contest, e) for e in _leading(scan(contest, laws), prior)]
+    level = sorted((_set(part, (e,), prior)[0] for e in leading), key=lambda h: -h.odds)
+    misfit = contest.misfit
+    found: list[Hypothesis] = []
+    for count in range(1, MOST_EFFECTS + 1):
+        if not level or level[0].odds < (CLAIM if count > 1 else 0.0):
+            break
+        say(f"fitting {min(len(level), FITTED)} hypotheses of {count} effect{'s' if count > 1 else ''}")
+        found = _fitted(part, found, level, misfit)
+        if found[0].fit is not None and found[0].fit.chi <= contest.expected:
+            break
+        if count == 1:
+            found = _late(part, found, prior, misfit)
+        if count < MOST_EFFECTS:
+            level = _grown(part, [h for h in found if len(h.entries) == count], prior, laws)
+    part.reset()
+    # Where the tunables bend, re-tuning alone comes to other squares than to first order.
+    nothing = 0.5 * (misfit - retuned.total)
+    found = [replace(h, log_bayes=h.log_bayes - nothing) for h in found]
+    return Found(tuple(found), retuned, _unlisted(part) - nothing)
+
+
+def _leading(entries: list[Entry], prior: Prior) -> list[Entry]:
+    """Return the likeliest entries, some of each class, one of each candidate and shape."""
+    entries = sorted(entries, key=lambda e: -(e.log_bayes + prior.of(e)))
+    taken: Counter[Class] = Counter()
+    found: list[Entry] = []
+    for entry in entries:
+        if taken[class_of(entry)] < PER_CLASS and not (found and entry.log_bayes <= 0.0):
+            taken[class_of(entry)] += 1
+            found.append(entry)
+        if len(found) == LEADING:
+            break
+    return found
+
+
+def _set(part: Part, entries: tuple[Entry, ...], prior: Prior) -> tuple[Hypothesis, Joint]:
+    together = joint(part.contest, entries)
+    sized = tuple(replace(e, size=float(s)) for e, s in zip(entries, together.sizes, strict=True))
+    log_bayes = together.log_bayes + sum(e.log_occam for e in entries)
+    log_prior = sum(prior.of(e) for e in entries)
+    return Hypothesis(sized, log_prior, log_bayes, together.quadratic, together.form_error), together
+
+
+def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[Law]) -> list[Hypothesis]:
+    """Return the sets of one more effect that the leading ones may be part of, by falling odds."""
+    grown: dict[object, Hypothesis] = {}
+    for rank, one in enumerate(known[: LEADING if len(known[0].entries) == 1 else FITTED]):
+        beside = joint(part.contest, _at_first_order(part, one))
+        scanned = [e for e in scan(part.contest, laws, beside, timed=rank < PER_CLASS) if _apart(e, one.entries)]
+        for entry in _leading(scanned, prior)[:BESIDE]:
+            if entry.log_bayes + prior.of(entry) <= 0.0:
+                break
+            further = refined(part.contest, entry, beside)
+            hypothesis = _set(part, _settled(part, _at_first_order(part, one), further), prior)[0]
+            grown.setdefault(_key(hypothesis), hypothesis)
+    return sorted(grown.values(), key=lambda h: -h.odds)[: 2 * LEADING]
+
+
+def _at_first_order(part: Part, h: Hypothesis) -> tuple[Entry, ...]:
+    """Return the effects of a hypothesis with the vectors of their shapes in the part's contest."""
+    return tuple(e.refreshed(part.contest) for e in h.entries)
+
+
+def _settled(part: Part, known: tuple[Entry, ...], entry: Entry) -> tuple[Entry, ...]:
+    """Return effects with the onsets of the known ones moved, once a further one stands beside them."""
+    settled = list(known)
+    for i, one in enumerate(known):
+        if one.shape.onset_s > 0.0:
+            others = (*settled[:i], *settled[i + 1 :], entry)
+            settled[i] = refined(part.contest, one, joint(part.contest, others))
+    return (*settled, entry)
+
+
+def _key(h: Hypothesis) -> tuple[object, ...]:
+    return tuple(sorted((e.candidate.id, e.shape.name) for e in h.entries))
+
+
+def _apart(entry: Entry, others: tuple[Entry, ...]) -> bool:
+    """Return True where an effect may be beside others: at one place there is one thing, of whatever form, and an error
+    of its thermometer."""
+    return all(_thing(entry) != _thing(o) for o in others)
+
+
+def _thing(entry: Entry) -> tuple[str, bool]:
+    """Return the place of an effect, by its thermometer or by what moves it too, and whether it is one of reading."""
+    named = entry.candidate.where.removeprefix("T_").removesuffix("_C")
+    return MOVED_BY.get(named, named), entry.candidate.kind == "sensor"
+
+
+def _fitted(part: Part, known: list[Hypothesis], level: list[Hypothesis], misfit: float) -> list[Hypothesis]:
+    """Return the hypotheses, those known before too, with the leading ones fitted as real elements, by falling odds.
+
+    Some are fitted that differ in what they claim, then whatever leads, until that is fitted.
+    """
+    batch = _varied([h for h in level if h.odds > 0.0])[: FITTED // len(level[0].entries)] if level else []
+    found, done = [*known, *level], 0
+    while batch and done < MOST_FITTED:
+        done += len(batch)
+        for (fit, _), h in zip(fitted(part, [h.entries for h in batch], BEGUN), batch, strict=True):
+            found[found.index(h)] = _with_fit(part, h, fit, misfit)
+        found.sort(key=lambda h: -h.odds)
+        found = _settled_fits(part, found, misfit)
+        best = max((h.odds for h in found if h.fit is not None), default=-math.inf)
+        batch = [h for h in found if h.fit is None and h.odds > best and h in level][:NEXT]
+    return found
+
+
+def _settled_fits(part: Part, found: list[Hypothesis], misfit: float) -> list[Hypothesis]:
+    """Return the hypotheses with the fits of those that lead gone on with until they lead no further."""
+    while True:
+        fits = [h for h in found if h.fit is not None]
+        open_ones = [h for h in fits if h.fit is not None and not h.fit.done and not h.settled]
+        near = [h for h in open_ones if h.odds > fits[0].odds - AMBIGUOUS - LEADS * abs(fits[0].odds)][:NEXT]
+        if not near:
+            return found
+        for new, h in zip(continued(part, [h.fit for h in near if h.fit is not None]), near, strict=True):
+            found[found.index(h)] = replace(_with_fit(part, h, new, misfit), settled=True)
+        found.sort(key=lambda h: -h.odds)
+
+
+def _varied(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+    """Return the first hypothesis of each claim, then the others."""
+    first: dict[object, Hypothesis] = {}
+    for h in hypotheses:
+        first.setdefault(h.labels, h)
+    return [*first.values(), *(h for h in hypotheses if h is not first[h.labels])]
+
+
+def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
+    """Return a hypothesis with the data's part of its evidence as its fit has it."""
+    own = copy.copy(part.contest)
+    look_at(own, Model.of(own.probe, fit.entries), fit)
+    entries = tuple(e.refreshed(own) for e in fit.entries)
+    quadratic = misfit - fit.total + form_quadratic(own, entries, h.form_error)
+    return replace(
+        h, entries=fit.entries, fit=fit, quadratic=quadratic,
+        log_bayes=h.log_bayes + 0.5 * (quadratic - h.quadratic),
+    )  # fmt: skip
+
+
+def _late(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
+    """Return the hypotheses and what is late, fitted from several times a typical size: its law tells too little."""
+    onset = found[0].entries[0].shape.onset_s if found else 0.0
+    known = {e.candidate.id for h in found if h.fit is not None for e in h.entries}
+    promising: dict[Class, float] = {}
+    for e in part.entries:
+        if e.candidate.driver in LATE and e.gain > 2.0 * CLAIM:
+            promising.setdefault(class_of(e), e.gain)
+    near = sorted(promising, key=lambda place: -promising[place])[:MOST_LATE]
+    entries = [e for e in part.late(onset) if e.candidate.id not in known and class_of(e) in near]
+    begun = fitted(part, [(e,) for e in entries], BEGUN)
+    gained = [(f, e) for (f, _), e in zip(begun, entries, strict=True) if misfit - f.total > 2.0 * CLAIM]
+    gained.sort(key=lambda g: g[0].total)
+    late = [
+        _with_fit(part, replace(_set(part, (e,), prior)[0], entries=(e,)), fit, misfit) for fit, e in gained[:FITTED]
+    ]
+    return _settled_fits(part, sorted([*found, *late], key=lambda h: -h.odds), misfit)
+
+
+def _unlisted(part: Part) -> float:
+    """Return the log odds of one unknown quantity, free from block to block, at any place."""
+    free = courses(part.contest, sites_of(part.basis.probe.network, part.contest, part.laws))
+    if not free:
+        return -math.inf
+    share = math.log(FAULT * UNLISTED) - math.log(len(free) * len(WALK_PER_BLOCK))
+    return float(logsumexp([c.log_evidence for c in free])) + share
+
+
+def ladder_of(part: Part, told: Hypothesis | None) -> tuple[Rung, ...]:
+    """Return the misfit as commissioned, and with the effects that are told, with the best score that each leaves."""
+    contest = part.contest
+    rungs = [Rung("as commissioned", contest.misfit / max(contest.count, 1), part.best_z)]
+    if told is not None and told.fit is not None:
+        what = " + ".join(f"{e.candidate.kind} at {e.candidate.where}" for e in told.entries)
+        left = scan(contest, part.laws, joint(contest, _at_first_order(part, told)), timed=False)
+        rungs.append(Rung(what, told.fit.chi, max((e.z for e in left[:LEADING]), default=0.0)))
+    return tuple(rungs)
