@@ -25,14 +25,6 @@ def station(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_steps_are_found_in_time_and_none_is_called_fouling(station: Path) -> None:
-    trials = try_steps(station / "record", [station / "cell1.toml"], 4, 0.5, seed=1)
-    assert [t.kind for t in trials] == ["thermometer"] * 4
-    assert all(t.after_min is not None and 0.0 <= t.after_min <= 18.0 for t in trials)
-    assert not any(t.called_fouling for t in trials)
-    assert all(t.bias * t.size > 0.0 and abs(t.bias) > 0.5 * abs(t.size) for t in trials)
-
-
 def test_a_step_too_small_to_see_is_reported_as_missed(station: Path) -> None:
     (trial,) = try_steps(station / "record", [station / "cell1.toml"], 1, 0.02, seed=1)
     assert trial.after_min is None and trial.kind == "none"
