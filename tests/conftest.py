@@ -20,8 +20,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts what runs in its background deaf to Ctrl-C, and so would be every process that a test interrupts.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# How long one example takes is a matter of the machine, and no test asserts it.
-hypothesis.settings.register_profile("hil", deadline=None)
+# How long one example takes is a matter of the machine, and no test asserts it. HIL_EXAMPLES=1000 looks further.
+hypothesis.settings.register_profile("hil", deadline=None, max_examples=int(os.environ.get("HIL_EXAMPLES", "50")))
 hypothesis.settings.load_profile("hil")
 
 PROJECT = Path(__file__).resolve().parents[1]
