@@ -25,7 +25,8 @@ def _station(rng: np.random.Generator, days: float = 12.0) -> dict[str, list[Ser
     n = int(days * 86400.0 / STEP_S)
     weather, load = _wander(rng, n), _wander(rng, n)
     fan = 0.9 * weather + 0.5 * load
-    drives = {"met": [weather] * 4, "mcc": [fan] * 4, "plc": [load + 0.3 * fan + 0.1 * weather] * 6}
+    water = [load + 0.3 * fan + 0.1 * weather] * 4
+    drives = {"met": [weather] * 4, "mcc": [fan] * 4, "plc1": water, "plc2": water}
     return {
         where: [
             Series(
@@ -58,5 +59,5 @@ def test_a_right_clock_that_goes_with_a_wrong_one_stays(seed: int) -> None:
 
 def test_two_wrong_clocks_are_both_corrected() -> None:
     station = _station(np.random.default_rng(5))
-    station["mcc"], station["met"] = _moved(station["mcc"], -5.0), _moved(station["met"], 2.0)
-    assert sorted(_found(station)) == [("clock_offset", "met"), ("local_time", "mcc")]
+    station["mcc"], station["plc2"] = _moved(station["mcc"], -5.0), _moved(station["plc2"], 2.0)
+    assert sorted(_found(station)) == [("clock_offset", "plc"), ("local_time", "mcc")]
