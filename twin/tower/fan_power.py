@@ -1,6 +1,7 @@
 """Fan power as an observation of changes of the air: what else changes the power is marginalised in the fit of a cell.
 
-    log P = log P_clean - kappa log(1 + air) + s (gain + Phi w + l_k) + noise,   w ~ N(0, S),   l_(k+1) - l_k ~ N(0, v_k)
+    log P = log P_clean - kappa log(1 + air) + s (gain + Phi w + l_k) + noise
+    w ~ N(0, S),   l_(k+1) - l_k ~ N(0, v_k)
 
 Phi are the features of the discrepancy at the operating point: motor, inverter and gear lose a share that depends on
 the load, and the pressure of the fan depends on water load, wind and density. s is the share of the shaft in the power.

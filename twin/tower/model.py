@@ -74,9 +74,9 @@ GLOBALS: tuple[Global, ...] = (
         "wetting",
         1.0,
         0.25,
-        "effect of a dry share over the law's, 0.5 to 1.3: overlapping sprays wet up to half of the share below blocked "
-        "nozzles; dry fill draws 1.35 times the air, as half of the path's drop is the fill's and water doubles that at "
-        "most, and a share then counts 1.35/(0.94 + 1.35 x 0.06)^2 times",
+        "effect of a dry share over the law's, 0.5 to 1.3: overlapping sprays wet up to half of what blocked nozzles "
+        "leave; dry fill draws up to 1.35 times the air, as half of the path's drop is the fill's and water at most "
+        "doubles that, and a share then counts 1.35/(0.94 + 1.35 x 0.06)^2 times",
     ),
     Global("starving", 1.0, 0.7, "power by which nozzles starve as the flow falls: of their head, 0 to 2"),
     Global(

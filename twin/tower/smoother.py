@@ -6,6 +6,9 @@ lossy side, its standard deviation a third of the bound, so that the bound is tw
 of a third of it two above. A thermometer's bias has mean 0. Residuals of the model are correlated in time, so a block
 of them counts as less than one observation, by their integrated autocorrelation time (Geyer 1992).
 
+Scale and autocorrelation time are estimated in the first passes and kept in the others. A step is halved until it
+lowers the objective of its pass, so that the estimate is a mode.
+
 Source: Bell, SIAM J. Optim. 4 (1994) 626 (Gauss-Newton as the iterated Kalman smoother).
 """
 
@@ -300,9 +303,7 @@ class _Solver:
         rows = PowerRows(-kappa / (1.0 + air) * shaft, shaft, np.zeros(len(base)))
         return self.blocks.outlet - self.model.reading(o, here, g), rows, self.blocks.log_power - base
 
-    def _add_power(
-        self, normal: Array, right: Array, rows: PowerRows, residual: Array, here: Array, g: Array
-    ) -> None:
+    def _add_power(self, normal: Array, right: Array, rows: PowerRows, residual: Array, here: Array, g: Array) -> None:
         """Add the equations of the fan's power to the normal equations."""
         end = self.k * self.s
         gain = NAMES.index("power_gain")
