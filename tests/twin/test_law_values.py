@@ -78,7 +78,9 @@ def test_a_switch_waits_for_its_other_threshold_on_both_sides() -> None:
 
 def test_courses_are_what_their_names_say_and_lose_nothing_between_samples() -> None:
     time = np.arange(0.0, 1000.0, 10.0)
-    interval = law_values("constant", "interval", {"size": 1.0, "start_s": 95.0, "end_s": 303.0, "edge_s": 10.0}, None, time)
+    interval = law_values(
+        "constant", "interval", {"size": 1.0, "start_s": 95.0, "end_s": 303.0, "edge_s": 10.0}, None, time
+    )
     assert interval.sum() * 10.0 == pytest.approx(303.0 - 95.0) and interval[20] == 1.0 and interval[40] == 0.0
     pulse = {"amount": 5000.0, "start_s": 42.0, "decay_s": 0.5, "edge_s": 10.0}
     assert law_values("constant", "pulse", pulse, None, time).sum() * 10.0 == pytest.approx(5000.0)
