@@ -73,8 +73,10 @@ GLOBALS: tuple[Global, ...] = (
     Global(
         "wetting",
         1.0,
-        0.6,
-        "effect of a dry share over the law's: less as water spreads on its way down, more as dry fill draws the air",
+        0.25,
+        "effect of a dry share over the law's, 0.5 to 1.3: overlapping sprays wet up to half of what blocked nozzles "
+        "leave; dry fill draws up to 1.35 times the air, as half of the path's drop is the fill's and water at most "
+        "doubles that, and a share then counts 1.35/(0.94 + 1.35 x 0.06)^2 times",
     ),
     Global("starving", 1.0, 0.7, "power by which nozzles starve as the flow falls: of their head, 0 to 2"),
     Global(
@@ -103,7 +105,8 @@ GLOBALS: tuple[Global, ...] = (
         "kappa",
         -1.3,
         1.7,
-        "power of the air in the fan's power, negative: 0.4 by fouling of the path, -3 by a slipping belt",
+        "power of the air in the fan's power, negative: 0.4 by fouling of the path, -3 by a slipping belt; kept at its "
+        "mean, its spread is that of a level (`twin.tower.fan_power`)",
     ),
     Global(
         "power_gain",

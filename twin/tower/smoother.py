@@ -6,13 +6,16 @@ lossy side, its standard deviation a third of the bound, so that the bound is tw
 of a third of it two above. A thermometer's bias has mean 0. Residuals of the model are correlated in time, so a block
 of them counts as less than one observation, by their integrated autocorrelation time (Geyer 1992).
 
+Scale and autocorrelation time are estimated in the first passes and kept in the others. A step is halved until it
+lowers the objective of its pass, so that the estimate is a mode.
+
 Source: Bell, SIAM J. Optim. 4 (1994) 626 (Gauss-Newton as the iterated Kalman smoother).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +25,7 @@ from scipy.linalg.lapack import dpotri
 from twin.tower import discrepancy
 from twin.tower.air import Array
 from twin.tower.evidence import Label, interval_as_gaussian
+from twin.tower.fan_power import PowerErrors, PowerRows
 from twin.tower.model import GLOBALS, NAMES, SLOW, CellModel, Operation
 
 DAY_S = 86400.0
@@ -37,7 +41,11 @@ JUMP = {"fill": 0.08, "air": 0.06, "uniformity": 0.05, "bias": 0.4, "flow_meter"
 one."""
 FLOW_METER = 0.015
 """Standard deviation of a flow meter's gain."""
-PASSES = 10
+PASSES = 20
+RESCALED = 5
+"""Passes in which scale and autocorrelation time of the residuals are taken anew."""
+HALVINGS = 8
+"""Most halvings of a step that does not lower the objective."""
 FLAT = 0.02
 """Largest change of a step below which the sensitivities of the step before are used again."""
 BLOCK_S = 600.0
@@ -189,6 +197,8 @@ class _Solver:
         self.unit = np.concatenate([np.ones(self.k * self.s), 10.0 * self.sd_g])
         o = blocks.operation
         self.features = model.features(o) * (1.0 - o.bypass)[:, None] if self.g > len(NAMES) else None
+        variance, _ = walk_variance(edges_s, "air", () if "air" in fixed else openings)
+        self.power_errors = PowerErrors(model.features(o), self.cell, variance * GLOBALS[NAMES.index("kappa")].sd ** 2)
         self.sigma = [0.2, 0.03]
         self._sites: dict[int, tuple[float, float]] = {}
         self.tau = self.tau_power = CORRELATION[0] if least_correlation else 6.0
@@ -235,31 +245,35 @@ class _Solver:
             self.sigma = list(start.sigma)
         variance: Array = np.zeros(0)
         jac_t, change = np.zeros((0, 0)), np.inf
+        res_t, rows_p, res_p = self._residuals(x)
+        left = res_p
         for number in range(PASSES):
             slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
             here = slow[self.cell]
             if change > FLAT:
                 jac_t = self._outlet(here, g)
-            res_t = self.blocks.outlet - self.model.reading(self.blocks.operation, here, g)
-            jac_p, res_p = self._power(here, g)
-            self._rescale(res_t, res_p)
+            if number < RESCALED:
+                # Later the scale stays: an objective that changes with each step has no minimum to converge to.
+                self._rescale(res_t, left)
             w_t = _weights(res_t, self.sigma[0]) / (self.sigma[0] ** 2 * self.tau)
-            w_p = _weights(res_p, self.sigma[1]) / (self.sigma[1] ** 2 * self.tau_power)
+            w_p = _weights(left, self.sigma[1]) / (self.sigma[1] ** 2 * self.tau_power)
+            rows_p = replace(rows_p, weights=w_p)
             normal, right = self.precision.copy(), self.prior_mean.copy()
-            full = np.concatenate([here, np.broadcast_to(g, (len(here), self.g))], axis=1)
-            for jac, res, w in ((jac_t, res_t, w_t), (jac_p, res_p, w_p)):
-                target = np.nan_to_num(res) + np.einsum("ij,ij->i", jac, full)
-                self._add(normal, right, jac, w, target)
             self._add_labels(normal, right, x, variance)
+            known = normal.copy(), right.copy()
+            full = np.concatenate([here, np.broadcast_to(g, (len(here), self.g))], axis=1)
+            self._add(normal, right, jac_t, w_t, np.nan_to_num(res_t) + np.einsum("ij,ij->i", jac_t, full))
+            self._add_power(normal, right, rows_p, res_p, here, g)
             factor = cho_factor(normal)
-            new = cho_solve(factor, right)
+            new = self._bounded(cho_solve(factor, right))
             moved = x - new
             linear = res_t + np.einsum(
                 "ij,ij->i", jac_t[:, : self.s], moved[: self.k * self.s].reshape(self.k, self.s)[self.cell]
             ) + jac_t[:, self.s :] @ moved[self.k * self.s :]  # fmt: skip
-            change = float((np.abs(new - x) / self.unit).max())
-            x = self._bounded(new)
-            last = number == PASSES - 1 or (number >= (3 if start is None else 2) and change < 2e-4)
+            before = x
+            x, res_t, rows_p, res_p, left = self._descended(x, new, known, w_t, w_p, (res_t, rows_p, res_p))
+            change = float((np.abs(x - before) / self.unit).max())
+            last = number == PASSES - 1 or (number >= (RESCALED if start is None else 2) and change < 2e-4)
             if last:
                 break
             variance = self._label_variance(factor)
@@ -279,15 +293,51 @@ class _Solver:
         base = self.model.reading(self.blocks.operation, here, g)
         return self._slopes(lambda s, c: self.model.reading(self.blocks.operation, s, c), base, here, g)
 
-    def _power(self, here: Array, g: Array) -> tuple[Array, Array]:
-        base = self.model.log_power(self.blocks.operation, here, g)
-        jac = np.zeros((len(base), self.s + self.g))
+    def _residuals(self, x: Array) -> tuple[Array, PowerRows, Array]:
+        """Return the residuals of the outlet, slopes of the power without their weights, and its residuals."""
+        slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
+        here, o = slow[self.cell], self.blocks.operation
+        base = self.model.log_power(o, here, g)
         kappa, air = g[NAMES.index("kappa")], here[:, 1]
         shaft = 1.0 - self.model.design.idle / np.exp(base)
-        jac[:, 1] = -kappa / (1.0 + air) * shaft
-        jac[:, self.s + NAMES.index("kappa")] = -np.log(1.0 + air) * shaft
-        jac[:, self.s + NAMES.index("power_gain")] = shaft
-        return jac, self.blocks.log_power - base
+        rows = PowerRows(-kappa / (1.0 + air) * shaft, shaft, np.zeros(len(base)))
+        return self.blocks.outlet - self.model.reading(o, here, g), rows, self.blocks.log_power - base
+
+    def _add_power(self, normal: Array, right: Array, rows: PowerRows, residual: Array, here: Array, g: Array) -> None:
+        """Add the equations of the fan's power to the normal equations."""
+        end = self.k * self.s
+        gain = NAMES.index("power_gain")
+        target = np.nan_to_num(residual) + rows.air * here[:, 1] + rows.shaft * g[gain]
+        matrix, added = self.power_errors.normal(rows, np.where(rows.weights > 0.0, target, 0.0))
+        index = np.concatenate([np.arange(self.k) * self.s + SLOW.index("air"), [end + gain]])
+        normal[np.ix_(index, index)] += matrix
+        right[index] += added
+
+    def _descended(
+        self, x: Array, new: Array, known: tuple[Array, Array], w_t: Array, w_p: Array,
+        current: tuple[Array, PowerRows, Array],
+    ) -> tuple[Array, Array, PowerRows, Array, Array]:  # fmt: skip
+        """Return the point between `x` and `new` at which the objective is below that at `x`, halving the step, with
+        its residuals, those of the power also less their likeliest errors.
+
+        `known` are the precision and right side of priors and labels. Weights are those of the pass: their sum of
+        squares bounds Huber's loss from above, so a step that lowers it lowers the loss.
+        """
+
+        def objective(at: Array, res_t: Array, rows: PowerRows, res_p: Array) -> tuple[float, Array]:
+            left, power = self.power_errors.remaining(replace(rows, weights=w_p), res_p)
+            return float(at @ known[0] @ at - 2.0 * known[1] @ at + w_t @ np.nan_to_num(res_t) ** 2) + power, left
+
+        least = objective(x, *current)[0]
+        share = 1.0
+        for _ in range(HALVINGS):
+            at = x + share * (new - x)
+            there = self._residuals(at)
+            value, left = objective(at, *there)
+            if value <= least + 1e-9 * abs(least):
+                break
+            share *= 0.5
+        return (at, *there, left)
 
     def _slopes(self, function, base: Array, here: Array, g: Array) -> Array:  # type: ignore[no-untyped-def]
         jac = np.zeros((len(base), self.s + self.g))

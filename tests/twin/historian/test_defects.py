@@ -122,3 +122,22 @@ def test_a_tag_without_a_good_sample_is_kept_empty() -> None:
     repaired = _found([bad, *store[1:]])
     assert len(repaired.series[0].time_s) == 0
     assert [one.kind for one in repaired.defects] == ["bad_quality"]
+
+
+def test_stuck_values_of_a_long_record_are_found_season_by_season() -> None:
+    rng = np.random.default_rng(36)
+    days = 125.0
+    store, spans = [], []
+    for one in instruments(rng, days):
+        time_s, value = scanned(one, rng)
+        if one.tag.name == "T1BAS":
+            for day in range(6, 120, 9):
+                start = START_S + day * DAY_S
+                inside = (time_s >= start) & (time_s <= start + 6.0 * 3600.0)
+                value = np.where(inside, value[inside][0], value)
+                spans.append(start)
+        store.append(archived(one, (time_s, value)))
+    stuck = [one for one in _found(store).defects if one.kind == "stuck"]
+    assert {one.tags for one in stuck} == {("T1BAS",)}
+    found = [any(abs(one.start_s - start) < 3600.0 for one in stuck) for start in spans]
+    assert len(spans) == 13 and sum(found) >= 11

@@ -17,9 +17,12 @@ from twin.historian.defects.stuck import stuck_values
 from twin.historian.defects.swaps import swapped, undo_swap
 from twin.historian.defects.unit_switch import Switch, converted, unit_switches
 from twin.historian.events import Event
-from twin.historian.tags import Defect, Series
+from twin.historian.tags import Defect, Series, longest_interval_s
 
 __all__ = ["Repaired", "find_and_repair"]
+
+SEASON_S = 60.0 * 86400.0
+"""Length of the parts of a long record in which stuck values are looked for: weather and operation are alike."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +86,30 @@ def find_and_repair(
 
 
 def _stuck(series: Series, switches: Sequence[Switch]) -> list[Defect]:
-    """Return the stuck values of each part between unit switches: the deviation of exception reporting is per unit."""
+    """Return the stuck values of each season and of each part between unit switches.
+
+    The deviation of exception reporting is per unit. How long a healthy tag stands still, and how many values stick,
+    is per season: a year has long calms, and as many faults that these would hide.
+    """
+    if not len(series.time_s):
+        return []
+    first, last = float(series.time_s[0]), float(series.time_s[-1])
+    seasons = np.linspace(first, last, max(round((last - first) / SEASON_S), 1) + 1)[1:-1]
     edges = [t for s in switches if series.tag.name in s.defect.tags for t in (s.defect.start_s, s.defect.end_s)]
-    bounds = [-np.inf, *edges, np.inf]
+    bounds = [-np.inf, *sorted([*edges, *seasons.tolist()]), np.inf]
     parts = [(series.time_s >= low) & (series.time_s < high) for low, high in zip(bounds, bounds[1:], strict=False)]
-    return [defect for rows in parts for defect in stuck_values(series.rows(rows))]
+    found: list[Defect] = []
+    for defect in (defect for rows in parts for defect in sorted(stuck_values(series.rows(rows)), key=_start)):
+        # A value that stands across the edge of a season is one defect.
+        if found and 0.0 <= defect.start_s - found[-1].end_s <= longest_interval_s(series):
+            found[-1] = replace(found[-1], end_s=defect.end_s)
+        else:
+            found.append(defect)
+    return found
+
+
+def _start(defect: Defect) -> float:
+    return defect.start_s
 
 
 def _converted(series: Series, switches: Sequence[Switch]) -> Series:

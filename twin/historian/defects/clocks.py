@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.historian.defects.panel import on_grid
 from twin.historian.defects.silence import LEAST_TAGS, Group
@@ -86,6 +87,8 @@ def shifted_clocks(
     """Return a defect for each group of tags whose clock is wrong, and its correction.
 
     The clock that most tags have is taken as right. Where that is the local one, the others lead by the offset.
+    Clocks are corrected one after the other, and each is tested against the tags as corrected so far: a right clock
+    that goes with a wrong one must not be moved to it.
     """
     usable = [one for one in series if len(one.time_s) >= 50]
     if len(usable) < 3:
@@ -94,40 +97,91 @@ def shifted_clocks(
     grid = np.arange(np.ceil(start / STEP_S) * STEP_S, end, STEP_S)
     if len(grid) < LEAST_ROWS:
         return []
-    reference = np.stack([_changes(one, grid) for one in usable])
     zone = [Shift(timezone)] if timezone is not None else []
     candidates = [Shift(), *zone, *(Shift(add_s=3600.0 * hour) for hour in HOURS)]
     group_of = {name: k for k, group in enumerate(groups) for name in group.tags}
     label = np.array([group_of.get(one.tag.name, -1) for one in usable])
-    # A tag that seldom changes goes with some other tag by chance.
-    lively = np.count_nonzero(reference, axis=1) >= LEAST_CHANGES
-    foreign = label[:, None] != label[None, :]
-    best = np.zeros((len(candidates), len(usable)))
-    for k, shift in enumerate(candidates):
-        moved = reference if k == 0 else np.stack([_changes(one, shift.to_stamp(grid)) for one in usable])
-        best[k] = np.where(foreign, _correlations(moved, reference), 0.0).max(axis=1)
+    correlations = _Correlations.of(usable, grid, candidates, label)
+    open_groups = [
+        k for k, group in enumerate(groups) if len(group.tags) >= LEAST_TAGS and len(group.tags) <= 0.5 * len(usable)
+    ]
     found = []
-    for k, group in enumerate(groups):
-        rows = np.flatnonzero((label == k) & lively)
-        votes = [_vote(best[:, row], len(zone)) for row in rows]
-        cast = [vote for vote in votes if vote is not None]
-        if len(cast) < min(2, len(group.tags)) or len(group.tags) < LEAST_TAGS:
-            continue
-        winner = max(set(cast), key=cast.count)
-        if winner == 0 or cast.count(winner) < max(1.0, 0.6 * len(cast)) or len(group.tags) > 0.5 * len(usable):
-            continue
-        shift = candidates[winner]
-        members = [usable[row] for row in np.flatnonzero(label == k)]
-        low = min(float(shift.to_utc(one.time_s[:1])[0]) for one in members)
-        high = max(float(shift.to_utc(one.time_s[-1:])[0]) for one in members)
-        kind = "local_time" if shift.zone is not None else "clock_offset"
-        says = (
-            f"{len(group.tags)} tags have time stamps in {shift}"
-            if shift.zone
-            else f"{len(group.tags)} tags have time stamps {shift}"
-        )
-        found.append((Defect(kind, group.tags, low, high, says, "shifted to UTC"), shift))
+    while open_groups:
+        wrong = [(k, winner) for k in open_groups if (winner := correlations.winner(k, groups[k], len(zone)))]
+        rise, k, winner = max(((correlations.rise(k, winner), k, winner) for k, winner in wrong), default=(0.0, 0, 0))
+        if rise <= 0.0:
+            break
+        correlations.assume(k, winner)
+        open_groups.remove(k)
+        members = [one for one in usable if group_of.get(one.tag.name) == k]
+        found.append((_defect(groups[k], members, candidates[winner]), candidates[winner]))
     return found
+
+
+def _defect(group: Group, members: Sequence[Series], shift: Shift) -> Defect:
+    """Return the defect of a group whose stamps need a shift, over its samples' true times."""
+    low = min(float(shift.to_utc(one.time_s[:1])[0]) for one in members)
+    high = max(float(shift.to_utc(one.time_s[-1:])[0]) for one in members)
+    kind = "local_time" if shift.zone is not None else "clock_offset"
+    says = f"{len(group.tags)} tags have time stamps {'in ' if shift.zone else ''}{shift}"
+    return Defect(kind, group.tags, low, high, says, "shifted to UTC")
+
+
+@dataclass
+class _Correlations:
+    """Correlations (candidates, tags, tags) of each tag at each candidate clock with all tags as assumed now."""
+
+    usable: Sequence[Series]
+    grid: Array
+    candidates: Sequence[Shift]
+    label: NDArray[np.int_]
+    lively: NDArray[np.bool_]
+    value: Array
+
+    @classmethod
+    def of(
+        cls, usable: Sequence[Series], grid: Array, candidates: Sequence[Shift], label: NDArray[np.int_]
+    ) -> _Correlations:
+        """Return the correlations with all tags as they stand."""
+        stamped = np.stack([_changes(one, grid) for one in usable])
+        # A tag that seldom changes goes with some other tag by chance.
+        lively = np.count_nonzero(stamped, axis=1) >= LEAST_CHANGES
+        found = cls(usable, grid, candidates, label, lively, np.zeros((len(candidates), len(usable), len(usable))))
+        found._set(np.arange(len(usable)), stamped)
+        return found
+
+    def assume(self, k: int, clock: int) -> None:
+        """Take a candidate clock as that of a group from now on."""
+        columns = np.flatnonzero(self.label == k)
+        stamps = self.candidates[clock].to_stamp(self.grid)
+        self._set(columns, np.stack([_changes(self.usable[column], stamps) for column in columns]))
+
+    def _set(self, columns: NDArray[np.int_], reference: Array) -> None:
+        for at, shift in enumerate(self.candidates):
+            stamps = shift.to_stamp(self.grid)
+            moved = np.stack([_changes(one, stamps) for one in self.usable])
+            self.value[at][:, columns] = _correlations(moved, reference)
+
+    def winner(self, k: int, group: Group, zones: int) -> int:
+        """Return the candidate for which most of the group's tags vote; 0 where they have no clear majority."""
+        best = self.value[:, (self.label == k) & self.lively][:, :, self.label != k].max(axis=2, initial=0.0)
+        cast = [vote for vote in (_vote(best[:, row], zones) for row in range(best.shape[1])) if vote is not None]
+        if not cast or len(cast) < min(2, len(group.tags)):
+            return 0
+        most = max(set(cast), key=cast.count)
+        return most if cast.count(most) >= max(1.0, 0.6 * len(cast)) else 0
+
+    def rise(self, k: int, clock: int) -> float:
+        """Return by how much a clock of a group raises its tags' correlations with the other groups, in sum.
+
+        The best tag of each other group counts, so that going with one group at the expense of the others is no rise.
+        """
+        rows = (self.label == k) & self.lively
+        rise = 0.0
+        for other in set(self.label) - {k}:
+            best = self.value[[clock, 0]][:, rows][:, :, self.label == other].max(axis=2)
+            rise += float((best[0] - best[1]).sum())
+        return rise
 
 
 def _vote(best: Array, zones: int) -> int | None:

@@ -19,7 +19,7 @@ LEAST_S = 2.0 * 3600.0
 STEP = 2.0
 """Factor by which a stuck run is longer than the longest healthy one."""
 MOST = 8
-"""Stuck runs of a tag in a record; more are its habit."""
+"""Stuck runs of a tag in a season; more are its habit."""
 MEASURED = frozenset({"temperature", "mass flow", "power", "pressure", "speed", "angle", "frequency"})
 CHANCE = 0.005
 """Largest expected number of such runs in the tag's record by chance."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -108,37 +108,116 @@ def _pair(panel: Panel, j: int, k: int, events: Sequence[Event]) -> list[Defect]
     found: list[Defect] = []
     sign = np.ones(len(difference))
     for _ in range(MOST):
-        span = _span(difference, sign, matrix)
-        if span is None:
+        hit = _judged(panel, (j, k), sign, matrix, events)
+        if hit is None:
             break
-        low, high, evidence, inside, outside = span
-        if inside <= AGAINST_NAMED and evidence >= LEAST_EVIDENCE_NAMED:
-            low, high = _refined(difference * sign, matrix, low, high)
-        start, end = float(panel.grid_s[low]), float(panel.grid_s[high - 1])
-        tags = (first.name, second.name)
-        named = bool(naming(events, tags, start) or naming(events, tags, end))
-        least, against = (LEAST_EVIDENCE_NAMED, AGAINST_NAMED) if named else (LEAST_EVIDENCE, AGAINST)
-        long_enough = LEAST_S <= end - start <= 0.6 * (panel.grid_s[-1] - panel.grid_s[0])
-        if evidence < least or inside > against or outside < -against or not long_enough:
-            break
-        entry = "; a maintenance entry names both" if named else ""
-        says = f"{first.name} and {second.name} carry each other's values for {(end - start) / DAY_S:.1f} days"
-        repair = "exchanged"
-        found.append(Defect("swap", tags, start, end, f"{says} (log likelihood ratio {evidence:.0f}{entry})", repair))
+        defect, low, high = hit
+        found.append(defect)
         sign[low:high] *= -1.0
     return found
 
 
-def _span(difference: Array, sign: Array, matrix: Array) -> tuple[int, int, float, float, float] | None:
-    """Return begin, end, evidence of the most probable swap, and the correlation of changes inside and outside."""
+def _judged(
+    panel: Panel, pair: tuple[int, int], sign: Array, matrix: Array, events: Sequence[Event]
+) -> tuple[Defect, int, int] | None:
+    """Return the first span of a swap that both kinds of evidence support, with its begin and end; None without one.
+
+    Levels are tried first: they give the sharper edges. Changes within a day follow, for pairs that drift against one
+    another by more than they differ; alone they need a maintenance entry.
+    """
+    tags = panel.series[pair[0]].tag.name, panel.series[pair[1]].tag.name
+    now, other = (np.where(sign > 0.0, panel.values[k], panel.values[m]) for k, m in (pair, pair[::-1]))
+    difference = now - other
+    for daily in (False, True):
+        span = _span(difference, matrix, daily=daily)
+        if span is None:
+            continue
+        low, high = span.low, span.high
+        if span.correlation(low, high) <= AGAINST_NAMED and span.evidence >= LEAST_EVIDENCE_NAMED:
+            for reach in (AROUND_ROWS, NEAR_ROWS):
+                low, high = span.moved(low, high, *_refined(difference, matrix, low, high, reach))
+        start, end = float(panel.grid_s[low]), float(panel.grid_s[high - 1])
+        named = bool(naming(events, tags, start) or naming(events, tags, end))
+        least, against = (LEAST_EVIDENCE_NAMED, AGAINST_NAMED) if named else (LEAST_EVIDENCE, AGAINST)
+        long_enough = LEAST_S <= end - start <= 0.6 * (panel.grid_s[-1] - panel.grid_s[0])
+        inside, outside = span.correlation(low, high), span.correlation(low, high, outside=True)
+        if span.evidence < least or inside > against or outside < -against or not long_enough:
+            continue
+        alone = daily or not (_better(now, other, matrix, low, high) and _better(other, now, matrix, low, high))
+        if alone and not named:
+            continue
+        entry = "; a maintenance entry names both" if named else ""
+        says = f"{tags[0]} and {tags[1]} carry each other's values for {(end - start) / DAY_S:.1f} days"
+        says += f" (log likelihood ratio {span.evidence:.0f}{entry})"
+        return Defect("swap", tags, start, end, says, "exchanged"), low, high
+    return None
+
+
+def _better(own: Array, theirs: Array, matrix: Array, low: int, high: int) -> bool:
+    """Return whether a tag's prediction goes better with the other tag's values inside the span than with its own.
+
+    In a swap it does for both. A single faulty tag reverses the difference too, but its partner keeps its own place.
+    """
+    exchanged = own.copy()
+    exchanged[low:high] = theirs[low:high]
+    predicted, _ = robust_prediction(exchanged, matrix)
+    inside = slice(low, high)
+    ours, others = (float(np.nansum(np.abs(value[inside] - predicted[inside]))) for value in (own, theirs))
+    return ours > others
+
+
+@dataclass(frozen=True)
+class _Span:
+    """Most probable span of a swap, its evidence, and the changes within a day beside the predicted ones."""
+
+    low: int
+    high: int
+    evidence: float
+    changes: Array
+    wanted: Array
+
+    def correlation(self, low: int, high: int, *, outside: bool = False) -> float:
+        """Return the correlation of the changes with the predicted ones inside or outside the rows."""
+        inside = np.zeros(len(self.changes), dtype=bool)
+        inside[low:high] = True
+        known = np.isfinite(self.changes) & np.isfinite(self.wanted)
+        return _correlation(self.changes, self.wanted, known & (~inside if outside else inside))
+
+    def moved(self, low: int, high: int, new_low: int, new_high: int) -> tuple[int, int]:
+        """Return the new edges, or the old one where the changes of the rows between the two speak against a move."""
+        if new_high - new_low < 8:
+            return low, high
+        if self._right(new_low, low) if new_low < low else self._exchanged(low, new_low):
+            new_low = low
+        if self._right(high, new_high) if new_high > high else self._exchanged(new_high, high):
+            new_high = high
+        return new_low, new_high
+
+    def _right(self, low: int, high: int) -> bool:
+        """Return whether the changes between two rows go with the predicted ones, beyond chance."""
+        return self.correlation(low, high) > self._chance(high - low)
+
+    def _exchanged(self, low: int, high: int) -> bool:
+        """Return whether the changes between two rows go against the predicted ones, beyond chance."""
+        return self.correlation(low, high) < -self._chance(high - low)
+
+    @staticmethod
+    def _chance(rows: int) -> float:
+        """Return two standard errors of a correlation of hourly values: a fan's or a load's changes last an hour."""
+        return 2.0 / float(np.sqrt(max(rows / 4.0, 1.0)))
+
+
+def _span(difference: Array, matrix: Array, *, daily: bool) -> _Span | None:
+    """Return the most probable swap, by the levels or by the changes within a day."""
     mask = np.ones(len(difference))
     low, high, total, predicted = 0, 0, 0.0, difference
     width = round(DAY_S / 900.0)
+    changes = difference - moving_mean(difference, width)
     for _ in range(ROUNDS):
-        predicted, sigma = robust_prediction(difference * sign * mask, matrix)
-        now = difference * sign
+        predicted, sigma = robust_prediction(difference * mask, matrix)
+        wanted = predicted - moving_mean(predicted, width)
         # log p(now | swapped) - log p(now | not) of a normal error
-        gain = np.nan_to_num(-2.0 * now * predicted / sigma**2)
+        gain = np.nan_to_num(-2.0 * (changes * wanted if daily else difference * predicted) / sigma**2)
         low, high, total = largest_sum(np.clip(gain, -CAP, CAP))
         again = np.ones(len(difference))
         again[low:high] = -1.0
@@ -147,30 +226,27 @@ def _span(difference: Array, sign: Array, matrix: Array) -> tuple[int, int, floa
         mask = again
     if high - low < 8:
         return None
-    now = difference * sign
-    changes, wanted = now - moving_mean(now, width), predicted - moving_mean(predicted, width)
-    rows = np.isfinite(changes) & np.isfinite(wanted)
-    inside = np.zeros(len(now), dtype=bool)
-    inside[low:high] = True
-    return low, high, total, _correlation(changes, wanted, rows & inside), _correlation(changes, wanted, rows & ~inside)
+    return _Span(low, high, total, changes, predicted - moving_mean(predicted, width))
 
 
-def _refined(difference: Array, matrix: Array, low: int, high: int) -> tuple[int, int]:
+def _refined(difference: Array, matrix: Array, low: int, high: int, most: int) -> tuple[int, int]:
     """Return begin and end of a swap with which the prediction errs least.
 
-    A swap begins and ends with a jump. So the rows of the largest jumps are tried as edges, one edge at a time.
+    A swap begins and ends with a jump. So the rows of the largest jumps, at most `most` rows from the old
+    edges, are tried as edges, one edge at a time.
     """
     first, last = max(low - AROUND_ROWS, 0), min(high + AROUND_ROWS, len(difference))
     x, a = difference[first:last], matrix[first:last]
     filled = np.where(np.isfinite(x), x, 0.0)
+    nearby = np.minimum(np.abs(np.arange(first, last) - low), np.abs(np.arange(first, last) - high)) <= most
     before, after = moving_mean(x, JUMP_ROWS)[: -JUMP_ROWS - 1], moving_mean(x, JUMP_ROWS)[JUMP_ROWS + 1 :]
     jump = np.nan_to_num(np.abs(after - before))
-    edges = [0, len(x)]
+    edges = [0, len(x)] if most >= AROUND_ROWS else []
     for row in np.argsort(jump)[::-1]:
         edge = int(row) + JUMP_ROWS // 2 + 1
         if len(edges) >= MOST_EDGES:
             break
-        if all(abs(edge - other) > JUMP_ROWS for other in edges):
+        if nearby[min(edge, len(x) - 1)] and all(abs(edge - other) > JUMP_ROWS for other in edges):
             edges.append(edge)
     edges += [low - first, high - first]
     scale = max(float(np.median(np.abs(filled - np.median(filled)))), 1e-3)

@@ -1,0 +1,72 @@
+"""Swaps of two outlets: found where the thermometers drift apart, and not where a single thermometer errs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twin.historian.defects.panel import STEP_S, Panel
+from twin.historian.defects.swaps import swapped
+from twin.historian.events import Event
+from twin.historian.tags import Array, Series, Tag
+
+START_S = 1.65e9
+DAY = 96
+"""Rows of a day."""
+
+
+def _panel(rng: np.random.Generator, days: int, drift_K: float) -> Panel:
+    """Return two cells whose outlets follow their fans; the second outlet's reading drifts from a third of the span."""
+    n = DAY * days
+    hours = np.arange(n) / 4.0
+    fans = [50.0 + 25.0 * np.sin(2.0 * np.pi * hours / period) + _rough(rng, n, 8.0) for period in (24.0, 17.0)]
+    water = 28.0 + 3.0 * np.sin(2.0 * np.pi * hours / 24.0 + 1.0) + _rough(rng, n, 0.5)
+    outlets = [water - 4.0 + 0.02 * (50.0 - fan) + 0.1 * rng.standard_normal(n) for fan in fans]
+    outlets[1] = outlets[1] + drift_K * np.clip(np.arange(n) / n - 1.0 / 3.0, 0.0, None)
+    names = [("T1", "degC", "water_outlet_temperature", 1), ("T2", "degC", "water_outlet_temperature", 2)]
+    names += [
+        ("F1", "%", "fan_speed", 1),
+        ("F2", "%", "fan_speed", 2),
+        ("TW", "degC", "return_header_temperature", None),
+    ]
+    grid = START_S + STEP_S * np.arange(n)
+    values = np.stack([*outlets, *fans, water])
+    series = tuple(
+        Series(Tag(name, unit, role, cell, 120.0), grid, row, np.full(n, 192, dtype=np.int16))
+        for (name, unit, role, cell), row in zip(names, values, strict=True)
+    )
+    return Panel(series, grid, values)
+
+
+def _rough(rng: np.random.Generator, n: int, size: float) -> Array:
+    return size * np.convolve(rng.standard_normal(n + 7), np.ones(8) / np.sqrt(8.0), "valid")
+
+
+def _entry(panel: Panel, row: int) -> Event:
+    time_s = float(panel.grid_s[row])
+    return Event(time_s - 86400.0, True, 0, "instrument_work", "CMMS", "Transmitters of T1 and T2 exchanged")
+
+
+def test_a_swap_of_thermometers_that_drift_apart_is_found_with_its_edges() -> None:
+    panel = _panel(np.random.default_rng(1), 120, 6.0)
+    low, high = 50 * DAY, 58 * DAY
+    panel.values[:2, low:high] = panel.values[1::-1, low:high].copy()
+    (found,) = swapped(panel, [_entry(panel, low)])
+    assert found.tags == ("T1", "T2")
+    assert abs(found.start_s - panel.grid_s[low]) < 86400.0 and abs(found.end_s - panel.grid_s[high]) < 2 * 86400.0
+
+
+def test_an_edge_does_not_move_over_days_of_right_values() -> None:
+    panel = _panel(np.random.default_rng(2), 45, 0.0)
+    low, high = 17 * DAY, 25 * DAY
+    panel.values[:2, low:high] = panel.values[1::-1, low:high].copy()
+    panel.values[0, low - 8 * DAY : low] += 0.3  # a bias that ends where the swap begins
+    (found,) = swapped(panel, [_entry(panel, low)])
+    assert abs(found.start_s - panel.grid_s[low]) < 6 * 3600.0 and abs(found.end_s - panel.grid_s[high]) < 6 * 3600.0
+
+
+def test_a_single_faulty_thermometer_is_no_swap() -> None:
+    panel = _panel(np.random.default_rng(3), 45, 0.0)
+    low, high = 20 * DAY, 23 * DAY
+    difference = panel.values[0] - panel.values[1]
+    panel.values[0, low:high] -= 2.0 * difference[low:high]  # the difference reversed by one of the two alone
+    assert swapped(panel) == []
