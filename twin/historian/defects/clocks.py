@@ -154,7 +154,7 @@ class _Correlations:
         """Take a candidate clock as that of a group from now on."""
         columns = np.flatnonzero(self.label == k)
         stamps = self.candidates[clock].to_stamp(self.grid)
-        self._set(columns, np.stack([_changes(self.usable[column], stamps) for column in columns]))
+        self._set(columns, np.stack([_changes(self.usable[int(column)], stamps) for column in columns]))
 
     def _set(self, columns: NDArray[np.int_], reference: Array) -> None:
         for at, shift in enumerate(self.candidates):
