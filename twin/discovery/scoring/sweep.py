@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -26,7 +27,7 @@ DUTIES = (0.25, 0.5, 0.75)
 class Courses:
     """Onsets (i,), s, of steps and their courses (b, i); shapes that grow, j of them, and theirs (b, j).
 
-    `edges_s` (b + 1,) bound the blocks. `timed` are periodic shapes and pulses, and `returns` (b, k) their courses.
+    `edges_s` (b + 1,) bound the blocks.
     """
 
     onsets: Array
@@ -35,8 +36,6 @@ class Courses:
     growths: Array
     edges_s: Array
     steps_shapes: list[Shape]
-    timed: list[Shape]
-    returns: Array
     _fading: dict[float, tuple[list[Shape], Array]] = field(default_factory=dict)
 
     @classmethod
@@ -45,6 +44,17 @@ class Courses:
         if known is None:
             known = contest.memo["courses"] = _courses(contest)
         return known
+
+    @cached_property
+    def timed(self) -> list[Shape]:
+        """Periodic shapes and pulses, which the search by evidence alone asks for."""
+        return _timed(self.onsets, self.edges_s)
+
+    @cached_property
+    def returns(self) -> Array:
+        """Courses (b, k) of the `timed` shapes."""
+        courses = [shape.block_means(self.edges_s) for shape in self.timed]
+        return np.stack(courses, axis=1) if courses else np.empty((len(self.edges_s) - 1, 0))
 
     def beyond(self, candidate: Candidate) -> tuple[list[Shape], Array]:
         """The shapes of a candidate other than steps, and their courses (b, j)."""
@@ -119,10 +129,7 @@ def _courses(contest: Contest) -> Courses:
         for t in onsets[::3]
     ]
     growths = np.stack([shape.block_means(edges_s) for shape in grown], axis=1)
-    timed = _timed(onsets, edges_s)
-    empty = np.empty((len(edges_s) - 1, 0))
-    returns = np.stack([shape.block_means(edges_s) for shape in timed], axis=1) if timed else empty
-    return Courses(onsets, steps, grown, growths, edges_s, begins, timed, returns)
+    return Courses(onsets, steps, grown, growths, edges_s, begins)
 
 
 def _timed(onsets: Array, edges_s: Array) -> list[Shape]:
