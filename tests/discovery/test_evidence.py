@@ -108,8 +108,11 @@ def test_heat_that_came_and_went_is_named_with_both_ends(bench: Bench, healthy: 
 
 def test_heat_that_comes_back_is_named_with_its_period(bench: Bench, healthy: Columns) -> None:
     record = heated(bench, lambda t: 80.0 * ((t % 5400.0) < 1800.0))
-    effect = only(diagnose(bench.network, record, healthy, by_evidence=True))
+    found = diagnose(bench.network, record, healthy, by_evidence=True)
+    effect = only(found)
     assert (effect.kind, effect.where, effect.driver) == ("heat_source", "tank", "periodic")
+    # Its state at the record's end, on or off, would be a wrong twin.
+    assert found.network is None and any("not added to the twin" in note for note in found.notes)
     assert effect.value == pytest.approx(80.0, rel=0.03) and effect.growth_s == pytest.approx(5400.0, rel=0.01)
 
 

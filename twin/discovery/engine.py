@@ -10,7 +10,7 @@ import numpy as np
 from twin.discovery.answer.case import Case
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis, SensorError
-from twin.discovery.evidence.inquiry import Inquiry as EvidenceInquiry
+from twin.discovery.evidence.inquiry import EvidenceInquiry
 from twin.discovery.evidence.weighing import weighed as weighed_by_evidence
 from twin.discovery.healthy.basis import Basis, Columns, basis
 from twin.discovery.healthy.visited import beside_unvisited

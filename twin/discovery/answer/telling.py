@@ -11,7 +11,6 @@ from twin.discovery.answer.spells import explained
 from twin.discovery.answer.words import sentence
 from twin.discovery.diagnosis import Alternative, Effect, Verdict
 from twin.discovery.effects.phrases import interval
-from twin.discovery.effects.shapes import TIMED
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.equivalence import instead, remaining
 from twin.discovery.scoring.search import Entry, able_to_begin
@@ -150,12 +149,6 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
         growth_s=entry.shape.growth_s,
         says=says,
     )
-
-
-def at_end(entry: Entry, grid: Grid) -> float:
-    """Share of its size that is there when the record ends: what is adopted."""
-    end = grid.span_s
-    return entry.shape.mean(end - 1.0, end) if entry.shape.grows or entry.shape.name in TIMED else 1.0
 
 
 def _groups(ranked: tuple[Ranked, ...]) -> dict[tuple[str, str], float]:

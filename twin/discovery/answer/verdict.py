@@ -13,12 +13,13 @@ from twin.discovery.answer.case import Case
 from twin.discovery.answer.judging import adequate, good
 from twin.discovery.answer.spells import Spell, as_effect, came_and_went, described, explains
 from twin.discovery.answer.switches import switched
-from twin.discovery.answer.telling import at_end, likelier_in_all, near_misses, rivals, told, told_by_evidence
+from twin.discovery.answer.telling import grown_by_end, likelier_in_all, near_misses, rivals, told, told_by_evidence
 from twin.discovery.answer.words import summarise
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Verdict
 from twin.discovery.effects.lint import lint
 from twin.discovery.effects.open_laws import adopted
 from twin.discovery.effects.probe import Run
+from twin.discovery.effects.shapes import TIMED
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.places.empirical import Empirical, offer
 from twin.discovery.places.localise import describe
@@ -160,6 +161,9 @@ def _named(case: Case) -> Answer:
     alternatives = tuple(a for a in alternatives if (a.kind, a.where) not in {(b.kind, b.where) for b in likelier})
     switches = switched(finding, grid, float(grid.time[0]))
     notes = tuple(says for _, says in switches)
+    passing = any(e.shape.name in TIMED for e in finding.fit.entries)
+    if passing:
+        notes += ("an effect that ends, comes back or fades is named and not added to the twin",)
     if finding.beside is not None:
         kind, where, driver = (x.replace("_", " ") for x in finding.beside.label)
         notes += (
@@ -172,7 +176,7 @@ def _named(case: Case) -> Answer:
         effects=effects,
         others=(*others, *(a for a, _ in switches)),
         alternatives=alternatives,
-        network=_bigger(finding, network, grid),
+        network=None if passing else _bigger(finding, network, grid),
         notes=notes,
     )
 
@@ -209,7 +213,7 @@ def _bigger(finding: Finding, network: Network, grid: Grid) -> Network:
     assert finding.fit is not None
     named = tuple(e for e in finding.fit.entries if not e.candidate.column)
     model = Model.alone(finding.contest.probe, named)
-    full = np.array([[e.size * at_end(e, grid) for e in named]])
+    full = np.array([[e.size * grown_by_end(e, grid) for e in named]])
     vector = model.parameters(finding.fit.values[None, :], full)[0]
     own = {p.id for p in model.network.parameters.values() if not p.same_as}
     values = {
@@ -220,7 +224,7 @@ def _bigger(finding: Finding, network: Network, grid: Grid) -> Network:
     bigger = model.network.with_values(values)
     for entry in finding.fit.entries:
         if entry.candidate.column:
-            bigger = adopted(bigger, entry.candidate, entry.size * at_end(entry, grid), grid)
+            bigger = adopted(bigger, entry.candidate, entry.size * grown_by_end(entry, grid))
     return bigger
 
 

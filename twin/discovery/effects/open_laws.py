@@ -1,11 +1,11 @@
 """Laws without a name: any recorded input as driver, in several forms, at every site of a network.
 
 A site is a place where something may act with a value of one unit: heat into a node or out of one into another, a share
-of a flow, a conductance to the room, an error of a reading, a share of an actuator's output. Its response per unit is
-that of the named law there, or of its element. A law is a site, a driver and a form; what it is worth is told by the
-same evidence as that of a named one, from a smaller prior.
+of a flow, a conductance to the room, an error of a reading. Its response per unit is that of the named law there. A law
+is a site, a driver and a form; it is weighed by the same evidence as a named one, from a smaller prior.
 
-All laws of a network are fitted in one kernel, in which each site follows a column of its own with the law's values.
+A fit brings the heat of a law into the nodes of a shared kernel, and adds an error of reading to what is simulated.
+Laws of a flow and of a loss are fitted as elements that follow a column with the law's values.
 """
 
 from __future__ import annotations
@@ -74,23 +74,21 @@ class Values:
     """Values of a form for a driver, one for a unit of its strength.
 
     Attributes:
-        driver: in a diagnosis's words. form, course, parameters: as in `twin.elements.law_forms`, the strength 1.
-        column: index of the input that is followed, or None. scale: largest magnitude of the values.
+        driver: in a diagnosis's words. form, parameters: as in `twin.elements.law_forms`, the strength 1.
+        column: index of the input that is followed. scale: largest magnitude of the values.
         says: what it follows, in words.
     """
 
     driver: str
     form: str
-    course: str
     parameters: Mapping[str, float]
-    column: int | None
+    column: int
     scale: float
     says: str
 
     def at(self, time_s: Array, inputs: Array) -> Array:
-        """Return the values (n,) for inputs (n, c); times count from the record's beginning."""
-        x = None if self.column is None else inputs[:, self.column]
-        return law_values(self.form, self.course, self.parameters, x, time_s - time_s[0])
+        """Return the values (n,) for stamps (n,) s and inputs (n, c)."""
+        return law_values(self.form, "always", self.parameters, inputs[:, self.column], time_s)
 
 
 class OpenLaw(Law):
@@ -134,7 +132,7 @@ def candidate_of(network: Network, site: OpenSite, values: Values) -> Candidate:
         site.kind, site.where, values.driver, "new", site.changes, _unit(network, site, values), site.typical / scale,
         site.lower / scale, site.upper / scale, f"{site.says} {values.says}", adds=site.tables, shapes=("step",),
         column=site.column, follows=values.at, injects=site.injects, reads=site.reads,
-        adopts={"form": values.form, "course": values.course, "column": values.column, **values.parameters},
+        adopts={"form": values.form, "column": values.column, **values.parameters},
     )  # fmt: skip
 
 
@@ -143,8 +141,7 @@ def _unit(network: Network, site: OpenSite, values: Values) -> str:
     table = next(iter(site.tables.values()))
     kind = KINDS[str(table["kind"])]
     places = {kind.places()[key].name: value for key, value in table.items() if key not in ("kind", "driver", "form")}
-    driver = "" if values.column is None else network.input_columns[values.column]
-    law: dict[str, Any] = {**places, "driver": driver, "form": values.form, "course": values.course}
+    law: dict[str, Any] = {**places, "driver": network.input_columns[values.column], "form": values.form}
     element = kind(name="law", **law)
     strength = FORMS[values.form][0]
     unit = next(spec.unit for spec in element.parameter_specs() if spec.name == strength)
@@ -161,7 +158,7 @@ def values_of(network: Network, grid: Grid) -> Iterator[Values]:
         stem, _, unit = column.rpartition("_")
         driver = NAMES.get(column, "temperature" if unit == "C" else stem or column)
         spoken = (stem or column).replace("_", " ")
-        of = partial(Values, driver, course="always", column=j)
+        of = partial(Values, driver, column=j)
         low, high = float(x.min()), float(x.max())
         references = (low, high, float(np.median(x))) if unit == "C" else (0.0,)
         for reference in references:
@@ -285,16 +282,14 @@ def _transfers(network: Network, named: Sequence[Law]) -> Iterator[OpenSite]:
                        f"receives {{value}} from {b}", injects={a: 1.0, b: -1.0})  # fmt: skip
 
 
-def adopted(network: Network, candidate: Candidate, size: float, grid: Grid) -> Network:
+def adopted(network: Network, candidate: Candidate, size: float) -> Network:
     """Return the network with the elements of an open law at a size, following the column of the record itself."""
     law = dict(candidate.adopts)
-    form, course, column = law.pop("form"), law.pop("course"), law.pop("column")
+    form, column = law.pop("form"), law.pop("column")
     strength = FORMS[form][0]
     for name, table in candidate.adds.items():
         site = {key: str(value) for key, value in table.items() if key not in ("driver", "form")}
         weight = candidate.changes[f"{name}.gain"]
-        times = {key: float(grid.time[0]) + value for key, value in law.items() if key in ("start_s", "end_s")}
-        parameters = {**law, **times, strength: size * weight * law[strength]}
-        driver = {} if column is None else {"driver": network.input_columns[column]}
-        network = adopt_law(network, site, driver, form, parameters, course=course, sample_s=grid.step_s)
+        parameters = {**law, strength: size * weight * law[strength]}
+        network = adopt_law(network, site, {"driver": network.input_columns[column]}, form, parameters)
     return network

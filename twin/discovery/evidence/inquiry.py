@@ -3,82 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
-from scipy.special import logsumexp
 
-from twin.discovery.diagnosis import SensorError
 from twin.discovery.evidence.priors import CLAIM
-from twin.discovery.evidence.scan import scan
+from twin.discovery.evidence.scan import logsumexp, scan
 from twin.discovery.evidence.search import Found, Hypothesis, Prior, ladder_of, searched
-from twin.discovery.healthy.basis import Basis, Columns
-from twin.discovery.records.grid import Grid
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import validate
-from twin.discovery.scoring.sweep import LAST_SHARE
-from twin.discovery.selection.held_out import HeldOut
+from twin.discovery.selection.inquiry import LATE, STILL_HELD, Answer, Inquiry
 from twin.discovery.selection.part import Part, plainly
 from twin.discovery.selection.ranking import Finding, Ranked
-from twin.elements.base import Candidate
-from twin.network import Network
-
-LATE = 0.85
-"""Share of the part that a fit sees, beyond which an onset leaves it too little of what follows."""
-STILL_HELD = 0.4
-"""Share of the part held out that stays so where it showed what the rest had not."""
-WELL_SEEN, KEPT = LAST_SHARE - 0.01, 6
-"""Share of a part within which a search looks for an onset, and bins that no fit sees even so."""
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What was found in `train`, the record up to bin `split`."""
-
-    finding: Finding
-    train: Part
-    split: int
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Inquiry:
-    """A record, what is known of its rig, and who is told what is being done."""
-
-    network: Network
-    record: Columns
-    known: Basis
-    grid: Grid
-    say: Callable[[str], None]
-
-    @cached_property
-    def _scanned(self) -> tuple[Part, tuple[Candidate, ...]]:
-        whole = Part.of(self.known, self.grid)
-        forms = whole.sharpened()
-        whole.add(forms)
-        return whole, forms
-
-    @property
-    def whole(self) -> Part:
-        """All of the record, to scan; answers are fitted to a part of it."""
-        return self._scanned[0]
-
-    def part(self, grid: Grid) -> Part:
-        """A part of the record, or a further one, with the forms that suit this record best."""
-        made = Part.of(self.known, grid)
-        made.add(self._scanned[1])
-        return made
-
-    def on_unseen(self, finding: Finding, split: int) -> dict[str, SensorError]:
-        """Errors of a finding from bin `split` on."""
-        return self.held_out.errors(finding, split)
-
-    @cached_property
-    def held_out(self) -> HeldOut:
-        return HeldOut(self.network, self.record, self.grid, self.known.plain)
+class EvidenceInquiry(Inquiry):
+    """Inquiry whose answers are those of the search by evidence."""
 
     def answer(self, held_out: float) -> Answer:
         """The effects that are told, and what was kept out of their fit.
@@ -95,16 +36,16 @@ class Inquiry:
         odds = -math.inf if first is None else first.log_bayes + prior.of(first)
         notes: tuple[str, ...] = ()
         if first is not None and odds > CLAIM and first.shape.onset_s > LATE * split * self.grid.step_s:
-            split = max(self._amid(first.shape.onset_s), split)
+            split = max(self._amid(first), split)
             notes = (
                 f"something changed at {first.shape.onset_s / 3600.0:.1f} h, inside the part that was to be kept out "
                 f"of the fit; the fit was given the record up to {self._hours(split)}",
             )
-        found = self._searched(split)
+        found = self._by_evidence(split)
         missed = found.finding.fit is None and odds > CLAIM
-        wrong = found.finding.fit is not None and self.held_out.far_off(found.finding, split)
+        wrong = found.finding.fit is not None and self._held_out.far_off(found.finding, split)
         if (missed or wrong) and most > split:
-            fuller = self._searched(most)
+            fuller = self._by_evidence(most)
             if fuller.finding.fit is not None and (missed or self._left(fuller) < self._left(found, most)):
                 found = fuller
                 notes = (
@@ -114,19 +55,11 @@ class Inquiry:
         return replace(found, notes=notes)
 
     def _left(self, answer: Answer, split: int | None = None) -> float:
-        return self.held_out.left(answer.finding, answer.split if split is None else split)
+        return self._held_out.left(answer.finding, answer.split if split is None else split)
 
-    def _hours(self, split: int) -> str:
-        return f"{split * self.grid.step_s / 3600.0:.1f} h"
-
-    def _amid(self, onset_s: float) -> int:
-        """The bin in the middle between an onset and the record's end, or where a search can see that onset at all."""
-        bins, onset = len(self.grid.time), onset_s / self.grid.step_s
-        return min(max((int(onset) + bins) // 2, int(onset / WELL_SEEN)), bins - KEPT)
-
-    def _searched(self, split: int) -> Answer:
-        train = self.part(self.grid.part(0, split))
-        return Answer(finding_of(searched(train, self.say), train), train, split)
+    def _by_evidence(self, split: int) -> Answer:
+        train = self._train(split)
+        return Answer(finding_of(searched(train, self.say), train), train, split, False)
 
 
 def finding_of(found: Found, part: Part) -> Finding:
@@ -165,7 +98,7 @@ def _ranked(found: Found, best: Hypothesis) -> tuple[Ranked, ...]:
 
 
 def _as_used(best: Hypothesis, part: Part) -> Fit:
-    """The fit with values that foretell best by themselves: a twin does not know what its structure leaves."""
+    """The fit with values that predict best by themselves: a twin does not know what its structure leaves."""
     found = best.fit
     assert found is not None
     used = plainly(part, found)

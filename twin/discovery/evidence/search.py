@@ -9,14 +9,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
 
 from twin.discovery.diagnosis import Rung
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import Law
-from twin.discovery.evidence.marginal import Joint, form_quadratic, joint
+from twin.discovery.evidence.marginal import form_quadratic, joint
 from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, UNLISTED
-from twin.discovery.evidence.scan import refined, scan
+from twin.discovery.evidence.scan import logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK, courses
 from twin.discovery.places.sites import sites_of
 from twin.discovery.refit.fitting import Fit, look_at
@@ -25,7 +24,7 @@ from twin.discovery.scoring.search import Entry
 from twin.discovery.selection.part import Part, continued, fitted
 
 LEADING = 24
-"""Single effects that are tried as one of a pair: true pairs were missed with five."""
+"""Single effects that are tried as one of a pair; a prototype missed true pairs with five."""
 MOST_EFFECTS = 3
 BESIDE = 6
 """Further effects that are tried beside each."""
@@ -38,9 +37,9 @@ FITTED, NEXT, MOST_FITTED = 6, 3, 9
 it is next."""
 
 MOST_LATE = 4
-"""Places and kinds of what is late that are fitted: those that score most to first order."""
+"""Classes of lags and delays that are fitted: those with the largest gain to first order."""
 BEGUN = 3
-"""Rounds in which a fit of what is late shows what it comes to."""
+"""Rounds of a fit after which its squares can be compared."""
 
 MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heater"}
 """What an actuator moves: a pump that turns slower is a flow that is less."""
@@ -65,10 +64,6 @@ class Hypothesis:
         return self.log_prior + self.log_bayes
 
     @property
-    def classes(self) -> tuple[Class, ...]:
-        return tuple(sorted(class_of(e) for e in self.entries))
-
-    @property
     def labels(self) -> tuple[tuple[str, str, str], ...]:
         return tuple(sorted(e.label for e in self.entries))
 
@@ -90,13 +85,6 @@ class Found:
         enough = [h for h in fits if h.odds >= fits[0].odds - CLAIM * max(len(fits[0].entries) - len(h.entries), 0)]
         fewest = min(len(h.entries) for h in enough)
         return next(h for h in enough if len(h.entries) == fewest)
-
-    def share(self, chosen: Callable[[Hypothesis], bool]) -> float:
-        """Return the posterior share of the hypotheses that are chosen."""
-        odds = np.array([h.odds for h in self.hypotheses])
-        total = logsumexp(np.append(odds, [0.0, self.unlisted]))
-        mine = [h.odds for h in self.hypotheses if chosen(h)]
-        return float(np.exp(logsumexp(mine) - total)) if mine else 0.0
 
 
 def class_of(entry: Entry) -> Class:
@@ -136,7 +124,7 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
     part.reset()
     say("scanning by evidence")
     leading = [refined(contest, e) for e in _leading(scan(contest, laws), prior)]
-    level = sorted((_set(part, (e,), prior)[0] for e in leading), key=lambda h: -h.odds)
+    level = sorted((_set(part, (e,), prior) for e in leading), key=lambda h: -h.odds)
     misfit = contest.misfit
     found: list[Hypothesis] = []
     for count in range(1, MOST_EFFECTS + 1):
@@ -171,12 +159,13 @@ def _leading(entries: list[Entry], prior: Prior) -> list[Entry]:
     return found
 
 
-def _set(part: Part, entries: tuple[Entry, ...], prior: Prior) -> tuple[Hypothesis, Joint]:
+def _set(part: Part, entries: tuple[Entry, ...], prior: Prior) -> Hypothesis:
+    """Return a set of effects with its evidence to first order."""
     together = joint(part.contest, entries)
     sized = tuple(replace(e, size=float(s)) for e, s in zip(entries, together.sizes, strict=True))
     log_bayes = together.log_bayes + sum(e.log_occam for e in entries)
     log_prior = sum(prior.of(e) for e in entries)
-    return Hypothesis(sized, log_prior, log_bayes, together.quadratic, together.form_error), together
+    return Hypothesis(sized, log_prior, log_bayes, together.quadratic, together.form_error)
 
 
 def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[Law]) -> list[Hypothesis]:
@@ -189,7 +178,7 @@ def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[Law
             if entry.log_bayes + prior.of(entry) <= 0.0:
                 break
             further = refined(part.contest, entry, beside)
-            hypothesis = _set(part, _settled(part, _at_first_order(part, one), further), prior)[0]
+            hypothesis = _set(part, _settled(part, _at_first_order(part, one), further), prior)
             grown.setdefault(_key(hypothesis), hypothesis)
     return sorted(grown.values(), key=lambda h: -h.odds)[: 2 * LEADING]
 
@@ -277,7 +266,7 @@ def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
 
 
 def _late(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses and what is late, fitted from several times a typical size: its law tells too little."""
+    """Return the hypotheses with lags and delays, fitted from a large size: they are not linear in it."""
     onset = found[0].entries[0].shape.onset_s if found else 0.0
     known = {e.candidate.id for h in found if h.fit is not None for e in h.entries}
     promising: dict[Class, float] = {}
@@ -289,9 +278,7 @@ def _late(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> l
     begun = fitted(part, [(e,) for e in entries], BEGUN)
     gained = [(f, e) for (f, _), e in zip(begun, entries, strict=True) if misfit - f.total > 2.0 * CLAIM]
     gained.sort(key=lambda g: g[0].total)
-    late = [
-        _with_fit(part, replace(_set(part, (e,), prior)[0], entries=(e,)), fit, misfit) for fit, e in gained[:FITTED]
-    ]
+    late = [_with_fit(part, replace(_set(part, (e,), prior), entries=(e,)), fit, misfit) for fit, e in gained[:FITTED]]
     return _settled_fits(part, sorted([*found, *late], key=lambda h: -h.odds), misfit)
 
 
@@ -301,7 +288,7 @@ def _unlisted(part: Part) -> float:
     if not free:
         return -math.inf
     share = math.log(FAULT * UNLISTED) - math.log(len(free) * len(WALK_PER_BLOCK))
-    return float(logsumexp([c.log_evidence for c in free])) + share
+    return logsumexp(np.array([c.log_evidence for c in free])) + share
 
 
 def ladder_of(part: Part, told: Hypothesis | None) -> tuple[Rung, ...]:

@@ -10,13 +10,10 @@ import numpy as np
 
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import validate
+from twin.discovery.selection.ladder import MORE_LEFT, MORE_SHARE
 from twin.discovery.selection.part import Part
 from twin.discovery.selection.ranking import Finding, Ranked
 from twin.discovery.selection.weighing import weigh
-
-MORE_LEFT, MORE_SHARE = 4.0, 0.1
-"""Misfit that the answer may leave in a later record, over what noise alone leaves, or of what there was: its steps
-are harsher than those that the noise was learned from."""
 
 
 def weighed(finding: Finding, first: Part, later: Sequence[Part]) -> tuple[Finding, tuple[str, ...]]:
