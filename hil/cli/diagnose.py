@@ -55,11 +55,6 @@ STEPS = 6.0
 @click.option(
     "--empirical", is_flag=True, help="If no effect explains RECORD: adopt the empirical curve that is offered."
 )
-@click.option(
-    "--open-laws",
-    is_flag=True,
-    help="Weigh every effect by one evidence: any input as its driver; it may also end, come back or fade. Preview.",
-)
 @click.option("--review", is_flag=True, help="Also write diagnosis.rrd, and open it if there is a display.")
 @click.option(
     "--forecast",
@@ -70,7 +65,7 @@ STEPS = 6.0
     "--bootstrap",
     type=click.IntRange(min=10),
     metavar="DRAWS",
-    help="First draw N healthy records from the twin, commission and diagnose each: thresholds of the whole pipeline.",
+    help="First draw N healthy records from the twin, commission and diagnose each: the odds that a claim needs.",
 )
 @reading
 @click.option("--json", "as_json", is_flag=True, help="Print the diagnosis as JSON.")
@@ -87,7 +82,6 @@ def command(
     out: Path | None,
     dry: bool,
     empirical: bool,
-    open_laws: bool,
     review: bool,
     forecast: bool,
     bootstrap: int | None,
@@ -115,7 +109,6 @@ def command(
       hil diagnose short_test.csv --twin first_guess.toml --with another_test.csv
       hil diagnose operating_points.csv --at-rest --twin first_guess.toml
       hil diagnose my_load.csv --forecast --twin my_twin.toml
-      hil diagnose campaign.parquet --twin my_twin.toml --open-laws
       hil diagnose campaign.parquet --twin my_twin.toml --bootstrap 40
       hil diagnose record --twin cell1.toml --twin cell2.toml --out diagnosis
     """
@@ -125,7 +118,7 @@ def command(
     if is_tower(target):
         others = {
             "--healthy": healthy, "--no-healthy": no_healthy, "--with": more, "--at-rest": at_rest, "--rig": rig,
-            "--clock": clock, "--empirical": empirical, "--open-laws": open_laws, "--review": review,
+            "--clock": clock, "--empirical": empirical, "--review": review,
             "--forecast": forecast, "--bootstrap": bootstrap,
         }  # fmt: skip
         diagnose_tower(target, twins, labels, out, dry, as_json, [name for name, value in others.items() if value])
@@ -143,8 +136,6 @@ def command(
 
     if at_rest and (healthy or more or forecast):
         raise click.UsageError("--at-rest excludes --healthy, --with and --forecast; put all states into one file")
-    if open_laws and at_rest:
-        raise click.UsageError("--open-laws needs a record in time; leave --at-rest or --open-laws out")
     if healthy and no_healthy:
         raise click.UsageError("--no-healthy and --healthy exclude each other; give one of them")
     began = time.monotonic()
@@ -160,7 +151,6 @@ def command(
         rig=allowed,
         clock=clock,
         choice=choice,
-        open_laws=open_laws,
     )
     if bootstrap and (at_rest or no_healthy):
         raise click.UsageError("--bootstrap draws records like the healthy one: give it with --healthy")

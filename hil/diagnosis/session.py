@@ -48,7 +48,6 @@ class DiagnosisRequest:
         rig: rig file whose limits a next experiment keeps; None keeps it within what the record has seen.
         clock: time of day at 0 s of the record, like 08:00; None takes what the record says of it.
         choice: how the records are read.
-        open_laws: weigh every effect by one evidence, with any input as its driver.
     """
 
     record: Path
@@ -60,7 +59,6 @@ class DiagnosisRequest:
     rig: Path | None = None
     clock: str | None = None
     choice: Reading | None = None
-    open_laws: bool = False
 
 
 @dataclass(frozen=True)
@@ -131,7 +129,7 @@ def diagnose_files(ready: Prepared, say: Callable[[str], None], note: Callable[[
     try:
         found = answer(
             network, record, ready.healthy, more=later, limits=limits, at_rest=request.at_rest,
-            open_laws=request.open_laws, say=say,
+            say=say,
         )  # fmt: skip
     except NotHealthyError as error:
         raise TwinFileError(f"{ready.healthy_file}: {error}") from None
@@ -183,7 +181,6 @@ def answer(
     more: Mapping[str, Columns],
     limits: Limits | None,
     at_rest: bool,
-    open_laws: bool = False,
     say: Callable[[str], None],
 ) -> Diagnosis:
     """Return the diagnosis: a contest of effects for a commissioned twin, or the growth of one that never was.
@@ -191,12 +188,10 @@ def answer(
     Raises:
         TwinFileError: the record cannot be diagnosed.
     """
-    if at_rest or (healthy is None and not open_laws and fits_growth(network, record)):
+    if at_rest or (healthy is None and fits_growth(network, record)):
         found = diagnose_grown(network, record, more=tuple(more.values()), at_rest=at_rest, say=say)
     else:
-        found = diagnose(
-            network, record, healthy, more=tuple(more.values()), say=say, limits=limits, by_evidence=open_laws
-        )
+        found = diagnose(network, record, healthy, more=tuple(more.values()), say=say, limits=limits)
     found = with_unused(found, network, record.inputs)
     if not more:
         return found

@@ -66,7 +66,7 @@ def chance(document: dict[str, Any]) -> str:
 
 def worse(document: dict[str, Any]) -> str:
     """Return the loss of an answer against re-tuning on the held-out segment, as half a sentence, or ""."""
-    from twin.discovery.selection.held_out import WORSE  # This module imports the whole search, which no run needs.
+    from twin.discovery.evidence.held_out import WORSE  # This module imports the whole search, which no run needs.
 
     sensors = {k: e for k, e in document["error"]["sensors"].items() if None not in (e["before"], e["after"])}
     before, after = (sum((e[k] / e["noise"]) ** 2 for e in sensors.values()) for k in ("before", "after"))

@@ -13,6 +13,7 @@ from tests.discovery.plans import STEADY, inputs_of, run, steady
 from twin.discovery.answer.case import Case
 from twin.discovery.answer.telling import likelier_in_all
 from twin.discovery.engine import diagnose
+from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.planning.design import Runner, informed
 from twin.discovery.planning.experiment import MARGIN_K, Limits
@@ -20,7 +21,6 @@ from twin.discovery.records.grid import on_grid
 from twin.discovery.refit.fitting import fit
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
-from twin.discovery.selection.part import Part
 from twin.kernel import Kernel
 from twin.network import Network
 

@@ -10,12 +10,12 @@ import pytest
 from tests.discovery.conftest import Bench
 from twin.discovery.bootstrap import bootstrap
 from twin.discovery.effects.probe import free_run
+from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.healthy.drawn import drawn
 from twin.discovery.healthy.widening import Bootstrap, keep, kept
 from twin.discovery.kept import cached
 from twin.discovery.records.grid import on_grid
-from twin.discovery.selection.part import Part
 
 CALM = Bootstrap(tuple(2.5 + 0.05 * i for i in range(20)), (4.6,) * 20, 0)
 ROUGH = Bootstrap(tuple(3.5 + 0.15 * i for i in range(20)), (4.6,) * 20, 3)

@@ -4,18 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from twin.discovery.selection.ladder import search
 
 from tests.discovery.conftest import Bench
 from twin.discovery.answer.case import Case
 from twin.discovery.answer.judging import adequate, slight
 from twin.discovery.diagnosis import Course, Fold, SensorError
 from twin.discovery.engine import diagnose
+from twin.discovery.evidence.commissioned import as_under_another_load, imagined, unconfirmed
+from twin.discovery.evidence.finding import Finding, unusual
+from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
-from twin.discovery.selection.caution import as_under_another_load, imagined, unconfirmed
-from twin.discovery.selection.ladder import search
-from twin.discovery.selection.part import Part
-from twin.discovery.selection.ranking import Finding, unusual
 
 SAME = {"T_tank_C": SensorError(0.06, 0.055, 0.055, 0.05)}
 LESS = {"T_tank_C": SensorError(0.09, 0.060, 0.052, 0.05)}

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from twin.discovery.selection.ladder import EXACT_SHARE, SECOND_SHARE
 
 from tests.discovery.conftest import Bench, stopped
 from twin.discovery.engine import diagnose, foresee
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.standstill import standstill
-from twin.discovery.selection.ladder import EXACT_SHARE, SECOND_SHARE
 from twin.network import TwinFileError
 
 HEATED = ("heat_source", "modules", "constant")

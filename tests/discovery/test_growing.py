@@ -16,6 +16,7 @@ from tests.discovery.test_records import TWINS, added, heaters
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.effects.catalogue import catalogue, sites_of
 from twin.discovery.effects.phrases import said
+from twin.discovery.evidence.held_out import misled, worse
 from twin.discovery.growing.alike import apart, together
 from twin.discovery.growing.answer import diagnose_grown
 from twin.discovery.growing.beam import Beam, FittedSet, _finalists, likeliest
@@ -26,7 +27,6 @@ from twin.discovery.growing.scoring import Scored
 from twin.discovery.growing.wardrobe import unsized
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.scoring.search import Entry
-from twin.discovery.selection.held_out import misled, worse
 from twin.elements.base import Candidate
 from twin.network import Network
 from twin.revisions import with_elements

@@ -12,9 +12,9 @@ from tests.discovery.conftest import Bench
 from tests.discovery.test_records import TWINS, cooler, heaters
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.engine import diagnose
+from twin.discovery.evidence.commissioned import as_commissioned
 from twin.discovery.growing.answer import LONGEST, diagnose_grown, fits_growth
 from twin.discovery.healthy.basis import Columns
-from twin.discovery.selection.caution import as_commissioned
 from twin.kernel import simulate
 from twin.network import Revision, TwinFileError
 from twin.revisions import with_elements

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from twin.discovery.selection import inquiry
+from twin.discovery.selection.ladder import search
 
 from tests.discovery.conftest import Bench
 from twin.discovery.engine import diagnose
+from twin.discovery.evidence.finding import Finding
+from twin.discovery.evidence.inquiry import Inquiry, came_in
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
-from twin.discovery.selection import inquiry
-from twin.discovery.selection.inquiry import Inquiry, came_in
-from twin.discovery.selection.ladder import search
-from twin.discovery.selection.ranking import Finding
 from twin.kernel import Kernel
 from twin.revisions import with_elements
 

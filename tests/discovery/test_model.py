@@ -6,11 +6,11 @@ import pytest
 from tests.discovery.conftest import Bench
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.engine import diagnose
+from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
-from twin.discovery.selection.part import Part
 from twin.kernel import Kernel
 
 LAG_S, LOSS = 90.0, 6.0

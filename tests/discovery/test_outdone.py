@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from twin.discovery.answer.spells import explained, outdone
 
 from tests.discovery.conftest import Bench
-from twin.discovery.answer.spells import explained, outdone
+from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.places.localise import courses
 from twin.discovery.places.sites import sites_of
 from twin.discovery.records.grid import on_grid
-from twin.discovery.selection.part import Part
 from twin.kernel import Kernel
 from twin.network import Network
 

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from twin.discovery.selection.ladder import of_own_form
 
 from tests.discovery.conftest import Bench
 from twin.discovery.answer.judging import REFUTED_LEFT
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.engine import diagnose
+from twin.discovery.evidence.held_out import FAR_SHARE, contradicted
+from twin.discovery.evidence.part import ENDS, Part, ended
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.scoring.search import Entry
-from twin.discovery.selection.held_out import FAR_SHARE, contradicted
-from twin.discovery.selection.ladder import of_own_form
-from twin.discovery.selection.part import ENDS, Part, ended
 from twin.kernel import Kernel
 
 PIECE_S = 300.0
@@ -67,7 +67,7 @@ def test_what_eases_off_is_tried_as_what_stopped(part: Part, monkeypatch: pytest
     law = next(law for law in part.laws if law.candidate.kind == "heat_rejection")
     eased = Entry(law, Shape("saturating", 3600.0, 40_000.0), np.empty(0), -5.0, 0.0, 0.0)
     found = SimpleNamespace(chi=2.0 * part.contest.expected, entries=(eased,))
-    monkeypatch.setattr("twin.discovery.selection.part.fitted", lambda _, groups: groups)
+    monkeypatch.setattr("twin.discovery.evidence.part.fitted", lambda _, groups: groups)
     groups: Any = ended(part, found, ())  # type: ignore[arg-type]
     span_s = part.grid.span_s
     assert [(g.shape.onset_s + g.shape.growth_s) / span_s for (g,) in groups] == pytest.approx(ENDS)

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from twin.discovery.selection import ladder
+from twin.discovery.selection.ladder import BESIDE_SHARE, EXACT_SHARE, SECOND_SHARE, SLOW_SHARE, share_needed
 
 from tests.discovery.conftest import Bench
 from twin.discovery.answer.judging import acts_s
@@ -15,6 +17,8 @@ from twin.discovery.effects.formulas import Formulas, follow
 from twin.discovery.effects.laws import Book, Law
 from twin.discovery.effects.phrases import said
 from twin.discovery.effects.shapes import Shape
+from twin.discovery.evidence.finding import piled_up
+from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import centred, filled, on_grid
 from twin.discovery.records.noise import bands, learn
@@ -22,10 +26,6 @@ from twin.discovery.records.readings import stuck
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
-from twin.discovery.selection import ladder
-from twin.discovery.selection.ladder import BESIDE_SHARE, EXACT_SHARE, SECOND_SHARE, SLOW_SHARE, share_needed
-from twin.discovery.selection.part import Part
-from twin.discovery.selection.ranking import piled_up
 from twin.network import TwinFileError
 from twin.twinfile import load
 

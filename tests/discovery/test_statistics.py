@@ -7,6 +7,7 @@ from tests.discovery.conftest import Bench
 from twin.discovery.diagnosis import Fold
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.engine import diagnose
+from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
 from twin.discovery.records.noise import CAUTION, bands, learn
@@ -16,7 +17,6 @@ from twin.discovery.refit.validation import holds, validate
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.null import FALSE_ALARMS, Null
 from twin.discovery.scoring.search import Entry, able_to_begin
-from twin.discovery.selection.part import Part
 
 SIGMA, STEP_S = np.array([0.02, 0.03]), 10.0
 

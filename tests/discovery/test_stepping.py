@@ -8,13 +8,13 @@ from scipy.optimize import least_squares, lsq_linear
 
 from tests.discovery.conftest import Bench
 from twin.discovery.effects.shapes import Shape
+from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
 from twin.discovery.refit.fitting import fit
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.stepping import LEAST, Squares, bounded, minimise
 from twin.discovery.scoring.search import Entry
-from twin.discovery.selection.part import Part
 
 
 def smooth(wanted: np.ndarray, reach: float = np.inf, unit: float = 1.0) -> Squares:

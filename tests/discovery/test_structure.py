@@ -8,12 +8,12 @@ import pytest
 from tests.discovery.conftest import Bench
 from twin.discovery.effects.probe import free_run
 from twin.discovery.engine import diagnose
+from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Basis, Columns, basis
 from twin.discovery.healthy.health import NotHealthyError
 from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.scoring.contest import narrowed
 from twin.discovery.scoring.structure import Structure
-from twin.discovery.selection.part import Part
 from twin.kernel import Kernel
 
 

@@ -10,8 +10,8 @@ import pytest
 from tests.discovery.conftest import Bench
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.engine import diagnose
+from twin.discovery.evidence.held_out import contradicted
 from twin.discovery.healthy.basis import Columns
-from twin.discovery.selection.held_out import contradicted
 from twin.kernel import Kernel
 
 

@@ -1,10 +1,10 @@
-"""The threshold by the whole pipeline: healthy records drawn from the twin, commissioned and diagnosed anew.
+"""The odds of a claim by the whole pipeline: healthy records drawn from the twin, commissioned and diagnosed anew.
 
-The scan's own threshold (`null`) takes the noise, the tunables' spread and the twin as known. They come from one
-healthy record, and so are off by chance. A parametric bootstrap of everything (Efron & Tibshirani, An Introduction to
-the Bootstrap, 1993, ch. 6) repeats that chance: draw a rig, its commissioning and one record more, commission, learn
-the noise, scan, fit, judge. Where healthy records score higher than the scan's threshold says, all thresholds of the
-twin are raised in proportion. It takes minutes once, and is kept beside the kernels.
+Posterior odds take the noise, the tunables' spread and the twin as known. They come from one healthy record, and so are
+off by chance. A parametric bootstrap of everything (Efron & Tibshirani, An Introduction to the Bootstrap, 1993, ch. 6)
+repeats that chance: draw a rig, its commissioning and one record more, commission, learn the noise, scan, fit, judge.
+Where healthy records reach odds that allow a claim, more is needed of this twin. It takes minutes once, and is kept
+beside the kernels.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from twin.discovery.records.grid import on_grid
 from twin.network import Network
 
 DRAWS = 40
+LEAST_ODDS = -12.0
+"""Log odds below which records in which nothing leads count alike: their tail is what is asked for."""
 
 
 def bootstrap(
@@ -43,16 +45,14 @@ def bootstrap(
     if draws < FEWEST:
         raise ValueError(f"a tail is fitted to {FEWEST} draws or more, not {draws}")
     known = basis(network, healthy, on_grid(network, healthy.time_s, healthy.inputs, healthy.measured))
-    scores, thresholds, alarms = [], [], 0
+    odds, needed, alarms = [], 0.0, 0
     for i in range(draws):
         records = drawn(known, healthy, np.random.default_rng([seed, i]))
         first, second = next(records), next(records)
         again = commission(network, first.time_s, first.inputs, first.measured, CommissionOptions(starts=1))
         found = diagnose(again.network, second, first)
-        # What the scan found and the fit did not confirm is no alarm, however high it scored.
-        score = found.ladder[0].best_z
-        scores.append(score if found.verdict != "adequate" else min(score, found.threshold))
-        thresholds.append(found.threshold)
+        needed = max(needed, found.claim)
+        odds.append(max(found.odds, LEAST_ODDS))
         alarms += found.verdict != "adequate"
         done(i + 1)
-    return Bootstrap(tuple(scores), tuple(thresholds), alarms)
+    return Bootstrap(tuple(odds), needed, alarms)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
@@ -144,7 +145,8 @@ class Diagnosis:
             of a healthy residual.
         empirical: a curve that is offered where nothing explains the record. warnings: a sentence each.
         folds: blocks of time left out, and what the effects gain there.
-        threshold: score that the best of a record of noise reaches once in a hundred.
+        odds: log posterior odds of the likeliest effects against none. claim: log odds from which they are claimed.
+        threshold: of a growth, score that the best of a record of noise reaches once in a hundred.
         method: `contest` of effects with a twin that is nearly right, or `growth` of one of which little is known; `at
             rest` of steady states, whose times are their numbers from 1.
         elsewhere: what it comes to on further records.
@@ -172,6 +174,8 @@ class Diagnosis:
     description: Mapping[str, Any] = field(default_factory=dict)
     folds: tuple[Fold, ...] = ()
     threshold: float = float("nan")
+    odds: float = float("nan")
+    claim: float = float("nan")
     empirical: Empirical | None = None
     method: Literal["contest", "growth", "growth at rest"] = "contest"
     elsewhere: tuple[Elsewhere, ...] = ()
@@ -210,6 +214,8 @@ class Diagnosis:
             "empirical": self.empirical.document() if self.empirical else None,
             "ladder": [{"twin": r.what, "misfit": _round(r.chi), "best_next_z": _round(r.best_z)} for r in self.ladder],
             "threshold": _round(self.threshold),
+            "log_odds": _finite(self.odds),
+            "log_odds_to_claim": _finite(self.claim),
             "left_out": [
                 {"first_s": _round(f.first_s), "last_s": _round(f.last_s), "gain": _round(f.gain)} for f in self.folds
             ],
@@ -238,6 +244,10 @@ def _error(e: SensorError) -> dict[str, Any]:
 
 def _other(a: Alternative) -> dict[str, Any]:
     return {"kind": a.kind, "where": a.where, "driver": a.driver, "confidence": _round(a.confidence)}
+
+
+def _finite(value: float) -> float | None:
+    return _round(value) if math.isfinite(value) else None
 
 
 def _round(value: float) -> float | None:

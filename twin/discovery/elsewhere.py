@@ -6,9 +6,9 @@ import numpy as np
 
 from twin.discovery.diagnosis import Carried, Diagnosis, Elsewhere, SensorError
 from twin.discovery.effects.phrases import amount
+from twin.discovery.evidence.held_out import FAR_OFF, FAR_SHARE, UNUSUAL, binned
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.grid import bridged, on_grid
-from twin.discovery.selection.held_out import FAR_OFF, FAR_SHARE, UNUSUAL, binned
 from twin.gauss_newton import FitData, fit_initial_state
 from twin.kernel import Kernel
 from twin.network import Array, Network

@@ -9,34 +9,20 @@ import numpy as np
 
 from twin.discovery.answer.case import Case
 from twin.discovery.answer.verdict import conclude
-from twin.discovery.diagnosis import Diagnosis, SensorError
-from twin.discovery.evidence.inquiry import EvidenceInquiry
-from twin.discovery.evidence.weighing import weighed as weighed_by_evidence
+from twin.discovery.diagnosis import Diagnosis
+from twin.discovery.evidence.commissioned import as_commissioned, as_under_another_load, nothing, retuned_alone
+from twin.discovery.evidence.held_out import binned
+from twin.discovery.evidence.inquiry import Inquiry
+from twin.discovery.evidence.part import Part
+from twin.discovery.evidence.weighing import weighed
 from twin.discovery.healthy.basis import Basis, Columns, basis
 from twin.discovery.healthy.visited import beside_unvisited
-from twin.discovery.places.localise import courses
-from twin.discovery.places.sites import sites_of
 from twin.discovery.planning.experiment import Limits
 from twin.discovery.planning.forecast import Forecast, either, forecast, plan_of, too_little, too_still, unseen_kinds
 from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.records.readings import Stuck, stuck
 from twin.discovery.records.standstill import Standstill, standstill
 from twin.discovery.scoring.contest import Contest, block_edges
-from twin.discovery.selection.caution import (
-    as_commissioned,
-    as_under_another_load,
-    first_alone,
-    imagined,
-    nothing,
-    of_lumping,
-    retuned_alone,
-    unconfirmed,
-)
-from twin.discovery.selection.held_out import binned
-from twin.discovery.selection.inquiry import Answer, Inquiry, all_along
-from twin.discovery.selection.ladder import weighed
-from twin.discovery.selection.part import Part
-from twin.discovery.selection.ranking import Finding
 from twin.discovery.thermometers.at_fault import beside_late, explained_by_one, without_late
 from twin.discovery.thermometers.members import Members, members
 from twin.network import Array, Network, TwinFileError, mean_of_sensors
@@ -55,7 +41,6 @@ def diagnose(
     say: Callable[[str], None] = lambda _: None,
     held_out: float = HELD_OUT,
     limits: Limits | None = None,
-    by_evidence: bool = False,
 ) -> Diagnosis:
     """Trace the residual of a record to an effect that the twin lacks, or say that there is none, or that none fits.
 
@@ -65,8 +50,6 @@ def diagnose(
         more: records made later on the same rig, by which causes that this record cannot tell apart are weighed.
         say: called with what is being done. held_out: share of the record, at its end, that no fit sees.
         limits: of the rig, for the next experiment; by default it stays within what the record has seen.
-        by_evidence: weigh every hypothesis by its marginal likelihood and declared priors (`twin.discovery.evidence`),
-            with any input as driver and courses that end, come back or fade.
 
     Raises:
         TwinFileError: a record too short or without readings, a healthy record that is not healthy.
@@ -82,33 +65,17 @@ def diagnose(
     single = _members(known, record, grid, healthy, block_edges(len(grid.time)))
 
     def again(other: Columns) -> Diagnosis:
-        return diagnose(
-            network, other, healthy, more=more, say=say, held_out=held_out, limits=limits, by_evidence=by_evidence
-        )
+        return diagnose(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
 
     late = without_late(single, network, given, float(grid.time[0]))
     if late is not None:
         return beside_late(late[0], again(late[1]))
     say("scanning")
-    if by_evidence:
-        found = _weighed_by_evidence(
-            EvidenceInquiry(network, record, known, grid, say), single, still, [*unread, *_said(known, gaps, stood)],
-            more, held_out, limits,
-        )  # fmt: skip
-        return explained_by_one(
-            beside_unvisited(found, network, record, healthy), network, replace(record, inputs=given.inputs), single,
-            again,
-        )  # fmt: skip
     inquiry = Inquiry(network, record, known, grid, say)
     whole = inquiry.whole
-    notes = [*unread, *_said(known, gaps, stood)]
     answer = inquiry.answer(held_out)
-    finding, split, doubted = answer.finding, answer.split, answer.doubted
-    notes += answer.notes
-
-    def on_unseen(finding: Finding) -> dict[str, SensorError]:
-        return inquiry.on_unseen(finding, split)
-
+    finding, split = answer.finding, answer.split
+    notes = [*unread, *_said(known, gaps, stood), *answer.notes]
     answers = [e.candidate for r in finding.ranked for e in r.entries]
     whole.know(answers)
     further: list[Part] = []
@@ -119,16 +86,13 @@ def diagnose(
             each.know(answers)
         finding, decided = weighed(finding, answer.train, further)
         notes += decided
-    off = on_unseen(finding)
-    good_as_ever = healthy is None and as_commissioned(network, off)
-    if good_as_ever or (finding.fit is not None and not more and _doubtful(inquiry, answer, finding, off)):
-        finding = nothing(finding)
-        off = retuned_alone(off)
-    elif healthy is None and finding.fit is not None and not more:
-        finding = first_alone(finding, answer.train)
-        off = on_unseen(finding)
+    off = inquiry.on_unseen(finding, split)
+    # Without a healthy record nothing else tells how much a lumped twin leaves of a healthy rig.
+    usual = healthy is None and as_commissioned(network, off)
+    if usual:
+        finding, off = nothing(finding), retuned_alone(off)
     if finding.fit is None:
-        good_as_ever = good_as_ever or (healthy is None and as_under_another_load(network, off))
+        usual = usual or (healthy is None and as_under_another_load(network, off))
         notes += _hidden(whole, known)
         unseen = unseen_kinds(whole.contest, whole.laws, known.book.candidates)
         notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []
@@ -137,14 +101,11 @@ def diagnose(
         finding=finding,
         known=known,
         whole=whole.contest,
-        laws=whole.laws,
-        lasting=whole.entries,
         grid=grid,
         split=split,
         errors=off,
-        free=courses(whole.contest, sites_of(network, whole.contest, whole.laws)),
-        usual=good_as_ever,
-        doubted=doubted,
+        free=whole.free,
+        usual=usual,
         single=single,
         still=still,
         limits=limits,
@@ -159,57 +120,6 @@ def _said(known: Basis, *others: Segments | Standstill | None) -> list[str]:
     """What is to say of a healthy record and of a record's gaps and standstills."""
     said = (known, known.structure, known.bootstrap, *others)
     return [told.sentence for told in said if told is not None and told.sentence]
-
-
-def _weighed_by_evidence(
-    inquiry: EvidenceInquiry, single: tuple[Members, ...], still: tuple[Stuck, ...], notes: list[str],
-    more: tuple[Columns, ...], held_out: float, limits: Limits | None,
-) -> Diagnosis:  # fmt: skip
-    """The diagnosis of a record by the evidence of every hypothesis."""
-    known, whole, network = inquiry.known, inquiry.whole, inquiry.network
-    answer = inquiry.answer(held_out)
-    finding, split = answer.finding, answer.split
-    notes = [*notes, *answer.notes]
-    answers = [e.candidate for r in finding.ranked for e in r.entries]
-    whole.know(answers)
-    further: list[Part] = []
-    if more and len(finding.ranked) > 1:
-        inquiry.say("comparing with further records")
-        further = [inquiry.part(on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
-        for each in further:
-            each.know(answers)
-        finding, decided = weighed_by_evidence(finding, answer.train, further)
-        notes += decided
-    off = inquiry.on_unseen(finding, split)
-    # Without a healthy record nothing else tells how much a lumped twin leaves of a healthy rig.
-    usual = known.plain is None and as_commissioned(network, off)
-    if usual:
-        finding, off = nothing(finding), retuned_alone(off)
-    if finding.fit is None:
-        notes += _hidden(whole, known)
-        unseen = unseen_kinds(whole.contest, whole.laws, known.book.candidates)
-        notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []
-    inquiry.say("judging")
-    return conclude(
-        Case(
-            finding=finding, known=known, whole=whole.contest, laws=whole.laws, lasting=whole.entries,
-            grid=inquiry.grid, split=split, errors=off,
-            free=courses(whole.contest, sites_of(network, whole.contest, whole.laws)), usual=usual, single=single,
-            still=still, limits=limits, later=tuple(part.grid for part in further), by_evidence=True,
-        ),
-        tuple(notes),
-    )  # fmt: skip
-
-
-def _doubtful(inquiry: Inquiry, answer: Answer, finding: Finding, off: dict[str, SensorError]) -> bool:
-    """Whether a finding is too little to be told or, without a healthy record, may be what the twin always leaves."""
-    if unconfirmed(finding, off):
-        return True
-    if inquiry.known.plain is not None:
-        return False
-    if of_lumping(finding, inquiry.network, off) or all_along(finding, answer.train):
-        return True
-    return imagined(*inquiry.foretold(finding, answer.split))
 
 
 def _hidden(whole: Part, known: Basis) -> list[str]:

@@ -180,10 +180,10 @@ def hiera() -> plt.Figure:
 def scores() -> plt.Figure:
     """Draw residual, scores by onset and residual with the effect, of a record of the virtual rig."""
     from twin.discovery.engine import diagnose
+    from twin.discovery.evidence.inquiry import Inquiry
     from twin.discovery.healthy.basis import basis
     from twin.discovery.records.grid import on_grid
     from twin.discovery.scoring.sweep import Courses, Squares
-    from twin.discovery.selection.inquiry import Inquiry
 
     network, record, healthy = _virtual("tank_insulation.toml")
     grid = on_grid(network, record.time_s, record.inputs, record.measured)

@@ -19,7 +19,6 @@ QUICK_CASES = (6, 2)
 @click.option("--open-sealed", is_flag=True, help="Confirm that the sealed families are opened; the ledger notes it.")
 @click.option("--cases", default=40, show_default=True, help="Number of records with a hidden effect.")
 @click.option("--healthy", default=10, show_default=True, help="Number of records without one.")
-@click.option("--open-laws", is_flag=True, help="Diagnose as hil diagnose --open-laws does.")
 @click.option("--jobs", type=click.IntRange(1, 64), default=1, show_default=True, help="Cases at a time.")
 @click.option(
     "--work",
@@ -37,7 +36,6 @@ def zoo_command(
     open_sealed: bool,
     cases: int,
     healthy: int,
-    open_laws: bool,
     jobs: int,
     work: Path,
     quick: bool,
@@ -63,6 +61,6 @@ def zoo_command(
     if quick:
         cases, healthy = QUICK_CASES
     with ProgressBar("diagnosing", 1.0, quiet=as_json) as steps:
-        done = trial.measure(families, cases, healthy, seed, jobs, work, steps.update, open_laws=open_laws)
-    name = ("zoo_dev" if families == "dev" else "zoo") + ("_open_laws" if open_laws else "")
+        done = trial.measure(families, cases, healthy, seed, jobs, work, steps.update)
+    name = "zoo_dev" if families == "dev" else "zoo"
     finish(name, seed, tables(done, families), (), out, as_json)

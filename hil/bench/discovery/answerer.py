@@ -23,7 +23,7 @@ def answer(request: Request) -> Request:
     network = with_clock(load(Path(request["twin"])))
     record, _ = read_columns(network, Path(request["record"]), request["hour"])
     healthy = read_columns(network, Path(request["healthy"]), request["hour"])[0] if request["healthy"] else None
-    diagnosis = diagnose(network, record, healthy, by_evidence=bool(request.get("open_laws")))
+    diagnosis = diagnose(network, record, healthy)
     path = write_document(diagnosis.document(), Path(request["out"]))
     return {"answer": str(path), "seconds": time.monotonic() - began, "cpu_s": time.process_time() - used}
 

@@ -30,13 +30,11 @@ from hil.files.atomic import replacing
 
 
 class ZooTrial:
-    """Trial that runs cases in the folder `work`; `jobs` pairs of workers, diagnosing with `open_laws` or without."""
+    """Trial that runs cases in the folder `work`; `jobs` pairs of workers."""
 
-    def __init__(self, which: str, seed: int, work: Path, jobs: int = 1, *, open_laws: bool = False) -> None:
-        self._open_laws = open_laws
+    def __init__(self, which: str, seed: int, work: Path, jobs: int = 1) -> None:
         zoo = sources(PROJECT / "hil" / "bench" / "zoo", [])
         base = work / f"{which}-seed{seed}-zoo{zoo}" / f"engine{sources(PROJECT / 'twin', [])}"
-        base = base / "open_laws" if open_laws else base
         self._base, self._sealed, self._open = base, base / "sealed", base / "open"
         for folder in (self._sealed, self._open):
             folder.mkdir(parents=True, exist_ok=True)
@@ -78,7 +76,6 @@ class ZooTrial:
             self._write(case.name, "sealed", made["sealed"])
             given = {
                 "record": made["record"], "twin": made["twin"], "healthy": made["healthy"], "hour": START_H,
-                "open_laws": self._open_laws,
             }  # fmt: skip
             try:
                 handed_in = answerer.ask(**given, out=str(folder))
@@ -129,10 +126,9 @@ def _healthy_floor(twin: Path) -> float | None:
 
 def measure(
     which: str, cases: int, healthy: int, seed: int, jobs: int, work: Path, progress: Callable[[float, str], None],
-    *, open_laws: bool = False,
 ) -> list[ZooScore]:  # fmt: skip
     """Run a trial. `progress` is called with the share done and the last result."""
-    trial = ZooTrial(which, seed, work, jobs, open_laws=open_laws)
+    trial = ZooTrial(which, seed, work, jobs)
     planned = plan(which, cases, healthy, seed)
     finished = 0
     lock = threading.Lock()

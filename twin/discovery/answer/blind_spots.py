@@ -11,7 +11,7 @@ from twin.discovery.effects.lint import ALIKE, Label, Lint
 from twin.discovery.scoring.search import Entry
 
 if TYPE_CHECKING:
-    from twin.discovery.selection.ranking import Finding
+    from twin.discovery.evidence.finding import Finding
 
 MOST = 8
 

@@ -21,7 +21,7 @@ from twin.discovery.scoring.search import Entry
 from twin.network import Array
 
 if TYPE_CHECKING:
-    from twin.discovery.selection.ranking import Finding
+    from twin.discovery.evidence.finding import Finding
 
 HYSTERESIS_K = 3.0
 """As far as a place may cool below the temperature that switched before it is switched off again."""

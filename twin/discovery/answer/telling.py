@@ -6,43 +6,25 @@ import math
 
 import numpy as np
 
-from twin.discovery.answer.case import Case
-from twin.discovery.answer.spells import explained
 from twin.discovery.answer.words import sentence
 from twin.discovery.diagnosis import Alternative, Effect, Verdict
 from twin.discovery.effects.phrases import interval
+from twin.discovery.evidence.finding import Finding, Ranked
+from twin.discovery.evidence.priors import SURE
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.equivalence import instead, remaining
 from twin.discovery.scoring.search import Entry, able_to_begin
-from twin.discovery.selection.ranking import Finding, Ranked
 from twin.gauss_newton import SE90
-
-SURE = 0.85
-"""Share of the weight that one kind at one place must have to be named alone."""
 
 
 def told(finding: Finding, grid: Grid) -> tuple[Verdict, tuple[Effect, ...]]:
-    """Each effect of the best fit, and whether the last is sure enough to be named alone."""
-    assert finding.fit is not None
-    sure = _groups(finding.ranked)
-    last = finding.ranked[0].entries[-1].candidate
-    clear = sure.get((last.kind, last.where), 0.0) >= SURE or len(finding.entries) > 1
-    shares = [_with_and_without(e, finding) for e in finding.entries[:-1]]
-    entries = zip(finding.fit.entries, [*shares, sure], strict=True)
-    return "effect found" if clear else "ambiguous", tuple(_effect(e, finding, s, grid) for e, s in entries)
-
-
-def told_by_evidence(finding: Finding, grid: Grid) -> tuple[Verdict, tuple[Effect, ...]]:
     """Each effect of the best fit, and whether each is sure enough to be named alone: its share of the posterior."""
     assert finding.fit is not None
     sure = [share_of(e, finding.ranked) for e in finding.entries]
     # What is likelier beforehand alone is not named alone: the record itself has to say so.
     told_apart = min(ahead(e, finding.ranked) for e in finding.entries) >= math.log(SURE / (1.0 - SURE))
     verdict: Verdict = "effect found" if min(sure) >= SURE and told_apart else "ambiguous"
-    return verdict, tuple(
-        _effect(e, finding, {(e.candidate.kind, e.candidate.where): s}, grid)
-        for e, s in zip(finding.fit.entries, sure, strict=True)
-    )
+    return verdict, tuple(_effect(e, finding, s, grid) for e, s in zip(finding.fit.entries, sure, strict=True))
 
 
 def share_of(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
@@ -91,23 +73,6 @@ def rivals(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...],
     return tuple(same.values()), tuple(out.values())
 
 
-def likelier_in_all(case: Case) -> tuple[Alternative, ...]:
-    """What explains the whole record better than the one effect that was found in a part of it, the best of each kind
-    and place: a record that speaks so does not tell the two apart, unless later ones did."""
-    finding = case.finding
-    if len(finding.entries) != 1 or case.later:
-        return ()
-    (entry,) = finding.entries
-    place = (entry.candidate.kind, entry.candidate.where)
-    here = [e.gain for e in case.lasting if (e.candidate.kind, e.candidate.where) == place]
-    own = max((explained(case.whole, case.laws, (entry,)), *here))
-    found: dict[tuple[str, str], Alternative] = {}
-    for e in case.lasting:
-        if e.gain > own:
-            found.setdefault((e.candidate.kind, e.candidate.where), Alternative(*e.label, confidence=0.0))
-    return tuple(found.values())
-
-
 def near_misses(finding: Finding) -> tuple[Alternative, ...]:
     """What came nearest where nothing explains the record, and how far."""
     out: dict[tuple[str, str, str], Alternative] = {}
@@ -118,7 +83,7 @@ def near_misses(finding: Finding) -> tuple[Alternative, ...]:
     return tuple(out.values())
 
 
-def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], grid: Grid) -> Effect:
+def _effect(entry: Entry, finding: Finding, sure: float, grid: Grid) -> Effect:
     c, start = entry.candidate, float(grid.time[0])
     spread = SE90 * entry.sd * math.sqrt(max(finding.fit.chi, 1.0)) if finding.fit else 0.0
     onset_spread = SE90 * entry.onset_sd_s
@@ -142,34 +107,12 @@ def _effect(entry: Entry, finding: Finding, sure: dict[tuple[str, str], float], 
             start + max(entry.shape.onset_s + onset_spread, last_s),
         ),
         shape=entry.shape.entered.name,
-        confidence=sure.get((c.kind, c.where), 1.0),
+        confidence=sure,
         z=math.sqrt(gain),
-        family_wise=finding.null.family_wise(math.sqrt(gain)),
         evidence=f"{says}; with it {100.0 * share:.1f} % of the mismatch is gone",
         growth_s=entry.shape.growth_s,
         says=says,
     )
-
-
-def _groups(ranked: tuple[Ranked, ...]) -> dict[tuple[str, str], float]:
-    """Share of each kind and place, of the effect added last: of the likeliest thing that it could follow, since to be
-    able to follow many things makes a cause no likelier."""
-    best: dict[tuple[str, str], float] = {}
-    for r in ranked:
-        last = r.entries[-1].candidate
-        best[last.kind, last.where] = max(best.get((last.kind, last.where), 0.0), r.weight)
-    total = sum(best.values())
-    return {place: weight / total for place, weight in best.items()}
-
-
-def _with_and_without(entry: Entry, finding: Finding) -> dict[tuple[str, str], float]:
-    """Share of the weight of the likeliest explanation with such a kind at such a place, against one without."""
-    place = (entry.candidate.kind, entry.candidate.where)
-    best = {True: 0.0, False: 0.0}
-    for r in finding.ranked:
-        has = any((e.candidate.kind, e.candidate.where) == place for e in r.entries)
-        best[has] = max(best[has], r.weight)
-    return {place: best[True] / (best[True] + best[False])}
 
 
 def _onsets(entry: Entry, finding: Finding) -> tuple[float, float]:

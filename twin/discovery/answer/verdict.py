@@ -11,15 +11,17 @@ import numpy as np
 from twin.discovery.answer.blind_spots import alike_here, always_alike, twins_of
 from twin.discovery.answer.case import Case
 from twin.discovery.answer.judging import adequate, good
-from twin.discovery.answer.spells import Spell, as_effect, came_and_went, described, explains
 from twin.discovery.answer.switches import switched
-from twin.discovery.answer.telling import grown_by_end, likelier_in_all, near_misses, rivals, told, told_by_evidence
+from twin.discovery.answer.telling import grown_by_end, near_misses, rivals, told
 from twin.discovery.answer.words import summarise
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Verdict
 from twin.discovery.effects.lint import lint
 from twin.discovery.effects.open_laws import adopted
 from twin.discovery.effects.probe import Run
 from twin.discovery.effects.shapes import TIMED
+from twin.discovery.evidence.commissioned import nothing, retuned_alone
+from twin.discovery.evidence.finding import Finding
+from twin.discovery.evidence.held_out import misled
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.places.empirical import Empirical, offer
 from twin.discovery.places.localise import describe
@@ -28,9 +30,6 @@ from twin.discovery.planning.experiment import plan
 from twin.discovery.records.grid import Grid, centred
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.refit.model import Model
-from twin.discovery.selection.caution import nothing, retuned_alone
-from twin.discovery.selection.held_out import misled
-from twin.discovery.selection.ranking import Finding
 from twin.discovery.thermometers.at_fault import single, standing
 from twin.discovery.thermometers.members import apart
 from twin.network import Array, Network
@@ -65,7 +64,7 @@ def conclude(case: Case, notes: tuple[str, ...]) -> Diagnosis:
         case = replace(case, finding=finding, errors=retuned_alone(case.errors))
         answer = _with_thermometers(_fine(case), case)
     else:
-        answer = _with_thermometers(_answer(case, claimed), case)
+        answer = _with_thermometers(_named(case) if claimed else _unknown(case), case)
     verdict = answer.verdict
     open_plan = None
     if answer.network is not None:
@@ -94,34 +93,15 @@ def conclude(case: Case, notes: tuple[str, ...]) -> Diagnosis:
         notes=(*notes, *answer.notes),
         description=answer.description,
         folds=finding.folds,
-        threshold=finding.threshold,
+        odds=finding.odds,
+        claim=finding.claim,
         empirical=answer.empirical,
     )
 
 
 def _fine(case: Case) -> Answer:
-    loud = case.usual and case.finding.ladder[0].best_z >= case.finding.threshold
+    loud = case.usual and max(case.finding.odds, case.finding.unlisted) >= case.finding.claim
     return Answer("adequate", notes=(_USUAL,) if loud else ())
-
-
-def _answer(case: Case, claimed: bool) -> Answer:
-    finding, free = case.finding, case.free
-    if case.by_evidence:
-        return _named(case) if claimed else _unknown(case)
-    spell = came_and_went(case.whole, case.laws, case.lasting, finding.entries if claimed else ())
-    if spell is not None and (claimed or explains(spell, free[0])):
-        return _for_a_spell(case, spell)
-    return _named(case) if claimed else _unknown(case)
-
-
-def _for_a_spell(case: Case, spell: Spell) -> Answer:
-    return Answer(
-        "unexplained",
-        effects=(as_effect(spell, case.whole, float(case.grid.time[0])),),
-        alternatives=near_misses(case.finding),
-        description=described(spell) | signatures(case.free),
-        empirical=_offered(case),
-    )
 
 
 def _unknown(case: Case) -> Answer:
@@ -149,28 +129,14 @@ def _offered(case: Case) -> Empirical | None:
 def _named(case: Case) -> Answer:
     finding, grid, network = case.finding, case.grid, case.known.probe.network
     assert finding.fit is not None
-    verdict, effects = told_by_evidence(finding, grid) if case.by_evidence else told(finding, grid)
-    likelier = () if case.by_evidence else likelier_in_all(case)
-    if likelier:
-        verdict = "ambiguous"
+    verdict, effects = told(finding, grid)
     others, alternatives = rivals(finding, verdict)
     others = (*others, *twins_of(finding, lint(network), others))
-    known = {(a.kind, a.where) for a in others}
-    likelier = tuple(a for a in likelier if (a.kind, a.where) not in known)
-    others = (*others, *likelier)
-    alternatives = tuple(a for a in alternatives if (a.kind, a.where) not in {(b.kind, b.where) for b in likelier})
     switches = switched(finding, grid, float(grid.time[0]))
     notes = tuple(says for _, says in switches)
     passing = any(e.shape.name in TIMED for e in finding.fit.entries)
     if passing:
         notes += ("an effect that ends, comes back or fades is named and not added to the twin",)
-    if finding.beside is not None:
-        kind, where, driver = (x.replace("_", " ") for x in finding.beside.label)
-        notes += (
-            f"beside that, {kind} at {where} ({driver}) would still score {finding.beside.z:.1f}: too little next "
-            f"to {math.sqrt(max(finding.start - finding.fit.total, 0.0)):.0f} to be told from an effect that is "
-            "not quite of the form assumed",
-        )
     return Answer(
         verdict,
         effects=effects,

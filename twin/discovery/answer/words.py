@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from twin.discovery.diagnosis import Alternative, Effect, SensorError, Verdict
 from twin.discovery.effects.phrases import amount, clock, lasting, said, when
+from twin.discovery.evidence.held_out import MUCH_WORSE, worse
 from twin.discovery.places.sites import spoken
 from twin.discovery.scoring.equivalence import OPEN
 from twin.discovery.scoring.search import Entry
-from twin.discovery.selection.held_out import MUCH_WORSE, worse
 
 if TYPE_CHECKING:
-    from twin.discovery.selection.ranking import Finding
+    from twin.discovery.evidence.finding import Finding
 
+MOST_SAID = 14.0
+"""Log odds, of a million to one, beyond which numbers say nothing more."""
 RETUNED = 1.5
 """Times the error of the re-tuned twin that the commissioned one has, where the one is told beside the other."""
 _DRIVEN = {"threshold": "a temperature that switches it"}
@@ -40,6 +43,20 @@ def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0, spread: float
     return f"{text}, {since}"
 
 
+def odds_of_best(finding: Finding) -> str:
+    """Return the posterior odds of the likeliest effect of a record that asks for none, in words."""
+    best = max(finding.odds, finding.unlisted)
+    if best < 0.0:
+        return "that it lacks nothing is likelier than any effect"
+    return f"the likeliest effect has {chances(best)}, and a claim needs {chances(finding.claim)}"
+
+
+def chances(log_odds: float) -> str:
+    """Return odds against no effect in words, with their natural logarithm."""
+    times = f"{float(f'{math.exp(log_odds):.1g}'):,.0f} to one" if log_odds < MOST_SAID else "over a million to one"
+    return f"odds of {times} (log {log_odds:.1f})"
+
+
 def summarise(
     verdict: Verdict,
     effects: tuple[Effect, ...],
@@ -50,15 +67,12 @@ def summarise(
 ) -> str:
     """The verdict in plain words."""
     if verdict == "adequate":
-        best = finding.ladder[0].best_z
-        tried = ", which was not confirmed" if best >= finding.threshold else ""
         stale = max(errors, key=lambda n: errors[n].stale / errors[n].noise) if errors else ""
         moved = bool(stale) and errors[stale].stale > RETUNED * errors[stale].before
         off = f" On the part that no fit saw, {stale} is off by {errors[stale].stale:.2g} K" if moved else ""
         return (
             f"{'Re-tuned, the' if moved else 'The'} twin is adequate: nothing in this record asks for an effect that "
-            f"it lacks (best score {best:.1f}{tried}; noise alone reaches {finding.threshold:.1f} in one record of a "
-            "hundred)."
+            f"it lacks ({odds_of_best(finding)})."
         ) + (f"{off}, re-tuned by {errors[stale].before:.2g} K." if moved else "")
     worst = max(errors, key=lambda n: errors[n].before / errors[n].noise) if errors else ""
     fit_text = ""

@@ -3,26 +3,87 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from twin.discovery.diagnosis import SensorError
+from twin.discovery.effects.laws import Law
+from twin.discovery.evidence.finding import Finding, Ranked
+from twin.discovery.evidence.held_out import HeldOut
+from twin.discovery.evidence.part import Part, plainly
 from twin.discovery.evidence.priors import CLAIM
 from twin.discovery.evidence.scan import logsumexp, scan
 from twin.discovery.evidence.search import Found, Hypothesis, Prior, ladder_of, searched
+from twin.discovery.healthy.basis import Basis, Columns
+from twin.discovery.records.grid import Grid
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import validate
-from twin.discovery.selection.inquiry import LATE, STILL_HELD, Answer, Inquiry
-from twin.discovery.selection.part import Part, plainly
-from twin.discovery.selection.ranking import Finding, Ranked
+from twin.discovery.scoring.search import Entry
+from twin.discovery.scoring.sweep import LAST_SHARE
+from twin.elements.base import Candidate
+from twin.network import Network
+
+STILL_HELD = 0.4
+"""Share of the held-out part that stays held out where that part shows what the rest does not."""
+WELL_SEEN, KEPT = LAST_SHARE - 0.01, 6
+"""Share of a part within which a search looks for an onset wherever the part's blocks may end, and bins that no fit
+sees even so."""
+LATE = 0.85
+"""Share of the part that a fit sees, beyond which an onset leaves it too little of what follows."""
 
 
-class EvidenceInquiry(Inquiry):
-    """Inquiry whose answers are those of the search by evidence."""
+@dataclass(frozen=True)
+class Answer:
+    """The finding in `train`, the record up to bin `split`."""
+
+    finding: Finding
+    train: Part
+    split: int
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Inquiry:
+    """A record, what is known of its rig, and who is told what is being done."""
+
+    network: Network
+    record: Columns
+    known: Basis
+    grid: Grid
+    say: Callable[[str], None]
+
+    @cached_property
+    def _scanned(self) -> tuple[Part, tuple[Candidate, ...]]:
+        whole = Part.of(self.known, self.grid)
+        forms = _nearer(whole)
+        whole.add(forms)
+        return whole, forms
+
+    @property
+    def whole(self) -> Part:
+        """Return all of the record, to scan; answers are fitted to a part of it."""
+        return self._scanned[0]
+
+    def part(self, grid: Grid) -> Part:
+        """Return a part of the record, or a further one, with the forms that suit this record best."""
+        made = Part.of(self.known, grid)
+        made.add(self._scanned[1])
+        return made
+
+    def on_unseen(self, finding: Finding, split: int) -> dict[str, SensorError]:
+        """Return the errors of a finding from bin `split` on."""
+        return self._held_out.errors(finding, split)
+
+    @cached_property
+    def _held_out(self) -> HeldOut:
+        return HeldOut(self.network, self.record, self.grid, self.known.plain)
 
     def answer(self, held_out: float) -> Answer:
-        """The effects that are told, and what was kept out of their fit.
+        """Return the effects that are told, and what was kept out of their fit.
 
         Args:
             held_out: share of the record, at its end, that no fit sees, unless it holds what the rest does not show.
@@ -31,21 +92,21 @@ class EvidenceInquiry(Inquiry):
         split = int(bins * (1.0 - held_out))
         most = max(split, int(bins * (1.0 - held_out * STILL_HELD)))
         prior = Prior(self.whole.laws)
-        entries = scan(self.whole.contest, self.whole.laws)
-        first = max(entries, key=lambda e: e.log_bayes + prior.of(e), default=None)
+        first = max(self.whole.scanned, key=lambda e: e.log_bayes + prior.of(e), default=None)
         odds = -math.inf if first is None else first.log_bayes + prior.of(first)
+        claim = max(CLAIM, self.known.claim)
         notes: tuple[str, ...] = ()
-        if first is not None and odds > CLAIM and first.shape.onset_s > LATE * split * self.grid.step_s:
+        if first is not None and odds > claim and first.shape.onset_s > LATE * split * self.grid.step_s:
             split = max(self._amid(first), split)
             notes = (
                 f"something changed at {first.shape.onset_s / 3600.0:.1f} h, inside the part that was to be kept out "
                 f"of the fit; the fit was given the record up to {self._hours(split)}",
             )
-        found = self._by_evidence(split)
-        missed = found.finding.fit is None and odds > CLAIM
+        found = self._searched(split)
+        missed = found.finding.fit is None and odds > claim
         wrong = found.finding.fit is not None and self._held_out.far_off(found.finding, split)
         if (missed or wrong) and most > split:
-            fuller = self._by_evidence(most)
+            fuller = self._searched(most)
             if fuller.finding.fit is not None and (missed or self._left(fuller) < self._left(found, most)):
                 found = fuller
                 notes = (
@@ -57,22 +118,52 @@ class EvidenceInquiry(Inquiry):
     def _left(self, answer: Answer, split: int | None = None) -> float:
         return self._held_out.left(answer.finding, answer.split if split is None else split)
 
-    def _by_evidence(self, split: int) -> Answer:
-        train = self._train(split)
-        return Answer(finding_of(searched(train, self.say), train), train, split, False)
+    def _hours(self, split: int) -> str:
+        return f"{split * self.grid.step_s / 3600.0:.1f} h"
+
+    def _amid(self, entry: Entry) -> int:
+        """Return the bin in the middle between an onset and the record's end, or where a search can see that onset."""
+        bins, onset = len(self.grid.time), entry.shape.onset_s / self.grid.step_s
+        return min(max((int(onset) + bins) // 2, int(onset / WELL_SEEN)), bins - KEPT)
+
+    def _searched(self, split: int) -> Answer:
+        whole = split >= len(self.grid.time)
+        train = self.whole if whole else self.part(self.grid.part(0, split))
+        return Answer(finding_of(searched(train, self.say), train), train, split)
+
+
+def _nearer(part: Part) -> tuple[Candidate, ...]:
+    """Return, of laws that come in many forms, those of greater evidence at each place than the catalogue's own."""
+    best: dict[tuple[str, str, str], Entry] = {}
+    for entry in part.scanned:
+        c = entry.candidate
+        if c.near is not None:
+            best.setdefault((c.kind, c.where, c.driver), entry)
+    found = []
+    for first in best.values():
+        entry = first
+        while entry.candidate.near is not None:
+            laws: Sequence[Law] = part.basis.book.laws(part.grid, part.run, entry.candidate.near())
+            nearer = scan(part.contest, laws, timed=False)
+            if not nearer or nearer[0].log_bayes <= entry.log_bayes:
+                break
+            entry = nearer[0]
+        if entry is not first:
+            found.append(entry.candidate)
+    return tuple(found)
 
 
 def finding_of(found: Found, part: Part) -> Finding:
     """Return what is told of hypotheses: the likeliest, where its odds allow a claim."""
-    contest = part.contest
+    contest, claim = part.contest, max(CLAIM, part.basis.claim)
     part.reset()
     best = found.told
-    claimed = best is not None and best.odds >= CLAIM and best.odds >= found.unlisted
+    claimed = best is not None and best.odds >= claim and best.odds >= found.unlisted
     ranked = _ranked(found, best) if claimed and best is not None else ()
     finding = Finding(
-        entries=(), fit=None, retuned=plainly(part, found.retuned), ranked=(), scanned=tuple(part.entries),
-        start=contest.misfit, count=contest.count, ladder=ladder_of(part, best if claimed else None),
-        contest=contest, state=part.state, null=part.null,
+        entries=(), fit=None, retuned=plainly(part, found.retuned), ranked=ranked, scanned=tuple(found.scanned),
+        start=contest.misfit, count=contest.count, ladder=ladder_of(part, best if claimed else None, found.scanned),
+        contest=contest, state=part.state, claim=claim,
         odds=max((h.odds for h in found.hypotheses), default=-math.inf), unlisted=found.unlisted,
     )  # fmt: skip
     if not claimed:
@@ -80,12 +171,11 @@ def finding_of(found: Found, part: Part) -> Finding:
     assert best is not None and best.fit is not None
     folds = validate(contest, Model.of(part.basis.probe, best.fit.entries), best.fit)
     part.reset()
-    used = _as_used(best, part)
-    return replace(finding, entries=best.fit.entries, fit=used, ranked=ranked, folds=folds)
+    return replace(finding, entries=best.fit.entries, fit=_as_used(best, part), folds=folds)
 
 
 def _ranked(found: Found, best: Hypothesis) -> tuple[Ranked, ...]:
-    """The fitted hypotheses of as many effects by their share; those with more are the same with a better form."""
+    """Return the fitted hypotheses of as many effects by their share; those of more are the same with a better form."""
     rivals = [h for h in found.hypotheses if h.fit is not None and len(h.entries) <= len(best.entries)]
     odds = np.array([h.odds for h in rivals])
     weights = np.exp(odds - logsumexp(odds))
@@ -98,7 +188,7 @@ def _ranked(found: Found, best: Hypothesis) -> tuple[Ranked, ...]:
 
 
 def _as_used(best: Hypothesis, part: Part) -> Fit:
-    """The fit with values that predict best by themselves: a twin does not know what its structure leaves."""
+    """Return the fit with the values that predict best alone: a twin does not know what its structure leaves."""
     found = best.fit
     assert found is not None
     used = plainly(part, found)

@@ -7,6 +7,8 @@ a twin that lacks nothing. Logarithms are natural.
 
 from __future__ import annotations
 
+from twin.discovery.scoring.search import Entry
+
 FAULT = 0.05
 """Probability of a fault in a record, and of each further independent one. A judgement: a factor of 2 in it shifts all
 odds by 0.7, little beside `CLAIM`."""
@@ -33,8 +35,13 @@ KINDS = {
     "heat_source": 1.0, "heat_loss": 1.0, "heat_rejection": 1.0, "flow": 0.7, "thermal_mass": 0.7, "sensor": 0.7,
     "coupling": 0.4, "delay": 0.5, "actuator": 0.3, "heat_transfer": 0.3,
 }  # fmt: skip
-"""Probability of a kind of fault at a place where it may be, relative to hidden heat. Judgements, taken over from the
-default search, except heat transfer, which is rated like an actuator."""
+"""Probability of a kind of fault at a place where it may be, relative to hidden heat. Judgements; heat transfer is
+rated like an actuator."""
 DRIVERS = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
 """Probability that a fault follows a driver, relative to one that is constant or follows a difference of temperatures.
-Judgements, taken over from the default search."""
+Judgements."""
+
+
+def plausibility(entry: Entry) -> float:
+    """Return the probability of a kind and driver of effect relative to constant hidden heat, apart from its place."""
+    return KINDS.get(entry.candidate.kind, 0.5) * DRIVERS.get(entry.candidate.driver, 1.0)

@@ -14,14 +14,13 @@ from twin.discovery.diagnosis import Rung
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import Law
 from twin.discovery.evidence.marginal import form_quadratic, joint
+from twin.discovery.evidence.part import Part, continued, fitted
 from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, refined, scan
-from twin.discovery.places.localise import WALK_PER_BLOCK, courses
-from twin.discovery.places.sites import sites_of
+from twin.discovery.places.localise import WALK_PER_BLOCK
 from twin.discovery.refit.fitting import Fit, look_at
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
-from twin.discovery.selection.part import Part, continued, fitted
 
 LEADING = 24
 """Single effects that are tried as one of a pair; a prototype missed true pairs with five."""
@@ -70,9 +69,11 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Found:
-    """Hypotheses by falling odds, and the log odds of an unknown of no listed form."""
+    """Hypotheses by falling odds, single effects by falling evidence, and the log odds of an unknown of no listed
+    form."""
 
     hypotheses: tuple[Hypothesis, ...]
+    scanned: list[Entry]
     retuned: Fit
     unlisted: float
 
@@ -123,7 +124,8 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
     ((retuned, _),) = fitted(part, [()])
     part.reset()
     say("scanning by evidence")
-    leading = [refined(contest, e) for e in _leading(scan(contest, laws), prior)]
+    scanned = sorted([*part.scanned, *scan(contest, part.opened)], key=lambda e: -e.log_bayes)
+    leading = [refined(contest, e) for e in _leading(scanned, prior)]
     level = sorted((_set(part, (e,), prior) for e in leading), key=lambda h: -h.odds)
     misfit = contest.misfit
     found: list[Hypothesis] = []
@@ -142,7 +144,7 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
     # Where the tunables bend, re-tuning alone comes to other squares than to first order.
     nothing = 0.5 * (misfit - retuned.total)
     found = [replace(h, log_bayes=h.log_bayes - nothing) for h in found]
-    return Found(tuple(found), retuned, _unlisted(part) - nothing)
+    return Found(tuple(found), scanned, retuned, _unlisted(part) - nothing)
 
 
 def _leading(entries: list[Entry], prior: Prior) -> list[Entry]:
@@ -270,9 +272,9 @@ def _late(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> l
     onset = found[0].entries[0].shape.onset_s if found else 0.0
     known = {e.candidate.id for h in found if h.fit is not None for e in h.entries}
     promising: dict[Class, float] = {}
-    for e in part.entries:
+    for e in part.scanned:
         if e.candidate.driver in LATE and e.gain > 2.0 * CLAIM:
-            promising.setdefault(class_of(e), e.gain)
+            promising[class_of(e)] = max(promising.get(class_of(e), 0.0), e.gain)
     near = sorted(promising, key=lambda place: -promising[place])[:MOST_LATE]
     entries = [e for e in part.late(onset) if e.candidate.id not in known and class_of(e) in near]
     begun = fitted(part, [(e,) for e in entries], BEGUN)
@@ -284,17 +286,18 @@ def _late(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> l
 
 def _unlisted(part: Part) -> float:
     """Return the log odds of one unknown quantity, free from block to block, at any place."""
-    free = courses(part.contest, sites_of(part.basis.probe.network, part.contest, part.laws))
+    free = part.free
     if not free:
         return -math.inf
     share = math.log(FAULT * UNLISTED) - math.log(len(free) * len(WALK_PER_BLOCK))
     return logsumexp(np.array([c.log_evidence for c in free])) + share
 
 
-def ladder_of(part: Part, told: Hypothesis | None) -> tuple[Rung, ...]:
+def ladder_of(part: Part, told: Hypothesis | None, scanned: Sequence[Entry]) -> tuple[Rung, ...]:
     """Return the misfit as commissioned, and with the effects that are told, with the best score that each leaves."""
     contest = part.contest
-    rungs = [Rung("as commissioned", contest.misfit / max(contest.count, 1), part.best_z)]
+    best = max((e.z for e in scanned[:LEADING]), default=0.0)
+    rungs = [Rung("as commissioned", contest.misfit / max(contest.count, 1), best)]
     if told is not None and told.fit is not None:
         what = " + ".join(f"{e.candidate.kind} at {e.candidate.where}" for e in told.entries)
         left = scan(contest, part.laws, joint(contest, _at_first_order(part, told)), timed=False)

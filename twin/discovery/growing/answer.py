@@ -15,15 +15,14 @@ import numpy as np
 from twin.discovery.answer.telling import SURE
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Rung, SensorError, Verdict
 from twin.discovery.effects.phrases import amount, said
+from twin.discovery.evidence.held_out import binned, worse
 from twin.discovery.growing.beam import BEAM
 from twin.discovery.growing.growth import MOST_EFFECTS, Added, Growth, grow_samples, samples_of, states_of
-from twin.discovery.growing.merit import NEEDED
+from twin.discovery.growing.merit import LEFT, NEEDED
 from twin.discovery.growing.unaided import Fit, Samples
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.grid import on_grid
 from twin.discovery.scoring.equivalence import width
-from twin.discovery.selection.held_out import binned, worse
-from twin.discovery.selection.ranking import LEFT
 from twin.network import Array, Network, TwinFileError
 
 EVERY = 4

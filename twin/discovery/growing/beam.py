@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from twin.discovery.evidence.priors import plausibility
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.masses import kin
 from twin.discovery.growing.scoring import Scored, scores
 from twin.discovery.growing.unaided import Fit, Problem
 from twin.discovery.growing.wardrobe import name_of, unsized
 from twin.discovery.scoring.search import Entry
-from twin.discovery.selection.ranking import plausibility
 from twin.elements.base import Candidate
 from twin.network import Array
 

@@ -20,13 +20,12 @@ from numpy.typing import ArrayLike
 from twin.discovery.diagnosis import Fold
 from twin.discovery.effects.phrases import interval
 from twin.discovery.growing.beam import BEAM, Beam, FittedSet, Label, by_score
-from twin.discovery.growing.merit import Merit, Refused
+from twin.discovery.growing.merit import LEFT, Merit, Refused
 from twin.discovery.growing.unaided import Fit, Problem, Samples
 from twin.discovery.growing.wardrobe import Wardrobe, name_of
 from twin.discovery.records.grid import bridged, on_grid
 from twin.discovery.scoring.equivalence import width
 from twin.discovery.scoring.search import Entry
-from twin.discovery.selection.ranking import LEFT
 from twin.gauss_newton import SE90
 from twin.kernel import clean_time
 from twin.network import Array, Network, TwinFileError

@@ -17,6 +17,8 @@ from twin.discovery.scoring.equivalence import width
 from twin.discovery.scoring.search import Entry
 from twin.network import Array
 
+LEFT = 1.3
+"""Misfit that a twin with the right effects may leave, over what noise leaves."""
 NEEDED = 25.0
 """Least fall of -2 log likelihood that an effect must bring, whatever chance could bring on this record."""
 CHECKED = 400

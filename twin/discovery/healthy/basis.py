@@ -120,9 +120,9 @@ class Basis:
         return Contest(self.probe, grid, state, run, self.noise, self.prior, structure, laws)
 
     @property
-    def wider(self) -> float:
-        """Factor by which thresholds are raised."""
-        return 1.0 if self.bootstrap is None else self.bootstrap.wider
+    def claim(self) -> float:
+        """Log posterior odds that a bootstrap of this twin asks of a claim; 0 without one."""
+        return 0.0 if self.bootstrap is None else self.bootstrap.claim
 
 
 def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:

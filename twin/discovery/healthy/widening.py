@@ -1,4 +1,4 @@
-"""What a bootstrap of the whole pipeline found for a twin, and by how much thresholds have to be raised for it."""
+"""Diagnoses of healthy records that were drawn from a twin, and the odds that a claim with that twin needs for them."""
 
 from __future__ import annotations
 
@@ -17,35 +17,33 @@ FEWEST = 10
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """What diagnoses of healthy records drawn from a twin came to.
+    """Diagnoses of healthy records drawn from a twin.
 
     Attributes:
-        scores, thresholds: best score of each record that the fit confirmed or was below the threshold, and the
-            threshold that the scan drew for it.
+        odds: log posterior odds of the likeliest effect in each record. needed: those from which one was claimed.
         alarms: records whose verdict was not `adequate`.
     """
 
-    scores: tuple[float, ...]
-    thresholds: tuple[float, ...]
+    odds: tuple[float, ...]
+    needed: float
     alarms: int
 
     @property
     def draws(self) -> int:
-        return len(self.scores)
+        return len(self.odds)
 
     @property
-    def wider(self) -> float:
-        """Factor, 1 or more, by which thresholds of this twin have to be raised."""
-        tail = Null(np.sort(np.array(self.scores))).quantile(FALSE_ALARMS)
-        return max(1.0, tail / float(np.median(self.thresholds)))
+    def claim(self) -> float:
+        """Log odds that one healthy record in a hundred exceeds, and no less than were needed before."""
+        return max(self.needed, Null(np.sort(np.array(self.odds))).quantile(FALSE_ALARMS))
 
     @property
     def sentence(self) -> str:
-        """What came of it, for an operator."""
-        raised = f"thresholds are raised by {100.0 * (self.wider - 1.0):.0f} % for it"
+        """The outcome, for an operator."""
+        raised = f"a claim with it needs log odds of {self.claim:.1f} instead of {self.needed:.1f}"
         return (
             f"of {self.draws} healthy records drawn from this twin, commissioned and diagnosed anew, {self.alarms} "
-            f"gave an alarm; {raised if self.wider > 1.0 else 'the thresholds stand'}"
+            f"gave an alarm; {raised if self.claim > self.needed else 'the odds needed for a claim stand'}"
         )
 
 
@@ -60,8 +58,8 @@ def kept(network: Network, *healthy: Array) -> Bootstrap | None:
     if found is None:
         return None
     try:
-        result = Bootstrap(tuple(found["scores"]), tuple(found["thresholds"]), int(found["alarms"]))
-        numbers = (*result.scores, *result.thresholds)
+        result = Bootstrap(tuple(found["odds"]), float(found["needed"]), int(found["alarms"]))
+        numbers = (*result.odds, result.needed)
         return result if result.draws >= FEWEST and all(map(math.isfinite, numbers)) else None
     except (ValueError, KeyError, TypeError):
         return None

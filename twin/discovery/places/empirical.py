@@ -24,8 +24,8 @@ from twin.revisions import with_elements
 from twin.segments import simulate_segments
 
 if TYPE_CHECKING:
+    from twin.discovery.evidence.finding import Finding
     from twin.discovery.healthy.basis import Basis
-    from twin.discovery.selection.ranking import Finding
 
 BETTER = 0.8
 """Share of the re-tuned twin's squared held-out error that a curve must get below."""

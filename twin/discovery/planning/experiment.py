@@ -15,8 +15,8 @@ from twin.discovery.scoring.search import Entry
 from twin.network import Array, Network
 
 if TYPE_CHECKING:
+    from twin.discovery.evidence.finding import Finding, Ranked
     from twin.discovery.healthy.basis import Basis
-    from twin.discovery.selection.ranking import Finding, Ranked
 
 MARGIN_K = 3.0
 """What a planned reading stays below an alarm limit; and how much hotter than ever it may become without one."""

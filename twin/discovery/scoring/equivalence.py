@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from twin.discovery.evidence.finding import Finding, Ranked
     from twin.discovery.scoring.search import Entry
-    from twin.discovery.selection.ranking import Finding, Ranked
 
 LEAST_WEIGHT = 0.003
 OPEN = 0.15
@@ -32,14 +32,13 @@ def remaining(finding: Finding) -> tuple[Ranked, ...]:
     if not finding.ranked:
         return ()
     first = finding.ranked[0]
-    limit = width(max(finding.start - first.fit.total, 0.0))
     taken = {e.label for e in first.entries[:-1]}
     found: dict[tuple[str, str, str], Ranked] = {}
     for r in finding.ranked:
         label = instead(r, first).label
         if label in found or label in taken:
             continue
-        if r is first or (r.cost - first.cost < limit and r.weight > LEAST_WEIGHT):
+        if r is first or r.weight > LEAST_WEIGHT:
             found[label] = r
     return tuple(found.values())
 

@@ -42,10 +42,6 @@ class Null:
         location, scale = self._tail()
         return -math.expm1(-math.exp(-(z - location) / scale))
 
-    def raised(self, wider: float) -> Null:
-        """The same with every score higher by a factor."""
-        return Null(wider * self.best)
-
     def _tail(self) -> tuple[float, float]:
         """Location and scale of the Gumbel law of the same mean and spread: maxima of many tries follow it."""
         scale = float(np.std(self.best, ddof=1)) * math.sqrt(6.0) / math.pi

@@ -28,16 +28,16 @@ from twin.gauss_newton import SE90
 from twin.network import Array, Network
 
 if TYPE_CHECKING:
+    from twin.discovery.evidence.finding import Finding
     from twin.discovery.healthy.basis import Columns
-    from twin.discovery.selection.ranking import Finding
 
 HEATS = ("heat_source", "heat_loss")
 """Kinds that warm or cool one place of several, whose thermometer then stands out without being at fault."""
 SURE, OPEN = 0.85, 0.05
 """Share of the weight that one thing must have to be named alone, and of the likeliest one's that it must have to stay
 in question."""
-SMEARED = 1.5
-"""Thresholds that may be left where an error was taken off in block means: its edges are sharper than they."""
+SMEARED = 2.0
+"""Times the log odds of a claim that may be left where an error was taken off in block means: its edges are sharper."""
 
 
 def without_late(
@@ -251,7 +251,7 @@ def explained_by_one(
         odd = any(e.kind == "unknown" for e in errors)
         own = () if odd else (network.sensors[j].node, group.sensor)
         beside = left.verdict in ("effect found", "ambiguous") and all(e.where not in own for e in left.effects)
-        if not beside and left.verdict != "adequate" and left.ladder[0].best_z > SMEARED * left.threshold:
+        if not beside and left.verdict != "adequate" and left.odds > SMEARED * left.claim:
             return found
         stuck_ones = tuple(e for e in found.effects if e.shape == "stuck" and e not in errors)
         same = tuple(a for a in found.indistinguishable if group.column_of(a.where) in faults)

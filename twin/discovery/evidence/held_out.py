@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from twin.discovery.diagnosis import SensorError
+from twin.discovery.evidence.finding import Finding
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.grid import Grid, bridged
 from twin.discovery.records.noise import Noise
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
-from twin.discovery.selection.ranking import Finding
 from twin.network import Array, Network
 from twin.segments import find_segments
 

@@ -1,0 +1,54 @@
+"""Fitted explanations with their posterior shares, and what a search ended with."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from twin.discovery.diagnosis import Fold, Rung
+from twin.discovery.refit.fitting import Fit
+from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.search import Entry
+from twin.network import Array
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A set of effects, fitted: `cost` is -2 times its log posterior odds, `weight` its share, `log_bayes` what the
+    record alone says."""
+
+    fit: Fit
+    cost: float
+    weight: float
+    log_bayes: float = 0.0
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        return self.fit.entries
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The end of a search; `fit` is None where nothing reached the odds of a claim.
+
+    Attributes:
+        retuned: the tunables alone, fitted anew. ranked: explanations, the answer first. scanned: single effects by
+            falling evidence. start, count: misfit without any effect, and the number of block means.
+        odds: log posterior odds of the likeliest effects against none. unlisted: of an unknown of no listed form.
+        claim: log odds from which something is claimed.
+    """
+
+    entries: tuple[Entry, ...]
+    fit: Fit | None
+    retuned: Fit
+    ranked: tuple[Ranked, ...]
+    scanned: tuple[Entry, ...]
+    start: float
+    count: int
+    ladder: tuple[Rung, ...]
+    contest: Contest
+    state: Array
+    claim: float
+    folds: tuple[Fold, ...] = ()
+    odds: float = -math.inf
+    unlisted: float = -math.inf

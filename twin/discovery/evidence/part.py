@@ -1,0 +1,161 @@
+"""A part of a record, ready to be searched, and which of its hypotheses are worth a fit."""
+
+from __future__ import annotations
+
+import copy
+from collections import Counter
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from twin.discovery.diagnosis import Course
+from twin.discovery.effects.catalogue import LATE
+from twin.discovery.effects.laws import Law
+from twin.discovery.effects.open_laws import OpenLaw, open_laws
+from twin.discovery.effects.probe import Run, free_run
+from twin.discovery.effects.shapes import EARLY_S, Shape
+from twin.discovery.evidence.scan import scan
+from twin.discovery.healthy.basis import Basis
+from twin.discovery.places.localise import courses
+from twin.discovery.places.sites import sites_of
+from twin.discovery.records.grid import Grid
+from twin.discovery.refit.fitting import AGAIN, ROUNDS, Fit, fit
+from twin.discovery.refit.model import Model
+from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.search import Entry
+from twin.elements.base import Candidate
+from twin.network import Array
+
+SIDE_BY_SIDE = 4
+"""Fits that run at once, where there are so many cores: kernels do without the interpreter's lock."""
+MUCH = 4.0
+"""Typical sizes at which a fit of what is late begins."""
+
+
+@dataclass
+class Part:
+    """A part of a record, ready to be searched."""
+
+    basis: Basis
+    grid: Grid
+    state: Array
+    run: Run
+    contest: Contest
+    laws: list[Law]
+    fits: dict[tuple[object, ...], Fit] = field(default_factory=dict, repr=False)
+    """What was fitted before, with and without what the twin knows of its structure: searches ask again."""
+
+    @classmethod
+    def of(cls, known: Basis, grid: Grid) -> Part:
+        state, run, _, _ = free_run(known.probe, grid)
+        found = [*known.book.laws(grid, run), *known.book.laws(grid, run, known.book.put_in)]
+        return cls(known, grid, state, run, known.contest(grid, state, run, found), found)
+
+    def add(self, candidates: tuple[Candidate, ...]) -> None:
+        """Take further candidates into the search."""
+        if not candidates:
+            return
+        self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, candidates)]
+
+    def know(self, candidates: Iterable[Candidate]) -> None:
+        """Keep the laws of further candidates at hand, without looking for them."""
+        known = {law.candidate.id for law in self.laws}
+        further = {c.id: c for c in candidates if c.id not in known}
+        named = tuple(c for c in further.values() if not c.column)
+        sites = {law.site.column: law.site for law in self.opened}
+        opened = [
+            OpenLaw(c, sites[c.column], c.follows(self.grid.time, self.grid.inputs))
+            for c in further.values()
+            if c.column in sites and c.follows is not None
+        ]
+        self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, named), *opened]
+
+    @cached_property
+    def scanned(self) -> list[Entry]:
+        """The likeliest onset of each named law in each of its shapes, by falling evidence."""
+        return scan(self.contest, self.laws)
+
+    @cached_property
+    def free(self) -> tuple[Course, ...]:
+        """An unknown quantity at each site, free from block to block, the likeliest first."""
+        return courses(self.contest, sites_of(self.basis.probe.network, self.contest, self.laws))
+
+    @cached_property
+    def opened(self) -> list[OpenLaw]:
+        """Laws without a name: any input at every site."""
+        return open_laws(self.basis.probe.network, self.grid, self.laws)
+
+    def late(self, onset_s: float) -> list[Entry]:
+        """Every law that is late, at several times a typical size, all along and since an onset.
+
+        Of time constants every second one.
+        """
+        found = []
+        slow: Counter[str] = Counter()
+        for law in self.laws:
+            c = law.candidate
+            if c.driver in LATE and not c.begins:
+                if c.slower is not None:
+                    slow[c.where] += 1
+                    if slow[c.where] % 2 == 0:
+                        continue
+                size = min(MUCH * c.typical, c.upper)
+                for since in {0.0, onset_s if onset_s > EARLY_S else 0.0}:
+                    entry = Entry(law, Shape("step", since), np.empty(0), size, 0.0, 0.0)
+                    found.append(entry.refreshed(self.contest))
+        return found
+
+    @cached_property
+    def plain(self) -> Contest | None:
+        """The contest of a twin that does not know what its structure leaves; None where it knows of nothing."""
+        known = self.basis
+        if known.plain is None:
+            return None
+        return Contest(known.probe, self.grid, self.state, self.run, known.plain, known.prior)
+
+    def reset(self) -> None:
+        self.contest.look_at(self.run)
+
+
+def fitted(part: Part, groups: list[tuple[Entry, ...]], rounds: int = ROUNDS) -> list[tuple[Fit, tuple[Entry, ...]]]:
+    """Each group of effects fitted, from the commissioned values, side by side; the part's contest is left alone."""
+    keys = [(rounds, *_named(group)) for group in groups]
+    new = {key: group for key, group in zip(keys, groups, strict=True) if key not in part.fits}
+    with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
+        found = pool.map(lambda g: _fit(part, part.contest, g, rounds=rounds), new.values())
+        part.fits.update(zip(new, found, strict=True))
+    return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
+
+
+def continued(part: Part, found: list[Fit], rounds: int = ROUNDS) -> list[Fit]:
+    """Fits gone on with from where they ended; what would have led no further stays as it is."""
+    open_ones = [f for f in found if not f.done]
+    with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
+        new = pool.map(lambda f: _fit(part, part.contest, f.entries, f.moved, rounds), open_ones)
+        by = {id(old): other for old, other in zip(open_ones, new, strict=True)}
+    return [by.get(id(f), f) for f in found]
+
+
+def plainly(part: Part, found: Fit) -> Fit:
+    """A fit anew, from where it ended, by a twin that does not know what its structure leaves."""
+    if part.plain is None:
+        return found
+    key = ("plain", *_named(found.entries))
+    if key not in part.fits:
+        part.fits[key] = _fit(part, part.plain, found.entries, found.moved, AGAIN)
+    return part.fits[key]
+
+
+def _named(group: tuple[Entry, ...]) -> tuple[object, ...]:
+    return tuple((e.candidate.id, e.candidate.slow_s, e.shape, e.size) for e in group)
+
+
+def _fit(
+    part: Part, contest: Contest, group: tuple[Entry, ...], moved: Array | None = None, rounds: int = ROUNDS
+) -> Fit:
+    own = copy.copy(contest)
+    own.look_at(part.run)
+    return fit(own, Model.of(own.probe, group), part.state, moved, rounds)

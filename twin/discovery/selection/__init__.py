@@ -1,1 +1,0 @@
-"""From scores to effects: forward steps, joint fits, and what may be claimed."""
