@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import STEADY, inputs_of, run, steady
-from twin.discovery.answer.case import Case
-from twin.discovery.answer.telling import likelier_in_all
 from twin.discovery.engine import diagnose
 from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Columns, basis
@@ -20,7 +15,6 @@ from twin.discovery.planning.experiment import MARGIN_K, Limits
 from twin.discovery.records.grid import on_grid
 from twin.discovery.refit.fitting import fit
 from twin.discovery.refit.model import Model
-from twin.discovery.scoring.search import Entry
 from twin.kernel import Kernel
 from twin.network import Network
 
@@ -170,22 +164,3 @@ def test_where_no_input_can_tell_the_measurement_that_can_is_named(bench: Bench,
     together = [names for names in plan["stay_alike"] if "heat rejection at radiator (constant)" in names]
     assert together and "actuator at fan speed" in together[0]
     assert any("tachometer" in text for text in plan["measure"])
-
-
-def test_what_explains_the_whole_record_better_than_the_answer_is_not_ruled_out(bench: Bench, healthy: Columns) -> None:
-    """Of a faint effect the part that was fitted may tell another story than all of the record."""
-    record = bench.record(14.0, changed=bench.with_values(tank_loss__hA=8.0), onset_h=5.0)
-    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
-    part = Part.of(basis(bench.network, healthy, grid), grid)
-    heater = next(e for e in part.entries if (e.candidate.kind, e.candidate.where) == ("heat_loss", "heater"))
-    tank = next(e for e in part.entries if (e.candidate.kind, e.candidate.where) == ("heat_loss", "tank"))
-    assert tank.gain > heater.gain
-
-    def case(*entries: Entry) -> Case:
-        found: Any = SimpleNamespace(entries=entries)
-        return Case(found, part.basis, part.contest, part.laws, part.entries, grid, 0, {}, ())
-
-    told = likelier_in_all(case(heater))
-    assert ("heat_loss", "tank") in {(a.kind, a.where) for a in told}
-    assert ("heat_loss", "heater") not in {(a.kind, a.where) for a in told}
-    assert likelier_in_all(case(tank)) == () == likelier_in_all(case(tank, heater))

@@ -10,15 +10,16 @@ import pytest
 from tests.discovery.conftest import Bench
 from twin.discovery.bootstrap import bootstrap
 from twin.discovery.effects.probe import free_run
-from twin.discovery.evidence.part import Part
+from twin.discovery.engine import diagnose
+from twin.discovery.evidence.priors import CLAIM
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.healthy.drawn import drawn
 from twin.discovery.healthy.widening import Bootstrap, keep, kept
 from twin.discovery.kept import cached
 from twin.discovery.records.grid import on_grid
 
-CALM = Bootstrap(tuple(2.5 + 0.05 * i for i in range(20)), (4.6,) * 20, 0)
-ROUGH = Bootstrap(tuple(3.5 + 0.15 * i for i in range(20)), (4.6,) * 20, 3)
+CALM = Bootstrap(tuple(-6.0 + 0.2 * i for i in range(20)), CLAIM, 0)
+ROUGH = Bootstrap(tuple(2.0 + 0.8 * i for i in range(20)), CLAIM, 3)
 
 
 @pytest.fixture
@@ -69,13 +70,13 @@ def test_gaps_and_single_thermometers_are_drawn_too(bench: Bench, healthy: Colum
 
 
 @pytest.mark.usefixtures("own_cache")
-def test_healthy_draws_give_no_alarm_and_raise_thresholds_little(bench: Bench) -> None:
+def test_healthy_draws_give_no_alarm_and_raise_the_odds_little(bench: Bench) -> None:
     told: list[int] = []
     found = bootstrap(bench.network, bench.record(4.0, seed=7), 10, done=told.append)
     assert told == list(range(1, 11))
     assert found.alarms <= 1
-    assert all(2.0 < t < 8.0 for t in found.thresholds)
-    assert 1.0 <= found.wider < 1.5
+    assert len(found.odds) == 10 and max(found.odds) < CLAIM + 3.0
+    assert CLAIM == found.needed <= found.claim < 2.0 * CLAIM
 
 
 def test_too_few_draws_are_refused(bench: Bench, healthy: Columns) -> None:
@@ -83,22 +84,22 @@ def test_too_few_draws_are_refused(bench: Bench, healthy: Columns) -> None:
         bootstrap(bench.network, healthy, 9)
 
 
-def test_thresholds_are_raised_for_what_healthy_records_score_and_never_lowered() -> None:
-    assert CALM.wider == 1.0
-    assert "0 gave an alarm; the thresholds stand" in CALM.sentence
-    assert ROUGH.wider == pytest.approx(1.65, abs=0.15)
-    assert "3 gave an alarm; thresholds are raised by" in ROUGH.sentence
+def test_the_odds_needed_rise_with_those_of_healthy_records_and_never_fall() -> None:
+    assert CALM.claim == CLAIM
+    assert "0 gave an alarm; the odds needed for a claim stand" in CALM.sentence
+    assert ROUGH.claim > max(ROUGH.odds)
+    assert f"3 gave an alarm; a claim with it needs log odds of {ROUGH.claim:.1f} instead of 12.0" in ROUGH.sentence
 
 
 @pytest.mark.usefixtures("own_cache")
-def test_what_was_kept_raises_the_threshold_of_that_twin_alone(bench: Bench, healthy: Columns) -> None:
+def test_what_was_kept_counts_for_that_twin_alone(bench: Bench, healthy: Columns) -> None:
     grid = on_grid(bench.network, healthy.time_s, healthy.inputs, healthy.measured)
-    before = Part.of(basis(bench.network, healthy, grid), grid)
-    assert before.basis.bootstrap is None
+    before = basis(bench.network, healthy, grid)
+    assert before.bootstrap is None and before.claim == 0.0
     keep(ROUGH, bench.network, healthy.time_s, healthy.inputs, healthy.measured)
-    after = Part.of(basis(bench.network, healthy, grid), grid)
-    assert after.threshold == pytest.approx(ROUGH.wider * before.threshold)
-    assert after.null.family_wise(6.0) > before.null.family_wise(6.0)
+    assert basis(bench.network, healthy, grid).claim == ROUGH.claim
+    record = bench.record(10.0)
+    assert diagnose(bench.network, record, healthy).claim == ROUGH.claim
     other = bench.with_values(fins__UA_100=bench.network.parameters["fins.UA_100"].value * 1.01)
     assert kept(other, healthy.time_s, healthy.inputs, healthy.measured) is None
     assert kept(bench.network, healthy.time_s, healthy.inputs, healthy.measured + 0.01) is None
@@ -117,7 +118,7 @@ def test_a_full_disk_loses_no_diagnosis(bench: Bench, healthy: Columns, monkeypa
 
 
 @pytest.mark.usefixtures("own_cache")
-@pytest.mark.parametrize("text", ["", "{", '{"scores": [1], "thresholds": [2], "alarms": 0}', '{"scores": "abc"}'])
+@pytest.mark.parametrize("text", ["", "{", '{"odds": [1], "needed": 12, "alarms": 0}', '{"odds": "abc"}'])
 def test_a_damaged_file_is_as_none(bench: Bench, healthy: Columns, text: str) -> None:
     arrays = (healthy.time_s, healthy.inputs, healthy.measured)
     keep(CALM, bench.network, *arrays)

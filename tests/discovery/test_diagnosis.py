@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from twin.discovery.selection.ladder import EXACT_SHARE, SECOND_SHARE
 
 from tests.discovery.conftest import Bench, stopped
 from twin.discovery.engine import diagnose, foresee
@@ -103,8 +102,6 @@ def test_beside_heat_that_is_there_at_once_a_lesser_effect_is_told(bench: Bench,
     both = bench.with_values(modules_power__power=150.0, T_heater_C__bias_K=0.4)
     found = diagnose(bench.network, bench.record(changed=both, onset_h=3.0), healthy)
     assert {(e.kind, e.where) for e in found.effects} == {("heat_source", "modules"), ("sensor", "T_heater_C")}
-    one, two = (rung.best_z for rung in found.ladder[:2])
-    assert EXACT_SHARE < (two / one) ** 2 < SECOND_SHARE
 
 
 def test_beside_lost_rejection_a_lesser_effect_is_told_by_its_own_beginning(bench: Bench, healthy: Columns) -> None:
@@ -117,8 +114,6 @@ def test_beside_lost_rejection_a_lesser_effect_is_told_by_its_own_beginning(benc
     assert (first.kind, first.where) == ("heat_rejection", "radiator")
     assert (second.kind, second.where) == ("sensor", bench.network.sensor_names[3])
     assert second.onset_s == pytest.approx(8.0 * 3600.0, abs=900.0)
-    one, two = (rung.best_z for rung in found.ladder[:2])
-    assert EXACT_SHARE < (two / one) ** 2 < SECOND_SHARE
 
 
 def test_what_no_candidate_can_be_is_left_unexplained_at_its_place(bench: Bench, healthy: Columns) -> None:

@@ -82,14 +82,14 @@ def test_block_means_of_what_ends_are_its_average(shape: Shape) -> None:
 
 
 def test_nothing_is_claimed_of_a_healthy_record(bench: Bench, healthy: Columns) -> None:
-    assert diagnose(bench.network, bench.record(), healthy, by_evidence=True).verdict == "adequate"
+    assert diagnose(bench.network, bench.record(), healthy).verdict == "adequate"
 
 
 def test_a_reading_that_follows_heater_power_is_named_and_adopted(bench: Bench, healthy: Columns) -> None:
     def error(record: Columns) -> Array:
         return np.where(record.time_s > 4.0 * HOUR, 8e-4 * record.inputs[:, 0], 0.0)
 
-    found = diagnose(bench.network, misread(bench, "T_radiator_C", error), healthy, by_evidence=True)
+    found = diagnose(bench.network, misread(bench, "T_radiator_C", error), healthy)
     effect = only(found)
     assert (effect.kind, effect.where, effect.driver, effect.unit) == ("sensor", "T_radiator_C", "heater_power", "K/W")
     assert effect.value == pytest.approx(8e-4, rel=0.02) and effect.onset_s == pytest.approx(4.0 * HOUR, abs=120.0)
@@ -100,7 +100,7 @@ def test_a_reading_that_follows_heater_power_is_named_and_adopted(bench: Bench, 
 
 def test_heat_that_came_and_went_is_named_with_both_ends(bench: Bench, healthy: Columns) -> None:
     record = heated(bench, lambda t: 80.0 * ((t > 5.0 * HOUR) & (t < 8.0 * HOUR)))
-    effect = only(diagnose(bench.network, record, healthy, by_evidence=True))
+    effect = only(diagnose(bench.network, record, healthy))
     assert (effect.kind, effect.where, effect.shape) == ("heat_source", "tank", "spell")
     assert effect.value == pytest.approx(80.0, rel=0.02)
     assert (effect.onset_s, effect.growth_s) == pytest.approx((5.0 * HOUR, 3.0 * HOUR), abs=120.0)
@@ -108,7 +108,7 @@ def test_heat_that_came_and_went_is_named_with_both_ends(bench: Bench, healthy: 
 
 def test_heat_that_comes_back_is_named_with_its_period(bench: Bench, healthy: Columns) -> None:
     record = heated(bench, lambda t: 80.0 * ((t % 5400.0) < 1800.0))
-    found = diagnose(bench.network, record, healthy, by_evidence=True)
+    found = diagnose(bench.network, record, healthy)
     effect = only(found)
     assert (effect.kind, effect.where, effect.driver) == ("heat_source", "tank", "periodic")
     # Its state at the record's end, on or off, would be a wrong twin.
@@ -118,12 +118,12 @@ def test_heat_that_comes_back_is_named_with_its_period(bench: Bench, healthy: Co
 
 def test_a_pulse_of_heat_is_told_by_its_energy(bench: Bench, healthy: Columns) -> None:
     record = heated(bench, lambda t: 4e5 / 300.0 * np.exp(-np.maximum(t - 6.2 * HOUR, 0.0) / 300.0) * (t > 6.2 * HOUR))
-    effect = only(diagnose(bench.network, record, healthy, by_evidence=True))
+    effect = only(diagnose(bench.network, record, healthy))
     assert (effect.kind, effect.where, effect.shape) == ("heat_source", "tank", "pulse")
     assert effect.value * effect.growth_s == pytest.approx(4e5, rel=0.05)
 
 
 def test_two_effects_are_named_and_no_third(bench: Bench, healthy: Columns) -> None:
     both = bench.with_values(tank_loss__hA=8.5, T_heater_C__bias_K=0.5)
-    found = diagnose(bench.network, bench.record(changed=both, onset_h=3.0), healthy, by_evidence=True)
+    found = diagnose(bench.network, bench.record(changed=both, onset_h=3.0), healthy)
     assert {(e.kind, e.where) for e in found.effects} == {("heat_loss", "tank"), ("sensor", "T_heater_C")}

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
-from twin.discovery.selection import inquiry
-from twin.discovery.selection.ladder import search
 
 from tests.discovery.conftest import Bench
 from twin.discovery.engine import diagnose
-from twin.discovery.evidence.finding import Finding
-from twin.discovery.evidence.inquiry import Inquiry, came_in
+from twin.discovery.evidence.inquiry import Inquiry
+from twin.discovery.evidence.search import searched
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
 from twin.kernel import Kernel
@@ -71,19 +66,15 @@ def test_a_second_effect_that_the_fit_would_see_the_first_minutes_of_is_seen_for
 
 
 @pytest.mark.parametrize("mass_h", [7.0, 0.0])
-def test_a_lesser_mass_has_come_in_where_the_record_before_is_without_it(
-    bench: Bench, healthy: Columns, mass_h: float
-) -> None:
+def test_a_lesser_mass_is_told_beside_heat(bench: Bench, healthy: Columns, mass_h: float) -> None:
     record = heat_then_mass(bench, 3.0, mass_h)
     grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
     inquiry = Inquiry(bench.network, record, basis(bench.network, healthy, grid), grid, lambda _: None)
-    train = inquiry.part(grid.part(0, int(0.75 * len(grid.time))))
-    fitted = search(train, lambda _: None, second_share=0.0).fit
-    assert fitted is not None
-    assert [(e.candidate.kind, e.candidate.where) for e in fitted.entries] == [
+    told = searched(inquiry.part(grid.part(0, int(0.75 * len(grid.time))))).told
+    assert told is not None
+    assert {(e.candidate.kind, e.candidate.where) for e in told.entries} == {
         ("heat_source", "modules"), ("thermal_mass", "tank")
-    ]  # fmt: skip
-    assert came_in(fitted, 1, train) == (mass_h > 0.0)
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(("onset_h", "verdict"), [(6.0, "effect found"), (0.0, "adequate")])
@@ -97,37 +88,6 @@ def test_a_short_lag_is_told_where_it_came_in(bench: Bench, healthy: Columns, on
     )
 
 
-@pytest.mark.parametrize(
-    ("won", "away", "left", "effects"),
-    [
-        (30.0, 0.0, 3.19, 2), (30.0, 0.0, 3.21, 1), (400.0, 0.0, 3.21, 2), (400.0, 0.0, 3.4, 1),
-        (30.0, 25.0, 3.4, 2), (30.0, 25.0, 4.1, 1), (30.0, 15.0, 3.4, 1),
-    ],
-    ids=[
-        "it foretells", "neither tells", "the fit tells", "it foretells worse", "it brings the tunables back",
-        "back, but worse than in health", "they had not gone far",
-    ],
-)  # fmt: skip
-def test_where_the_last_part_tells_neither_the_fit_decides(
-    monkeypatch: pytest.MonkeyPatch, won: float, away: float, left: float, effects: int
-) -> None:
-    def finding(count: int, total: float, away: float, shorter: Finding | None) -> Finding:
-        parts: dict[str, Any] = dict.fromkeys(("retuned", "state"))
-        return Finding(
-            entries=(None,) * count, fit=SimpleNamespace(total=total, chi=0.4, away=away), ranked=(), scanned=(),
-            start=20_000.0, count=1000, ladder=(), contest=SimpleNamespace(expected=0.5), shorter=shorter,
-            null=SimpleNamespace(quantile=lambda _: 4.5), **parts,
-        )  # type: ignore[arg-type]  # fmt: skip
-
-    one = finding(1, 300.0 + won, away, None)
-    two = finding(2, 300.0, 1.0, one)
-    monkeypatch.setattr(inquiry, "_as_used", lambda found, _: found)
-    held_out = SimpleNamespace(left=lambda found, _: left if len(found.entries) == 2 else 3.2)
-    asking = SimpleNamespace(_held_out=held_out, network=SimpleNamespace(sensors=range(8)))
-    told = Inquiry._foretelling(asking, two, None, 0)  # type: ignore[arg-type]
-    assert len(told.entries) == effects and told.refuted == (effects == 1)
-
-
 @pytest.mark.parametrize("onset_h", [0.0, 5.0])
 def test_a_hose_of_some_litres_is_found_though_its_score_promises_nothing(
     bench: Bench, healthy: Columns, onset_h: float
@@ -136,8 +96,7 @@ def test_a_hose_of_some_litres_is_found_though_its_score_promises_nothing(
     record = bench.record(16.0, seed=6, changed=hose, onset_h=onset_h)
     grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
     part = Inquiry(bench.network, record, basis(bench.network, healthy, grid), grid, lambda _: None).part(grid)
-    part.entries = [e for e in part.entries if e.candidate.kind != "delay"]
-    found = search(part, lambda _: None).fit
+    found = searched(part).told
     assert found is not None
     (entry,) = found.entries
     assert (entry.candidate.kind, entry.candidate.where) == ("delay", "modules")

@@ -1,24 +1,16 @@
 """The parts of the search, each against arithmetic that it could get wrong."""
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from twin.discovery.selection import ladder
-from twin.discovery.selection.ladder import BESIDE_SHARE, EXACT_SHARE, SECOND_SHARE, SLOW_SHARE, share_needed
 
 from tests.discovery.conftest import Bench
-from twin.discovery.answer.judging import acts_s
 from twin.discovery.effects.catalogue import catalogue, extended, sized
 from twin.discovery.effects.formulas import Formulas, follow
-from twin.discovery.effects.laws import Book, Law
+from twin.discovery.effects.laws import Book
 from twin.discovery.effects.phrases import said
 from twin.discovery.effects.shapes import Shape
-from twin.discovery.evidence.finding import piled_up
-from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import centred, filled, on_grid
 from twin.discovery.records.noise import bands, learn
@@ -221,79 +213,3 @@ def test_days_are_looked_at_in_longer_bins(bench: Bench) -> None:
         grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
         assert grid.step_s == step_s and grid.span_s == pytest.approx(hours * 3600.0, abs=step_s)
         assert grid.sigma == pytest.approx(bench.network.sigma / np.sqrt(step_s / 5.0))
-
-
-def test_a_stream_and_heat_share_a_place_unless_they_begin_together(bench: Bench) -> None:
-    known = {(c.kind, c.where, c.driver): c for c in catalogue(bench.network)}
-
-    def entry(kind: str, driver: str, hour: float) -> Entry:
-        candidate = known[kind, "radiator", driver]
-        return Entry(Law(candidate, None, None), Shape("step", 3600.0 * hour), np.empty(0), 1.0, 0.1, 100.0)
-
-    rejection, later = entry("heat_rejection", "constant", 9.0), entry("flow", "constant", 11.0)
-    assert not piled_up((rejection, later))
-    assert piled_up((rejection, entry("flow", "constant", 9.2)))
-    assert piled_up((rejection, entry("heat_source", "constant", 11.0)))
-    # What is slow stands beside anything that is there all along, and for nothing that begins with it.
-    assert not piled_up((entry("heat_source", "constant", 0.0), entry("thermal_mass", "history", 0.0)))
-    assert not piled_up((entry("heat_source", "constant", 5.0), entry("thermal_mass", "history", 9.0)))
-    assert piled_up((entry("heat_source", "constant", 9.0), entry("thermal_mass", "history", 9.1)))
-    # What leaves nothing over may share a place, each at a time of its own, unless the one undoes the other.
-    source = replace(entry("heat_source", "constant", 11.0), vector=np.ones(3))
-    assert not piled_up((rejection, source), clean=True)
-    assert piled_up((replace(source, shape=rejection.shape), rejection), clean=True)
-    assert piled_up((rejection, entry("heat_rejection", "fan_speed", 11.0)), clean=True)
-    loss = replace(entry("heat_loss", "temperature_difference", 14.0), vector=-np.ones(3))
-    assert piled_up((source, loss), clean=True)
-    assert not piled_up((replace(source, shape=Shape("step")), loss), clean=True)
-    assert not piled_up((replace(source, size=0.2), loss), clean=True)
-
-
-@pytest.mark.parametrize(("wins", "left", "told"), [(30.0, 0.3, False), (60.0, 0.3, True), (60.0, 0.6, False)])
-def test_of_two_that_hide_each_other_more_is_asked_than_of_one(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, wins: float, left: float, told: bool
-) -> None:
-    """There are as many more pairs as there are single effects, and two fit more of what a lumped twin leaves."""
-    known = {(c.kind, c.where, c.driver): c for c in catalogue(bench.network)}
-    pair = tuple(
-        Entry(Law(known[kind, "modules", driver], None, None), Shape("step"), np.empty(0), 1.0, 0.1, 100.0)
-        for kind, driver in (("heat_source", "constant"), ("heat_loss", "temperature_difference"))
-    )
-    fit = SimpleNamespace(total=300.0 - wins, chi=left, entries=pair)
-    monkeypatch.setattr(ladder, "_pairs", lambda _: [pair])
-    monkeypatch.setattr(ladder, "fitted", lambda _, groups: [(fit, group) for group in groups])
-    part = SimpleNamespace(contest=SimpleNamespace(count=900, expected=0.5), threshold=4.5)
-    found = ladder._hidden(part, 300.0)  # type: ignore[arg-type]
-    assert [r.entries for r in found] == ([pair] if told else [])
-
-
-def test_what_is_slow_needs_a_larger_share_of_what_came_first(bench: Bench) -> None:
-    known = {(c.kind, c.where, c.driver): c for c in catalogue(bench.network)}
-
-    def entry(kind: str, where: str, driver: str, hour: float) -> Entry:
-        law = Law(known[kind, where, driver], None, None)
-        return Entry(law, Shape("step", 3600.0 * hour), np.empty(0), 1.0, 0.1, 100.0)
-
-    first = entry("heat_rejection", "radiator", "constant", 2.0)
-    hose, body = entry("delay", "heater", "history", 5.0), entry("thermal_mass", "tank", "history", 5.0)
-    heat = entry("heat_source", "tank", "constant", 5.0)
-    for slow in (hose, body):
-        assert share_needed((first, slow), (first,), SECOND_SHARE) == SLOW_SHARE > SECOND_SHARE
-        assert share_needed((first, slow), (first,), 0.0) == 0.0
-    assert share_needed((first, heat), (first,), SECOND_SHARE) == EXACT_SHARE
-    # Two that come in at one moment are one thing of another form, but for what was there from the beginning.
-    moment = entry("heat_source", "tank", "constant", 2.1)
-    for share in (SECOND_SHARE, 0.0):
-        assert share_needed((first, moment), (first,), share) == BESIDE_SHARE
-    begun = replace(first, shape=Shape("step"))
-    assert share_needed((begun, replace(moment, shape=Shape("step", 600.0))), (begun,), SECOND_SHARE) < BESIDE_SHARE
-
-
-def test_how_long_an_effect_acts_is_from_its_onset_on(bench: Bench, healthy: Columns) -> None:
-    record = bench.record(10.0)
-    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
-    part = Part.of(basis(bench.network, healthy, grid), grid)
-    law = next(law for law in part.laws if (law.candidate.kind, law.candidate.driver) == ("heat_source", "constant"))
-    for onset_h in (0.0, 4.0, 9.5):
-        since = Entry(law, Shape("step", onset_h * 3600.0), np.empty(0), 20.0, 0.0, 0.0)
-        assert acts_s(since, part.contest) == pytest.approx((10.0 - onset_h) * 3600.0, abs=2.0 * part.contest.step_s)

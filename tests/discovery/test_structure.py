@@ -9,6 +9,7 @@ from tests.discovery.conftest import Bench
 from twin.discovery.effects.probe import free_run
 from twin.discovery.engine import diagnose
 from twin.discovery.evidence.part import Part
+from twin.discovery.evidence.priors import CLAIM
 from twin.discovery.healthy.basis import Basis, Columns, basis
 from twin.discovery.healthy.health import NotHealthyError
 from twin.discovery.records.grid import Grid, on_grid
@@ -36,8 +37,8 @@ def seen(bench: Bench, record: Columns, good: Columns) -> tuple[Basis, Grid]:
 def test_what_is_there_in_health_is_foretold_in_the_next_record(bench: Bench, rig: Bench, good: Columns) -> None:
     known, grid = seen(bench, rig.record(20.0, seed=3), good)
     with_it, without = Part.of(known, grid), Part.of(replace(known, structure=None), grid)
-    assert without.best_z > 2.0 * without.threshold
-    assert with_it.best_z < with_it.threshold
+    assert without.scanned[0].log_bayes > 2.0 * CLAIM
+    assert with_it.scanned[0].log_bayes < CLAIM
 
 
 def test_a_rig_that_is_not_quite_its_twin_is_healthy_still(bench: Bench, rig: Bench, good: Columns) -> None:
@@ -71,8 +72,9 @@ def test_what_healthy_readings_told_of_tunable_and_structure_together_is_not_ope
     weaker = Bench(rig.network.with_values({"fins.UA_100": 0.92 * rig.network.parameters["fins.UA_100"].value}))
     known, grid = seen(bench, weaker.record(20.0, seed=3), good)
     part = Part.of(known, grid)
-    assert {e.label[:2] for e in part.entries[:2]} == {("heat_rejection", "radiator"), ("actuator", "fan_speed")}
-    assert part.best_z > 15.0 * part.threshold
+    leading = sorted(part.scanned, key=lambda e: -e.gain)
+    assert {e.label[:2] for e in leading[:2]} == {("heat_rejection", "radiator"), ("actuator", "fan_speed")}
+    assert leading[0].log_bayes > 50.0 * CLAIM
 
 
 def test_open_directions_count_as_their_covariance_says() -> None:
@@ -115,7 +117,8 @@ def test_offsets_at_pairs_of_speeds_are_structure_where_a_record_speaks_for_them
     assert known.structure is not None and known.structure.width > 0.0
     assert any("pump_speed_pct" in name for c in known.structure.candidates for name in c.changes)
     bare = replace(known, structure=replace(known.structure, width=0.0, **plainly(known.structure)))
-    assert Part.of(known, grid).best_z < 0.8 * Part.of(bare, grid).best_z
+    best = [max(e.z for e in Part.of(k, grid).scanned) for k in (known, bare)]
+    assert best[0] < 0.8 * best[1]
     none, _ = seen(bench, bench.record(20.0, seed=3), healthy)
     assert none.structure is not None and none.structure.width == 0.0
 

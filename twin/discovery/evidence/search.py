@@ -57,6 +57,8 @@ class Hypothesis:
     form_error: float
     fit: Fit | None = None
     settled: bool = False
+    gained: float = 0.0
+    """Log odds that its fit won over those to first order."""
 
     @property
     def odds(self) -> float:
@@ -230,8 +232,20 @@ def _fitted(part: Part, known: list[Hypothesis], level: list[Hypothesis], misfit
         found.sort(key=lambda h: -h.odds)
         found = _settled_fits(part, found, misfit)
         best = max((h.odds for h in found if h.fit is not None), default=-math.inf)
-        batch = [h for h in found if h.fit is None and h.odds > best and h in level][:NEXT]
+        batch = [h for h in _by_promise(found) if h.fit is None and h in level and _promise(h, found) > best][:NEXT]
     return found
+
+
+def _promise(h: Hypothesis, found: list[Hypothesis]) -> float:
+    """Return the log odds that a hypothesis may come to once fitted: what others of the same claim won by their fits it
+    may win too."""
+    if h.fit is not None:
+        return h.odds
+    return h.odds + max((f.gained for f in found if f.fit is not None and f.labels == h.labels), default=0.0)
+
+
+def _by_promise(found: list[Hypothesis]) -> list[Hypothesis]:
+    return sorted(found, key=lambda h: -_promise(h, found))
 
 
 def _settled_fits(part: Part, found: list[Hypothesis], misfit: float) -> list[Hypothesis]:
@@ -261,10 +275,10 @@ def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
     look_at(own, Model.of(own.probe, fit.entries), fit)
     entries = tuple(e.refreshed(own) for e in fit.entries)
     quadratic = misfit - fit.total + form_quadratic(own, entries, h.form_error)
+    won = 0.5 * (quadratic - h.quadratic)
     return replace(
-        h, entries=fit.entries, fit=fit, quadratic=quadratic,
-        log_bayes=h.log_bayes + 0.5 * (quadratic - h.quadratic),
-    )  # fmt: skip
+        h, entries=fit.entries, fit=fit, quadratic=quadratic, log_bayes=h.log_bayes + won, gained=h.gained + won
+    )
 
 
 def _late(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:

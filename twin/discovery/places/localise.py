@@ -31,11 +31,11 @@ def courses(contest: Contest, sites: dict[str, Site]) -> tuple[Course, ...]:
     for name, site in sites.items():
         gram, score = contest.small(site.vector)
         gram, score = _late_sums(_late_sums(gram).T), _late_sums(score)
-        best: tuple[float, Array, Array, Array] | None = None
+        best: tuple[float, Array, Any, Any] | None = None
         for share in WALK_PER_BLOCK:
             scale: Array = np.full(contest.b, share * site.typical)
             scale[0] = 30.0 * site.typical
-            lower: Array = np.linalg.cholesky(np.eye(contest.b) + gram * np.outer(scale, scale))
+            lower = np.linalg.cholesky(np.eye(contest.b) + gram * np.outer(scale, scale))
             half = solve_triangular(lower, scale * score, lower=True, check_finite=False)
             evidence = 0.5 * float(half @ half) - float(np.log(np.diag(lower)).sum())
             if best is None or evidence > best[0]:
