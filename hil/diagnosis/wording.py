@@ -4,6 +4,7 @@ page and Rerun agree.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 RARE = 1e-6
@@ -54,7 +55,7 @@ def chance(document: dict[str, Any]) -> str:
     """Return the false-alarm probability as a sentence; "" if nothing was found that a scan could find by chance."""
     found = [e for e in document["effects"] if e.get("p_family_wise") is not None]
     if not found:
-        return ""
+        return odds(document)
     worst = max(found, key=lambda e: e["p_family_wise"])
     # Each effect of a growth has its own p-value; the threshold is the highest of them.
     limit = worst.get("noise_z") if worst.get("noise_z") is not None else document.get("threshold")
@@ -62,6 +63,19 @@ def chance(document: dict[str, Any]) -> str:
         f"Noise alone would score {worst['z']:.3g} somewhere in the whole catalogue {frequency(worst['p_family_wise'])}"
     )
     return score + (f"; one record of noise in a hundred reaches {limit:.1f}." if limit is not None else ".")
+
+
+def odds(document: dict[str, Any]) -> str:
+    """Return the posterior odds of the answer against no effect as a sentence; "" if nothing was claimed by them."""
+    log_odds, needed = document.get("log_odds"), document.get("log_odds_to_claim")
+    if log_odds is None or needed is None or log_odds < needed or document["verdict"] == "adequate":
+        return ""
+    million = math.log(1e6)
+    times = "over a million to one" if log_odds > million else f"{float(f'{math.exp(log_odds):.1g}'):,.0f} to one"
+    return (
+        f"After this record the odds that something is there are {times} (log {log_odds:.4g}); a claim needs log odds "
+        f"of {needed:.3g}."
+    )
 
 
 def worse(document: dict[str, Any]) -> str:

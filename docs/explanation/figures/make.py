@@ -213,7 +213,6 @@ def scores() -> plt.Figure:
         axes[1].plot(courses.onsets / 3600.0, best[label], color="#cccccc", lw=0.5)
     for label, colour in zip(order[:3], (BLUE, ORANGE, GREEN), strict=True):
         axes[1].plot(courses.onsets / 3600.0, best[label], color=colour, lw=1.4, label=label)
-    axes[1].axhline(whole.threshold, color=RED, ls="--", lw=1, label="threshold, one false alarm in 100 records")
     axes[1].set(ylabel="score z", title="score of each law as a step, by its onset")
     axes[1].set_ylim(0.0, 1.6 * best[order[0]].max())
     axes[1].legend(frameon=False, fontsize=8, ncol=2, loc="upper left")

@@ -33,8 +33,8 @@ MOST_LEVELS = 8
 LAGS_S = (900.0, 3600.0)
 """Time constants with which an effect may follow its driver, s: those of a volume and of a room."""
 SOLID_K_PER_W = tuple(float(f"{0.003 * 1.5**i:.3g}") for i in range(7))
-"""Temperatures of a solid part above that of its water for each watt that enters it, K/W: those of 330 to 30 W/K between
-the two, so close together that the next one is off by a fifth at most."""
+"""Temperatures of a solid part above that of its water for each watt that enters it, K/W: those of 330 to 30 W/K
+between the two, so close together that the next one is off by a fifth at most."""
 LEAST_SPREAD = 1.0e-3
 """Standard deviation of a column, as a share of its largest magnitude, below which nothing can follow it."""
 NAMES = {"heater_power_W": "heater_power", "pump_speed_pct": "pump_speed", "fan_speed_pct": "fan_speed"}
@@ -142,8 +142,8 @@ def candidate_of(network: Network, site: OpenSite, values: Values) -> Candidate:
     scale = max(values.scale, 1.0e-12)
     return Candidate(
         site.kind, site.where, values.driver, "new", site.changes, _unit(network, site, values), site.typical / scale,
-        site.lower / scale, site.upper / scale, f"{site.says} {values.says}".rstrip(), adds=site.tables, shapes=("step",),
-        column=site.column, follows=values.at, injects=site.injects, reads=site.reads,
+        site.lower / scale, site.upper / scale, f"{site.says} {values.says}".rstrip(), adds=site.tables,
+        shapes=("step",), column=site.column, follows=values.at, injects=site.injects, reads=site.reads,
         adopts={"form": values.form, "column": values.column, **values.parameters},
     )  # fmt: skip
 
