@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from twin.discovery.answer.case import Case
 from twin.discovery.evidence.held_out import contradicted
 
@@ -12,7 +14,10 @@ def good(case: Case) -> bool:
 
 
 def adequate(case: Case) -> bool:
-    """Return True where no effect is claimed and nothing asks for one: the odds of any are too low, or the twin is as
-    good as it has always been."""
+    """Return True where nothing asks for an effect: the odds of any are too low, or the twin is as good as always.
+
+    Effects that the part that no fit saw contradicts are refuted; what remains is nothing, or an unlisted effect.
+    """
     finding = case.finding
-    return finding.fit is None and (case.usual or max(finding.odds, finding.unlisted) < finding.claim)
+    named = finding.odds if finding.fit is None else -math.inf
+    return case.usual or max(named, finding.unlisted) < finding.claim

@@ -35,7 +35,8 @@ class Finding:
         retuned: the tunables alone, fitted anew. ranked: explanations, the answer first. scanned: single effects by
             falling evidence. start, count: misfit without any effect, and the number of block means.
         odds: log posterior odds of the likeliest effects against none. unlisted: of an unknown of no listed form.
-        claim: log odds from which something is claimed.
+        claim: log odds from which something is claimed. together: two effects that explain the record and begin at one
+            moment, so that one cause of no listed form is likelier than two.
     """
 
     entries: tuple[Entry, ...]
@@ -52,3 +53,4 @@ class Finding:
     folds: tuple[Fold, ...] = ()
     odds: float = -math.inf
     unlisted: float = -math.inf
+    together: tuple[Entry, Entry] | None = None

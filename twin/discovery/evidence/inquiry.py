@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ from twin.discovery.effects.laws import Law
 from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.held_out import HeldOut
 from twin.discovery.evidence.part import Part, plainly
-from twin.discovery.evidence.priors import CLAIM
+from twin.discovery.evidence.priors import CLAIM, FAULT, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
 from twin.discovery.evidence.search import Found, Hypothesis, Prior, ladder_of, searched
 from twin.discovery.healthy.basis import Basis, Columns
@@ -25,6 +26,7 @@ from twin.discovery.refit.validation import validate
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
 from twin.elements.base import Candidate
+from twin.gauss_newton import SE90
 from twin.network import Network
 
 STILL_HELD = 0.4
@@ -159,12 +161,14 @@ def finding_of(found: Found, part: Part) -> Finding:
     part.reset()
     best = found.told
     claimed = best is not None and best.odds >= claim and best.odds >= found.unlisted
+    together = coinciding(best.fit.entries, contest.grid.span_s, contest.grid.step_s) if claimed and best.fit else None
+    claimed = claimed and together is None
     ranked = _ranked(found, best) if claimed and best is not None else ()
     finding = Finding(
         entries=(), fit=None, retuned=plainly(part, found.retuned), ranked=ranked, scanned=tuple(found.scanned),
         start=contest.misfit, count=contest.count, ladder=ladder_of(part, best if claimed else None, found.scanned),
         contest=contest, state=part.state, claim=claim,
-        odds=max((h.odds for h in found.hypotheses), default=-math.inf), unlisted=found.unlisted,
+        odds=max((h.odds for h in found.hypotheses), default=-math.inf), unlisted=found.unlisted, together=together,
     )  # fmt: skip
     if not claimed:
         return finding
@@ -172,6 +176,21 @@ def finding_of(found: Found, part: Part) -> Finding:
     folds = validate(contest, Model.of(part.basis.probe, best.fit.entries), best.fit)
     part.reset()
     return replace(finding, entries=best.fit.entries, fit=_as_used(best, part), folds=folds)
+
+
+def coinciding(entries: Sequence[Entry], span_s: float, step_s: float) -> tuple[Entry, Entry] | None:
+    """Return two effects that begin so close together that one cause of no listed form is likelier than two; or None.
+
+    Of two independent faults, the second begins by chance within d of the first with probability 2 d / span.
+    """
+    least = math.log(SURE / (1.0 - SURE))
+    late = [e for e in entries if e.shape.onset_s > step_s]
+    for one, other in itertools.combinations(late, 2):
+        apart_s = abs(one.shape.onset_s - other.shape.onset_s)
+        within_s = max(apart_s, SE90 * math.hypot(one.onset_sd_s, other.onset_sd_s), step_s)
+        if math.log(UNLISTED / FAULT) + math.log(span_s / (2.0 * within_s)) > least:
+            return one, other
+    return None
 
 
 def _ranked(found: Found, best: Hypothesis) -> tuple[Ranked, ...]:
