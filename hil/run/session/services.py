@@ -67,9 +67,11 @@ def start_diagnosis(
 async def live_review(request: RunRequest, folder: RunFolder, announce: Callable[[str], None]) -> AsyncIterator[bool]:
     """Open a viewer that follows the journal, if there is a display or the request asks for it; yield True if it
     runs."""
-    from hil.review import has_display
+    wanted = request.viewer
+    if wanted is None:
+        from hil.review import has_display  # its import takes half a second, which a run without a viewer saves
 
-    wanted = has_display() if request.viewer is None else request.viewer
+        wanted = has_display()
     if not wanted:
         yield False
         return
