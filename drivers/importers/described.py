@@ -8,12 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from drivers.can.dbc import DbcSignal, describe_dbc
+from drivers.can import DbcSignal, describe_dbc
 from drivers.importers.draft import Draft, DraftBus, DraftPoint
-from drivers.signals.codec import ByteOrder, RegisterType
-from drivers.signals.points import ConfigurationError
-from drivers.signals.roles import ROLES
-from drivers.signals.units import canonical_unit
+from drivers.signals import ROLES, ByteOrder, ConfigurationError, RegisterType, canonical_unit
 
 MODBUS, CAN = "plc", "can"
 PLACE_SYNTAX = "holding:0, input:12:int16*0.01, 40001:float32:CDAB, or MESSAGE.SIGNAL of a DBC"

@@ -21,7 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, get_args
 
-from drivers.virtual.plant.effects import load_effects
+from drivers.virtual.plant import load_effects
 
 Mode = Literal["real", "scaled", "lockstep"]
 Server = Literal["own", "pymodbus"]

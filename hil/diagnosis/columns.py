@@ -13,14 +13,12 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.record.reader import Reading, Record, read_record
-from hil.record.segments import Parts
-from hil.record.times.time_axis import span
-from hil.record.values.units import beyond_declared
+from hil.record import Parts, Reading, Record, read_record
+from hil.record.times import span
+from hil.record.values import beyond_declared
+from twin import STAMP, InputSpec, Network, TwinFileError, chain
 from twin.discovery.healthy.basis import Columns, Commissioned
 from twin.discovery.records.grid import require_enough
-from twin.network import STAMP, InputSpec, Network, TwinFileError
-from twin.revisions import chain
 
 CLOCK = "time_of_day_h"
 

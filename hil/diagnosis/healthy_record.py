@@ -10,10 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from drivers.rig_file import file_sha256
-from hil.record.reader import Record, write_record
-from twin.network import Network, TwinFileError
-from twin.revisions import chain
-from twin.twinfile import save
+from hil.record import Record, write_record
+from twin import Network, TwinFileError, chain, save
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 from hil.diagnosis.columns import CLOCK
-from hil.files.names import printable
-from twin.discovery.diagnosis import Diagnosis
-from twin.network import Network, Revision
-from twin.revisions import save_revision
-from twin.twinfile import save
+from hil.files import printable
+from twin import Network, Revision, save, save_revision
+from twin.discovery import Diagnosis
 
 PROPOSAL = "empirical.toml"
 

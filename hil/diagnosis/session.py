@@ -20,18 +20,16 @@ from hil.diagnosis.experiment_file import limits_of, write_experiment
 from hil.diagnosis.healthy_record import HealthyRecord, commissioned_on
 from hil.diagnosis.results import provenance, write
 from hil.diagnosis.revision import revise, write_proposal
-from hil.record.reader import Reading
+from hil.record import Reading
+from twin import Network, TwinFileError, load
+from twin.discovery import Diagnosis, diagnose
 from twin.discovery.answer.unused import with_unused
-from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.elsewhere import elsewhere
-from twin.discovery.engine import diagnose
 from twin.discovery.growing.answer import diagnose_grown, fits_growth
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.healthy.health import NotHealthyError
 from twin.discovery.planning.experiment import Limits
 from twin.discovery.records.grid import TooShortError
-from twin.network import Network, TwinFileError
-from twin.twinfile import load
 
 
 @dataclass(frozen=True)

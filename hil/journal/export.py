@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.files.atomic import replacing
+from hil.files import replacing
 from hil.journal.profile_clock import profile_times
 from hil.journal.writer import JournalReader
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Signal
-from hil.files.names import LONGEST_DATABASE_PATH, connect_read_only
+from hil.files import LONGEST_DATABASE_PATH, connect_read_only
 from hil.journal.check import DAMAGE_ERRORS, checked_reader, on_one_line, reports_damage, require_header, require_tables
 from hil.journal.documents import ShapeError
 from hil.journal.rows import (

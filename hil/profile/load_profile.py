@@ -21,9 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import SUFFIX_OF_UNIT, column_name, split_column
-from hil.files.atomic import replacing
-from hil.files.limits import require_size
-from hil.files.names import safe_file_name
+from hil.files import replacing, require_size, safe_file_name
 
 MAX_LINE = 2000
 """Longest line in characters; a longer one is no table of set-points."""

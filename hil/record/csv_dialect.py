@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from hil.record.heading_units import unit_of
-from hil.record.times.names import SECONDS_PER, is_time_name
-from hil.record.values.numbers import MARKS, MISSING, readings
+from hil.record.times import SECONDS_PER, is_time_name
+from hil.record.values import MARKS, MISSING, readings
 
 DELIMITERS = (",", ";", "\t", "|")
 BLANKS = " "

@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.files.atomic import replacing
-from hil.files.html import Html, document, element, joined, table
-from hil.journal.rows import Samples, TwinOutput
-from hil.journal.writer import JournalReader
+from hil.files import Html, document, element, joined, replacing, table
+from hil.journal import JournalReader, Samples, TwinOutput
 from hil.report.figures import Curves, pictures
 from hil.report.statistics import (
     NONE,
@@ -22,9 +20,8 @@ from hil.report.statistics import (
     signal_statistics,
     time_unit,
 )
-from hil.run_folder.folder import RunFolder
-from hil.tracking.adoption import accepted, closed_gates
-from hil.tracking.twins import Proposed, parameter_cell, window_kind
+from hil.run_folder import RunFolder
+from hil.tracking import Proposed, accepted, closed_gates, parameter_cell, window_kind
 
 LEVELS = ("ERROR", "WARN")
 """Levels of events that are coloured."""

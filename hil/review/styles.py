@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from drivers.signals import Quality
-from hil.journal.rows import Header
-from hil.journal.states import State
+from hil.journal import Header, State
 
 Colour = tuple[int, int, int]
 NEUTRAL: Colour = (158, 163, 170)

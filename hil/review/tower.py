@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.files.atomic import replacing
-from hil.files.names import utf8_path
-from hil.journal.rows import Header
+from hil.files import replacing, utf8_path
+from hil.journal import Header
 from hil.review.batches import Rows
 from hil.review.rerun_io import Recording
 from hil.review.styles import FAINT, NEUTRAL, ORANGE, TRACKED, Lines, Panel, Plan, Stack

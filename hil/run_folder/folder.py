@@ -19,9 +19,7 @@ from typing import Any
 
 from drivers.rig_file import file_sha256
 from hil import __version__
-from hil.files.atomic import replacing
-from hil.files.folder_check import read_json, require_plain
-from hil.files.names import ENDINGS, LONGEST_DATABASE_PATH, longest_name, safe_file_name
+from hil.files import ENDINGS, LONGEST_DATABASE_PATH, longest_name, read_json, replacing, require_plain, safe_file_name
 from hil.run_folder.manifest_check import checked_manifest
 
 LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "numba", "pyarrow", "rerun-sdk")

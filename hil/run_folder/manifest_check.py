@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from hil.files.limits import Failure
+from hil.files import Failure
 
 Mode = Literal["real", "scaled", "lockstep"]
 NetworkMode = Literal["shadow", "advisory", "controlled"]

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.profile.load_profile import Profile
-from twin.network import Array
+from hil.profile import Profile
+from twin import Array
 
 KINDS = ("case", "healthy", "double", "again", "later")
 """Kinds of records: single case, healthy, two effects of the catalogue; first and later records of a twin under

@@ -20,9 +20,9 @@ from drivers.virtual.plant import (
     Plant,
     ThermocoupleModule,
 )
-from hil.profile.load_profile import Profile
-from hil.record.reader import Record
-from hil.run.outputs.setpoints import Setpoints, bind
+from hil.profile import Profile
+from hil.record import Record
+from hil.run.outputs import Setpoints, bind
 
 READ = ("T_ambient_C", "heater_power_W", "flow_L_per_min", "pump_speed_pct", "fan_speed_pct")
 RESOLUTION = (0.01, 0.0, 0.0, 0.1, 0.1)

@@ -12,8 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from drivers.rig_file.regular_file import read_regular
-from drivers.rig_file.toml_lines import line_of, tables_of
+from drivers.rig_file import line_of, read_regular, tables_of
 from drivers.virtual.plant.geometry import CHANNELS, PLACES, section_cells
 
 READINGS = ("T_ambient_C", "heater_power_W", "flow_L_per_min", "pump_speed_pct", "fan_speed_pct")

@@ -24,8 +24,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from drivers.signals.points import DriverError
-from drivers.virtual.devices.modbus_protocol import ILLEGAL_ADDRESS, ILLEGAL_FUNCTION, ILLEGAL_VALUE, ModbusConnection
+from drivers.signals import DriverError
+from drivers.virtual.devices import ILLEGAL_ADDRESS, ILLEGAL_FUNCTION, ILLEGAL_VALUE, ModbusConnection
 
 FIRST_REGISTER = 10
 MOST_REGISTERS = 125

@@ -18,10 +18,7 @@ from hil.bench.chaos.kinds import ChaosKind, gravest
 from hil.bench.chaos.plan import ChaosCase
 from hil.bench.chaos.stage import ChaosStage, environment, set_chaos_stage, unstepped
 from hil.bench.chaos.verdict import LIMIT_S, ChaosResult, Strike, is_of_the_machine, judged
-from hil.bench.faults import judge
-from hil.bench.faults.case import STALL_S
-from hil.bench.faults.places import take_places_out, without_places
-from hil.bench.faults.stage import last_words
+from hil.bench.faults import STALL_S, judge, last_words, take_places_out, without_places
 from hil.bench.measure import processes
 
 START_S = 60.0

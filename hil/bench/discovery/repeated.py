@@ -19,10 +19,8 @@ from hil.bench.discovery.injector import RIG
 from hil.bench.discovery.score import AnswerScore, judge, wilson
 from hil.bench.discovery.tables import failure
 from hil.bench.discovery.trial import HOUR, commissioned
-from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, ReportTable
-from hil.synthetic.hidden_effects import Setting, Truth, effects_text, lasting, profile, setting
-from hil.synthetic.plant_record import direct_record
+from hil.bench.measure import Cell, ReportTable, median
+from hil.synthetic import Setting, Truth, direct_record, effects_text, lasting, profile, setting
 
 TWIN = "loop"
 
@@ -78,10 +76,9 @@ def _asked(case: Setting, there: Truth, new: Truth, twin: Path, good: Path) -> t
     """Diagnose a record with the effects `there`, of which `new` are new; return also the twin's next revision."""
     from drivers.rig_file import load_rig
     from drivers.virtual.plant import load_effects
-    from hil.diagnosis.columns import columns_of, read_healthy, with_clock
-    from hil.diagnosis.revision import revise
-    from twin.discovery.engine import diagnose
-    from twin.twinfile import load
+    from hil.diagnosis import columns_of, read_healthy, revise, with_clock
+    from twin import load
+    from twin.discovery import diagnose
 
     hidden = twin.with_name("effects.txt")
     hidden.write_text(effects_text(there.effects), encoding="utf-8")

@@ -8,8 +8,7 @@ from typing import Any
 
 from hil.bench.discovery.score import AnswerScore, alike, risk_at_coverage, wilson
 from hil.bench.discovery.trial import FinishedCase, TrialSize
-from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, ReportTable, number
+from hil.bench.measure import Cell, ReportTable, median, number
 
 Z_EDGES = (0.0, 3.0, 6.0, 10.0, 20.0, 50.0, math.inf)
 SEEN = 5.0

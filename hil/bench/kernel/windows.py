@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.kernel import mask_measurements, simulate
-from twin.network import Array, Network
+from twin import Array, Network, mask_measurements, simulate
 
 SCHEDULES = ("constant", "stepped", "each s")
 LEVELS = 8

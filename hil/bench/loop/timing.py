@@ -22,15 +22,10 @@ from drivers.rig_file import load_rig
 from drivers.virtual import start_virtual_rig
 from hil.bench.loop import processor_time
 from hil.bench.loop.processor_time import CountedClock, CountedConnection, CountedGuardian, CountedJournal, Counts
-from hil.bench.measure import processes
-from hil.bench.measure.report import Cell, ReportTable
-from hil.journal.profile_clock import profile_times
-from hil.journal.writer import Header, JournalReader
-from hil.profile.load_profile import Profile
-from hil.run.engine.components import Options
-from hil.run.engine.control_socket import ControlError, ask
-from hil.run.engine.engine import Engine
-from hil.run.engine.status import Outcome
+from hil.bench.measure import Cell, ReportTable, processes
+from hil.journal import Header, JournalReader, profile_times
+from hil.profile import Profile
+from hil.run.engine import ControlError, Engine, Options, Outcome, ask
 
 PROFILES = Path(__file__).resolve().parents[3] / "profiles"
 RIG = PROFILES / "rigs" / "virtual.toml"

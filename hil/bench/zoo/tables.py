@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from hil.bench.discovery.score import wilson
-from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, ReportTable
+from hil.bench.discovery import wilson
+from hil.bench.measure import Cell, ReportTable, median
 from hil.bench.zoo.score import ABSTAINED, ALIKE, CRASHED, FALSE_ALARM, MISSED, QUIET, RIGHT, WRONG, ZooScore
 
 EDGES = (0.0, 3.0, 10.0, 30.0, 100.0, 300.0, math.inf)

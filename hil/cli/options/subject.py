@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.journal.export import export_record
-from hil.journal.writer import JournalError
-from hil.run_folder.folder import RunFolder, RunFolderError
+from hil.journal import JournalError, export_record
+from hil.run_folder import RunFolder, RunFolderError
 
 
 class SubjectError(ValueError):

@@ -9,7 +9,7 @@ from typing import Any
 from drivers.signals import split_column
 from hil.record.heading_units import fahrenheit_hint, suffixed, unit_of
 from hil.record.raw import RawRecord, RecordError
-from hil.record.times.names import is_time_name
+from hil.record.times import is_time_name
 from hil.record.values.numbers import MARKS, readings, trimmed
 
 _CELL = re.compile(

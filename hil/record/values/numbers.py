@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import plausible_range, split_column
-from hil.record.times.names import is_time_name
+from hil.record.times import is_time_name
 
 if TYPE_CHECKING:
     import pyarrow as pa

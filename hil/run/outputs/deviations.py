@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.rig_file.model import Rig
+from drivers.rig_file import Rig
 
 
 @dataclass(slots=True)

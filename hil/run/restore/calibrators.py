@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.journal.writer import JournalReader, JournalWriter
-from hil.tracking.process import Tracking
-from hil.tracking.results import Results
+from hil.journal import JournalReader, JournalWriter
+from hil.tracking import Results, Tracking
 
 PAGE = 3600
 """Ticks read from the journal at a time: an hour at 1 Hz, some megabytes."""

@@ -21,7 +21,7 @@ from typing import Any, Protocol
 
 from drivers.signals import ConfigurationError
 from hil.run.restore.resumption import RunPosition
-from hil.run_folder.folder import RunFolderError
+from hil.run_folder import RunFolderError
 
 KEY = "clock"
 """Key of the journal's `meta` table for the `ClockReading` of the newest segment, as plain data."""

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from drivers.rig_file import CanBus
-from hil.diagnosis.live import END_ONLY
-from hil.journal.writer import JournalError, JournalReader
-from hil.run.engine.status import Outcome
-from hil.run.restore.resumption import Resumption, RunPosition
+from hil.diagnosis import END_ONLY
+from hil.journal import JournalError, JournalReader
+from hil.run.engine import Outcome
+from hil.run.restore import Resumption, RunPosition
 from hil.run.session.request import RunInputs, RunRequest
-from hil.run_folder.folder import FolderLostError, RunFolder
-from hil.tracking.process import Tracking
+from hil.run_folder import FolderLostError, RunFolder
+from hil.tracking import Tracking
 
 
 def files_of(request: RunRequest, ready: RunInputs) -> dict[str, Path | None]:

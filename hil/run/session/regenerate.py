@@ -6,10 +6,9 @@ import datetime
 from collections.abc import Callable
 from typing import Any
 
-from hil.journal.states import ENDED
-from hil.journal.writer import JournalReader
+from hil.journal import ENDED, JournalReader
 from hil.run.session.derived_files import RECORD, REVIEW, REVISION, DerivedFiles, derive_files
-from hil.run_folder.folder import RunFolder, RunFolderError
+from hil.run_folder import RunFolder, RunFolderError
 
 
 def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) -> DerivedFiles:

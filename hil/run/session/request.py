@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Literal
 
 from drivers.rig_file import ResidualSpec, Rig, load_rig
 from drivers.signals import ConfigurationError
-from hil.profile.load_profile import WINDOW_S, Profile, SetpointLimit, read_profile, validate
-from hil.rig.notices import unguarded
-from hil.run.outputs.setpoints import setpoint_columns
-from hil.tracking.adoption import NetworkMode
-from hil.tracking.twins import DEFAULT, STATIC, TrackingConfig
+from hil.profile import WINDOW_S, Profile, SetpointLimit, read_profile, validate
+from hil.rig import unguarded
+from hil.run.outputs import setpoint_columns
+from hil.tracking import DEFAULT, STATIC, NetworkMode, TrackingConfig
 
 if TYPE_CHECKING:
-    from twin.network import Network
+    from twin import Network
 
 Mode = Literal["real", "scaled", "lockstep"]
 MOST_SPEED = 100.0
@@ -95,7 +94,7 @@ def prepare(request: RunRequest) -> RunInputs:
     notes = [*unguarded(rig, request.rig), *notes]
     network = None
     if twin is not None:
-        from twin.twinfile import load
+        from twin import load
 
         network = load(twin)
         notes = [*notes, *_check_twin_columns(twin, network, rig)]
@@ -198,8 +197,7 @@ def _check_diagnosis(request: RunRequest, twin: Path | None, network: Network | 
     """Return notes on the diagnosis of the request; raises ConfigurationError or RecordError."""
     if network is None or twin is None:
         raise ConfigurationError("--diagnose needs a twin, and this run has none; take --no-twin out")
-    from hil.diagnosis.columns import read_columns
-    from hil.diagnosis.healthy_record import commissioned_on
+    from hil.diagnosis import commissioned_on, read_columns
 
     if request.healthy is not None:
         read_columns(network, request.healthy, None)

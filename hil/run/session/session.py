@@ -8,13 +8,11 @@ from dataclasses import replace
 from typing import Any
 
 from drivers.rig_file import Rig
-from hil.diagnosis.healthy_record import copy_record
-from hil.run.engine.signals import RunSignals
-from hil.run.engine.status import Status
-from hil.run.locks.rig_lock import claimed
-from hil.run.outputs.setpoints import bind
-from hil.run.restore.resumption import Resumption
-from hil.run.restore.thermal_restore import RestoreRule, restore_obstacle
+from hil.diagnosis import copy_record
+from hil.run.engine import RunSignals, Status
+from hil.run.locks import claimed
+from hil.run.outputs import bind
+from hil.run.restore import RestoreRule, Resumption, restore_obstacle
 from hil.run.session.interrupted_run import confirmed_position
 from hil.run.session.manifest import files_of, interruption_reason, settings_of
 from hil.run.session.output_queue import queued_output
@@ -23,9 +21,9 @@ from hil.run.session.rig_time import speed_of
 from hil.run.session.run import PreparedRun, RunResult, carry_out
 from hil.run.session.services import start_tracking
 from hil.run.session.terminal import hours
-from hil.run_folder.folder import RunFolder, create_run_folder, new_manifest, require_room
-from hil.tracking.twins import Twins
-from twin.revisions import chain
+from hil.run_folder import RunFolder, create_run_folder, new_manifest, require_room
+from hil.tracking import Twins
+from twin import chain
 
 
 async def run_session(

@@ -18,11 +18,10 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from hil.diagnosis.live import Reply
-    from hil.run.engine.engine import Outcome
-    from hil.run.engine.status import Status
+    from hil.diagnosis import Reply
+    from hil.run.engine import Outcome, Status
     from hil.run.session.run import RunResult
-    from hil.tracking.twins import Comparison, ErrorTable
+    from hil.tracking import Comparison, ErrorTable
 
 LINE_EVERY_S = 5.0
 """Interval of progress lines where the output is no terminal, s."""
@@ -92,7 +91,7 @@ def parameter_table(comparison: Comparison) -> Table:
     table.add_column("parameter", no_wrap=True)
     for name in comparison.parameters:
         table.add_column(name, justify="right")
-    from hil.tracking.twins import parameter_cell
+    from hil.tracking import parameter_cell
 
     names = dict.fromkeys(name for values in comparison.parameters.values() for name in values)
     for name in names:
@@ -268,7 +267,7 @@ def closing_advice(outcome: Outcome, path: Path) -> list[str]:
 def show_diagnosis(out: Console, reply: Reply, review: Path) -> None:
     """Print the verdict of the diagnosis of a run, its errors on held-out segments, and the paths of page and
     review."""
-    from hil.diagnosis.table import errors_of, held_out
+    from hil.diagnosis import errors_of, held_out
 
     out.print()
     if reply.found is None:
