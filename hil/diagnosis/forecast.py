@@ -29,9 +29,12 @@ def show_forecast(
 ) -> None:
     """Print the least detectable size of each effect, the undetectable effects, and ambiguous pairs.
 
-    Raises:
-        DiagnosingError: a plan without a healthy record.
-        RecordError, TwinFileError: as `hil.diagnosis.columns.read_columns`.
+    Raises
+    ------
+    DiagnosingError
+        A plan without a healthy record.
+    RecordError, TwinFileError
+        As `hil.diagnosis.columns.read_columns`.
     """
     from twin.discovery import foresee, foresee_plan
 

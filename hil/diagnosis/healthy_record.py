@@ -30,8 +30,10 @@ def healthy_path(twin: Path) -> Path:
 def save_with_record(network: Network, record: Record, out: Path) -> Path:
     """Save a commissioned twin as `out`, and with it the columns that it reads of its healthy record.
 
-    Raises:
-        TwinFileError: a file cannot be written.
+    Raises
+    ------
+    TwinFileError
+        A file cannot be written.
     """
     from hil.diagnosis.columns import CLOCK, datasheet_clock, start_hour
 
@@ -55,8 +57,10 @@ def save_with_record(network: Network, record: Record, out: Path) -> Path:
 def commissioned_on(twin: Path) -> HealthyRecord:
     """Return the healthy record of a twin file, or of its nearest ancestor.
 
-    Raises:
-        TwinFileError: the file cannot be used.
+    Raises
+    ------
+    TwinFileError
+        The file cannot be used.
     """
     for entry in chain(twin):
         revision = entry.network.revision

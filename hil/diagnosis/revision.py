@@ -19,8 +19,10 @@ PROPOSAL = "empirical.toml"
 def revise(diagnosis: Diagnosis, network: Network, twin: Path, record: Path, *, empirical: bool = False) -> Path | None:
     """Save the twin with its new effects as a new revision; return None if there are none.
 
-    Args:
-        empirical: adopt the curve that is offered where nothing explains the record.
+    Parameters
+    ----------
+    empirical
+        Adopt the curve that is offered where nothing explains the record.
     """
     bigger = _curved(diagnosis, network, record) if empirical else _grown(diagnosis, network, record)
     return save_revision(bigger, twin) if bigger is not None else None

@@ -65,8 +65,10 @@ class DialectError(ValueError):
 def find_dialect(text: str) -> Dialect:
     """Return the dialect of the CSV `text`; its beginning is enough.
 
-    Raises:
-        DialectError: no line names the columns.
+    Raises
+    ------
+    DialectError
+        No line names the columns.
     """
     lines, commented, only = _sample(text)
     if not lines:

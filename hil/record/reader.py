@@ -119,9 +119,11 @@ def read_record(path: Path, *, at_rest: bool = False, choice: Reading | None = N
     missing: a logger sends a correction after the original, or one row a device. Impossible readings become missing
     (`hil.record.plausibility`).
 
-    Raises:
-        RecordError: nothing can be read, something can be read in two ways, or reading would drop more than
-            `record_numbers.may_be_lost` of the rows or of a column.
+    Raises
+    ------
+    RecordError
+        Nothing can be read, something can be read in two ways, or reading would drop more than
+        `record_numbers.may_be_lost` of the rows or of a column.
     """
     choice = choice or Reading()
     raw = without_cell_units(read_raw(path))

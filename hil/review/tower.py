@@ -32,9 +32,12 @@ Columns = dict[str, NDArray[np.float64]]
 def write_tower_review(table: Path, rrd: Path, name: str) -> None:
     """Write the calibrated table of a station's cells to `rrd`, completely or not at all.
 
-    Raises:
-        ValueError: the table cannot be read, or lacks a column; one sentence.
-        OSError: the file cannot be written.
+    Raises
+    ------
+    ValueError
+        The table cannot be read, or lacks a column; one sentence.
+    OSError
+        The file cannot be written.
     """
     cells = _cells(table)
     start = min(float(c["time_s"][0]) for c in cells.values())

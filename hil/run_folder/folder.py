@@ -145,8 +145,10 @@ class RunFolder:
     def located(self) -> RunFolder:
         """Return the folder at its present path, which differs if somebody moved it while it was locked.
 
-        Raises:
-            FolderLostError: the folder was deleted.
+        Raises
+        ------
+        FolderLostError
+            The folder was deleted.
         """
         if not self._held:
             if self.path.is_dir():
@@ -179,9 +181,11 @@ def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
     Runs that begin in the same second get folders of their own. Characters of `profile_name` that a terminal or a
     library would refuse are replaced in the folder's name, and a long name is cut.
 
-    Raises:
-        RunFolderError: `parent` is no folder or takes no new one, its path is too long for a journal, or its disk has
-            no room for `ticks`.
+    Raises
+    ------
+    RunFolderError
+        `parent` is no folder or takes no new one, its path is too long for a journal, or its disk has
+        no room for `ticks`.
     """
     try:
         parent.mkdir(parents=True, exist_ok=True)

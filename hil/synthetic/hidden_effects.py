@@ -54,8 +54,10 @@ class Setting:
 class Truth:
     """Hidden part of a case: group, a word for the effect, tables of an effect file, and the labels of a right answer.
 
-    Attributes:
-        effects: tables of `[[effect]]`. labels: a (kind, where, driver) each, one for every effect of the catalogue.
+    Attributes
+    ----------
+    effects
+        Tables of `[[effect]]`. labels: a (kind, where, driver) each, one for every effect of the catalogue.
     """
 
     group: str

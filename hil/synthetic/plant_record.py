@@ -36,8 +36,10 @@ _START = (0.0, 1.0, 1.0)
 def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: tuple[Effect, ...] = ()) -> Record:
     """Replay `profile` on the virtual rig's parts; one row a second, columns as `hil run` records them.
 
-    Args:
-        seed: of weather and noise. unit: the specimen, whose sensors' offsets stay from run to run.
+    Parameters
+    ----------
+    seed
+        Of weather and noise. unit: the specimen, whose sensors' offsets stay from run to run.
     """
     plant = Plant(seed=seed, period_s=rig.period_s, effects=effects)
     return direct_run(profile, rig, plant, seed=seed, unit=unit, effects=effects)[0]

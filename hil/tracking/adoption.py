@@ -116,8 +116,10 @@ class Advice:
 def adopt(twin: Path, record: Record, proposals: list[Proposed], made_by: str) -> Adoption:
     """Save the accepted parameters as the next revision of `twin`, if it predicts better.
 
-    Raises:
-        TwinFileError: the twin or its folder cannot be used.
+    Raises
+    ------
+    TwinFileError
+        The twin or its folder cannot be used.
     """
     from twin import Revision, load, save_revision, with_elements
 

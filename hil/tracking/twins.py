@@ -125,11 +125,15 @@ def _worse(static: float, tracked: float) -> bool:
 class Comparison:
     """Comparison of the twins at the end.
 
-    Attributes:
-        bands: twin -> sensor -> mean half width, K, of the bands that promised 90 %, and the share that they held.
-        parameters: twin -> parameter -> value, half width of its 90 % interval (None without one), and whether
-            it is held because it is not identifiable.
-        outdone: calibrator -> a sentence, where the commissioned twin predicts better; see `PredictionErrors`.
+    Attributes
+    ----------
+    bands
+        Twin -> sensor -> mean half width, K, of the bands that promised 90 %, and the share that they held.
+    parameters
+        Twin -> parameter -> value, half width of its 90 % interval (None without one), and whether
+        it is held because it is not identifiable.
+    outdone
+        Calibrator -> a sentence, where the commissioned twin predicts better; see `PredictionErrors`.
     """
 
     errors: ErrorTable
@@ -150,9 +154,11 @@ class Twins:
 
     Results depend on the samples alone, not on the blocks.
 
-    Raises:
-        TwinFileError: the twin file, or a calibrator that is not optional, cannot be used. HieraError: there is no
-            trained network for this twin.
+    Raises
+    ------
+    TwinFileError
+        The twin file, or a calibrator that is not optional, cannot be used. HieraError: there is no
+        trained network for this twin.
     """
 
     def __init__(self, config: TrackingConfig) -> None:

@@ -22,10 +22,14 @@ class Problem:
 
     Positions lie in [0, 1]: shares of a parameter's range, of its logarithm where the bounds span a decade.
 
-    Attributes:
-        window: of kind calibrated, so that everyone minimises the RMSE over all of it.
-        tunables: name of the twin's set. start: (q,) positions of the live twin.
-        truth: (q,) positions that made the window, None for a measured one.
+    Attributes
+    ----------
+    window
+        Of kind calibrated, so that everyone minimises the RMSE over all of it.
+    tunables
+        Name of the twin's set. start: (q,) positions of the live twin.
+    truth
+        (q,) positions that made the window, None for a measured one.
     """
 
     network: Network

@@ -17,9 +17,12 @@ LEVELS = 8
 class Job:
     """Window and swarm, the input of every contestant.
 
-    Attributes:
-        ids: parameters that differ between particles. particles: (P, p) full vectors in the network's order.
-        time: (n,) s. inputs: (n, c). measured, weight: (n, m). state: (k,) degC at the first sample.
+    Attributes
+    ----------
+    ids
+        Parameters that differ between particles. particles: (P, p) full vectors in the network's order.
+    time
+        (n,) s. inputs: (n, c). measured, weight: (n, m). state: (k,) degC at the first sample.
     """
 
     network: Network

@@ -32,8 +32,10 @@ class Subject:
 def record_of(target: Path) -> Path:
     """Resolve a record file, or a run folder to its record, which is made if an ended run has none.
 
-    Raises:
-        SubjectError: the folder has no record and none can be made.
+    Raises
+    ------
+    SubjectError
+        The folder has no record and none can be made.
     """
     if not target.is_dir():
         return target
@@ -48,8 +50,10 @@ def record_of(target: Path) -> Path:
 def subject_of(target: Path, twin: Path | None) -> Subject:
     """Resolve a record file or a run folder; `twin` replaces the run's own.
 
-    Raises:
-        SubjectError: a part is missing.
+    Raises
+    ------
+    SubjectError
+        A part is missing.
     """
     if not target.is_dir():
         if twin is None:

@@ -54,8 +54,10 @@ def span(seconds: float) -> str:
 def read_time(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> TimeAxis:
     """Find and read the time of `raw`, whose numbers have the decimal `signs`.
 
-    Raises:
-        RecordError: there is none, it may be read in two ways, or more rows than `may_be_lost` have none.
+    Raises
+    ------
+    RecordError
+        There is none, it may be read in two ways, or more rows than `may_be_lost` have none.
     """
     columns = find_columns(raw, signs, choice)
     column = ", ".join(columns)

@@ -70,14 +70,21 @@ async def restore_calibrators(
 ) -> None:
     """Replay the samples of the journal at `path` to `tracking`, gaps as gaps; then attach `journal` to it.
 
-    Args:
-        tracking: calibrators that have seen nothing yet; a failure of theirs is in `tracking.failures`.
-        journal: writer of the same journal, which gets results that it lacks.
-        path: file of the journal.
-        announce: gets a progress report every `REPORT_EVERY_S`.
+    Parameters
+    ----------
+    tracking
+        Calibrators that have seen nothing yet; a failure of theirs is in `tracking.failures`.
+    journal
+        Writer of the same journal, which gets results that it lacks.
+    path
+        File of the journal.
+    announce
+        Gets a progress report every `REPORT_EVERY_S`.
 
-    Raises:
-        JournalError: the journal cannot be read.
+    Raises
+    ------
+    JournalError
+        The journal cannot be read.
     """
     reader = JournalReader(path)
     try:

@@ -117,14 +117,21 @@ def request_of(
 ) -> RunRequest:
     """Return the request of the run in `folder`, from its manifest.
 
-    Args:
-        folder: folder of an interrupted run.
-        manifest: content of its `run.json`.
-        moved: name of a file -> its new place, None where it was not moved.
-        control, rearm, no_lock, viewer, guardian: options of this call, see `RunRequest`.
+    Parameters
+    ----------
+    folder
+        Folder of an interrupted run.
+    manifest
+        Content of its `run.json`.
+    moved
+        Name of a file -> its new place, None where it was not moved.
+    control, rearm, no_lock, viewer, guardian
+        Options of this call, see `RunRequest`.
 
-    Raises:
-        RunFolderError: the run has ended, or one of its files has changed.
+    Raises
+    ------
+    RunFolderError
+        The run has ended, or one of its files has changed.
     """
     if has_ended(folder):
         rest = "start it again with `hil run`"

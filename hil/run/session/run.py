@@ -27,17 +27,28 @@ from hil.tracking import STATIC, Adoption, Comparison, Tracking
 class RunResult:
     """Result of a finished run.
 
-    Attributes:
-        folder: folder with all its files.
-        outcome: end of the engine.
-        comparison: errors of the twins, None without a twin.
-        duration_s: rig time, s.
-        wall_s: wall time, s.
-        viewed: True where a viewer followed the run.
-        diagnosis: diagnosis of the whole run, None without one.
-        adoption: revision of the twin from the network's proposals, None without one.
-        gates: sentence about the proposals that the network's gates held.
-        derived: files of the run.
+    Attributes
+    ----------
+    folder
+        Folder with all its files.
+    outcome
+        End of the engine.
+    comparison
+        Errors of the twins, None without a twin.
+    duration_s
+        Rig time, s.
+    wall_s
+        Wall time, s.
+    viewed
+        True where a viewer followed the run.
+    diagnosis
+        Diagnosis of the whole run, None without one.
+    adoption
+        Revision of the twin from the network's proposals, None without one.
+    gates
+        Sentence about the proposals that the network's gates held.
+    derived
+        Files of the run.
     """
 
     folder: RunFolder
