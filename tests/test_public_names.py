@@ -47,7 +47,7 @@ DECLARED = [name for name in PACKAGES if not (name == UNDECLARED[0] or name.star
 
 
 @cache
-def _public(package: str) -> frozenset[str]:
+def public_names(package: str) -> frozenset[str]:
     """Return the names in ``__all__`` as they are written in the source."""
     for statement in _trees()[package].body:
         target = statement.targets[0] if isinstance(statement, ast.Assign) else getattr(statement, "target", None)
@@ -76,7 +76,7 @@ def _private_imports(importer: str) -> Iterator[tuple[str, str]]:
     """Yield the imported package and a message for each private import across a package's border."""
     inside = importer if importer in PACKAGES else importer.rpartition(".")[0]
     for line, package, name in _imports(importer):
-        if package not in PACKAGES or _belongs(inside, package) or name in _public(package):
+        if package not in PACKAGES or _belongs(inside, package) or name in public_names(package):
             continue
         if f"{package}.{name}" not in PACKAGES:
             yield package, f"{importer.replace('.', '/')}.py:{line}: {package}.{name}"
@@ -92,12 +92,12 @@ def test_every_public_name_can_be_imported(package: str) -> None:
     if package == NEEDS_TORCH:
         pytest.importorskip("torch")
     loaded = import_module(package)
-    for name in _public(package):
+    for name in public_names(package):
         try:
             assert getattr(loaded, name) is not None
         except ImportError as error:  # the tool of a peer that is not installed
             assert not str(error.name).startswith(("hil", "drivers", "twin"))
-    assert set(dir(loaded)) >= _public(package) - {"__version__", "Absent"}
+    assert set(dir(loaded)) >= public_names(package) - {"__version__", "Absent"}
     with pytest.raises(AttributeError, match="no_such_name"):
         loaded.no_such_name  # noqa: B018
 
@@ -108,7 +108,7 @@ def test_names_for_the_type_checker_are_those_that_are_declared(package: str) ->
     typed = {a.asname or a.name for b in blocks for s in b.body if isinstance(s, ast.ImportFrom) for a in s.names}
     submodules = {name.rpartition(".")[2] for name in _trees() if name.rpartition(".")[0] == package}
     if blocks:
-        assert typed == _public(package) - submodules
+        assert typed == public_names(package) - submodules
 
 
 def test_packages_import_public_names_of_others_alone() -> None:

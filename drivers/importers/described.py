@@ -129,7 +129,7 @@ def heartbeat_of(text: str) -> dict[str, Place]:
 
 
 def temperatures_of(dbc: Path, encoding: str | None = None) -> dict[str, Place]:
-    """Return the places of a DBC's signals in degC, by name; raise ConfigurationError where there are none."""
+    """Return the places of a DBC's signals in degC, by name; raise DescriptionError where there are none."""
     found = {
         signal.name: Place(CAN, {"message": signal.message, "signal": signal.name})
         for signal in describe_dbc(dbc, encoding)
