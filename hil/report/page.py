@@ -100,13 +100,15 @@ def _segments(manifest: dict[str, Any], unit: TimeUnit) -> Html:
     rows = [
         [
             str(item["number"]),
-            *(unit.of(item.get(key)) for key in ("from_s", "gap_s", "soaked_s", "profile_s")),
+            *(unit.of(item.get(key)) for key in ("from_s", "gap_s")),
+            unit.of(item.get("restore_s", item.get("soaked_s"))),  # the latter before version 0.2
+            unit.of(item.get("profile_s")),
             item["why"],
             " ".join(filter(None, (item["exit_status"], item.get("reason", "")))),
         ]
         for item in segments
     ]
-    times = [f"{what} / {unit.symbol}" for what in ("from", "gap before", "soaked", "profile")]
+    times = [f"{what} / {unit.symbol}" for what in ("from", "gap before", "thermal restore", "profile")]
     head = ["segment", *times, "why", "ended"]
     note = (
         "The run was interrupted and resumed. Curves and errors leave out the gaps. The profile's "

@@ -25,7 +25,7 @@ no figure shows so small a step.
 """
 _CURVE_OF_NOISE = 20.0
 """Largest error of predictions in a file, as a share of the sensor's noise; see `hil.review.thinning`."""
-_ROUTINE_WRITES = ("profile", "slew", "soak")
+_ROUTINE_WRITES = ("profile", "slew", "restore", "soak")  # the last one in older journals
 
 
 class _Ticks:

@@ -43,7 +43,8 @@ class _Segment(_Shape):
     from_s: float
     gap_s: float
     profile_s: float
-    soaked_s: float = 0.0
+    restore_s: float = 0.0
+    soaked_s: float = 0.0  # name of `restore_s` before version 0.2
     why: str
     exit_status: str
     reason: str = ""

@@ -235,7 +235,7 @@ async def _resume(stage: ChaosStage, result: ChaosResult, begun: bool) -> None:
 
     def led_back() -> bool:
         rows = judge.read_states(stage.look())
-        return any(unstepped(at_s, stage) > began and target in ("soaking", "running") for at_s, target in rows)
+        return any(unstepped(at_s, stage) > began and target in ("restoring", "running") for at_s, target in rows)
 
     went_on = await stage.until(lambda: led_back() or not stage.harness.running, RESUME_S)
     went_on = went_on and stage.harness.running

@@ -256,7 +256,7 @@ def _resume_tables(
     facts: tuple[tuple[Cell, ...], ...] = (
         ("killed at, h of the profile", segment["profile_s"] / 3600.0),
         ("gap, s", segment["gap_s"]),
-        ("thermal restore, min", segment["soaked_s"] / 60.0),
+        ("thermal restore, min", segment["restore_s"] / 60.0),
         ("rows that were acknowledged", count),
         ("of these lost or changed", 0 if kept else "some"),
         ("every second of the profile once", "yes" if same_grid else "no"),

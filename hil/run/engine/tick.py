@@ -183,7 +183,7 @@ class TickWork:
                 raise
             self._recorder.event("WARN", str(error))
         if self._outputs.values != before:
-            reason = {State.RUNNING: "profile", State.RESTORING: "soak"}.get(state, f"safe: {state}")
+            reason = {State.RUNNING: "profile", State.RESTORING: "restore"}.get(state, f"safe: {state}")
             self._recorder.written(before, self._outputs.values, reason)
 
     def _wanted(self) -> dict[str, float]:

@@ -24,7 +24,7 @@ class Deviations:
 
     A meter that follows with a lag of first order, and settles within `readback_within_s`, misses a
     limited part of the integral of the set-point: `readback_within_s` times the sum of the sizes of its steps. A
-    meter whose mean is off by more than that and `readback_tolerance` has no lag: the actuator did not follow its set-point.
+    meter whose mean is off by more than that and `readback_tolerance` has no lag: the actuator failed to follow.
     """
 
     def __init__(self, rig: Rig) -> None:

@@ -92,7 +92,7 @@ def _segments(
     finally:
         reader.close()
     known = {item["number"]: item for item in manifest.get("segments", [])}
-    mine = {"soaked_s": outcome.restore_s, "exit_status": outcome.status, "reason": outcome.reason}
+    mine = {"restore_s": outcome.restore_s, "exit_status": outcome.status, "reason": outcome.reason}
     return [
         {"number": row.number, "from_s": row.time_s, "gap_s": row.gap_s, "profile_s": row.profile_s, "why": row.reason}
         | (mine if row.number == resumption.position.number else known.get(row.number, {"exit_status": "cut"}))

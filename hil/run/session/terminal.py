@@ -204,8 +204,8 @@ class RunProgress:
         power = status.values.get("heater_power")
         heater = f"{power:.0f} W  " if power is not None else ""
         state = "" if status.state == "running" else f"{status.state.upper()}  "
-        if status.state == "soaking":
-            self._steps.update(status.profile_s, f"SOAKING  {status.reason}")
+        if status.state == "restoring":
+            self._steps.update(status.profile_s, f"RESTORING  {status.reason}")
             return
         self._steps.update(status.profile_s, f"{state}{hours(status.profile_s)}  {heater}{temperatures}")
 
@@ -292,5 +292,6 @@ def interruption_summary(manifest: dict[str, Any]) -> str:
     if not segments:
         return ""
     times = "once" if len(segments) == 1 else f"{len(segments)} times"
-    gap_s, restore_s = (sum(segment.get(key, 0.0) for segment in segments) for key in ("gap_s", "soaked_s"))
+    gap_s = sum(segment.get("gap_s", 0.0) for segment in segments)
+    restore_s = sum(segment.get("restore_s", segment.get("soaked_s", 0.0)) for segment in segments)
     return f" (cut {times}: {hours(gap_s)} without a row, {hours(restore_s)} of thermal restore)"
