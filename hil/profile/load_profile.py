@@ -364,7 +364,8 @@ def _check_column(
     slow = needed_s > period_s
     if slow.any() and not len(too_steep):
         longest = int(np.argmax(needed_s))
+        ramps = "1 step is a ramp" if slow.sum() == 1 else f"{slow.sum()} steps are ramps"
         notes.append(
-            f"{column}: {'1 step is a ramp' if slow.sum() == 1 else f'{slow.sum()} steps are ramps'} at {limit.max_rate_per_s:g} {limit.unit}/s, the longest "
+            f"{column}: {ramps} at {limit.max_rate_per_s:g} {limit.unit}/s, the longest "
             f"{needed_s[longest]:.4g} s at {profile.place(int(change[longest]))}"
         )
