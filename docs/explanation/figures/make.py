@@ -3,7 +3,7 @@
     python docs/explanation/figures/make.py [NAME ...]
 
 Without a name all figures are made; the names are those of the SVG files. The figures are deterministic: seeds are
-fixed, and the files carry no date. It needs matplotlib, which is no dependency of the project.
+fixed, and the files carry no date.
 """
 
 from __future__ import annotations

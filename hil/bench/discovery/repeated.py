@@ -107,12 +107,12 @@ def tables(chains: Sequence[RigRecords], hours: float) -> tuple[ReportTable, ...
         return (name, hits, of, 100.0 * hits / of if of else None, 100.0 * low, 100.0 * high)
 
     rows = (
-        row("first record: right but for equivalents", sum(bool(c.first.class1) for c in chains), len(chains)),
+        row("first record: right within the ambiguity group", sum(bool(c.first.class1) for c in chains), len(chains)),
         row("first record: a revision saved", len(same), len(chains)),
         row("later record, nothing new: adequate", sum(o.verdict == "adequate" for o in same), len(same)),
         row("later record, a second effect: something found", len(told), len(more)),
         row(
-            "later record, a second effect: right but for equivalents, of found",
+            "later record, a second effect: right within the ambiguity group, of found",
             sum(bool(o.class1) for o in told),
             len(told),
         ),

@@ -10,7 +10,8 @@ from typing import Any
 from hil.bench.discovery import NAMED, pooled, spoken
 
 RIGHT, ALIKE, ABSTAINED, MISSED, WRONG, FALSE_ALARM, QUIET, CRASHED = (
-    "right", "right among equivalents", "left unexplained", "missed", "wrong", "false alarm", "quiet", "no answer",
+    "right", "right within the ambiguity group", "left unexplained", "missed", "wrong", "false alarm", "quiet",
+    "no answer",
 )  # fmt: skip
 _SAME_DRIVER = (frozenset({"history", "rate_of_change"}), frozenset({"temperature", "temperature_difference"}))
 
