@@ -123,6 +123,19 @@ def test_packages_import_public_names_of_others_alone() -> None:
     assert used == set(EXCEPTIONS), "take the exceptions that are not needed out of the list"
 
 
+def test_every_name_that_is_imported_from_a_package_is_there() -> None:
+    """A type checker does not see this: `__getattr__` of a package may return anything."""
+    missing = []
+    for importer in _trees():
+        for line, package, name in _imports(importer):
+            names = public_names(package) if package in PACKAGES else None
+            if names is None or name in names or f"{package}.{name}" in _trees():
+                continue
+            if not hasattr(import_module(package), name):
+                missing.append(f"{importer}:{line}: {package}.{name}")
+    assert not missing
+
+
 def test_importing_every_package_of_the_harness_loads_no_heavy_library() -> None:
     names = [name for name in DECLARED if name.startswith("hil") and name != "hil.bench.peers"]
     heavy = {"numpy", "scipy", "numba", "pyarrow", "rerun", "torch", "matplotlib", "pymodbus", "can", "cantools"}

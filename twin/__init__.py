@@ -1,8 +1,8 @@
 """Digital twin of a thermal plant: a network of elements, its simulation, its calibration and its diagnosis.
 
-The names below are the package's interface, together with those of `twin.elements`, `twin.calibrators` and
-`twin.discovery`. They are loaded on first use, so that importing the package costs nothing. Modules that no interface
-names are private to the package.
+The names below are the package's interface, together with those of `twin.elements`, `twin.calibrators`,
+`twin.discovery`, `twin.historian` and `twin.tower`. They are loaded on first use, so that importing the package costs
+nothing. Modules that no interface names are private to the package.
 """
 
 from __future__ import annotations

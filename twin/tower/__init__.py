@@ -14,8 +14,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from twin.tower.adoption import adopted, effects_of
     from twin.tower.air import Array, wet_bulb
+    from twin.tower.baselines import BASELINES, Case, split, without_discrepancy
     from twin.tower.basin import Drain, with_basin
-    from twin.tower.calibration import NORMAL, WINDOW_S, Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
+    from twin.tower.calibration import (
+        NORMAL,
+        QUANTILE,
+        WET_C,
+        WINDOW_S,
+        Calibrated,
+        CalibrationError,
+        Fitted,
+        fit_cell,
+        predict_cell,
+    )
     from twin.tower.cell import Deviations, Inputs
     from twin.tower.changes import undeclared_changes
     from twin.tower.commissioning import Commissioned, CommissioningError, TestPoints, fit_clean_cell
@@ -26,12 +37,18 @@ if TYPE_CHECKING:
     from twin.tower.minutes import MEASURED, Minutes, blocks_of, minutes_of
     from twin.tower.model import DEVIATIONS, NAMES, CellModel, Site
     from twin.tower.planning import StepTest, plan_tests
-    from twin.tower.smoother import DAY_S, Opening, Priors, time_grid
+    from twin.tower.smoother import DAY_S, Opening, Priors, estimate, time_grid
     from twin.tower.steps import Step, find_steps
     from twin.tower.twin_file import BOUNDS, IDS, cell_network, cell_of, design_of, station_of_twin, value_of
     from twin.tower.windows import Window, distances, windows_of
 
 _MODULES = {
+    "baselines": (
+        "without_discrepancy",
+        "split",
+        "Case",
+        "BASELINES",
+    ),
     "adoption": (
         "adopted",
         "effects_of",
@@ -45,6 +62,8 @@ _MODULES = {
         "with_basin",
     ),
     "calibration": (
+        "WET_C",
+        "QUANTILE",
         "Calibrated",
         "CalibrationError",
         "Fitted",
@@ -95,6 +114,7 @@ _MODULES = {
         "plan_tests",
     ),
     "smoother": (
+        "estimate",
         "DAY_S",
         "Opening",
         "Priors",
@@ -122,6 +142,7 @@ _MODULES = {
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [
+    "BASELINES",
     "BOUNDS",
     "DAY_S",
     "DEVIATIONS",
@@ -131,12 +152,15 @@ __all__ = [
     "MOST_HIDDEN",
     "NAMES",
     "NORMAL",
+    "QUANTILE",
     "UNITS",
+    "WET_C",
     "WINDOW_S",
     "Array",
     "Balance",
     "Calibrated",
     "CalibrationError",
+    "Case",
     "CellModel",
     "Commissioned",
     "CommissioningError",
@@ -162,12 +186,14 @@ __all__ = [
     "design_of",
     "distances",
     "effects_of",
+    "estimate",
     "find_steps",
     "fit_cell",
     "fit_clean_cell",
     "minutes_of",
     "plan_tests",
     "predict_cell",
+    "split",
     "station_of_twin",
     "time_grid",
     "undeclared_changes",
@@ -176,6 +202,7 @@ __all__ = [
     "windows_of",
     "with_basin",
     "with_evaporation",
+    "without_discrepancy",
 ]
 
 
