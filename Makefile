@@ -25,7 +25,7 @@ torch:
 
 # The 40-hour battle-time profile on the virtual rig, over real Modbus and CAN, in accelerated time. From 3.5 h on the
 # power modules give off heat that the twin does not know of; `make demo WITH=` runs the healthy rig. The run ends with
-# a diagnosis: the verdict, the errors before and after on the part that no fit saw, and where the pictures are.
+# a diagnosis: the verdict, the errors before and after on the held-out segment, and where the pictures are.
 WITH ?= profiles/effects/modules_heat.toml
 demo: $(STAMP)
 	$(BIN)/hil run profiles/loads/battle_40h.csv --virtual --lockstep --diagnose end $(if $(WITH),--with $(WITH))

@@ -81,7 +81,7 @@ def test_a_run_in_lockstep_is_held_paused_resumed_and_aborted_from_a_second_term
     targets = [row.target for row in reader.states()]
     reader.close()
     assert targets == [
-        "validating", "connecting", "soaking", "running", "held", "paused", "running", "finishing", "aborted",
+        "validating", "connecting", "restoring", "running", "held", "paused", "running", "finishing", "aborted",
     ]  # fmt: skip
     lane = [word for _, word in read_words(folder / "review.rrd", "/state")]
     assert lane == ["running", "held", "paused", "running", "aborted"]
