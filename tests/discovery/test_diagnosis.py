@@ -77,12 +77,6 @@ def test_a_heater_that_follows_late_is_named(bench: Bench, healthy: Columns) -> 
     assert effect.value == pytest.approx(60.0, rel=0.15)
 
 
-def test_two_effects_are_both_found(bench: Bench, healthy: Columns) -> None:
-    both = bench.with_values(tank_loss__hA=8.5, T_heater_C__bias_K=0.5)
-    found = diagnose(bench.network, bench.record(changed=both, onset_h=3.0), healthy)
-    assert {(e.kind, e.where) for e in found.effects} == {("heat_loss", "tank"), ("sensor", "T_heater_C")}
-
-
 def test_what_is_there_from_the_beginning_is_not_left_to_tunables_beside_another_effect(
     bench: Bench, healthy: Columns
 ) -> None:

@@ -161,7 +161,9 @@ def finding_of(found: Found, part: Part) -> Finding:
     part.reset()
     best = found.told
     claimed = best is not None and best.odds >= claim and best.odds >= found.unlisted
-    together = coinciding(best.fit.entries, contest.grid.span_s, contest.grid.step_s) if claimed and best.fit else None
+    together = None
+    if claimed and best is not None and best.fit is not None:
+        together = coinciding(best.fit.entries, contest.grid.span_s, contest.grid.step_s)
     claimed = claimed and together is None
     ranked = _ranked(found, best) if claimed and best is not None else ()
     finding = Finding(
