@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -14,13 +15,14 @@ from twin.discovery.diagnosis import SensorError
 from twin.discovery.effects.laws import Law
 from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.held_out import HeldOut
-from twin.discovery.evidence.part import Part, plainly
+from twin.discovery.evidence.marginal import joint
+from twin.discovery.evidence.part import Part, fitted, plainly
 from twin.discovery.evidence.priors import CLAIM, FAULT, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
-from twin.discovery.evidence.search import Found, Hypothesis, Prior, ladder_of, searched
+from twin.discovery.evidence.search import Found, Hypothesis, Prior, apart, ladder_of, searched
 from twin.discovery.healthy.basis import Basis, Columns
 from twin.discovery.records.grid import Grid
-from twin.discovery.refit.fitting import Fit
+from twin.discovery.refit.fitting import AGAIN, Fit, look_at
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import validate
 from twin.discovery.scoring.search import Entry
@@ -115,7 +117,36 @@ class Inquiry:
                     "the part that was to be kept out of the fit showed what the rest did not; so the fit was given "
                     f"the record up to {self._hours(most)}",
                 )
+        beside = self._beside(found.finding, prior, claim)
+        later = 0 if beside is None else max(most, self._amid(beside))
+        if later > found.split:
+            fuller = self._searched(later)
+            more = len(fuller.finding.entries) > len(found.finding.entries)
+            if more and self._left(fuller) < self._left(found, later):
+                found = fuller
+                notes = (
+                    "beside the answer, the part that was to be kept out of the fit showed more; so the fit was given "
+                    f"the record up to {self._hours(later)}",
+                )
         return replace(found, notes=notes)
+
+    def _beside(self, finding: Finding, prior: Prior, claim: float) -> Entry | None:
+        """Return the likeliest effect of the whole record beside those found in a part of it, if its odds allow a
+        claim."""
+        entries = finding.together or finding.entries
+        if not entries:
+            return None
+        whole = self.whole
+        whole.know(e.candidate for e in entries)
+        laws = {law.candidate.id: law for law in whole.laws}
+        here = tuple(replace(e, law=laws[e.candidate.id]).refreshed(whole.contest) for e in entries)
+        ((fit, _),) = fitted(whole, [here], AGAIN)
+        contest = copy.copy(whole.contest)
+        look_at(contest, Model.of(contest.probe, fit.entries), fit)
+        known = joint(contest, tuple(e.refreshed(contest) for e in fit.entries))
+        found = [e for e in scan(contest, whole.laws, known, timed=False) if apart(e, fit.entries)]
+        best = max(found, key=lambda e: e.log_bayes + prior.of(e), default=None)
+        return best if best is not None and best.log_bayes + prior.of(best) > claim else None
 
     def _left(self, answer: Answer, split: int | None = None) -> float:
         return self._held_out.left(answer.finding, answer.split if split is None else split)

@@ -177,7 +177,7 @@ def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[Law
     grown: dict[object, Hypothesis] = {}
     for rank, one in enumerate(known[: LEADING if len(known[0].entries) == 1 else FITTED]):
         beside = joint(part.contest, _at_first_order(part, one))
-        scanned = [e for e in scan(part.contest, laws, beside, timed=rank < PER_CLASS) if _apart(e, one.entries)]
+        scanned = [e for e in scan(part.contest, laws, beside, timed=rank < PER_CLASS) if apart(e, one.entries)]
         for entry in _leading(scanned, prior)[:BESIDE]:
             if entry.log_bayes + prior.of(entry) <= 0.0:
                 break
@@ -206,7 +206,7 @@ def _key(h: Hypothesis) -> tuple[object, ...]:
     return tuple(sorted((e.candidate.id, e.shape.name) for e in h.entries))
 
 
-def _apart(entry: Entry, others: tuple[Entry, ...]) -> bool:
+def apart(entry: Entry, others: tuple[Entry, ...]) -> bool:
     """Return True where an effect may be beside others: at one place there is one thing, of whatever form, and an error
     of its thermometer."""
     return all(_thing(entry) != _thing(o) for o in others)
