@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from twin.discovery.answer.case import Case
@@ -62,7 +64,9 @@ def adequate(case: Case) -> bool:
     """Whether the twin needs nothing, where no effect is claimed: what it leaves is noise or what it always leaves."""
     finding, lasting = case.finding, case.lasting
     if case.by_evidence:
-        return finding.fit is None and (case.usual or max(finding.odds, finding.unlisted) < CLAIM)
+        # What the part that no fit saw contradicts is refuted; nothing remains, or an effect of no listed form.
+        named = finding.odds if finding.fit is None else -math.inf
+        return case.usual or max(named, finding.unlisted) < CLAIM
     silent = bool(case.free) and case.free[0].log_evidence <= 0.0
     if finding.fit is not None and not silent:
         return False

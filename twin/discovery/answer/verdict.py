@@ -18,6 +18,7 @@ from twin.discovery.answer.words import summarise
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Verdict
 from twin.discovery.effects.lint import lint
 from twin.discovery.effects.open_laws import adopted
+from twin.discovery.effects.phrases import clock
 from twin.discovery.effects.probe import Run
 from twin.discovery.effects.shapes import TIMED
 from twin.discovery.healthy.basis import Basis
@@ -139,6 +140,19 @@ def _unknown(case: Case) -> Answer:
         alternatives=near_misses(case.finding),
         description=description,
         empirical=_offered(case) if free else None,
+        notes=_at_one_moment(case),
+    )
+
+
+def _at_one_moment(case: Case) -> tuple[str, ...]:
+    """Return what is to say of two effects that would explain the record and begin at one moment."""
+    if case.finding.together is None:
+        return ()
+    one, other = (f"{e.candidate.kind} at {e.candidate.where}".replace("_", " ") for e in case.finding.together)
+    moment = clock(float(case.grid.time[0]) + case.finding.together[0].shape.onset_s)
+    return (
+        f"{one} and {other} would explain the record together, but both begin at {moment}: one cause that no law "
+        "describes is likelier than two",
     )
 
 

@@ -1,7 +1,8 @@
 """Laws without a name: any recorded input as driver, in several forms, at every site of a network.
 
-A site is a place where something may act with a value of one unit: heat into a node or out of one into another, a share
-of a flow, a conductance to the room, an error of a reading. Its response per unit is that of the named law there. A law
+A site is a place where something may act with a value of one unit: heat into a node or out of one into another, heat
+into the solid part of a node that its thermometer reads, a share of a flow, a conductance to the room, an error of a
+reading. Its response per unit is that of the named law there. A law
 is a site, a driver and a form; it is weighed by the same evidence as a named one, from a smaller prior.
 
 A fit brings the heat of a law into the nodes of a shared kernel, and adds an error of reading to what is simulated.
@@ -31,6 +32,9 @@ MOST_LEVELS = 8
 """Levels of a column up to which a threshold is sought between each two; beyond, at quartiles."""
 LAGS_S = (900.0, 3600.0)
 """Time constants with which an effect may follow its driver, s: those of a volume and of a room."""
+SOLID_K_PER_W = tuple(float(f"{0.003 * 1.5**i:.3g}") for i in range(7))
+"""Temperatures of a solid part above that of its water for each watt that enters it, K/W: those of 330 to 30 W/K
+between the two, so close together that the next one is off by a fifth at most."""
 LEAST_SPREAD = 1.0e-3
 """Standard deviation of a column, as a share of its largest magnitude, below which nothing can follow it."""
 NAMES = {"heater_power_W": "heater_power", "pump_speed_pct": "pump_speed", "fan_speed_pct": "fan_speed"}
@@ -75,20 +79,21 @@ class Values:
 
     Attributes:
         driver: in a diagnosis's words. form, parameters: as in `twin.elements.law_forms`, the strength 1.
-        column: index of the input that is followed. scale: largest magnitude of the values.
+        column: index of the input that is followed, or None. scale: largest magnitude of the values.
         says: what it follows, in words.
     """
 
     driver: str
     form: str
     parameters: Mapping[str, float]
-    column: int
+    column: int | None
     scale: float
     says: str
 
     def at(self, time_s: Array, inputs: Array) -> Array:
         """Return the values (n,) for stamps (n,) s and inputs (n, c)."""
-        return law_values(self.form, "always", self.parameters, inputs[:, self.column], time_s)
+        x = None if self.column is None else inputs[:, self.column]
+        return law_values(self.form, "always", self.parameters, x, time_s)
 
 
 class OpenLaw(Law):
@@ -116,9 +121,16 @@ def open_laws(network: Network, grid: Grid, named: Sequence[Law]) -> list[OpenLa
     """Return the laws of any input at every site that are not among the named ones."""
     known = {(law.candidate.kind, law.candidate.where, law.candidate.driver) for law in named}
     every = [(v, v.at(grid.time, grid.inputs)) for v in values_of(network, grid)]
+    constant = Values("constant", "constant", {"size": 1.0}, None, 1.0, "")
     found = []
     for site in sites_of(network, named):
+        solid = site.heat is not None and site.reading is not None
+        if solid:
+            candidate = candidate_of(network, site, constant)
+            found.append(OpenLaw(candidate, site, np.ones(len(grid.time))))
         for values, course in every:
+            if solid and values.form != "linear":
+                continue
             if values.form == "linear" and (site.kind, site.where, values.driver) in known:
                 continue
             found.append(OpenLaw(candidate_of(network, site, values), site, course))
@@ -130,8 +142,8 @@ def candidate_of(network: Network, site: OpenSite, values: Values) -> Candidate:
     scale = max(values.scale, 1.0e-12)
     return Candidate(
         site.kind, site.where, values.driver, "new", site.changes, _unit(network, site, values), site.typical / scale,
-        site.lower / scale, site.upper / scale, f"{site.says} {values.says}", adds=site.tables, shapes=("step",),
-        column=site.column, follows=values.at, injects=site.injects, reads=site.reads,
+        site.lower / scale, site.upper / scale, f"{site.says} {values.says}".rstrip(), adds=site.tables,
+        shapes=("step",), column=site.column, follows=values.at, injects=site.injects, reads=site.reads,
         adopts={"form": values.form, "column": values.column, **values.parameters},
     )  # fmt: skip
 
@@ -141,7 +153,8 @@ def _unit(network: Network, site: OpenSite, values: Values) -> str:
     table = next(iter(site.tables.values()))
     kind = KINDS[str(table["kind"])]
     places = {kind.places()[key].name: value for key, value in table.items() if key not in ("kind", "driver", "form")}
-    law: dict[str, Any] = {**places, "driver": network.input_columns[values.column], "form": values.form}
+    driver = {} if values.column is None else {"driver": network.input_columns[values.column]}
+    law: dict[str, Any] = {**places, **driver, "form": values.form}
     element = kind(name="law", **law)
     strength = FORMS[values.form][0]
     unit = next(spec.unit for spec in element.parameter_specs() if spec.name == strength)
@@ -204,7 +217,7 @@ def sites_of(network: Network, named: Sequence[Law]) -> list[OpenSite]:
             site = _loss_site(network, law)
         if site is not None:
             found.setdefault(site.name, site)
-    for site in _transfers(network, named):
+    for site in [*_transfers(network, named), *_solids(network, list(found.values()))]:
         found.setdefault(site.name, site)
     return list(found.values())
 
@@ -269,6 +282,33 @@ def _loss_site(network: Network, law: Law) -> OpenSite | None:
                     "loses {value} more to the room")  # fmt: skip
 
 
+def _solids(network: Network, sites: Sequence[OpenSite]) -> Iterator[OpenSite]:
+    """Yield heat into the solid part of a volume that its thermometer reads: the water shows all of the heat, and the
+    thermometer what the solid is warmer by besides."""
+    for site in sites:
+        if site.kind != "heat_source" or site.heat is None or len(site.injects) != 1:
+            continue
+        (node,) = site.injects
+        sensors = [s.name for s in network.sensors if s.node == node]
+        if not sensors:
+            continue
+        reading = np.zeros((len(site.heat), len(network.sensors)))
+        reading[:, [network.sensor_names.index(s) for s in sensors]] = 1.0
+        for above in SOLID_K_PER_W:
+            name = f"solid_{_plain(site.where)}_{round(1e5 * above)}"
+            heat = f"{name}_heat"
+            column = f"open_{name}"
+            tables: dict[str, dict[str, Any]] = {
+                heat: {"kind": "law_heat", "node": node, "driver": column, "form": "linear"}
+            }
+            tables |= {f"{name}_{s}": {"kind": "law_reading", "sensor": s, "driver": column, "form": "linear"}
+                       for s in sensors}  # fmt: skip
+            changes = {f"{heat}.gain": 1.0} | {f"{name}_{s}.gain": above for s in sensors}
+            yield OpenSite(name, "heat_source", site.where, tables, changes, "W", site.typical, site.lower, site.upper,
+                           site.heat, above * reading, "gives off {value} into its solid part", injects={node: 1.0},
+                           reads=dict.fromkeys(sensors, above))  # fmt: skip
+
+
 def _transfers(network: Network, named: Sequence[Law]) -> Iterator[OpenSite]:
     """Yield heat that is taken from one node that is read and given to another."""
     count = next((len(law.heat) for law in named if law.heat is not None), 0)
@@ -291,5 +331,6 @@ def adopted(network: Network, candidate: Candidate, size: float) -> Network:
         site = {key: str(value) for key, value in table.items() if key not in ("driver", "form")}
         weight = candidate.changes[f"{name}.gain"]
         parameters = {**law, strength: size * weight * law[strength]}
-        network = adopt_law(network, site, {"driver": network.input_columns[column]}, form, parameters)
+        driver = {} if column is None else {"driver": network.input_columns[column]}
+        network = adopt_law(network, site, driver, form, parameters)
     return network

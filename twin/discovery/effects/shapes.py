@@ -81,11 +81,13 @@ class Shape:
         return float(self.block_means(np.array([low_s, max(high_s, low_s + 1e-3)]))[0])
 
     def going_on(self, span_s: float) -> Shape:
-        """The shape, where it still rises when a record of `span_s` ends, as one that does not end with it.
+        """The shape, where it still rises or is still there when a record of `span_s` ends, as one that goes on.
 
-        Until when it rises the record does not tell; that it stops then and there would be odd. What it comes to then
-        is as many times as large as its growth is longer.
+        Until when it does the record does not tell; that it stops then and there would be odd. What a ramp comes to
+        then is as many times as large as its growth is longer.
         """
+        if self.name == "spell" and not self.free(span_s):
+            return Shape("step", self.onset_s)
         if self.name != "ramp" or self.free(span_s):
             return self
         return replace(self, growth_s=BEYOND * span_s - self.onset_s)

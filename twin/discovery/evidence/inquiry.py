@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import copy
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from twin.discovery.evidence.priors import CLAIM
+from twin.discovery.evidence.marginal import joint
+from twin.discovery.evidence.priors import CLAIM, FAULT, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
-from twin.discovery.evidence.search import Found, Hypothesis, Prior, ladder_of, searched
-from twin.discovery.refit.fitting import Fit
+from twin.discovery.evidence.search import Found, Hypothesis, Prior, apart, ladder_of, searched
+from twin.discovery.refit.fitting import AGAIN, Fit, look_at
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import validate
+from twin.discovery.scoring.search import Entry
 from twin.discovery.selection.inquiry import LATE, STILL_HELD, Answer, Inquiry
-from twin.discovery.selection.part import Part, plainly
+from twin.discovery.selection.part import Part, fitted, plainly
 from twin.discovery.selection.ranking import Finding, Ranked
+from twin.gauss_newton import SE90
 
 
 class EvidenceInquiry(Inquiry):
@@ -52,7 +58,36 @@ class EvidenceInquiry(Inquiry):
                     "the part that was to be kept out of the fit showed what the rest did not; so the fit was given "
                     f"the record up to {self._hours(most)}",
                 )
+        beside = self._beside(found.finding, prior, CLAIM)
+        later = 0 if beside is None else max(most, self._amid(beside))
+        if later > found.split:
+            fuller = self._by_evidence(later)
+            more = len(fuller.finding.entries) > len(found.finding.entries)
+            if more and self._left(fuller) < self._left(found, later):
+                found = fuller
+                notes = (
+                    "beside the answer, the part that was to be kept out of the fit showed more; so the fit was given "
+                    f"the record up to {self._hours(later)}",
+                )
         return replace(found, notes=notes)
+
+    def _beside(self, finding: Finding, prior: Prior, claim: float) -> Entry | None:
+        """Return the likeliest effect of the whole record beside those found in a part of it, if its odds allow a
+        claim."""
+        entries = finding.together or finding.entries
+        if not entries:
+            return None
+        whole = self.whole
+        whole.know(e.candidate for e in entries)
+        laws = {law.candidate.id: law for law in whole.laws}
+        here = tuple(replace(e, law=laws[e.candidate.id]).refreshed(whole.contest) for e in entries)
+        ((fit, _),) = fitted(whole, [here], AGAIN)
+        contest = copy.copy(whole.contest)
+        look_at(contest, Model.of(contest.probe, fit.entries), fit)
+        known = joint(contest, tuple(e.refreshed(contest) for e in fit.entries))
+        found = [e for e in scan(contest, whole.laws, known, timed=False) if apart(e, fit.entries)]
+        best = max(found, key=lambda e: e.log_bayes + prior.of(e), default=None)
+        return best if best is not None and best.log_bayes + prior.of(best) > claim else None
 
     def _left(self, answer: Answer, split: int | None = None) -> float:
         return self._held_out.left(answer.finding, answer.split if split is None else split)
@@ -68,12 +103,17 @@ def finding_of(found: Found, part: Part) -> Finding:
     part.reset()
     best = found.told
     claimed = best is not None and best.odds >= CLAIM and best.odds >= found.unlisted
+    together = None
+    if claimed and best is not None and best.fit is not None:
+        together = coinciding(best.fit.entries, contest.grid.span_s, contest.grid.step_s)
+    claimed = claimed and together is None
     ranked = _ranked(found, best) if claimed and best is not None else ()
     finding = Finding(
         entries=(), fit=None, retuned=plainly(part, found.retuned), ranked=(), scanned=tuple(part.entries),
         start=contest.misfit, count=contest.count, ladder=ladder_of(part, best if claimed else None),
         contest=contest, state=part.state, null=part.null,
         odds=max((h.odds for h in found.hypotheses), default=-math.inf), unlisted=found.unlisted,
+        together=together,
     )  # fmt: skip
     if not claimed:
         return finding
@@ -82,6 +122,21 @@ def finding_of(found: Found, part: Part) -> Finding:
     part.reset()
     used = _as_used(best, part)
     return replace(finding, entries=best.fit.entries, fit=used, ranked=ranked, folds=folds)
+
+
+def coinciding(entries: Sequence[Entry], span_s: float, step_s: float) -> tuple[Entry, Entry] | None:
+    """Return two effects that begin so close together that one cause of no listed form is likelier than two; or None.
+
+    Of two independent faults, the second begins by chance within d of the first with probability 2 d / span.
+    """
+    least = math.log(SURE / (1.0 - SURE))
+    late = [e for e in entries if e.shape.onset_s > step_s]
+    for one, other in itertools.combinations(late, 2):
+        apart_s = abs(one.shape.onset_s - other.shape.onset_s)
+        within_s = max(apart_s, SE90 * math.hypot(one.onset_sd_s, other.onset_sd_s), step_s)
+        if math.log(UNLISTED / FAULT) + math.log(span_s / (2.0 * within_s)) > least:
+            return one, other
+    return None
 
 
 def _ranked(found: Found, best: Hypothesis) -> tuple[Ranked, ...]:

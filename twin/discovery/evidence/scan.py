@@ -168,11 +168,11 @@ def _of_law(
 def _spells(
     contest: Contest, law: Law, blocks: Array, score: Array, gram: Array, rest: float
 ) -> list[Entry]:  # fmt: skip
-    """Return the likeliest spell of a law, of two blocks or more, that is over before the record is."""
+    """Return the likeliest spell of a law, of two blocks or more, that is over two blocks before the record is."""
     b = contest.b
     sums, tops = np.zeros((b + 1, b + 1)), np.concatenate([[0.0], np.cumsum(score)])
     sums[1:, 1:] = gram.cumsum(axis=0).cumsum(axis=1)
-    first, last = np.triu_indices(b, 2)
+    first, last = np.triu_indices(b - 1, 2)
     bottom: Array = sums[last, last] - sums[first, last] - sums[last, first] + sums[first, first]
     bottom = np.maximum(bottom, _TINY * max(float(np.diag(sums).max()), _TINY))
     odds, size = log_bayes_of_sizes(law.candidate, tops[last] - tops[first], bottom)

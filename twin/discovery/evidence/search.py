@@ -14,7 +14,7 @@ from twin.discovery.diagnosis import Rung
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import Law
 from twin.discovery.evidence.marginal import form_quadratic, joint
-from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, UNLISTED
+from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, SPREAD, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK, courses
 from twin.discovery.places.sites import sites_of
@@ -58,6 +58,8 @@ class Hypothesis:
     form_error: float
     fit: Fit | None = None
     settled: bool = False
+    gained: float = 0.0
+    """Log odds that its fit won over those to first order."""
 
     @property
     def odds(self) -> float:
@@ -173,7 +175,7 @@ def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[Law
     grown: dict[object, Hypothesis] = {}
     for rank, one in enumerate(known[: LEADING if len(known[0].entries) == 1 else FITTED]):
         beside = joint(part.contest, _at_first_order(part, one))
-        scanned = [e for e in scan(part.contest, laws, beside, timed=rank < PER_CLASS) if _apart(e, one.entries)]
+        scanned = [e for e in scan(part.contest, laws, beside, timed=rank < PER_CLASS) if apart(e, one.entries)]
         for entry in _leading(scanned, prior)[:BESIDE]:
             if entry.log_bayes + prior.of(entry) <= 0.0:
                 break
@@ -202,7 +204,7 @@ def _key(h: Hypothesis) -> tuple[object, ...]:
     return tuple(sorted((e.candidate.id, e.shape.name) for e in h.entries))
 
 
-def _apart(entry: Entry, others: tuple[Entry, ...]) -> bool:
+def apart(entry: Entry, others: tuple[Entry, ...]) -> bool:
     """Return True where an effect may be beside others: at one place there is one thing, of whatever form, and an error
     of its thermometer."""
     return all(_thing(entry) != _thing(o) for o in others)
@@ -228,8 +230,20 @@ def _fitted(part: Part, known: list[Hypothesis], level: list[Hypothesis], misfit
         found.sort(key=lambda h: -h.odds)
         found = _settled_fits(part, found, misfit)
         best = max((h.odds for h in found if h.fit is not None), default=-math.inf)
-        batch = [h for h in found if h.fit is None and h.odds > best and h in level][:NEXT]
+        batch = [h for h in _by_promise(found) if h.fit is None and h in level and _promise(h, found) > best][:NEXT]
     return found
+
+
+def _promise(h: Hypothesis, found: list[Hypothesis]) -> float:
+    """Return the log odds that a hypothesis may come to once fitted: what others of the same claim won by their fits it
+    may win too."""
+    if h.fit is not None:
+        return h.odds
+    return h.odds + max((f.gained for f in found if f.fit is not None and f.labels == h.labels), default=0.0)
+
+
+def _by_promise(found: list[Hypothesis]) -> list[Hypothesis]:
+    return sorted(found, key=lambda h: -_promise(h, found))
 
 
 def _settled_fits(part: Part, found: list[Hypothesis], misfit: float) -> list[Hypothesis]:
@@ -258,11 +272,12 @@ def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
     own = copy.copy(part.contest)
     look_at(own, Model.of(own.probe, fit.entries), fit)
     entries = tuple(e.refreshed(own) for e in fit.entries)
-    quadratic = misfit - fit.total + form_quadratic(own, entries, h.form_error)
+    unusual = sum((e.size / (SPREAD * e.candidate.typical)) ** 2 for e in entries)
+    quadratic = misfit - fit.total - unusual + form_quadratic(own, entries, h.form_error)
+    won = 0.5 * (quadratic - h.quadratic)
     return replace(
-        h, entries=fit.entries, fit=fit, quadratic=quadratic,
-        log_bayes=h.log_bayes + 0.5 * (quadratic - h.quadratic),
-    )  # fmt: skip
+        h, entries=fit.entries, fit=fit, quadratic=quadratic, log_bayes=h.log_bayes + won, gained=h.gained + won
+    )
 
 
 def _late(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:

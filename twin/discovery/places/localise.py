@@ -7,10 +7,10 @@ marginal likelihood says how well an unknown at this site explains the record; t
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from twin.discovery.diagnosis import Course
 from twin.discovery.places.sites import Site
@@ -22,29 +22,41 @@ WALK_PER_BLOCK = (0.03, 0.1, 0.3, 1.0, 3.0)
 
 
 def courses(contest: Contest, sites: dict[str, Site]) -> tuple[Course, ...]:
-    """Unknown courses at each site, the likeliest first."""
+    """Return the unknown courses at each site, the likeliest first.
+
+    A course is the running sum of a beginning and of independent steps, whose sizes are the unknowns: their prior is
+    diagonal.
+    """
     found = []
-    difference = np.diff(np.eye(contest.b), axis=0)
     for name, site in sites.items():
         gram, score = contest.small(site.vector)
-        best: Course | None = None
+        gram, score = _late_sums(_late_sums(gram).T), _late_sums(score)
+        best: tuple[float, Array, Any, Any] | None = None
         for share in WALK_PER_BLOCK:
-            walk = share * site.typical
-            precision = difference.T @ difference / walk**2
-            precision[0, 0] += (30.0 * site.typical) ** -2
-            lower = np.linalg.cholesky(gram + precision + 1e-12 * np.trace(gram) * np.eye(contest.b) / contest.b)
-            mean = np.linalg.solve(lower.T, np.linalg.solve(lower, score))
-            _, log_prior = np.linalg.slogdet(precision)
-            evidence = 0.5 * float(score @ mean) - float(np.log(np.diag(lower)).sum()) + 0.5 * float(log_prior)
-            if best is None or evidence > best.log_evidence:
-                inverse = np.linalg.inv(lower)
-                sd = np.sqrt((inverse**2).sum(axis=0))
-                best = Course(name, site.unit, contest.hours, mean, sd, evidence, site.signature, site.where)
-        if best is not None:
-            counted = min(site.counts * best.log_evidence, best.log_evidence)
-            found.append(replace(best, log_evidence=counted))
+            scale: Array = np.full(contest.b, share * site.typical)
+            scale[0] = 30.0 * site.typical
+            lower = np.linalg.cholesky(np.eye(contest.b) + gram * np.outer(scale, scale))
+            half = solve_triangular(lower, scale * score, lower=True, check_finite=False)
+            evidence = 0.5 * float(half @ half) - float(np.log(np.diag(lower)).sum())
+            if best is None or evidence > best[0]:
+                best = evidence, scale, lower, half
+        if best is None:
+            continue
+        evidence, scale, lower, half = best
+        root = solve_triangular(lower, np.diag(scale), lower=True, check_finite=False)
+        # Rows of root' root are the covariance of the steps; the course is their running sum.
+        summed = np.cumsum(root, axis=1)
+        mean, sd = summed.T @ half, np.sqrt((summed**2).sum(axis=0))
+        counted = min(site.counts * evidence, evidence)
+        found.append(Course(name, site.unit, contest.hours, mean, sd, counted, site.signature, site.where))
     found.sort(key=lambda c: -c.log_evidence)
     return tuple(found)
+
+
+def _late_sums(values: Array) -> Array:
+    """Return the sums over the first axis from each row on."""
+    sums: Array = values[::-1].cumsum(axis=0)[::-1]
+    return sums
 
 
 def describe(course: Course, drivers: dict[str, Array], step_h: float) -> dict[str, Any]:

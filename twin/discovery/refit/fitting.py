@@ -186,7 +186,7 @@ def _between(readings: Array) -> Array:
 
 
 def _going_on(entry: Entry, span_s: float) -> Entry:
-    """The entry, where it still rises at the record's end, as one that does not end with it."""
+    """The entry, where it still rises or is there at the record's end, as one that does not end with it."""
     shape = entry.shape.going_on(span_s)
-    times = shape.growth_s / entry.shape.growth_s if shape != entry.shape else 1.0
+    times = shape.growth_s / entry.shape.growth_s if shape.growth_s > entry.shape.growth_s else 1.0
     return replace(entry, shape=shape, size=times * entry.size, sd=times * entry.sd)

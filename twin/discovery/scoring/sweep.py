@@ -20,6 +20,8 @@ FADING_S = (60.0, 600.0, 3600.0)
 """Time constants of pulses that are tried, s: water that is poured in, a wall, a room."""
 LEAST_BLOCKS, LEAST_TURNS, PERIODS, PHASES = 3.0, 2.0, 40, 12
 """Blocks in the shortest period and periods in a record, how many periods are tried and how many phases of each."""
+DAY_S, DAYS, DAY_PHASES = 86_400.0, 1.25, 24
+"""A day, of which less has to be seen twice than of any period: rooms, shifts and the sun go by it."""
 DUTIES = (0.25, 0.5, 0.75)
 
 
@@ -146,6 +148,8 @@ def _timed(onsets: Array, edges_s: Array) -> list[Shape]:
         found += [
             Shape("periodic", float(period * k / count), float(period), duty) for duty in DUTIES for k in range(count)
         ]
+    if DAYS * DAY_S < span < LEAST_TURNS * DAY_S:
+        found += [Shape("periodic", DAY_S * k / DAY_PHASES, DAY_S, duty) for duty in DUTIES for k in range(DAY_PHASES)]
     return found
 
 

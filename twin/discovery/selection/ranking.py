@@ -143,8 +143,8 @@ class Finding:
 
     `shorter` is what it had found before its last effect, None where that was the only one; `refuted` where one more
     scored, but did not foretell; `formed` where one more did, but only mended the form of one that is told. By
-    evidence, `odds` are the log posterior odds of the likeliest effects against none, and `unlisted` those of an
-    unknown of no listed form.
+    evidence, `odds` are the log posterior odds of the likeliest effects against none, `unlisted` those of an unknown of
+    no listed form, and `together` are two effects that explain the record and begin at one moment.
     """
 
     entries: tuple[Entry, ...]
@@ -165,6 +165,7 @@ class Finding:
     formed: bool = False
     odds: float = -math.inf
     unlisted: float = -math.inf
+    together: tuple[Entry, Entry] | None = None
 
     @property
     def threshold(self) -> float:
