@@ -1,0 +1,1 @@
+"""Training of the network calibrator for cooling-tower cells, on simulated stations alone."""
