@@ -18,6 +18,7 @@ from drivers.virtual.tower.effects import EFFECTS
 from drivers.virtual.tower.export import COMMISSIONING, datasheet, commissioning_rows, event_rows
 from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, Site
 from drivers.virtual.tower.station import Plan, Simulated, simulate, state_by_minute
+from twin.calibrators.hiera_unet.tower.cell_table import CellTable, cell_table
 from twin.historian.events import Event, disturbed, influence_of
 from twin.historian.record import CellMinutes, cell_minutes, shared_minutes
 from twin.historian.tags import Series, Tag
@@ -27,7 +28,7 @@ from twin.tower.cell import Inputs
 from twin.tower.commissioning import Commissioned, TestPoints, fit_clean_cell
 from twin.tower.evidence import Label
 from twin.tower.minutes import Minutes, blocks_of, minutes_of
-from twin.tower.model import DEVIATIONS, CellModel
+from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel
 from twin.tower.model import Site as DesignPoint
 from twin.tower.recursive import Recursion, recursion
 from twin.tower.smoother import Opening, Priors
@@ -64,7 +65,7 @@ class CellData:
 
     Attributes:
         sheet: datasheet. columns: of the aligned record. minutes, recursion, commissioned: as in `twin.tower`.
-        clean: (n,) outlet of the commissioned twin, degC. openings, events: of the station's records.
+        clean, log_clean: (n,) outlet degC and logarithm of the fan power by the commissioned twin. openings, events: of the station's records.
     """
 
     name: str
@@ -73,6 +74,7 @@ class CellData:
     minutes: Minutes
     commissioned: Commissioned
     clean: Array
+    log_clean: Array
     recursion: Recursion
     openings: tuple[Opening, ...]
     events: tuple[Event, ...]
@@ -133,6 +135,14 @@ def station_cells(plan: StationPlan) -> list[CellData]:
     return found
 
 
+def table_of(cell: CellData) -> CellTable:
+    """Return the arrays that windows of a simulated cell are cut from."""
+    return cell_table(
+        cell.name, cell.sheet, cell.columns, cell.minutes, cell.commissioned.design, cell.clean, cell.log_clean,
+        cell.recursion, cell.events, cell.openings, cell.healthy_end_s, cell.truth_water, cell.truth,
+    )  # fmt: skip
+
+
 def _cell(
     plan: StationPlan, made: Simulated, cell: int, sheet: dict[str, Any], aligned: CellMinutes, points: TestPoints,
     events: tuple[Event, ...],
@@ -165,7 +175,8 @@ def _cell(
     truth = np.stack([*(state[name] - 1.0 for name in DEVIATIONS[:3]), bias], axis=1)
     on = made.truth.cell("on", cell) > 0.5
     return CellData(
-        f"{plan.name}_{cell}", sheet, columns, minutes, fitted, _clean(model, minutes), beliefs, openings,
+        f"{plan.name}_{cell}", sheet, columns, minutes, fitted, _clean(model, minutes),
+        _log_power(model, minutes), beliefs, openings,
         tuple(e for e in events if e.cell in (0, cell)), end, np.where(on, made.truth.cell("t_out", cell), np.nan), truth,
     )  # fmt: skip
 
@@ -180,6 +191,16 @@ def _clean(model: CellModel, minutes: Minutes) -> Array:
     clean = np.full(len(minutes.time_s), np.nan)
     clean[rows] = out + minutes.operation.bypass[rows] * (u.t_in - out)
     return follow(clean, minutes.known)
+
+
+def _log_power(model: CellModel, minutes: Minutes) -> Array:
+    """Return the logarithm of the commissioned twin's fan power, kW; NaN where the inputs are not known."""
+    rows = np.flatnonzero(minutes.known)
+    found = np.full(len(minutes.time_s), np.nan)
+    neutral = np.zeros(len(NAMES))
+    neutral[NAMES.index("kappa")] = -1.3  # any: at zero deviation the air's power has no effect
+    found[rows] = model.log_power(minutes.operation.take(rows), np.zeros((len(rows), len(SLOW))), neutral)
+    return found
 
 
 def _part(m: Minutes, until: int) -> Minutes:

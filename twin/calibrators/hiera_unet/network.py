@@ -63,15 +63,17 @@ class HieraUNet(nn.Module):
         causal: bool = False,
         crop: bool = True,
         corrected: int | None = None,
+        memory: Tensor | None = None,
     ) -> Prediction:
         """
         Args:
             x: (B, 1440, C) channels, normalised. m: (B, 1440, C), true or 1 where x is there. regime: (B, 1440)
                 integers. clock: (B, 1440, 6). meta: (B, M).
+            memory: (B, r, `config.memory`) tokens of the plant's healthy record, for a network that has them.
             crop, corrected: see `Decoder`; of the other windows there are no corrections and scales.
         """
         m = m.to(x.dtype)
-        scales = self.encoder(x, m, regime.long(), clock, meta, causal)
+        scales = self.encoder(x, m, regime.long(), clock, meta, causal, memory)
         answers, attention = self.queries(scales[-1].h, scales[-1].valid)
         d3, d1 = self.decoder(scales, answers.mean(1), causal, crop, corrected)
         theta, log_variance = self.parameter_head(d3, scales[2].valid, answers, meta)
