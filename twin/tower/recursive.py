@@ -223,7 +223,13 @@ class _Filter:
             error = float(blocks.outlet[row] - self.reading[i])
             if np.isfinite(error) and blocks.time_s[row] >= since_s:
                 # About deviations of zero, so that rows of two chunks have one origin.
-                found.append((float(blocks.time_s[row]), self.slopes[i, :four], error + float(self.slopes[i, :four] @ self.at[:four])))
+                found.append(
+                    (
+                        float(blocks.time_s[row]),
+                        self.slopes[i, :four],
+                        error + float(self.slopes[i, :four] @ self.at[:four]),
+                    )
+                )
         return found
 
     def of_day(self, past: Sequence[tuple[float, Array, float]]) -> tuple[Array, Array, float]:

@@ -38,12 +38,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _member(options)
     if options.step == "adapt":
         return _adapt(options)
+    if options.step == "boost":
+        return _boost(options)
     return _all(options)
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("step", nargs="?", default="all", choices=("all", "member", "adapt"))
+    parser.add_argument("step", nargs="?", default="all", choices=("all", "member", "adapt", "boost"))
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--work", type=Path, default=Path("/tmp/tower_training"))
     parser.add_argument("--seconds", type=float, default=540.0)
@@ -82,11 +84,18 @@ def _all(o: argparse.Namespace) -> int:
     count = generate(plan, data, o.workers, until, say)
     say(f"{count} stations, {len(tables(data, TRAIN))} cells to train on, data {digest_of(data)}")
     jobs = [("small", seed) for seed in range(o.members)] + ([("full", 0)] if o.full else [])
-    running = {f"{size}_{seed}": _start(o, "member", at(TRAINED) - FINISH_S, size=size, seed=seed) for size, seed in jobs}
+    running = {
+        f"{size}_{seed}": _start(o, "member", at(TRAINED) - FINISH_S, size=size, seed=seed) for size, seed in jobs
+    }
+    # The rival learns on the processor meanwhile.
+    boosting = {"boost": _start(o, "boost", at(ADAPTED), most=o.most)}
     _wait(running, at(TRAINED) + 30.0, say)
     weights = {n: o.work / f"tower_{n}.safetensors" for n in running if (o.work / f"tower_{n}.json").is_file()}
     say(f"trained: {', '.join(weights) or 'none'}")
-    results: dict[str, Any] = {"options": {k: str(v) for k, v in vars(o).items()}, "manifest": _json(data / "manifest.json")}
+    results: dict[str, Any] = {
+        "options": {k: str(v) for k, v in vars(o).items()},
+        "manifest": _json(data / "manifest.json"),
+    }
     results["cards"] = {n: _json(path.with_suffix(".json")) for n, path in weights.items()}
     arrays: dict[str, np.ndarray] = {}
     _pack(o, results, arrays, weights)
@@ -97,10 +106,13 @@ def _all(o: argparse.Namespace) -> int:
         found = {n: _json(o.work / f"adapted_{n}.json") for n in named if (o.work / f"adapted_{n}.json").is_file()}
         results["adapted"] = found
         _pack(o, results, arrays, weights)
+    _wait(boosting, at(ADAPTED) + 30.0, say)
     try:
         from hil.training.tower.evaluate import evaluate
 
-        document, arrays = evaluate(data, weights, o.device, most=o.most or None, half=o.device != "cpu", note=say)
+        document, arrays = evaluate(
+            data, weights, o.device, most=o.most or None, half=o.device != "cpu", boosted=o.work / "boosted.npz", note=say
+        )  # fmt: skip
         results["evaluation"] = document
     except Exception:  # the weights are worth having without their scores
         results["evaluation_failed"] = traceback.format_exc()
@@ -116,7 +128,8 @@ def _start(o: argparse.Namespace, step: str, until: float, **more: Any) -> subpr
     words += ["--device", o.device, "--until", f"{until:.1f}", "--batch", str(o.batch)]
     for name, value in more.items():
         words += [f"--{name}", str(value)]
-    environment = {**os.environ, "OMP_NUM_THREADS": "2", "PYTHONUNBUFFERED": "1"}
+    threads = str(max((os.cpu_count() or 2) - 8, 1)) if step == "boost" else "2"
+    environment = {**os.environ, "OMP_NUM_THREADS": threads, "PYTHONUNBUFFERED": "1"}
     return subprocess.Popen(words, env=environment)
 
 
@@ -182,7 +195,23 @@ def _adapt(o: argparse.Namespace) -> int:
     return 0
 
 
-def _pack(o: argparse.Namespace, results: dict[str, Any], arrays: dict[str, np.ndarray], weights: dict[str, Path]) -> None:
+def _boost(o: argparse.Namespace) -> int:
+    from hil.training.tower.evaluate import boost, evenly, write_boosted
+    from twin.calibrators.hiera_unet.tower.member import load_fleet
+
+    began = time.time()
+    test = load_fleet(tables(o.work / "data", TEST), "cpu")
+    rows = evenly(test.rows, o.most or None)
+    figures = boost(o.work / "data", test, rows)
+    if figures is not None:
+        write_boosted(o.work / "boosted.npz", rows, figures)
+    print(f"boosted in {time.time() - began:.0f} s", flush=True)
+    return 0
+
+
+def _pack(
+    o: argparse.Namespace, results: dict[str, Any], arrays: dict[str, np.ndarray], weights: dict[str, Path]
+) -> None:
     """Write what comes back: weights of small members, results and arrays."""
     for name, path in weights.items():
         target = o.out / path.name

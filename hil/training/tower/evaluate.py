@@ -13,6 +13,8 @@ from hil.training.tower.generate import TEST, TRAIN, VALIDATION, digest_of, tabl
 
 BOOSTED_WINDOWS = 20_000
 """Windows of the training split that the booster learns from."""
+HELD_OUT = 6000
+"""Windows of the validation split that intervals are set by."""
 LOST = 0.25
 Note = Callable[[str], None]
 GAUSS_NEWTON, BOOSTED, ENSEMBLE = "Gauss-Newton with discrepancy", "the same, boosted", "network, ensemble"
@@ -20,13 +22,13 @@ GAUSS_NEWTON, BOOSTED, ENSEMBLE = "Gauss-Newton with discrepancy", "the same, bo
 
 def evaluate(
     folder: Path, members: Mapping[str, Path], device: str = "cpu", *, most: int | None = None, half: bool = False,
-    note: Note = lambda _: None,
+    boosted: Path | None = None, note: Note = lambda _: None,
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:  # fmt: skip
     """Return scores as plain data, and arrays by window of the test split.
 
     Parameters:
         members: weights by name; those whose name begins with `small` make the ensemble. most: windows of the test
-        split at most, evenly taken; None for all. half: bfloat16 in the networks' products.
+        split at most, evenly taken; None for all. boosted: file of `boost`, made now without. half: bfloat16 in the networks' products.
 
     Raises:
         HieraError: the folder lacks a split, or a network does not fit.
@@ -37,22 +39,23 @@ def evaluate(
 
     began = time.monotonic()
     test, validation = load_fleet(tables(folder, TEST), device), load_fleet(tables(folder, VALIDATION), device)
-    rows, held_out = evenly(test.rows, most), evenly(validation.rows, most)
+    rows, held_out = evenly(test.rows, most), evenly(validation.rows, min(most or HELD_OUT, HELD_OUT))
+    size = 256 if device != "cpu" else 64
     t, v = score.targets_of(test, rows), score.targets_of(validation, held_out)
     note(f"{len(rows)} test windows of {len(test.names)} cells, {len(held_out)} to set intervals")
     answers = {
         "commissioned": score.commissioned(t), "persistence of the last error": score.persistent(t),
         GAUSS_NEWTON: score.believed(t),
     }  # fmt: skip
-    boosted = _boosted(folder, t, note)
-    if boosted is not None:
-        answers[BOOSTED] = boosted
+    figures = _read(boosted, rows) if boosted is not None else boost(folder, test, rows, note)
+    if figures is not None:
+        answers[BOOSTED] = score.Answer(*figures)
     loaded = {name: load_member(path, blind_too=True) for name, path in members.items()}
     for member in loaded.values():
         member.network.to(test.device)
-    predicted = {n: predict(m.network, test, rows, half=half) for n, m in loaded.items()}
+    predicted = {n: predict(m.network, test, rows, size, half=half) for n, m in loaded.items()}
     note(f"predictions of {len(loaded)} networks after {time.monotonic() - began:.0f} s")
-    known = {n: predict(m.network, validation, held_out, half=half) for n, m in loaded.items()}
+    known = {n: predict(m.network, validation, held_out, size, half=half) for n, m in loaded.items()}
     groups = {n: [n] for n in loaded} | {ENSEMBLE: [n for n in loaded if n.startswith("small")]}
     factors: dict[str, Any] = {}
     for name, some in groups.items():
@@ -68,7 +71,7 @@ def evaluate(
         "by_cell": score.by_cell(t, test.names, answers),
     }  # fmt: skip
     if groups[ENSEMBLE]:
-        document |= _further(loaded, groups[ENSEMBLE], test, rows, half)
+        document |= _further(loaded, groups[ENSEMBLE], test, rows, size, half)
     document["seconds"] = round(time.monotonic() - began, 1)
     note(f"scored after {document['seconds']:.0f} s")
     return document, _arrays(t, answers)
@@ -81,23 +84,45 @@ def evenly(rows: np.ndarray, most: int | None) -> np.ndarray:
     return rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
 
 
-def _boosted(folder: Path, t: Any, note: Note) -> Any:
+def boost(
+    folder: Path, test: Any, rows: np.ndarray, note: Note = lambda _: None
+) -> tuple[np.ndarray, np.ndarray] | None:  # fmt: skip
+    """Return the deviations (K, 4) and the outlet (K, 120), degC, of Gauss-Newton corrected by gradient boosting, learned
+    from the training split; None without scikit-learn.
+
+    Parameters:
+        test: fleet of the test split. rows: its cycles.
+    """
     from twin.calibrators.hiera_unet.tower import score
     from twin.calibrators.hiera_unet.tower.member import load_fleet
 
-    # On the processor: the tables of the training split fill a device.
-    paths = tables(folder, TRAIN)
+    paths = [path for path in tables(folder, TRAIN) if _has_windows(path)]
     parts = []
     for path in paths:
-        fleet = load_fleet([path], "cpu") if _has_windows(path) else None
-        if fleet is not None:
-            parts.append(score.targets_of(fleet, evenly(fleet.rows, max(BOOSTED_WINDOWS // len(paths), 50))))
+        # One at a time and on the processor: all tables fill a device.
+        fleet = load_fleet([path], "cpu")
+        parts.append(score.targets_of(fleet, evenly(fleet.rows, max(BOOSTED_WINDOWS // len(paths), 50)), 64))
     try:
         booster = score.Booster(score.joined(parts))
     except ImportError:
         note("boosting is left out: scikit-learn is not installed; install the extra ml")
         return None
-    return booster(t)
+    found = booster(score.targets_of(test, rows, 64))
+    return found.theta, found.water
+
+
+def write_boosted(path: Path, rows: np.ndarray, figures: tuple[np.ndarray, np.ndarray]) -> None:
+    """Write what `boost` returned, with its cycles."""
+    with path.open("wb") as file:
+        np.savez(file, rows=rows, theta=figures[0].astype(np.float32), water=figures[1].astype(np.float32))
+
+
+def _read(path: Path, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    if not path.is_file():
+        return None
+    with np.load(path, allow_pickle=False) as found:
+        same = len(found["rows"]) == len(rows) and bool((found["rows"] == rows).all())
+        return (found["theta"], found["water"]) if same else None
 
 
 def _has_windows(path: Path) -> bool:
@@ -121,7 +146,9 @@ def _scored(t: Any, answers: Mapping[str, Any], rows: np.ndarray) -> dict[str, A
     return {name: score.scores(part, one, rival) for name, one in own.items()}
 
 
-def _further(loaded: Mapping[str, Any], members: Sequence[str], test: Any, rows: np.ndarray, half: bool) -> dict[str, Any]:
+def _further(
+    loaded: Mapping[str, Any], members: Sequence[str], test: Any, rows: np.ndarray, size: int, half: bool
+) -> dict[str, Any]:
     """Return scores of the ensemble in the symmetric branch, with channels lost, and its members' spread."""
     from twin.calibrators.hiera_unet.tower import score
     from twin.calibrators.hiera_unet.tower.predict import predict
@@ -131,12 +158,14 @@ def _further(loaded: Mapping[str, Any], members: Sequence[str], test: Any, rows:
     rival = score.believed(t)
     found: dict[str, Any] = {}
     for name, options in (("causal", {}), ("symmetric", {"causal": False}), ("quarter_lost", {"lost": LOST})):
-        parts = [predict(loaded[n].network, test, some, half=half, **options) for n in members]
+        parts = [predict(loaded[n].network, test, some, size, half=half, **options) for n in members]
         answer, _, _ = score.mixed(t, parts)
         found[name] = score.scores(t, answer, rival)
         if name == "causal":
             spread = np.std([p.theta for p in parts], axis=0).mean(axis=0)
-            found["member_sd"] = {n: float(s) for n, s in zip(("fill", "air", "uniformity", "bias"), spread, strict=True)}
+            found["member_sd"] = {
+                n: float(s) for n, s in zip(("fill", "air", "uniformity", "bias"), spread, strict=True)
+            }
     return found
 
 

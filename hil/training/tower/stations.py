@@ -93,7 +93,9 @@ def drawn_site(seed: int) -> tuple[Site, tuple[str, ...]]:
 
     changes = {f.name: between(getattr(CHICAGO_SITE, f.name), getattr(MIAMI_SITE, f.name), share) for f in fields(Site)}
     cold, warm = CHICAGO_SITE.climate, MIAMI_SITE.climate
-    climate = replace(cold, **{f.name: between(getattr(cold, f.name), getattr(warm, f.name), weather) for f in fields(cold)})
+    climate = replace(
+        cold, **{f.name: between(getattr(cold, f.name), getattr(warm, f.name), weather) for f in fields(cold)}
+    )
     pressure = DENVER_KPA if rng.random() < HIGH_SHARE else float(climate.pressure)
     climate = replace(
         climate, pressure=pressure, wind=float(climate.wind * rng.uniform(0.7, 1.4)),
@@ -116,11 +118,11 @@ def station_cells(plan: StationPlan) -> list[CellData]:
     Raises:
         ValueError: a cell cannot be commissioned or calibrated.
     """
-    site, hide = (
-        drawn_site(plan.seed) if plan.site == "F" else (CHICAGO_SITE if plan.site == OF_A else MIAMI_SITE, ())
-    )
+    site, hide = drawn_site(plan.seed) if plan.site == "F" else (CHICAGO_SITE if plan.site == OF_A else MIAMI_SITE, ())
     start = datetime.datetime(2022, 1 + plan.seed % 12, 1, tzinfo=datetime.UTC)
-    made = simulate(site, plan.cells, Plan(months=plan.months, cells=plan.cells, seed=plan.seed, start=start, hide=hide))
+    made = simulate(
+        site, plan.cells, Plan(months=plan.months, cells=plan.cells, seed=plan.seed, start=start, hide=hide)
+    )
     zero = start.timestamp()
     sheet = datasheet(site, plan.cells)
     events = tuple(_event(row) for row in event_rows(made))
@@ -157,7 +159,9 @@ def _cell(
     point = DesignPoint(float(design["water_inlet_C"]), float(design["wet_bulb_C"]), float(design["range_K"]), bypass)
     model = CellModel(fitted.design, point)
     sd = fitted.sd
-    priors = Priors(BOUNDS, {"merkel": (0.0, float(np.clip(sd[0], 1e-3, 0.5))), "exponent": (0.0, float(np.clip(sd[1], 1e-3, 0.5)))})
+    priors = Priors(
+        BOUNDS, {"merkel": (0.0, float(np.clip(sd[0], 1e-3, 0.5))), "exponent": (0.0, float(np.clip(sd[1], 1e-3, 0.5)))}
+    )
     end = float(minutes.time_s[0]) + HEALTHY_DAYS * 86400.0
     until = int(np.searchsorted(minutes.time_s, end))
     openings = _openings(events, cell)
@@ -228,7 +232,9 @@ def _points(made: Simulated) -> dict[int, TestPoints]:
             v["water_inlet_C"], v["water_flow_kg_s"], v["fan_speed_pct"] / 100.0, v["dry_bulb_C"],
             v["entering_wet_bulb_C"], v["pressure_kPa"],
         )  # fmt: skip
-        found[cell] = TestPoints(inputs, v["water_outlet_C"], v["fan_power_kW"], v["air_flow_kg_s"], v["evaporation_kg_s"])
+        found[cell] = TestPoints(
+            inputs, v["water_outlet_C"], v["fan_power_kW"], v["air_flow_kg_s"], v["evaporation_kg_s"]
+        )
     return found
 
 

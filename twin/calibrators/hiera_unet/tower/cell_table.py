@@ -103,7 +103,9 @@ class CellTable:
         except (OSError, ValueError, KeyError) as error:
             if isinstance(error, HieraError):
                 raise
-            raise HieraError(f"{path}: cannot be read as windows of a cell ({error}); remove it and simulate anew") from error
+            raise HieraError(
+                f"{path}: cannot be read as windows of a cell ({error}); remove it and simulate anew"
+            ) from error
         values["name"], values["healthy_end"] = str(values["name"]), int(values["healthy_end"])
         return cls(**values)
 
@@ -124,7 +126,10 @@ def cell_table(
     x, m = channels_of(columns, minutes, design, sheet, clean, log_clean, events, slice(0, healthy_end))
     sizes, u = sheet["design"], minutes.operation.inputs
     fall, wet0 = float(sizes["water_inlet_C"]) - float(sizes["water_outlet_C"]), float(sizes["wet_bulb_C"])
-    point = np.stack([(u.wet - wet0) / 10.0, (u.t_in - u.wet) / 10.0 - 1.0, 2.0 * u.speed - 1.0, 2.0 * (u.m_w / design.m_w0 - 1.0)], axis=1)
+    point = np.stack(
+        [(u.wet - wet0) / 10.0, (u.t_in - u.wet) / 10.0 - 1.0, 2.0 * u.speed - 1.0, 2.0 * (u.m_w / design.m_w0 - 1.0)],
+        axis=1,
+    )
     point = np.where(minutes.known[:, None], point, np.nan)
     start = np.searchsorted(t, beliefs.start_s)
     span = SUBJECT.target
@@ -159,7 +164,10 @@ def _kinds(
 
     def ptp(values: Array) -> Array:
         part = values[inside]
-        low, high = np.where(np.isfinite(part), part, np.inf).min(axis=1), np.where(np.isfinite(part), part, -np.inf).max(axis=1)
+        low, high = (
+            np.where(np.isfinite(part), part, np.inf).min(axis=1),
+            np.where(np.isfinite(part), part, -np.inf).max(axis=1),
+        )
         return np.where(high >= low, high - low, 0.0)
 
     wet = point[:, 0]

@@ -26,7 +26,7 @@ from twin.calibrators.hiera_unet.tower.windows import Fleet
 
 LOOKED_AT, LOOKS = 384, 24
 """Held-out windows of a look, always the same, and looks in a training."""
-TIMED = 20
+TIMED = 10
 """Steps after a warm-up of as many, by which a training with a time limit plans its number of steps."""
 LONGEST = 1_000_000
 KEEP_EVERY_S = 60.0
@@ -85,7 +85,7 @@ class MemberTraining:
             made = trainer.done - first
             if until is not None and made == TIMED:
                 timed = self._now()
-            if until is not None and made >= 2 * TIMED and made % (4 * TIMED) == 0:
+            if until is not None and (made == 2 * TIMED or (made and made % (5 * TIMED) == 0)):
                 self._fit_to(until, (self._now() - timed) / (made - TIMED))
             found = trainer.step()
             if found:
@@ -94,7 +94,7 @@ class MemberTraining:
             if trainer.done % every == 0 or trainer.done == trainer.plan.steps:
                 self._look(gathered, time.monotonic() - began)
                 gathered = []
-                say(trainer.done, trainer.plan.steps, self._note())
+                say(trainer.done, trainer.plan.steps, self.note())
             if until is not None and time.monotonic() > until:
                 break
             if self.folder is not None and time.monotonic() - last_kept > KEEP_EVERY_S:
@@ -137,11 +137,11 @@ class MemberTraining:
             entry[f"{name}_mae"], entry[f"rival_{name}_mae"] = value, rival["deviation_mae"][name]
         self.curves.append(entry)
 
-    def _note(self) -> str:
+    def note(self) -> str:
         last = self.curves[-1]
-        return (
-            f"outlet {last['water_mae_K']:.4f} K (Gauss-Newton {last['rival_water_mae_K']:.4f}), "
-            + ", ".join(f"{n} {last[n + '_mae']:.4f} ({last['rival_' + n + '_mae']:.4f})" for n in ("fill", "air", "uniformity", "bias"))
+        return f"outlet {last['water_mae_K']:.4f} K (Gauss-Newton {last['rival_water_mae_K']:.4f}), " + ", ".join(
+            f"{n} {last[n + '_mae']:.4f} ({last['rival_' + n + '_mae']:.4f})"
+            for n in ("fill", "air", "uniformity", "bias")
         )
 
     def gate(self, count: int = 768) -> Blindness:

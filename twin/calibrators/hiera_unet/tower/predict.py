@@ -41,9 +41,7 @@ class Predicted:
 def answer(network: HieraUNet, batch: Batch, causal: bool, half: bool) -> Prediction:
     """Return what a network says of a batch."""
     with torch.inference_mode(), torch.autocast(batch.x.device.type, torch.bfloat16, enabled=half):
-        return network(
-            batch.x, batch.m, batch.regime, batch.clock, batch.meta, causal=causal, memory=batch.memory
-        )
+        return network(batch.x, batch.m, batch.regime, batch.clock, batch.meta, causal=causal, memory=batch.memory)
 
 
 def predict(
@@ -107,7 +105,9 @@ def blindness(
     for at in range(0, len(rows), size):
         batch = fleet.batch(torch.from_numpy(rows[at : at + size]))
         strange = fleet.batch(torch.from_numpy(other[at : at + size]))
-        mixed = Batch(**{**batch.__dict__, "x": strange.x, "m": strange.m, "regime": strange.regime, "clock": strange.clock})
+        mixed = Batch(
+            **{**batch.__dict__, "x": strange.x, "m": strange.m, "regime": strange.regime, "clock": strange.clock}
+        )
         columns = []
         for one in (batch, mixed):
             p = answer(network, one, False, half)

@@ -67,7 +67,12 @@ def targets_of(fleet: Fleet, rows: Array, size: int = 256) -> Targets:
         point = fleet.arrays["point"][index].float()
         water = fleet.arrays["water"][index]
         change = batch.mean[:, None, :3] - fleet.reference[fleet.chunk[index]]
-        residual = fleet.arrays["outlet"][index] - water - (fleet.arrays["slopes"][index] * change).sum(-1) - batch.mean[:, None, 3]
+        residual = (
+            fleet.arrays["outlet"][index]
+            - water
+            - (fleet.arrays["slopes"][index] * change).sum(-1)
+            - batch.mean[:, None, 3]
+        )
         before = residual[:, : CONTEXT - TARGET]
         recent = torch.stack([torch.nanmean(before[:, -m:], 1) for m in LAST_MIN], 1)
         speed = torch.nan_to_num(point[..., 2], nan=-1.0)

@@ -143,7 +143,9 @@ class TowerTrainer:
         found = {"loss": float(total.detach()), "parameters": float(parameters.detach())}
         found |= {"outputs": float(outputs.detach()), "even": self.even}
         if not math.isfinite(found["loss"]):
-            raise HieraError(f"the loss is no number after {self.done} steps; train with a lower rate or in single precision")
+            raise HieraError(
+                f"the loss is no number after {self.done} steps; train with a lower rate or in single precision"
+            )
         return found
 
     def _batch(self) -> tuple[Batch, Tensor]:
@@ -199,7 +201,9 @@ class TowerTrainer:
             rest = rest + self.plan.smooth * losses.smooth_loss(p.theta, self.fleet.bounds, pairs)
         if self.done >= self.plan.sure * self.plan.steps:
             judged = (reading if own else error)[..., None]
-            likely = losses.laplace_loss(judged * TOLERANCE, p.log_scale.float(), torch.tensor([TOLERANCE], device=self.device))
+            likely = losses.laplace_loss(
+                judged * TOLERANCE, p.log_scale.float(), torch.tensor([TOLERANCE], device=self.device)
+            )
             if not own:
                 wrong = p.theta - batch.true
                 likely = likely + losses.gaussian_loss(wrong, p.log_variance, self.fleet.bounds, torch.isfinite(wrong))
@@ -245,5 +249,6 @@ class TowerTrainer:
     def identity(self) -> str:
         """Return what must be the same for a training to go on."""
         return json.dumps(
-            (self.config.document(), self.plan.document(), SUBJECT.digest(), self.digest, len(self.fleet)), sort_keys=True
+            (self.config.document(), self.plan.document(), SUBJECT.digest(), self.digest, len(self.fleet)),
+            sort_keys=True,
         )

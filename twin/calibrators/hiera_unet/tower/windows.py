@@ -96,7 +96,9 @@ class Fleet:
         self.design = self._stacked([t.design for t in tables])
         self.rows = np.flatnonzero(self.valid)
         if not len(self.rows):
-            raise HieraError("no cycle of the tables is a window: records need 22 days and running cells; simulate more")
+            raise HieraError(
+                "no cycle of the tables is a window: records need 22 days and running cells; simulate more"
+            )
         follows = np.r_[self.valid[1:], False] & np.r_[np.diff(self.cell.cpu().numpy()) == 0, False]
         quiet = self.cycles["kind"].cpu().numpy() != MAINTAINED
         self.follows = torch.from_numpy(follows & quiet).to(self.device)
@@ -138,7 +140,13 @@ class Fleet:
         residual = (reading - water - mean[:, None, 3]) / TOLERANCE
         there = torch.isfinite(residual)
         residual = torch.nan_to_num(residual).clamp(-MOST, MOST)
-        slope = torch.cat([a["slopes"] * self.bounds[:3] / TOLERANCE, torch.full_like(reading, float(self.bounds[3]) / TOLERANCE)[..., None]], -1)
+        slope = torch.cat(
+            [
+                a["slopes"] * self.bounds[:3] / TOLERANCE,
+                torch.full_like(reading, float(self.bounds[3]) / TOLERANCE)[..., None],
+            ],
+            -1,
+        )
         x[..., OUTLET] = residual
         x[..., SCORES] = (0.5 * residual[..., None] * slope).clamp(-MOST, MOST)
         x[..., RATES] = (0.25 * slope**2).clamp(0.0, MOST)

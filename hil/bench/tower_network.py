@@ -1,0 +1,143 @@
+"""Bench of trained tower networks and their rivals on simulated stations that no training saw."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.bench.measure.report import Cell, ReportTable
+from hil.training.tower.evaluate import BOOSTED, ENSEMBLE, GAUSS_NEWTON, evaluate
+from hil.training.tower.generate import TEST, tables
+
+FORWARDS = 20
+MOST_MS = {"small": 10.0, "full": 50.0}
+"""Limits of a causal forward on one core."""
+BELOW, BELOW_AFTER_CHANGE = -0.10, -0.25
+DEVIATIONS = ("fill", "air", "uniformity", "bias")
+PARTS = {
+    "all": "all test stations",
+    "site A": "the Chicago station",
+    "site B": "the Miami station",
+    "family": "other stations",
+}
+
+
+def network_tables(
+    folder: Path, networks: Sequence[Path], device: str = "cpu", most: int | None = None,
+    note: Callable[[str], None] = lambda _: None,
+) -> list[ReportTable]:  # fmt: skip
+    """Score networks on the test split of a folder of simulated stations.
+
+    Raises:
+        HieraError: the folder has no test stations, or a file is no network of a tower.
+    """
+    members = {f"small_{path.stem}": path for path in networks}
+    document, _ = evaluate(folder, members, device, most=most, note=note)
+    return [*tables_of(document), _latency(folder, networks)]
+
+
+def tables_of(document: Mapping[str, Any]) -> list[ReportTable]:
+    """Return the tables of a document of `hil.training.tower.evaluate`."""
+    found = []
+    for part, scores in document["scores"].items():
+        found.append(_outlets(part, scores))
+        found.append(_deviations(part, scores))
+    found.append(_intervals(document["scores"]["all"]))
+    if "causal" in document:
+        found.append(_further(document))
+    found.append(_goals(document))
+    return found
+
+
+def _outlets(part: str, scores: Mapping[str, Any]) -> ReportTable:
+    columns = ("method", "MAE K", "RMSE K", "p90 K", "p99 K", "30 min after a fan change K", "readings MAE K")
+    names = ("water_mae_K", "water_rmse_K", "water_p90_K", "water_p99_K", "water_mae_after_fan_change_K", "reading_mae_K")
+    rows = tuple((method, *(one[n] for n in names)) for method, one in scores.items())
+    count = next(iter(scores.values()))["windows"]
+    about = f"Outlet against the truth, {PARTS.get(part, part)}, {count} windows of two hours, their readings hidden"
+    return ReportTable(f"outlet_{_key(part)}", about, columns, rows, ("the last column is against hidden readings, with their bias",))
+
+
+def _deviations(part: str, scores: Mapping[str, Any]) -> ReportTable:
+    rows = []
+    for method, one in scores.items():
+        mae = one["deviation_mae"]
+        rows.append((method, *(100.0 * mae[n] for n in DEVIATIONS[:3]), mae["bias"]))
+    about = f"Mean absolute error of the deviations against the truth, {PARTS.get(part, part)}"
+    return ReportTable(f"deviations_{_key(part)}", about, ("method", "fill %", "air %", "uniformity %", "bias K"), tuple(rows))
+
+
+def _intervals(scores: Mapping[str, Any]) -> ReportTable:
+    columns = ("method", "outlet within 90 %", "width K", "score K", *(f"{n} within 90 %" for n in DEVIATIONS))
+    rows = []
+    for method, one in scores.items():
+        inside = one.get("deviation_inside_90")
+        if inside is None:
+            continue
+        outlet = (one.get("water_inside_90"), one.get("water_width_K"), one.get("water_interval_score_K"))
+        rows.append((method, *outlet, *(inside[n] for n in DEVIATIONS)))
+    notes = ("the networks' factors are set on validation stations; Gauss-Newton's intervals are its own",)
+    return ReportTable("intervals", "Intervals on all test stations", columns, tuple(rows), notes)
+
+
+def _further(document: Mapping[str, Any]) -> ReportTable:
+    rows: list[tuple[Cell, ...]] = []
+    for name in ("causal", "symmetric", "quarter_lost"):
+        one = document[name]
+        mae = one["deviation_mae"]
+        rows.append((name.replace("_", " "), one["water_mae_K"], *(100.0 * mae[n] for n in DEVIATIONS[:3]), mae["bias"]))
+    columns = ("branch", "outlet MAE K", "fill %", "air %", "uniformity %", "bias K")
+    sd = document.get("member_sd", {})
+    spread = ", ".join(f"{n} {100.0 * sd[n]:.2f} %" if n != "bias" else f"bias {sd[n]:.3f} K" for n in sd)
+    notes = (f"standard deviation of the members: {spread}", "quarter lost: each window without a quarter of its channels")
+    return ReportTable("branches", "The ensemble in both branches and with channels lost", columns, tuple(rows), notes)
+
+
+def _goals(document: Mapping[str, Any]) -> ReportTable:
+    rows: list[tuple[Cell, ...]] = []
+    best = ENSEMBLE if ENSEMBLE in document["scores"]["all"] else None
+    rival = BOOSTED if BOOSTED in document["scores"]["all"] else GAUSS_NEWTON
+    if best is not None:
+        compared = document["scores"]["all"][best]["worse_than_rival"]
+        for name, limit in (("water", BELOW), ("water_after_fan_change", BELOW_AFTER_CHANGE)):
+            change, low, high = compared[name]
+            label = "outlet" if name == "water" else "outlet, 30 min after a fan change"
+            rows.append((label, change, low, high, limit, "yes" if change <= limit and high < 0.0 else "no"))
+        for name in DEVIATIONS:
+            change, low, high = compared[name]
+            rows.append((name, change, low, high, 0.0, "yes" if change <= 0.0 else "no"))
+    for name, code in document["refused"].items():
+        rows.append((f"{name}: gate against blindness", None, None, None, None, "yes" if not code else f"no: {code}"))
+    columns = ("goal", "change", "95 % from", "to", "at most", "reached")
+    return ReportTable("goals", f"Error of the ensemble over that of {rival}, less one", columns, tuple(rows))
+
+
+def _latency(folder: Path, networks: Sequence[Path]) -> ReportTable:
+    """Return the median time of a causal forward of one window on one core."""
+    from twin.calibrators.hiera_unet.device import ready
+    from twin.calibrators.hiera_unet.tower.member import load_fleet, load_member
+    from twin.calibrators.hiera_unet.tower.predict import predict
+
+    ready("cpu", 1)
+    fleet = load_fleet(tables(folder, TEST)[:1], "cpu")
+    rows: list[tuple[Cell, ...]] = []
+    for path in networks[:1]:
+        member = load_member(path, blind_too=True)
+        spent = []
+        for k in range(FORWARDS):
+            began = time.perf_counter()
+            predict(member.network, fleet, fleet.rows[k : k + 1])
+            spent.append(1e3 * (time.perf_counter() - began))
+        limit = MOST_MS.get(member.network.config.name, MOST_MS["full"])
+        middle = float(np.median(spent))
+        rows.append((member.network.config.name, member.network.count(), middle, limit, "yes" if middle <= limit else "no"))
+    columns = ("configuration", "weights", "ms", "at most", "reached")
+    return ReportTable("latency", "Causal forward of one window on one core, its channels made as well", columns, tuple(rows))
+
+
+def _key(part: str) -> str:
+    return part.replace(" ", "_")
