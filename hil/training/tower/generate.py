@@ -79,13 +79,14 @@ def generate(
                 break
             note(_station(station, folder))
     elif missing:
-        _in_parallel([station for _, station in missing], folder, workers, until, note)
+        _in_parallel([station for _, station in missing], folder, workers, until, note, stopped)
     _write(folder, plan, wanted)
     return sum(_there(folder, station) for _, station in wanted)
 
 
 def _in_parallel(
-    stations: Sequence[StationPlan], folder: Path, workers: int, until: float | None, note: Note
+    stations: Sequence[StationPlan], folder: Path, workers: int, until: float | None, note: Note,
+    stopped: Callable[[], bool],
 ) -> None:  # fmt: skip
     from drivers.virtual.tower.sites import MIAMI_SITE
     from drivers.virtual.tower.station import Plan, simulate
@@ -96,15 +97,15 @@ def _in_parallel(
     began = context.Value("d", 0.0)  # mean seconds of a station of the family
     with context.Pool(workers, initializer=_share, initargs=(began, until)) as pool:
         waiting = [pool.apply_async(_guarded, (station, folder)) for station in stations]
-        for one in waiting:
-            left = None if until is None else max(until + GRACE_S - time.monotonic(), 0.1)
-            try:
-                said = one.get(left)
-            except multiprocessing.TimeoutError:
-                note("time is over; a station that was begun is left out")
+        while waiting and not stopped():
+            waiting[0].wait(0.5)
+            for one in [w for w in waiting if w.ready()]:
+                waiting.remove(one)
+                if said := one.get():
+                    note(said)
+            if until is not None and time.monotonic() > until + GRACE_S:
+                note(f"time is over; {len(waiting)} stations are left out")
                 break
-            if said:
-                note(said)
         pool.terminate()
 
 

@@ -51,6 +51,7 @@ class Subject:
     Attributes:
         step_s: of the record. context, target: steps seen, and steps to explain at their end. regimes: operating
             regimes. statics: static numbers of a window before the evidence. memory: numbers of a memory token.
+        slope_signs, residual: see `Config`; the residual by its channel's name.
     """
 
     name: str
@@ -61,6 +62,8 @@ class Subject:
     deviations: tuple[Deviation, ...]
     statics: int
     memory: int = 0
+    slope_signs: tuple[int, ...] = ()
+    residual: str = ""
     context: int = 1440
     target: int = 120
 
@@ -88,7 +91,8 @@ class Subject:
         sizes: dict[str, Any] = {
             "groups": self.groups, "bounds": tuple(one.bound for one in self.deviations),
             "tolerances": tuple(one.tolerance for one in self.outputs), "regimes": self.regimes, "evidence": True,
-            "meta": self.statics + 5 * len(self.deviations) + 1, "memory": self.memory, "step_s": self.step_s,
+            "meta": self.statics + 5 * len(self.deviations) + 1, "memory": self.memory,
+            "slope_signs": self.slope_signs, "residual": self.index(self.residual) if self.residual else 0, "step_s": self.step_s,
             "context": self.context, "target": self.target,
         }  # fmt: skip
         return named(size, **sizes)

@@ -87,6 +87,8 @@ SUBJECT = Subject(
     ),
     statics=STATICS,
     memory=MEMORY,
+    slope_signs=(-1, -1, -1, 1),
+    residual="r_outlet",
 )
 
 Columns = Mapping[str, NDArray[Any]]
