@@ -18,6 +18,8 @@ LEAST_SD = 0.004
 """Least standard deviation of a deviation, in units of its bound."""
 FIRST_WEIGHT = -2.0
 """Logit of a token's weight in an untrained `WeightedStep`: an eighth of a reading as good as the tolerance."""
+SHARE_RATE = 20.0
+"""By which the share of a `WeightedStep` is learned faster than a weight: it starts at none and is of order one."""
 WIDEST = 3.0
 """Logarithm of the most by which a `WeightedStep` widens or narrows the belief."""
 RECENT = (60, 240)
@@ -92,10 +94,11 @@ class WeightedStep(nn.Module):
         self.config = config
         self.weigh = nn.Linear(config.dims[2], 1)
         self.widen = nn.Linear(config.head_hidden, config.parameters)
+        self.share = nn.Parameter(torch.zeros(config.parameters))
         self.register_buffer("signs", torch.tensor(config.slope_signs, dtype=torch.float32), persistent=False)
 
     def start(self) -> None:
-        """Begin with equal weights, small ones: the belief knows the same readings."""
+        """Begin with equal weights, small ones: the belief knows the same readings. No share of the step is taken."""
         nn.init.zeros_(self.weigh.weight)
         nn.init.constant_(self.weigh.bias, FIRST_WEIGHT)
         nn.init.zeros_(self.widen.weight)
@@ -118,7 +121,7 @@ class WeightedStep(nn.Module):
         matrix = torch.einsum("bn,bnp,bnq->bpq", weight, slopes, slopes) + torch.diag_embed(1.0 / spread**2)
         # Positive definite by its diagonal; without the check, which would wait for a device.
         step: Tensor = torch.linalg.solve_ex(matrix, pull[..., None], check_errors=False).result[..., 0]
-        return step
+        return step * torch.tanh(SHARE_RATE * self.share)
 
 
 class ParameterHead(nn.Module):
