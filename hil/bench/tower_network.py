@@ -55,11 +55,14 @@ def tables_of(document: Mapping[str, Any]) -> list[ReportTable]:
 
 def _outlets(part: str, scores: Mapping[str, Any]) -> ReportTable:
     columns = ("method", "MAE K", "RMSE K", "p90 K", "p99 K", "30 min after a fan change K", "readings MAE K")
-    names = ("water_mae_K", "water_rmse_K", "water_p90_K", "water_p99_K", "water_mae_after_fan_change_K", "reading_mae_K")
+    names = (
+        "water_mae_K", "water_rmse_K", "water_p90_K", "water_p99_K", "water_mae_after_fan_change_K", "reading_mae_K",
+    )  # fmt: skip
     rows = tuple((method, *(one[n] for n in names)) for method, one in scores.items())
     count = next(iter(scores.values()))["windows"]
     about = f"Outlet against the truth, {PARTS.get(part, part)}, {count} windows of two hours, their readings hidden"
-    return ReportTable(f"outlet_{_key(part)}", about, columns, rows, ("the last column is against hidden readings, with their bias",))
+    notes = ("the last column is against hidden readings, with their bias",)
+    return ReportTable(f"outlet_{_key(part)}", about, columns, rows, notes)
 
 
 def _deviations(part: str, scores: Mapping[str, Any]) -> ReportTable:
@@ -68,7 +71,8 @@ def _deviations(part: str, scores: Mapping[str, Any]) -> ReportTable:
         mae = one["deviation_mae"]
         rows.append((method, *(100.0 * mae[n] for n in DEVIATIONS[:3]), mae["bias"]))
     about = f"Mean absolute error of the deviations against the truth, {PARTS.get(part, part)}"
-    return ReportTable(f"deviations_{_key(part)}", about, ("method", "fill %", "air %", "uniformity %", "bias K"), tuple(rows))
+    columns = ("method", "fill %", "air %", "uniformity %", "bias K")
+    return ReportTable(f"deviations_{_key(part)}", about, columns, tuple(rows))
 
 
 def _intervals(scores: Mapping[str, Any]) -> ReportTable:
@@ -89,11 +93,12 @@ def _further(document: Mapping[str, Any]) -> ReportTable:
     for name in ("causal", "symmetric", "quarter_lost"):
         one = document[name]
         mae = one["deviation_mae"]
-        rows.append((name.replace("_", " "), one["water_mae_K"], *(100.0 * mae[n] for n in DEVIATIONS[:3]), mae["bias"]))
+        shares = (100.0 * mae[n] for n in DEVIATIONS[:3])
+        rows.append((name.replace("_", " "), one["water_mae_K"], *shares, mae["bias"]))
     columns = ("branch", "outlet MAE K", "fill %", "air %", "uniformity %", "bias K")
     sd = document.get("member_sd", {})
     spread = ", ".join(f"{n} {100.0 * sd[n]:.2f} %" if n != "bias" else f"bias {sd[n]:.3f} K" for n in sd)
-    notes = (f"standard deviation of the members: {spread}", "quarter lost: each window without a quarter of its channels")
+    notes = (f"standard deviation of the members: {spread}", "quarter lost: a window lacks a quarter of its channels")
     return ReportTable("branches", "The ensemble in both branches and with channels lost", columns, tuple(rows), notes)
 
 
@@ -134,9 +139,11 @@ def _latency(folder: Path, networks: Sequence[Path]) -> ReportTable:
             spent.append(1e3 * (time.perf_counter() - began))
         limit = MOST_MS.get(member.network.config.name, MOST_MS["full"])
         middle = float(np.median(spent))
-        rows.append((member.network.config.name, member.network.count(), middle, limit, "yes" if middle <= limit else "no"))
+        reached = "yes" if middle <= limit else "no"
+        rows.append((member.network.config.name, member.network.count(), middle, limit, reached))
     columns = ("configuration", "weights", "ms", "at most", "reached")
-    return ReportTable("latency", "Causal forward of one window on one core, its channels made as well", columns, tuple(rows))
+    about = "Causal forward of one window on one core, its channels made as well"
+    return ReportTable("latency", about, columns, tuple(rows))
 
 
 def _key(part: str) -> str:

@@ -105,7 +105,7 @@ def tower_command(
             to.print(
                 f"{done.refused}: parameters are {done.gate['parameters_worse'][0]:.1%} and outputs "
                 f"{done.gate['outputs_worse'][0]:.1%} worse with another window's channels, which is less than "
-                f"{done.gate['least']:.0%} or not certain; the member will not be used: train longer or on more stations"
+                f"{done.gate['least']:.0%} or not certain; the member is not used: train longer or on more stations"
                 if done.gate else done.refused, soft_wrap=True,
             )  # fmt: skip
     sys.exit(INTERRUPTED if stop.interrupted else REFUSED if done.refused else 0)

@@ -2,7 +2,7 @@
 
 The state is that of `twin.tower.smoother` at one time: slow deviations, level of the fan's power, constants of the
 record with the weights of the discrepancy. A healthy record gives its first mean and covariance. Each cycle adds what
-the walk, the events and undeclared changes may have moved, then updates by the steady blocks of the cycle and by labels:
+the walk, events and undeclared changes may have moved, then updates by the steady blocks of the cycle and by labels:
 
     z <- z + drift,  P <- P + Q,    K = P H' (H P H' + R)^-1,    z <- z + K (y - h(z)),  P <- (I - K H) P
 
@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.calibration import WINDOW_S
@@ -38,6 +39,7 @@ FREE = slice(0, 3)
 """Deviations that the water's temperature depends on: fill, air, uniformity."""
 POWER_BLOCKS = 6.0
 """Autocorrelation time of the fan power's residuals, blocks: the mean of a cycle counts as two of them."""
+Rows = NDArray[np.intp]
 _S, _LEVEL = len(SLOW), len(SLOW)
 _LOAD = slice(_S + 1, _S + 1 + FEATURES)
 """Weights of the power's own error, `twin.tower.fan_power`."""
@@ -66,7 +68,7 @@ class Recursion:
     seen: Array
     water: Array
     slopes: Array
-    chunk: Array
+    chunk: NDArray[np.int64]
     reference: Array
 
 
@@ -108,7 +110,7 @@ def recursion(
             means[i], sds[i] = filtered.belief()
             past = [one for one in past if one[0] >= start - CONTEXT_S]
             seen[i] = len(past)
-            age[i] = start - past[-1][0] if past else age[max(i - 1, 0)] + WINDOW_S
+            age[i] = start - past[-1][0] if past else float(age[max(int(i) - 1, 0)]) + WINDOW_S
             fits[i], fit_sds[i], condition[i] = filtered.of_day(past)
             filtered.predict(start, WINDOW_S)
             mine = rows[(blocks.time_s[rows] >= start) & (blocks.time_s[rows] < start + WINDOW_S)]
@@ -172,7 +174,7 @@ class _Filter:
                 slopes[known - inside.start, j] = (self.model.outlet(o, moved, law) - base) / STEPS[j]
         return water, slopes
 
-    def linearise(self, blocks: Blocks, rows: Array) -> None:
+    def linearise(self, blocks: Blocks, rows: Rows) -> None:
         """Evaluate reading, power and their slopes at the belief, for blocks `rows`."""
         o, g = blocks.operation.take(rows), self.mean[_FIRST:]
         self.row_of = {int(row): i for i, row in enumerate(rows)}
@@ -215,7 +217,7 @@ class _Filter:
             if name == "air":
                 self.covariance[_LEVEL, _LEVEL] += GLOBALS[NAMES.index("kappa")].sd ** 2 * more
 
-    def rows(self, rows: Array, blocks: Blocks, since_s: float) -> list[tuple[float, Array, float]]:
+    def rows(self, rows: Rows, blocks: Blocks, since_s: float) -> list[tuple[float, Array, float]]:
         """Return time, slopes by the deviations and residual at the linearisation of blocks with a reading."""
         four, found = len(DEVIATIONS), []
         for row in rows:
@@ -247,7 +249,7 @@ class _Filter:
         condition = float(np.sqrt(values[-1] / values[0])) if values[0] > 1e-12 * max(values[-1], 1e-12) else 1e6
         return covariance @ right, np.sqrt(np.diag(covariance)), min(condition, 1e6)
 
-    def update(self, blocks: Blocks, rows: Array) -> None:
+    def update(self, blocks: Blocks, rows: Rows) -> None:
         """Update by the blocks of a cycle: outlet readings, and the mean of the fan's power."""
         at = np.array([self.row_of[int(row)] for row in rows], dtype=np.int64)
         if not len(at):

@@ -28,7 +28,8 @@ def evaluate(
 
     Parameters:
         members: weights by name; those whose name begins with `small` make the ensemble. most: windows of the test
-        split at most, evenly taken; None for all. boosted: file of `boost`, made now without. half: bfloat16 in the networks' products.
+        split at most, evenly taken; None for all. boosted: file of `boost`, made now without. half: bfloat16 in
+        the networks' products.
 
     Raises:
         HieraError: the folder lacks a split, or a network does not fit.
@@ -87,8 +88,8 @@ def evenly(rows: np.ndarray, most: int | None) -> np.ndarray:
 def boost(
     folder: Path, test: Any, rows: np.ndarray, note: Note = lambda _: None
 ) -> tuple[np.ndarray, np.ndarray] | None:  # fmt: skip
-    """Return the deviations (K, 4) and the outlet (K, 120), degC, of Gauss-Newton corrected by gradient boosting, learned
-    from the training split; None without scikit-learn.
+    """Return deviations (K, 4) and outlet (K, 120), degC, of Gauss-Newton corrected by gradient boosting, learned from
+    the training split; None without scikit-learn.
 
     Parameters:
         test: fleet of the test split. rows: its cycles.

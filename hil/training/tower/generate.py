@@ -47,8 +47,14 @@ class DataPlan:
         if self.site_months > 0.0:
             # The Chicago station has four cells to simulate; one recorded cell of it takes as long as two of the other.
             found += [(TEST, StationPlan(site, FIRST[TEST], self.site_months, n)) for site, n in (("A", 1), ("B", 2))]
-        for split, count in ((TEST, self.test), (VALIDATION, self.validation), (TRAIN, self.train)):
-            found += [(split, StationPlan("F", FIRST[split] + i, self.months, FAMILY_CELLS)) for i in range(count)]
+        counts = {TRAIN: self.train, VALIDATION: self.validation, TEST: self.test}
+        for i in range(max(counts.values())):
+            # In turn, so that a cut leaves some of each.
+            found += [
+                (split, StationPlan("F", FIRST[split] + i, self.months, FAMILY_CELLS))
+                for split, count in counts.items()
+                if i < count
+            ]
         return found
 
 
@@ -69,8 +75,8 @@ def generate(
     document = _read(folder)
     if document is not None and (document["months"], document["table"]) != (plan.months, SUBJECT.digest()):
         raise HieraError(
-            f"{folder}: holds stations of {document['months']:g} months with table {document['table'][:8]}; give another "
-            "folder or remove it"
+            f"{folder}: holds stations of {document['months']:g} months with table {document['table'][:8]}; give "
+            "another folder or remove it"
         )
     missing = [one for one in wanted if not _there(folder, one[1])]
     if workers <= 1:
@@ -113,7 +119,7 @@ _shared: tuple[Any, float | None] | None = None
 
 
 def _share(seconds: Any, until: float | None) -> None:
-    global _shared  # noqa: PLW0603
+    global _shared
     _shared = seconds, until
     os.environ["OMP_NUM_THREADS"] = "1"
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.calibrators.hiera_unet.tower.cell_table import CellTable
 from twin.calibrators.hiera_unet.tower.table import CHANNELS, SUBJECT, clock_of
@@ -19,21 +20,22 @@ MINUTES = 4 * 1440
 def random_table(seed: int) -> CellTable:
     """Return a table of random numbers in the shapes of a cell's."""
     rng = np.random.default_rng(seed)
-    n, t = MINUTES, np.arange(MINUTES)
+    n, t = MINUTES, np.arange(MINUTES, dtype=np.float64)
     start = np.arange(SUBJECT.context - SUBJECT.target, n - SUBJECT.target + 1, SUBJECT.target)
     k = len(start)
 
-    def noise(*shape: int, size: float = 1.0) -> np.ndarray:
+    def noise(*shape: int, size: float = 1.0) -> NDArray[np.float32]:
         return rng.normal(0.0, size, shape).astype(np.float32)
 
-    water = 28.0 + noise(n, size=0.1)
-    reading = water + 0.1 + noise(n, size=0.05)
+    water = np.float32(28.0) + noise(n, size=0.1)
+    reading = water + np.float32(0.1) + noise(n, size=0.05)
     return CellTable(
         name=f"R{seed:04d}_1", x=noise(n, len(CHANNELS)).astype(np.float16), m=rng.random((n, len(CHANNELS))) < 0.9,
         regime=rng.integers(0, SUBJECT.regimes, n).astype(np.uint8), clock=clock_of(60.0 * t),
         outlet=np.where(t % 5 == 0, reading, np.nan).astype(np.float32), reading=reading, water=water,
-        slopes=-2.0 + noise(n, 3, size=0.2), chunk=(t // 4320).astype(np.int32),
-        reference=noise(n // 4320 + 1, 3, size=0.02), commissioned=water - 0.2, true_water=water + noise(n, size=0.05),
+        slopes=noise(n, 3, size=0.2) - np.float32(2.0), chunk=(t // 4320).astype(np.int32),
+        reference=noise(n // 4320 + 1, 3, size=0.02),
+        commissioned=water - np.float32(0.2), true_water=water + noise(n, size=0.05),
         point=noise(n, 4).astype(np.float16), start=start.astype(np.int64), mean=noise(k, 4, size=0.03),
         sd=np.full((k, 4), 0.03, dtype=np.float32), fit=noise(k, 4, size=0.05),
         fit_sd=np.full((k, 4), 0.05, dtype=np.float32), true=noise(k, 4, size=0.04),

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.virtual.tower.effects import EFFECTS
-from drivers.virtual.tower.export import COMMISSIONING, datasheet, commissioning_rows, event_rows
+from drivers.virtual.tower.export import COMMISSIONING, commissioning_rows, datasheet, event_rows
 from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, Site
 from drivers.virtual.tower.station import Plan, Simulated, simulate, state_by_minute
 from twin.calibrators.hiera_unet.tower.cell_table import CellTable, cell_table
@@ -65,7 +65,8 @@ class CellData:
 
     Attributes:
         sheet: datasheet. columns: of the aligned record. minutes, recursion, commissioned: as in `twin.tower`.
-        clean, log_clean: (n,) outlet degC and logarithm of the fan power by the commissioned twin. openings, events: of the station's records.
+        clean, log_clean: (n,) outlet degC and logarithm of the fan power by the commissioned twin. openings,
+        events: of the station's records.
     """
 
     name: str
@@ -181,7 +182,8 @@ def _cell(
     return CellData(
         f"{plan.name}_{cell}", sheet, columns, minutes, fitted, _clean(model, minutes),
         _log_power(model, minutes), beliefs, openings,
-        tuple(e for e in events if e.cell in (0, cell)), end, np.where(on, made.truth.cell("t_out", cell), np.nan), truth,
+        tuple(e for e in events if e.cell in (0, cell)), end, np.where(on, made.truth.cell("t_out", cell), np.nan),
+        truth,
     )  # fmt: skip
 
 

@@ -19,9 +19,9 @@ from twin.calibrators.hiera_unet.tower.member import MemberTraining, load_member
 from twin.calibrators.hiera_unet.tower.plan import TowerPlan  # noqa: E402
 from twin.calibrators.hiera_unet.tower.predict import BLIND, Blindness, blindness, interval, predict  # noqa: E402
 from twin.calibrators.hiera_unet.tower.score import Factors, believed, mixed, scores, targets_of  # noqa: E402
+from twin.calibrators.hiera_unet.tower.table import SUBJECT  # noqa: E402
 from twin.calibrators.hiera_unet.tower.train import TowerTrainer  # noqa: E402
 from twin.calibrators.hiera_unet.tower.windows import Fleet  # noqa: E402
-from twin.calibrators.hiera_unet.tower.table import SUBJECT  # noqa: E402
 
 PLAN = TowerPlan(steps=6, batch=3, pairs=0.34)
 

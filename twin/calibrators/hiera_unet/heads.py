@@ -204,8 +204,10 @@ class OutputHead(nn.Module):
 
 
 def recent_of(config: Config, x: Tensor, m: Tensor) -> Tensor | None:
-    """Return the mean residuals (B, 3), in tolerances, of the last steps before the target and of all before it; 0 where
-    there is none. None for a configuration without `slope_signs`."""
+    """Return the mean residuals (B, 3), in tolerances, of the last steps before the target and of all before it.
+
+    It is 0 where there is none, and None for a configuration without `slope_signs`.
+    """
     if not config.slope_signs:
         return None
     before = config.context - config.target

@@ -44,7 +44,8 @@ class CellTable:
         true_water: (n,) degC, NaN at rest or where no truth is. point: (n, 4) wet bulb, drive, speed, flow, scaled.
         start: (k,) first minute of each target. mean, sd, fit, fit_sd, true: (k, 4); `true` NaN where unknown.
         condition, age_h, seen: (k,). kind: (k,) of `KINDS`. valid, jumped: (k,) bool; a jump of a deviation lies in it.
-        statics: (6,). design: (2,) range and approach K. memory: (20, 8). healthy_end: minute. commissioned: (n,) outlet by the commissioned twin.
+        statics: (6,). design: (2,) range and approach K. memory: (20, 8). healthy_end: minute.
+        commissioned: (n,) outlet by the commissioned twin.
     """
 
     name: str
@@ -138,7 +139,7 @@ def cell_table(
     inside = np.minimum(inside, len(t) - 1)
     known = (minutes.known & np.isfinite(beliefs.water))[inside].mean(axis=1)
     middle = np.minimum(start + span // 2, len(t) - 1)
-    table = CellTable(
+    return CellTable(
         name=name, x=x, m=m, regime=minutes.regime, clock=clock_of(t), outlet=minutes.outlet.astype(np.float32),
         reading=reading_of(columns, len(t)).astype(np.float32),
         water=beliefs.water.astype(np.float32), slopes=np.nan_to_num(beliefs.slopes).astype(np.float32),
@@ -154,7 +155,6 @@ def cell_table(
         design=np.array([fall, float(sizes["water_outlet_C"]) - wet0], dtype=np.float32),
         memory=memory_of(minutes, clean, design.m_w0, fall, wet0, slice(0, healthy_end)), healthy_end=healthy_end,
     )  # fmt: skip
-    return table
 
 
 def _kinds(

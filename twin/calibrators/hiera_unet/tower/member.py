@@ -177,7 +177,8 @@ class MemberTraining:
 
 
 def adapt(
-    network: HieraUNet, family: Fleet, own: Fleet, plan: TowerPlan, until: float, first: float = 0.0, last: float = 9.0 / 14.0
+    network: HieraUNet, family: Fleet, own: Fleet, plan: TowerPlan, until: float, first: float = 0.0,
+    last: float = 9.0 / 14.0,
 ) -> tuple[HieraUNet, int]:  # fmt: skip
     """Return a network adapted to readings of the station itself, and the steps that it took.
 
@@ -214,8 +215,8 @@ def load_member(path: Path, *, blind_too: bool = False) -> checkpoint.Member:
     member = checkpoint.load(path, identity())
     if member.card.get("refused") and not blind_too:
         raise HieraError(
-            f"{path}: {member.card['refused']}: its answers are hardly worse with another window's channels, see its card; "
-            "train longer or with other data"
+            f"{path}: {member.card['refused']}: its answers are hardly worse with another window's channels, see its "
+            "card; train longer or with other data"
         )
     return member
 

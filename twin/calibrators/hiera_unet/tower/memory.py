@@ -17,7 +17,7 @@ EDGES = {
     "load": (0.0, 0.35, 0.55, 0.75, 0.95, 2.0), "flow": (0.2, 0.8, 0.95, 1.05, 2.0),
     "fan": (-0.01, 0.15, 0.4, 0.6, 0.8, 1.3), "wet": (-3.0, -1.5, -1.0, -0.5, -0.2, 0.1, 1.0),
 }  # fmt: skip
-"""Edges of the bins: heat over design heat, flow over design flow, fan speed, wet bulb from design in tens of kelvins."""
+"""Edges of the bins: heat and flow over their design values, fan speed, wet bulb from design in tens of kelvins."""
 TOKENS = sum(len(edges) - 1 for edges in EDGES.values())
 
 

@@ -16,8 +16,8 @@ class TowerPlan:
         steps, batch: of the optimiser, and windows of each, of which a share `pairs` are followed by their next cycle.
         mix: shares of the kinds of windows: stable, fan staging, load ramp, high wet bulb, after maintenance (the
             paper's; scores and intervals have natural shares).
-        balance, smooth, uncertainty: weights of eq. 11. The balance of a tower holds by construction, as heat is derived
-            from the corrected outlet. price: of the corrections' squares.
+        balance, smooth, uncertainty: weights of eq. 11. The balance of a tower holds by construction, as heat is
+            derived from the corrected outlet. price: of the corrections' squares.
         through: share of the outputs' gradient that reaches the parameters through the twin.
         sure: share of steps without the likelihoods. even_every: steps between two measurements of the gradients that
             are made equal.

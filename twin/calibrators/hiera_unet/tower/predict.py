@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from twin.calibrators.hiera_unet.network import HieraUNet, Prediction
@@ -30,7 +31,7 @@ class Predicted:
         K and logarithm of tolerances. attention: (K, 4, 12) of each query.
     """
 
-    rows: Array
+    rows: NDArray[np.int64]
     theta: Array
     log_variance: Array
     delta: Array
@@ -45,7 +46,7 @@ def answer(network: HieraUNet, batch: Batch, causal: bool, half: bool) -> Predic
 
 
 def predict(
-    network: HieraUNet, fleet: Fleet, rows: Array, size: int = 64, causal: bool = True, half: bool = False,
+    network: HieraUNet, fleet: Fleet, rows: NDArray[np.int64], size: int = 64, causal: bool = True, half: bool = False,
     lost: float = 0.0,
 ) -> Predicted:  # fmt: skip
     """Return the predictions of cycles `rows` (K,).

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from twin.calibrators.hiera_unet.tower.predict import BLOCK_CYCLES, Predicted, interval
 from twin.calibrators.hiera_unet.tower.windows import CONTEXT, TARGET, Fleet
@@ -36,7 +37,7 @@ class Targets:
         features: (K, F) of the window for a booster. minutely: (K, 120, 5) operating point and lead.
     """
 
-    rows: Array
+    rows: NDArray[np.int64]
     cell: Array
     mean: Array
     sd: Array
@@ -52,12 +53,12 @@ class Targets:
     minutely: Array
 
     @property
-    def block(self) -> Array:
+    def block(self) -> NDArray[np.int64]:
         """Number of the week and cell of each window."""
         return self.cell.astype(np.int64) * 100000 + self.rows // BLOCK_CYCLES
 
 
-def targets_of(fleet: Fleet, rows: Array, size: int = 256) -> Targets:
+def targets_of(fleet: Fleet, rows: NDArray[np.int64], size: int = 256) -> Targets:
     """Return the targets of cycles `rows` (K,)."""
     parts: list[dict[str, Array]] = []
     for at in range(0, len(rows), size):
@@ -211,7 +212,8 @@ def scores(t: Targets, found: Answer, rival: Answer | None = None, seed: int = 0
     after = t.changed > 0.5
     out: dict[str, Any] = {
         "windows": len(t.rows), "water_mae_K": _mean(size), "water_rmse_K": float(np.sqrt(_mean(error**2))),
-        "water_median_K": _quantile(error, 0.5), "water_p90_K": _quantile(size, 0.9), "water_p99_K": _quantile(size, 0.99),
+        "water_median_K": _quantile(error, 0.5), "water_p90_K": _quantile(size, 0.9),
+        "water_p99_K": _quantile(size, 0.99),
         "water_mae_after_fan_change_K": _mean(np.where(after, size, np.nan)), "reading_mae_K": _mean(blind),
         "deviation_mae": {n: _mean(np.abs(found.theta - t.true)[:, j]) for j, n in enumerate(DEVIATIONS)},
     }  # fmt: skip
@@ -280,5 +282,7 @@ def taken(t: Targets, rows: Array) -> Targets:
 
 def taken_answer(one: Answer, rows: Array) -> Answer:
     """Return an answer to some windows (K,) bool."""
-    values = {f.name: getattr(one, f.name) for f in fields(Answer)}
-    return Answer(**{name: None if v is None else v[rows] for name, v in values.items()})
+    theta_half = None if one.theta_half is None else one.theta_half[rows]
+    return Answer(
+        one.theta[rows], one.water[rows], theta_half, None if one.water_half is None else one.water_half[rows]
+    )

@@ -46,7 +46,8 @@ def _group(group: str, *names: str, told: Sequence[str] = (), windowed: Sequence
 CHANNELS = (
     *_group("ambient", "dry", "humidity", "wet", "wet_redundant", "pressure", "wind"),
     *_group(
-        "hydraulic", "flow", "header", "pump_power", "valve", "bypass", "makeup", "blowdown", "r_evaporation", "r_energy"
+        "hydraulic", "flow", "header", "pump_power", "valve", "bypass", "makeup", "blowdown", "r_evaporation",
+        "r_energy",
     ),
     *_group(
         "thermal", "t_in", "t_out", "basin", "approach", "range", "effectiveness", "heat", "load", "r_outlet",
@@ -128,7 +129,7 @@ def channels_of(
         effectiveness = np.where(u.t_in - u.wet > 0.5, span / (u.t_in - u.wet), np.nan)
     check = np.nan_to_num(column("check")).astype(int)
     shown = np.isfinite(t_out)
-    values: dict[str, Array] = {
+    values: dict[str, NDArray[Any]] = {
         "dry": (column("dry_C") - wet0) / 10.0,
         "humidity": _either(column("rh_pct"), column("rh2_pct")) / 50.0 - 1.0,
         "wet": (column("wet_C") - wet0) / 10.0, "wet_redundant": (column("wet_rh_C") - wet0) / 10.0,
@@ -136,20 +137,25 @@ def channels_of(
         "wind": column("wind_m_s") / 5.0 - 1.0,
         "flow": 2.0 * (flow - 1.0), "valve": column("riser_valve_pct") / 100.0, "bypass": column("bypass_pct") / 100.0,
         "t_in": (u.t_in - hot) / 10.0, "t_out": (t_out - cold) / 10.0, "basin": (basin - cold) / 10.0,
-        "approach": (t_out - u.wet) / approach - 1.0, "range": span / fall - 1.0, "effectiveness": 4.0 * effectiveness - 2.0,
+        "approach": (t_out - u.wet) / approach - 1.0, "range": span / fall - 1.0,
+        "effectiveness": 4.0 * effectiveness - 2.0,
         "heat": u.m_w * CP_WATER * span / heat0 - 1.0, "load": 1e3 * load / (heat0 * cells) - 0.6,
         "r_commissioned": (t_out - clean) / TOLERANCE["outlet"],
         "fan_command": column("fan_command_pct") / 50.0 - 1.0, "fan_speed": 2.0 * u.speed - 1.0,
         "fan_power": column("fan_power_kW") / float(sheet["fan"]["power_at_design_kW"]) - 0.5,
-        "available": np.where(np.isfinite(column("in_service")), (column("in_service") > 0.5) & ~(column("fan_fault") > 0.5), np.nan),
+        "available": np.where(
+            np.isfinite(column("in_service")), (column("in_service") > 0.5) & ~(column("fan_fault") > 0.5), np.nan
+        ),
         "neighbours": column("neighbours_speed_pct") / 50.0 - 1.0, "r_fan": 10.0 * (log_power - log_clean),
         "closure": column("closure_K") / 0.35,
         "fast": np.where(shown, _fast(t_out), np.nan), "beyond": np.where(shown, (check & 12) > 0, np.nan),
         "redundancy": np.where(shown, (check & 3) > 0, np.nan),
-        "fan_trip": column("fan_fault"), "makeup_on": column("makeup_kg_s") > 0.2 * EVAPORATED * fall * design.m_w0 * cells,
+        "fan_trip": column("fan_fault"),
+        "makeup_on": column("makeup_kg_s") > 0.2 * EVAPORATED * fall * design.m_w0 * cells,
         "bypass_open": column("bypass_pct") > 5.0, "overflow": column("level_pct") > 95.0,
         "load_step": _stepped(1e3 * load / (heat0 * cells)),
-        "certificate": _trace(events, CERTIFICATES, minutes.time_s), "cleaning": _trace(events, CLEANINGS, minutes.time_s),
+        "certificate": _trace(events, CERTIFICATES, minutes.time_s),
+        "cleaning": _trace(events, CLEANINGS, minutes.time_s),
         "configuration": _trace(events, CHANGES, minutes.time_s),
         "since_maintenance": _since((*CLEANINGS, *CHANGES), events, minutes.time_s),
     }  # fmt: skip
@@ -175,7 +181,7 @@ def channels_of(
 
 
 def reading_of(columns: Columns, n: int) -> Array:
-    """Return the outlet reading, degC (n,), interpolated between samples; NaN where it contradicts inlet or wet bulb."""
+    """Return the outlet reading, degC (n,), interpolated too; NaN where it contradicts inlet or wet bulb."""
     if "t_out_C" not in columns:
         return np.full(n, np.nan)
     bad = (np.nan_to_num(np.asarray(columns["check"], dtype=np.float64)).astype(int) & OFF_CHECK) > 0

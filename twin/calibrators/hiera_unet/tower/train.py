@@ -74,7 +74,7 @@ class TowerTrainer:
         return self.rows[chosen]
 
     def _reference(self) -> tuple[float, float]:
-        """Return parameter and output loss of the belief itself, by which the losses are divided; set its usual error."""
+        """Return parameter and output loss of the belief itself, which divide the losses; set its usual error."""
         state = self.generator.get_state()
         sums = [0.0, 0.0]
         batches = [self.fleet.batch(self._draw(self.plan.batch)) for _ in range(REFERENCE_BATCHES)]

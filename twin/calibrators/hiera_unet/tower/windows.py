@@ -191,7 +191,8 @@ class Fleet:
         flow = torch.nan_to_num(0.5 * point[..., 3] + 1.0, nan=1.0)
         for name, change in (
             ("t_out", moved / 10.0), ("approach", moved / approach), ("range", -moved / fall),
-            ("effectiveness", -4.0 * moved / drive), ("heat", -flow * moved / fall), ("r_commissioned", moved / TOLERANCE),
+            ("effectiveness", -4.0 * moved / drive), ("heat", -flow * moved / fall),
+            ("r_commissioned", moved / TOLERANCE),
         ):  # fmt: skip
             x[..., SUBJECT.index(name)] += change
 
