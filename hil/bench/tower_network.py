@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 from hil.bench.measure.report import Cell, ReportTable
 from hil.training.tower.evaluate import BOOSTED, ENSEMBLE, GAUSS_NEWTON, evaluate
 from hil.training.tower.generate import TEST, tables
+from twin.calibrators.hiera_unet.config import HieraError
 
 FORWARDS = 20
 MOST_MS = {"small": 10.0, "full": 50.0}
@@ -40,6 +42,19 @@ def network_tables(
     return [*tables_of(document), _latency(folder, networks)]
 
 
+def read_results(path: Path) -> dict[str, Any]:
+    """Return the document of scores in a `results.json`, with the stations that a member was adapted to.
+
+    Raises:
+        HieraError: the file holds no scores.
+    """
+    try:
+        found = json.loads(path.read_text())
+        return {**found["evaluation"], "adapted": found.get("adapted", {}), "cards": found.get("cards", {})}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise HieraError(f"{path}: holds no scores of a training ({error}); give its results.json") from error
+
+
 def tables_of(document: Mapping[str, Any]) -> list[ReportTable]:
     """Return the tables of a document of `hil.training.tower.evaluate`."""
     found = []
@@ -49,6 +64,10 @@ def tables_of(document: Mapping[str, Any]) -> list[ReportTable]:
     found.append(_intervals(document["scores"]["all"]))
     if "causal" in document:
         found.append(_further(document))
+    if document.get("adapted"):
+        found.append(_adapted(document["adapted"]))
+    if document.get("cards"):
+        found.append(_trained(document["cards"]))
     found.append(_goals(document))
     return found
 
@@ -100,6 +119,34 @@ def _further(document: Mapping[str, Any]) -> ReportTable:
     spread = ", ".join(f"{n} {100.0 * sd[n]:.2f} %" if n != "bias" else f"bias {sd[n]:.3f} K" for n in sd)
     notes = (f"standard deviation of the members: {spread}", "quarter lost: a window lacks a quarter of its channels")
     return ReportTable("branches", "The ensemble in both branches and with channels lost", columns, tuple(rows), notes)
+
+
+def _adapted(stations: Mapping[str, Any]) -> ReportTable:
+    """Return the outlet errors of a member before and after it saw nine months of a station's own readings."""
+    rows = [
+        (name, one["steps"], one["windows"], *(one[k]["water_mae_K"] for k in ("belief", "family", "adapted")),
+         *(one[k]["reading_mae_K"] for k in ("belief", "family", "adapted")))
+        for name, one in stations.items()
+    ]  # fmt: skip
+    ways = ("Gauss-Newton", "family", "adapted")
+    columns = ("cell", "steps", "windows", *(f"{what} {way} K" for what in ("outlet", "readings") for way in ways))
+    notes = ("trained on a family of plants, then on readings of the first 9 of 14 months; scored on the last 3",)
+    about = "A member adapted to the station itself, mean absolute errors"
+    return ReportTable("adapted", about, columns, tuple(rows), notes)
+
+
+def _trained(cards: Mapping[str, Any]) -> ReportTable:
+    """Return what was trained, for how long, and the figures of the gate."""
+    rows: list[tuple[Cell, ...]] = []
+    for name, card in cards.items():
+        gate = card["gate"]
+        rows.append((
+            name, card["weights"]["count"], card["steps_done"], card["plan"]["batch"], card["seconds"], card["device"],
+            gate["parameters_worse"][0], gate["outputs_worse"][0], gate["code"],
+        ))  # fmt: skip
+    columns = ("member", "weights", "steps", "batch", "s", "device", "parameters worse", "outputs worse", "gate")
+    notes = ("worse: with another window's channels, as a share; at least 0.05 and surely above 0, else BLIND",)
+    return ReportTable("trained", "Members and their gate against blindness", columns, tuple(rows), notes)
 
 
 def _goals(document: Mapping[str, Any]) -> ReportTable:

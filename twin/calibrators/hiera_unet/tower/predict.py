@@ -132,11 +132,13 @@ def _output_error(p: Prediction, batch: Batch) -> Tensor:
     return torch.nanmean((water - batch.true_water).abs(), 1)
 
 
-def _worse(own: Array, other: Array, block: Array, rng: np.random.Generator) -> tuple[float, float, float]:
+def _worse(own: Array, other: Array, block: NDArray[np.int64], rng: np.random.Generator) -> tuple[float, float, float]:
     return interval(other, own, block, rng)
 
 
-def interval(ours: Array, rival: Array, block: Array, rng: np.random.Generator) -> tuple[float, float, float]:
+def interval(
+    ours: Array, rival: Array, block: NDArray[np.int64], rng: np.random.Generator
+) -> tuple[float, float, float]:
     """Return mean(ours)/mean(rival) - 1 with its 95 % interval by a bootstrap of blocks of windows."""
     there = np.isfinite(ours) & np.isfinite(rival)
     ours, rival = ours[there], rival[there]

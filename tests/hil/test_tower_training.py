@@ -1,0 +1,95 @@
+"""Training of tower networks: stations of the splits, folders of data, and messages to the user."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hil.bench.tower_network import tables_of
+from hil.training.tower.generate import MANIFEST, TEST, TRAIN, VALIDATION, DataPlan, digest_of, generate, tables
+from hil.training.tower.stations import HIDDEN_SHARE, drawn_site
+from tests.hil.command_line import typed
+from twin.calibrators.hiera_unet.config import HieraError
+from twin.calibrators.hiera_unet.tower.table import SUBJECT
+
+
+def manifest(folder: Path, months: float = 8.0, table: str = "", splits: tuple[str, ...] = (TRAIN,)) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = [{"split": s, "site": "F", "seed": k, "months": months, "cells": 2} for k, s in enumerate(splits)]
+    document = {"format": 1, "table": table or SUBJECT.digest(), "months": months, "stations": rows, "digest": "0123"}
+    (folder / MANIFEST).write_text(json.dumps(document))
+
+
+def test_no_station_is_in_two_splits_and_a_cut_leaves_some_of_each() -> None:
+    stations = DataPlan(train=40, validation=4, test=4).stations()
+    names = [one.name for _, one in stations]
+    assert len(set(names)) == len(names) == 50
+    first = [split for split, _ in stations[2:14]]
+    assert {split: first.count(split) for split in (TRAIN, VALIDATION, TEST)} == {TRAIN: 4, VALIDATION: 4, TEST: 4}
+
+
+def test_sites_of_the_family_differ_and_some_lack_an_effect() -> None:
+    drawn = [drawn_site(seed) for seed in range(1, 41)]
+    assert len({site.water for site, _ in drawn}) == 40
+    assert any(site.pressure < 90.0 for site, _ in drawn) and any(site.pressure > 95.0 for site, _ in drawn)
+    hidden = sum(bool(hide) for _, hide in drawn) / len(drawn)
+    assert abs(hidden - HIDDEN_SHARE) < 0.25
+    assert drawn_site(3) == drawn_site(3)
+
+
+def test_tables_are_those_of_the_split_and_the_station(tmp_path: Path) -> None:
+    manifest(tmp_path, splits=(TRAIN, VALIDATION, TRAIN))
+    assert [p.name for p in tables(tmp_path, VALIDATION)] == ["F0001_1.npz", "F0001_2.npz"]
+    assert [p.name for p in tables(tmp_path, TRAIN, "F0002")] == ["F0002_1.npz", "F0002_2.npz"]
+    assert digest_of(tmp_path) == "0123"
+    with pytest.raises(HieraError, match="no station of the test split"):
+        tables(tmp_path, TEST)
+    with pytest.raises(HieraError, match=r"has no manifest\.json"):
+        tables(tmp_path / "nowhere", TEST)
+
+
+@pytest.mark.parametrize(
+    ("months", "table", "says"), [(3.0, "", "stations of 3 months"), (8.0, "another", "with table another")]
+)
+def test_a_folder_of_another_plan_is_refused(tmp_path: Path, months: float, table: str, says: str) -> None:
+    manifest(tmp_path, months, table)
+    with pytest.raises(HieraError, match=says):
+        generate(DataPlan(), tmp_path)
+
+
+def test_a_damaged_manifest_is_named(tmp_path: Path) -> None:
+    (tmp_path / MANIFEST).write_text("{")
+    with pytest.raises(HieraError, match="cannot be read"):
+        tables(tmp_path, TRAIN)
+
+
+def test_the_command_names_a_folder_of_another_plan_in_one_sentence(tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
+    manifest(tmp_path / "data", 3.0)
+    done = typed("train", "tower", "--data", str(tmp_path / "data"), "--out", str(tmp_path / "out"))
+    assert done.returncode == 2
+    assert "stations of 3 months" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_goals_name_the_gate_and_the_change_against_the_boosted_rival() -> None:
+    def one(water: float) -> dict[str, object]:
+        deviations = dict.fromkeys(("fill", "air", "uniformity", "bias"), 0.01)
+        names = (
+            "water_mae_K",
+            "water_rmse_K",
+            "water_p90_K",
+            "water_p99_K",
+            "water_mae_after_fan_change_K",
+            "reading_mae_K",
+        )
+        worse = dict.fromkeys(("water", "water_after_fan_change", *deviations), (-0.2, -0.3, -0.1))
+        return {"windows": 5, "deviation_mae": deviations, "worse_than_rival": worse, **dict.fromkeys(names, water)}
+
+    scores = {"the same, boosted": one(0.1), "network, ensemble": one(0.08)}
+    found = {t.key: t for t in tables_of({"scores": {"all": scores}, "refused": {"small_0": "BLIND", "small_1": ""}})}
+    goals = {str(row[0]): row[-1] for row in found["goals"].rows}
+    assert goals["outlet"] == "yes" and goals["outlet, 30 min after a fan change"] == "no"
+    assert goals["small_0: gate against blindness"] == "no: BLIND"
+    assert [row[0] for row in found["outlet_all"].rows] == list(scores)
