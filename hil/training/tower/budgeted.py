@@ -27,7 +27,9 @@ SIMULATED, TRAINED, ADAPTED = 0.31, 0.77, 0.855
 """Shares of the time at which simulating, training and adapting end."""
 FINISH_S = 12.0
 """Seconds that a member needs for its gate and its files after the last step."""
-BATCH = {"small": 64, "full": 32}
+BATCH = {"small": 64, "full": 24}
+GATED = (96, 768)
+"""Windows of the gate on a processor and on a device."""
 RATE = {"small": 1.2e-3, "full": 4e-4}
 
 
@@ -160,6 +162,7 @@ def _member(o: argparse.Namespace) -> int:
     from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.tower.member import LONGEST, MemberTraining, load_fleet
     from twin.calibrators.hiera_unet.tower.plan import TowerPlan
+    from twin.calibrators.hiera_unet.tower.predict import NOT_TESTED
 
     ready(o.device, 2 if o.device != "cpu" else 1)
     data, name = o.work / "data", f"{o.size}_{o.seed}"
@@ -172,9 +175,12 @@ def _member(o: argparse.Namespace) -> int:
     print(f"{name}: {len(family)} windows loaded in {time.time() - began:.0f} s", flush=True)
     until = time.monotonic() + o.until - time.time()
     training.run(until, lambda: False, lambda k, n, text: print(f"{name}: {k}/{n} {text}", flush=True))
-    gate = training.gate()
+    path, more = o.work / f"tower_{name}.safetensors", {"command": "python -m hil.training.tower.budgeted"}
+    # Refused until the gate has seen it; a member whose time is over is not lost.
+    training.write(path, NOT_TESTED, more)
+    gate = training.gate(GATED[o.device != "cpu"])
     print(f"{name}: {training.trainer.done} steps, gate {gate.document()}", flush=True)
-    training.write(o.work / f"tower_{name}.safetensors", gate, {"command": "python -m hil.training.tower.budgeted"})
+    training.write(path, gate, more)
     return 0
 
 

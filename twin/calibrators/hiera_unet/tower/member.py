@@ -24,13 +24,14 @@ from twin.calibrators.hiera_unet.tower.table import SUBJECT
 from twin.calibrators.hiera_unet.tower.train import TowerTrainer
 from twin.calibrators.hiera_unet.tower.windows import Fleet
 
-LOOKED_AT, LOOKS = 384, 24
+LOOKED_AT, LOOKS = 256, 20
 """Held-out windows of a look, always the same, and looks in a training."""
 TIMED = 10
 """Steps after a warm-up of as many, by which a training with a time limit plans its number of steps."""
+FIRST_LOOK = 50
 LONGEST = 1_000_000
 KEEP_EVERY_S = 60.0
-HULL = 512
+HULL = 256
 Say = Callable[[int, int, str], None]
 
 
@@ -81,6 +82,7 @@ class MemberTraining:
         gathered: list[dict[str, float]] = []
         trainer = self.trainer
         timed, first = began, trainer.done
+        following = first + (max(trainer.plan.steps // LOOKS, 1) if until is None else FIRST_LOOK)
         while trainer.done < trainer.plan.steps and not stopped():
             made = trainer.done - first
             if until is not None and made == TIMED:
@@ -90,8 +92,9 @@ class MemberTraining:
             found = trainer.step()
             if found:
                 gathered.append(found)
-            every = max(trainer.plan.steps // LOOKS, 1)
-            if trainer.done % every == 0 or trainer.done == trainer.plan.steps:
+            if trainer.done >= following or trainer.done == trainer.plan.steps:
+                # A training with a time limit knows its number of steps only after its first ones.
+                following = trainer.done + max(trainer.plan.steps // LOOKS, 1)
                 self._look(gathered, time.monotonic() - began)
                 gathered = []
                 say(trainer.done, trainer.plan.steps, self.note())

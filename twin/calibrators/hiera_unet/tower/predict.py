@@ -92,6 +92,10 @@ class Blindness:
         }  # fmt: skip
 
 
+NOT_TESTED = Blindness((float("nan"),) * 3, (float("nan"),) * 3, 0)
+"""Figures of a member that the gate has not seen: refused."""
+
+
 def blindness(
     network: HieraUNet, fleet: Fleet, count: int = 768, size: int = 64, half: bool = False, seed: int = 0
 ) -> Blindness:

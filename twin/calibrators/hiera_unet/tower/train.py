@@ -120,13 +120,13 @@ class TowerTrainer:
         """Take one step; return its losses, every tenth one, else None (reading them waits for the device)."""
         for group in self.optimiser.param_groups:
             group["lr"] = self.rate()
-        batch, pairs = self._batch()
+        batch, pairs, own = self._batch()
         causal = self.done % 2 == 1
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.plan.half):
             p = self.network(
                 batch.x, self._hide(batch), batch.regime, batch.clock, batch.meta, causal=causal, memory=batch.memory
             )
-        parameters, outputs, rest = self._losses(p, batch, pairs)
+        parameters, outputs, rest = self._losses(p, batch, pairs, own)
         if self.done % self.plan.even_every == 0 and self.done >= self.plan.even_every:
             self._make_even(parameters, outputs)
         total = outputs + self.even * parameters + rest
@@ -148,11 +148,12 @@ class TowerTrainer:
             )
         return found
 
-    def _batch(self) -> tuple[Batch, Tensor]:
+    def _batch(self) -> tuple[Batch, Tensor, bool]:
+        """Return windows, pairs of rows that follow each other, and True for windows of the station itself."""
         count = self.plan.batch
         if self.own is not None and self.own_rows is not None and self._alternate():
             chosen = torch.randint(len(self.own_rows), (count,), generator=self.generator, device=self.device)
-            return self.own.batch(self.own_rows[chosen]), torch.zeros(0, 2, dtype=torch.long, device=self.device)
+            return self.own.batch(self.own_rows[chosen]), torch.zeros(0, 2, dtype=torch.long), True
         two = int(count * self.plan.pairs)
         rows = self._draw(count - two)
         after = torch.where(self.fleet.follows[rows[:two]], rows[:two] + 1, rows[:two])
@@ -163,7 +164,7 @@ class TowerTrainer:
         wrong = self._uniform(count, 1) < self.plan.shifted
         noise = torch.randn(count, 4, generator=self.generator, device=self.device)
         shift = torch.where(wrong, noise * self.fleet.cycles["sd"][rows], torch.zeros_like(noise))
-        return self.fleet.batch(rows, jump, shift), pairs
+        return self.fleet.batch(rows, jump, shift), pairs, False
 
     def _alternate(self) -> bool:
         """Return True in every so many steps that the station's own windows have their share."""
@@ -186,10 +187,9 @@ class TowerTrainer:
         error = torch.where(unjudged, nan, water - batch.true_water) / TOLERANCE
         return error, reading
 
-    def _losses(self, p: Prediction, batch: Batch, pairs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _losses(self, p: Prediction, batch: Batch, pairs: Tensor, own: bool) -> tuple[Tensor, Tensor, Tensor]:
         delta = p.delta[..., 0].float()
         error, reading = self._errors(batch, p.theta, delta)
-        own = not bool(len(pairs)) and self.own is not None
         shown = reading if own else torch.cat([error, reading], -1)
         outputs = losses.mean_of(torch.nan_to_num(shown).abs(), torch.isfinite(shown)) / self.reference[1]
         parameters = self._parameter(p.theta, batch) / self.reference[0]
