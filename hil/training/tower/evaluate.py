@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.training.tower.generate import TEST, TRAIN, VALIDATION, digest_of, tables
 
-BOOSTED_WINDOWS = 20_000
+BOOSTED_WINDOWS = 12_000
 """Windows of the training split that the booster learns from."""
 HELD_OUT = 6000
 """Windows of the validation split that intervals are set by."""

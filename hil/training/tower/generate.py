@@ -133,8 +133,8 @@ def _guarded(station: StationPlan, folder: Path) -> str:
         return ""
     try:
         said = _station(station, folder)
-    except (ValueError, ArithmeticError) as error:
-        return f"{station.name}: left out, {error}"
+    except Exception as error:  # one station that cannot be made leaves the others
+        return f"{station.name}: left out, {type(error).__name__}: {error}"
     if station.site == "F":
         usual.value = time.monotonic() - now if not usual.value else 0.7 * usual.value + 0.3 * (time.monotonic() - now)
     return said
