@@ -10,7 +10,9 @@ import pytest
 from hil.bench.tower_network import tables_of
 from hil.training.tower.generate import MANIFEST, TEST, TRAIN, VALIDATION, DataPlan, digest_of, generate, tables
 from hil.training.tower.stations import HIDDEN_SHARE, drawn_site
+from hil.training.tower.unpack import unpack
 from tests.hil.command_line import typed
+from tests.twin.hiera.tower_tables import made_table
 from twin.calibrators.hiera_unet.config import HieraError
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
 
@@ -93,3 +95,34 @@ def test_goals_name_the_gate_and_the_change_against_the_boosted_rival() -> None:
     assert goals["outlet"] == "yes" and goals["outlet, 30 min after a fan change"] == "no"
     assert goals["small_0: gate against blindness"] == "no: BLIND"
     assert [row[0] for row in found["outlet_all"].rows] == list(scores)
+
+
+def test_the_command_trains_in_parts_and_refuses_a_blind_member(tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
+    pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
+    data, out = tmp_path / "data", tmp_path / "out"
+    data.mkdir()
+    for split, station in DataPlan(train=1, validation=1, test=1, months=8.0).stations():
+        (data / f"{station.name}.done").write_text("{}\n")
+        for cell in range(1, station.cells + 1) if split != TEST else ():
+            made_table(f"{station.name}_{cell}", seed=cell).save(data / f"{station.name}_{cell}.npz")
+    for station in ("F8002", "F8003", "F9002", "F9003"):
+        (data / f"{station}.done").write_text("{}\n")
+    for station in ("F8002", "F8003"):
+        for cell in (1, 2):
+            made_table(f"{station}_{cell}", seed=cell + 2).save(data / f"{station}_{cell}.npz")
+    words = ("train", "tower", "--data", data, "--out", out, "--stations", "1", "--steps", "2", "--batch", "2")
+    words = (*words, "--threads", "1")
+    cut = typed(*words, "--minutes", "0")
+    assert cut.returncode == 0 and "0 of 2 steps: give the same command again" in cut.stdout
+    done = typed(*words)
+    assert done.returncode == 1 and "BLIND" in done.stdout and "Traceback" not in done.stderr
+    card = json.loads((out / "tower_small_0.json").read_text())
+    assert card["refused"] == "BLIND" and card["steps_done"] == 2 and card["command"].startswith("hil train tower")
+    unpacked = tmp_path / "shipped"
+    results = {"cards": {"small_0": card}}
+    (out / "results.json").write_text(json.dumps(results))
+    assert {p.suffix for p in unpack(out, unpacked)} >= {".safetensors", ".json"}
+    (out / "tower_small_0.safetensors").write_bytes(b"other weights")
+    with pytest.raises(HieraError, match="is not the file that its card"):
+        unpack(out, unpacked)

@@ -76,7 +76,8 @@ def draw(curves: Sequence[Mapping[str, Any]], path: Path, title: str) -> Path:
     right.axhline(1.0, color="0.5", linewidth=1)
     right.set(title="error over Gauss-Newton's", xlabel="step", ylim=(0, 2))
     for axes in (left, middle, right):
-        axes.legend(frameon=False, fontsize=8)
+        if axes.lines:
+            axes.legend(frameon=False, fontsize=8)
         axes.spines[["top", "right"]].set_visible(False)
     figure.suptitle(title, fontsize=10)
     figure.savefig(path, dpi=110)
