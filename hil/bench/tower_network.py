@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.bench.measure.report import Cell, ReportTable
 from hil.training.tower.evaluate import BOOSTED, ENSEMBLE, GAUSS_NEWTON, evaluate
-from hil.training.tower.generate import TEST, tables
+from hil.training.tower.selftest import random_table
 from twin.calibrators.hiera_unet.config import HieraError
 
 FORWARDS = 20
@@ -39,7 +39,7 @@ def network_tables(
     """
     members = {f"small_{path.stem}": path for path in networks}
     document, _ = evaluate(folder, members, device, most=most, note=note)
-    return [*tables_of(document), _latency(folder, networks)]
+    return [*tables_of(document), latency(networks)]
 
 
 def read_results(path: Path) -> dict[str, Any]:
@@ -168,14 +168,19 @@ def _goals(document: Mapping[str, Any]) -> ReportTable:
     return ReportTable("goals", f"Error of the ensemble over that of {rival}, less one", columns, tuple(rows))
 
 
-def _latency(folder: Path, networks: Sequence[Path]) -> ReportTable:
-    """Return the median time of a causal forward of one window on one core."""
+def latency(networks: Sequence[Path]) -> ReportTable:
+    """Return the median time of a causal forward of one window of random numbers on one core.
+
+    Raises:
+        HieraError: a file is no network of a tower.
+    """
     from twin.calibrators.hiera_unet.device import ready
-    from twin.calibrators.hiera_unet.tower.member import load_fleet, load_member
+    from twin.calibrators.hiera_unet.tower.member import load_member
     from twin.calibrators.hiera_unet.tower.predict import predict
+    from twin.calibrators.hiera_unet.tower.windows import Fleet
 
     ready("cpu", 1)
-    fleet = load_fleet(tables(folder, TEST)[:1], "cpu")
+    fleet = Fleet([random_table(0)])
     rows: list[tuple[Cell, ...]] = []
     for path in networks[:1]:
         member = load_member(path, blind_too=True)

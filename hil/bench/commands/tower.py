@@ -72,10 +72,10 @@ def tower_command(
 def _networks(
     folder: Path, networks: tuple[Path, ...], windows: int | None, results: Path | None, out: Path | None, as_json: bool
 ) -> None:
-    from hil.bench.tower_network import network_tables, read_results, tables_of
+    from hil.bench.tower_network import latency, network_tables, read_results, tables_of
 
     if results is not None:
-        found = tables_of(read_results(results))
+        found = [*tables_of(read_results(results)), *([latency(networks)] if networks else [])]
     else:
         found = network_tables(folder, networks, most=windows, note=lambda text: click.echo(text, err=True))
     finish("tower_network", 0, tuple(found), (), out, as_json)
