@@ -116,11 +116,14 @@ class WeightedStep(nn.Module):
         values, there = raw.float().chunk(2, -1)
         slopes = 2.0 * values[..., -count:].clamp(min=0.0).sqrt() * self.signs
         weight = F.softplus(self.weigh(d3).float())[..., 0] * there[..., at]
-        pull = torch.einsum("bn,bn,bnp->bp", weight, values[..., at], slopes)
-        spread = sd * torch.exp(self.widen(hidden).float().clamp(-WIDEST, WIDEST))
-        matrix = torch.einsum("bn,bnp,bnq->bpq", weight, slopes, slopes) + torch.diag_embed(1.0 / spread**2)
-        # Positive definite by its diagonal; without the check, which would wait for a device.
-        step: Tensor = torch.linalg.solve_ex(matrix, pull[..., None], check_errors=False).result[..., 0]
+        wider = torch.exp(self.widen(hidden).float().clamp(-WIDEST, WIDEST))
+        # In single precision whatever the network's products are in: normal equations lose half of their digits.
+        with torch.autocast(raw.device.type, enabled=False):
+            pull = torch.einsum("bn,bn,bnp->bp", weight, values[..., at], slopes)
+            diagonal = torch.diag_embed(1.0 / (sd.float() * wider) ** 2)
+            matrix = torch.einsum("bn,bnp,bnq->bpq", weight, slopes, slopes) + diagonal
+            # Positive definite by its diagonal; without the check, which would wait for a device.
+            step: Tensor = torch.linalg.solve_ex(matrix, pull[..., None], check_errors=False).result[..., 0]
         return step * torch.tanh(SHARE_RATE * self.share)
 
 
