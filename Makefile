@@ -25,7 +25,7 @@ torch:
 
 # The 40-hour battle-time profile on the virtual rig, over real Modbus and CAN, in accelerated time. From 3.5 h on the
 # power modules give off heat that the twin does not know of; `make demo WITH=` runs the healthy rig. The run ends with
-# a diagnosis: the verdict, the errors before and after on the part that no fit saw, and where the pictures are.
+# a diagnosis: the verdict, the errors before and after on the held-out segment, and where the pictures are.
 WITH ?= profiles/effects/modules_heat.toml
 demo: $(STAMP)
 	$(BIN)/hil run profiles/loads/battle_40h.csv --virtual --lockstep --diagnose end $(if $(WITH),--with $(WITH))
@@ -47,8 +47,12 @@ demo-tower: $(STAMP)
 
 # Three workers on two cores: many tests wait for clocks. A file's fixtures (a rig, a run) are made once, and the files
 # that take longest come first (tests/durations.txt, which `make test PYTEST=--write-durations` measures anew).
+# The tests start hundreds of processes, so the sources are compiled to bytecode once before, also where the
+# environment forbids Python to write it.
 XDIST := --dist loadfile --no-loadscope-reorder
+test test-fast: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
+	$(BIN)/python -m compileall -q -j 0 hil drivers twin
 	$(BIN)/python -m pytest -n 3 $(XDIST) $(PYTEST)
 
 # For the inner loop, under two minutes: everything but the slow tests. A part: `make test-fast PYTEST=tests/drivers`.

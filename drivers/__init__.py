@@ -1,4 +1,4 @@
-"""Drivers: rig files, signals, Modbus and CAN buses, and the virtual rig.
+"""Drivers: rig files, signals, Modbus and CAN buses, historians, and the virtual rig.
 
 The packages below are the interface; each names its own public objects. They are loaded on first use.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 from types import ModuleType
 
-__all__ = ["bus", "can", "importers", "modbus", "rig", "rig_file", "signals", "virtual"]
+__all__ = ["bus", "can", "historian", "importers", "modbus", "rig", "rig_file", "signals", "virtual"]
 
 
 def __getattr__(name: str) -> ModuleType:

@@ -15,11 +15,10 @@ USAGE = 2
 def exit_code(error: BaseException) -> int | None:
     """Return 2 for a wrong file or option, 1 for a fault found on the rig or in a run, None for a bug."""
     from drivers.signals import ConfigurationError, DriverError
-    from hil.journal.writer import JournalError
-    from hil.run.locks.lock_folder import RigLockError
-    from hil.run.locks.rig_lock import RigBusyError
-    from hil.run_folder.folder import FolderLostError, RunFolderError
-    from hil.tracking.process import TrackingError
+    from hil.journal import JournalError
+    from hil.run.locks import RigBusyError, RigLockError
+    from hil.run_folder import FolderLostError, RunFolderError
+    from hil.tracking import TrackingError
 
     if isinstance(error, ConfigurationError):
         return USAGE

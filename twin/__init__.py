@@ -1,8 +1,8 @@
 """Digital twin of a thermal plant: a network of elements, its simulation, its calibration and its diagnosis.
 
-The names below are the package's interface, together with those of `twin.elements`, `twin.calibrators` and
-`twin.discovery`. They are loaded on first use, so that importing the package costs nothing. Modules that no interface
-names are private to the package.
+The names below are the package's interface, together with those of `twin.elements`, `twin.calibrators`,
+`twin.discovery`, `twin.historian` and `twin.tower`. They are loaded on first use, so that importing the package costs
+nothing. Modules that no interface names are private to the package.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from twin.commissioning import CommissionOptions, CommissionResult, commission
     from twin.datasheet import from_datasheet
     from twin.drawing import draw
+    from twin.elements.base import STAMP
     from twin.kernel import Kernel, hold_inputs, mask_measurements, simulate
+    from twin.law_equation import law_equations
     from twin.network import Array, InputSpec, Network, Revision, TunableSet, TwinFileError, WindowRules
     from twin.reference_simulation import right_hand_side, simulate_exact, simulate_fine_steps
     from twin.revisions import (
@@ -31,12 +33,14 @@ if TYPE_CHECKING:
         save_revision,
         with_elements,
     )
-    from twin.segments import Segments, find_segments, segment_rows, simulate_segments
+    from twin.segments import LONG_GAP_S, Segments, find_segments, segment_rows, simulate_segments
     from twin.steady import steady_readings, steady_state
     from twin.tracking import TrackerUpdate, TwinTracker
     from twin.twinfile import dump, load, parse, save
 
 _MODULES = {
+    "twin.law_equation": ("law_equations",),
+    "twin.elements.base": ("STAMP",),
     "twin.column_names": ("UNITS_OF_SUFFIX", "celsius_conversion", "column_hint"),
     "twin.commission_check": ("clock_warning", "refusal_reason"),
     "twin.commissioning": ("CommissionOptions", "CommissionResult", "commission"),
@@ -49,7 +53,7 @@ _MODULES = {
         *("ChainEntry", "ElementDiff", "TwinDiff", "chain", "diff", "next_path", "parent_of", "revert"),
         *("save_revision", "with_elements"),
     ),
-    "twin.segments": ("Segments", "find_segments", "segment_rows", "simulate_segments"),
+    "twin.segments": ("LONG_GAP_S", "Segments", "find_segments", "segment_rows", "simulate_segments"),
     "twin.steady": ("steady_readings", "steady_state"),
     "twin.tracking": ("TrackerUpdate", "TwinTracker"),
     "twin.twinfile": ("dump", "load", "parse", "save"),
@@ -57,6 +61,8 @@ _MODULES = {
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
+    "LONG_GAP_S",
+    "STAMP",
     "UNITS_OF_SUFFIX",
     "Array",
     "ChainEntry",
@@ -85,6 +91,7 @@ __all__ = [
     "find_segments",
     "from_datasheet",
     "hold_inputs",
+    "law_equations",
     "load",
     "mask_measurements",
     "next_path",

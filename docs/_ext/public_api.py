@@ -17,6 +17,8 @@ from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
 log = logging.getLogger(__name__)
+LEFT_OUT = ("hil.bench", "hil.cli")
+"""Packages that are no library: benchmarks and commands have pages of their own."""
 
 
 def public_packages(root: Path, top: str) -> list[str]:
@@ -30,8 +32,9 @@ def public_packages(root: Path, top: str) -> list[str]:
             for target in (statement.targets if isinstance(statement, ast.Assign) else [statement.target])
             if isinstance(target, ast.Name)
         ]
-        if "__all__" in names:
-            found.append(".".join(file.parent.relative_to(root).parts))
+        package = ".".join(file.parent.relative_to(root).parts)
+        if "__all__" in names and not f"{package}.".startswith(tuple(f"{name}." for name in LEFT_OUT)):
+            found.append(package)
     return found
 
 

@@ -7,9 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from drivers.rig_file.model import Point
-from drivers.signals.points import Quality
-from drivers.signals.units import plausible_range
+from drivers.rig_file import Point
+from drivers.signals import Quality, plausible_range
 
 Clock = Callable[[], float]
 _GOOD, _OUT_OF_RANGE, _SENSOR_FAULT = int(Quality.GOOD), int(Quality.OUT_OF_RANGE), int(Quality.SENSOR_FAULT)

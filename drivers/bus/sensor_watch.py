@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import math
 
-from drivers.rig_file.model import Point
-from drivers.signals.points import Quality
+from drivers.rig_file import Point
+from drivers.signals import Quality
 
 _GOOD = int(Quality.GOOD)
 LONGER = 3.0

@@ -14,15 +14,11 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.bus.arrival import RECEIVE_TIMEOUT_S, Arrivals, Stamps
-from drivers.bus.contract import Clock, Readings, judge_of
-from drivers.bus.sensor_watch import watches
+from drivers.bus import RECEIVE_TIMEOUT_S, Arrivals, Clock, Readings, Stamps, judge_of, watches
 from drivers.can.dbc import Bound, bind
 from drivers.can.wire import CanWire, Frame
-from drivers.rig_file.bus_sections import CanBus
-from drivers.rig_file.can_ids import Senders
-from drivers.rig_file.model import Point
-from drivers.signals.points import ConfigurationError, LinkError, Quality
+from drivers.rig_file import CanBus, Point, Senders
+from drivers.signals import ConfigurationError, LinkError, Quality
 
 REOPEN_EVERY_S = 1.0
 _EMPTY_READS_OF_A_DEAD_LINK = 20

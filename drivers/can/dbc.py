@@ -20,13 +20,8 @@ from drivers.can.dbc_layout import (
     shared_bits,
 )
 from drivers.can.dbc_text import DbcText, usable
-from drivers.rig_file.bus_sections import CanBus
-from drivers.rig_file.can_ids import IdMatch, by_id, by_j1939, pgn_of
-from drivers.rig_file.encodings import decoded
-from drivers.rig_file.model import Point
-from drivers.rig_file.regular_file import MOST_DESCRIPTION, read_regular
-from drivers.signals.points import ConfigurationError
-from drivers.signals.units import canonical_unit, known_unit
+from drivers.rig_file import MOST_DESCRIPTION, CanBus, IdMatch, Point, by_id, by_j1939, decoded, pgn_of, read_regular
+from drivers.signals import ConfigurationError, canonical_unit, known_unit
 
 _LONGEST = 8
 """Bytes of a frame of classical CAN."""

@@ -12,9 +12,8 @@ from collections.abc import Sequence
 
 import can
 
-from drivers.rig_file.bus_sections import CanBus
-from drivers.rig_file.can_ids import IdMatch
-from drivers.signals.points import LinkError
+from drivers.rig_file import CanBus, IdMatch
+from drivers.signals import LinkError
 
 logging.getLogger("can").setLevel(logging.CRITICAL)  # this module raises the errors that it logs
 

@@ -10,7 +10,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.points import DriverError
+from drivers.signals import DriverError
 
 GOOD, UNCERTAIN, BAD = 192, 64, 0
 """Quality codes of OPC (OPC DA 3.0, 6.8)."""

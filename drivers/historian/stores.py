@@ -18,12 +18,17 @@ def open_store(address: str | Path, *, create: bool = False) -> HistorianStore:
     A folder with Parquet files (or a single Parquet file), a DuckDB file (`.duckdb`, `.db`), or a PostgreSQL
     database by its URL (`postgresql://user@host/database`).
 
-    Parameters:
-        address: path or URL.
-        create: make an empty store where there is none.
+    Parameters
+    ----------
+    address
+        Path or URL.
+    create
+        Make an empty store where there is none.
 
-    Raises:
-        HistorianError: there is no store, it cannot be opened, or the library for it is not installed.
+    Raises
+    ------
+    HistorianError
+        There is no store, it cannot be opened, or the library for it is not installed.
     """
     text = str(address)
     if text.startswith(POSTGRES):

@@ -7,10 +7,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-from drivers.can.dbc import DbcContents, DbcSignal, read_dbc
+from drivers.can import DbcContents, DbcSignal, read_dbc
 from drivers.importers.dbc_values import value_table
 from drivers.importers.draft import Collector, Draft, DraftBus, ImportFileError
-from drivers.signals.points import ConfigurationError
+from drivers.signals import ConfigurationError
 
 
 def import_dbc(path: Path, out: Path, bus: dict[str, Any], *, encoding: str | None = None) -> Draft:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-from drivers.can.dbc import DbcSignal
+from drivers.can import DbcSignal
 
 _FEW_BITS = 8
 """Bits of the longest signal without unit that is an enumeration by its names alone: one byte, as states usually are"""

@@ -8,12 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from drivers.can.dbc import DbcSignal, describe_dbc
+from drivers.can import DbcSignal, describe_dbc
 from drivers.importers.draft import Draft, DraftBus, DraftPoint
-from drivers.signals.codec import ByteOrder, RegisterType
-from drivers.signals.points import ConfigurationError
-from drivers.signals.roles import ROLES
-from drivers.signals.units import canonical_unit
+from drivers.signals import ROLES, ByteOrder, ConfigurationError, RegisterType, canonical_unit
 
 MODBUS, CAN = "plc", "can"
 PLACE_SYNTAX = "holding:0, input:12:int16*0.01, 40001:float32:CDAB, or MESSAGE.SIGNAL of a DBC"
@@ -132,7 +129,7 @@ def heartbeat_of(text: str) -> dict[str, Place]:
 
 
 def temperatures_of(dbc: Path, encoding: str | None = None) -> dict[str, Place]:
-    """Return the places of a DBC's signals in degC, by name; raise ConfigurationError where there are none."""
+    """Return the places of a DBC's signals in degC, by name; raise DescriptionError where there are none."""
     found = {
         signal.name: Place(CAN, {"message": signal.message, "signal": signal.name})
         for signal in describe_dbc(dbc, encoding)

@@ -13,13 +13,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from drivers.rig_file.checks import Layout, unwritable
-from drivers.rig_file.encodings import decoded
-from drivers.rig_file.messages import mistake, shown
-from drivers.rig_file.model import Point
-from drivers.rig_file.regular_file import MOST_DESCRIPTION, read_regular
-from drivers.signals.points import ConfigurationError
-from drivers.signals.units import canonical_unit, known_unit
+from drivers.rig_file import MOST_DESCRIPTION, Layout, Point, decoded, mistake, read_regular, shown, unwritable
+from drivers.signals import ConfigurationError, canonical_unit, known_unit
 
 
 class ImportFileError(ConfigurationError):

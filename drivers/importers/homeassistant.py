@@ -15,8 +15,8 @@ from drivers.importers.draft import Collector, Draft, DraftBus, ImportFileError,
 from drivers.importers.homeassistant_types import typed
 from drivers.importers.sections import Sections, serial, tcp
 from drivers.importers.yaml_places import Placed, load_placed
-from drivers.rig_file.messages import shown
-from drivers.signals.codec import WIDTH
+from drivers.rig_file import shown
+from drivers.signals import WIDTH
 
 _TABLES = {
     "holding": "holding",

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.importers.draft import Collector, ImportFileError, number, whole
-from drivers.rig_file.messages import shown
-from drivers.signals.codec import WIDTH
+from drivers.rig_file import shown
+from drivers.signals import WIDTH
 
 _TYPES = ("int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64", "string", "custom")
 _OLD = {"int": "int", "uint": "uint", "float": "float"}

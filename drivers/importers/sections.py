@@ -9,8 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field, TypeAdapter, ValidationError
 
 from drivers.importers.draft import DraftBus, ImportFileError, whole
-from drivers.rig_file.bus_sections import AnyBus
-from drivers.rig_file.messages import mistake, shown
+from drivers.rig_file import AnyBus, mistake, shown
 
 _BUS: TypeAdapter[AnyBus] = TypeAdapter(Annotated[AnyBus, Field(discriminator="transport")])
 _PARITIES = {"N": "none", "E": "even", "O": "odd"}

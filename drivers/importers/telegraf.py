@@ -17,8 +17,7 @@ from urllib.parse import urlsplit
 from drivers.importers.draft import Collector, Draft, ImportFileError, number, placeholder_in, read_text, whole
 from drivers.importers.sections import Sections, serial, tcp
 from drivers.importers.telegraf_types import byte_order, field_type, register_type
-from drivers.rig_file.messages import shown
-from drivers.rig_file.toml_lines import line_of
+from drivers.rig_file import line_of, shown
 
 _STYLE_TABLES = {
     "coils": "coil",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from drivers.signals.codec import WIDTH
+from drivers.signals import WIDTH
 
 _INTEGERS = {kind.upper(): kind for kind in ("int16", "uint16", "int32", "uint32", "int64", "uint64")}
 _BYTES = {"UINT8L": [0, 7], "UINT8H": [8, 15]}

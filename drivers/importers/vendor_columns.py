@@ -6,8 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from drivers.importers.vendor_words import squeezed
-from drivers.signals.codec import RegisterType, raw_bounds
-from drivers.signals.units import canonical_unit, plausible_range
+from drivers.signals import RegisterType, canonical_unit, plausible_range, raw_bounds
 
 _PREFIXED = re.compile(r"0x[0-9a-f]{1,5}|[0-9a-f]{1,5}h", re.I)
 _BARE = re.compile(r"[0-9a-f]{1,5}", re.I)

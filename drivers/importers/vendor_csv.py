@@ -46,7 +46,7 @@ from drivers.importers.vendor_scale import (
     unit_and_factor,
 )
 from drivers.importers.vendor_words import heading_key
-from drivers.signals.codec import RegisterType
+from drivers.signals import RegisterType
 
 _DELIMITERS = (";", "\t", ",", "|")
 _REMEDY = "rename it scale (value = raw x scale) or divisor (value = raw / divisor), or take it out"

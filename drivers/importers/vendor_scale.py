@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 
-from drivers.signals.units import canonical_unit
+from drivers.signals import canonical_unit
 
 _NUMBER = r"(?:1/10+|\d+(?:[.,]\d+)?(?:[eE]-?\d+)?)"
 _TIMES = r"[x×*·]"

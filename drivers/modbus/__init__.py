@@ -20,12 +20,13 @@ if TYPE_CHECKING:
     )
     from drivers.modbus.bus import ModbusBus
     from drivers.modbus.link import ModbusLink
-    from drivers.modbus.read_plan import Block, ReadPlan, plan_reads, plan_writes
+    from drivers.modbus.read_plan import BIT_TABLES, Block, ReadPlan, plan_reads, plan_writes
     from drivers.modbus.tls import client_context
     from drivers.modbus.wire import Lost, Received, Wire, open_wire
     from drivers.modbus.writes import Writes
 
 _HOME = {
+    "BIT_TABLES": "drivers.modbus.read_plan",
     "Block": "drivers.modbus.read_plan",
     "Lost": "drivers.modbus.wire",
     "ModbusBus": "drivers.modbus.bus",
@@ -48,6 +49,7 @@ _HOME = {
 }
 
 __all__ = [
+    "BIT_TABLES",
     "Block",
     "Lost",
     "ModbusBus",

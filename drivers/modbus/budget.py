@@ -7,9 +7,7 @@ from dataclasses import dataclass
 
 from drivers.modbus.read_plan import BIT_TABLES, Block, plan_reads
 from drivers.modbus.serial_line import BITS_PER_BYTE, silence_s
-from drivers.rig_file.bus_sections import CanBus, ModbusBusSection, is_rtu
-from drivers.rig_file.model import Point, Rig
-from drivers.rig_file.wires import wire_of_bus
+from drivers.rig_file import CanBus, ModbusBusSection, Point, Rig, is_rtu, wire_of_bus
 
 MBAP_BYTES = 7
 """Header of a Modbus/TCP frame (Modbus messaging on TCP/IP implementation guide V1.0b, 3.1.3)."""

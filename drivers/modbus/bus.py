@@ -7,27 +7,24 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from drivers.bus.contract import Clock, Judge, Readings, judge_of
-from drivers.bus.sensor_watch import watches
-from drivers.bus.steady_time import steady_s
+from drivers.bus import Clock, Judge, Readings, judge_of, steady_s, watches
 from drivers.modbus.link import RECONNECT_EVERY_S, ModbusLink
-from drivers.modbus.protocol.pdu import (
+from drivers.modbus.protocol import (
     BUSY,
     GATEWAY_SILENCE,
     NO_SUCH_ADDRESS,
     NO_SUCH_FUNCTION,
+    OpenRequests,
     Read,
     ReadBack,
     check_written,
     write_request,
 )
-from drivers.modbus.protocol.reply_offset import OpenRequests
 from drivers.modbus.read_plan import MAX_READ_WRITE, Block, ReadPlan, plan_reads
 from drivers.modbus.writes import Writes, values_of
-from drivers.rig_file.bus_sections import ModbusBusSection, ModbusRtuBus
-from drivers.rig_file.model import Point
-from drivers.signals.codec import CodecError, decode_text, decoder
-from drivers.signals.points import (
+from drivers.rig_file import ModbusBusSection, ModbusRtuBus, Point
+from drivers.signals import (
+    CodecError,
     ConfigurationError,
     DeadlineError,
     DeviceExceptionError,
@@ -35,8 +32,10 @@ from drivers.signals.points import (
     LateReplyError,
     LinkError,
     ProtocolError,
+    decode_text,
+    decoder,
 )
-from drivers.signals.points import Quality as Q
+from drivers.signals import Quality as Q
 
 _Slot = tuple[int, int, Callable[[Sequence[int], int], float], Judge]
 _BUSY_RETRIES = 2

@@ -16,13 +16,13 @@ import errno
 import ssl
 from collections.abc import Awaitable, Callable
 
-from drivers.bus.steady_time import steady_s
-from drivers.modbus.protocol.frames import frames_of
+from drivers.bus import steady_s
+from drivers.modbus.protocol import frames_of
 from drivers.modbus.serial_line import BITS_PER_BYTE, silence_s
 from drivers.modbus.tls import client_context, why_refused
 from drivers.modbus.wire import Lost, Received, Wire, open_wire
-from drivers.rig_file.bus_sections import ModbusBusSection, ModbusRtuBus, ModbusTlsBus, is_numbered, is_rtu
-from drivers.signals.points import DeadlineError, LateReplyError, LinkError, ProtocolError
+from drivers.rig_file import ModbusBusSection, ModbusRtuBus, ModbusTlsBus, is_numbered, is_rtu
+from drivers.signals import DeadlineError, LateReplyError, LinkError, ProtocolError
 
 RECONNECT_EVERY_S = 1.0
 EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)

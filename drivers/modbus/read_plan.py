@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Protocol
 
-from drivers.rig_file.model import Point
+from drivers.rig_file import Point
 
 BIT_TABLES = ("coil", "discrete")
 READ_CODE = {"coil": 1, "discrete": 2, "holding": 3, "input": 4}

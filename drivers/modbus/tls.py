@@ -13,9 +13,8 @@ import ssl
 import stat
 from pathlib import Path
 
-from drivers.rig_file.bus_sections import ModbusTlsBus
-from drivers.rig_file.regular_file import read_regular
-from drivers.signals.points import ConfigurationError
+from drivers.rig_file import ModbusTlsBus, read_regular
+from drivers.signals import ConfigurationError
 
 _THEIRS = {
     "CERTIFICATE_REQUIRED": "it wants a certificate from us, and got none that it takes",

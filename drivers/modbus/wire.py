@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 import serial
 
-from drivers.rig_file.bus_sections import ModbusBusSection, ModbusRtuBus, ModbusTcpBus
+from drivers.rig_file import ModbusBusSection, ModbusRtuBus, ModbusTcpBus
 
 _PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
 _MOST = 4096

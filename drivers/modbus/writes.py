@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from drivers.bus.contract import judge
+from drivers.bus import judge
 from drivers.modbus.read_plan import Block, plan_writes
-from drivers.rig_file.bus_sections import ModbusBusSection
-from drivers.rig_file.model import Point
-from drivers.signals.codec import decode, encoder
-from drivers.signals.points import ConfigurationError
+from drivers.rig_file import ModbusBusSection, Point
+from drivers.signals import ConfigurationError, decode, encoder
 
 _Put = tuple[str, float, float, Callable[[float], list[int]]]
 

@@ -6,14 +6,11 @@ import asyncio
 import math
 from collections.abc import Iterable, Mapping
 
-from drivers.bus.contract import Bus, Clock, Readings
-from drivers.can.bus import CanReceiver
-from drivers.modbus.bus import ModbusBus
-from drivers.modbus.link import ModbusLink
-from drivers.rig_file.bus_sections import CanBus
-from drivers.rig_file.model import Point, Rig
-from drivers.rig_file.wires import wire_of_bus
-from drivers.signals.points import DriverError, LinkError, Signal, Snapshot
+from drivers.bus import Bus, Clock, Readings
+from drivers.can import CanReceiver
+from drivers.modbus import ModbusBus, ModbusLink
+from drivers.rig_file import CanBus, Point, Rig, wire_of_bus
+from drivers.signals import DriverError, LinkError, Signal, Snapshot
 
 
 async def _read_in_turn(sharing: list[ModbusBus]) -> dict[str, Readings]:

@@ -13,13 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.bus.contract import Readings
-from drivers.can.bus import CanReceiver
-from drivers.modbus.bus import ModbusBus
-from drivers.modbus.read_plan import BIT_TABLES, Block
-from drivers.rig_file.bus_sections import CanBus
-from drivers.rig_file.model import Point, Rig
-from drivers.signals.points import DriverError, LinkError, Quality
+from drivers.bus import Readings
+from drivers.can import CanReceiver
+from drivers.modbus import BIT_TABLES, Block, ModbusBus
+from drivers.rig_file import CanBus, Point, Rig
+from drivers.signals import DriverError, LinkError, Quality
 
 CONNECT_WITHIN_S = 10.0
 FIRST_WITHIN_S = 5.0

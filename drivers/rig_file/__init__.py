@@ -4,6 +4,7 @@ The names below are the package's interface. Other modules are private to the pa
 """
 
 from drivers.rig_file.bus_sections import (
+    AnyBus,
     CanBus,
     CanMessage,
     Hole,
@@ -15,8 +16,8 @@ from drivers.rig_file.bus_sections import (
     is_numbered,
     is_rtu,
 )
-from drivers.rig_file.can_ids import IdMatch, Senders
-from drivers.rig_file.checks import cross_checks
+from drivers.rig_file.can_ids import IdMatch, Senders, by_id, by_j1939, pgn_of
+from drivers.rig_file.checks import Layout, cross_checks, unwritable
 from drivers.rig_file.encodings import decoded
 from drivers.rig_file.host_address import addresses, is_own
 from drivers.rig_file.interlock_specs import (
@@ -29,15 +30,17 @@ from drivers.rig_file.interlock_specs import (
     ResidualSpec,
     SensorSpec,
 )
-from drivers.rig_file.messages import mistake
+from drivers.rig_file.messages import mistake, shown
 from drivers.rig_file.model import Heartbeat, Point, Rig
 from drivers.rig_file.plain_values import checked_host
 from drivers.rig_file.reader import RigFileError, file_sha256, load_rig, located
-from drivers.rig_file.regular_file import read_regular, refuse_irregular
+from drivers.rig_file.regular_file import MOST_DESCRIPTION, read_regular, refuse_irregular
 from drivers.rig_file.toml_lines import line_of, tables_of
 from drivers.rig_file.wires import device_of_bus, serial_device, wire_of_bus
 
 __all__ = [
+    "MOST_DESCRIPTION",
+    "AnyBus",
     "CanBus",
     "CanMessage",
     "Heartbeat",
@@ -45,6 +48,7 @@ __all__ = [
     "Hole",
     "IdMatch",
     "InterlockSpec",
+    "Layout",
     "Level",
     "LimitSpec",
     "ModbusBusSection",
@@ -61,6 +65,8 @@ __all__ = [
     "Senders",
     "SensorSpec",
     "addresses",
+    "by_id",
+    "by_j1939",
     "checked_host",
     "cross_checks",
     "decoded",
@@ -73,9 +79,12 @@ __all__ = [
     "load_rig",
     "located",
     "mistake",
+    "pgn_of",
     "read_regular",
     "refuse_irregular",
     "serial_device",
+    "shown",
     "tables_of",
+    "unwritable",
     "wire_of_bus",
 ]

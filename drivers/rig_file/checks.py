@@ -8,7 +8,7 @@ from drivers.rig_file.bus_sections import CanBus, ModbusBusSection
 from drivers.rig_file.interlock_specs import HeaterPowerSpec
 from drivers.rig_file.model import Point, Rig
 from drivers.rig_file.wires import device_of_bus, wire_of_bus
-from drivers.signals.codec import CodecError, encode
+from drivers.signals import CodecError, encode
 
 
 def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:

@@ -15,18 +15,18 @@ from pydantic import Field, field_validator, model_validator
 
 from drivers.rig_file.bus_sections import AnyBus, Section, Table
 from drivers.rig_file.interlock_specs import InterlockSpec
-from drivers.signals.codec import (
+from drivers.signals import (
     UNSIGNED,
     WIDTH,
     ByteOrder,
     CodecError,
     RegisterType,
+    Signal,
+    canonical_unit,
     encode,
     raw_bounds,
     raw_sentinels,
 )
-from drivers.signals.points import Signal
-from drivers.signals.units import canonical_unit
 
 Interval = tuple[float, float]
 

@@ -19,7 +19,7 @@ from drivers.rig_file.messages import sentence
 from drivers.rig_file.model import Rig
 from drivers.rig_file.regular_file import MOST_DESCRIPTION, read_regular
 from drivers.rig_file.toml_lines import line_of, tables_of
-from drivers.signals.points import ConfigurationError
+from drivers.signals import ConfigurationError
 
 
 class RigFileError(ConfigurationError):

@@ -4,6 +4,7 @@ The names below are the package's interface. Other modules are private to the pa
 """
 
 from drivers.signals.codec import (
+    UNSIGNED,
     WIDTH,
     ByteOrder,
     CodecError,
@@ -14,6 +15,8 @@ from drivers.signals.codec import (
     encode,
     encode_text,
     encoder,
+    raw_bounds,
+    raw_sentinels,
 )
 from drivers.signals.points import (
     ConfigurationError,
@@ -45,6 +48,7 @@ __all__ = [
     "ROLES",
     "ROOM",
     "SUFFIX_OF_UNIT",
+    "UNSIGNED",
     "WIDTH",
     "ByteOrder",
     "CodecError",
@@ -70,5 +74,7 @@ __all__ = [
     "known_unit",
     "nearest_role",
     "plausible_range",
+    "raw_bounds",
+    "raw_sentinels",
     "split_column",
 ]

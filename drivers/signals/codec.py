@@ -115,7 +115,7 @@ def encode(value: float, kind: str, order: ByteOrder = "ABCD") -> list[int]:
 
 @lru_cache(maxsize=64)
 def encoder(kind: str, order: ByteOrder = "ABCD") -> Callable[[float], list[int]]:
-    """Return `encode` for one type, as a function of the raw number."""
+    """Return `encode` for one type as a function of the raw number; it raises CodecError for one that does not fit."""
     if kind == "bool":
         return lambda value: _arranged([_bit(value)], order)
     pack, unpack = struct.Struct(">" + _FORMAT[kind]).pack, struct.Struct(f">{WIDTH[kind]}H").unpack

@@ -21,7 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, get_args
 
-from drivers.virtual.plant.effects import load_effects
+from drivers.virtual.plant import load_effects
 
 Mode = Literal["real", "scaled", "lockstep"]
 Server = Literal["own", "pymodbus"]
@@ -155,24 +155,41 @@ class VirtualRig:
 class VirtualRigOptions:
     """Options of a virtual rig.
 
-    Attributes:
-        seed: seed of noise, offsets and draughts.
-        mode: real time, `speed` times as fast, or granted step by step on the control port.
-        speed: times real time, in scaled mode.
-        period_s: seconds between samples, 0.02 to 10.
-        modbus_port, can_port, control_port: 0 takes a free one.
-        rtu_port: port of a second Modbus server with RTU frames over TCP; None for no such server.
-        serial: True for a third one on a pseudo-terminal.
-        effects: file of effects that no twin knows of.
-        host: address to listen on.
-        unit: specimen; the same one has the same sensors' offsets. None takes another one for every seed.
-        truth: file in which the rig records its true state (see `devices.truth`).
-        tls: files of certificate, key and authority; Modbus is then served over TLS to clients of that authority.
-        start_s: rig time at the start, s: room and effects are as then, the rig itself is cold.
-        server: the project's own Modbus server, or that of pymodbus.
+    Attributes
+    ----------
+    seed
+        Seed of noise, offsets and draughts.
+    mode
+        Real time, `speed` times as fast, or granted step by step on the control port.
+    speed
+        Times real time, in scaled mode.
+    period_s
+        Seconds between samples, 0.02 to 10.
+    modbus_port, can_port, control_port
+        0 takes a free one.
+    rtu_port
+        Port of a second Modbus server with RTU frames over TCP; None for no such server.
+    serial
+        True for a third one on a pseudo-terminal.
+    effects
+        File of effects that no twin knows of.
+    host
+        Address to listen on.
+    unit
+        Specimen; the same one has the same sensors' offsets. None takes another one for every seed.
+    truth
+        File in which the rig records its true state (see `devices.truth`).
+    tls
+        Files of certificate, key and authority; Modbus is then served over TLS to clients of that authority.
+    start_s
+        Rig time at the start, s: room and effects are as then, the rig itself is cold.
+    server
+        The project's own Modbus server, or that of pymodbus.
 
-    Raises:
-        ValueError: an option that makes no rig.
+    Raises
+    ------
+    ValueError
+        An option that makes no rig.
     """
 
     seed: int = 0
@@ -236,13 +253,19 @@ class VirtualRigOptions:
 async def start_virtual_rig(options: VirtualRigOptions | None = None, **changes: Any) -> VirtualRig:
     """Start plant and PLC in one process, thermocouple module and CAN bus in another; return when both serve.
 
-    Parameters:
-        options: of the rig; by default those of `VirtualRigOptions`.
-        changes: single options by name, in place of those in `options`.
+    Parameters
+    ----------
+    options
+        Of the rig; by default those of `VirtualRigOptions`.
+    changes
+        Single options by name, in place of those in `options`.
 
-    Raises:
-        PortInUseError, EffectFileError, VirtualRigError: the rig cannot be started; the message says why.
-        ValueError: options that make no rig.
+    Raises
+    ------
+    PortInUseError, EffectFileError, VirtualRigError
+        The rig cannot be started; the message says why.
+    ValueError
+        Options that make no rig.
     """
     options = replace(options or VirtualRigOptions(), **changes)
     if options.effects is not None:

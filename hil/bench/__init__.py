@@ -5,6 +5,8 @@ A benchmark returns a `Report` of tables; the command prints it and, when asked 
 
 from __future__ import annotations
 
+__all__ = ["BENCHMARKS", "EXPERIMENTS", "RIGS"]
+
 BENCHMARKS = {
     "twin": "One ten-minute window of the coolant loop: our kernel, scipy, numpy, torch, jax, C",
     "fit": "The same windows fitted by our calibrators and by other people's optimisers",

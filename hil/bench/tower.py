@@ -12,14 +12,22 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from hil.bench.measure.report import Cell, ReportTable
+from hil.bench.measure import Cell, ReportTable
 from hil.bench.tower_truth import against_truth
-from hil.record.raw import RecordError
-from hil.tower.calibrate import CellResult, calibrate, openings_of, site_of
-from twin.tower.baselines import BASELINES, Case, split, without_discrepancy
-from twin.tower.model import DEVIATIONS, CellModel
-from twin.tower.smoother import DAY_S, estimate
-from twin.tower.twin_file import design_of, value_of
+from hil.record import RecordError
+from hil.tower import CellResult, calibrate_station, openings_of, site_of
+from twin.tower import (
+    BASELINES,
+    DAY_S,
+    DEVIATIONS,
+    Case,
+    CellModel,
+    design_of,
+    estimate,
+    split,
+    value_of,
+    without_discrepancy,
+)
 
 COLUMNS = ("method", "MAE K", "RMSE K", "p90 K", "CPU s")
 NOTES = (
@@ -42,7 +50,7 @@ def compare(
         RecordError, TwinFileError: a file cannot be used.
     """
     began = time.process_time()
-    results, notes = calibrate(record, twins, labels)
+    results, notes = calibrate_station(record, twins, labels)
     cost = time.process_time() - began
     true = _truth(truth) if truth is not None else None
     tables, skipped, errors = [], [], []

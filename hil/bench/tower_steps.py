@@ -15,17 +15,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.bench.measure.report import Cell, ReportTable
-from hil.record.raw import RecordError
-from hil.tower.calibrate import DRIVEN, fit_with_steps, load_all, openings_of, priors_of, site_of
-from hil.tower.record import CellRecord, StationNotes, read_cell, read_notes
-from twin.network import Network
-from twin.tower.air import Array
-from twin.tower.calibration import Fitted
-from twin.tower.minutes import minutes_of
-from twin.tower.model import DEVIATIONS, CellModel
-from twin.tower.steps import DAY_S, Step
-from twin.tower.twin_file import design_of, value_of
+from hil.bench.measure import Cell, ReportTable
+from hil.record import RecordError
+from hil.tower import (
+    DRIVEN,
+    CellRecord,
+    StationNotes,
+    fit_with_steps,
+    load_all,
+    openings_of,
+    priors_of,
+    read_cell,
+    read_notes,
+    site_of,
+)
+from twin import Network
+from twin.tower import DAY_S, DEVIATIONS, Array, CellModel, Fitted, Step, design_of, minutes_of, value_of
 
 BEFORE_DAYS, AFTER_DAYS = 5.0, 2.0
 """A step is confirmed by the day after it, and its level is known from the days before."""

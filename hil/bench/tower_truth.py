@@ -11,15 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.bench.measure.report import Cell, ReportTable
-from hil.tower.calibrate import CellResult, withheld
-from hil.tower.record import StationNotes
-from hil.tower.service import govern
-from hil.tower.truth import Columns, read_truth
-from twin.tower.air import Array
-from twin.tower.calibration import NORMAL, QUANTILE, WET_C
-from twin.tower.model import DEVIATIONS
-from twin.tower.smoother import DAY_S
+from hil.bench.measure import Cell, ReportTable
+from hil.tower import CellResult, Columns, StationNotes, govern, read_truth, withheld
+from twin.tower import DAY_S, DEVIATIONS, NORMAL, QUANTILE, WET_C, Array
 
 OUTLET = ("cell", "part", "minutes", "commissioned K", "calibrated K", "p90 K", "within 90 %", "width K", "score K")
 DEVIATION = ("cell", "deviation", "MAE", "mean sd", "within 90 %", "rms error / sd", "withheld %")

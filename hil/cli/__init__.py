@@ -1,4 +1,5 @@
-"""Command line `hil`: one module for each command."""
+"""Command line `hil`: one module for each command, loaded by its name."""
 
-from hil.cli.verbs import group as group
-from hil.cli.verbs import main as main
+from hil.cli.verbs import group, main
+
+__all__ = ["group", "main"]

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE, INPUT_PATH, VIRTUAL_RIG
-from hil.cli.options.reading import reading
+from hil.cli.options import INPUT_FILE, INPUT_PATH, VIRTUAL_RIG, reading
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hil.record.raw import Reading
+    from hil.record import Reading
 
 
 @click.command()
@@ -74,13 +73,13 @@ def command(
       hil check runs/<a run>
       hil check --kinds
     """
-    from hil.record.raw import Reading
-    from hil.run.session.terminal import console
+    from hil.record import Reading
+    from hil.run.session import console
 
     if kinds:
         if file is not None:
             raise click.UsageError(f"--kinds takes no file; leave {file} out")
-        from hil.rig.element_kinds import kinds_table
+        from hil.rig import kinds_table
 
         console().print(kinds_table())
         return
@@ -89,7 +88,7 @@ def command(
             "Missing argument 'FILE'; give a file to check, or --kinds to list the elements of twin files"
         )
     if file.is_dir():
-        from hil.cli.options.subject import record_of
+        from hil.cli.options import record_of
 
         file = record_of(file)
     checker = _checker(file, rig)
@@ -108,7 +107,7 @@ def command(
             _online(file, seconds, None if as_json else console())
             return
         if as_json:
-            from hil.rig.check import as_json as plan
+            from hil.rig import as_json as plan
 
             click.echo(plan(file))
             return
@@ -123,8 +122,7 @@ def command(
     if catalogue:
         _catalogue(file, console())
     if picture is not None:
-        from twin.drawing import draw
-        from twin.twinfile import load
+        from twin import draw, load
 
         draw(load(file), picture)
         click.echo(str(picture))
@@ -178,12 +176,8 @@ def _readings(file: Path, rig: Path) -> list[str]:
     """Return the columns of a table that no load profile has. These are temperatures that are no set-points of the rig,
     values of a long format, and columns beside a separate date column.
     """
-    from hil.record.annotated import is_annotated
-    from hil.record.csv_dialect import DialectError, find_dialect
-    from hil.record.encodings import beginning_of
-    from hil.record.heading_units import name_and_unit
-    from hil.record.long_format import VALUES
-    from hil.record.times.names import names_dates
+    from hil.record import VALUES, DialectError, beginning_of, find_dialect, is_annotated, name_and_unit
+    from hil.record.times import names_dates
 
     with file.open("rb") as content:
         beginning = beginning_of(content.read(_SAMPLE_BYTES))
@@ -197,7 +191,7 @@ def _readings(file: Path, rig: Path) -> list[str]:
     found = [name for name in names if _TEMPERATURE.search(name) or (name_and_unit(name) or ("", ""))[1] in in_degC]
     if found and names[0] == "time_s":
         from drivers.rig_file import load_rig
-        from hil.run.session.request import setpoint_limits
+        from hil.run.session import setpoint_limits
 
         limits = setpoint_limits(load_rig(rig))
         return [name for name in found if name not in limits]
@@ -212,7 +206,7 @@ _TEMPERATURE = re.compile(r"^T_|_C$|^T(_.+|\d+)_[KF]$|[\[(]\s*(°|deg)\s*[CFK]\s
 
 
 def _rig(file: Path, _: Path, out: Console) -> None:
-    from hil.rig.check import show
+    from hil.rig import show
 
     show(file, out)
 
@@ -222,8 +216,7 @@ def _online(file: Path, seconds: float | None, out: Console | None) -> None:
     import sys
 
     from hil.errors import FOUND
-    from hil.rig.check import checked_rig
-    from hil.rig.online import watch_online
+    from hil.rig import checked_rig, watch_online
 
     found = asyncio.run(watch_online(checked_rig(file)[0], seconds, out))
     if out is None:
@@ -242,7 +235,7 @@ def _online(file: Path, seconds: float | None, out: Console | None) -> None:
 def _twin(file: Path, _: Path, out: Console) -> None:
     from rich.table import Table
 
-    from twin.twinfile import load
+    from twin import load
 
     network = load(file)
     table = Table(title=f"{network.name}: {len(network.nodes)} volumes", title_justify="left")
@@ -262,10 +255,10 @@ def _twin(file: Path, _: Path, out: Console) -> None:
 
 
 def _catalogue(file: Path, out: Console) -> None:
+    from twin import load
     from twin.discovery.answer.blind_spots import spoken
     from twin.discovery.effects.catalogue import catalogue
     from twin.discovery.effects.lint import lint
-    from twin.twinfile import load
 
     network = load(file)
     entries = {(c.kind, c.where, c.driver) for c in catalogue(network)}
@@ -290,7 +283,7 @@ def _effects(file: Path, _: Path, out: Console) -> None:
 
 
 def _scenario(file: Path, _: Path, out: Console) -> None:
-    from hil.profile.scenario import build, read_scenario
+    from hil.profile import build, read_scenario
 
     scenario = read_scenario(file)
     profile = build(scenario, 1)
@@ -304,8 +297,8 @@ def _scenario(file: Path, _: Path, out: Console) -> None:
 
 def _profile(file: Path, rig: Path, out: Console) -> None:
     from drivers.rig_file import load_rig
-    from hil.profile.load_profile import WINDOW_S, read_profile, validate
-    from hil.run.session.request import setpoint_limits
+    from hil.profile import WINDOW_S, read_profile, validate
+    from hil.run.session import setpoint_limits
 
     target = load_rig(rig)
     profile = read_profile(file)
@@ -321,7 +314,7 @@ def _profile(file: Path, rig: Path, out: Console) -> None:
 def _record(file: Path, choice: Reading | Path, out: Console) -> None:
     import numpy as np
 
-    from hil.record.reader import Reading, read_record
+    from hil.record import Reading, read_record
 
     record = read_record(file, choice=choice if isinstance(choice, Reading) else None)
     for message in record.messages:

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE, INPUT_PATH
-from hil.cli.options.reading import reading
+from hil.cli.options import INPUT_FILE, INPUT_PATH, reading
 
 if TYPE_CHECKING:
-    from hil.record.reader import Reading
-    from twin.commissioning import CommissionResult
+    from hil.record import Reading
+    from twin import CommissionResult
 
 
 @click.command()
@@ -63,17 +62,13 @@ def command(
       hil commission commissioning.parquet --datasheet datasheet.json --out my_twin.toml
       hil commission commissioning.parquet --datasheet datasheet.json --twin profiles/twins/loop_six.toml --out my.toml
     """
-    from hil.cli.options.subject import record_of
-    from hil.diagnosis.healthy_record import healthy_path, save_with_record
-    from hil.files.names import printable
-    from hil.record.reader import read_record
-    from hil.record.values.units import beyond_declared
-    from hil.run.session.terminal import console
-    from twin.commission_check import clock_warning, refusal_reason
-    from twin.commissioning import CommissionOptions, commission
-    from twin.datasheet import from_datasheet
-    from twin.network import TwinFileError
-    from twin.twinfile import load
+    from hil.cli.options import record_of
+    from hil.diagnosis import healthy_path, save_with_record
+    from hil.files import printable
+    from hil.record import read_record
+    from hil.record.values import beyond_declared
+    from hil.run.session import console
+    from twin import CommissionOptions, TwinFileError, clock_warning, commission, from_datasheet, load, refusal_reason
 
     if twin is None and datasheet is None:
         raise click.UsageError("give --twin, --datasheet or both; the fit starts from them")
@@ -131,8 +126,8 @@ def _known(error: float) -> float | None:
 def _show(result: CommissionResult, messages: tuple[str, ...], out: Path, healthy: Path) -> None:
     from rich.table import Table
 
-    from hil.record.times.time_axis import span
-    from hil.run.session.terminal import console
+    from hil.record.times import span
+    from hil.run.session import console
 
     to = console()
     for message in messages:

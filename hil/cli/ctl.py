@@ -37,7 +37,7 @@ def command(verb: str, run: Path | None, runs: Path, reason: str, as_json: bool)
       hil ctl resume
       hil ctl status runs/20260520T120000Z-battle_40h --json
     """
-    from hil.run.engine.control_socket import ask
+    from hil.run.engine import ask
 
     folder = _only_one(runs) if run is None else run
     answer = ask(folder / "control.sock", verb, f"{reason} (hil ctl)" if reason else "")
@@ -52,7 +52,7 @@ def command(verb: str, run: Path | None, runs: Path, reason: str, as_json: bool)
 
 
 def _only_one(runs: Path) -> Path:
-    from hil.run.engine.control_socket import live_runs
+    from hil.run.engine import live_runs
 
     found = live_runs(runs)
     if len(found) == 1:
@@ -63,7 +63,7 @@ def _only_one(runs: Path) -> Path:
 
 
 def _show(folder: Path, status: dict[str, Any]) -> None:
-    from hil.run.session.terminal import hours
+    from hil.run.session import hours
 
     click.echo(f"{status['state']}: {status['reason']}")
     if status["not_safe"]:

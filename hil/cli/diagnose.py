@@ -12,18 +12,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE, INPUT_PATH
-from hil.cli.options.reading import reading
+from hil.cli.options import INPUT_FILE, INPUT_PATH, reading
 from hil.errors import FOUND
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hil.diagnosis.session import Prepared, Written
-    from hil.record.reader import Reading
-    from twin.discovery.diagnosis import Diagnosis
+    from hil.diagnosis import Prepared, Written
+    from hil.record import Reading
+    from twin import Network
+    from twin.discovery import Diagnosis
     from twin.discovery.healthy.basis import Columns
-    from twin.network import Network
 
 STEPS = 6.0
 
@@ -119,7 +118,7 @@ def command(
       hil diagnose campaign.parquet --twin my_twin.toml --bootstrap 40
       hil diagnose record --twin cell1.toml --twin cell2.toml --out diagnosis
     """
-    from hil.cli.options.subject import subject_of
+    from hil.cli.options import subject_of
     from hil.cli.tower_diagnosis import diagnose_tower, is_tower
 
     if is_tower(target):
@@ -135,11 +134,9 @@ def command(
     if len(twins) > 1:
         raise click.UsageError("several --twin are for the cells of a tower's aligned record; give one")
     twin = twins[0] if twins else None
-    from hil.diagnosis.experiment_file import rig_of
-    from hil.diagnosis.forecast import show_forecast
-    from hil.diagnosis.session import DiagnosisRequest, described, diagnose_files, prepare, write_results
-    from hil.run.session.terminal import console
-    from twin.network import TwinFileError
+    from hil.diagnosis import DiagnosisRequest, described, diagnose_files, prepare, rig_of, show_forecast, write_results
+    from hil.run.session import console
+    from twin import TwinFileError
 
     if at_rest and (healthy or more or forecast):
         raise click.UsageError("--at-rest excludes --healthy, --with and --forecast; put all states into one file")
@@ -200,7 +197,7 @@ def _folder(run: Path | None, target: Path) -> Path:
 
 def _diagnosed(ready: Prepared, diagnose: Callable[..., Diagnosis], *, quiet: bool) -> Diagnosis:
     """Diagnose, and print a line for each stage."""
-    from hil.run.session.terminal import ProgressBar
+    from hil.run.session import ProgressBar
 
     stages = 0
     with ProgressBar("diagnosing", STEPS, quiet=quiet) as steps:
@@ -215,8 +212,8 @@ def _diagnosed(ready: Prepared, diagnose: Callable[..., Diagnosis], *, quiet: bo
 
 def _report(to: Console, ready: Prepared, found: Diagnosis, written: Written | None, target: Path) -> None:
     """Print the diagnosis, its files and the next commands."""
-    from hil.diagnosis.terminal_report import print_diagnosis
-    from hil.run.session.terminal import invocation
+    from hil.diagnosis import print_diagnosis
+    from hil.run.session import invocation
 
     print_diagnosis(to, found)
     request, revision = ready.request, written.revision if written else None
@@ -242,11 +239,11 @@ def _report(to: Console, ready: Prepared, found: Diagnosis, written: Written | N
 
 def _bootstrap(network: Network, healthy: Columns, named: Path | None, draws: int, *, quiet: bool) -> None:
     """Draw, commission and diagnose healthy records, and store the results for this and later diagnoses."""
-    from hil.run.session.terminal import ProgressBar
+    from hil.run.session import ProgressBar
+    from twin import TwinFileError
     from twin.discovery.bootstrap import bootstrap
     from twin.discovery.healthy.health import NotHealthyError
     from twin.discovery.healthy.widening import keep
-    from twin.network import TwinFileError
 
     with ProgressBar("drawing healthy records", float(draws), quiet=quiet) as steps:
         try:
@@ -262,9 +259,9 @@ def _bootstrap(network: Network, healthy: Columns, named: Path | None, draws: in
 
 
 def _review(folder: Path, *, quiet: bool) -> None:
-    from hil.diagnosis.store import REVIEW
+    from hil.diagnosis import REVIEW
     from hil.review import has_display, show_review, write_findings_review
-    from hil.run.session.terminal import console
+    from hil.run.session import console
 
     write_findings_review(folder, folder / REVIEW)
     if has_display():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options import INPUT_FILE
 
 if TYPE_CHECKING:
     from drivers.importers import Draft, Place
@@ -126,7 +126,7 @@ def command(
                 rig.can = can | {"dbc": str(dbc)} | ({"dbc_encoding": encoding} if encoding is not None else {})
             rig.thermocouples = _thermocouples(thermocouples, dbc, encoding)
         elif _somebody_is_there():
-            from hil.cli.options.init_questions import ask
+            from hil.cli.options import ask
 
             rig = ask(name or out.stem, period)
         else:
@@ -222,7 +222,7 @@ def _write(draft: Draft, out: Path, name: str, period_s: float, source: Path | N
     from drivers.importers import ImportFileError, rig_file_text
     from drivers.rig_file import load_rig
     from drivers.signals import ConfigurationError
-    from hil.files.atomic import replacing
+    from hil.files import replacing
 
     with replacing(out) as unfinished:
         unfinished.write_text(rig_file_text(draft, name, period_s=period_s), encoding="utf-8")

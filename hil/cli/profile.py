@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options import INPUT_FILE
 
 
 @click.group()
@@ -28,7 +28,7 @@ def build(scenario: Path) -> None:
     Example:
       hil profile build profiles/loads/battle.toml
     """
-    from hil.profile.scenario_files import write_scenario
+    from hil.profile import write_scenario
 
     for path in write_scenario(scenario):
         click.echo(str(path))

@@ -23,8 +23,8 @@ def command(run: Path, rebuild: bool, as_json: bool) -> None:
       hil report runs/20260520T120000Z-battle_40h
       hil report runs/20260520T120000Z-battle_40h --rebuild
     """
-    from hil.run.session.regenerate import regenerate_files
-    from hil.run_folder.folder import RunFolder
+    from hil.run.session import regenerate_files
+    from hil.run_folder import RunFolder
 
     derived = regenerate_files(RunFolder(run), rebuild, lambda text: click.echo(text, err=True))
     if as_json:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options import INPUT_FILE
 from hil.cli.run import address, as_json_document
 
 if TYPE_CHECKING:
-    from hil.run.session.request import RunRequest
+    from hil.run.session import RunRequest
 
 
 @click.command()
@@ -84,15 +84,11 @@ def command(
       hil resume runs/20260520T120000Z-battle_40h --gap 2.5h
       hil resume runs/20260520T120000Z-battle_40h --band 2 --timeout 14400
     """
-    from hil.cli.options.own_process import owns_process
-    from hil.run.engine.signals import RunSignals
-    from hil.run.restore.gap_evidence import duration_s
-    from hil.run.restore.thermal_restore import RestoreRule
-    from hil.run.session.event_loop import session_result
-    from hil.run.session.interrupted_run import request_of, resume_notices
-    from hil.run.session.session import resume_session
-    from hil.run.session.terminal import RunProgress
-    from hil.run_folder.folder import RunFolder
+    from hil.cli.options import owns_process
+    from hil.run.engine import RunSignals
+    from hil.run.restore import RestoreRule, duration_s
+    from hil.run.session import RunProgress, request_of, resume_notices, resume_session, session_result
+    from hil.run_folder import RunFolder
 
     folder = RunFolder(run)
     moved = {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from hil.run_folder.folder import RunFolder
+    from hil.run_folder import RunFolder
 
 
 LIVE_REVIEW_S = 180.0
@@ -34,10 +34,10 @@ def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot:
       hil review runs/20260520T120000Z-battle_40h
       hil review runs/20260520T120000Z-battle_40h --screenshot picture.png
     """
-    from hil.diagnosis.store import REVIEW, has_diagnosis
-    from hil.files.folder_check import require_plain
+    from hil.diagnosis import REVIEW, has_diagnosis
+    from hil.files import require_plain
     from hil.review import has_display, write_review
-    from hil.run_folder.folder import RunFolder, RunFolderError
+    from hil.run_folder import RunFolder, RunFolderError
 
     folder = RunFolder(run)
     if not folder.manifest.is_file() and has_diagnosis(run):
@@ -72,18 +72,17 @@ def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot:
 
 def _is_tower(folder: Path) -> bool:
     """Return True for a folder of a tower: of its calibration, its diagnosis or its aligned record."""
-    from hil.tower.calibrate import TABLE
-    from hil.tower.record import cells_of
+    from hil.tower import TABLE, cells_of
 
     return any((folder / name).is_file() for name in (TABLE, "diagnosis.json")) or bool(cells_of(folder))
 
 
 def _tower_review(folder: Path) -> Path:
     """Write the review of a tower's calibration and return its file."""
-    from hil.record.raw import RecordError
-    from hil.review.tower import write_tower_review
-    from hil.run_folder.folder import RunFolder
-    from hil.tower.calibrate import TABLE
+    from hil.record import RecordError
+    from hil.review import write_tower_review
+    from hil.run_folder import RunFolder
+    from hil.tower import TABLE
 
     if not (folder / TABLE).is_file():
         raise RecordError(
@@ -101,7 +100,7 @@ def _tower_review(folder: Path) -> Path:
 
 def _older(folder: RunFolder) -> bool:
     """Return True if the review was made before the diagnosis that it is to show."""
-    from hil.diagnosis.store import CURVES
+    from hil.diagnosis import CURVES
 
     curves = folder.diagnosis / CURVES
     return curves.is_file() and curves.stat().st_mtime > folder.review.stat().st_mtime

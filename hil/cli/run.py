@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE, VIRTUAL_RIG
-from hil.cli.options.tracking import CALIBRATORS, NETWORK, NETWORK_MODE
+from hil.cli.options import CALIBRATORS, INPUT_FILE, NETWORK, NETWORK_MODE, VIRTUAL_RIG
 
 if TYPE_CHECKING:
-    from hil.run.session.run import RunResult
-    from hil.tracking.adoption import NetworkMode
+    from hil.run.session import RunResult
+    from hil.tracking import NetworkMode
 
 
 @click.command()
@@ -86,9 +85,8 @@ def command(
       hil run my_load.csv --virtual --lockstep --diagnose end
       hil run my_load.csv --virtual --lockstep --diagnose hourly --healthy runs/<a healthy run>/record.parquet
     """
-    from hil.diagnosis.live import interval_of
-    from hil.run.session.request import RunRequest
-    from hil.run.session.session import check_session, run_session
+    from hil.diagnosis import interval_of
+    from hil.run.session import RunRequest, check_session, run_session
 
     if lockstep and speed is not None:
         raise click.UsageError("--lockstep and --speed exclude each other; choose one")
@@ -126,10 +124,9 @@ def command(
         for note in ready.notes:
             click.echo(f"  {note}")
         return
-    from hil.cli.options.own_process import owns_process
-    from hil.run.engine.signals import RunSignals
-    from hil.run.session.event_loop import session_result
-    from hil.run.session.terminal import RunProgress
+    from hil.cli.options import owns_process
+    from hil.run.engine import RunSignals
+    from hil.run.session import RunProgress, session_result
 
     with RunSignals(until_exit=owns_process()) as signals:
         with RunProgress(quiet=as_json) as live:

@@ -17,7 +17,7 @@ STEPS = 5.0
 
 def is_tower(target: Path) -> bool:
     """Return True if a folder is of a tower: an aligned record, or results of its calibration."""
-    from hil.tower.record import cells_of
+    from hil.tower import cells_of
 
     return target.is_dir() and (bool(cells_of(target)) or (target / "calibrated.parquet").is_file())
 
@@ -31,10 +31,9 @@ def diagnose_tower(
     Parameters:
         others: options that were given and do not apply.
     """
-    from hil.record.raw import RecordError
-    from hil.run.session.terminal import ProgressBar, console
-    from hil.tower.diagnose import adopt, diagnose_station, document, write_document
-    from hil.tower.record import cells_of
+    from hil.record import RecordError
+    from hil.run.session import ProgressBar, console
+    from hil.tower import adopt, cells_of, diagnose_station, document, write_document
 
     if not cells_of(record):
         raise RecordError(f"{record}: holds a calibration and no aligned record; give the folder of hil tower align")

@@ -9,17 +9,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE, INPUT_PATH
-from hil.cli.options.reading import reading
-from hil.cli.options.tracking import CALIBRATORS, NETWORK, NETWORK_MODE
+from hil.cli.options import CALIBRATORS, INPUT_FILE, INPUT_PATH, NETWORK, NETWORK_MODE, reading
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hil.record.reader import Reading, Record
-    from hil.tracking.adoption import Adoption, NetworkMode
-    from hil.tracking.twins import Proposed
+    from hil.record import Reading, Record
+    from hil.tracking import Adoption, NetworkMode, Proposed
 
 BLOCK_ROWS = 1200
 
@@ -57,13 +54,20 @@ def command(
     """
     import time
 
-    from hil.cli.options.subject import subject_of
-    from hil.record.reader import read_record, require_record_suffix
-    from hil.run.session.request import check_calibrators, chosen_calibrators
-    from hil.run.session.terminal import ProgressBar, console, show_comparison
-    from hil.tracking.adoption import Advice, closed_gates
-    from hil.tracking.adoption import manifest as adoption_manifest
-    from hil.tracking.twins import TrackingConfig, Twins, disturbance, too_coarse, window_kind, window_words
+    from hil.cli.options import subject_of
+    from hil.record import read_record, require_record_suffix
+    from hil.run.session import ProgressBar, check_calibrators, chosen_calibrators, console, show_comparison
+    from hil.tracking import (
+        Advice,
+        TrackingConfig,
+        Twins,
+        adoption_manifest,
+        closed_gates,
+        disturbance,
+        too_coarse,
+        window_kind,
+        window_words,
+    )
 
     if out is not None:
         require_record_suffix(out)
@@ -139,7 +143,7 @@ def command(
 
 def _adopted(mode: NetworkMode, twin: Path, record: Record, proposals: list[Proposed]) -> Adoption | None:
     """Return the accepted parameters as the next revision of the twin, in controlled mode."""
-    from hil.tracking.adoption import adopt
+    from hil.tracking import adopt
 
     if mode != "controlled":
         return None
@@ -152,7 +156,7 @@ def _write_predictions(
 ) -> None:
     import numpy as np
 
-    from hil.record.reader import Record, write_record
+    from hil.record import Record, write_record
 
     columns: dict[str, NDArray[np.float64]] = {}
     for name, blocks in outputs.items():

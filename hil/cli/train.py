@@ -14,7 +14,7 @@ import click
 from hil.cli.tower_training import tower_command
 
 if TYPE_CHECKING:
-    from twin.calibrators.hiera_unet.plan import Plan
+    from twin.calibrators.hiera_unet import Plan
 
 WINDOWS = 3000
 INTERRUPTED = 130
@@ -103,14 +103,21 @@ def loop_command(
       hil train loop --config small --seed 0 --minutes 9
       hil train loop --config small --seed 0 --minutes 9      (again, until it says that it is done)
     """
-    from hil.run.session.terminal import ProgressBar, console, hours, invocation
-    from hil.training.data import least_windows, read
-    from hil.training.generate import begun as simulated
-    from hil.training.generate import complete, features_of, generate
-    from hil.training.session import TrainingProgress, begun, train
-    from hil.training.stopping import Stop
+    from hil.run.session import ProgressBar, console, hours, invocation
+    from hil.training import (
+        Stop,
+        TrainingProgress,
+        complete,
+        features_of,
+        generate_windows,
+        generation_begun,
+        least_windows,
+        read,
+        train,
+        training_begun,
+    )
+    from twin.calibrators.hiera_unet import Plan
     from twin.calibrators.hiera_unet.device import ready
-    from twin.calibrators.hiera_unet.plan import Plan
 
     ready(device, threads)
     plan = Plan(steps=steps, batch=batch, seed=seed, half=device != "cpu" if half is None else half)
@@ -124,14 +131,14 @@ def loop_command(
         )
     with Stop(minutes) as stop:
         if not complete(data, data_seed, count):
-            with ProgressBar("simulating", 1.0, quiet=as_json, begun=simulated(data, count)) as bar:
-                bar.cut = generate(data_seed, count, data, bar.update, stop) is None
+            with ProgressBar("simulating", 1.0, quiet=as_json, begun=generation_begun(data, count)) as bar:
+                bar.cut = generate_windows(data_seed, count, data, bar.update, stop) is None
         if not complete(data, data_seed, count):
-            done = TrainingProgress(begun(out / stem), steps, 0, 0.0, simulated=simulated(data, count))
+            done = TrainingProgress(training_begun(out / stem), steps, 0, 0.0, simulated=generation_begun(data, count))
         else:
             windows = read(data, features_of())
             typed = again(name, plan, device, threads, less, anywhere(data), data_seed, count)
-            with ProgressBar("training", steps, quiet=as_json, begun=begun(out / stem)) as bar:
+            with ProgressBar("training", steps, quiet=as_json, begun=training_begun(out / stem)) as bar:
                 done = train(
                     windows,
                     name,
@@ -165,7 +172,7 @@ def loop_command(
 
 def wanted(data: Path, seed: int | None, count: int | None) -> tuple[int, int]:
     """Return seed and number of windows: as given, else those of the folder, else the defaults."""
-    from hil.training.generate import asked_of
+    from hil.training import asked_of
 
     there = asked_of(data) or (0, WINDOWS)
     return there[0] if seed is None else seed, there[1] if count is None else count

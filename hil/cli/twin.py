@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options import INPUT_FILE
 from hil.errors import FOUND
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from twin.revisions import ChainEntry, ElementDiff, TwinDiff
+    from twin import ChainEntry, ElementDiff, TwinDiff
 
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 
@@ -48,7 +48,7 @@ def log_command(twin: Path, as_json: bool) -> None:
     Example:
       hil twin log my_twin.r3.toml
     """
-    from twin.revisions import chain
+    from twin import chain
 
     entries = chain(twin)
     if as_json:
@@ -73,9 +73,7 @@ def diff_command(a: Path, b: Path | None, as_json: bool) -> None:
       hil twin diff my_twin.r3.toml
       hil twin diff my_twin.toml my_twin.r3.toml --json
     """
-    from twin.network import TwinFileError
-    from twin.revisions import diff, parent_of
-    from twin.twinfile import load
+    from twin import TwinFileError, diff, load, parent_of
 
     if b is None:
         try:
@@ -101,9 +99,8 @@ def revert_command(twin: Path) -> None:
     Example:
       hil twin revert my_twin.r3.toml
     """
-    from hil.run.session.terminal import console
-    from twin.revisions import revert
-    from twin.twinfile import load
+    from hil.run.session import console
+    from twin import load, revert
 
     path = revert(twin, made_by="hil twin revert")
     out = console()
@@ -126,7 +123,7 @@ def _entry(entry: ChainEntry) -> dict[str, Any]:
 
 
 def _show_log(entries: tuple[ChainEntry, ...]) -> None:
-    from hil.run.session.terminal import console
+    from hil.run.session import console
 
     out = console()
     title = "Revisions, newest first; RMSE in K of the worst sensor"
@@ -151,7 +148,7 @@ def _show_log(entries: tuple[ChainEntry, ...]) -> None:
 
 def _sentences(entry: ChainEntry) -> list[str]:
     revision = entry.network.revision
-    from twin.law_equation import law_equations
+    from twin import law_equations
 
     lines = [f"effect: {effect}" for effect in revision.effects]
     lines += [f"law {name}: {equation}" for name, equation in law_equations(entry.network).items()]
@@ -165,7 +162,7 @@ def _sentences(entry: ChainEntry) -> list[str]:
 
 
 def _show_diff(found: TwinDiff, a: Path, b: Path) -> None:
-    from hil.run.session.terminal import console
+    from hil.run.session import console
 
     out = console()
     if found.empty:

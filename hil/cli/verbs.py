@@ -73,9 +73,9 @@ def group() -> None:
 
 def main() -> None:
     """Run `hil`: report errors of the user as one sentence with exit code 2, faults that were found with 1."""
-    from hil.cli.options.own_process import OWN_PROCESS
+    from hil.cli.options import OWN_PROCESS
     from hil.errors import explained
-    from hil.files.names import accept_any_name
+    from hil.files import accept_any_name
 
     accept_any_name()
     with explained():

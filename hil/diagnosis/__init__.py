@@ -1,1 +1,147 @@
-"""Diagnosis of a record or a run: input, results as files, page."""
+"""Diagnosis of a record or a run: input, results as files, page.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hil.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from hil.diagnosis.columns import columns_of, read_columns, read_healthy, with_clock
+    from hil.diagnosis.experiment_file import rig_of
+    from hil.diagnosis.forecast import show_forecast
+    from hil.diagnosis.healthy_record import commissioned_on, copy_record, healthy_path, save_with_record
+    from hil.diagnosis.live import END_ONLY, LiveConfig, LiveDiagnosis, Reply, interval_of
+    from hil.diagnosis.revision import revise
+    from hil.diagnosis.session import (
+        DiagnosisRequest,
+        Prepared,
+        Written,
+        described,
+        diagnose_files,
+        prepare,
+        write_results,
+    )
+    from hil.diagnosis.store import (
+        CURVES,
+        DOCUMENT,
+        REVIEW,
+        Curves,
+        Findings,
+        Unknown,
+        has_diagnosis,
+        read_findings,
+        write_curves,
+        write_document,
+    )
+    from hil.diagnosis.table import errors_of, held_out
+    from hil.diagnosis.terminal_report import print_diagnosis
+    from hil.diagnosis.wording import after_label, ambiguity_group, plain, reasons, short
+
+__all__ = [
+    "CURVES",
+    "DOCUMENT",
+    "END_ONLY",
+    "REVIEW",
+    "Curves",
+    "DiagnosisRequest",
+    "Findings",
+    "LiveConfig",
+    "LiveDiagnosis",
+    "Prepared",
+    "Reply",
+    "Unknown",
+    "Written",
+    "after_label",
+    "ambiguity_group",
+    "columns_of",
+    "commissioned_on",
+    "copy_record",
+    "described",
+    "diagnose_files",
+    "errors_of",
+    "has_diagnosis",
+    "healthy_path",
+    "held_out",
+    "interval_of",
+    "plain",
+    "prepare",
+    "print_diagnosis",
+    "read_columns",
+    "read_findings",
+    "read_healthy",
+    "reasons",
+    "revise",
+    "rig_of",
+    "save_with_record",
+    "short",
+    "show_forecast",
+    "with_clock",
+    "write_curves",
+    "write_document",
+    "write_results",
+]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "columns": (
+            "columns_of",
+            "read_columns",
+            "read_healthy",
+            "with_clock",
+        ),
+        "experiment_file": ("rig_of",),
+        "forecast": ("show_forecast",),
+        "healthy_record": (
+            "commissioned_on",
+            "copy_record",
+            "healthy_path",
+            "save_with_record",
+        ),
+        "live": (
+            "END_ONLY",
+            "LiveConfig",
+            "LiveDiagnosis",
+            "Reply",
+            "interval_of",
+        ),
+        "revision": ("revise",),
+        "session": (
+            "DiagnosisRequest",
+            "Prepared",
+            "Written",
+            "described",
+            "diagnose_files",
+            "prepare",
+            "write_results",
+        ),
+        "store": (
+            "CURVES",
+            "Curves",
+            "DOCUMENT",
+            "Findings",
+            "REVIEW",
+            "Unknown",
+            "has_diagnosis",
+            "read_findings",
+            "write_curves",
+            "write_document",
+        ),
+        "table": (
+            "errors_of",
+            "held_out",
+        ),
+        "terminal_report": ("print_diagnosis",),
+        "wording": (
+            "after_label",
+            "ambiguity_group",
+            "plain",
+            "reasons",
+            "short",
+        ),
+    },
+)

@@ -13,14 +13,12 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.record.reader import Reading, Record, read_record
-from hil.record.segments import Parts
-from hil.record.times.time_axis import span
-from hil.record.values.units import beyond_declared
+from hil.record import Parts, Reading, Record, read_record
+from hil.record.times import span
+from hil.record.values import beyond_declared
+from twin import STAMP, InputSpec, Network, TwinFileError, chain
 from twin.discovery.healthy.basis import Columns, Commissioned
 from twin.discovery.records.grid import require_enough
-from twin.network import STAMP, InputSpec, Network, TwinFileError
-from twin.revisions import chain
 
 CLOCK = "time_of_day_h"
 
@@ -66,8 +64,10 @@ def with_clock(network: Network) -> Network:
 def columns_of(network: Network, record: Record, hour_at_0: float | None) -> Columns:
     """Return the columns of a record that the network needs.
 
-    Raises:
-        RecordError: an input column is missing. TwinFileError: a sensor is.
+    Raises
+    ------
+    RecordError
+        An input column is missing. TwinFileError: a sensor is.
     """
     columns: dict[str, NDArray[np.float64]] = dict(record.columns)
     if CLOCK in network.inputs and CLOCK not in columns:
@@ -108,8 +108,10 @@ def read_columns(
 ) -> tuple[Columns, tuple[str, ...]]:
     """Return the columns of a record file, or of steady states, and the notes of its reader.
 
-    Raises:
-        RecordError, TwinFileError: it cannot be read, lacks a column or is too short; the message names the file.
+    Raises
+    ------
+    RecordError, TwinFileError
+        It cannot be read, lacks a column or is too short; the message names the file.
     """
     record = read_record(path, at_rest=at_rest, choice=choice)
     if not at_rest:

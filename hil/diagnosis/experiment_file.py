@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from drivers.rig_file import file_sha256, load_rig
-from hil.profile.load_profile import Profile, SetpointLimit, validate, write_profile
-from hil.run.outputs.setpoints import setpoint_columns
-from twin.discovery.diagnosis import Diagnosis
+from hil.profile import Profile, SetpointLimit, validate, write_profile
+from hil.run.outputs import setpoint_columns
+from twin.discovery import Diagnosis
 from twin.discovery.planning.experiment import Limits
 
 EXPERIMENT = "experiment.csv"

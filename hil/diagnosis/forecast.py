@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.columns import CLOCK, DiagnosingError, read_columns
-from hil.profile.load_profile import Profile, ProfileError, read_profile
+from hil.profile import Profile, ProfileError, read_profile
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from twin import Network
     from twin.discovery.effects.lint import Label
     from twin.discovery.healthy.basis import Columns
     from twin.discovery.planning.forecast import Forecast
-    from twin.network import Network
 
 STEP_S = 10.0
 _MOST_PAIRS = 20
@@ -29,11 +29,14 @@ def show_forecast(
 ) -> None:
     """Print the least detectable size of each effect, the undetectable effects, and ambiguous pairs.
 
-    Raises:
-        DiagnosingError: a plan without a healthy record.
-        RecordError, TwinFileError: as `hil.diagnosis.columns.read_columns`.
+    Raises
+    ------
+    DiagnosingError
+        A plan without a healthy record.
+    RecordError, TwinFileError
+        As `hil.diagnosis.columns.read_columns`.
     """
-    from twin.discovery.engine import foresee, foresee_plan
+    from twin.discovery import foresee, foresee_plan
 
     plan = _plan_at(path, network)
     notes: list[str] = []
@@ -70,7 +73,7 @@ def planned_inputs(
     network: Network, plan: Profile, hour: float | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
     """Return time (n,) s and inputs (n, c) of a profile, and notes on inputs that it does not set."""
-    from twin.network import STAMP
+    from twin import STAMP
 
     time = np.arange(0.0, plan.duration_s, STEP_S)
     values = plan.sample(time)

@@ -10,10 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from drivers.rig_file import file_sha256
-from hil.record.reader import Record, write_record
-from twin.network import Network, TwinFileError
-from twin.revisions import chain
-from twin.twinfile import save
+from hil.record import Record, write_record
+from twin import Network, TwinFileError, chain, save
 
 
 @dataclass(frozen=True)
@@ -32,8 +30,10 @@ def healthy_path(twin: Path) -> Path:
 def save_with_record(network: Network, record: Record, out: Path) -> Path:
     """Save a commissioned twin as `out`, and with it the columns that it reads of its healthy record.
 
-    Raises:
-        TwinFileError: a file cannot be written.
+    Raises
+    ------
+    TwinFileError
+        A file cannot be written.
     """
     from hil.diagnosis.columns import CLOCK, datasheet_clock, start_hour
 
@@ -57,8 +57,10 @@ def save_with_record(network: Network, record: Record, out: Path) -> Path:
 def commissioned_on(twin: Path) -> HealthyRecord:
     """Return the healthy record of a twin file, or of its nearest ancestor.
 
-    Raises:
-        TwinFileError: the file cannot be used.
+    Raises
+    ------
+    TwinFileError
+        The file cannot be used.
     """
     for entry in chain(twin):
         revision = entry.network.revision

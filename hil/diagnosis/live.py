@@ -22,13 +22,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers.signals import ConfigurationError, Quality
-from hil.journal.rows import Samples
-from hil.journal.writer import JournalReader, JournalWriter
-from hil.record.segments import Parts
-from hil.tracking.child_process import Child
+from hil.journal import JournalReader, JournalWriter, Samples
+from hil.record import Parts
+from hil.tracking import Child
 
 if TYPE_CHECKING:
-    from twin.discovery.diagnosis import Diagnosis
+    from twin.discovery import Diagnosis
     from twin.discovery.healthy.basis import Columns
 
 SURE = 0.9
@@ -172,7 +171,7 @@ class _Worker:
     def __init__(self, config: LiveConfig) -> None:
         from hil.diagnosis.columns import read_healthy
         from hil.diagnosis.experiment_file import limits_of, rig_of
-        from twin.twinfile import load
+        from twin import load
 
         self._config = config
         self._network = load(config.twin)
@@ -185,9 +184,9 @@ class _Worker:
 
     def look(self, out: Path | None) -> Reply:
         """Diagnose the journal as it is; `out` is the folder for the results of the last diagnosis."""
-        from hil.record.reader import RecordError
-        from twin.discovery.engine import diagnose
-        from twin.network import TwinFileError
+        from hil.record import RecordError
+        from twin import TwinFileError
+        from twin.discovery import diagnose
 
         try:
             record = self._read()
@@ -204,7 +203,7 @@ class _Worker:
 
     def _read(self) -> Columns | None:
         from hil.diagnosis.columns import columns_of
-        from hil.record.reader import Record
+        from hil.record import Record
 
         reader = JournalReader(self._config.journal)
         try:

@@ -8,8 +8,7 @@ from typing import Any
 from hil.diagnosis.figures import pictures
 from hil.diagnosis.store import PAGE, Findings, read_findings
 from hil.diagnosis.wording import after_label, ambiguity_group, at_rest, grown, plain, reasons
-from hil.files.atomic import replacing
-from hil.files.html import Html, document, element, image, joined
+from hil.files import Html, document, element, image, joined, replacing
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }

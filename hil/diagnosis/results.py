@@ -10,7 +10,7 @@ from pathlib import Path
 from drivers.rig_file import file_sha256
 from hil import __version__
 from hil.diagnosis.store import CURVES, curves_of, write_curves, write_document
-from twin.discovery.diagnosis import Diagnosis
+from twin.discovery import Diagnosis
 
 
 def provenance(files: dict[str, Path | None]) -> dict[str, object]:

@@ -9,11 +9,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 from hil.diagnosis.columns import CLOCK
-from hil.files.names import printable
-from twin.discovery.diagnosis import Diagnosis
-from twin.network import Network, Revision
-from twin.revisions import save_revision
-from twin.twinfile import save
+from hil.files import printable
+from twin import Network, Revision, save, save_revision
+from twin.discovery import Diagnosis
 
 PROPOSAL = "empirical.toml"
 
@@ -21,8 +19,10 @@ PROPOSAL = "empirical.toml"
 def revise(diagnosis: Diagnosis, network: Network, twin: Path, record: Path, *, empirical: bool = False) -> Path | None:
     """Save the twin with its new effects as a new revision; return None if there are none.
 
-    Args:
-        empirical: adopt the curve that is offered where nothing explains the record.
+    Parameters
+    ----------
+    empirical
+        Adopt the curve that is offered where nothing explains the record.
     """
     bigger = _curved(diagnosis, network, record) if empirical else _grown(diagnosis, network, record)
     return save_revision(bigger, twin) if bigger is not None else None

@@ -20,35 +20,44 @@ from hil.diagnosis.experiment_file import limits_of, write_experiment
 from hil.diagnosis.healthy_record import HealthyRecord, commissioned_on
 from hil.diagnosis.results import provenance, write
 from hil.diagnosis.revision import revise, write_proposal
-from hil.record.reader import Reading
+from hil.record import Reading
+from twin import Network, TwinFileError, load
+from twin.discovery import Diagnosis, diagnose
 from twin.discovery.answer.unused import with_unused
-from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.elsewhere import elsewhere
-from twin.discovery.engine import diagnose
 from twin.discovery.growing.answer import diagnose_grown, fits_growth
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.healthy.health import NotHealthyError
 from twin.discovery.planning.experiment import Limits
 from twin.discovery.records.grid import TooShortError
-from twin.network import Network, TwinFileError
-from twin.twinfile import load
 
 
 @dataclass(frozen=True)
 class DiagnosisRequest:
     """Request of a diagnosis.
 
-    Attributes:
-        record: file of the record, or of steady states where `at_rest`.
-        twin: file of the twin.
-        healthy: healthy record of the rig; None takes the one stored with the twin, if any.
-        use_healthy: False takes the noise floor from `record` alone.
-        more: later records of the same rig.
-        at_rest: each row of `record` is a steady state.
-        rig: rig file whose limits a next experiment keeps; None keeps it within what the record has seen.
-        clock: time of day at 0 s of the record, like 08:00; None takes what the record says of it.
-        choice: how the records are read.
-        open_laws: weigh every effect by one evidence, with any input as its driver.
+    Attributes
+    ----------
+    record
+        File of the record, or of steady states where `at_rest`.
+    twin
+        File of the twin.
+    healthy
+        Healthy record of the rig; None takes the one stored with the twin, if any.
+    use_healthy
+        False takes the noise floor from `record` alone.
+    more
+        Later records of the same rig.
+    at_rest
+        Each row of `record` is a steady state.
+    rig
+        Rig file whose limits a next experiment keeps; None keeps it within what the record has seen.
+    clock
+        Time of day at 0 s of the record, like 08:00; None takes what the record says of it.
+    choice
+        How the records are read.
+    open_laws
+        Weigh every effect by one evidence, with any input as its driver.
     """
 
     record: Path
@@ -94,8 +103,10 @@ class Written:
 def prepare(request: DiagnosisRequest) -> Prepared:
     """Read twin and healthy record.
 
-    Raises:
-        RecordError, TwinFileError, DiagnosingError: one of them cannot be used; the message names the file.
+    Raises
+    ------
+    RecordError, TwinFileError, DiagnosingError
+        One of them cannot be used; the message names the file.
     """
     twin = load(request.twin)
     told = request.healthy is not None or not request.use_healthy or request.at_rest
@@ -111,11 +122,15 @@ def prepare(request: DiagnosisRequest) -> Prepared:
 def diagnose_files(ready: Prepared, say: Callable[[str], None], note: Callable[[str], None]) -> Diagnosis:
     """Diagnose the record of a request.
 
-    Parameters:
-        say: called with each stage. note: called with the notes of the record's reader.
+    Parameters
+    ----------
+    say
+        Called with each stage. note: called with the notes of the record's reader.
 
-    Raises:
-        RecordError, TwinFileError: the record or the healthy one cannot be diagnosed; the message names the file.
+    Raises
+    ------
+    RecordError, TwinFileError
+        The record or the healthy one cannot be diagnosed; the message names the file.
     """
     request, network = ready.request, ready.network
     try:
@@ -147,9 +162,12 @@ def write_results(
 ) -> tuple[Written, dict[str, object]]:
     """Save the revision and write document, page, proposal and next experiment; return them and the document's extra.
 
-    Parameters:
-        empirical: adopt the curve that is offered where nothing explains the record.
-        began: `time.monotonic()` at the start, s.
+    Parameters
+    ----------
+    empirical
+        Adopt the curve that is offered where nothing explains the record.
+    began
+        `time.monotonic()` at the start, s.
     """
     request = ready.request
     revision = revise(found, ready.twin, request.twin, request.record, empirical=empirical)

@@ -17,10 +17,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from hil.files.atomic import replacing
-from hil.files.folder_check import read_json
-from hil.files.limits import read_parquet, require_size
-from twin.discovery.diagnosis import Diagnosis
+from hil.files import read_json, read_parquet, replacing, require_size
+from twin.discovery import Diagnosis
 
 DOCUMENT, CURVES, PAGE, REVIEW = "diagnosis.json", "diagnosis.parquet", "diagnosis.html", "diagnosis.rrd"
 _KEY = b"hil.diagnosis"

@@ -8,7 +8,7 @@ from typing import Any
 from rich.table import Table
 
 from hil.diagnosis.wording import after_label
-from hil.record.times.time_axis import span
+from hil.record.times import span
 
 
 def held_out(document: Mapping[str, Any]) -> str:

@@ -7,7 +7,7 @@ from rich.table import Table
 
 from hil.diagnosis.table import error_table, errors_of, held_out
 from hil.diagnosis.wording import reasons
-from twin.discovery.diagnosis import Diagnosis
+from twin.discovery import Diagnosis
 
 
 def _number(value: float) -> str:

@@ -1,1 +1,94 @@
-"""Files and text from untrusted sources: atomic writing, names, limits, escaping."""
+"""Files and text from untrusted sources: atomic writing, names, limits, escaping.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hil.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from hil.files.atomic import replacing
+    from hil.files.folder_check import read_json, require_plain, require_unshared
+    from hil.files.html import Html, document, element, image, joined, table
+    from hil.files.limits import TEXT_COPIES, Failure, read_parquet, require_cells, require_columns, require_size
+    from hil.files.names import (
+        ENDINGS,
+        LONGEST_DATABASE_PATH,
+        accept_any_name,
+        connect_read_only,
+        longest_name,
+        printable,
+        safe_file_name,
+        utf8_path,
+    )
+    from hil.files.text import plain
+
+__all__ = [
+    "ENDINGS",
+    "LONGEST_DATABASE_PATH",
+    "TEXT_COPIES",
+    "Failure",
+    "Html",
+    "accept_any_name",
+    "connect_read_only",
+    "document",
+    "element",
+    "image",
+    "joined",
+    "longest_name",
+    "plain",
+    "printable",
+    "read_json",
+    "read_parquet",
+    "replacing",
+    "require_cells",
+    "require_columns",
+    "require_plain",
+    "require_size",
+    "require_unshared",
+    "safe_file_name",
+    "table",
+    "utf8_path",
+]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "atomic": ("replacing",),
+        "folder_check": (
+            "read_json",
+            "require_plain",
+            "require_unshared",
+        ),
+        "html": (
+            "Html",
+            "document",
+            "element",
+            "image",
+            "joined",
+            "table",
+        ),
+        "limits": (
+            "Failure",
+            "TEXT_COPIES",
+            "read_parquet",
+            "require_cells",
+            "require_columns",
+            "require_size",
+        ),
+        "names": (
+            "ENDINGS",
+            "LONGEST_DATABASE_PATH",
+            "accept_any_name",
+            "connect_read_only",
+            "longest_name",
+            "printable",
+            "safe_file_name",
+            "utf8_path",
+        ),
+        "text": ("plain",),
+    },
+)

@@ -14,8 +14,10 @@ from hil.files.names import LONGEST_NAME
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path, which replaces `path` at the end of the block and is removed after an error.
 
-    Raises:
-        OSError: the file cannot be written or moved.
+    Raises
+    ------
+    OSError
+        The file cannot be written or moved.
     """
     ending = f".{os.getpid()}.part"
     # A name as long as the file system allows has no room for the ending.

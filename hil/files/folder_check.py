@@ -21,8 +21,10 @@ CONTROL = "control.sock"
 def require_plain(folder: Path, failure: Failure) -> None:
     """Check that a folder holds nothing but files and folders, and at its top the control socket of a live run.
 
-    Raises:
-        failure: it holds a link, a pipe or a device, in one sentence.
+    Raises
+    ------
+    failure
+        It holds a link, a pipe or a device, in one sentence.
     """
     for path, status in _entries(folder):
         if stat.S_ISLNK(status.st_mode):
@@ -38,8 +40,10 @@ def require_plain(folder: Path, failure: Failure) -> None:
 def require_unshared(folder: Path, failure: Failure) -> None:
     """Check that no file of a folder has a second hard link: a write would change the file under both names.
 
-    Raises:
-        failure: a file has one, in one sentence.
+    Raises
+    ------
+    failure
+        A file has one, in one sentence.
     """
     for path, status in _entries(folder):
         if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
@@ -52,9 +56,11 @@ def require_unshared(folder: Path, failure: Failure) -> None:
 def read_json(path: Path, failure: Failure) -> Any:
     """Return the document of a JSON file, read without following a link.
 
-    Raises:
-        failure: the file is too large, too deep, or no JSON. FileNotFoundError: there is no file. OSError: it cannot be
-            read.
+    Raises
+    ------
+    failure
+        The file is too large, too deep, or no JSON. FileNotFoundError: there is no file. OSError: it cannot be
+        read.
     """
     with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
         status = os.fstat(file.fileno())

@@ -50,12 +50,16 @@ def joined(parts: Iterable[Part]) -> Html:
 def element(name: str, *content: Part, **attributes: str) -> Html:
     """Return an element with its content and attributes, all text escaped.
 
-    Args:
-        name: a tag that can run nothing. attributes: id, class (as ``class_``), alt, lang or title; those of an empty
-            value are left out.
+    Parameters
+    ----------
+    name
+        A tag that can run nothing. attributes: id, class (as ``class_``), alt, lang or title; those of an empty
+        value are left out.
 
-    Raises:
-        ValueError: `name` or an attribute is not admitted.
+    Raises
+    ------
+    ValueError
+        `name` or an attribute is not admitted.
     """
     if not _NAME.fullmatch(name) or name in _ACTIVE:
         raise ValueError(f"no page has an element {name!r}")
@@ -86,11 +90,15 @@ def table(head: Iterable[Part], rows: Iterable[Iterable[Part]], **attributes: st
 def document(title: str, style: str, body: Iterable[Part]) -> str:
     """Return a whole page.
 
-    Args:
-        title: any text. style: CSS of this project. body: parts of the page.
+    Parameters
+    ----------
+    title
+        Any text. style: CSS of this project. body: parts of the page.
 
-    Raises:
-        ValueError: the style holds a `<`, which could end its element.
+    Raises
+    ------
+    ValueError
+        The style holds a `<`, which could end its element.
     """
     if "<" in style:
         raise ValueError("a style with < in it could end its own element")

@@ -63,11 +63,15 @@ def limit_bytes(failure: Failure = ValueError) -> int:
 def require_size(path: Path, failure: Failure, copies: int = TEXT_COPIES, most: int | None = None) -> None:
     """Check that a file is a regular one and that reading it stays within the limit.
 
-    Args:
-        failure: exception to raise. copies: times that its bytes are held in memory. most: another limit, bytes.
+    Parameters
+    ----------
+    failure
+        Exception to raise. copies: times that its bytes are held in memory. most: another limit, bytes.
 
-    Raises:
-        failure: the file is too large, or no regular one. OSError: its status cannot be read.
+    Raises
+    ------
+    failure
+        The file is too large, or no regular one. OSError: its status cannot be read.
     """
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
@@ -108,12 +112,17 @@ def read_parquet(path: Path, source: Any, failure: Failure) -> pa.Table:
     sizes, and refuses such a file when it is read. A column of lists holds no signal, and the footer does not state its
     number of values.
 
-    Args:
-        path: name for messages. source: path or Arrow file to read from. failure: exception to raise.
+    Parameters
+    ----------
+    path
+        Name for messages. source: path or Arrow file to read from. failure: exception to raise.
 
-    Raises:
-        failure: the declared size, or the size of the unpacked texts, exceeds the limit.
-        pyarrow.ArrowException, OSError: the file is damaged.
+    Raises
+    ------
+    failure
+        The declared size, or the size of the unpacked texts, exceeds the limit.
+    pyarrow.ArrowException, OSError
+        The file is damaged.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq

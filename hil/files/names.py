@@ -26,8 +26,10 @@ ENDINGS = 40
 def connect_read_only(database: Path, timeout_s: float = 5.0) -> sqlite3.Connection:
     """Return a read-only connection to a SQLite file, with any characters in its path.
 
-    Raises:
-        sqlite3.Error: SQLite cannot open it.
+    Raises
+    ------
+    sqlite3.Error
+        SQLite cannot open it.
     """
     return sqlite3.connect(f"{database.absolute().as_uri()}?mode=ro", uri=True, timeout=timeout_s)
 
@@ -39,8 +41,10 @@ def utf8_path(path: Path) -> Iterator[Path]:
     The other path goes through the open folder, so that this process and its children can use it. The name of the file
     itself must be UTF-8.
 
-    Raises:
-        OSError: the folder of `path` cannot be opened.
+    Raises
+    ------
+    OSError
+        The folder of `path` cannot be opened.
     """
     try:
         str(path).encode()

@@ -19,7 +19,7 @@ from drivers.bus import steady_s
 from drivers.rig_file import Rig
 from drivers.signals import LinkError
 from hil.guardian.plan import plan_of
-from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, SILENCE_S, takes_s
+from hil.run.outputs import SAFE_WITHIN_S, SILENCE_S, takes_s
 
 BEAT_EVERY_S = 0.2
 """Interval of beats, s: five beats within the silence on which the guardian acts."""

@@ -24,9 +24,7 @@ from drivers.rig_file import (
     wire_of_bus,
 )
 from drivers.signals import WIDTH, encoder
-from hil.run.outputs.heaters import safe_limit
-from hil.run.outputs.setpoints import Setpoints
-from hil.run.outputs.time_to_safe import SILENCE_S
+from hil.run.outputs import SILENCE_S, Setpoints, safe_limit
 
 DEADLINE_S = 1.0
 """Longest wait for one reply, s, also where the rig file has a longer time-out."""

@@ -1,1 +1,111 @@
-"""Crash-safe journal of a run, its states, and the export of its record."""
+"""Crash-safe journal of a run, its states, and the export of its record.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hil.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from hil.journal.check import require_alone
+    from hil.journal.export import ExportedRecord, export_record
+    from hil.journal.profile_clock import profile_times
+    from hil.journal.reader import JournalReader
+    from hil.journal.rows import (
+        BandRow,
+        CalibrationRow,
+        Header,
+        JournalError,
+        ProposalRow,
+        Samples,
+        SegmentRow,
+        StateRow,
+        TwinOutput,
+    )
+    from hil.journal.states import (
+        ENDED,
+        HEATED,
+        LIVE,
+        UNTOUCHED,
+        WAITING,
+        Event,
+        State,
+        StateMachine,
+        Transition,
+        TransitionError,
+        event_level,
+        next_state,
+    )
+    from hil.journal.writer import JournalWriter
+
+__all__ = [
+    "ENDED",
+    "HEATED",
+    "LIVE",
+    "UNTOUCHED",
+    "WAITING",
+    "BandRow",
+    "CalibrationRow",
+    "Event",
+    "ExportedRecord",
+    "Header",
+    "JournalError",
+    "JournalReader",
+    "JournalWriter",
+    "ProposalRow",
+    "Samples",
+    "SegmentRow",
+    "State",
+    "StateMachine",
+    "StateRow",
+    "Transition",
+    "TransitionError",
+    "TwinOutput",
+    "event_level",
+    "export_record",
+    "next_state",
+    "profile_times",
+    "require_alone",
+]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "check": ("require_alone",),
+        "export": (
+            "ExportedRecord",
+            "export_record",
+        ),
+        "profile_clock": ("profile_times",),
+        "reader": ("JournalReader",),
+        "rows": (
+            "BandRow",
+            "CalibrationRow",
+            "Header",
+            "JournalError",
+            "ProposalRow",
+            "Samples",
+            "SegmentRow",
+            "StateRow",
+            "TwinOutput",
+        ),
+        "states": (
+            "ENDED",
+            "Event",
+            "HEATED",
+            "LIVE",
+            "State",
+            "StateMachine",
+            "Transition",
+            "TransitionError",
+            "UNTOUCHED",
+            "WAITING",
+            "event_level",
+            "next_state",
+        ),
+        "writer": ("JournalWriter",),
+    },
+)

@@ -84,8 +84,10 @@ def require_alone(journal: Path) -> None:
     SQLite takes the name of a "super-journal" from the end of a rollback journal and deletes that file when it is
     done with it (https://www.sqlite.org/fileformat2.html, section 3.3). A journal of a run is a database by itself.
 
-    Raises:
-        JournalError: the rollback journal names one.
+    Raises
+    ------
+    JournalError
+        The rollback journal names one.
     """
     beside = journal.with_name(f"{journal.name}-journal")
     try:

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from hil.run_folder.manifest_check import wrong_place
+from hil.run_folder import wrong_place
 
 Numbers = dict[str, float | None]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.files.atomic import replacing
+from hil.files import replacing
 from hil.journal.profile_clock import profile_times
 from hil.journal.writer import JournalReader
 
@@ -45,8 +45,10 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
     JSON into the schema's metadata under `hil`, with the journal's own header. Without `metadata` the `run.json` beside
     the journal is taken, where there is one.
 
-    Raises:
-        JournalError: the journal cannot be read. OSError: the target cannot be written.
+    Raises
+    ------
+    JournalError
+        The journal cannot be read. OSError: the target cannot be written.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -14,8 +14,10 @@ from hil.journal.states import State
 def profile_times(states: Sequence[StateRow], tick: NDArray[np.int64], period_s: float) -> NDArray[np.float64]:
     """Return the profile time (n,), s, at `tick (n,)`: its clock runs in state `running` alone.
 
-    Args:
-        states: transitions of the run, at least one. tick: ticks. period_s: length of a tick, s.
+    Parameters
+    ----------
+    states
+        Transitions of the run, at least one. tick: ticks. period_s: length of a tick, s.
     """
     at = np.searchsorted(np.array([row.tick for row in states]), tick, side="right") - 1
     row_tick, row_s, goes = (

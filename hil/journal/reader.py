@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Signal
-from hil.files.names import LONGEST_DATABASE_PATH, connect_read_only
+from hil.files import LONGEST_DATABASE_PATH, connect_read_only
 from hil.journal.check import DAMAGE_ERRORS, checked_reader, on_one_line, reports_damage, require_header, require_tables
 from hil.journal.documents import ShapeError
 from hil.journal.rows import (
@@ -28,10 +29,26 @@ from hil.journal.rows import (
     TwinOutput,
     WriteRow,
 )
-from hil.journal.states import State
+from hil.journal.states import Event, State
 
 SCHEMA_VERSION = 1
-_STATES = frozenset(state.value for state in State)
+
+
+def _with_present_names(row: StateRow) -> StateRow:
+    """Return a transition with the present names of its states and its event; older journals have others.
+
+    Raises
+    ------
+    ShapeError
+        The target is no state of a run.
+    """
+    try:
+        target = State(row.target)
+    except ValueError:
+        raise ShapeError(f"{str(row.target)[:40]!r} is no state of a run") from None
+    source = State.RESTORING if row.source == "soaking" else row.source
+    event = Event.RESTORE if row.event == "soak" else row.event
+    return replace(row, target=target.value, source=str(source), event=str(event))
 
 
 @checked_reader
@@ -164,11 +181,7 @@ class JournalReader:
 
     def states(self, after_id: int = 0) -> list[StateRow]:
         """Return the transitions with an id above `after_id`; none in a journal of an older version."""
-        rows = [StateRow(*row) for row in self._optional("states", after_id)]
-        for row in rows:
-            if row.target not in _STATES:
-                raise ShapeError(f"{str(row.target)[:40]!r} is no state of a run")
-        return rows
+        return [_with_present_names(StateRow(*row)) for row in self._optional("states", after_id)]
 
     def segments(self) -> list[SegmentRow]:
         """Return the segments after the first in order; none for an uninterrupted run."""

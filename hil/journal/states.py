@@ -28,7 +28,7 @@ class State(enum.StrEnum):
     IDLE = "idle"
     VALIDATING = "validating"
     CONNECTING = "connecting"
-    RESTORING = "soaking"  # value in all journals; warm-up of a new run, thermal restore of a resumed one
+    RESTORING = "restoring"  # warm-up of a new run, thermal restore of a resumed one
     RUNNING = "running"
     HELD = "held"
     PAUSED = "paused"
@@ -38,13 +38,18 @@ class State(enum.StrEnum):
     ABORTED = "aborted"
     FAULTED = "faulted"
 
+    @classmethod
+    def _missing_(cls, value: object) -> State | None:
+        """Return the state of a name that journals before version 0.2 have."""
+        return cls.RESTORING if value == "soaking" else None
+
 
 class Event(enum.StrEnum):
     """Cause of a transition: an operator's verb, or an event of the run."""
 
     VALIDATE = "validate"
     CONNECT = "connect"
-    RESTORE = "soak"  # value in all journals
+    RESTORE = "restore"
     START = "start"
     HOLD = "hold"
     PAUSE = "pause"

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
-from hil.files.text import plain
+from hil.files import plain
 from hil.journal.file_identity import FileIdentity, put_mark
 from hil.journal.reader import SCHEMA_VERSION, JournalReader
 from hil.journal.rows import Header, JournalError

@@ -25,7 +25,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from hil.files.text import plain
+from hil.files import plain
 from hil.journal.reader import SCHEMA_VERSION, JournalReader
 from hil.journal.rows import Header, JournalError, SegmentRow
 from hil.journal.store import EVENT, Entry, JournalStore, LockedError, Row

@@ -21,9 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import SUFFIX_OF_UNIT, column_name, split_column
-from hil.files.atomic import replacing
-from hil.files.limits import require_size
-from hil.files.names import safe_file_name
+from hil.files import replacing, require_size, safe_file_name
 
 MAX_LINE = 2000
 """Longest line in characters; a longer one is no table of set-points."""
@@ -366,7 +364,8 @@ def _check_column(
     slow = needed_s > period_s
     if slow.any() and not len(too_steep):
         longest = int(np.argmax(needed_s))
+        ramps = "1 step is a ramp" if slow.sum() == 1 else f"{slow.sum()} steps are ramps"
         notes.append(
-            f"{column}: {slow.sum()} steps are ramps at {limit.max_rate_per_s:g} {limit.unit}/s, the longest "
+            f"{column}: {ramps} at {limit.max_rate_per_s:g} {limit.unit}/s, the longest "
             f"{needed_s[longest]:.4g} s at {profile.place(int(change[longest]))}"
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.files.atomic import replacing
+from hil.files import replacing
 from hil.profile.load_profile import write_profile
 from hil.profile.scenario import build, read_scenario
 from hil.profile.scenario_figure import picture

@@ -1,1 +1,89 @@
-"""Records, Parquet or CSV: read, checked, in seconds and the units of their columns."""
+"""Records, Parquet or CSV: read, checked, in seconds and the units of their columns.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hil.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from hil.record.annotated import is_annotated
+    from hil.record.csv_dialect import DialectError, find_dialect
+    from hil.record.encodings import beginning_of
+    from hil.record.heading_units import name_and_unit
+    from hil.record.long_format import VALUES
+    from hil.record.public import (
+        PIPE_TESTS,
+        WATER_DENSITY,
+        Columns,
+        dry_cooler,
+        heated_pipe,
+        held_steady,
+        tclab,
+        wet_tower,
+    )
+    from hil.record.raw import Reading, RecordError
+    from hil.record.reader import Record, read_record, require_record_suffix, write_record
+    from hil.record.segments import Parts
+
+__all__ = [
+    "PIPE_TESTS",
+    "VALUES",
+    "WATER_DENSITY",
+    "Columns",
+    "DialectError",
+    "Parts",
+    "Reading",
+    "Record",
+    "RecordError",
+    "beginning_of",
+    "dry_cooler",
+    "find_dialect",
+    "heated_pipe",
+    "held_steady",
+    "is_annotated",
+    "name_and_unit",
+    "read_record",
+    "require_record_suffix",
+    "tclab",
+    "wet_tower",
+    "write_record",
+]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "annotated": ("is_annotated",),
+        "csv_dialect": (
+            "DialectError",
+            "find_dialect",
+        ),
+        "encodings": ("beginning_of",),
+        "heading_units": ("name_and_unit",),
+        "long_format": ("VALUES",),
+        "public": (
+            "Columns",
+            "PIPE_TESTS",
+            "WATER_DENSITY",
+            "dry_cooler",
+            "heated_pipe",
+            "held_steady",
+            "tclab",
+            "wet_tower",
+        ),
+        "raw": (
+            "Reading",
+            "RecordError",
+        ),
+        "reader": (
+            "Record",
+            "read_record",
+            "require_record_suffix",
+            "write_record",
+        ),
+        "segments": ("Parts",),
+    },
+)

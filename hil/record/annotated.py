@@ -10,7 +10,7 @@ import csv
 import re
 from pathlib import Path
 
-from hil.files.limits import require_cells, require_columns
+from hil.files import require_cells, require_columns
 from hil.record.raw import RawRecord, RecordError, unique
 
 _ANNOTATION = re.compile(r'\s*"?#(datatype|group|default)\b')

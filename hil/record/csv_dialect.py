@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from hil.record.heading_units import unit_of
-from hil.record.times.names import SECONDS_PER, is_time_name
-from hil.record.values.numbers import MARKS, MISSING, readings
+from hil.record.times import SECONDS_PER, is_time_name
+from hil.record.values import MARKS, MISSING, readings
 
 DELIMITERS = (",", ";", "\t", "|")
 BLANKS = " "
@@ -65,8 +65,10 @@ class DialectError(ValueError):
 def find_dialect(text: str) -> Dialect:
     """Return the dialect of the CSV `text`; its beginning is enough.
 
-    Raises:
-        DialectError: no line names the columns.
+    Raises
+    ------
+    DialectError
+        No line names the columns.
     """
     lines, commented, only = _sample(text)
     if not lines:

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivers.signals import column_name, split_column
-from hil.files.limits import require_columns
+from hil.files import require_columns
 from hil.record.annotated import is_annotated, read_annotated
 from hil.record.csv_dialect import BLANKS, Dialect, DialectError, find_dialect, heading_cells, is_value, split
 from hil.record.heading_units import fahrenheit_hint, name_and_unit
 from hil.record.headings import by_later_headings
 from hil.record.raw import RawRecord, RecordError, unique
-from hil.record.times.names import SECONDS_PER, is_time_name, names_unit, seconds_per_unit
-from hil.record.values.numbers import may_be_lost
+from hil.record.times import SECONDS_PER, is_time_name, names_unit, seconds_per_unit
+from hil.record.values import may_be_lost
 
 if TYPE_CHECKING:
     import pyarrow as pa

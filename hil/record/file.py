@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from hil.files.limits import TEXT_COPIES, read_parquet, require_size
+from hil.files import TEXT_COPIES, read_parquet, require_size
 from hil.record.csv_table import read_csv
 from hil.record.encodings import EncodingError, utf8
 from hil.record.heading_units import with_heading_units

@@ -7,8 +7,8 @@ import re
 
 from drivers.signals import column_name, known_unit, split_column
 from hil.record.raw import RawRecord, RecordError
-from hil.record.times.names import SECONDS_PER, is_time_name
-from twin.column_names import celsius_conversion
+from hil.record.times import SECONDS_PER, is_time_name
+from twin import celsius_conversion
 
 FAHRENHEIT = ("°f", "degf", "deg f", "fahrenheit")
 """Ways to write degrees Fahrenheit, lower case; no signal of this project is in them."""

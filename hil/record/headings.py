@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from hil.record.csv_dialect import is_value
 from hil.record.raw import RawRecord, RecordError
-from hil.record.times.names import is_time_name
-from hil.record.values.numbers import trimmed
+from hil.record.times import is_time_name
+from hil.record.values import trimmed
 
 
 def by_later_headings(raw: RawRecord, written: Sequence[str]) -> RawRecord:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.record.raw import RawRecord
-from hil.record.times.time_axis import GAP_PERIODS, TimeAxis, span
+from hil.record.times import GAP_PERIODS, TimeAxis, span
 
 
 def order(raw: RawRecord, axis: TimeAxis) -> tuple[NDArray[np.int64], list[str]]:

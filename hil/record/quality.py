@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality, split_column
-from hil.record.values.numbers import trimmed
+from hil.record.values import trimmed
 
 ENDINGS = ("_quality", "_status")
 OPC_GOOD, OPC_UNCERTAIN = 192, 64

@@ -52,10 +52,14 @@ class RawRecord:
 class Reading:
     """Choices of the user for properties that the record does not show itself.
 
-    Attributes:
-        decimal: sign of all numbers, "." or ",". dates: order of day, month and year, "dmy", "mdy" or "ymd".
-        time_column: name of the column of times, or two names with a comma between them: of dates and times of day.
-        time_scale: s of the rig's time in a unit of that column; 60 for a rig whose clock counts minutes as seconds.
+    Attributes
+    ----------
+    decimal
+        Sign of all numbers, "." or ",". dates: order of day, month and year, "dmy", "mdy" or "ymd".
+    time_column
+        Name of the column of times, or two names with a comma between them: of dates and times of day.
+    time_scale
+        S of the rig's time in a unit of that column; 60 for a rig whose clock counts minutes as seconds.
     """
 
     decimal: Literal[".", ","] | None = None

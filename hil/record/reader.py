@@ -21,19 +21,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality, column_name, split_column
-from hil.files.atomic import replacing
-from hil.journal.export import ExportedRecord, export_record
-from hil.profile.load_profile import WRITTEN_UNITS
+from hil.files import replacing
+from hil.journal import ExportedRecord, export_record
+from hil.profile import WRITTEN_UNITS
 from hil.record.file import read_raw
 from hil.record.order import describe_steps, order
 from hil.record.plausibility import SENTINELS, without_implausible
 from hil.record.quality import codes_of_words, reasons, valued_by
 from hil.record.raw import RawRecord, Reading, RecordError
-from hil.record.times.time_axis import numbered, read_time, span
-from hil.record.values.cell_units import without_cell_units
-from hil.record.values.numbers import LOST, DecimalSignError, Numbers, Sign, decimal_signs, may_be_lost, parse
-from hil.record.values.units import of_a_room, remarks
-from twin.column_names import column_hint
+from hil.record.times import numbered, read_time, span
+from hil.record.values import (
+    LOST,
+    DecimalSignError,
+    Numbers,
+    Sign,
+    decimal_signs,
+    may_be_lost,
+    of_a_room,
+    parse,
+    remarks,
+    without_cell_units,
+)
+from twin import column_hint
 
 __all__ = [
     "SENTINELS",
@@ -110,9 +119,11 @@ def read_record(path: Path, *, at_rest: bool = False, choice: Reading | None = N
     missing: a logger sends a correction after the original, or one row a device. Impossible readings become missing
     (`hil.record.plausibility`).
 
-    Raises:
-        RecordError: nothing can be read, something can be read in two ways, or reading would drop more than
-            `record_numbers.may_be_lost` of the rows or of a column.
+    Raises
+    ------
+    RecordError
+        Nothing can be read, something can be read in two ways, or reading would drop more than
+        `record_numbers.may_be_lost` of the rows or of a column.
     """
     choice = choice or Reading()
     raw = without_cell_units(read_raw(path))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.segments import LONG_GAP_S
+from twin import LONG_GAP_S
 
 
 @dataclass(frozen=True)

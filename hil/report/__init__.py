@@ -1,1 +1,24 @@
-"""Report of a run as one HTML file."""
+"""Report of a run as one HTML file.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hil.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from hil.report.actuators import pair_actuators
+    from hil.report.page import write_report
+
+__all__ = ["pair_actuators", "write_report"]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "actuators": ("pair_actuators",),
+        "page": ("write_report",),
+    },
+)

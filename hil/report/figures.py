@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.files.html import Html, element, image, joined
-from hil.journal.rows import Header, Samples
+from hil.files import Html, element, image, joined
+from hil.journal import Header, Samples
 from hil.report.actuators import pair_actuators
 from hil.report.statistics import TimeUnit, good_values, symbol
 

@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.files.atomic import replacing
-from hil.files.html import Html, document, element, joined, table
-from hil.journal.rows import Samples, TwinOutput
-from hil.journal.writer import JournalReader
+from hil.files import Html, document, element, joined, replacing, table
+from hil.journal import JournalReader, Samples, TwinOutput
 from hil.report.figures import Curves, pictures
 from hil.report.statistics import (
     NONE,
@@ -22,9 +20,8 @@ from hil.report.statistics import (
     signal_statistics,
     time_unit,
 )
-from hil.run_folder.folder import RunFolder
-from hil.tracking.adoption import accepted, closed_gates
-from hil.tracking.twins import Proposed, parameter_cell, window_kind
+from hil.run_folder import RunFolder
+from hil.tracking import Proposed, accepted, closed_gates, parameter_cell, window_kind
 
 LEVELS = ("ERROR", "WARN")
 """Levels of events that are coloured."""
@@ -103,13 +100,15 @@ def _segments(manifest: dict[str, Any], unit: TimeUnit) -> Html:
     rows = [
         [
             str(item["number"]),
-            *(unit.of(item.get(key)) for key in ("from_s", "gap_s", "soaked_s", "profile_s")),
+            *(unit.of(item.get(key)) for key in ("from_s", "gap_s")),
+            unit.of(item.get("restore_s", item.get("soaked_s"))),  # the latter before version 0.2
+            unit.of(item.get("profile_s")),
             item["why"],
             " ".join(filter(None, (item["exit_status"], item.get("reason", "")))),
         ]
         for item in segments
     ]
-    times = [f"{what} / {unit.symbol}" for what in ("from", "gap before", "soaked", "profile")]
+    times = [f"{what} / {unit.symbol}" for what in ("from", "gap before", "thermal restore", "profile")]
     head = ["segment", *times, "why", "ended"]
     note = (
         "The run was interrupted and resumed. Curves and errors leave out the gaps. The profile's "

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.journal.rows import Header, Samples
+from hil.journal import Header, Samples
 from hil.report.actuators import pair_actuators
 
 NONE = "-"

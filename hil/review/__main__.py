@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from types import FrameType
 
-from hil.journal.writer import JournalError
+from hil.journal import JournalError
 from hil.review.follower import POLL_S, follow
 
 

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.journal.rows import CalibrationRow, Samples, TwinOutput
-from hil.journal.writer import JournalReader
+from hil.journal import CalibrationRow, JournalReader, Samples, TwinOutput
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.plan import make_plan, worst_state
 from hil.review.residuals import Residuals
 from hil.review.styles import QUALITY_NAMES, Plan, path
 from hil.review.twin_bands import Proposals, band_batches
-from hil.tracking.bands import NORMAL90
+from hil.tracking import NORMAL90
 
 PAGE_TICKS = 36_000
 _NOISE_POINTS = 500
@@ -26,7 +25,7 @@ no figure shows so small a step.
 """
 _CURVE_OF_NOISE = 20.0
 """Largest error of predictions in a file, as a share of the sensor's noise; see `hil.review.thinning`."""
-_ROUTINE_WRITES = ("profile", "slew", "soak")
+_ROUTINE_WRITES = ("profile", "slew", "restore", "soak")  # the last one in older journals
 
 
 class _Ticks:

@@ -17,9 +17,18 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.diagnosis.store import Findings, Unknown, has_diagnosis, read_findings
-from hil.diagnosis.wording import after_label, ambiguity_group, plain, reasons, short
-from hil.journal.rows import Header
+from hil.diagnosis import (
+    Findings,
+    Unknown,
+    after_label,
+    ambiguity_group,
+    has_diagnosis,
+    plain,
+    read_findings,
+    reasons,
+    short,
+)
+from hil.journal import Header
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.styles import FAINT, GREEN, NEUTRAL, ORANGE, TRACKED, Colour, Lane, Lines, Panel, Plan, Stack, path
 

@@ -10,10 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from hil.diagnosis.store import Findings, read_findings
-from hil.files.atomic import replacing
-from hil.files.names import utf8_path
-from hil.journal.writer import JournalError, JournalReader
+from hil.diagnosis import Findings, read_findings
+from hil.files import replacing, utf8_path
+from hil.journal import JournalError, JournalReader
 from hil.review.batches import Batch, Rows, merged
 from hil.review.collector import Collector
 from hil.review.diagnosis_tab import batches, findings_of_run, notes, plan_of_findings, with_findings

@@ -29,8 +29,8 @@ from __future__ import annotations
 import itertools
 
 from drivers.signals import Quality
-from hil.journal.rows import Header
-from hil.report.actuators import pair_actuators
+from hil.journal import Header
+from hil.report import pair_actuators
 from hil.review.legends import with_room_for_legends
 from hil.review.styles import (
     ACTUATORS,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
-from hil.files.names import printable, utf8_path
+from hil.files import printable, utf8_path
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.styles import NEUTRAL, Colour, Panel, Plan, Stack, symbol, twin_colours
 

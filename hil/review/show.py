@@ -9,8 +9,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.files.atomic import replacing
-from hil.files.names import utf8_path
+from hil.files import replacing, utf8_path
 from hil.review.follower import follow, write_review
 from hil.review.rerun_io import Camera
 from hil.review.viewer import Viewer, ViewerError, open_viewer

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from drivers.signals import Quality
-from hil.journal.rows import Header
-from hil.journal.states import State
+from hil.journal import Header, State
 
 Colour = tuple[int, int, int]
 NEUTRAL: Colour = (158, 163, 170)
@@ -179,7 +178,7 @@ def colour_key(twins: tuple[str, ...]) -> str:
     tracked = [twin for twin in twins if twin != "static"]
     parts = ["grey: measured", *(["orange: static twin"] if "static" in twins else [])]
     parts += [f"{name}: tracked by {twin}" for twin, name in zip(tracked, itertools.cycle(TRACKED), strict=False)]
-    parts += ["thin lines: 90 % band, or ±2σ of the sensor's noise", "gap: no good value"]
+    parts += ["dim lines: 90 % band, or ±2σ of the sensor's noise", "gap: no good value"]
     return " · ".join([*parts, "set-points: dim, read back: bright"])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 
-from hil.journal.rows import Header
+from hil.journal import Header
 from hil.review.styles import ACTUATOR_WORDS, Panel, Stack, path, titled, twin_words
 
 MARGIN = 0.13

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.files.atomic import replacing
-from hil.files.names import utf8_path
-from hil.journal.rows import Header
+from hil.files import replacing, utf8_path
+from hil.journal import Header
 from hil.review.batches import Rows
 from hil.review.rerun_io import Recording
 from hil.review.styles import FAINT, NEUTRAL, ORANGE, TRACKED, Lines, Panel, Plan, Stack
@@ -33,9 +32,12 @@ Columns = dict[str, NDArray[np.float64]]
 def write_tower_review(table: Path, rrd: Path, name: str) -> None:
     """Write the calibrated table of a station's cells to `rrd`, completely or not at all.
 
-    Raises:
-        ValueError: the table cannot be read, or lacks a column; one sentence.
-        OSError: the file cannot be written.
+    Raises
+    ------
+    ValueError
+        The table cannot be read, or lacks a column; one sentence.
+    OSError
+        The file cannot be written.
     """
     cells = _cells(table)
     start = min(float(c["time_s"][0]) for c in cells.values())

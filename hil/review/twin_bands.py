@@ -6,12 +6,10 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from hil.journal.rows import BandRow, ProposalRow
+from hil.journal import BandRow, ProposalRow
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
 from hil.review.styles import path
-from hil.tracking.adoption import accepted, offset_text
-from hil.tracking.bands import NORMAL90
-from hil.tracking.twins import Proposed
+from hil.tracking import NORMAL90, Proposed, accepted, offset_text
 
 OPEN, SOME = "open", "some held"
 

@@ -29,8 +29,10 @@ if TYPE_CHECKING:
 def checked_rig(file: Path) -> tuple[Rig, dict[str, Polling], dict[str, CanReceiver]]:
     """Return a rig, the polling load of its Modbus buses and the receivers of its CAN buses.
 
-    Raises:
-        RigFileError: the file has mistakes; the message names all of them.
+    Raises
+    ------
+    RigFileError
+        The file has mistakes; the message names all of them.
     """
     rig = load_rig(file)
     polled: dict[str, Polling] = {}

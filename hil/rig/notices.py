@@ -6,8 +6,8 @@ from pathlib import Path
 
 from drivers.rig_file import ModbusTcpBus, Point, Rig, line_of, read_regular
 from drivers.signals import HEATER, ROLES, nearest_role
-from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, takes_s
-from hil.run.restore.thermal_restore import restore_obstacle, role_of, stores_heat
+from hil.run.outputs import SAFE_WITHIN_S, takes_s
+from hil.run.restore import restore_obstacle, role_of, stores_heat
 
 
 def notices(rig: Rig, file: Path) -> list[str]:

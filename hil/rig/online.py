@@ -28,9 +28,12 @@ _STYLE = {Quality.GOOD: "green", Quality.STALE: "yellow", Quality.OUT_OF_RANGE: 
 async def watch_online(rig: Rig, seconds: float | None, out: Console | None) -> dict[str, Any]:
     """Open all buses, print the faults, show the points for `seconds` or until SIGINT, and return the last state.
 
-    Args:
-        rig: the rig; nothing is written to it. seconds: time to show the points; None ends at once without a terminal.
-        out: console, None to print nothing.
+    Parameters
+    ----------
+    rig
+        The rig; nothing is written to it. seconds: time to show the points; None ends at once without a terminal.
+    out
+        Console, None to print nothing.
     """
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()

@@ -1,1 +1,50 @@
-"""Folder of a run: paths of its files, its lock, and the checks of its manifest."""
+"""Folder of a run: paths of its files, its lock, and the checks of its manifest.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hil.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from hil.run_folder.folder import (
+        FolderLostError,
+        RunFolder,
+        RunFolderError,
+        create_run_folder,
+        new_manifest,
+        require_room,
+    )
+    from hil.run_folder.manifest_check import require_settings, wrong_place
+
+__all__ = [
+    "FolderLostError",
+    "RunFolder",
+    "RunFolderError",
+    "create_run_folder",
+    "new_manifest",
+    "require_room",
+    "require_settings",
+    "wrong_place",
+]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "folder": (
+            "FolderLostError",
+            "RunFolder",
+            "RunFolderError",
+            "create_run_folder",
+            "new_manifest",
+            "require_room",
+        ),
+        "manifest_check": (
+            "require_settings",
+            "wrong_place",
+        ),
+    },
+)

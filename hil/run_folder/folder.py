@@ -19,9 +19,7 @@ from typing import Any
 
 from drivers.rig_file import file_sha256
 from hil import __version__
-from hil.files.atomic import replacing
-from hil.files.folder_check import read_json, require_plain
-from hil.files.names import ENDINGS, LONGEST_DATABASE_PATH, longest_name, safe_file_name
+from hil.files import ENDINGS, LONGEST_DATABASE_PATH, longest_name, read_json, replacing, require_plain, safe_file_name
 from hil.run_folder.manifest_check import checked_manifest
 
 LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "numba", "pyarrow", "rerun-sdk")
@@ -147,8 +145,10 @@ class RunFolder:
     def located(self) -> RunFolder:
         """Return the folder at its present path, which differs if somebody moved it while it was locked.
 
-        Raises:
-            FolderLostError: the folder was deleted.
+        Raises
+        ------
+        FolderLostError
+            The folder was deleted.
         """
         if not self._held:
             if self.path.is_dir():
@@ -181,9 +181,11 @@ def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
     Runs that begin in the same second get folders of their own. Characters of `profile_name` that a terminal or a
     library would refuse are replaced in the folder's name, and a long name is cut.
 
-    Raises:
-        RunFolderError: `parent` is no folder or takes no new one, its path is too long for a journal, or its disk has
-            no room for `ticks`.
+    Raises
+    ------
+    RunFolderError
+        `parent` is no folder or takes no new one, its path is too long for a journal, or its disk has
+        no room for `ticks`.
     """
     try:
         parent.mkdir(parents=True, exist_ok=True)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from hil.files.limits import Failure
+from hil.files import Failure
 
 Mode = Literal["real", "scaled", "lockstep"]
 NetworkMode = Literal["shadow", "advisory", "controlled"]
@@ -43,7 +43,8 @@ class _Segment(_Shape):
     from_s: float
     gap_s: float
     profile_s: float
-    soaked_s: float = 0.0
+    restore_s: float = 0.0
+    soaked_s: float = 0.0  # name of `restore_s` before version 0.2
     why: str
     exit_status: str
     reason: str = ""

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.profile.load_profile import Profile
-from twin.network import Array
+from hil.profile import Profile
+from twin import Array
 
 KINDS = ("case", "healthy", "double", "again", "later")
 """Kinds of records: single case, healthy, two effects of the catalogue; first and later records of a twin under
@@ -54,8 +54,10 @@ class Setting:
 class Truth:
     """Hidden part of a case: group, a word for the effect, tables of an effect file, and the labels of a right answer.
 
-    Attributes:
-        effects: tables of `[[effect]]`. labels: a (kind, where, driver) each, one for every effect of the catalogue.
+    Attributes
+    ----------
+    effects
+        Tables of `[[effect]]`. labels: a (kind, where, driver) each, one for every effect of the catalogue.
     """
 
     group: str

@@ -20,9 +20,9 @@ from drivers.virtual.plant import (
     Plant,
     ThermocoupleModule,
 )
-from hil.profile.load_profile import Profile
-from hil.record.reader import Record
-from hil.run.outputs.setpoints import Setpoints, bind
+from hil.profile import Profile
+from hil.record import Record
+from hil.run.outputs import Setpoints, bind
 
 READ = ("T_ambient_C", "heater_power_W", "flow_L_per_min", "pump_speed_pct", "fan_speed_pct")
 RESOLUTION = (0.01, 0.0, 0.0, 0.1, 0.1)
@@ -36,8 +36,10 @@ _START = (0.0, 1.0, 1.0)
 def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: tuple[Effect, ...] = ()) -> Record:
     """Replay `profile` on the virtual rig's parts; one row a second, columns as `hil run` records them.
 
-    Args:
-        seed: of weather and noise. unit: the specimen, whose sensors' offsets stay from run to run.
+    Parameters
+    ----------
+    seed
+        Of weather and noise. unit: the specimen, whose sensors' offsets stay from run to run.
     """
     plant = Plant(seed=seed, period_s=rig.period_s, effects=effects)
     return direct_run(profile, rig, plant, seed=seed, unit=unit, effects=effects)[0]

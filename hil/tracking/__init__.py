@@ -1,1 +1,105 @@
-"""Twins that track a run, and the adoption of their parameters."""
+"""Twins that track a run, and the adoption of their parameters.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hil.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from hil.tracking.adoption import (
+        Adoption,
+        Advice,
+        NetworkMode,
+        accepted,
+        adopt,
+        adoption_manifest,
+        closed_gates,
+        offset_text,
+    )
+    from hil.tracking.bands import NORMAL90
+    from hil.tracking.child_process import Child
+    from hil.tracking.process import Tracking, TrackingError
+    from hil.tracking.results import Results
+    from hil.tracking.twins import (
+        DEFAULT,
+        STATIC,
+        Comparison,
+        ErrorTable,
+        Proposed,
+        TrackingConfig,
+        Twins,
+        disturbance,
+        parameter_cell,
+        too_coarse,
+        window_kind,
+        window_words,
+    )
+
+__all__ = [
+    "DEFAULT",
+    "NORMAL90",
+    "STATIC",
+    "Adoption",
+    "Advice",
+    "Child",
+    "Comparison",
+    "ErrorTable",
+    "NetworkMode",
+    "Proposed",
+    "Results",
+    "Tracking",
+    "TrackingConfig",
+    "TrackingError",
+    "Twins",
+    "accepted",
+    "adopt",
+    "adoption_manifest",
+    "closed_gates",
+    "disturbance",
+    "offset_text",
+    "parameter_cell",
+    "too_coarse",
+    "window_kind",
+    "window_words",
+]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "adoption": (
+            "Adoption",
+            "Advice",
+            "NetworkMode",
+            "accepted",
+            "adopt",
+            "closed_gates",
+            "adoption_manifest",
+            "offset_text",
+        ),
+        "bands": ("NORMAL90",),
+        "child_process": ("Child",),
+        "process": (
+            "Tracking",
+            "TrackingError",
+        ),
+        "results": ("Results",),
+        "twins": (
+            "Comparison",
+            "DEFAULT",
+            "ErrorTable",
+            "Proposed",
+            "STATIC",
+            "TrackingConfig",
+            "Twins",
+            "disturbance",
+            "parameter_cell",
+            "too_coarse",
+            "window_kind",
+            "window_words",
+        ),
+    },
+)

@@ -23,8 +23,8 @@ from hil.tracking.bands import NORMAL90
 from hil.tracking.twins import Proposed
 
 if TYPE_CHECKING:
-    from hil.record.reader import Record
-    from twin.network import Network
+    from hil.record import Record
+    from twin import Network
 
 NetworkMode = Literal["shadow", "advisory", "controlled"]
 MODES: tuple[NetworkMode, ...] = get_args(NetworkMode)
@@ -116,12 +116,12 @@ class Advice:
 def adopt(twin: Path, record: Record, proposals: list[Proposed], made_by: str) -> Adoption:
     """Save the accepted parameters as the next revision of `twin`, if it predicts better.
 
-    Raises:
-        TwinFileError: the twin or its folder cannot be used.
+    Raises
+    ------
+    TwinFileError
+        The twin or its folder cannot be used.
     """
-    from twin.network import Revision
-    from twin.revisions import save_revision, with_elements
-    from twin.twinfile import load
+    from twin import Revision, load, save_revision, with_elements
 
     network = load(twin)
     begin_s, end_s = float(record.time_s[0]), float(record.time_s[-1])
@@ -199,8 +199,7 @@ def clearly_better(before: NDArray[np.float64], after: NDArray[np.float64], time
 
 def _prediction_errors(network: Network, record: Record) -> NDArray[np.float64]:
     """Return predicted minus measured (n, m) K of a free run over the whole record, restarted after gaps."""
-    from twin.kernel import Kernel, hold_inputs
-    from twin.segments import find_segments, segment_rows, simulate_segments
+    from twin import Kernel, find_segments, hold_inputs, segment_rows, simulate_segments
 
     inputs, measured = network.select(record.columns)
     known, time_s = find_segments(network, record.time_s, inputs), record.time_s
@@ -293,7 +292,7 @@ def offset_text(off_K: float) -> str:
     return f"{abs(off_K):.2f} K {'more' if off_K > 0.0 else 'less'}"
 
 
-def manifest(adoption: Adoption | None) -> dict[str, Any] | None:
+def adoption_manifest(adoption: Adoption | None) -> dict[str, Any] | None:
     """Return the adoption as plain data for `run.json`."""
     if adoption is None:
         return None

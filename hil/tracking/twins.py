@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from hil.tracking.bands import NORMAL90, Band, Bands
 
 if TYPE_CHECKING:
+    from twin import Network, TwinTracker, WindowRules
     from twin.calibrators import Calibration
-    from twin.network import Network, WindowRules
-    from twin.tracking import TwinTracker
 
 DEFAULT = ("pso", "least_squares", "hiera_unet")
 """Calibrators that run if none is named; the network is left out if there is none for the twin."""
@@ -126,11 +125,15 @@ def _worse(static: float, tracked: float) -> bool:
 class Comparison:
     """Comparison of the twins at the end.
 
-    Attributes:
-        bands: twin -> sensor -> mean half width, K, of the bands that promised 90 %, and the share that they held.
-        parameters: twin -> parameter -> value, half width of its 90 % interval (None without one), and whether
-            it is held because it is not identifiable.
-        outdone: calibrator -> a sentence, where the commissioned twin predicts better; see `PredictionErrors`.
+    Attributes
+    ----------
+    bands
+        Twin -> sensor -> mean half width, K, of the bands that promised 90 %, and the share that they held.
+    parameters
+        Twin -> parameter -> value, half width of its 90 % interval (None without one), and whether
+        it is held because it is not identifiable.
+    outdone
+        Calibrator -> a sentence, where the commissioned twin predicts better; see `PredictionErrors`.
     """
 
     errors: ErrorTable
@@ -151,17 +154,17 @@ class Twins:
 
     Results depend on the samples alone, not on the blocks.
 
-    Raises:
-        TwinFileError: the twin file, or a calibrator that is not optional, cannot be used. HieraError: there is no
-            trained network for this twin.
+    Raises
+    ------
+    TwinFileError
+        The twin file, or a calibrator that is not optional, cannot be used. HieraError: there is no
+        trained network for this twin.
     """
 
     def __init__(self, config: TrackingConfig) -> None:
+        from twin import TwinFileError, TwinTracker, load
         from twin.calibrators import make_calibrator
-        from twin.calibrators.hiera_unet.config import HieraError
-        from twin.network import TwinFileError
-        from twin.tracking import TwinTracker
-        from twin.twinfile import load
+        from twin.calibrators.hiera_unet import HieraError
 
         self.network: Network = load(config.twin)
         self.left_out: dict[str, str] = {}
@@ -228,7 +231,7 @@ class Twins:
 
         After a gap without inputs, the twins restart.
         """
-        from twin.segments import find_segments
+        from twin import find_segments
 
         begins = set(find_segments(self.network, time_s, self.network.select(columns)[0]).begins[1:])
         cuts = [*sorted({*range(0, len(time_s), rows), *begins}), len(time_s)]
@@ -385,7 +388,7 @@ def _counted(noun: str, items: Sequence[Any]) -> str:
 
 def window_words(kinds: Collection[str], rules: WindowRules) -> str:
     """Describe the kinds of windows of a table in one line; see `twin.calibrators.windows`."""
-    from twin.calibrators.windows import LEAST_ROWS, LEAST_SPAN
+    from twin.calibrators import LEAST_ROWS, LEAST_SPAN
 
     near = f"within {rules.calibrated_K:g} K"
     means = {
@@ -402,7 +405,7 @@ def window_words(kinds: Collection[str], rules: WindowRules) -> str:
 
 def too_coarse(period_s: float, rules: WindowRules) -> str | None:
     """Return the reason why no window of a record with this `period_s` is fitted, with the remedy, or None."""
-    from twin.calibrators.windows import LEAST_ROWS
+    from twin.calibrators import LEAST_ROWS
 
     if period_s * LEAST_ROWS <= rules.window_s:
         return None

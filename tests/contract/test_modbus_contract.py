@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 
 import pytest
 
@@ -98,37 +98,54 @@ FAULTS: dict[str, tuple[Maker, bool]] = {
 }
 
 
+async def at_once(of_seeds: Callable[[tuple[int, ...]], Coroutine[None, None, int]], *seeds: tuple[int, ...]) -> int:
+    """Have connections with seeds of their own wait at the same time; the sum of what they count."""
+    async with asyncio.TaskGroup() as group:
+        waiting = [group.create_task(of_seeds(own)) for own in seeds]
+    return sum(task.result() for task in waiting)
+
+
 @pytest.mark.parametrize("fault", FAULTS)
 async def test_a_fault_is_never_a_value_and_passes(on, fault):
     make, any_frame = FAULTS[fault]
-    async with on() as rig:
-        await rig.read()
-        unused = 0
-        for seed in range(4):
-            rig.break_by(make(random.Random(seed), 1.0), any_frame=any_frame)
-            for _ in range(2):
-                unused += Quality.LINK_FAULT in (await rig.read()).quality
-            rig.break_by(None)
-            await rig.good_again(3.0)
-        assert unused or fault == "the reply before in front of this one"  # which a transaction tells apart
+
+    async def unused(seeds: tuple[int, ...]) -> int:
+        found = 0
+        async with on() as rig:
+            await rig.read()
+            for seed in seeds:
+                rig.break_by(make(random.Random(seed), 1.0), any_frame=any_frame)
+                for _ in range(2):
+                    found += Quality.LINK_FAULT in (await rig.read()).quality
+                rig.break_by(None)
+                await rig.good_again(3.0)
+        return found
+
+    # A transaction tells the reply before from this one.
+    assert await at_once(unused, (0, 1), (2, 3)) or fault == "the reply before in front of this one"
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 async def test_a_fault_never_confirms_a_write_that_is_read_back(on, fault):
     make, any_frame = FAULTS[fault]
-    async with on(read_write=True) as rig:
-        confirmed = 0
-        for seed in range(3):
-            rig.break_by(make(random.Random(seed), 0.7), any_frame=any_frame)
-            for beat in range(4 * seed, 4 * seed + 3):
-                with contextlib.suppress(DriverError):
-                    held = await rig.bus.write_and_read_back({"beat": beat}, ("beat", "timeout"))
-                    assert held == {"beat": beat, "timeout": 100}
-                    confirmed += 1
-            rig.break_by(None)
-            await rig.good_again(3.0)
-        assert await rig.bus.write_and_read_back({"beat": 77}, ("beat",)) == {"beat": 77}
-        assert rig.registers.holding[3] == 77
+
+    async def confirmed(seeds: tuple[int, ...]) -> int:
+        count = 0
+        async with on(read_write=True) as rig:
+            for seed in seeds:
+                rig.break_by(make(random.Random(seed), 0.7), any_frame=any_frame)
+                for beat in range(4 * seed, 4 * seed + 3):
+                    with contextlib.suppress(DriverError):
+                        held = await rig.bus.write_and_read_back({"beat": beat}, ("beat", "timeout"))
+                        assert held == {"beat": beat, "timeout": 100}
+                        count += 1
+                rig.break_by(None)
+                await rig.good_again(3.0)
+            assert await rig.bus.write_and_read_back({"beat": 77}, ("beat",)) == {"beat": 77}
+            assert rig.registers.holding[3] == 77
+        return count
+
+    await at_once(confirmed, (0, 1), (2,))
 
 
 async def test_the_same_reply_twice_is_used_once_or_not_at_all(on):
@@ -140,26 +157,30 @@ async def test_the_same_reply_twice_is_used_once_or_not_at_all(on):
         await rig.good_again(3.0)
 
 
-@pytest.mark.parametrize("late_s", [1.2 * TIMEOUT_S, 2.5 * TIMEOUT_S, 6 * TIMEOUT_S])
-async def test_one_late_reply_never_shifts_the_next_answers(on, late_s):
-    async with on() as rig:
-        await rig.read()
-        held = iter([[(late_s, None)]])
+async def test_one_late_reply_never_shifts_the_next_answers(on):
+    async def after_one(late_s: float) -> None:
+        async with on() as rig:
+            await rig.read()
+            held = iter([[(late_s, None)]])
 
-        def once(frame: bytes) -> list[tuple[float, bytes]]:
-            for ((delay_s, _),) in held:
-                return [(delay_s, frame)]
-            return [(0.0, frame)]
+            def once(frame: bytes) -> list[tuple[float, bytes]]:
+                for ((delay_s, _),) in held:
+                    return [(delay_s, frame)]
+                return [(0.0, frame)]
 
-        rig.break_by(once, any_frame=True)
-        assert Quality.LINK_FAULT in (await rig.read()).quality
-        arrived = time.monotonic() + late_s + 2 * TIMEOUT_S
-        in_a_row = 0
-        while in_a_row < 5 or time.monotonic() < arrived:
-            good = set((await rig.read()).quality) == {Quality.GOOD}
-            in_a_row = in_a_row + 1 if good else 0
-            assert time.monotonic() < arrived + 2.5, "not good again"
-            await asyncio.sleep(0.02)
+            rig.break_by(once, any_frame=True)
+            assert Quality.LINK_FAULT in (await rig.read()).quality
+            arrived = time.monotonic() + late_s + 2 * TIMEOUT_S
+            in_a_row = 0
+            while in_a_row < 5 or time.monotonic() < arrived:
+                good = set((await rig.read()).quality) == {Quality.GOOD}
+                in_a_row = in_a_row + 1 if good else 0
+                assert time.monotonic() < arrived + 2.5, f"not good again after a reply that was {late_s:g} s late"
+                await asyncio.sleep(0.02)
+
+    async with asyncio.TaskGroup() as group:  # each with a connection of its own
+        for late_s in (1.2 * TIMEOUT_S, 2.5 * TIMEOUT_S, 6 * TIMEOUT_S):
+            group.create_task(after_one(late_s))
 
 
 async def test_replies_that_are_late_again_and_again_are_never_wrong(on):
@@ -228,7 +249,7 @@ async def test_a_storm_of_faults_gives_no_wrong_value_and_nothing_foreign_is_rai
         generator = random.Random(7)
         frame_faults = [replies.wrong_function, replies.too_few_registers]
         byte_faults = [replies.swallowed, replies.cut_off, garbled, replies.twice, replies.one_behind, replies.split_up]
-        for number in range(120):
+        for number in range(60):
             pick = generator.randrange(len(frame_faults) + len(byte_faults) + 2)
             if pick < len(frame_faults):
                 rig.break_by(frame_faults[pick](generator, 0.7))

@@ -16,7 +16,7 @@ def ended_run(path: Path, *, ticks: int = 300, ended: bool = True) -> tuple[RunF
     path.mkdir(parents=True)
     folder, truth = RunFolder(path), make(ticks)
     writer = JournalWriter(folder.journal, truth.header)
-    writer.state(0, 0.0, 0.0, "soaking", "start", "running", "the test")
+    writer.state(0, 0.0, 0.0, "restoring", "start", "running", "the test")
     put_ticks(writer, truth, 0, ticks)
     writer.event(10, 10.0, "WARN", "a warning of the test")
     if ended:

@@ -18,12 +18,13 @@ HEATER, METER = 0, 4
 class Device:
     """Register 0 asks for heat in W, register 4 measures it. `obeys` False: it acknowledges and heats on.
 
-    For `deaf_s` after connecting it drops every request, s.
+    For `deaf_s` after connecting it drops every request, s. `stuck_W`, if set, is what the meter reads after a write.
     """
 
     def __init__(self, *, single: bool = False, serial: bool = False, deaf_s: float = 0.0) -> None:
         self.registers = [0] * 8
         self.obeys = True
+        self.stuck_W: int | None = None
         self.refuses: set[int] = set()
         self.off_s: float | None = None
         self.connections = 0
@@ -113,7 +114,7 @@ class Device:
             if address != HEATER or self.obeys:
                 self.registers[address] = value
             if address == HEATER and self.obeys:
-                self.registers[METER] = value
+                self.registers[METER] = value if self.stuck_W is None else self.stuck_W
                 self.off_s = None if value else time.monotonic()
             return pdu
         found = self.registers[address : address + value]

@@ -295,8 +295,8 @@ def test_a_twin_that_took_up_an_effect_is_counted_by_its_later_records() -> None
     chains = [RigRecords(found, calm, found), RigRecords(found, alarm, wrong), RigRecords(found)]
     scores, failures = discovery_again.tables(chains, 24.0)
     counts = {row[0]: row[1:3] for row in scores.rows}
-    assert counts["first record: right but for equivalents"] == (3, 3)
+    assert counts["first record: right within the ambiguity group"] == (3, 3)
     assert counts["first record: a revision saved"] == (2, 3)
     assert counts["later record, nothing new: adequate"] == (1, 2)
-    assert counts["later record, a second effect: right but for equivalents, of found"] == (1, 2)
+    assert counts["later record, a second effect: right within the ambiguity group, of found"] == (1, 2)
     assert [row[1] for row in failures.rows] == ["false alarm", "wrong"]

@@ -29,7 +29,7 @@ LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,700,100,70\n900000
 
 def ctl(runs: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [*HIL, "ctl", *arguments, "--runs", str(runs)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=PROJECT, timeout=60)
+    return subprocess.run(command, capture_output=True, text=True, cwd=PROJECT, timeout=180)
 
 
 def test_a_run_in_lockstep_is_held_paused_resumed_and_aborted_from_a_second_terminal(tmp_path):
@@ -41,12 +41,13 @@ def test_a_run_in_lockstep_is_held_paused_resumed_and_aborted_from_a_second_term
         cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 180
         while not live_runs(tmp_path) or ask(live_runs(tmp_path)[0] / "control.sock", "status")["text"] != "running":
             assert time.monotonic() < deadline and process.poll() is None
             time.sleep(0.1)
         folder = live_runs(tmp_path)[0]
         assert "held at" in ctl(tmp_path, "hold").stdout
+        held_s = time.monotonic()
         held = json.loads(ctl(tmp_path, "status", "--json").stdout)["status"]
         assert (held["state"], held["setpoints"]["heater_power_set"]) == ("held", 700.0)
         shown = ctl(tmp_path, "status").stdout
@@ -60,13 +61,14 @@ def test_a_run_in_lockstep_is_held_paused_resumed_and_aborted_from_a_second_term
         assert (later["state"], later["reason"]) == ("paused", "topping up (hil ctl)")
         assert later["setpoints"]["heater_power_set"] == 0.0
         assert later["profile_s"] == held["profile_s"]
-        assert later["time_s"] < held["time_s"] + 60  # it waits at a person's pace
+        # It waits at a person's pace, a tick of one second a second; a lockstep that runs on makes hundreds.
+        assert later["time_s"] - held["time_s"] < 2.0 * (time.monotonic() - held_s) + 10.0
         refused = ctl(tmp_path, "ack")
         assert (refused.returncode, refused.stdout) == (1, "")
         assert "nothing has tripped" in refused.stderr
         assert "running at" in ctl(tmp_path, "resume").stdout
         assert "safe values read back" in ctl(tmp_path, "abort").stdout
-        _, err = process.communicate(timeout=90)
+        _, err = process.communicate(timeout=180)
     finally:
         process.kill()
         process.communicate()
@@ -79,7 +81,7 @@ def test_a_run_in_lockstep_is_held_paused_resumed_and_aborted_from_a_second_term
     targets = [row.target for row in reader.states()]
     reader.close()
     assert targets == [
-        "validating", "connecting", "soaking", "running", "held", "paused", "running", "finishing", "aborted",
+        "validating", "connecting", "restoring", "running", "held", "paused", "running", "finishing", "aborted",
     ]  # fmt: skip
     lane = [word for _, word in read_words(folder / "review.rrd", "/state")]
     assert lane == ["running", "held", "paused", "running", "aborted"]

@@ -1,4 +1,4 @@
-"""Thirty seeded faults on the virtual rig, in processes of their own: heater, samples and values, told by the rig."""
+"""Seeded faults on the virtual rig, in processes of their own: heater, samples and values, told by the rig."""
 
 from __future__ import annotations
 
@@ -20,13 +20,19 @@ from hil.bench.faults.verdict import FaultResult
 SEED = 20_261
 COSTLY = ("calibrator crash", "viewer killed", "SIGKILL")
 """Seconds of processor time each, and tested elsewhere; `hil bench faults` has them."""
+OF_FRAMES = (
+    "garbled replies", "garbled replies, brief", "garbled over TLS, brief", "cut-off replies", "too few registers",
+    "wrong function", "late replies, brief",
+)  # fmt: skip
+"""Replies that the driver refuses: tests/contract has each on every transport, and the run sees the same link fault of
+all. "late replies" and "garbled over TLS" stand for them here; `hil bench faults` has them all."""
 HUNG, KILLED = ("loop hangs", 0), ("SIGKILL", 3)
 
 
 def cases() -> list[tuple[str, int]]:
-    names = [name for name in KINDS if name not in COSTLY]
+    names = [name for name in KINDS if name not in (*COSTLY, *OF_FRAMES)]
     names = [name for name in names if KINDS[name].place != "tls" or shutil.which("openssl")]
-    return [(kind, number + 1) for kind, number in singles(28, names)] + [HUNG, KILLED]
+    return [(kind, number + 1) for kind, number in singles(len(names), names)] + [HUNG, KILLED]
 
 
 @pytest.fixture(scope="module")
@@ -35,17 +41,17 @@ def results() -> list[FaultResult]:
 
 
 @pytest.mark.timeout(900)
-def test_thirty_faults_break_no_must(results):
-    assert len(results) == 30
+def test_a_fault_of_each_kind_breaks_no_must(results):
+    assert len(results) == len(cases()) >= 24
     broken = [f"{r.kind} {r.number}: {'; '.join(r.failures)} [{r.reason}]" for r in results if r.failures]
     assert not broken, "\n".join(broken)
     struck = [r for r in results if r.heated and r.ended != "rode through"]
-    assert len(struck) >= 15
+    assert len(struck) >= 12
     for result in struck:
         limit = WATCHDOG_S + 0.2 if result.ended == "killed" else STALE_LIMIT_S
         assert result.safe is not None
         assert result.safe <= limit, result
-    assert sum(result.acknowledged for result in results) > 300
+    assert sum(result.acknowledged for result in results) > 10 * len(results)
     assert not any(result.lost or result.wrong for result in results)
 
 
@@ -120,7 +126,7 @@ def test_what_comes_of_two_faults_is_what_comes_of_the_graver():
 def test_the_tables_count_what_happened(results):
     kinds, musts, about = tables(results, 2.0)[:3]
     rows = {row[0]: row for row in kinds.rows}
-    assert rows["all"][1] == 30
+    assert rows["all"][1] == len(results)
     assert rows["all"][10:12] == (0, 0)
     assert dict(musts.rows)["wrong values recorded as good"] == "0"
     assert len(about.rows) == len(kinds.rows) - 1

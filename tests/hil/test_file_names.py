@@ -29,14 +29,19 @@ from tests.hil.ended_run import ended_run
 NAMES = [
     b"hash#1", b"quest?ion", b"pct%41", b"q?mode=rwc&cache=shared", b"with space \xc3\xbc", b"quo\"te'`$(x)",
     b"two\nlines",
-    b"no utf-8 \xff\xfe", b"--option", b"-", b"dots...", b"back\\slash", b"[red]markup[", b"<b>&amp;", b"file:x",
+    b"no utf-8 \xff\xfe", b"--option", b"-", b"dots...", b"<b>&amp;", b"[red]markup[", b"back\\slash", b"file:x",
     b"\x1b[31mescape", "\N{FIRE}\N{COMBINING ACUTE ACCENT}".encode() * 30, b"x" * 220, b" ",
 ]  # fmt: skip
+NESTED = [b"/".join(NAMES[first : first + 4]) for first in range(0, 16, 4)] + [
+    b"/".join(NAMES[k : k + 1] + NAMES[-1:]) for k in (16, 17)
+]
+"""All names as parts of few paths, since the files of a run take seconds."""
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_run_in_a_folder_of_any_name_gets_all_its_files(tmp_path, name):
-    folder, manifest = ended_run(tmp_path / os.fsdecode(name), ticks=120)
+@pytest.mark.parametrize("names", NESTED)
+def test_a_run_in_a_folder_of_any_name_gets_all_its_files(tmp_path, names):
+    (tmp_path / os.fsdecode(names)).parent.mkdir(parents=True)
+    folder, manifest = ended_run(tmp_path / os.fsdecode(names), ticks=120)
     manifest["files"] = {"profile": {"path": str(folder.path / "load.csv"), "sha256": "0" * 64}}
     assert derive_files(folder, manifest, lambda text: None).missing == {}
     assert folder.read_manifest()["files"] == manifest["files"]

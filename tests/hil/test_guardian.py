@@ -24,6 +24,8 @@ from hil.rig.notices import unguarded
 from tests.hil.guarded_device import HEATER, Device
 
 PROJECT = Path(__file__).resolve().parents[2]
+WAIT_S = 60.0
+"""Longest wait, s, for another process to do what has no limit of its own. A busy machine takes tens of seconds."""
 ENGINE = """
 import asyncio, sys, time
 from pathlib import Path
@@ -85,7 +87,7 @@ def started(running: subprocess.Popen[str]) -> tuple[str, int]:
     return words[0], int(words[1])
 
 
-def until(condition: Callable[[], bool], seconds: float) -> bool:
+def until(condition: Callable[[], bool], seconds: float = WAIT_S) -> bool:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if condition():
@@ -115,19 +117,19 @@ def test_a_rig_without_a_watchdog_is_safe_within_two_seconds_of_an_engine_that_i
         event_s = time.monotonic()
         if how in ("killed", "stopped"):
             running.send_signal(signal.SIGKILL if how == "killed" else signal.SIGSTOP)
-        assert until(lambda: device.off_s is not None, 4.0)
+        assert until(lambda: device.off_s is not None)
         assert device.off_s is not None
         # An engine whose tick hangs was expected for another second.
         assert device.off_s - event_s < (3.0 if how == "stuck" else 2.0)
         said = [entry["what"] for entry in log(tmp_path)]
         assert "acting" in said
-        assert until(lambda: "safe" in [entry["what"] for entry in log(tmp_path)], 2.0)
+        assert until(lambda: "safe" in [entry["what"] for entry in log(tmp_path)])
         if how == "killed":
-            assert until(lambda: gone(pid), 2.0)
-        else:
-            assert not gone(pid)  # an engine that may wake up again is watched on
+            assert until(lambda: gone(pid))
+        elif running.poll() is None:  # an engine that may wake up again is watched on
+            assert not gone(pid)
             device.registers[HEATER] = 300
-            assert until(lambda: device.registers[HEATER] == 0, 2.0)
+            assert until(lambda: device.registers[HEATER] == 0)
     device.close()
 
 
@@ -136,14 +138,14 @@ def test_an_engine_that_wakes_up_learns_that_it_was_relieved_and_heats_no_more(t
     with engine(tmp_path, device) as running:
         _, pid = started(running)
         running.send_signal(signal.SIGSTOP)
-        assert until(lambda: device.off_s is not None, 4.0)
+        assert until(lambda: device.off_s is not None)
         time.sleep(0.3)
         running.send_signal(signal.SIGCONT)
         assert running.stdout is not None
         assert "the guardian has made the rig safe: no beat of the engine for 1 s False" in running.stdout.readline()
-        assert running.wait(10) == 0
+        assert running.wait(WAIT_S) == 0
         assert device.registers[HEATER] == 0
-        assert until(lambda: gone(pid), 3.0)
+        assert until(lambda: gone(pid))
     device.close()
 
 
@@ -163,7 +165,7 @@ def test_a_stop_of_half_a_second_and_a_whole_pause_are_no_silence(tmp_path):
         time.sleep(1.0)
         assert device.registers[HEATER] == 500
         assert running.poll() is None
-    assert until(lambda: device.off_s is not None, 3.0)
+    assert until(lambda: device.off_s is not None)
     device.close()
 
 
@@ -174,10 +176,10 @@ def test_a_device_that_admits_one_connection_is_taken_over_by_ending_the_engine_
         assert found == "alone"
         running.send_signal(signal.SIGSTOP)
         event_s = time.monotonic()
-        assert until(lambda: device.off_s is not None, 5.0)
+        assert until(lambda: device.off_s is not None)
         assert device.off_s is not None
         assert device.off_s - event_s < 2.0
-        assert running.wait(3) == -signal.SIGKILL
+        assert running.wait(WAIT_S) == -signal.SIGKILL
     device.close()
 
 
@@ -188,7 +190,7 @@ def test_a_device_that_is_deaf_after_connecting_is_made_safe_by_the_connection_o
         assert found == "shared"
         running.send_signal(signal.SIGKILL)
         event_s = time.monotonic()
-        assert until(lambda: device.off_s is not None, 5.0)
+        assert until(lambda: device.off_s is not None)
         assert device.off_s is not None
         assert device.off_s - event_s < 2.0
         assert device.connections == 2  # one is the engine's
@@ -197,7 +199,7 @@ def test_a_device_that_is_deaf_after_connecting_is_made_safe_by_the_connection_o
 
 def test_the_standby_connection_is_opened_anew_where_the_device_has_closed_it(tmp_path, monkeypatch):
     monkeypatch.setattr(process, "STANDBY_S", 0.05)
-    device = Device(deaf_s=0.3)
+    device = Device(deaf_s=1.0)
     (tmp_path / "rig.toml").write_text(device.rig_text())
     plan = plan_of(load_rig(tmp_path / "rig.toml"))
     assert plan is not None
@@ -206,12 +208,12 @@ def test_the_standby_connection_is_opened_anew_where_the_device_has_closed_it(tm
     keeper = process.SafeStateKeeper(plan["wires"][0], lambda place: None, wire)
     keeper.start()
     device.hang_up()
-    assert until(lambda: device.connections >= 2, 3.0)
-    time.sleep(0.5)
+    assert until(lambda: device.connections >= 2)
+    time.sleep(1.3)
     device.registers[HEATER] = 400
     keeper.may_open.set()
     keeper.acting.set()
-    assert until(lambda: keeper.safe, 0.25)
+    assert until(lambda: keeper.safe, 0.9)  # a connection that is opened now is deaf for longer
     keeper.end()
     keeper.join(2.0)
     device.close()
@@ -251,10 +253,9 @@ def test_a_guardian_that_waits_for_the_engine_names_the_wire_and_the_cause(tmp_p
         await guardian.start()
         guardian.watch()
         guardian.act()
-        for _ in range(100):
+        end_s = time.monotonic() + WAIT_S
+        while guardian.failure() is None and time.monotonic() < end_s:
             guardian.expect(5.0)
-            if guardian.failure() is not None:
-                break
             await asyncio.sleep(0.01)
         await guardian.done(safe=True)
 
@@ -270,7 +271,7 @@ def test_a_serial_line_is_taken_over(tmp_path):
         started(running)
         running.send_signal(signal.SIGKILL)
         event_s = time.monotonic()
-        assert until(lambda: device.off_s is not None, 5.0)
+        assert until(lambda: device.off_s is not None)
         assert device.off_s is not None
         assert device.off_s - event_s < 2.0
 
@@ -282,7 +283,7 @@ def test_the_engine_learns_that_its_guardian_was_killed(tmp_path):
         os.kill(pid, signal.SIGKILL)
         assert running.stdout is not None
         assert "nobody would make the rig safe" in running.stdout.readline()
-        assert running.wait(10) == 0
+        assert running.wait(WAIT_S) == 0
         assert device.registers[HEATER] == 0
     device.close()
 
@@ -293,7 +294,7 @@ def test_a_pump_that_refuses_does_not_keep_the_heater_on(tmp_path):
         started(running)
         device.refuses = {1}
         running.send_signal(signal.SIGKILL)
-        assert until(lambda: device.off_s is not None, 3.0)
+        assert until(lambda: device.off_s is not None)
     device.close()
 
 
@@ -304,7 +305,7 @@ def test_a_signal_to_everybody_ends_no_guardian(number, tmp_path):
         _, pid = started(running)
         os.kill(pid, number)
         running.send_signal(signal.SIGKILL)
-        assert until(lambda: device.off_s is not None, 3.0)
+        assert until(lambda: device.off_s is not None)
     device.close()
 
 
@@ -312,10 +313,10 @@ def test_a_meter_that_stays_hot_is_no_safe_rig_whatever_is_read_back(tmp_path):
     device = Device()
     with engine(tmp_path, device) as running:
         started(running)
+        device.stuck_W = 480  # before the guardian has a reason to act
         running.send_signal(signal.SIGSTOP)
-        assert until(lambda: device.registers[HEATER] == 0, 4.0)
-        device.registers[4] = 480
-        assert until(lambda: log(tmp_path)[-1].get("problem") == "heater still reads 480.0 W", 3.0)
+        assert until(lambda: log(tmp_path)[-1].get("problem") == "heater still reads 480.0 W")
+        assert device.registers[HEATER] == 0
     device.close()
 
 
@@ -343,7 +344,7 @@ async def test_a_run_that_ends_in_order_leaves_no_guardian_and_no_write(tmp_path
     pid = guardian.pid
     await guardian.done(safe=True)
     assert pid is not None
-    assert until(lambda: gone(pid), 2.0)
+    assert until(lambda: gone(pid))
     assert device.registers[HEATER] == 77
     device.close()
 
@@ -356,10 +357,11 @@ async def test_the_guardian_acts_when_the_engine_asks(tmp_path):
     guardian.watch()
     device.registers[HEATER] = 500
     guardian.act()
-    for _ in range(200):
+    end_s = time.monotonic() + WAIT_S
+    while (guardian.failure() is None or guardian.acted is None or not guardian.acted.safe) and (
+        time.monotonic() < end_s
+    ):
         guardian.expect(5.0)
-        if guardian.failure() is not None and guardian.acted is not None and guardian.acted.safe:
-            break
         await asyncio.sleep(0.01)
     assert guardian.acted is not None
     assert (guardian.acted.safe, guardian.acted.reason) == (True, "the engine asked for it")

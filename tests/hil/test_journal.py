@@ -214,3 +214,14 @@ def test_events_are_durable_at_once_and_samples_within_half_a_second(path):
     time.sleep(0.9)
     assert read(path)[0] == [0, 1]
     journal.close()
+
+
+def test_states_of_older_journals_are_read_under_their_present_names(path):
+    journal = JournalWriter(path, HEADER)
+    journal.state(0, 0.0, 0.0, "connecting", "soak", "soaking", "as version 0.1 wrote it")
+    journal.state(1, 0.1, 0.0, "soaking", "start", "running", "")
+    journal.close()
+    reader = JournalReader(path)
+    steps = [(row.source, row.event, row.target) for row in reader.states()]
+    reader.close()
+    assert steps == [("connecting", "restore", "restoring"), ("restoring", "start", "running")]

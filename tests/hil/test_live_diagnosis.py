@@ -233,7 +233,7 @@ def test_healthy_without_diagnose_is_a_usage_error(tmp_path):
     (tmp_path / "load.csv").write_text(LOAD.format(end=9000), encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-m", "hil", "run", str(tmp_path / "load.csv"), "--virtual", "--adopt"],
-        capture_output=True, text=True, cwd=PROJECT, timeout=60,
+        capture_output=True, text=True, cwd=PROJECT, timeout=180,
     )  # fmt: skip
     assert done.returncode == 2 and "--diagnose" in done.stderr
 

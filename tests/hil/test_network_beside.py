@@ -60,6 +60,14 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def brief(record: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first windows of that record, for what does not depend on what the calibrators make of it."""
+    whole, path = read_record(record), tmp_path_factory.mktemp("brief") / "record.parquet"
+    write_record(Record(whole.time_s[:1900], {name: values[:1900] for name, values in whole.columns.items()}), path)
+    return path
+
+
 @network_here
 def test_shadow_writes_nothing_and_controlled_writes_one_revision(record: Path, tmp_path: Path) -> None:
     twin = Path(shutil.copy(LOOP, tmp_path / "my_twin.toml"))
@@ -82,16 +90,16 @@ def test_shadow_writes_nothing_and_controlled_writes_one_revision(record: Path, 
 
 
 def test_without_torch_the_others_run_and_a_sentence_says_why(
-    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    brief: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name in NEEDED else real(name, *rest))
-    done = hil("track", record, "--twin", LOOP, "--json")
+    done = hil("track", brief, "--twin", LOOP, "--json")
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
     assert list(told["parameters"]) == ["static", "pso", "least_squares"]
     assert "needs torch and safetensors" in told["left_out"]["hiera_unet"]
-    named = hil("track", record, "--twin", LOOP, "--calibrator", "hiera_unet")
+    named = hil("track", brief, "--twin", LOOP, "--calibrator", "hiera_unet")
     assert named.exit_code != 0 and "needs torch" in str(named.exception)
 
 
@@ -107,7 +115,7 @@ def test_without_torch_the_others_run_and_a_sentence_says_why(
     ],
 )
 def test_weights_of_something_else_are_refused_in_one_sentence(
-    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str, words: str
+    brief: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str, words: str
 ) -> None:
     from twin.calibrators.hiera_unet import service
 
@@ -128,9 +136,9 @@ def test_weights_of_something_else_are_refused_in_one_sentence(
             twin = save(with_elements(load(LOOP), {"one_more": source}), tmp_path / "more.toml")
     card.write_text(json.dumps(document), encoding="utf-8")
     monkeypatch.setattr(service, "TRAINED", folder)
-    named = hil("track", record, "--twin", twin, "--calibrator", "hiera_unet")
+    named = hil("track", brief, "--twin", twin, "--calibrator", "hiera_unet")
     assert named.exit_code != 0 and words in str(named.exception) and "\n" not in str(named.exception)
-    told = json.loads(hil("track", record, "--twin", twin, "--json").stdout)
+    told = json.loads(hil("track", brief, "--twin", twin, "--json").stdout)
     assert damage != "twin" or "trains for the shipped loop's structure alone" in told["left_out"]["hiera_unet"]
     assert words in told["left_out"]["hiera_unet"] and list(told["bands"]) == ["static", "pso", "least_squares"]
 
@@ -222,21 +230,21 @@ def test_small_powers_are_told_with_digits() -> None:
 
 @network_here
 def test_own_weights_are_asked_where_their_card_is_named(
-    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    brief: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from twin.calibrators.hiera_unet import service
 
     card = Path(shutil.copytree(PROFILES / "trained", tmp_path / "own")) / "loop_small.json"
     monkeypatch.setattr(service, "TRAINED", tmp_path / "none")
     for name in ("hiera_unet", "hiera_ls"):
-        asked = hil("track", record, "--twin", LOOP, "--calibrator", name, "--network", card, "--json")
+        asked = hil("track", brief, "--twin", LOOP, "--calibrator", name, "--network", card, "--json")
         assert asked.exit_code == 0 and list(json.loads(asked.stdout)["bands"]) == ["static", name], asked.output
     card.write_text(card.read_text(encoding="utf-8").replace('"format": 2', '"format": 99'), encoding="utf-8")
-    refused = hil("track", record, "--twin", LOOP, "--network", card)  # by the usual calibrators, too
+    refused = hil("track", brief, "--twin", LOOP, "--network", card)  # by the usual calibrators, too
     assert refused.exit_code != 0 and "has format 99, not 2" in str(refused.exception)
-    missing = hil("track", record, "--twin", LOOP, "--network", tmp_path / "no.json")
+    missing = hil("track", brief, "--twin", LOOP, "--network", tmp_path / "no.json")
     assert missing.exit_code == 2 and "no.json: there is no such file" in missing.output
-    unasked = hil("track", record, "--twin", LOOP, "--network", card, "--calibrator", "pso")
+    unasked = hil("track", brief, "--twin", LOOP, "--network", card, "--calibrator", "pso")
     assert "no calibrator uses it; add --calibrator hiera_unet or hiera_ls" in str(unasked.exception)
 
 

@@ -205,7 +205,7 @@ def test_a_step_too_steep_for_its_plateau_is_refused_with_its_line(tmp_path: Pat
 def test_a_ramp_may_pass_breakpoints_of_other_set_points(tmp_path: Path) -> None:
     content = HEADER + "0,600,100,55\n600,600,100,100\n604,620,100,100\n900,620,100,100\n"
     notes = validate(read_profile(_write(tmp_path, content)), LIMITS, period_s=1.0)
-    assert "fan_speed_pct: 1 steps are ramps at 5 %/s, the longest 9 s at line 3" in notes
+    assert "fan_speed_pct: 1 step is a ramp at 5 %/s, the longest 9 s at line 3" in notes
 
 
 def test_a_profile_shorter_than_a_window_is_refused(tmp_path: Path) -> None:

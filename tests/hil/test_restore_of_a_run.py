@@ -28,14 +28,14 @@ def test_the_profile_goes_on_once_the_rig_has_been_back_for_a_minute():
     with EngineBench(rig_with(), resumption=cut_at(120.0, AIM)) as bench:
         bench.ticks(1)
         status = bench.engine.status()
-        assert (bench.state, status.profile_s) == ("soaking", 120.0)
+        assert (bench.state, status.profile_s) == ("restoring", 120.0)
         assert status.time_s == pytest.approx(220.0, abs=2.0)
         assert status.reason == "T_heater is 30.0 degC, 10.0 K below the 40.0 that it had when the run was cut"
         bench.ticks(9)
         assert bench.rig.heater_W == pytest.approx(700.0)  # no more than the profile asks for
         there(bench, 0.9)
         bench.ticks(int(SETTLE_S))
-        assert bench.state == "soaking"
+        assert bench.state == "restoring"
         bench.ticks(1)
         assert (bench.state, bench.engine.status().profile_s) == ("running", 120.0)
         bench.ticks(5)
@@ -54,7 +54,7 @@ def test_a_rig_that_leaves_the_band_begins_its_minute_again():
         bench.ticks(1)
         there(bench)
         bench.ticks(int(SETTLE_S))
-        assert bench.state == "soaking"
+        assert bench.state == "restoring"
         bench.ticks(1)
         assert bench.state == "running"
 
@@ -97,7 +97,7 @@ def test_what_is_set_in_watts_and_safe_at_zero_leads_without_a_role():
 def test_a_rig_that_does_not_get_there_in_time_is_left_safe():
     with EngineBench(rig_with(), resumption=cut_at(120.0, AIM, timeout_s=100.0)) as bench:
         bench.ticks(101)
-        assert bench.state == "soaking"
+        assert bench.state == "restoring"
         bench.ticks(2)
         assert (bench.state, bench.outcome.safe, bench.rig.heater_W) == ("faulted", True, 0.0)
         assert bench.outcome.reason.startswith(
@@ -133,7 +133,7 @@ def test_a_warning_suspends_the_restore_which_goes_on_and_not_the_profile():
         assert "by itself" in bench.ask(Verb.RESUME)
         bench.residuals = {}
         bench.ticks(8)
-        assert bench.state == "soaking"
+        assert bench.state == "restoring"
         assert bench.engine.status().profile_s == 120.0
         assert not bench.violations
 
@@ -154,26 +154,26 @@ def test_a_rig_that_still_heats_is_safe_before_anything_else_even_where_the_run_
 def test_a_pause_makes_a_restore_safe_and_stops_its_clock_and_resume_goes_on_restoring():
     with EngineBench(rig_with(), resumption=cut_at(120.0, AIM, timeout_s=100.0)) as bench:
         bench.ticks(50)
-        assert bench.ask(Verb.RESUME) == "soaking at 120 s of the profile"  # it does already
+        assert bench.ask(Verb.RESUME) == "restoring at 120 s of the profile"  # it does already
         assert bench.ask(Verb.PAUSE).startswith("paused at 120 s of the profile; safe values read back")
         assert bench.rig.heater_W == 0.0
         bench.ticks(500)
         assert (bench.state, bench.rig.armed) == ("paused", True)
         assert "cannot hold: its outputs are at their safe values" in bench.ask(Verb.HOLD)
-        assert bench.ask(Verb.RESUME) == "soaking at 120 s of the profile"
+        assert bench.ask(Verb.RESUME) == "restoring at 120 s of the profile"
         heat = []
         for _ in range(7):
             heat.append(bench.rig.heater_W)
             bench.ticks()
         assert heat == pytest.approx([100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0])
         bench.ticks(35)
-        assert bench.state == "soaking"  # of its 100 s the pause took none
+        assert bench.state == "restoring"  # of its 100 s the pause took none
         bench.ticks(15)
         assert bench.outcome.reason.startswith("not resumed: after 100 s of thermal restore")
         assert not bench.violations
         steps = [(row[3], row[4], row[5], row[6]) for row in bench.journal.states]
-        assert ("soaking", "pause", "paused", "by the test") in steps
-        assert ("paused", "soak", "soaking", "by the test") in steps
+        assert ("restoring", "pause", "paused", "by the test") in steps
+        assert ("paused", "restore", "restoring", "by the test") in steps
 
 
 def test_hold_keeps_the_outputs_that_lead_and_stops_the_clock_of_the_restore():
@@ -186,7 +186,7 @@ def test_hold_keeps_the_outputs_that_lead_and_stops_the_clock_of_the_restore():
         assert (bench.state, bench.rig.heater_W) == ("held", pytest.approx(350.0, abs=21.0))
         bench.ask(Verb.RESUME)
         bench.ticks(5)
-        assert (bench.state, bench.rig.heater_W) == ("soaking", 0.0)
+        assert (bench.state, bench.rig.heater_W) == ("restoring", 0.0)
         assert not bench.violations
 
 
@@ -200,7 +200,7 @@ def test_a_rig_that_gets_there_while_its_restore_is_stopped_does_not_start_by_it
         assert (bench.state, bench.engine.status().profile_s) == ({"hold": "held", "pause": "paused"}[verb], 120.0)
         bench.ask(Verb.RESUME)
         bench.ticks(int(SETTLE_S) - 1)
-        assert bench.state == "soaking"  # the minute begins anew
+        assert bench.state == "restoring"  # the minute begins anew
         bench.ticks(1)
         assert (bench.state, bench.engine.status().profile_s) == ("running", 120.0)
 
@@ -218,7 +218,7 @@ def test_a_warning_pauses_a_restore_that_is_held_and_one_that_is_active_suspends
         bench.ticks(20)
         assert bench.state == "paused"
         bench.ask(Verb.RESUME)
-        assert bench.state == "soaking"
+        assert bench.state == "restoring"
         assert not bench.violations
 
 
@@ -262,6 +262,6 @@ def test_profile_time_is_told_from_the_transitions():
         return StateRow(0, tick, float(tick), 0.0, profile_s, "", "", target, "")
 
     states = [row(0, 0.0, "running"), row(5, 4.0, "held"), row(8, 4.0, "running"), row(10, 6.0, "idle"),
-              row(20, 6.0, "soaking"), row(30, 6.0, "running")]  # fmt: skip
+              row(20, 6.0, "restoring"), row(30, 6.0, "running")]  # fmt: skip
     ticks = np.array([0, 4, 5, 7, 8, 9, 21, 30, 32])
     assert profile_times(states, ticks, 1.0).tolist() == [0.0, 4.0, 4.0, 4.0, 4.0, 5.0, 6.0, 6.0, 8.0]

@@ -79,6 +79,15 @@ def test_docstrings_comments_and_pages_are_no_changes(project: Path) -> None:
     assert problem(project) is None
 
 
+def test_imports_and_lists_of_public_names_are_no_changes(project: Path) -> None:
+    result(project, "wire", command="hil bench wire", commit=commit_all(project))
+    text = 'import math\nfrom twin import model\n\n__all__ = ["LIMIT"]\n\nLIMIT = 1\n'
+    (project / "drivers/modbus/link.py").write_text(text, encoding="utf-8")
+    assert problem(project) is None
+    (project / "drivers/modbus/link.py").write_text(text + "math.tau = 6\n", encoding="utf-8")
+    assert problem(project) is not None
+
+
 def test_a_folder_pattern_does_not_reach_below_the_folder(project: Path) -> None:
     commit = commit_all(project)
     below = project / "twin" / "discovery"

@@ -51,16 +51,16 @@ def killed(place: Path, after: int, *arguments: object, by: signal.Signals = sig
     """The folder of a run that SIGKILL, or another signal, ended at or after tick `after`."""
     command = [*HIL, "run", str(place / "load.csv"), "--no-viewer", "--runs", str(place / "runs"), *map(str, arguments)]
     process = subprocess.Popen(command, cwd=PROJECT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    deadline = time.monotonic() + 90
+    deadline = time.monotonic() + 180
     try:
         while True:
             journal = next(iter((place / "runs").glob("*/journal.sqlite")), None)
             if journal is not None and last_tick(journal) >= after:
                 break
             assert time.monotonic() < deadline and process.poll() is None, process.stderr.read().decode()
-            time.sleep(0.02)
+            time.sleep(0.1)  # the journal is opened anew each time
         process.send_signal(by)
-        process.communicate(timeout=60)
+        process.communicate(timeout=180)
     finally:
         process.kill()
         process.communicate()
@@ -137,18 +137,18 @@ def test_the_gap_is_there_for_everyone_to_see(story):
     assert (segment["number"], segment["exit_status"]) == (2, "done")
     assert segment["why"] == "the run was cut while running"
     assert segment["profile_s"] == story.cut
-    assert segment["soaked_s"] > 600  # a new virtual rig is cold
+    assert segment["restore_s"] > 600  # a new virtual rig is cold
     record = read_record(story.folder.record)
     jump = int(np.argmax(np.diff(record.time_s)))
     assert record.time_s[jump] == story.cut
     assert np.diff(record.time_s)[jump] == segment["gap_s"] > 1.0
     assert np.array_equal(np.flatnonzero(np.diff(record.columns["segment"])), [jump])
     lane = read_words(story.folder.review, "/state")
-    assert [word for _, word in lane] == ["running", "idle", "soaking", "running", "done"]
-    idle_s, soaking_s = (time_s for time_s, _ in lane[1:3])
+    assert [word for _, word in lane] == ["running", "idle", "restoring", "running", "done"]
+    idle_s, restoring_s = (time_s for time_s, _ in lane[1:3])
     assert idle_s == story.cut
-    # Soaking begins before the rig is armed, the rows after: on a busy machine that may take a second.
-    assert soaking_s <= story.cut + segment["gap_s"] <= soaking_s + 5.0
+    # The warm-up begins before the rig is armed, the rows after: on a busy machine that may take a second.
+    assert restoring_s <= story.cut + segment["gap_s"] <= restoring_s + 5.0
     assert "<h2>Segments</h2>" in story.folder.report.read_text(encoding="utf-8")
     assert any("segment 2: goes on at" in text for _, text in rows(story.folder.journal)["events"])
 
@@ -158,8 +158,8 @@ def test_profile_time_goes_on_where_it_stood_and_every_second_of_it_is_run_once(
     profile_s = record.columns["profile_s"]
     assert profile_s[-1] == 8400
     assert sorted(set(profile_s.tolist())) == list(range(8401))
-    soaking = (record.time_s > story.cut) & (profile_s == story.cut)
-    assert soaking.sum() == pytest.approx(story.printed["segments"][0]["soaked_s"], abs=3)
+    restoring = (record.time_s > story.cut) & (profile_s == story.cut)
+    assert restoring.sum() == pytest.approx(story.printed["segments"][0]["restore_s"], abs=3)
 
 
 def outside_the_gap(record: Record, cut: int) -> dict[str, np.ndarray]:
@@ -237,10 +237,9 @@ def test_a_run_that_is_over_or_goes_on_is_refused(story):
         pass
 
 
-@pytest.mark.parametrize("by", [signal.SIGTERM, signal.SIGINT])
-def test_a_run_that_a_signal_aborted_goes_on(tmp_path, by):
+def test_a_run_that_a_signal_aborted_goes_on(tmp_path):
     (tmp_path / "load.csv").write_text(BEGINNING, encoding="utf-8")
-    folder = RunFolder(killed(tmp_path, 1500, "--virtual", "--lockstep", "--no-twin", by=by))
+    folder = RunFolder(killed(tmp_path, 1500, "--virtual", "--lockstep", "--no-twin", by=signal.SIGTERM))
     cut = folder.read_manifest()
     assert (cut["exit_status"], cut["safe"]) == ("aborted", True)
     done = hil("resume", folder.path, "--no-viewer", "--json")
@@ -399,7 +398,7 @@ def test_a_rig_that_goes_on_by_itself_is_safe_when_its_watchdog_runs_out_and_is_
         assert done.returncode == 0, done.stderr
         manifest = json.loads(done.stdout)
         assert manifest["exit_status"] == "done"
-        assert 60.0 <= manifest["segments"][0]["soaked_s"] < 600.0  # it had not cooled far
+        assert 60.0 <= manifest["segments"][0]["restore_s"] < 600.0  # it had not cooled far
         assert _heater(ports[0]) == 0.0
     finally:
         server.terminate()

@@ -146,7 +146,7 @@ def test_resume_says_so_before_it_moves_anything(tmp_path):
     loaded = load_rig(rig)
     sentence = restore_obstacle(loaded, loaded.setpoints)
     assert sentence is not None
-    assert done.stderr.index(sentence) < done.stderr.index("soaking")
+    assert done.stderr.index(sentence) < done.stderr.index("restoring")
 
 
 def test_addresses_that_look_like_numbers_of_a_manual_are_told_once_a_table(tmp_path):

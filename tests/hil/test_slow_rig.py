@@ -123,7 +123,7 @@ async def test_a_request_that_waits_for_the_tick_is_answered_before_its_client_g
 
 async def test_an_abort_while_the_rig_is_armed_does_not_wait_for_the_next_tick(tmp_path):
     async with slow(tmp_path, heartbeat=True) as run:
-        await run.until("soaking")
+        await run.until("restoring")
         said = await asyncio.wait_for(run.engine.ask(Verb.ABORT, "the test"), SOON_S)
         assert "safe values read back" in said
         assert (await asyncio.wait_for(run.task, SOON_S)).status == "aborted"

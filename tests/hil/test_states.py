@@ -211,5 +211,5 @@ def test_whatever_happens_the_heater_is_safe_within_a_second_unless_it_runs_is_h
     assert of_operators <= set(TAKEN)
     reachable = {key for key in TABLE if key[0] not in UNTOUCHED and key != (State.RESTORING, Event.ABORT)}
     missing = {(s.value, e.value) for s, e in reachable} - set(TAKEN)
-    print(f"{sum(TAKEN.values())} transitions in {VISITED['soaking']} runs; not taken: {sorted(missing)}")
+    print(f"{sum(TAKEN.values())} transitions in {VISITED['restoring']} runs; not taken: {sorted(missing)}")
     assert len(missing) <= 12  # which ones chance leaves out depends on what else hypothesis has seen

@@ -26,9 +26,9 @@ def test_what_a_restore_took_does_not_make_the_rest_look_longer(clock, capsys):
     with ProgressBar("replaying", 100.0, begun=60.0) as steps:
         for _ in range(100):  # it restores for 600 s
             clock.s += 6.0
-            steps.update(60.0, "SOAKING  T_tank is 9.0 K below")
-        soaking = capsys.readouterr().err.splitlines()
-        assert soaking[0].split() == ["replaying:", "60", "%", "SOAKING", "T_tank", "is", "9.0", "K", "below"]
+            steps.update(60.0, "RESTORING  T_tank is 9.0 K below")
+        restoring = capsys.readouterr().err.splitlines()
+        assert restoring[0].split() == ["replaying:", "60", "%", "RESTORING", "T_tank", "is", "9.0", "K", "below"]
         for done in (70.0, 80.0):
             clock.s += 10.0
             steps.update(done)

@@ -11,9 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.twin.conftest import ROOT
+from twin.codegen import LANES, kernel_source
 from twin.kernel import Kernel, mask_measurements
 from twin.network import Network
-from twin.twinfile import load
+from twin.twinfile import load, parse
 
 TWINS = ROOT / "profiles" / "twins"
 
@@ -50,10 +51,82 @@ print("inside")
 """
 
 
-@pytest.mark.parametrize("name", ["heated_pipe", "loop_six"])
+# A closed loop with all that makes a kernel address memory: two pipes, a film, a dead time, a lag, and as many nodes as
+# make its integrator sum terms in a loop. Each further node adds seconds of compiling and no other kind of address.
+RING = """
+format = 1
+name = "ring"
+[inputs]
+heater_power_W = { nominal = 700.0 }
+pump_speed_pct = { nominal = 90.0 }
+fan_speed_pct = { nominal = 70.0 }
+T_ambient_C = { nominal = 22.0 }
+[elements.heater]
+kind = "node"
+capacitance = { value = 3000.0, lower = 1000.0, upper = 9000.0 }
+[elements.radiator]
+kind = "node"
+capacitance = { value = 5000.0, lower = 1000.0, upper = 9000.0 }
+[elements.first]
+kind = "node"
+capacitance = 2000.0
+[elements.second]
+kind = "node"
+capacitance = 2000.0
+[elements.third]
+kind = "node"
+capacitance = 2000.0
+[elements.fourth]
+kind = "node"
+capacitance = 2000.0
+[elements.circuit]
+kind = "flow"
+path = ["heater", "first", "second", "third", "fourth", "radiator"]
+pump = "pump_speed_pct"
+nominal = { value = 3.8 }
+factor = { value = 1.0, lower = 0.5, upper = 1.6 }
+film = ["heater"]
+film_exponent = { value = 0.4 }
+effectiveness_heater = { value = 0.6, lower = 0.02, upper = 0.98 }
+[elements.out]
+kind = "pipe"
+to = "first"
+volume = { value = 0.3, lower = 0.0, upper = 5.0 }
+[elements.back]
+kind = "pipe"
+to = "heater"
+volume = { value = 0.5, lower = 0.0, upper = 5.0 }
+[elements.fins]
+kind = "radiator"
+node = "radiator"
+fan = "fan_speed_pct"
+pump = "pump_speed_pct"
+UA_100 = { value = 60.0, lower = 1.0, upper = 500.0 }
+[elements.heater_power]
+kind = "heat_source"
+node = "heater"
+driver = "heater_power_W"
+[elements.relay]
+kind = "actuator"
+column = "heater_power_W"
+dead_time_s = { value = 20.0, lower = 0.0, upper = 60.0 }
+lag_s = { value = 15.0, lower = 0.0, upper = 60.0 }
+[elements.T_radiator_C]
+kind = "sensor"
+node = "radiator"
+columns = ["T_radiator_C"]
+"""
+
+
+@pytest.mark.parametrize("name", ["heated_pipe", "ring"])
 def test_no_kernel_reads_or_writes_outside_its_arrays(name: str, tmp_path: Path) -> None:
+    twin = tmp_path / "ring.toml"
+    twin.write_text(RING, encoding="utf-8")
+    ring = parse(RING)
+    source = kernel_source(ring, "trace", ring.tunables(), LANES, False)
+    assert all(f"def {part}(" in source for part in ("arrived", "two_terms", "tabulate", "fill_water"))
     environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "XDG_CACHE_HOME": str(tmp_path)}
-    command = [sys.executable, "-c", CHECKED, str(TWINS / f"{name}.toml")]
+    command = [sys.executable, "-c", CHECKED, str(twin if name == "ring" else TWINS / f"{name}.toml")]
     done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.strip() == "inside"

@@ -1,1 +1,78 @@
-"""Records of a plant historian: tags, defects, minutes, regimes and events. Pure functions on arrays."""
+"""Records of a plant historian: tags, defects, minutes, regimes and events. Pure functions on arrays.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twin.historian.columns import OF_CELL, OF_STATION
+    from twin.historian.events import Event, disturbed, influence_of
+    from twin.historian.plausible import in_usual_units, order_and_silence
+    from twin.historian.record import CellMinutes, cell_minutes, shared_minutes
+    from twin.historian.tags import Defect, Series, Tag
+    from twin.historian.units import UnitError, unit_of
+
+_MODULES = {
+    "columns": (
+        "OF_CELL",
+        "OF_STATION",
+    ),
+    "events": (
+        "Event",
+        "disturbed",
+        "influence_of",
+    ),
+    "plausible": (
+        "in_usual_units",
+        "order_and_silence",
+    ),
+    "record": (
+        "CellMinutes",
+        "cell_minutes",
+        "shared_minutes",
+    ),
+    "tags": (
+        "Defect",
+        "Series",
+        "Tag",
+    ),
+    "units": (
+        "UnitError",
+        "unit_of",
+    ),
+}
+_HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
+
+__all__ = [
+    "OF_CELL",
+    "OF_STATION",
+    "CellMinutes",
+    "Defect",
+    "Event",
+    "Series",
+    "Tag",
+    "UnitError",
+    "cell_minutes",
+    "disturbed",
+    "in_usual_units",
+    "influence_of",
+    "order_and_silence",
+    "shared_minutes",
+    "unit_of",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module on first use."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return sorted(__all__)

@@ -45,10 +45,14 @@ def in_usual_units(
 ) -> tuple[list[Series], list[str]]:
     """Return the tags whose values are possible in their unit, and a sentence for each of the others.
 
-    Parameters:
-        series: raw samples.
-        places: file and line of each tag in the dictionary, for the sentences.
-        design_flow_kg_s: of a cell, by the datasheet.
+    Parameters
+    ----------
+    series
+        Raw samples.
+    places
+        File and line of each tag in the dictionary, for the sentences.
+    design_flow_kg_s
+        Of a cell, by the datasheet.
     """
     kept, remarks = [], []
     for one in series:

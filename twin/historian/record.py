@@ -66,7 +66,26 @@ def shared_minutes(
 def cell_minutes(
     series: Sequence[Series], shared: SharedMinutes, cell: int, disturbed: NDArray[np.bool_], full_speed: str
 ) -> CellMinutes:
-    """Return the minutes of a cell with those of its station, checks and regimes."""
+    """Return the minutes of a cell with those of its station, checks and regimes.
+
+    Parameters
+    ----------
+    series
+        Repaired series of the whole station.
+    shared
+        Minutes of the station, n of them.
+    cell
+        Number of the cell, from 1.
+    disturbed
+        (n,) True for minutes that an event of the plant disturbs.
+    full_speed
+        Speed of 100 %, as a number with its unit: a speed in Hz or rpm becomes per cent of it.
+
+    Returns
+    -------
+    CellMinutes
+        Columns (n,) by name, in the units of their suffixes.
+    """
     edges = np.append(shared.minute_s, shared.minute_s[-1] + 60.0)
     columns: Columns = {}
     for role, column in OF_CELL.items():

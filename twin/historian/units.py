@@ -58,8 +58,10 @@ class UnitError(ValueError):
 def unit_of(text: str) -> Unit:
     """Return the unit of this name.
 
-    Raises:
-        UnitError: it is not in the table.
+    Raises
+    ------
+    UnitError
+        It is not in the table.
     """
     found = UNITS.get(text.strip()) or {name.lower(): unit for name, unit in UNITS.items()}.get(text.strip().lower())
     if found is None:

@@ -2,4 +2,217 @@
 
 The deviations multiply a clean cell: `fill` its Merkel number, `air` its air flow at full speed, `uniformity` the
 wetted share of its plan. `bias` is that of the outlet thermometer, K.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twin.tower.adoption import adopted, effects_of
+    from twin.tower.air import Array, wet_bulb
+    from twin.tower.baselines import BASELINES, Case, split, without_discrepancy
+    from twin.tower.basin import Drain, with_basin
+    from twin.tower.calibration import (
+        NORMAL,
+        QUANTILE,
+        WET_C,
+        WINDOW_S,
+        Calibrated,
+        CalibrationError,
+        Fitted,
+        fit_cell,
+        predict_cell,
+    )
+    from twin.tower.cell import Deviations, Inputs
+    from twin.tower.changes import undeclared_changes
+    from twin.tower.commissioning import Commissioned, CommissioningError, TestPoints, fit_clean_cell
+    from twin.tower.effects import UNITS, Effect
+    from twin.tower.evaporation import Balance, with_evaporation
+    from twin.tower.evidence import Label
+    from twin.tower.identify import MOST_CONDITION, MOST_HIDDEN, Identifiability
+    from twin.tower.minutes import MEASURED, Minutes, blocks_of, minutes_of
+    from twin.tower.model import DEVIATIONS, NAMES, CellModel, Site
+    from twin.tower.planning import StepTest, plan_tests
+    from twin.tower.smoother import DAY_S, Opening, Priors, estimate, time_grid
+    from twin.tower.steps import Step, find_steps
+    from twin.tower.twin_file import BOUNDS, IDS, cell_network, cell_of, design_of, station_of_twin, value_of
+    from twin.tower.windows import Window, distances, windows_of
+
+_MODULES = {
+    "baselines": (
+        "without_discrepancy",
+        "split",
+        "Case",
+        "BASELINES",
+    ),
+    "adoption": (
+        "adopted",
+        "effects_of",
+    ),
+    "air": (
+        "Array",
+        "wet_bulb",
+    ),
+    "basin": (
+        "Drain",
+        "with_basin",
+    ),
+    "calibration": (
+        "WET_C",
+        "QUANTILE",
+        "Calibrated",
+        "CalibrationError",
+        "Fitted",
+        "NORMAL",
+        "WINDOW_S",
+        "fit_cell",
+        "predict_cell",
+    ),
+    "cell": (
+        "Deviations",
+        "Inputs",
+    ),
+    "changes": ("undeclared_changes",),
+    "commissioning": (
+        "Commissioned",
+        "CommissioningError",
+        "TestPoints",
+        "fit_clean_cell",
+    ),
+    "effects": (
+        "Effect",
+        "UNITS",
+    ),
+    "evaporation": (
+        "Balance",
+        "with_evaporation",
+    ),
+    "evidence": ("Label",),
+    "identify": (
+        "Identifiability",
+        "MOST_CONDITION",
+        "MOST_HIDDEN",
+    ),
+    "minutes": (
+        "MEASURED",
+        "Minutes",
+        "blocks_of",
+        "minutes_of",
+    ),
+    "model": (
+        "CellModel",
+        "DEVIATIONS",
+        "NAMES",
+        "Site",
+    ),
+    "planning": (
+        "StepTest",
+        "plan_tests",
+    ),
+    "smoother": (
+        "estimate",
+        "DAY_S",
+        "Opening",
+        "Priors",
+        "time_grid",
+    ),
+    "steps": (
+        "Step",
+        "find_steps",
+    ),
+    "twin_file": (
+        "BOUNDS",
+        "IDS",
+        "cell_network",
+        "cell_of",
+        "design_of",
+        "station_of_twin",
+        "value_of",
+    ),
+    "windows": (
+        "Window",
+        "distances",
+        "windows_of",
+    ),
+}
+_HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
+
+__all__ = [
+    "BASELINES",
+    "BOUNDS",
+    "DAY_S",
+    "DEVIATIONS",
+    "IDS",
+    "MEASURED",
+    "MOST_CONDITION",
+    "MOST_HIDDEN",
+    "NAMES",
+    "NORMAL",
+    "QUANTILE",
+    "UNITS",
+    "WET_C",
+    "WINDOW_S",
+    "Array",
+    "Balance",
+    "Calibrated",
+    "CalibrationError",
+    "Case",
+    "CellModel",
+    "Commissioned",
+    "CommissioningError",
+    "Deviations",
+    "Drain",
+    "Effect",
+    "Fitted",
+    "Identifiability",
+    "Inputs",
+    "Label",
+    "Minutes",
+    "Opening",
+    "Priors",
+    "Site",
+    "Step",
+    "StepTest",
+    "TestPoints",
+    "Window",
+    "adopted",
+    "blocks_of",
+    "cell_network",
+    "cell_of",
+    "design_of",
+    "distances",
+    "effects_of",
+    "estimate",
+    "find_steps",
+    "fit_cell",
+    "fit_clean_cell",
+    "minutes_of",
+    "plan_tests",
+    "predict_cell",
+    "split",
+    "station_of_twin",
+    "time_grid",
+    "undeclared_changes",
+    "value_of",
+    "wet_bulb",
+    "windows_of",
+    "with_basin",
+    "with_evaporation",
+    "without_discrepancy",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module on first use."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return sorted(__all__)

@@ -3,7 +3,7 @@
     python docs/explanation/figures/make.py [NAME ...]
 
 Without a name all figures are made; the names are those of the SVG files. The figures are deterministic: seeds are
-fixed, and the files carry no date. It needs matplotlib, which is no dependency of the project.
+fixed, and the files carry no date.
 """
 
 from __future__ import annotations
@@ -227,7 +227,7 @@ PLACES = {
     "idle": (0.4, 4.6),
     "validating": (3.2, 4.6),
     "connecting": (6.0, 4.6),
-    "soaking": (8.8, 4.6),
+    "restoring": (8.8, 4.6),
     "running": (3.0, 2.6),
     "held": (0.4, 0.9),
     "suspended": (5.6, 0.9),
@@ -237,8 +237,8 @@ PLACES = {
     "aborted": (10.2, 2.6),
     "faulted": (10.2, 1.7),
 }
-AGAIN = {"soaking": (3.0, 2.6), "held": (0.4, 0.9), "suspended": (5.6, 0.9), "paused": (3.0, -0.8)}
-"""Places of the states of a run that is led back to where it was cut."""
+AGAIN = {"restoring": (3.0, 2.6), "held": (0.4, 0.9), "suspended": (5.6, 0.9), "paused": (3.0, -0.8)}
+"""Places of the states of a thermal restore."""
 FILL = {"heat": "#fde3d3", "safe": "#dcf0e6", "none": "#eeeeee"}
 
 
@@ -250,11 +250,11 @@ def states() -> plt.Figure:
     for (source, event), target in module.TABLE.items():
         if source != target and target != "finishing" and not (source in module.UNTOUCHED and target in module.ENDED):
             arrows.setdefault((source.value, target.value), []).append(event.value)
-    again = {pair: e for pair, e in arrows.items() if "soaking" in pair and set(pair) <= set(AGAIN)}
-    again |= {pair: e for pair, e in arrows.items() if set(pair) <= set(AGAIN) - {"soaking"}}
-    # A trip ends a run that is led back (the supervisor asks for `fail` instead).
+    again = {pair: e for pair, e in arrows.items() if "restoring" in pair and set(pair) <= set(AGAIN)}
+    again |= {pair: e for pair, e in arrows.items() if set(pair) <= set(AGAIN) - {"restoring"}}
+    # A trip ends a thermal restore (the supervisor asks for `fail` instead).
     again = {pair: [e for e in events if e != "trip"] for pair, events in again.items()}
-    first = {pair: e for pair, e in arrows.items() if not ("soaking" in pair and set(pair) <= set(AGAIN))}
+    first = {pair: e for pair, e in arrows.items() if not ("restoring" in pair and set(pair) <= set(AGAIN))}
     _draw(left, module, PLACES, first)
     _draw(right, module, AGAIN, again)
     left.add_patch(FancyArrowPatch((3.7, 2.6), (6.75, 2.6), arrowstyle="-|>", mutation_scale=10, color=RED, lw=1.1))

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from drivers.modbus.protocol.frames import RtuFrames, TcpFrames, frames_of
     from drivers.modbus.protocol.pdu import (
+        BUSY,
+        GATEWAY_SILENCE,
         NO_SUCH_ADDRESS,
         NO_SUCH_FUNCTION,
         Read,
@@ -24,7 +26,9 @@ if TYPE_CHECKING:
     from drivers.modbus.protocol.rtu import RtuGuard
 
 _HOME = {
+    "BUSY": "drivers.modbus.protocol.pdu",
     "FrameGuard": "drivers.modbus.protocol.replies",
+    "GATEWAY_SILENCE": "drivers.modbus.protocol.pdu",
     "NO_SUCH_ADDRESS": "drivers.modbus.protocol.pdu",
     "NO_SUCH_FUNCTION": "drivers.modbus.protocol.pdu",
     "OpenRequests": "drivers.modbus.protocol.reply_offset",
@@ -40,6 +44,8 @@ _HOME = {
 }
 
 __all__ = [
+    "BUSY",
+    "GATEWAY_SILENCE",
     "NO_SUCH_ADDRESS",
     "NO_SUCH_FUNCTION",
     "FrameGuard",

@@ -6,8 +6,8 @@ from drivers.modbus.protocol.pymodbus_codec import rtu_frame, tcp_frame
 from drivers.modbus.protocol.replies import FrameGuard, answers
 from drivers.modbus.protocol.reply_defects import HEADER, is_tcp_frame, service_of
 from drivers.modbus.protocol.rtu import RtuGuard
-from drivers.rig_file.bus_sections import ModbusBusSection, ModbusTcpBus, is_numbered, is_rtu
-from drivers.signals.points import ProtocolError
+from drivers.rig_file import ModbusBusSection, ModbusTcpBus, is_numbered, is_rtu
+from drivers.signals import ProtocolError
 
 
 class TcpFrames:

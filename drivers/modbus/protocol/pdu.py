@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from drivers.modbus.protocol import pymodbus_codec as codec
 from drivers.modbus.read_plan import BIT_TABLES, Block
-from drivers.signals.points import DeviceExceptionError, ProtocolError
+from drivers.signals import DeviceExceptionError, ProtocolError
 
 NO_SUCH_FUNCTION = 1
 NO_SUCH_ADDRESS = 2

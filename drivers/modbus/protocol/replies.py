@@ -24,7 +24,7 @@ from drivers.modbus.protocol.reply_defects import (
     unfinished,
     wrong_length,
 )
-from drivers.signals.points import ProtocolError
+from drivers.signals import ProtocolError
 
 _EXCEPTION = HEADER.size + 2
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from drivers.modbus.protocol.pymodbus_codec import has_right_crc, rtu_size
 from drivers.modbus.protocol.replies import answers
-from drivers.signals.points import ProtocolError
+from drivers.signals import ProtocolError
 
 _LONGEST = 256  # Modbus over serial line V1.02, 2.5.1
 

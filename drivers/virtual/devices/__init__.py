@@ -9,6 +9,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from drivers.virtual.devices.modbus_protocol import (
+        ILLEGAL_ADDRESS,
+        ILLEGAL_FUNCTION,
+        ILLEGAL_VALUE,
+        ModbusConnection,
+    )
     from drivers.virtual.devices.registers import (
         HEARTBEAT,
         HEATER_SET,
@@ -17,6 +23,7 @@ if TYPE_CHECKING:
         WATCHDOG_TRIPPED,
         Registers,
     )
+    from drivers.virtual.devices.rtu_protocol import crc
     from drivers.virtual.devices.socketcand import CanConnection, CanHub
     from drivers.virtual.devices.truth import Moment, read_truth
 
@@ -25,24 +32,34 @@ _HOME = {
     "CanHub": "drivers.virtual.devices.socketcand",
     "HEARTBEAT": "drivers.virtual.devices.registers",
     "HEATER_SET": "drivers.virtual.devices.registers",
+    "ILLEGAL_ADDRESS": "drivers.virtual.devices.modbus_protocol",
+    "ILLEGAL_FUNCTION": "drivers.virtual.devices.modbus_protocol",
+    "ILLEGAL_VALUE": "drivers.virtual.devices.modbus_protocol",
+    "ModbusConnection": "drivers.virtual.devices.modbus_protocol",
     "Moment": "drivers.virtual.devices.truth",
     "PUMP_SET": "drivers.virtual.devices.registers",
     "Registers": "drivers.virtual.devices.registers",
     "THERMOSTAT_C": "drivers.virtual.devices.registers",
     "WATCHDOG_TRIPPED": "drivers.virtual.devices.registers",
+    "crc": "drivers.virtual.devices.rtu_protocol",
     "read_truth": "drivers.virtual.devices.truth",
 }
 
 __all__ = [
     "HEARTBEAT",
     "HEATER_SET",
+    "ILLEGAL_ADDRESS",
+    "ILLEGAL_FUNCTION",
+    "ILLEGAL_VALUE",
     "PUMP_SET",
     "THERMOSTAT_C",
     "WATCHDOG_TRIPPED",
     "CanConnection",
     "CanHub",
+    "ModbusConnection",
     "Moment",
     "Registers",
+    "crc",
     "read_truth",
 ]
 

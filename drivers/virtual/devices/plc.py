@@ -21,9 +21,7 @@ from drivers.virtual.devices.modbus_server import ModbusServer, tls_context
 from drivers.virtual.devices.registers import Registers
 from drivers.virtual.devices.supervision import end_with_parent, listen, port_of, say
 from drivers.virtual.devices.truth import TruthLog
-from drivers.virtual.plant.effects import Effect, load_effects
-from drivers.virtual.plant.instruments import Instruments
-from drivers.virtual.plant.plant import Plant
+from drivers.virtual.plant import Effect, Instruments, Plant, load_effects
 
 if TYPE_CHECKING:
     from drivers.virtual.devices.pymodbus_server import PymodbusServer

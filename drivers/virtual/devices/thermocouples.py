@@ -15,8 +15,7 @@ from pathlib import Path
 from drivers.virtual.devices.link import LinkReceiver
 from drivers.virtual.devices.socketcand import CanConnection, CanHub
 from drivers.virtual.devices.supervision import end_with_parent, listen, port_of, say
-from drivers.virtual.plant.effects import load_effects
-from drivers.virtual.plant.thermocouple_module import ThermocoupleModule
+from drivers.virtual.plant import ThermocoupleModule, load_effects
 
 
 class CanNode:

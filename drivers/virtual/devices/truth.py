@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from drivers.virtual.devices.registers import Registers
-from drivers.virtual.plant.geometry import CHANNELS
-from drivers.virtual.plant.plant import Plant
+from drivers.virtual.plant import CHANNELS, Plant
 
 _RECORD = struct.Struct(f"<dddH5d{len(CHANNELS)}d")
 

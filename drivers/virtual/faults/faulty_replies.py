@@ -9,7 +9,7 @@ import random
 import struct
 from collections.abc import Callable, Sequence
 
-from drivers.virtual.devices.rtu_protocol import crc
+from drivers.virtual.devices import crc
 from drivers.virtual.faults.faulty_link import Change
 
 Pieces = Sequence[tuple[float, bytes]]

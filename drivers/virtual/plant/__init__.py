@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from drivers.virtual.plant.compiled_cache import may_cache
     from drivers.virtual.plant.effects import FORMS, Effect, EffectFileError, Form, load_effects
     from drivers.virtual.plant.geometry import CHANNELS, MODULES, PLACES, Array, Cells, build_cells
     from drivers.virtual.plant.instruments import Instruments
@@ -32,6 +33,7 @@ _HOME = {
     "ThermocoupleModule": "drivers.virtual.plant.thermocouple_module",
     "build_cells": "drivers.virtual.plant.geometry",
     "load_effects": "drivers.virtual.plant.effects",
+    "may_cache": "drivers.virtual.plant.compiled_cache",
 }
 
 __all__ = [
@@ -51,6 +53,7 @@ __all__ = [
     "ThermocoupleModule",
     "build_cells",
     "load_effects",
+    "may_cache",
 ]
 
 

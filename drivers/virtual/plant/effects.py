@@ -12,8 +12,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from drivers.rig_file.regular_file import read_regular
-from drivers.rig_file.toml_lines import line_of, tables_of
 from drivers.virtual.plant.geometry import CHANNELS, PLACES, section_cells
 
 READINGS = ("T_ambient_C", "heater_power_W", "flow_L_per_min", "pump_speed_pct", "fan_speed_pct")
@@ -116,12 +114,17 @@ class _Place:
 
     def mistake(self, key: str, what: str) -> EffectFileError:
         """Return the error with its line: the key's, or the table's where the key is not there."""
+        from drivers.rig_file import line_of
+
         line = f", line {line_of(self.text, ('effect', self.number - 1, key))}" if self.text else ""
         return EffectFileError(f"{self.path}{line}: effect {self.number}: {what}.")
 
 
 def load_effects(path: Path) -> tuple[Effect, ...]:
     """Return the effects of a file, in its order; raise EffectFileError."""
+    # Here, because the package's models take a quarter of a second that each process of a rig without effects saves.
+    from drivers.rig_file import line_of, read_regular, tables_of
+
     try:
         text, document = tables_of(read_regular(path))
     except OSError as error:

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from drivers.virtual.plant.compiled_cache import may_cache
+from drivers.virtual.plant import may_cache
 from drivers.virtual.tower.moist_air import (
     CP_AIR,
     CP_VAPOUR,

@@ -12,7 +12,7 @@ from typing import Any
 
 from numba import njit
 
-from drivers.virtual.plant.compiled_cache import may_cache
+from drivers.virtual.plant import may_cache
 from drivers.virtual.tower import cell, moist_air, plant, poppe
 
 

@@ -24,8 +24,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from drivers.signals.points import DriverError
-from drivers.virtual.devices.modbus_protocol import ILLEGAL_ADDRESS, ILLEGAL_FUNCTION, ILLEGAL_VALUE, ModbusConnection
+from drivers.signals import DriverError
+from drivers.virtual.devices import ILLEGAL_ADDRESS, ILLEGAL_FUNCTION, ILLEGAL_VALUE, ModbusConnection
 
 FIRST_REGISTER = 10
 MOST_REGISTERS = 125
@@ -87,8 +87,10 @@ class Served:
 def load_station(folder: Path) -> tuple[Served, ...]:
     """Return the tags of a station folder with their samples.
 
-    Raises:
-        StationFolderError: a file is missing, lacks a column, or holds no sample.
+    Raises
+    ------
+    StationFolderError
+        A file is missing, lacks a column, or holds no sample.
     """
     try:
         with (folder / "tags.csv").open(newline="", encoding="utf-8-sig") as file:
@@ -185,8 +187,10 @@ class StationConnection(ModbusConnection):
 async def serve_station(replay: Replay, host: str, port: int, ready: Callable[[int], None]) -> None:
     """Serve the station until its record ends; call `ready` with the port once it listens.
 
-    Raises:
-        OSError: the port cannot be opened.
+    Raises
+    ------
+    OSError
+        The port cannot be opened.
     """
     connections: set[Any] = set()
     server = await asyncio.get_running_loop().create_server(

@@ -30,8 +30,10 @@ DAYS_OFF = 3
 def write_station(made: Simulated, folder: Path, *, score: bool) -> list[Path]:
     """Write the station's files into `folder` and return their paths.
 
-    Raises:
-        OSError: the folder cannot be written.
+    Raises
+    ------
+    OSError
+        The folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = [_raw(made, folder / "raw.parquet")]

@@ -8,7 +8,7 @@ coefficients of heat are those of VDI 4670, rounded; none is taken from the twin
 import numpy as np
 from numba import njit
 
-from drivers.virtual.plant.compiled_cache import may_cache
+from drivers.virtual.plant import may_cache
 
 CACHE = may_cache()
 CP_AIR, CP_VAPOUR, CP_WATER, LATENT = 1005.0, 1868.0, 4182.0, 2.5009e6

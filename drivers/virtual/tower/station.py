@@ -87,9 +87,12 @@ class Simulated:
 def simulate(site: Site, recorded: int, plan: Plan, note: Callable[[str], None] = lambda _: None) -> Simulated:
     """Return a station with `recorded` cells simulated by the plan.
 
-    Raises:
-        WeatherError: a file of weather cannot be read.
-        ValueError: an effect to hide is not known.
+    Raises
+    ------
+    WeatherError
+        A file of weather cannot be read.
+    ValueError
+        An effect to hide is not known.
     """
     days, n = plan.days, plan.days * MINUTES_A_DAY
     seeds = np.random.SeedSequence([plan.seed, ord(site.station)]).spawn(len(STREAMS))

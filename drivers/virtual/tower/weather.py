@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals.points import DriverError
+from drivers.signals import DriverError
 from drivers.virtual.tower.moist_air import humidities, ratios, wet_bulbs
 
 Array = NDArray[np.float64]

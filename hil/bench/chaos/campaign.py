@@ -18,11 +18,9 @@ from hil.bench.chaos.clock import NoCompilerError, need_compiler
 from hil.bench.chaos.kinds import CHAOS_KINDS
 from hil.bench.chaos.plan import ChaosCase, chaos_cases
 from hil.bench.chaos.verdict import LIMIT_S, ROUGH_S, ChaosResult, as_document
-from hil.bench.faults.campaign import fingerprint
-from hil.bench.faults.case import STALL_S
-from hil.bench.faults.rig import WATCHDOG_S
-from hil.bench.measure.report import Cell, ReportTable
-from hil.files.atomic import replacing
+from hil.bench.faults import STALL_S, WATCHDOG_S, fingerprint
+from hil.bench.measure import Cell, ReportTable
+from hil.files import replacing
 
 RESUME_EVERY = 5
 """Cases for each resumed case: a resume takes as long as the case itself."""

@@ -18,10 +18,7 @@ from hil.bench.chaos.kinds import ChaosKind, gravest
 from hil.bench.chaos.plan import ChaosCase
 from hil.bench.chaos.stage import ChaosStage, environment, set_chaos_stage, unstepped
 from hil.bench.chaos.verdict import LIMIT_S, ChaosResult, Strike, is_of_the_machine, judged
-from hil.bench.faults import judge
-from hil.bench.faults.case import STALL_S
-from hil.bench.faults.places import take_places_out, without_places
-from hil.bench.faults.stage import last_words
+from hil.bench.faults import STALL_S, judge, last_words, take_places_out, without_places
 from hil.bench.measure import processes
 
 START_S = 60.0
@@ -238,7 +235,7 @@ async def _resume(stage: ChaosStage, result: ChaosResult, begun: bool) -> None:
 
     def led_back() -> bool:
         rows = judge.read_states(stage.look())
-        return any(unstepped(at_s, stage) > began and target in ("soaking", "running") for at_s, target in rows)
+        return any(unstepped(at_s, stage) > began and target in ("restoring", "running") for at_s, target in rows)
 
     went_on = await stage.until(lambda: led_back() or not stage.harness.running, RESUME_S)
     went_on = went_on and stage.harness.running

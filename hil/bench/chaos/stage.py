@@ -27,9 +27,19 @@ from drivers.virtual.faults import FaultyLink, can_frames, modbus_frames
 from hil.bench.chaos.clock import SteppedClock
 from hil.bench.chaos.device import LyingDevice
 from hil.bench.chaos.terminal import Terminal
-from hil.bench.faults.disk import OwnDisk
-from hil.bench.faults.rig import LOAD, PERIOD_S, WATCHDOG_S, prepare, rig_text
-from hil.bench.faults.stage import FANS_PCT, LOOK_EVERY_S, ROOT, Harness, Stage
+from hil.bench.faults import (
+    FANS_PCT,
+    LOAD,
+    LOOK_EVERY_S,
+    PERIOD_S,
+    ROOT,
+    WATCHDOG_S,
+    Harness,
+    OwnDisk,
+    Stage,
+    prepare,
+    rig_text,
+)
 
 MARKER = "HIL_BENCH_CASE"
 WATCHDOG_OFF_S = 600.0

@@ -16,9 +16,8 @@ from hil.bench.chaos.device import DELAY_S
 from hil.bench.chaos.kinds import ChaosKind, Ending, gravest
 from hil.bench.chaos.plan import ChaosCase, order
 from hil.bench.chaos.stage import ChaosStage, unstepped
-from hil.bench.faults import judge
-from hil.bench.faults.rig import PERIOD_S, WATCHDOG_S
-from hil.run.outputs.heaters import DEAD_TIME_S
+from hil.bench.faults import PERIOD_S, WATCHDOG_S, judge
+from hil.run.outputs import DEAD_TIME_S
 
 LIMIT_S = 2.0
 """Time from the event until nothing heats, by any agent but the rig's own watchdog, s."""

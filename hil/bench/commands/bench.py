@@ -12,7 +12,7 @@ from hil.bench.commands.rig import bus_command, faults_command, files_command, l
 from hil.bench.commands.tower import tower_command
 from hil.bench.commands.twin import fit_command, paper_command, records_command, structure_command, twin_command
 from hil.bench.commands.zoo import zoo_command
-from hil.run.session.terminal import invocation
+from hil.run.session import invocation
 
 
 def _one_thread() -> None:

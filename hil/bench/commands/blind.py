@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from hil.bench.commands.output import JSON, OUT, QUICK, SEED, data_folder, finish
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options import INPUT_FILE
 
 
 @click.command("hiera")
@@ -40,9 +40,9 @@ def hiera_command(
     """
     from dataclasses import replace
 
+    from hil.bench.hiera import RIGS as SCORED
     from hil.bench.hiera import trial as hiera
-    from hil.bench.hiera.cases import RIGS as SCORED
-    from hil.run.session.terminal import ProgressBar
+    from hil.run.session import ProgressBar
     from twin.calibrators import CALIBRATOR_NAMES
 
     for what, given, known in (("rig", rigs, SCORED), ("calibrator", calibrators, CALIBRATOR_NAMES)):
@@ -77,9 +77,8 @@ def ablations_command(data: Path, name: str, minutes: float, seed: int, out: Pat
       hil bench ablations --minutes 5 --out docs/results
     """
     from hil.bench.hiera import ablations as hiera_ablations
-    from hil.run.session.terminal import ProgressBar
-    from hil.training.data import read
-    from hil.training.generate import features_of
+    from hil.run.session import ProgressBar
+    from hil.training import features_of, read
     from twin.calibrators.hiera_unet.device import ready
 
     ready(threads=1)
@@ -158,9 +157,9 @@ def discovery_command(
 
         finish("discovery_records", seed, *discovery_records.measure(data_folder(), seed), out, as_json)
         return
+    from hil.bench.discovery import tables
     from hil.bench.discovery import trial as discovery
-    from hil.bench.discovery.tables import tables
-    from hil.run.session.terminal import ProgressBar
+    from hil.run.session import ProgressBar
 
     alone = bool(only or only_healthy or only_doubles)
     numbers = only if alone else tuple(range(12 if quick else cases))
@@ -169,7 +168,7 @@ def discovery_command(
     size = discovery.TrialSize(numbers, further, hours, direct, twin, not no_ablations, pairs, not no_healthy)
     with ProgressBar("diagnosing", 1.0, quiet=as_json) as steps:
         done = discovery.measure(size, seed, work, steps.update)
-    finish("discovery", seed, tables(done, size), discovery.left_out(), out, as_json)
+    finish("discovery", seed, tables.tables(done, size), discovery.left_out(), out, as_json)
 
 
 @click.command("again")
@@ -194,7 +193,7 @@ def again_command(cases: int, hours: float, work: Path, seed: int, out: Path | N
       hil bench again --seed 1821 --out docs/results
     """
     from hil.bench.discovery import repeated as discovery_again
-    from hil.run.session.terminal import ProgressBar
+    from hil.run.session import ProgressBar
 
     with ProgressBar("diagnosing", 1.0, quiet=as_json) as steps:
         done = discovery_again.measure(cases, hours, seed, work, steps.update)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options.paths import PROJECT
+from hil.cli.options import PROJECT
 
 if TYPE_CHECKING:
-    from hil.bench.measure.report import ReportTable
+    from hil.bench.measure import ReportTable
 
 OUT = click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for JSON, Markdown and manifest."
@@ -31,9 +31,8 @@ def finish(
     name: str, seed: int, tables: tuple[ReportTable, ...], skipped: tuple[str, ...], out: Path | None, as_json: bool
 ) -> None:
     """Print the report, and write it if requested."""
-    from hil.bench.measure.machine import manifest
-    from hil.bench.measure.report import BenchReport, show, write
-    from hil.bench.measure.report import as_json as json_of
+    from hil.bench.measure import BenchReport, manifest, show, write
+    from hil.bench.measure import as_json as json_of
 
     report = BenchReport(name, tables, skipped, manifest(_typed(name), seed))
     if as_json:

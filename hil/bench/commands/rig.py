@@ -57,9 +57,9 @@ def faults_command(
       hil bench faults --pairs 40
       hil bench faults --chaos --runs 500 --jobs 2
     """
+    from hil.bench.faults import KINDS
     from hil.bench.faults import campaign as faults
-    from hil.bench.faults.kinds import KINDS
-    from hil.run.session.terminal import ProgressBar
+    from hil.run.session import ProgressBar
 
     if chaos and pairs is not None:
         raise click.UsageError("--chaos and --pairs exclude each other: half of the chaos runs are pairs anyway")
@@ -79,9 +79,9 @@ def _chaos(
     runs: int, kinds: tuple[str, ...], jobs: int, work: Path, seed: int, out: Path | None, as_json: bool
 ) -> None:
     """Run the chaos campaign, and exit with 1 if a requirement was broken."""
+    from hil.bench.chaos import CHAOS_KINDS
     from hil.bench.chaos import campaign as chaos
-    from hil.bench.chaos.kinds import CHAOS_KINDS
-    from hil.run.session.terminal import ProgressBar
+    from hil.run.session import ProgressBar
 
     _require_known(kinds, CHAOS_KINDS)
     with ProgressBar("chaos", 1.0, quiet=as_json) as steps:
@@ -119,7 +119,7 @@ def loop_command(work: Path, quick: bool, seed: int, out: Path | None, as_json: 
       hil bench loop --out docs/results
     """
     from hil.bench.loop import timing as loop
-    from hil.run.session.terminal import ProgressBar
+    from hil.run.session import ProgressBar
 
     with ProgressBar("running", 1.0, quiet=as_json) as steps:
         tables, skipped = loop.measure(loop.QUICK if quick else loop.FULL, seed, work, steps.update)
@@ -139,7 +139,7 @@ def bus_command(quick: bool, seed: int, out: Path | None, as_json: bool) -> None
       hil bench bus --quick
     """
     from hil.bench.loop import bus
-    from hil.run.session.terminal import ProgressBar
+    from hil.run.session import ProgressBar
 
     with ProgressBar("round trips", 1.0, quiet=as_json) as steps:
         tables, skipped = bus.measure(bus.QUICK if quick else bus.FULL, seed, steps.update)
@@ -162,7 +162,7 @@ def wire_command(count: int | None, quick: bool, seed: int, out: Path | None, as
       hil bench wire --quick
     """
     from hil.bench.fuzz import wire
-    from hil.run.session.terminal import ProgressBar
+    from hil.run.session import ProgressBar
 
     with ProgressBar("mutations", 1.0, quiet=as_json) as steps:
         tables, skipped, kept = wire.measure(count or (wire.QUICK if quick else wire.FULL), seed, steps.update)
@@ -185,7 +185,7 @@ def files_command(count: int | None, quick: bool, seed: int, out: Path | None, a
       hil bench files --quick
     """
     from hil.bench.fuzz import tables as files
-    from hil.run.session.terminal import ProgressBar
+    from hil.run.session import ProgressBar
 
     with ProgressBar("mutations", 1.0, quiet=as_json) as steps:
         tables, skipped, kept = files.measure(count or (files.QUICK if quick else files.FULL), seed, steps.update)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from hil.bench.commands.output import JSON, OUT, SEED, finish
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options import INPUT_FILE
 
 
 @click.command("tower")

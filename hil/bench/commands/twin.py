@@ -8,7 +8,7 @@ import click
 
 from hil.bench import EXPERIMENTS, RIGS
 from hil.bench.commands.output import JSON, OUT, QUICK, SEED, data_folder, finish
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options import INPUT_FILE
 
 
 @click.command("twin")
@@ -49,7 +49,7 @@ def fit_command(
       hil bench fit runs/<a run>
     """
     from hil.bench.kernel import fit
-    from twin.twinfile import load
+    from twin import load
 
     source = None
     if record is not None:

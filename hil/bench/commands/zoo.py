@@ -56,13 +56,12 @@ def zoo_command(
         raise click.UsageError(
             "the sealed families are kept for one published figure; add --open-sealed to open them for it"
         )
-    from hil.bench.zoo import trial
-    from hil.bench.zoo.tables import tables
-    from hil.run.session.terminal import ProgressBar
+    from hil.bench.zoo import tables, trial
+    from hil.run.session import ProgressBar
 
     if quick:
         cases, healthy = QUICK_CASES
     with ProgressBar("diagnosing", 1.0, quiet=as_json) as steps:
         done = trial.measure(families, cases, healthy, seed, jobs, work, steps.update, open_laws=open_laws)
     name = ("zoo_dev" if families == "dev" else "zoo") + ("_open_laws" if open_laws else "")
-    finish(name, seed, tables(done, families), (), out, as_json)
+    finish(name, seed, tables.tables(done, families), (), out, as_json)

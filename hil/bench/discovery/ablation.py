@@ -19,6 +19,7 @@ import numpy as np
 
 from hil.bench.discovery.detectability import signature, true_size, visible
 from hil.bench.discovery.worker import Request, serve
+from twin import Array, Network
 from twin.discovery.effects.laws import Book
 from twin.discovery.engine import HELD_OUT
 from twin.discovery.healthy.basis import basis
@@ -26,7 +27,6 @@ from twin.discovery.records.grid import on_grid
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.null import FALSE_ALARMS, null_scores
 from twin.discovery.scoring.search import Entry, scan
-from twin.network import Array, Network
 
 STIFF = 1e12
 """Precision of a prior that fixes a parameter."""
@@ -35,8 +35,8 @@ NEAR = 4
 
 def answer(request: Request) -> Request:
     """Return both ablations over one record, and forecasts of the true effects."""
-    from hil.diagnosis.columns import read_columns, with_clock
-    from twin.twinfile import load
+    from hil.diagnosis import read_columns, with_clock
+    from twin import load
 
     network = with_clock(load(Path(request["twin"])))
     record, _ = read_columns(network, Path(request["record"]), request["hour"])
@@ -74,7 +74,7 @@ def answer(request: Request) -> Request:
 
 
 def _readings(network: Network, path: Path, hour: float) -> Array:
-    from hil.diagnosis.columns import read_columns
+    from hil.diagnosis import read_columns
 
     record, _ = read_columns(network, path, hour)
     return on_grid(network, record.time_s, record.inputs, record.measured).measured

@@ -14,10 +14,9 @@ from hil.bench.discovery.worker import Request, serve
 
 def answer(request: Request) -> Request:
     """Diagnose as `hil diagnose` does, without its page and its revision of the twin."""
-    from hil.diagnosis.columns import read_columns, with_clock
-    from hil.diagnosis.store import write_document
-    from twin.discovery.engine import diagnose
-    from twin.twinfile import load
+    from hil.diagnosis import read_columns, with_clock, write_document
+    from twin import load
+    from twin.discovery import diagnose
 
     began, used = time.monotonic(), time.process_time()
     network = with_clock(load(Path(request["twin"])))

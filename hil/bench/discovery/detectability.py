@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from hil.bench.discovery.score import family, same_driver
+from twin import Array, Network
 from twin.discovery.effects.laws import Law
 from twin.discovery.scoring.contest import Contest
-from twin.network import Array, Network
 
 _UNITS = {"bias": "K", "drift_per_h": "K", "lag_s": "s"}
 

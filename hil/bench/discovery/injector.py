@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.bench.discovery.worker import Request, serve
-from hil.synthetic.hidden_effects import Setting, Truth, effects_text, profile, truth
+from hil.synthetic import Setting, Truth, effects_text, profile, truth
 
 if TYPE_CHECKING:
     from drivers.virtual import VirtualRig
@@ -66,8 +66,8 @@ class Injector:
     def _direct(self, case: Setting, effects: Path | None, record: Path, left_out: Collection[int] = ()) -> None:
         from drivers.rig_file import load_rig
         from drivers.virtual.plant import load_effects
-        from hil.record.reader import write_record
-        from hil.synthetic.plant_record import direct_record
+        from hil.record import write_record
+        from hil.synthetic import direct_record
 
         known = [e for i, e in enumerate(load_effects(effects) if effects else ()) if i not in left_out]
         made = direct_record(profile(case), load_rig(RIG), seed=case.seed, unit=case.unit, effects=tuple(known))

@@ -13,15 +13,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.bench.experiments.public_records import FITTED_TEST, TWINS
-from hil.bench.measure.report import Cell, ReportTable, number
-from hil.record.public import PIPE_TESTS, Columns, dry_cooler, heated_pipe, tclab, wet_tower
-from hil.run.session.terminal import ProgressBar
+from hil.bench.experiments import FITTED_TEST, TWINS
+from hil.bench.measure import Cell, ReportTable, number
+from hil.record import PIPE_TESTS, Columns, dry_cooler, heated_pipe, tclab, wet_tower
+from hil.run.session import ProgressBar
+from twin import Network, load, simulate, steady_readings
 from twin.discovery.growing.growth import Added, Growth, grow, grow_at_rest
-from twin.kernel import simulate
-from twin.network import Network
-from twin.steady import steady_readings
-from twin.twinfile import load
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]

@@ -19,10 +19,8 @@ from hil.bench.discovery.injector import RIG
 from hil.bench.discovery.score import AnswerScore, judge, wilson
 from hil.bench.discovery.tables import failure
 from hil.bench.discovery.trial import HOUR, commissioned
-from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, ReportTable
-from hil.synthetic.hidden_effects import Setting, Truth, effects_text, lasting, profile, setting
-from hil.synthetic.plant_record import direct_record
+from hil.bench.measure import Cell, ReportTable, median
+from hil.synthetic import Setting, Truth, direct_record, effects_text, lasting, profile, setting
 
 TWIN = "loop"
 
@@ -78,10 +76,9 @@ def _asked(case: Setting, there: Truth, new: Truth, twin: Path, good: Path) -> t
     """Diagnose a record with the effects `there`, of which `new` are new; return also the twin's next revision."""
     from drivers.rig_file import load_rig
     from drivers.virtual.plant import load_effects
-    from hil.diagnosis.columns import columns_of, read_healthy, with_clock
-    from hil.diagnosis.revision import revise
-    from twin.discovery.engine import diagnose
-    from twin.twinfile import load
+    from hil.diagnosis import columns_of, read_healthy, revise, with_clock
+    from twin import load
+    from twin.discovery import diagnose
 
     hidden = twin.with_name("effects.txt")
     hidden.write_text(effects_text(there.effects), encoding="utf-8")
@@ -110,12 +107,12 @@ def tables(chains: Sequence[RigRecords], hours: float) -> tuple[ReportTable, ...
         return (name, hits, of, 100.0 * hits / of if of else None, 100.0 * low, 100.0 * high)
 
     rows = (
-        row("first record: right but for equivalents", sum(bool(c.first.class1) for c in chains), len(chains)),
+        row("first record: right within the ambiguity group", sum(bool(c.first.class1) for c in chains), len(chains)),
         row("first record: a revision saved", len(same), len(chains)),
         row("later record, nothing new: adequate", sum(o.verdict == "adequate" for o in same), len(same)),
         row("later record, a second effect: something found", len(told), len(more)),
         row(
-            "later record, a second effect: right but for equivalents, of found",
+            "later record, a second effect: right within the ambiguity group, of found",
             sum(bool(o.class1) for o in told),
             len(told),
         ),

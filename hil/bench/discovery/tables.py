@@ -8,8 +8,7 @@ from typing import Any
 
 from hil.bench.discovery.score import AnswerScore, alike, risk_at_coverage, wilson
 from hil.bench.discovery.trial import FinishedCase, TrialSize
-from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, ReportTable, number
+from hil.bench.measure import Cell, ReportTable, median, number
 
 Z_EDGES = (0.0, 3.0, 6.0, 10.0, 20.0, 50.0, math.inf)
 SEEN = 5.0
@@ -69,17 +68,17 @@ def _scores(outcomes: Sequence[AnswerScore], how: str) -> ReportTable:
         _count("a wrong cause named on healthy records", none, lambda o: o.named),
         _count("one effect: something found", one, lambda o: o.alarmed),
         _count("one effect: kind and place right, of all", one, lambda o: bool(o.top1)),
-        _count("one effect: the same, nothing besides", one, lambda o: bool(o.exact)),
-        _count("one effect: right but for equivalents, of all", one, lambda o: bool(o.class1)),
-        _count("one effect: right but for equivalents, of named", one, lambda o: o.class1),
+        _count("one effect: the same, and nothing else", one, lambda o: bool(o.exact)),
+        _count("one effect: right within the ambiguity group, of all", one, lambda o: bool(o.class1)),
+        _count("one effect: right within the ambiguity group, of named", one, lambda o: o.class1),
         _count("one effect: truth in the set, of named", one, lambda o: o.in_set),
         _count("one effect: place right, of named", one, lambda o: o.place),
         _count("one effect: driver right, of those with kind and place right", one, lambda o: o.driver),
         *_visible([o for o in one if (o.z_truth or 0.0) >= SEEN]),
         _count("two effects: both right", two, lambda o: bool(o.exact)),
-        _count(f"two effects, the lesser with a score of {SEEN:g} or more: both right or equivalents",
+        _count(f"two effects, the lesser with a score of {SEEN:g} or more: both right or within the ambiguity group",
                [o for o in two if (o.z_least or 0.0) >= SEEN], lambda o: bool(o.in_set and o.class1)),
-        _count("two effects: the first right but for equivalents", two, lambda o: bool(o.class1)),
+        _count("two effects: the first right within the ambiguity group", two, lambda o: bool(o.class1)),
         _count("two effects: both in the set, of named", two, lambda o: o.in_set),
         _count("catalogue, something found: left unexplained", seen, lambda o: o.verdict == "unexplained"),
         _count("not in the catalogue: left unexplained (recall)", outside, lambda o: o.verdict == "unexplained"),
@@ -100,7 +99,7 @@ def _visible(one: Sequence[AnswerScore]) -> tuple[tuple[Cell, ...], ...]:
     """Return the counts of single effects that the record can show."""
     name = f"one effect with a score of {SEEN:g} or more"
     return (
-        _count(f"{name}: right but for equivalents", one, lambda o: bool(o.class1)),
+        _count(f"{name}: right within the ambiguity group", one, lambda o: bool(o.class1)),
         _count(f"{name}: named wrongly", one, lambda o: o.named and not o.class1),
         _count(f"{name}: truth in the set", one, lambda o: bool(o.in_set or o.class1)),
     )
@@ -157,7 +156,7 @@ def _by_z(outcomes: Sequence[AnswerScore]) -> ReportTable:
                 sum(bool(o.in_set) for o in found), sum(o.verdict == "unexplained" for o in found),
             ))  # fmt: skip
     note = "score that the true effect would get at its true size, tunables projected out"
-    columns = ("z of the truth", "cases", "found", "right", "but for equivalents", "in the set", "unexplained")
+    columns = ("z of the truth", "cases", "found", "right", "within the ambiguity group", "in the set", "unexplained")
     return ReportTable("z", "One effect, by its visibility", columns, tuple(rows), (note,))
 
 
@@ -199,7 +198,8 @@ def _ablations(done: Sequence[FinishedCase]) -> ReportTable:
             len(none), sum(_seen(f, key) for f in none), len(outside), sum(_seen(f, key) for f in outside),
         ))  # fmt: skip
     columns = (
-        "method", "one effect", "right", "but for equivalents", "healthy", "alarms", "not in the catalogue", "named",
+        "method", "one effect", "right", "within the ambiguity group", "healthy", "alarms", "not in the catalogue",
+        "named",
     )  # fmt: skip
     return ReportTable("ablations", "Ablations of the method, on the same records", columns, tuple(rows))
 
@@ -234,7 +234,7 @@ def _by_load(outcomes: Sequence[AnswerScore]) -> ReportTable:
             load, len(one), sum(o.alarmed for o in one), sum(bool(o.top1) for o in one),
             sum(bool(o.class1) for o in one), len(none), sum(o.alarmed for o in none),
         ))  # fmt: skip
-    columns = ("load", "one effect", "found", "right", "but for equivalents", "healthy", "alarms")
+    columns = ("load", "one effect", "found", "right", "within the ambiguity group", "healthy", "alarms")
     return ReportTable("loads", "By kind of load", columns, tuple(rows))
 
 

@@ -24,8 +24,8 @@ from hil.bench.discovery.injector import RIG, opened
 from hil.bench.discovery.ledger import Ledger, sha256_of
 from hil.bench.discovery.score import AnswerScore, judge
 from hil.bench.discovery.worker import PROJECT, Worker, WorkerError
-from hil.files.atomic import replacing
-from hil.synthetic.hidden_effects import Setting, profile, profile_text, setting
+from hil.files import replacing
+from hil.synthetic import Setting, profile, profile_text, setting
 
 HOUR = 8.0
 """Time of day at the beginning of a record of the virtual rig."""
@@ -148,8 +148,7 @@ class BlindTrial:
 
     def _over_the_wire(self, case: Setting, record: Path, asked: dict[str, Any]) -> str:
         """Replay the case's profile with `hil run`'s loop on the rig that the injector serves."""
-        from hil.run.session.request import RunRequest
-        from hil.run.session.session import run_session
+        from hil.run.session import RunRequest, run_session
 
         served = self._injector.ask(do="serve", **asked)
         ports = served["ports"]
@@ -182,16 +181,15 @@ def commissioned(folder: Path, unit: int, twin: str) -> tuple[Path, Path]:
     good, own = folder / f"unit_{unit}.parquet", folder / f"unit_{unit}.toml"
     if not good.is_file():
         from drivers.rig_file import load_rig
-        from hil.profile.load_profile import read_profile
-        from hil.record.reader import write_record
-        from hil.synthetic.plant_record import direct_record
+        from hil.profile import read_profile
+        from hil.record import write_record
+        from hil.synthetic import direct_record
 
         made = direct_record(read_profile(COMMISSIONING), load_rig(RIG), seed=COMMISSIONING_SEED + unit, unit=unit)
         write_record(made, good)
     if not own.is_file():
-        from hil.record.reader import read_record
-        from twin.commissioning import commission
-        from twin.twinfile import load, save
+        from hil.record import read_record
+        from twin import commission, load, save
 
         network = load(PROJECT / "profiles" / "twins" / f"{twin}.toml")
         data = read_record(good)

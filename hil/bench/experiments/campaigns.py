@@ -16,15 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.experiments.published import ONSET_S
-from hil.bench.kernel.windows import steady_start
+from hil.bench.kernel import steady_start
 from hil.bench.peers import Absent
-from hil.profile.load_profile import read_profile
-from hil.record.reader import read_record
-from twin.commissioning import commission
-from twin.datasheet import from_datasheet
-from twin.kernel import simulate
-from twin.network import Array, Network
-from twin.twinfile import load
+from hil.profile import read_profile
+from hil.record import read_record
+from twin import Array, Network, commission, from_datasheet, load, simulate
 
 PROJECT = Path(__file__).resolve().parents[3]
 PROFILES = PROJECT / "profiles"
@@ -84,8 +80,7 @@ def virtual_record(profile: Path, change: str, seed: int, cache: Path, say: Call
     kept = cache / f"{profile.stem}-{change}-seed{seed}-{key}.parquet"
     if kept.is_file():
         return kept
-    from hil.run.session.request import RunRequest
-    from hil.run.session.session import run_session
+    from hil.run.session import RunRequest, run_session
 
     cache.mkdir(parents=True, exist_ok=True)
     say(f"running {profile.stem} on the virtual rig, {change.replace('_', ' ')}, seed {seed}")

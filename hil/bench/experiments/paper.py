@@ -21,11 +21,11 @@ from hil.bench.experiments.published import (
     TRACKED_RMSE_K,
 )
 from hil.bench.experiments.tracked import Tracked, after, first_error, follow, heat_balance, windows_to_recover
-from hil.bench.measure.report import Cell, ReportTable
+from hil.bench.measure import Cell, ReportTable
 from hil.bench.peers import Absent
-from hil.run.session.terminal import ProgressBar
+from hil.run.session import ProgressBar
+from twin import Network
 from twin.calibrators import UNTRAINED_CALIBRATORS
-from twin.network import Network
 
 CALIBRATORS = tuple(name for name in ("pso_paper", "pso", "least_squares", "kalman") if name in UNTRAINED_CALIBRATORS)
 CALM_S = 3600.0

@@ -13,13 +13,20 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.record.public import PIPE_TESTS, WATER_DENSITY, Columns, dry_cooler, heated_pipe, held_steady, tclab
-from twin.commissioning import INITIAL_SD_K, CommissionOptions, CommissionResult, commission
-from twin.kernel import Kernel, simulate
-from twin.network import Network
-from twin.reference_simulation import right_hand_side
-from twin.steady import steady_readings
-from twin.twinfile import load, parse
+from hil.record import PIPE_TESTS, WATER_DENSITY, Columns, dry_cooler, heated_pipe, held_steady, tclab
+from twin import (
+    CommissionOptions,
+    CommissionResult,
+    Kernel,
+    Network,
+    commission,
+    load,
+    parse,
+    right_hand_side,
+    simulate,
+    steady_readings,
+)
+from twin.commissioning import INITIAL_SD_K
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.bench.measure.report import Cell, ReportTable
-from hil.run.session.terminal import ProgressBar
+from hil.bench.measure import Cell, ReportTable
+from hil.run.session import ProgressBar
 
 
 def measure(data: Path, seed: int) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
@@ -78,7 +78,7 @@ def _cell(value: Any) -> Cell:
 
 
 def _text(value: Any) -> str:
-    from hil.bench.measure.report import number
+    from hil.bench.measure import number
 
     return number(value) if isinstance(value, str | int | float) or value is None else str(value)
 

@@ -15,13 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.experiments.campaigns import PROFILES
-from hil.bench.measure.report import Cell, ReportTable
-from hil.record.reader import read_record
-from hil.run.session.terminal import ProgressBar
-from twin.commissioning import CommissionOptions, commission
-from twin.datasheet import from_datasheet
-from twin.kernel import Kernel, simulate
-from twin.network import Array
+from hil.bench.measure import Cell, ReportTable
+from hil.record import read_record
+from hil.run.session import ProgressBar
+from twin import Array, CommissionOptions, Kernel, commission, from_datasheet, simulate
 
 TEMPLATES = {"four volumes": "loop.toml", "ten volumes": "loop_six.toml"}
 """Name of a twin in the tables -> its template."""

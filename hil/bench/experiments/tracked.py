@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.bench.experiments.campaigns import Campaign
+from twin import Array, Network, TwinTracker, right_hand_side
 from twin.calibrators import Calibration
-from twin.network import Array, Network
-from twin.reference_simulation import right_hand_side
-from twin.tracking import TwinTracker
 
 EDGE = 60
 """Samples averaged at either end of a window for the change of stored heat."""

@@ -21,8 +21,8 @@ from hil.bench.faults.plan import AND, case_of, pairs, singles
 from hil.bench.faults.rig import PERIOD_S, STALE_LIMIT_S, WATCHDOG_S
 from hil.bench.faults.tls import NoOpenSSLError
 from hil.bench.faults.verdict import REACT_S, FaultResult, as_document
-from hil.bench.measure.report import Cell, ReportTable
-from hil.files.atomic import replacing
+from hil.bench.measure import Cell, ReportTable
+from hil.files import replacing
 
 ROOT = Path(__file__).resolve().parents[3]
 _SOURCES = (

@@ -18,8 +18,8 @@ from drivers.signals import Quality
 from drivers.virtual.devices import WATCHDOG_TRIPPED, Moment
 from drivers.virtual.plant import CHANNELS
 from hil.bench.faults.rig import PERIOD_S, STALE_AFTER_S
-from hil.files.names import connect_read_only
-from hil.journal.writer import JournalReader
+from hil.files import connect_read_only
+from hil.journal import JournalReader
 
 MOVES_W = 1.0
 _SLACK_S = 0.3

@@ -11,8 +11,7 @@ import numpy as np
 
 from drivers.signals import Signal
 from hil.bench.fuzz.texts import mutated_json
-from hil.journal.rows import Header, SegmentRow
-from hil.journal.writer import JournalReader, JournalWriter
+from hil.journal import Header, JournalReader, JournalWriter, SegmentRow
 
 _CELLS = (None, -1, 0, 2**62, 1e308, float("inf"), "", "x", "[]", "{", b"", b"\0", b"\xff" * 7, "null", 10**15)
 _TABLES = ("meta", "samples", "twins", "calibrations", "proposals", "bands", "writes", "events", "states", "segments")

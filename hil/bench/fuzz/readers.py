@@ -25,7 +25,7 @@ import numpy as np
 
 from hil.bench.fuzz import texts as fuzz_texts
 from hil.bench.fuzz.texts import mutated, mutated_json
-from hil.cli.options.paths import PROJECT
+from hil.cli.options import PROJECT
 from hil.errors import exit_code
 
 READ, REFUSED, UNCLEAR, TRACEBACK, HANG = "read", "refused", "refused unclearly", "traceback", "too slow"
@@ -64,9 +64,9 @@ class FuzzedReader:
 def readers(folder: Path) -> dict[str, FuzzedReader]:
     """Return every reader by the kind of its files; `folder` holds the journal that is copied."""
     from hil.bench.fuzz.journal import damaged, read_all, sound_journal
-    from hil.diagnosis.store import CURVES, Curves, Unknown, write_curves
-    from hil.profile.scenario import read_scenario
-    from twin.twinfile import load as load_twin
+    from hil.diagnosis import CURVES, Curves, Unknown, write_curves
+    from hil.profile import read_scenario
+    from twin import load as load_twin
 
     sound = folder / "sound.sqlite"
     sound_journal(sound)
@@ -268,20 +268,19 @@ def _dbc(path: Path) -> None:
 
 
 def _sheet(path: Path) -> None:
-    from twin.datasheet import from_datasheet
+    from twin import from_datasheet
 
     from_datasheet(path)
 
 
 def _card(path: Path) -> None:
-    from twin.calibrators.hiera_unet.checkpoint import Identity
-    from twin.calibrators.hiera_unet.members import load_ensemble
+    from twin.calibrators.hiera_unet import Identity, load_ensemble
 
     load_ensemble(path, Identity("t", "c", ("p",), ("o",)))
 
 
 def _run(path: Path) -> None:
-    from hil.run_folder.folder import RunFolder
+    from hil.run_folder import RunFolder
 
     folder = RunFolder(path.parent)
     path.replace(folder.manifest)
@@ -289,7 +288,7 @@ def _run(path: Path) -> None:
 
 
 def _diagnosis(path: Path) -> None:
-    from hil.diagnosis.store import DOCUMENT, read_findings
+    from hil.diagnosis import DOCUMENT, read_findings
 
     path.replace(path.with_name(DOCUMENT))
     read_findings(path.parent)

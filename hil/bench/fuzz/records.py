@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from drivers.signals import plausible_range, split_column
-from hil.profile.load_profile import ProfileError, read_profile
-from hil.record.reader import Record, RecordError, read_record
+from hil.profile import ProfileError, read_profile
+from hil.record import Record, RecordError, read_record
 
 READ, REFUSED, UNCLEAR, IMPOSSIBLE, TRACEBACK = "read", "refused", "refused unclearly", "read wrongly", "traceback"
 """Outcomes. Unclear is a refusal that does not name the file or has more than one line; wrong is a record whose times

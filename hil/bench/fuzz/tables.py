@@ -6,7 +6,7 @@ import importlib.util
 from collections.abc import Callable, Mapping
 
 from hil.bench.fuzz.readers import HANG, READ, REFUSED, TRACEBACK, UNCLEAR, ReaderOutcomes, fuzz_files
-from hil.bench.measure.report import ReportTable
+from hil.bench.measure import ReportTable
 
 QUICK, FULL = 300, 20_000
 RECORDS = "hil.bench.fuzz.records"

@@ -20,7 +20,7 @@ from drivers.signals import Quality
 from hil.bench.fuzz.can_frames import mutate_can
 from hil.bench.fuzz.j1939_frames import mutate_j1939
 from hil.bench.fuzz.rtu_replies import mutate_rtu
-from hil.bench.measure.report import ReportTable
+from hil.bench.measure import ReportTable
 
 QUICK, FULL = 1_700, 100_000
 REGISTERS = 12

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.measure.report import Cell, ReportTable
-from hil.training.ablation import PIECES, without
-from hil.training.data import TrainingData
-from twin.network import Array
+from hil.bench.measure import Cell, ReportTable
+from hil.training import PIECES, TrainingData, without
+from twin import Array
 
 LEFT_OUT = ("hierarchy", "residuals", "gates", "evidence", "hiding")
 PROBED = 8
@@ -69,10 +68,9 @@ def measure(
 
 def trial(data: TrainingData, name: str, seed: int, budget_s: float, less: tuple[str, ...]) -> TrainedVariant:
     """Train a variant without the parts `less` for this CPU time and score it on the test windows."""
+    from twin.calibrators.hiera_unet import Plan, Trainer
     from twin.calibrators.hiera_unet.binding import config_for, physics_of
-    from twin.calibrators.hiera_unet.plan import Plan
     from twin.calibrators.hiera_unet.score import MOVED, NINETY, outcome
-    from twin.calibrators.hiera_unet.train import Trainer
 
     parts = (data.network, data.table, data.deviations)
     physics = physics_of(*parts)

@@ -16,20 +16,16 @@ import numpy as np
 
 from drivers.virtual.plant import load_effects
 from hil.bench.peers import Absent
-from hil.record.reader import read_record
-from hil.synthetic.hidden_effects import Setting
-from hil.training.plant_windows import PROFILES, equivalent_deviations, recorded, specimen_of
-from twin.calibrators.hiera_unet import changes
-from twin.calibrators.hiera_unet.campaigns import Campaign, rig_of
+from hil.record import read_record
+from hil.synthetic import Setting
+from hil.training import PROFILES, equivalent_deviations, recorded, specimen_of
+from twin import Array, commission, from_datasheet
+from twin.calibrators.hiera_unet import Campaign, Family, Features, changes
 from twin.calibrators.hiera_unet.campaigns import recorded as logged
-from twin.calibrators.hiera_unet.features import Features
+from twin.calibrators.hiera_unet.campaigns import rig_of
 from twin.calibrators.hiera_unet.loads import drive
-from twin.calibrators.hiera_unet.plants import Family
 from twin.calibrators.hiera_unet.series import series
 from twin.calibrators.hiera_unet.windows import TARGET
-from twin.commissioning import commission
-from twin.datasheet import from_datasheet
-from twin.network import Array
 
 RIGS = ("simulated", "virtual", "stranger")
 FIRST = 13

@@ -14,16 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.hiera.cases import HieraCase
-from twin.calibrators import CALIBRATOR_NAMES, make_calibrator
-from twin.calibrators.base import Calibration, Calibrator
+from twin import Array, Network, TwinTracker
+from twin.calibrators import CALIBRATOR_NAMES, Calibration, Calibrator, make_calibrator
+from twin.calibrators.hiera_unet import Evidence, Features, Frame
 from twin.calibrators.hiera_unet.campaigns import Label
-from twin.calibrators.hiera_unet.evidence import Evidence, estimate, identifiable, least_error, step_noise
-from twin.calibrators.hiera_unet.features import Features, Frame
+from twin.calibrators.hiera_unet.evidence import estimate, identifiable, least_error, step_noise
 from twin.calibrators.hiera_unet.series import STEP_S
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.gauss_newton import SE90
-from twin.network import Array, Network
-from twin.tracking import TwinTracker
 
 TRAINED = Path(__file__).resolve().parents[3] / "profiles" / "trained" / "loop_small.json"
 SAME = 0.03
@@ -165,8 +163,7 @@ def _calibrator(name: str, network: Network, seed: int) -> Calibrator:
     if name == "hiera_unet":
         return make_calibrator(name, network)
     if name == "hiera_ls":
-        from twin.calibrators.hiera_unet.refined import RefinedCalibrator
-        from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
+        from twin.calibrators.hiera_unet import HieraUNetCalibrator, RefinedCalibrator
 
         return RefinedCalibrator(steps, HieraUNetCalibrator.shipped(network))
     return make_calibrator(name, steps, seed=seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 from dataclasses import dataclass
 
-from hil.training.generate import features_of
+from hil.training import features_of
 from twin.calibrators.hiera_unet.device import ready
 
 

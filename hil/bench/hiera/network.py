@@ -9,17 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.hiera.contestants import BlindPredictions, CaseInputs, Contestant, refit
+from twin.calibrators.hiera_unet import Belief, Ensemble, Features, Windows, load_ensemble
 from twin.calibrators.hiera_unet.binding import identity_of, physics_of
 from twin.calibrators.hiera_unet.ensemble import together
-from twin.calibrators.hiera_unet.evidence import Belief, estimate
-from twin.calibrators.hiera_unet.features import Features
+from twin.calibrators.hiera_unet.evidence import estimate
 from twin.calibrators.hiera_unet.holding import NARROWEST
-from twin.calibrators.hiera_unet.members import Ensemble, load_ensemble
 from twin.calibrators.hiera_unet.score import NINETY, Outcome, outcome
 from twin.calibrators.hiera_unet.series import STEP_S
 from twin.calibrators.hiera_unet.service import one
 from twin.calibrators.hiera_unet.train import Physics
-from twin.calibrators.hiera_unet.windows import Windows, concatenate
+from twin.calibrators.hiera_unet.windows import concatenate
 
 Z90 = 1.645
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.bench.hiera.contestants import BlindPredictions, CaseInputs
-from twin.network import Array
+from twin import Array
 
 IN_A_ROW = 2
 """Targets that must stay below the threshold for a recovery to count."""

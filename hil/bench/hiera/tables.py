@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.bench.hiera import score as judge
 from hil.bench.hiera.score import HieraScore
-from hil.bench.measure.report import Cell, ReportTable
+from hil.bench.measure import Cell, ReportTable
 
 if TYPE_CHECKING:
     from hil.bench.hiera.latency import Latency

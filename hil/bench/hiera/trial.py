@@ -12,11 +12,10 @@ from hil.bench.hiera import tables as drawn
 from hil.bench.hiera.cases import HieraCase
 from hil.bench.hiera.contestants import CaseInputs, Contestant, commissioned, roster, sheet
 from hil.bench.hiera.score import HieraScore, score
-from hil.bench.measure.report import ReportTable
+from hil.bench.measure import ReportTable
 from hil.bench.peers import Absent
-from hil.training.generate import features_of
-from twin.calibrators.hiera_unet.features import Features
-from twin.calibrators.hiera_unet.plants import Family
+from hil.training import features_of
+from twin.calibrators.hiera_unet import Family, Features
 
 LOST = (0.10, 0.25)
 """Shares of the channels that are hidden from all contestants."""

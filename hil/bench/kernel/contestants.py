@@ -10,9 +10,7 @@ import numpy as np
 from hil.bench.kernel.windows import Job
 from hil.bench.peers import Absent
 from hil.bench.peers.formulas import sensor_rows
-from twin.kernel import Kernel
-from twin.network import Array, Network, TwinFileError
-from twin.reference_simulation import right_hand_side, simulate_exact
+from twin import Array, Kernel, Network, TwinFileError, right_hand_side, simulate_exact
 
 ALL = ("constant", "stepped", "each s")
 HELD = ("constant", "stepped")

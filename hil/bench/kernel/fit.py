@@ -11,16 +11,13 @@ import numpy as np
 
 from hil.bench.kernel.problems import Problem, box, made_up, measured
 from hil.bench.kernel.whole_record import whole_table
-from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, ReportTable
+from hil.bench.measure import Cell, ReportTable, median
 from hil.bench.peers import Absent, filter_peer, optimisers
-from hil.run.session.terminal import ProgressBar
+from hil.run.session import ProgressBar
+from twin import Array, Network, load, mask_measurements
 from twin.calibrators import UNTRAINED_CALIBRATORS, make_calibrator
 from twin.gauss_newton import FitData, GaussianPrior, Scaling
 from twin.gauss_newton import FitProblem as GaussNewton
-from twin.kernel import mask_measurements
-from twin.network import Array, Network
-from twin.twinfile import load
 
 TWINS = Path(__file__).resolve().parents[3] / "profiles" / "twins"
 AT_OPTIMUM = 5e-4

@@ -10,10 +10,9 @@ import numpy as np
 
 from hil.bench.kernel import contestants
 from hil.bench.kernel.windows import Job, drive, job
-from hil.bench.measure.machine import cpu_s, in_new_process
-from hil.bench.measure.report import Cell, ReportTable
+from hil.bench.measure import Cell, ReportTable, cpu_s, in_new_process
 from hil.bench.peers.formulas import sensor_rows
-from twin.network import Network
+from twin import Network
 
 if TYPE_CHECKING:
     from hil.bench.kernel.speed import SpeedSize

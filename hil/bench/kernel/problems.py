@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.kernel.windows import drive, steady_start
-from twin.calibrators import Window
-from twin.calibrators.windows import make_window
-from twin.kernel import Kernel, mask_measurements, simulate
-from twin.network import Array, Network
+from twin import Array, Kernel, Network, mask_measurements, simulate
+from twin.calibrators import Window, make_window
 
 SIGMA_K = 0.05
 LEAST_RESISTANCE = 0.1
@@ -24,10 +22,14 @@ class Problem:
 
     Positions lie in [0, 1]: shares of a parameter's range, of its logarithm where the bounds span a decade.
 
-    Attributes:
-        window: of kind calibrated, so that everyone minimises the RMSE over all of it.
-        tunables: name of the twin's set. start: (q,) positions of the live twin.
-        truth: (q,) positions that made the window, None for a measured one.
+    Attributes
+    ----------
+    window
+        Of kind calibrated, so that everyone minimises the RMSE over all of it.
+    tunables
+        Name of the twin's set. start: (q,) positions of the live twin.
+    truth
+        (q,) positions that made the window, None for a measured one.
     """
 
     network: Network
@@ -134,7 +136,7 @@ def made_up(network: Network, tunables: str, count: int, seed: int, samples: int
 
 def measured(network: Network, tunables: str, record: Path, count: int) -> list[Problem]:
     """Return `count` whole windows, evenly spread over a record; each starts at the state of its first readings."""
-    from hil.record.reader import read_record
+    from hil.record import read_record
 
     network = equal_noise(network)
     data = read_record(record)

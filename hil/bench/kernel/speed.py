@@ -11,14 +11,11 @@ import numpy as np
 from hil.bench.kernel import contestants, footprint
 from hil.bench.kernel.contestants import Single, Swarm, oracle
 from hil.bench.kernel.windows import Job, corners, job
-from hil.bench.measure.machine import cpu_s
-from hil.bench.measure.report import Cell, ReportTable, number
+from hil.bench.measure import Cell, ReportTable, cpu_s, number
 from hil.bench.peers import Absent
 from hil.bench.peers.formulas import sensor_rows
-from hil.run.session.terminal import ProgressBar
-from twin.network import Array, Network
-from twin.reference_simulation import simulate_fine_steps
-from twin.twinfile import load
+from hil.run.session import ProgressBar
+from twin import Array, Network, load, simulate_fine_steps
 
 TWINS = Path(__file__).resolve().parents[3] / "profiles" / "twins"
 MATCHED_K = 1e-6

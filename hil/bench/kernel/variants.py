@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from hil.bench.peers import Absent
+from twin import Network, TwinFileError, load, parse
 from twin.elements import KINDS
-from twin.network import Network, TwinFileError
-from twin.twinfile import load, parse
 
 TWINS = Path(__file__).resolve().parents[3] / "profiles" / "twins"
 

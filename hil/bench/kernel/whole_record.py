@@ -10,13 +10,10 @@ from typing import Any
 import numpy as np
 
 from hil.bench.kernel.windows import drive, steady_start
-from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, ReportTable
-from hil.run.session.terminal import ProgressBar
+from hil.bench.measure import Cell, ReportTable, median
+from hil.run.session import ProgressBar
+from twin import Array, Network, TwinTracker, simulate
 from twin.calibrators import UNTRAINED_CALIBRATORS, Calibration, Calibrator, Window, make_calibrator
-from twin.kernel import simulate
-from twin.network import Array, Network
-from twin.tracking import TwinTracker
 
 LEVEL_S = 900
 

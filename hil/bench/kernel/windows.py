@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.kernel import mask_measurements, simulate
-from twin.network import Array, Network
+from twin import Array, Network, mask_measurements, simulate
 
 SCHEDULES = ("constant", "stepped", "each s")
 LEVELS = 8
@@ -18,9 +17,12 @@ LEVELS = 8
 class Job:
     """Window and swarm, the input of every contestant.
 
-    Attributes:
-        ids: parameters that differ between particles. particles: (P, p) full vectors in the network's order.
-        time: (n,) s. inputs: (n, c). measured, weight: (n, m). state: (k,) degC at the first sample.
+    Attributes
+    ----------
+    ids
+        Parameters that differ between particles. particles: (P, p) full vectors in the network's order.
+    time
+        (n,) s. inputs: (n, c). measured, weight: (n, m). state: (k,) degC at the first sample.
     """
 
     network: Network

@@ -1,1 +1,20 @@
-"""Timing of the loop and of the buses."""
+"""Timing of the loop and of the buses.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
+"""
+
+from __future__ import annotations
+
+from hil.lazy_names import lazy_names
+
+__all__ = ["bus", "timing"]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "": (
+            "bus",
+            "timing",
+        ),
+    },
+)

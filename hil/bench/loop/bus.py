@@ -20,7 +20,7 @@ from pathlib import Path
 from drivers.modbus import ModbusBus
 from drivers.rig_file import ModbusRtuTcpBus, ModbusTcpBus, Point, load_rig
 from drivers.virtual import VirtualRig, start_virtual_rig
-from hil.bench.measure.report import ReportTable
+from hil.bench.measure import ReportTable
 from hil.bench.peers import libmodbus, modbus_peer
 
 RIG = Path(__file__).resolve().parents[3] / "profiles" / "rigs" / "virtual.toml"

@@ -17,11 +17,11 @@ from drivers.bus import Clock
 from drivers.rig import RigConnection
 from drivers.rig_file import Rig
 from drivers.signals import Snapshot
-from hil.bench.measure.report import ReportTable
-from hil.guardian.client import GuardianClient
-from hil.journal.writer import Header, JournalWriter
-from hil.run.engine.clock import MonotonicClock
-from hil.run.interlocks.conditions import Residuals
+from hil.bench.measure import ReportTable
+from hil.guardian import GuardianClient
+from hil.journal import Header, JournalWriter
+from hil.run.engine import MonotonicClock
+from hil.run.interlocks import Residuals
 
 WARM_UP_TICKS = 20
 """Ticks that do not count: plans of requests and caches are made on the first ones."""

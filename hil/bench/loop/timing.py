@@ -22,15 +22,10 @@ from drivers.rig_file import load_rig
 from drivers.virtual import start_virtual_rig
 from hil.bench.loop import processor_time
 from hil.bench.loop.processor_time import CountedClock, CountedConnection, CountedGuardian, CountedJournal, Counts
-from hil.bench.measure import processes
-from hil.bench.measure.report import Cell, ReportTable
-from hil.journal.profile_clock import profile_times
-from hil.journal.writer import Header, JournalReader
-from hil.profile.load_profile import Profile
-from hil.run.engine.components import Options
-from hil.run.engine.control_socket import ControlError, ask
-from hil.run.engine.engine import Engine
-from hil.run.engine.status import Outcome
+from hil.bench.measure import Cell, ReportTable, processes
+from hil.journal import Header, JournalReader, profile_times
+from hil.profile import Profile
+from hil.run.engine import ControlError, Engine, Options, Outcome, ask
 
 PROFILES = Path(__file__).resolve().parents[3] / "profiles"
 RIG = PROFILES / "rigs" / "virtual.toml"
@@ -261,7 +256,7 @@ def _resume_tables(
     facts: tuple[tuple[Cell, ...], ...] = (
         ("killed at, h of the profile", segment["profile_s"] / 3600.0),
         ("gap, s", segment["gap_s"]),
-        ("thermal restore, min", segment["soaked_s"] / 60.0),
+        ("thermal restore, min", segment["restore_s"] / 60.0),
         ("rows that were acknowledged", count),
         ("of these lost or changed", 0 if kept else "some"),
         ("every second of the profile once", "yes" if same_grid else "no"),

@@ -12,8 +12,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from hil.files.atomic import replacing
-from hil.run.session.terminal import console
+from hil.files import replacing
+from hil.run.session import console
 
 Cell = str | float | int | None
 WIDTH = 100

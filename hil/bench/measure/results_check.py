@@ -3,7 +3,8 @@
     python -m hil.bench.measure.results_check [FOLDER]
 
 It lists each result that should be measured again and always ends with exit code 0 unless FOLDER cannot be used: old
-results are no error. Changes of comments, docstrings and layout do not count, since Python runs the same code.
+results are no error. Changes of comments, docstrings, layout, imports and lists of public names do not count: the same
+code runs, and code that moves to another file counts there.
 """
 
 from __future__ import annotations
@@ -107,7 +108,7 @@ def changed_files(project: Path, commit: str, measured: tuple[str, ...]) -> list
 
 
 def _is_same_code(project: Path, commit: str, name: str) -> bool:
-    """Return True for a Markdown page, and for a Python file that differs in comments, docstrings or layout alone."""
+    """Return True for a Markdown page, and for a Python file whose code is the same (see `_is_no_code`)."""
     if name.endswith(".md"):
         return True
     before = _git(project, "show", f"{commit}:./{name}")
@@ -125,11 +126,22 @@ def _code(source: str) -> str:
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
         if isinstance(body, list):
-            node.body = [item for item in body if not _is_text(item)]  # type: ignore[attr-defined]
+            node.body = [item for item in body if not _is_no_code(item)]  # type: ignore[attr-defined]
     return ast.dump(tree)
 
 
-def _is_text(item: Any) -> bool:
+def _is_no_code(item: ast.stmt) -> bool:
+    """Return True for a docstring, an import, imports for type checkers, and a list of public names."""
+    if isinstance(item, ast.Import | ast.ImportFrom):
+        return True
+    if isinstance(item, ast.If):
+        return isinstance(item.test, ast.Name) and item.test.id == "TYPE_CHECKING"
+    if isinstance(item, ast.FunctionDef):
+        return item.name in ("__getattr__", "__dir__")
+    if isinstance(item, ast.Assign | ast.AnnAssign):
+        targets = item.targets if isinstance(item, ast.Assign) else [item.target]
+        names = {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
+        return names <= {"__all__", "__getattr__", "__dir__", "_HOME", "_MODULES"} and bool(names)
     return isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant) and isinstance(item.value.value, str)
 
 

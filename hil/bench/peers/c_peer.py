@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.kernel.windows import Job
+from hil.bench.kernel import Job
 from hil.bench.peers import Absent
 from hil.bench.peers.c_source import C_INPUTS, C_PARAMETERS, C_SOURCE
-from twin.network import Array
+from twin import Array
 
 # The options of -ffast-math without that flag: linked with it, a library disables denormal numbers for the whole
 # process that loads it.

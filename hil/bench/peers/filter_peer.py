@@ -6,11 +6,10 @@ import warnings
 
 import numpy as np
 
-from hil.bench.kernel.problems import SIGMA_K, Problem
+from hil.bench.kernel import SIGMA_K, Problem
 from hil.bench.peers import Absent
 from hil.bench.peers.formulas import sensor_rows
-from twin.network import Array
-from twin.reference_simulation import right_hand_side
+from twin import Array, right_hand_side
 
 
 def joint_ukf(problem: Problem, seed: int) -> Array:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from twin import Array, Network
 from twin.assembly import python_source
 from twin.generated_code import define_functions
-from twin.network import Array, Network
 
 Rhs = Callable[[Any, Any, Any], list[Any]]
 

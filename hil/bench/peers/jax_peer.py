@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hil.bench.kernel.windows import Job
+from hil.bench.kernel import Job
 from hil.bench.peers.formulas import right_side_of, sensor_rows, vector_of
-from twin.network import Array
+from twin import Array
 
 
 def runge_kutta(job: Job) -> Callable[[], Array]:

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg import expm
 
-from hil.bench.kernel.windows import Job
+from hil.bench.kernel import Job
 from hil.bench.peers.formulas import affine, runs, sensor_rows
-from twin.network import Array
+from twin import Array
 
 
 def exact(job: Job) -> Callable[[], Array]:

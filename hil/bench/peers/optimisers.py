@@ -15,9 +15,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hil.bench.kernel.problems import Problem
+from hil.bench.kernel import Problem
 from hil.bench.peers import Absent
-from twin.network import Array
+from twin import Array
 
 PARTICLES, ITERATIONS = 200, 50
 

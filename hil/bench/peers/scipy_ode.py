@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import odeint, solve_ivp
 
-from hil.bench.kernel.windows import Job
+from hil.bench.kernel import Job
 from hil.bench.peers.formulas import affine, runs
-from twin.network import Array
+from twin import Array
 
 Solve = Callable[[], Array]
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pysindy
 
+from twin import Array, Network
 from twin.discovery.effects.formulas import Formulas
 from twin.discovery.effects.laws import temperatures
 from twin.discovery.effects.probe import Run
 from twin.discovery.records.grid import Grid
-from twin.network import Array, Network
 
 MEAN_S = 300.0
 THRESHOLD_W = 2.0

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from hil.bench.kernel.windows import Job
+from hil.bench.kernel import Job
 from hil.bench.peers.formulas import affine, right_side_of, runs, sensor_rows, vector_of
-from twin.network import Array
+from twin import Array
 
 
 def exact(job: Job) -> Callable[[], Array]:

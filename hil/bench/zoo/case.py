@@ -14,19 +14,28 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.zoo.effects.catalogue import EFFECTS, draw_effect
-from hil.bench.zoo.effects.effect import EffectType, Injection, NoSuchPlaceError, Scene
-from hil.bench.zoo.plants.cells import Array, Drive
-from hil.bench.zoo.plants.families import FAMILIES, SEALED, draw_plant
-from hil.bench.zoo.plants.plant import ROOM_COLUMN, ROOM_SIGMA_K, Plant
-from hil.bench.zoo.plants.schedules import HOUR_S, KINDS, START_H, Schedule, draw_drive
+from hil.bench.zoo.effects import EFFECTS, EffectType, Injection, NoSuchPlaceError, Scene, draw_effect
+from hil.bench.zoo.plants import (
+    FAMILIES,
+    HOUR_S,
+    KINDS,
+    ROOM_COLUMN,
+    ROOM_SIGMA_K,
+    SEALED,
+    START_H,
+    Array,
+    Drive,
+    Plant,
+    Schedule,
+    draw_drive,
+    draw_plant,
+)
 from hil.bench.zoo.twins import sheet_twin
 from hil.bench.zoo.visibility import yardstick
-from hil.diagnosis.columns import columns_of, with_clock
-from hil.record.reader import Record
-from twin.commissioning import CommissionOptions, commission
+from hil.diagnosis import columns_of, with_clock
+from hil.record import Record
+from twin import CommissionOptions, Network, commission
 from twin.discovery.healthy.basis import Columns
-from twin.network import Network
 
 MOST_ROWS = 150_000
 SCORES = (2.0, 1000.0)

@@ -14,14 +14,14 @@ import sys
 import time
 from pathlib import Path
 
-from hil.bench.discovery.worker import Request, serve
+from hil.bench.discovery import Request, serve
 
 
 def make(request: Request, sealed: Path) -> Request:
     """Make a case; write its truth to `sealed` and the rest to the request's folder."""
     from hil.bench.zoo.case import make_case
-    from hil.record.reader import write_record
-    from twin.twinfile import save
+    from hil.record import write_record
+    from twin import save
 
     began = time.process_time()
     case = make_case(request["family"], request["seed"], request["effect"], open_sealed=request["open_sealed"])

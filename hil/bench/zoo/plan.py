@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.bench.zoo.effects.catalogue import EFFECTS
-from hil.bench.zoo.plants.families import DEVELOPMENT, SEALED
+from hil.bench.zoo.effects import EFFECTS
+from hil.bench.zoo.plants import DEVELOPMENT, SEALED
 
 SEED_STRIDE = 10_000
 """Seeds of one trial: its own times this, plus the number of the case."""

@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hil.bench.discovery.score import NAMED, pooled, spoken
+from hil.bench.discovery import NAMED, pooled, spoken
 
 RIGHT, ALIKE, ABSTAINED, MISSED, WRONG, FALSE_ALARM, QUIET, CRASHED = (
-    "right", "right among equivalents", "left unexplained", "missed", "wrong", "false alarm", "quiet", "no answer",
+    "right", "right within the ambiguity group", "left unexplained", "missed", "wrong", "false alarm", "quiet",
+    "no answer",
 )  # fmt: skip
 _SAME_DRIVER = (frozenset({"history", "rate_of_change"}), frozenset({"temperature", "temperature_difference"}))
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from hil.bench.discovery.score import wilson
-from hil.bench.measure.machine import median
-from hil.bench.measure.report import Cell, ReportTable
+from hil.bench.discovery import wilson
+from hil.bench.measure import Cell, ReportTable, median
 from hil.bench.zoo.score import ABSTAINED, ALIKE, CRASHED, FALSE_ALARM, MISSED, QUIET, RIGHT, WRONG, ZooScore
 
 EDGES = (0.0, 3.0, 10.0, 30.0, 100.0, 300.0, math.inf)
@@ -52,13 +51,13 @@ def _scores(hidden: Sequence[ZooScore], quiet: Sequence[ZooScore], which: str) -
         _count("a cause named on healthy records", quiet,
                lambda s: s.outcome == FALSE_ALARM and s.verdict != "unexplained"),
         _count("kind and place right, of all", hidden, lambda s: s.outcome == RIGHT),
-        _count("the same, or among the equivalents", hidden, lambda s: s.outcome in (RIGHT, ALIKE)),
+        _count("the same, or within the ambiguity group", hidden, lambda s: s.outcome in (RIGHT, ALIKE)),
         _count("a wrong cause named, of all", hidden, lambda s: s.outcome == WRONG),
         _count("left unexplained, of all", hidden, lambda s: s.outcome == ABSTAINED),
         _count("left unexplained: place right", left, lambda s: bool(s.place)),
         _count("missed, of all", hidden, lambda s: s.outcome == MISSED),
         _count("named: a spurious second effect", named, lambda s: s.spurious > 0),
-        _count(f"element, score of {SEEN:g} or more: right or among the equivalents", inside,
+        _count(f"element, score of {SEEN:g} or more: right, or within the ambiguity group", inside,
                lambda s: s.outcome in (RIGHT, ALIKE)),
         _count(f"element, score of {SEEN:g} or more: a wrong cause named", inside, lambda s: s.outcome == WRONG),
         _count(f"no element, score of {SEEN:g} or more: right or left unexplained", outside,

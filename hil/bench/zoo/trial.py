@@ -16,17 +16,12 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from hil.bench.discovery.injector import opened
-from hil.bench.discovery.ledger import Ledger, sha256_of
-from hil.bench.discovery.trial import no_answer, sources
-from hil.bench.discovery.worker import PROJECT, Worker, WorkerError
-from hil.bench.zoo.effects.catalogue import EFFECTS
-from hil.bench.zoo.effects.effect import NoSuchPlaceError
+from hil.bench.discovery import PROJECT, Ledger, Worker, WorkerError, no_answer, opened, sha256_of, sources
+from hil.bench.zoo.effects import EFFECTS, NoSuchPlaceError
 from hil.bench.zoo.plan import Planned, plan
-from hil.bench.zoo.plants.families import SEALED
-from hil.bench.zoo.plants.schedules import START_H
+from hil.bench.zoo.plants import SEALED, START_H
 from hil.bench.zoo.score import ZooScore, judge
-from hil.files.atomic import replacing
+from hil.files import replacing
 
 
 class ZooTrial:
@@ -121,7 +116,7 @@ def _made(injector: Worker, case: Planned, folder: Path) -> dict[str, Any]:
 
 def _healthy_floor(twin: Path) -> float | None:
     """Return the RMSE of the commissioned twin on the held-out part of its healthy record, over all sensors, K."""
-    from twin.twinfile import load
+    from twin import load
 
     errors = load(twin).revision.error_after_K
     return (sum(e * e for e in errors.values()) / len(errors)) ** 0.5 if errors else None

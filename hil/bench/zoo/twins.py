@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hil.bench.zoo.plants.plant import FAN_COLUMN, ROOM_COLUMN
-from twin.network import Network
+from hil.bench.zoo.plants import FAN_COLUMN, ROOM_COLUMN
+from twin import Network
 from twin.twinfile import from_tables
 
 WIDTH = 8.0

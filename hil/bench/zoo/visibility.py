@@ -17,9 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.commissioning import CommissionResult
-from twin.kernel import simulate
-from twin.network import Array
+from twin import Array, CommissionResult, simulate
 
 BLOCKS = 240
 STATE_SD_K = 0.5

@@ -1,1 +1,61 @@
-"""Options and questions that several commands share."""
+"""Options and questions that several commands share.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hil.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from hil.cli.options.init_questions import ask
+    from hil.cli.options.own_process import OWN_PROCESS, owns_process
+    from hil.cli.options.paths import INPUT_FILE, INPUT_PATH, PROJECT, VIRTUAL_RIG
+    from hil.cli.options.record_reading import reading
+    from hil.cli.options.subject import record_of, subject_of
+    from hil.cli.options.tracking import CALIBRATORS, NETWORK, NETWORK_MODE
+
+__all__ = [
+    "CALIBRATORS",
+    "INPUT_FILE",
+    "INPUT_PATH",
+    "NETWORK",
+    "NETWORK_MODE",
+    "OWN_PROCESS",
+    "PROJECT",
+    "VIRTUAL_RIG",
+    "ask",
+    "owns_process",
+    "reading",
+    "record_of",
+    "subject_of",
+]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "init_questions": ("ask",),
+        "own_process": (
+            "OWN_PROCESS",
+            "owns_process",
+        ),
+        "paths": (
+            "INPUT_FILE",
+            "INPUT_PATH",
+            "PROJECT",
+            "VIRTUAL_RIG",
+        ),
+        "record_reading": ("reading",),
+        "subject": (
+            "record_of",
+            "subject_of",
+        ),
+        "tracking": (
+            "CALIBRATORS",
+            "NETWORK",
+            "NETWORK_MODE",
+        ),
+    },
+)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.journal.export import export_record
-from hil.journal.writer import JournalError
-from hil.run_folder.folder import RunFolder, RunFolderError
+from hil.journal import JournalError, export_record
+from hil.run_folder import RunFolder, RunFolderError
 
 
 class SubjectError(ValueError):
@@ -33,8 +32,10 @@ class Subject:
 def record_of(target: Path) -> Path:
     """Resolve a record file, or a run folder to its record, which is made if an ended run has none.
 
-    Raises:
-        SubjectError: the folder has no record and none can be made.
+    Raises
+    ------
+    SubjectError
+        The folder has no record and none can be made.
     """
     if not target.is_dir():
         return target
@@ -49,8 +50,10 @@ def record_of(target: Path) -> Path:
 def subject_of(target: Path, twin: Path | None) -> Subject:
     """Resolve a record file or a run folder; `twin` replaces the run's own.
 
-    Raises:
-        SubjectError: a part is missing.
+    Raises
+    ------
+    SubjectError
+        A part is missing.
     """
     if not target.is_dir():
         if twin is None:

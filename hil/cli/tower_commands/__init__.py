@@ -1,1 +1,3 @@
-"""Verbs of `hil tower`, one module a verb, each with a `command`."""
+"""Commands of `hil tower`. The package names nothing: `hil tower` loads each command by its module."""
+
+__all__: list[str] = []

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options import INPUT_FILE
 
 if TYPE_CHECKING:
-    from hil.tower.align import Aligned
-    from twin.historian.tags import Defect
+    from hil.tower import Aligned
+    from twin.historian import Defect
 
 SHOWN = 40
 """Rows of the table on the terminal; the file has all."""
@@ -36,8 +36,7 @@ def command(store: str, tags: Path | None, out: Path, datasheet: Path | None, ev
       hil tower align postgresql://reader@historian/plant --tags tags.csv --out record
     """
     from drivers.historian import open_store
-    from hil.tower.align import align
-    from hil.tower.station import read_station
+    from hil.tower import align_station, read_station
 
     folder = Path(store)
     tags = tags or _beside(folder, "tags.csv")
@@ -46,7 +45,7 @@ def command(store: str, tags: Path | None, out: Path, datasheet: Path | None, ev
     datasheet, events = datasheet or _beside(folder, "datasheet.json"), events or _beside(folder, "events.csv")
     station = read_station(tags, datasheet, events)
     with open_store(store) as opened:
-        result = align(opened, station, out)
+        result = align_station(opened, station, out)
     _show(result, out)
 
 
@@ -59,8 +58,8 @@ def _show(result: Aligned, out: Path) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from hil.run.session.terminal import console
-    from hil.tower.align import iso
+    from hil.run.session import console
+    from hil.tower import iso
 
     terminal = console()
     table = Table(title="Defects of the store", title_justify="left")

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options import INPUT_FILE
 
 if TYPE_CHECKING:
-    from hil.tower.service import CellGovernance
+    from hil.tower import CellGovernance
 
 
 @click.command()
@@ -39,14 +39,11 @@ def command(
     Example:
       hil tower calibrate record --twin cell1.toml --twin cell2.toml --labels labels.csv --out out
     """
-    from hil.tower.calibrate import calibrate, write_table
-    from hil.tower.errors import writing
-    from hil.tower.governance import RECORDS, check_records
-    from hil.tower.service import govern
+    from hil.tower import RECORDS, calibrate_station, check_records, govern, write_table, writing
 
     if out.is_dir():
         check_records(out / RECORDS)
-    results, notes = calibrate(record, twins, labels, events)
+    results, notes = calibrate_station(record, twins, labels, events)
     with writing(out):
         path = write_table(results, out)
         governed = govern(results, notes, out, mode)
@@ -57,9 +54,9 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
     import numpy as np
     from rich.table import Table
 
-    from hil.run.session.terminal import console
-    from hil.tower.align import iso
-    from twin.tower.model import DEVIATIONS
+    from hil.run.session import console
+    from hil.tower import iso
+    from twin.tower import DEVIATIONS
 
     terminal = console()
     table = Table(

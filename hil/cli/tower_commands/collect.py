@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options import INPUT_FILE
 
 
 @click.command()
@@ -30,8 +30,8 @@ def command(rig: Path, into: str, every_s: float | None, minutes: float | None) 
     """
     from drivers.historian import open_store
     from drivers.rig_file import load_rig
-    from hil.run.session.terminal import console
-    from hil.tower.collect import Collected, collect
+    from hil.run.session import console
+    from hil.tower import Collected, collect_points
 
     out = console(stderr=True)
     loaded = load_rig(rig)
@@ -44,6 +44,8 @@ def command(rig: Path, into: str, every_s: float | None, minutes: float | None) 
     with open_store(into, create=True) as store:
         out.print(f"{len(loaded.point)} points into {Path(into).name or into}; Ctrl-C ends", markup=False)
         with contextlib.suppress(KeyboardInterrupt):
-            asyncio.run(collect(loaded, store, every_s=every_s or loaded.period_s, minutes=minutes, progress=note))
+            asyncio.run(
+                collect_points(loaded, store, every_s=every_s or loaded.period_s, minutes=minutes, progress=note)
+            )
     failed = f"; {done.failures} polls failed, the last: {done.last_failure}" if done.failures else ""
     click.echo(f"{done.samples} samples of {done.polls} polls stored{failed}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options import INPUT_FILE
 
 
 @click.command()
@@ -31,12 +31,10 @@ def command(record: Path, cell: int, datasheet: Path, points: Path, out: Path, h
       hil tower commission record --cell 1 --datasheet datasheet.json --points commissioning.csv --out cell1.toml
       hil tower commission record --cell 1 ... --out cell1.toml --healthy 2022-05-01..2022-05-15
     """
-    from hil.record.raw import RecordError
-    from hil.run.session.terminal import console
-    from hil.tower.commission import commission_cell, learn_healthy
-    from hil.tower.healthy import parse_span, path_beside, write_healthy
-    from hil.tower.record import cells_of
-    from twin.twinfile import save
+    from hil.record import RecordError
+    from hil.run.session import console
+    from hil.tower import cells_of, commission_cell, learn_healthy, parse_span, path_beside, write_healthy
+    from twin import save
 
     span = None if healthy is None else parse_span(healthy)
     there = cells_of(record)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options import INPUT_FILE
 
 SHOWN = 6
 
@@ -33,10 +33,10 @@ def command(record: Path, twin: Path, warmer: float) -> None:
     """
     from rich.table import Table
 
-    from hil.run.session.terminal import console
-    from hil.tower.plan import plan
+    from hil.run.session import console
+    from hil.tower import plan_step_test
 
-    found = plan(record, twin, warmer)
+    found = plan_step_test(record, twin, warmer)
     terminal = console()
     terminal.print(
         f"cell {found.cell}: on {found.day} the condition number was {found.without.condition:.0f}; known least is "

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options import INPUT_FILE
 
 if TYPE_CHECKING:
-    from twin.historian.events import Event
+    from twin.historian import Event
 
 INPUT_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
@@ -34,16 +34,12 @@ def command(
       hil tower report out
       hil tower report out --picture cell1.png --cell 1 --labels labels.csv --record record
     """
-    from hil.files.atomic import replacing
-    from hil.record.raw import RecordError
-    from hil.run.session.terminal import console
-    from hil.tower.calibrate import TABLE
-    from hil.tower.errors import writing
-    from hil.tower.picture import draw_cell
-    from hil.tower.report import REPORT, report
-    from hil.tower.truth import compare, read_minutes, read_truth
+    from hil.files import replacing
+    from hil.record import RecordError
+    from hil.run.session import console
+    from hil.tower import REPORT, TABLE, compare, draw_cell, read_minutes, read_truth, report_text, writing
 
-    text = report(out)
+    text = report_text(out)
     true = None if truth is None else read_truth(truth)
     remedy = "calibrate again"
     needed = ("t_out", "t_out_lo", "t_out_hi", "t_out_commissioned", "fill", "air", "uniformity", "bias")
@@ -77,8 +73,8 @@ def recorded_events(record: Path) -> tuple[Event, ...]:
     import datetime
     import json
 
-    from hil.record.raw import RecordError
-    from twin.historian.events import Event
+    from hil.record import RecordError
+    from twin.historian import Event
 
     path = record / "station.json"
     try:

@@ -44,8 +44,8 @@ def command(
       hil tower align plant --tags station/stationA/rig_tags.csv --out record
     """
     from drivers.virtual.tower import Replay, load_station, rig_text, serve_station, write_dictionary
-    from hil.record.raw import RecordError
-    from hil.run.session.terminal import console
+    from hil.record import RecordError
+    from hil.run.session import console
 
     say = console(stderr=True)
     tags = load_station(station)

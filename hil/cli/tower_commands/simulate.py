@@ -53,8 +53,8 @@ def command(
       hil tower simulate --out station --hide recirculation --defects --score
     """
     from drivers.virtual.tower import SITES, Plan, key_of, simulate, write_station
-    from hil.record.raw import RecordError
-    from hil.run.session.terminal import console
+    from hil.record import RecordError
+    from hil.run.session import console
 
     say = console(stderr=True)
     folder = weather or (Path(os.environ["HIL_DATA"]) / "weather" if os.environ.get("HIL_DATA") else None)

@@ -1,1 +1,47 @@
-"""Time axis of a record in seconds."""
+"""Time axis of a record in seconds.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hil.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from hil.record.times.names import SECONDS_PER, is_time_name, names_dates, names_unit, seconds_per_unit
+    from hil.record.times.time_axis import GAP_PERIODS, TimeAxis, numbered, read_time, span
+
+__all__ = [
+    "GAP_PERIODS",
+    "SECONDS_PER",
+    "TimeAxis",
+    "is_time_name",
+    "names_dates",
+    "names_unit",
+    "numbered",
+    "read_time",
+    "seconds_per_unit",
+    "span",
+]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "names": (
+            "SECONDS_PER",
+            "is_time_name",
+            "names_dates",
+            "names_unit",
+            "seconds_per_unit",
+        ),
+        "time_axis": (
+            "GAP_PERIODS",
+            "TimeAxis",
+            "numbered",
+            "read_time",
+            "span",
+        ),
+    },
+)

@@ -10,7 +10,7 @@ from hil.record.raw import RawRecord, Reading, RecordError
 from hil.record.times.names import SECONDS_PER, is_time_name, names_days, names_unit, seconds_per_unit
 from hil.record.times.numbers import day_count
 from hil.record.times.text import is_date, is_moment, is_time_of_day
-from hil.record.values.numbers import Sign, parse, trimmed
+from hil.record.values import Sign, parse, trimmed
 
 _SAMPLE = 9
 """Cells of a text column that show dates or times."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.record.times.text import TimeTextError
-from hil.record.values.numbers import trimmed
+from hil.record.values import trimmed
 
 EPOCH_S = (946_684_800.0, 4_102_444_800.0)
 """Seconds since 1970 of the years 2000 and 2100: a record with a date lies between them."""

@@ -16,7 +16,7 @@ from hil.record.times.full_clock import require_full_clock
 from hil.record.times.names import names_days
 from hil.record.times.numbers import EPOCH_S, DayCount, are_days, compact_moments, count_of, day_count
 from hil.record.times.text import Stamps, TimeTextError, read_stamps, read_times_of_day
-from hil.record.values.numbers import Sign, parse, trimmed
+from hil.record.values import Sign, parse, trimmed
 
 ZONELESS = "without a time zone, taken as UTC"
 """End of a message on dates and times that may be local."""

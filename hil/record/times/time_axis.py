@@ -14,7 +14,7 @@ from hil.record.times.daylight_saving import unfolded
 from hil.record.times.names import is_time_name, zone_of
 from hil.record.times.seconds import ZONELESS, Seconds, of_stamps, read_seconds, text_of
 from hil.record.times.text import TimeTextError, is_date, is_moment, read_stamps
-from hil.record.values.numbers import Sign, may_be_lost, trimmed
+from hil.record.values import Sign, may_be_lost, trimmed
 
 GAP_PERIODS = 5
 """Typical steps in a step that counts as a gap."""
@@ -54,8 +54,10 @@ def span(seconds: float) -> str:
 def read_time(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> TimeAxis:
     """Find and read the time of `raw`, whose numbers have the decimal `signs`.
 
-    Raises:
-        RecordError: there is none, it may be read in two ways, or more rows than `may_be_lost` have none.
+    Raises
+    ------
+    RecordError
+        There is none, it may be read in two ways, or more rows than `may_be_lost` have none.
     """
     columns = find_columns(raw, signs, choice)
     column = ", ".join(columns)

@@ -1,1 +1,73 @@
-"""Cells of a record as numbers with a unit."""
+"""Cells of a record as numbers with a unit.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hil.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from hil.record.values.cell_units import without_cell_units
+    from hil.record.values.numbers import (
+        LOST,
+        MARKS,
+        MISSING,
+        DecimalSignError,
+        Numbers,
+        Sign,
+        decimal_signs,
+        evidence_of,
+        may_be_lost,
+        parse,
+        readings,
+        trimmed,
+    )
+    from hil.record.values.units import beyond_declared, of_a_room, remarks
+
+__all__ = [
+    "LOST",
+    "MARKS",
+    "MISSING",
+    "DecimalSignError",
+    "Numbers",
+    "Sign",
+    "beyond_declared",
+    "decimal_signs",
+    "evidence_of",
+    "may_be_lost",
+    "of_a_room",
+    "parse",
+    "readings",
+    "remarks",
+    "trimmed",
+    "without_cell_units",
+]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "cell_units": ("without_cell_units",),
+        "numbers": (
+            "DecimalSignError",
+            "LOST",
+            "MARKS",
+            "MISSING",
+            "Numbers",
+            "Sign",
+            "decimal_signs",
+            "evidence_of",
+            "may_be_lost",
+            "parse",
+            "readings",
+            "trimmed",
+        ),
+        "units": (
+            "beyond_declared",
+            "of_a_room",
+            "remarks",
+        ),
+    },
+)

@@ -9,7 +9,7 @@ from typing import Any
 from drivers.signals import split_column
 from hil.record.heading_units import fahrenheit_hint, suffixed, unit_of
 from hil.record.raw import RawRecord, RecordError
-from hil.record.times.names import is_time_name
+from hil.record.times import is_time_name
 from hil.record.values.numbers import MARKS, readings, trimmed
 
 _CELL = re.compile(
@@ -23,8 +23,10 @@ def without_cell_units(raw: RawRecord) -> RawRecord:
 
     A column of a name without a unit gets the suffix of that unit.
 
-    Raises:
-        RecordError: cells have another unit than the name of their column, or cells of a column differ in unit.
+    Raises
+    ------
+    RecordError
+        Cells have another unit than the name of their column, or cells of a column differ in unit.
     """
     names, cells, messages = list(raw.names), list(raw.cells), list(raw.messages)
     for index, name in enumerate(raw.names):

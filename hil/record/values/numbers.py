@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import plausible_range, split_column
-from hil.record.times.names import is_time_name
+from hil.record.times import is_time_name
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -215,12 +215,17 @@ def decimal_signs(
 ) -> dict[str, Sign]:
     """Return the decimal sign of each column of text `columns`, by name.
 
-    Args:
-        columns: cells by name of column. place: names a row of the file. delimiter: of the file's columns, if any.
-        given: the sign that the user names, which then holds for all.
+    Parameters
+    ----------
+    columns
+        Cells by name of column. place: names a row of the file. delimiter: of the file's columns, if any.
+    given
+        The sign that the user names, which then holds for all.
 
-    Raises:
-        DecimalSignError: a column mixes signs, or may be read in two ways.
+    Raises
+    ------
+    DecimalSignError
+        A column mixes signs, or may be read in two ways.
     """
     found = {name: evidence for name, cells in columns.items() if (evidence := evidence_of(cells)) is not None}
     found = {name: evidence for name, evidence in found.items() if evidence.numbers > evidence.present / 2}

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.column_names import celsius_conversion
-from twin.network import Network
+from twin import Network, celsius_conversion
 
 Columns = Mapping[str, NDArray[np.float64]]
 

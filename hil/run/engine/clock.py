@@ -9,8 +9,8 @@ import asyncio
 import math
 from typing import Protocol
 
-from drivers.bus.steady_time import steady_s
-from drivers.signals.points import LinkError
+from drivers.bus import steady_s
+from drivers.signals import LinkError
 
 LOCKSTEP_DEADLINE_S = 20.0
 LONGEST_WAIT_S = 1.0

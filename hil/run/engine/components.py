@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from drivers.rig.connection import RigConnection
-from drivers.rig_file.bus_sections import CanBus
-from hil.guardian.client import Guard, NoGuard
-from hil.journal.writer import JournalWriter
-from hil.profile.load_profile import Profile
+from drivers.rig import RigConnection
+from drivers.rig_file import CanBus
+from hil.guardian import Guard, NoGuard
+from hil.journal import JournalWriter
+from hil.profile import Profile
 from hil.run.engine.clock import LONGEST_WAIT_S, Clock
 from hil.run.engine.recording import Position, Publisher, Recorder
 from hil.run.engine.status import Status
 from hil.run.engine.supervisor import Supervisor
-from hil.run.interlocks.conditions import Residuals
-from hil.run.outputs.heaters import GoodReadings, safe_limits
-from hil.run.outputs.outputs import Outputs
-from hil.run.outputs.readback import SetpointReadback
-from hil.run.restore.resumption import Resumption
+from hil.run.interlocks import Residuals
+from hil.run.outputs import GoodReadings, Outputs, SetpointReadback, safe_limits
+from hil.run.restore import Resumption
 
 
 @dataclass(frozen=True, slots=True)

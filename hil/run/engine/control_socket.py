@@ -19,7 +19,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from hil.files.text import plain
+from hil.files import plain
 from hil.run.engine.engine import Engine
 from hil.run.engine.operator import RefusedError, Verb
 from hil.run.engine.status import Status

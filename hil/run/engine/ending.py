@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from hil.journal.states import ENDED, HEATED, UNTOUCHED, Event, State, TransitionError
+from hil.journal import ENDED, HEATED, UNTOUCHED, Event, State, TransitionError
 from hil.run.engine.components import Components
 from hil.run.engine.status import Outcome
 from hil.run.engine.tick import TickWork
-from hil.run.outputs.heaters import still_hot
-from hil.run.outputs.safing import Safed, attempt_s, make_safe, write_safe
+from hil.run.outputs import Safed, attempt_s, make_safe, still_hot, write_safe
 
 INTERRUPTED_AT_MOST = 100
 """So often making safe is begun again after whatever interrupted it."""

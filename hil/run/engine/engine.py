@@ -12,11 +12,10 @@ from __future__ import annotations
 import math
 import time
 
-from drivers.rig.connection import RigConnection
-from drivers.signals.points import DriverError, Snapshot
-from hil.journal.states import ENDED, UNTOUCHED, Event, State
-from hil.journal.writer import JournalError, JournalWriter
-from hil.profile.load_profile import Profile
+from drivers.rig import RigConnection
+from drivers.signals import DriverError, Snapshot
+from hil.journal import ENDED, UNTOUCHED, Event, JournalError, JournalWriter, State
+from hil.profile import Profile
 from hil.run.engine.attended import Cut, attended
 from hil.run.engine.clock import Clock
 from hil.run.engine.components import Components, Options
@@ -25,9 +24,8 @@ from hil.run.engine.operator import Verb
 from hil.run.engine.status import Outcome, Status
 from hil.run.engine.supervisor import End
 from hil.run.engine.tick import FIRST_SAMPLE_TIMEOUT_S, TickWork
-from hil.run.outputs.safing import write_safe
-from hil.run.restore.resumption import Resumption
-from hil.run.restore.thermal_restore import ThermalRestore
+from hil.run.outputs import write_safe
+from hil.run.restore import Resumption, ThermalRestore
 
 OBSERVE_EVERY_S = 0.2
 """Shortest interval between two statuses for the observer, s: faster than a person reads, and slow for the tick."""

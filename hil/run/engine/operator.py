@@ -7,7 +7,7 @@ import enum
 from collections import deque
 from dataclasses import dataclass
 
-from hil.journal.states import LIVE, UNTOUCHED, Event, State, next_state
+from hil.journal import LIVE, UNTOUCHED, Event, State, next_state
 
 
 class Verb(enum.StrEnum):

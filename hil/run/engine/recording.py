@@ -8,10 +8,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
-from drivers.signals.points import Quality, Snapshot
-from hil.journal.rows import SegmentRow
-from hil.journal.states import Transition, event_level
-from hil.journal.writer import JournalError, JournalWriter
+from drivers.signals import Quality, Snapshot
+from hil.journal import JournalError, JournalWriter, SegmentRow, Transition, event_level
 
 _GOOD = int(Quality.GOOD)
 PUBLISH_TICKS = 60

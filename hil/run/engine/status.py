@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from hil.journal.states import State
+from hil.journal import State
 
 
 @dataclass(frozen=True, slots=True)

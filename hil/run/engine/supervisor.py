@@ -12,13 +12,12 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping
 
-from drivers.rig_file.model import Point, Rig
-from drivers.signals.points import Snapshot
-from hil.journal.states import HEATED, Event, State, StateMachine, Transition, next_state
+from drivers.rig_file import Point, Rig
+from drivers.signals import Snapshot
+from hil.journal import HEATED, Event, State, StateMachine, Transition, next_state
 from hil.run.engine.operator import URGENT, Desk, RefusedError, Request, Verb, event_of, refusal, unheard
-from hil.run.interlocks.conditions import Residuals
-from hil.run.interlocks.interlocks import Interlocks, InterlockStatus
-from hil.run.outputs.outputs import ARMING_TICKS
+from hil.run.interlocks import Interlocks, InterlockStatus, Residuals
+from hil.run.outputs import ARMING_TICKS
 
 SECOND_REQUEST_S = 1.0
 """A stop request that follows another within this time is its echo, s. A key that is held down repeats after at most

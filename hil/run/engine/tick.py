@@ -6,16 +6,14 @@ import math
 import time
 from collections.abc import Callable
 
-from drivers.rig_file.model import Point
-from drivers.signals.points import DeviceExceptionError, DriverError, Quality, Snapshot
-from hil.journal.states import HEATED, WAITING, Event, State
+from drivers.rig_file import Point
+from drivers.signals import DeviceExceptionError, DriverError, Quality, Snapshot
+from hil.journal import HEATED, WAITING, Event, State
 from hil.run.engine.attended import Finished, attended
 from hil.run.engine.components import Components
 from hil.run.engine.supervisor import End
-from hil.run.outputs.deviations import Deviations
-from hil.run.outputs.heaters import Descent, GoodReadings, still_hot
-from hil.run.outputs.setpoints import bind
-from hil.run.restore.thermal_restore import ThermalRestore
+from hil.run.outputs import Descent, Deviations, GoodReadings, bind, still_hot
+from hil.run.restore import ThermalRestore
 
 FIRST_SAMPLE_TIMEOUT_S = 10.0
 PAUSED_S = 1.0
@@ -185,7 +183,7 @@ class TickWork:
                 raise
             self._recorder.event("WARN", str(error))
         if self._outputs.values != before:
-            reason = {State.RUNNING: "profile", State.RESTORING: "soak"}.get(state, f"safe: {state}")
+            reason = {State.RUNNING: "profile", State.RESTORING: "restore"}.get(state, f"safe: {state}")
             self._recorder.written(before, self._outputs.values, reason)
 
     def _wanted(self) -> dict[str, float]:

@@ -173,11 +173,16 @@ class Interlocks:
     ) -> InterlockStatus:
         """Evaluate all interlocks and return their status. Call once a tick.
 
-        Args:
-            snapshot: readings of the polled points and their quality.
-            now_s: rig time, s.
-            commanded: commands before this tick by set-point, in their units.
-            residuals: residuals of the twins, K.
+        Parameters
+        ----------
+        snapshot
+            Readings of the polled points and their quality.
+        now_s
+            Rig time, s.
+        commanded
+            Commands before this tick by set-point, in their units.
+        residuals
+            Residuals of the twins, K.
         """
         tick = self._tick(snapshot, now_s, commanded or {}, residuals or {})
         stirred = [item.update(tick) for item in self._others]

@@ -57,9 +57,12 @@ class RigClaim:
         With `no_lock` no error is raised. The free locks are taken, so that other runs are still refused, and
         `announce` gets a warning with the locks that are missing.
 
-        Raises:
-            RigBusyError: another run holds one of them.
-            RigLockError: a lock folder of this user is foreign, cannot be written to, or has no locks.
+        Raises
+        ------
+        RigBusyError
+            Another run holds one of them.
+        RigLockError
+            A lock folder of this user is foreign, cannot be written to, or has no locks.
         """
         points = end_points(rig)
         if not points:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from drivers.rig_file.model import Rig
+from drivers.rig_file import Rig
 
 
 @dataclass(slots=True)
@@ -22,9 +22,9 @@ class _Sums:
 class Deviations:
     """Sums of what was asked and measured of every set-point with a `readback`, tick by tick while the run runs.
 
-    A meter that follows with a lag of first order, and settles within `readback_within_s`, misses at most
-    sum(|steps|) * readback_within_s of the integral of what was asked. What its mean is off by more than that and
-    `readback_tolerance` is no lag: the actuator did not do what it was told.
+    A meter that follows with a lag of first order, and settles within `readback_within_s`, misses a
+    limited part of the integral of the set-point: `readback_within_s` times the sum of the sizes of its steps. A
+    meter whose mean is off by more than that and `readback_tolerance` has no lag: the actuator failed to follow.
     """
 
     def __init__(self, rig: Rig) -> None:

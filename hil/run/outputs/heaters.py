@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from drivers.rig_file.model import Point, Rig
-from drivers.signals.points import Quality, Snapshot
+from drivers.rig_file import Point, Rig
+from drivers.signals import Quality, Snapshot
 
 _MEASURED = (int(Quality.GOOD), int(Quality.OUT_OF_RANGE))
 OFF_SHARE = 0.05

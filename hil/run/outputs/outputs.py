@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping
 
-from drivers.rig.connection import RigConnection
-from drivers.signals.points import DeviceExceptionError, DriverError, LinkError, Snapshot
+from drivers.rig import RigConnection
+from drivers.signals import DeviceExceptionError, DriverError, LinkError, Snapshot
 from hil.run.outputs.safing import write_safe
 from hil.run.outputs.setpoints import Setpoints
 

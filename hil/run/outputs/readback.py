@@ -17,11 +17,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 
-from drivers.modbus.protocol.pdu import NO_SUCH_ADDRESS, NO_SUCH_FUNCTION
-from drivers.rig.connection import RigConnection
-from drivers.rig_file.model import Point
-from drivers.signals.points import DeviceExceptionError, DriverError, Quality, Snapshot
-from hil.run.interlocks.conditions import TickValues
+from drivers.modbus.protocol import NO_SUCH_ADDRESS, NO_SUCH_FUNCTION
+from drivers.rig import RigConnection
+from drivers.rig_file import Point
+from drivers.signals import DeviceExceptionError, DriverError, Quality, Snapshot
+from hil.run.interlocks import TickValues
 from hil.run.outputs.setpoints import count_tolerance
 
 INTERVAL_S = 1.0

@@ -12,9 +12,9 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 
-from drivers.rig.connection import RigConnection
-from drivers.rig_file.model import Rig
-from drivers.signals.points import DriverError, Snapshot
+from drivers.rig import RigConnection
+from drivers.rig_file import Rig
+from drivers.signals import DriverError, Snapshot
 from hil.run.outputs.heaters import Descent, good_readings, not_cold, safe_limits
 from hil.run.outputs.setpoints import count_tolerance
 

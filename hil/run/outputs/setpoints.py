@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from drivers.rig_file.model import Point, Rig
-from drivers.signals.points import ConfigurationError
-from drivers.signals.units import split_column
+from drivers.rig_file import Point, Rig
+from drivers.signals import ConfigurationError, split_column
 from hil.run.outputs.heaters import is_heater
 
 _FLOAT_ERROR = 1e-6

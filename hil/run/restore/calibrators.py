@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.journal.writer import JournalReader, JournalWriter
-from hil.tracking.process import Tracking
-from hil.tracking.results import Results
+from hil.journal import JournalReader, JournalWriter
+from hil.tracking import Results, Tracking
 
 PAGE = 3600
 """Ticks read from the journal at a time: an hour at 1 Hz, some megabytes."""
@@ -71,14 +70,21 @@ async def restore_calibrators(
 ) -> None:
     """Replay the samples of the journal at `path` to `tracking`, gaps as gaps; then attach `journal` to it.
 
-    Args:
-        tracking: calibrators that have seen nothing yet; a failure of theirs is in `tracking.failures`.
-        journal: writer of the same journal, which gets results that it lacks.
-        path: file of the journal.
-        announce: gets a progress report every `REPORT_EVERY_S`.
+    Parameters
+    ----------
+    tracking
+        Calibrators that have seen nothing yet; a failure of theirs is in `tracking.failures`.
+    journal
+        Writer of the same journal, which gets results that it lacks.
+    path
+        File of the journal.
+    announce
+        Gets a progress report every `REPORT_EVERY_S`.
 
-    Raises:
-        JournalError: the journal cannot be read.
+    Raises
+    ------
+    JournalError
+        The journal cannot be read.
     """
     reader = JournalReader(path)
     try:

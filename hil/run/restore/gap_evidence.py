@@ -21,7 +21,7 @@ from typing import Any, Protocol
 
 from drivers.signals import ConfigurationError
 from hil.run.restore.resumption import RunPosition
-from hil.run_folder.folder import RunFolderError
+from hil.run_folder import RunFolderError
 
 KEY = "clock"
 """Key of the journal's `meta` table for the `ClockReading` of the newest segment, as plain data."""
@@ -98,15 +98,22 @@ def _note(journal: MetaTable, before: ClockReading | None) -> ClockReading | Non
 def with_gap(was: RunPosition, noted: Any, stated_s: float | None, announce: Callable[[str], None]) -> RunPosition:
     """Return `was` with the time of the interruption on the boot clock, where that is known.
 
-    Args:
-        was: position of the run at its last row.
-        noted: entry `KEY` of its journal, None in an older one.
-        stated_s: gap that a person stated, s; it is accepted as it is.
-        announce: gets a warning where the wall clock was set since.
+    Parameters
+    ----------
+    was
+        Position of the run at its last row.
+    noted
+        Entry `KEY` of its journal, None in an older one.
+    stated_s
+        Gap that a person stated, s; it is accepted as it is.
+    announce
+        Gets a warning where the wall clock was set since.
 
-    Raises:
-        RunFolderError: no gap is stated, and the gap by the clocks is negative, longer than `LONG_GAP_S`, or shorter
-            than the time since a later boot.
+    Raises
+    ------
+    RunFolderError
+        No gap is stated, and the gap by the clocks is negative, longer than `LONG_GAP_S`, or shorter
+        than the time since a later boot.
     """
     now_s, clocks = since_boot_s(), read_clocks()
     if stated_s is not None:

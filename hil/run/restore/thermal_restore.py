@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 from drivers.rig_file import Point, Rig
 from drivers.signals import FAN, HEATER, ROOM, Quality, Signal, Snapshot
-from hil.profile.load_profile import Profile
-from hil.run.outputs.setpoints import bind
+from hil.profile import Profile
+from hil.run.outputs import bind
 from hil.run.restore.controller import ThermalController
 from hil.run.restore.limits import ThermalLimits
 

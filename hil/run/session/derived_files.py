@@ -17,15 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import exit_code
-from hil.files.atomic import replacing
-from hil.files.names import printable
-from hil.journal.writer import JournalError, JournalReader
-from hil.record.reader import export_record, read_record
-from hil.run.engine.signals import RunSignals
-from hil.run_folder.folder import FolderLostError, RunFolder
-from hil.tracking import adoption
-from hil.tracking.adoption import Adoption
-from hil.tracking.twins import Proposed
+from hil.files import printable, replacing
+from hil.journal import JournalError, JournalReader, export_record
+from hil.record import read_record
+from hil.run.engine import RunSignals
+from hil.run_folder import FolderLostError, RunFolder
+from hil.tracking import Adoption, Proposed, adopt, adoption_manifest, closed_gates
 
 RECORD, REVIEW, REPORT, REVISION = "record.parquet", "review.rrd", "report.html", "adopted revision"
 RUN_UID = "run"
@@ -53,7 +50,7 @@ class DerivedFiles:
             proposals = _proposals(self.folder)
         except JournalError:
             return None
-        return adoption.closed_gates(proposals) if proposals else None
+        return closed_gates(proposals) if proposals else None
 
     def exit_code(self, in_order: bool) -> int:
         """Return the exit code of the command of a run that was `in_order` or not.
@@ -176,8 +173,8 @@ def _steps(manifest: dict[str, Any], derived: DerivedFiles) -> dict[str, Callabl
     def revision() -> None:
         profile = printable(Path(manifest["files"]["profile"]["path"]).name)
         made_by = f"hil run {profile} --network-mode controlled"
-        derived.adopted = adoption.adopt(folder.twin, read_record(folder.record), _proposals(folder), made_by)
-        manifest["adoption"] = adoption.manifest(derived.adopted)
+        derived.adopted = adopt(folder.twin, read_record(folder.record), _proposals(folder), made_by)
+        manifest["adoption"] = adoption_manifest(derived.adopted)
 
     def review() -> None:
         from hil.review import write_review
@@ -185,7 +182,7 @@ def _steps(manifest: dict[str, Any], derived: DerivedFiles) -> dict[str, Callabl
         write_review(folder.journal, folder.review)
 
     def report() -> None:
-        from hil.report.page import write_report
+        from hil.report import write_report
 
         left = {name: why for name, why in derived.missing.items() if name != REPORT}
         folder.write_manifest(manifest | {"missing": left})

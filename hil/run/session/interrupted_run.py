@@ -12,20 +12,13 @@ import numpy as np
 
 from drivers.rig_file import file_sha256, load_rig
 from drivers.signals import Quality
-from hil.diagnosis.live import END_ONLY
-from hil.files.folder_check import require_unshared
-from hil.journal.check import require_alone
-from hil.journal.profile_clock import profile_times
-from hil.journal.rows import SegmentRow, StateRow
-from hil.journal.states import State
-from hil.journal.writer import JournalReader
-from hil.run.restore.gap_evidence import KEY, with_gap
-from hil.run.restore.resumption import RunPosition
-from hil.run.restore.thermal_restore import stores_heat
+from hil.diagnosis import END_ONLY
+from hil.files import require_unshared
+from hil.journal import JournalReader, SegmentRow, State, StateRow, profile_times, require_alone
+from hil.run.restore import KEY, RunPosition, stores_heat, with_gap
 from hil.run.session.regenerate import has_ended
 from hil.run.session.request import RunRequest
-from hil.run_folder.folder import RunFolder, RunFolderError
-from hil.run_folder.manifest_check import require_settings
+from hil.run_folder import RunFolder, RunFolderError, require_settings
 
 AIM_TICKS = 10
 """Last good values whose mean is the temperature at the interruption."""
@@ -124,14 +117,21 @@ def request_of(
 ) -> RunRequest:
     """Return the request of the run in `folder`, from its manifest.
 
-    Args:
-        folder: folder of an interrupted run.
-        manifest: content of its `run.json`.
-        moved: name of a file -> its new place, None where it was not moved.
-        control, rearm, no_lock, viewer, guardian: options of this call, see `RunRequest`.
+    Parameters
+    ----------
+    folder
+        Folder of an interrupted run.
+    manifest
+        Content of its `run.json`.
+    moved
+        Name of a file -> its new place, None where it was not moved.
+    control, rearm, no_lock, viewer, guardian
+        Options of this call, see `RunRequest`.
 
-    Raises:
-        RunFolderError: the run has ended, or one of its files has changed.
+    Raises
+    ------
+    RunFolderError
+        The run has ended, or one of its files has changed.
     """
     if has_ended(folder):
         rest = "start it again with `hil run`"

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from drivers.rig_file import CanBus
-from hil.diagnosis.live import END_ONLY
-from hil.journal.writer import JournalError, JournalReader
-from hil.run.engine.status import Outcome
-from hil.run.restore.resumption import Resumption, RunPosition
+from hil.diagnosis import END_ONLY
+from hil.journal import JournalError, JournalReader
+from hil.run.engine import Outcome
+from hil.run.restore import Resumption, RunPosition
 from hil.run.session.request import RunInputs, RunRequest
-from hil.run_folder.folder import FolderLostError, RunFolder
-from hil.tracking.process import Tracking
+from hil.run_folder import FolderLostError, RunFolder
+from hil.tracking import Tracking
 
 
 def files_of(request: RunRequest, ready: RunInputs) -> dict[str, Path | None]:
@@ -92,7 +92,7 @@ def _segments(
     finally:
         reader.close()
     known = {item["number"]: item for item in manifest.get("segments", [])}
-    mine = {"soaked_s": outcome.restore_s, "exit_status": outcome.status, "reason": outcome.reason}
+    mine = {"restore_s": outcome.restore_s, "exit_status": outcome.status, "reason": outcome.reason}
     return [
         {"number": row.number, "from_s": row.time_s, "gap_s": row.gap_s, "profile_s": row.profile_s, "why": row.reason}
         | (mine if row.number == resumption.position.number else known.get(row.number, {"exit_status": "cut"}))

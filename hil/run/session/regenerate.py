@@ -6,23 +6,29 @@ import datetime
 from collections.abc import Callable
 from typing import Any
 
-from hil.journal.states import ENDED
-from hil.journal.writer import JournalReader
+from hil.journal import ENDED, JournalReader
 from hil.run.session.derived_files import RECORD, REVIEW, REVISION, DerivedFiles, derive_files
-from hil.run_folder.folder import RunFolder, RunFolderError
+from hil.run_folder import RunFolder, RunFolderError
 
 
 def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) -> DerivedFiles:
     """Make the missing files of the run in `folder`, and its report in any case.
 
-    Args:
-        folder: folder of a run that is not live.
-        rebuild: make record and review anew, too.
-        announce: gets a line for each file.
+    Parameters
+    ----------
+    folder
+        Folder of a run that is not live.
+    rebuild
+        Make record and review anew, too.
+    announce
+        Gets a line for each file.
 
-    Raises:
-        RunFolderError: this is no run folder, its run still goes on, or its `run.json` cannot be written.
-        JournalError: the journal is missing or damaged.
+    Raises
+    ------
+    RunFolderError
+        This is no run folder, its run still goes on, or its `run.json` cannot be written.
+    JournalError
+        The journal is missing or damaged.
     """
     folder.read_manifest()  # refuse a folder of something else before it is locked
     with folder.owned():

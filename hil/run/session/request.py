@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Literal
 
 from drivers.rig_file import ResidualSpec, Rig, load_rig
 from drivers.signals import ConfigurationError
-from hil.profile.load_profile import WINDOW_S, Profile, SetpointLimit, read_profile, validate
-from hil.rig.notices import unguarded
-from hil.run.outputs.setpoints import setpoint_columns
-from hil.tracking.adoption import NetworkMode
-from hil.tracking.twins import DEFAULT, STATIC, TrackingConfig
+from hil.profile import WINDOW_S, Profile, SetpointLimit, read_profile, validate
+from hil.rig import unguarded
+from hil.run.outputs import setpoint_columns
+from hil.tracking import DEFAULT, STATIC, NetworkMode, TrackingConfig
 
 if TYPE_CHECKING:
-    from twin.network import Network
+    from twin import Network
 
 Mode = Literal["real", "scaled", "lockstep"]
 MOST_SPEED = 100.0
@@ -27,28 +26,50 @@ no such limit."""
 class RunRequest:
     """Files and options of a run.
 
-    Attributes:
-        profile: load profile.
-        rig: rig file.
-        twin: twin file; None takes the twin that the rig file names, if any.
-        runs: folder for the new run folder.
-        virtual: start the virtual rig in place of the one at the rig file's addresses.
-        mode: clock of the run: real time, scaled time, or lockstep.
-        speed: factor to real time in mode "scaled".
-        seed: seed of the virtual rig and the calibrators.
-        effects: effects of the virtual rig that no twin contains.
-        calibrators: names; None takes the usual ones, without those that this twin does not admit.
-        card: model card of the trained ensemble for the network calibrators, None for the shipped one.
-        network_mode: see `hil.tracking.adoption`.
-        viewer: open Rerun; None opens it where there is a display.
-        use_twin: False runs without a twin.
-        control: host and port of a virtual rig in lockstep that runs already, at the rig file's addresses.
-        rearm: acknowledge a trip that the rig has at the start.
-        diagnose_s: profile time between diagnoses of the record so far, s; infinity diagnoses the whole run only.
-        healthy: healthy record for the diagnosis.
-        adopt: save the revision of the twin that a diagnosis makes.
-        guardian: False runs without the process that makes the rig safe when this one is killed or hangs.
-        no_lock: run although the locks of the rig cannot be taken.
+    Attributes
+    ----------
+    profile
+        Load profile.
+    rig
+        Rig file.
+    twin
+        Twin file; None takes the twin that the rig file names, if any.
+    runs
+        Folder for the new run folder.
+    virtual
+        Start the virtual rig in place of the one at the rig file's addresses.
+    mode
+        Clock of the run: real time, scaled time, or lockstep.
+    speed
+        Factor to real time in mode "scaled".
+    seed
+        Seed of the virtual rig and the calibrators.
+    effects
+        Effects of the virtual rig that no twin contains.
+    calibrators
+        Names; None takes the usual ones, without those that this twin does not admit.
+    card
+        Model card of the trained ensemble for the network calibrators, None for the shipped one.
+    network_mode
+        See `hil.tracking.adoption`.
+    viewer
+        Open Rerun; None opens it where there is a display.
+    use_twin
+        False runs without a twin.
+    control
+        Host and port of a virtual rig in lockstep that runs already, at the rig file's addresses.
+    rearm
+        Acknowledge a trip that the rig has at the start.
+    diagnose_s
+        Profile time between diagnoses of the record so far, s; infinity diagnoses the whole run only.
+    healthy
+        Healthy record for the diagnosis.
+    adopt
+        Save the revision of the twin that a diagnosis makes.
+    guardian
+        False runs without the process that makes the rig safe when this one is killed or hangs.
+    no_lock
+        Run although the locks of the rig cannot be taken.
     """
 
     profile: Path
@@ -95,7 +116,7 @@ def prepare(request: RunRequest) -> RunInputs:
     notes = [*unguarded(rig, request.rig), *notes]
     network = None
     if twin is not None:
-        from twin.twinfile import load
+        from twin import load
 
         network = load(twin)
         notes = [*notes, *_check_twin_columns(twin, network, rig)]
@@ -180,8 +201,10 @@ def chosen_calibrators(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the calibrators that run, the usual ones for None, and those among them that may be left out.
 
-    Raises:
-        ConfigurationError: a card is given, and no calibrator uses a network.
+    Raises
+    ------
+    ConfigurationError
+        A card is given, and no calibrator uses a network.
     """
     from twin.calibrators import CALIBRATOR_NAMES, UNTRAINED_CALIBRATORS
 
@@ -198,8 +221,7 @@ def _check_diagnosis(request: RunRequest, twin: Path | None, network: Network | 
     """Return notes on the diagnosis of the request; raises ConfigurationError or RecordError."""
     if network is None or twin is None:
         raise ConfigurationError("--diagnose needs a twin, and this run has none; take --no-twin out")
-    from hil.diagnosis.columns import read_columns
-    from hil.diagnosis.healthy_record import commissioned_on
+    from hil.diagnosis import commissioned_on, read_columns
 
     if request.healthy is not None:
         read_columns(network, request.healthy, None)

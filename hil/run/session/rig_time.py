@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import AsyncIterator, Callable
 
 from drivers.rig_file import Rig
-from hil.run.engine.clock import LOCKSTEP_DEADLINE_S, Clock, LockstepClock, MonotonicClock
+from hil.run.engine import LOCKSTEP_DEADLINE_S, Clock, LockstepClock, MonotonicClock
 from hil.run.session.request import RunRequest
 
 SCHEDULING_DELAY_S = 0.25

@@ -9,44 +9,46 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from drivers.rig import RigConnection
-from hil.diagnosis.live import Reply
-from hil.journal.states import ENDED, State
-from hil.journal.writer import Header, JournalError, JournalWriter
-from hil.run.engine.components import Options
-from hil.run.engine.control_socket import serving
-from hil.run.engine.engine import Engine
-from hil.run.engine.signals import RunSignals, interrupted, stopping
-from hil.run.engine.status import Outcome, Status
-from hil.run.locks.rig_lock import RigClaim
-from hil.run.restore.calibrators import restore_calibrators
-from hil.run.restore.gap_evidence import clocks_recorded
-from hil.run.restore.resumption import Resumption
+from hil.diagnosis import Reply
+from hil.journal import ENDED, Header, JournalError, JournalWriter, State
+from hil.run.engine import Engine, Options, Outcome, RunSignals, Status, interrupted, serving, stopping
+from hil.run.locks import RigClaim
+from hil.run.restore import Resumption, clocks_recorded, restore_calibrators
 from hil.run.session.derived_files import REVIEW, RUN_UID, DerivedFiles, derive_files
 from hil.run.session.manifest import end_entries
 from hil.run.session.request import RunInputs, RunRequest
 from hil.run.session.rig_time import rig_and_clock
 from hil.run.session.services import Publishers, guard_of, live_review, signals_of, start_diagnosis, start_tracking
-from hil.run_folder.folder import RunFolder
-from hil.tracking.adoption import Adoption
-from hil.tracking.process import Tracking
-from hil.tracking.twins import STATIC, Comparison
+from hil.run_folder import RunFolder
+from hil.tracking import STATIC, Adoption, Comparison, Tracking
 
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
     """Result of a finished run.
 
-    Attributes:
-        folder: folder with all its files.
-        outcome: end of the engine.
-        comparison: errors of the twins, None without a twin.
-        duration_s: rig time, s.
-        wall_s: wall time, s.
-        viewed: True where a viewer followed the run.
-        diagnosis: diagnosis of the whole run, None without one.
-        adoption: revision of the twin from the network's proposals, None without one.
-        gates: sentence about the proposals that the network's gates held.
-        derived: files of the run.
+    Attributes
+    ----------
+    folder
+        Folder with all its files.
+    outcome
+        End of the engine.
+    comparison
+        Errors of the twins, None without a twin.
+    duration_s
+        Rig time, s.
+    wall_s
+        Wall time, s.
+    viewed
+        True where a viewer followed the run.
+    diagnosis
+        Diagnosis of the whole run, None without one.
+    adoption
+        Revision of the twin from the network's proposals, None without one.
+    gates
+        Sentence about the proposals that the network's gates held.
+    derived
+        Files of the run.
     """
 
     folder: RunFolder

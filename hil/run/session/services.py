@@ -10,16 +10,14 @@ from dataclasses import dataclass
 from drivers.rig import RigConnection
 from drivers.rig_file import Rig
 from drivers.signals import Signal
-from hil.diagnosis.healthy_record import commissioned_on
-from hil.diagnosis.live import LiveConfig, LiveDiagnosis
-from hil.guardian.client import Guard, GuardianClient, NoGuard
-from hil.journal.writer import JournalWriter
-from hil.run.engine.recording import Publisher
-from hil.run.locks.rig_lock import RigClaim
+from hil.diagnosis import LiveConfig, LiveDiagnosis, commissioned_on
+from hil.guardian import Guard, GuardianClient, NoGuard
+from hil.journal import JournalWriter
+from hil.run.engine import Publisher
+from hil.run.locks import RigClaim
 from hil.run.session.request import RunInputs, RunRequest, tracking_config
-from hil.run_folder.folder import RunFolder
-from hil.tracking import adoption
-from hil.tracking.process import Tracking
+from hil.run_folder import RunFolder
+from hil.tracking import Advice, Tracking
 
 
 async def start_tracking(request: RunRequest, ready: RunInputs) -> Tracking | None:
@@ -27,7 +25,7 @@ async def start_tracking(request: RunRequest, ready: RunInputs) -> Tracking | No
     config = tracking_config(request, ready, tuple(signal.column for signal in signals_of(ready.rig)))
     if config is None or ready.network is None:
         return None
-    advise = None if request.network_mode == "shadow" else adoption.Advice(ready.network).news
+    advise = None if request.network_mode == "shadow" else Advice(ready.network).news
     lockstep, watched = request.mode == "lockstep", any(spec.kind == "residual" for spec in ready.rig.interlock)
     tracking = Tracking(config, wait=lockstep, in_step=lockstep and watched, advise=advise)
     await tracking.start()
@@ -67,9 +65,11 @@ def start_diagnosis(
 async def live_review(request: RunRequest, folder: RunFolder, announce: Callable[[str], None]) -> AsyncIterator[bool]:
     """Open a viewer that follows the journal, if there is a display or the request asks for it; yield True if it
     runs."""
-    from hil.review import has_display
+    wanted = request.viewer
+    if wanted is None:
+        from hil.review import has_display  # its import takes half a second, which a run without a viewer saves
 
-    wanted = has_display() if request.viewer is None else request.viewer
+        wanted = has_display()
     if not wanted:
         yield False
         return

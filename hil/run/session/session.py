@@ -8,13 +8,11 @@ from dataclasses import replace
 from typing import Any
 
 from drivers.rig_file import Rig
-from hil.diagnosis.healthy_record import copy_record
-from hil.run.engine.signals import RunSignals
-from hil.run.engine.status import Status
-from hil.run.locks.rig_lock import claimed
-from hil.run.outputs.setpoints import bind
-from hil.run.restore.resumption import Resumption
-from hil.run.restore.thermal_restore import RestoreRule, restore_obstacle
+from hil.diagnosis import copy_record
+from hil.run.engine import RunSignals, Status
+from hil.run.locks import claimed
+from hil.run.outputs import bind
+from hil.run.restore import RestoreRule, Resumption, restore_obstacle
 from hil.run.session.interrupted_run import confirmed_position
 from hil.run.session.manifest import files_of, interruption_reason, settings_of
 from hil.run.session.output_queue import queued_output
@@ -23,9 +21,9 @@ from hil.run.session.rig_time import speed_of
 from hil.run.session.run import PreparedRun, RunResult, carry_out
 from hil.run.session.services import start_tracking
 from hil.run.session.terminal import hours
-from hil.run_folder.folder import RunFolder, create_run_folder, new_manifest, require_room
-from hil.tracking.twins import Twins
-from twin.revisions import chain
+from hil.run_folder import RunFolder, create_run_folder, new_manifest, require_room
+from hil.tracking import Twins
+from twin import chain
 
 
 async def run_session(
@@ -36,16 +34,25 @@ async def run_session(
 ) -> RunResult:
     """Run `request` to its end and derive all files in its folder.
 
-    Args:
-        request: files and options of the run.
-        observer: gets the status a few times a second.
-        announce: gets messages for the operator, a line each.
-        signals: signals of the process; the caller determines how long they are held. None holds them for this call.
+    Parameters
+    ----------
+    request
+        Files and options of the run.
+    observer
+        Gets the status a few times a second.
+    announce
+        Gets messages for the operator, a line each.
+    signals
+        Signals of the process; the caller determines how long they are held. None holds them for this call.
 
-    Raises:
-        ConfigurationError: the request is inconsistent. Errors of its files are raised as their readers raise them.
-        RigBusyError: another run drives the rig.
-        RigLockError: the locks of the rig cannot be taken.
+    Raises
+    ------
+    ConfigurationError
+        The request is inconsistent. Errors of its files are raised as their readers raise them.
+    RigBusyError
+        Another run drives the rig.
+    RigLockError
+        The locks of the rig cannot be taken.
     """
     ready = prepare(request)
     async with contextlib.AsyncExitStack() as stack:
@@ -85,16 +92,25 @@ async def resume_session(
 ) -> RunResult:
     """Resume the interrupted run in `folder` and derive all its files anew.
 
-    Args:
-        folder: folder of the run.
-        request_of: returns the request for the run's manifest.
-        rule: rule of the thermal restore.
-        observer, announce, signals: as in `run_session`.
-        gap_s: length of the gap where the clocks do not agree on it, s.
-        before_moving: gets the request after all checks, before anything moves.
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+    request_of
+        Returns the request for the run's manifest.
+    rule
+        Rule of the thermal restore.
+    observer, announce, signals
+        As in `run_session`.
+    gap_s
+        Length of the gap where the clocks do not agree on it, s.
+    before_moving
+        Gets the request after all checks, before anything moves.
 
-    Raises:
-        RunFolderError: the run is live, has ended, or cannot be resumed. Further errors are those of `run_session`.
+    Raises
+    ------
+    RunFolderError
+        The run is live, has ended, or cannot be resumed. Further errors are those of `run_session`.
     """
     async with contextlib.AsyncExitStack() as stack:
         signals = signals or stack.enter_context(RunSignals())

@@ -18,11 +18,10 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from hil.diagnosis.live import Reply
-    from hil.run.engine.engine import Outcome
-    from hil.run.engine.status import Status
+    from hil.diagnosis import Reply
+    from hil.run.engine import Outcome, Status
     from hil.run.session.run import RunResult
-    from hil.tracking.twins import Comparison, ErrorTable
+    from hil.tracking import Comparison, ErrorTable
 
 LINE_EVERY_S = 5.0
 """Interval of progress lines where the output is no terminal, s."""
@@ -92,7 +91,7 @@ def parameter_table(comparison: Comparison) -> Table:
     table.add_column("parameter", no_wrap=True)
     for name in comparison.parameters:
         table.add_column(name, justify="right")
-    from hil.tracking.twins import parameter_cell
+    from hil.tracking import parameter_cell
 
     names = dict.fromkeys(name for values in comparison.parameters.values() for name in values)
     for name in names:
@@ -205,8 +204,8 @@ class RunProgress:
         power = status.values.get("heater_power")
         heater = f"{power:.0f} W  " if power is not None else ""
         state = "" if status.state == "running" else f"{status.state.upper()}  "
-        if status.state == "soaking":
-            self._steps.update(status.profile_s, f"SOAKING  {status.reason}")
+        if status.state == "restoring":
+            self._steps.update(status.profile_s, f"RESTORING  {status.reason}")
             return
         self._steps.update(status.profile_s, f"{state}{hours(status.profile_s)}  {heater}{temperatures}")
 
@@ -268,7 +267,7 @@ def closing_advice(outcome: Outcome, path: Path) -> list[str]:
 def show_diagnosis(out: Console, reply: Reply, review: Path) -> None:
     """Print the verdict of the diagnosis of a run, its errors on held-out segments, and the paths of page and
     review."""
-    from hil.diagnosis.table import errors_of, held_out
+    from hil.diagnosis import errors_of, held_out
 
     out.print()
     if reply.found is None:
@@ -293,5 +292,6 @@ def interruption_summary(manifest: dict[str, Any]) -> str:
     if not segments:
         return ""
     times = "once" if len(segments) == 1 else f"{len(segments)} times"
-    gap_s, restore_s = (sum(segment.get(key, 0.0) for segment in segments) for key in ("gap_s", "soaked_s"))
+    gap_s = sum(segment.get("gap_s", 0.0) for segment in segments)
+    restore_s = sum(segment.get("restore_s", segment.get("soaked_s", 0.0)) for segment in segments)
     return f" (cut {times}: {hours(gap_s)} without a row, {hours(restore_s)} of thermal restore)"

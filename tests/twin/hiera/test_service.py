@@ -153,10 +153,17 @@ def test_a_twin_that_is_right_is_not_adrift(ensemble: Ensemble) -> None:
     assert len(proposals) > 10 and not any(p["adrift"] for p in proposals)
 
 
-def test_it_goes_on_from_its_saved_state(ensemble: Ensemble) -> None:
+@pytest.fixture(scope="module")
+def changed_loop(ensemble: Ensemble) -> tuple[HieraUNetCalibrator, Any]:
+    """The calibrator that was given the whole record of a changed loop at once, and the tracker's answer."""
+    own = calibrator(ensemble)
+    return own, TwinTracker(LOOP, own).push(*record(CHANGE))
+
+
+def test_it_goes_on_from_its_saved_state(ensemble: Ensemble, changed_loop: tuple[HieraUNetCalibrator, Any]) -> None:
     t, u, y = record(CHANGE)
-    whole, first, second = (TwinTracker(LOOP, calibrator(ensemble)) for _ in range(3))
-    expected = whole.push(t, u, y).calibrations[-1]
+    first, second = (TwinTracker(LOOP, calibrator(ensemble)) for _ in range(2))
+    expected = changed_loop[1].calibrations[-1]
     cut = 3100
     first.push(t[:cut], u[:cut], y[:cut])
     second.restore(json.loads(json.dumps(first.state())))
@@ -205,13 +212,18 @@ def refined(ensemble: Ensemble) -> TwinTracker:
     return TwinTracker(LOOP, RefinedCalibrator(LOOP, calibrator(ensemble)))
 
 
+@pytest.fixture(scope="module")
+def fouled(ensemble: Ensemble) -> tuple[Any, Any]:
+    """Calibrations of least squares alone, and led by the network, where the radiator fouls at 3,330 s."""
+    whole = fouling(3330)
+    both = TwinTracker(LOOP, "least_squares"), refined(ensemble)
+    return both[0].push(*whole).calibrations, both[1].push(*whole).calibrations
+
+
 def test_a_change_inside_a_window_is_followed_before_the_next_where_least_squares_alone_lags(
-    ensemble: Ensemble,
+    fouled: tuple[Any, Any],
 ) -> None:
-    t, u, y = fouling(3330)
-    alone, led = (
-        tracker.push(t, u, y).calibrations for tracker in (TwinTracker(LOOP, "least_squares"), refined(ensemble))
-    )
+    alone, led = fouled
     assert led[5].flags[-1] == "led by the network"
     assert alone[6].error_before_K > 0.1 > led[6].error_before_K
     assert abs(led[5].values["fins.UA_100"] - 45.0) < 3.0 < abs(alone[5].values["fins.UA_100"] - 45.0)
@@ -229,12 +241,9 @@ def test_a_change_early_in_a_window_is_followed_from_its_middle_on(ensemble: Ens
     assert all(c.flags[-1].startswith("on its own") for c in led.calibrations[:5])
 
 
-def test_where_the_network_does_not_lead_least_squares_answers_as_if_it_were_alone(ensemble: Ensemble) -> None:
+def test_where_the_network_does_not_lead_least_squares_answers_as_if_it_were_alone(fouled: tuple[Any, Any]) -> None:
     """To the last bit, before a change and, once both have seen it, nearly so after it."""
-    t, u, y = fouling(3330)
-    alone, led = (
-        tracker.push(t, u, y).calibrations for tracker in (TwinTracker(LOOP, "least_squares"), refined(ensemble))
-    )
+    alone, led = fouled
     for first, second in zip(alone[:5], led[:5], strict=True):
         assert second.flags[-1].startswith("on its own") and second.values == pytest.approx(first.values, rel=1e-9)
         assert np.allclose(second.fitted, first.fitted, atol=1e-6)
@@ -242,21 +251,22 @@ def test_where_the_network_does_not_lead_least_squares_answers_as_if_it_were_alo
     assert led[6].values == pytest.approx(alone[6].values, rel=1e-6)
 
 
-def test_least_squares_and_network_go_on_from_their_saved_state(ensemble: Ensemble) -> None:
+def test_least_squares_and_network_go_on_from_their_saved_state(ensemble: Ensemble, fouled: tuple[Any, Any]) -> None:
     t, u, y = fouling(3330)
-    whole, first, second = (refined(ensemble) for _ in range(3))
-    expected = whole.push(t, u, y).calibrations[-1]
+    first, second = (refined(ensemble) for _ in range(2))
+    expected = fouled[1][-1]
     first.push(t[:3500], u[:3500], y[:3500])
     second.restore(json.loads(json.dumps(first.state())))
     found = second.push(t[3500:], u[3500:], y[3500:]).calibrations[-1]
     assert found.values == expected.values and found.flags == expected.flags
 
 
-def test_it_proposes_every_five_minutes_however_the_stream_is_cut(ensemble: Ensemble) -> None:
+def test_it_proposes_every_five_minutes_however_the_stream_is_cut(
+    ensemble: Ensemble, changed_loop: tuple[HieraUNetCalibrator, Any]
+) -> None:
     t, u, y = record(CHANGE)
-    own = [calibrator(ensemble) for _ in range(2)]
-    whole = TwinTracker(LOOP, own[0])
-    update = whole.push(t, u, y)
+    own = [changed_loop[0], calibrator(ensemble)]
+    update = changed_loop[1]
     spread = update.spread
     pieces = TwinTracker(LOOP, own[1])
     parts = [pieces.push(*(a[first : first + 1111] for a in (t, u, y))) for first in range(0, len(t), 1111)]
@@ -439,10 +449,15 @@ def lying(hours: float = 2.4, since_s: float = 6000.0) -> tuple[Any, Any, Any, A
 TANK = LOOP.sensor_names.index("T_tank_C")
 
 
-def test_a_thermometer_that_lies_is_left_aside_and_the_twin_reads_what_it_ought_to(ensemble: Ensemble) -> None:
+@pytest.fixture(scope="module")
+def doubted(ensemble: Ensemble) -> Any:
+    """The tracker's answer to the whole record in which the tank's thermometer comes to read too much."""
+    return TwinTracker(LOOP, calibrator(ensemble)).push(*lying()[:3])
+
+
+def test_a_thermometer_that_lies_is_left_aside_and_the_twin_reads_what_it_ought_to(doubted: Any) -> None:
     t, u, y, true = lying()
-    tracker = TwinTracker(LOOP, calibrator(ensemble))
-    done = tracker.push(t, u, y)
+    done = doubted
     after = t >= 6000.0 + 600.0
     assert np.sqrt(np.mean((done.tracked - true)[after] ** 2)) < 0.08  # noise of 0.05 K included
     told = done.proposals[-1]["doubted"]
@@ -463,11 +478,11 @@ def test_least_squares_after_the_network_leaves_aside_what_the_network_does(ense
     assert [f[:24] for f in last if "SENSOR" in f] == ["DOUBTED_SENSOR: T_tank_C"], last
 
 
-def test_what_is_left_aside_is_so_after_going_on_from_a_saved_state(ensemble: Ensemble) -> None:
+def test_what_is_left_aside_is_so_after_going_on_from_a_saved_state(ensemble: Ensemble, doubted: Any) -> None:
     t, u, y, _ = lying()
     cut = 7200
-    whole, first, second = (calibrator(ensemble) for _ in range(3))
-    until = TwinTracker(LOOP, whole).push(t, u, y).proposals
+    first, second = (calibrator(ensemble) for _ in range(2))
+    until = doubted.proposals
     TwinTracker(LOOP, first).push(t[:cut], u[:cut], y[:cut])
     second.restore(json.loads(json.dumps(first.state())))
     assert second.state() == first.state() and second.state()["doubts"][0]["sensor"] == TANK

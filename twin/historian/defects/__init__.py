@@ -44,11 +44,16 @@ def find_and_repair(
     undone (clock, unit, swap); the rest is left out. One cause is one defect: what a step has left out is a hole to
     the next ones.
 
-    Parameters:
-        raw: samples as the historian gives them.
-        timezone: of the station, IANA; clocks in local time are looked for only where it is known.
-        pressure_kPa: of the site, for the wet bulb where no barometer is recorded.
-        events: of the plant; entries of maintenance support a swap.
+    Parameters
+    ----------
+    raw
+        Samples as the historian gives them.
+    timezone
+        Of the station, IANA; clocks in local time are looked for only where it is known.
+    pressure_kPa
+        Of the site, for the wet bulb where no barometer is recorded.
+    events
+        Of the plant; entries of maintenance support a swap.
     """
     found: list[Defect] = []
     usable = [one.usable() for one in raw]

@@ -1,1 +1,38 @@
-"""Diagnosis of a calibrated tower cell: undeclared effects by log marginal likelihood with declared priors."""
+"""Diagnosis of a calibrated tower cell: undeclared effects by log marginal likelihood with declared priors.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twin.tower.diagnosis.search import CellCase, Finding, Hypothesis, TowerDiagnosis
+    from twin.tower.diagnosis.validation import HeldOut
+
+_MODULES = {
+    "search": (
+        "CellCase",
+        "Finding",
+        "Hypothesis",
+        "TowerDiagnosis",
+    ),
+    "validation": ("HeldOut",),
+}
+_HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
+
+__all__ = ["CellCase", "Finding", "HeldOut", "Hypothesis", "TowerDiagnosis"]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module on first use."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return sorted(__all__)

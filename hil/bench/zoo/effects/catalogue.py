@@ -13,7 +13,13 @@ EFFECTS: tuple[EffectType, ...] = (*HEAT_EFFECTS, *READING_EFFECTS, *STREAM_EFFE
 
 
 def draw_effect(scene: Scene, order: np.random.Generator, sealed: bool) -> tuple[EffectType, Injection]:
-    """Draw an effect that the scene has a place for; reserved ones come with sealed families alone."""
+    """Draw an effect that the scene has a place for; reserved ones come with sealed families alone.
+
+    Raises
+    ------
+    NoSuchPlaceError
+        The scene has no place for any effect.
+    """
     known = [e for e in EFFECTS if sealed or not e.reserved]
     for k in order.permutation(len(known)):
         try:

@@ -7,10 +7,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hil.bench.zoo.plants.cells import Array, Drive, Modifier
-from hil.bench.zoo.plants.parts import Built
-from hil.bench.zoo.plants.plant import FAN_COLUMN, ROOM_COLUMN, Plant
-from hil.bench.zoo.plants.schedules import HOUR_S, START_H, Schedule, wander
+from hil.bench.zoo.plants import (
+    FAN_COLUMN,
+    HOUR_S,
+    ROOM_COLUMN,
+    START_H,
+    Array,
+    Built,
+    Drive,
+    Modifier,
+    Plant,
+    Schedule,
+    wander,
+)
 
 Shape = Callable[[float, Array], Array]
 """Size and course (n,) -> changed course."""

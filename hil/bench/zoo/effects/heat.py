@@ -7,22 +7,23 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from hil.bench.zoo.effects.effect import Answer, EffectType, Injection, NoSuchPlaceError, Scene
-from hil.bench.zoo.plants.cells import (
+from hil.bench.zoo.plants import (
     ABOVE,
     ALWAYS,
     EVAPORATION,
+    FAN_COLUMN,
     HEAT,
     LATCH,
     LINEAR,
     LINK,
+    NOTHING,
     POWER,
     ROOM,
     TRANSFER,
     Array,
+    Built,
     Modifier,
 )
-from hil.bench.zoo.plants.parts import NOTHING, Built
-from hil.bench.zoo.plants.plant import FAN_COLUMN
 
 Course = Callable[[Scene], Array]
 

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.signal import lfilter, lfiltic
 
 from hil.bench.zoo.effects.effect import Answer, EffectType, Injection, NoSuchPlaceError, Reading, Scene, Shape
-from hil.bench.zoo.plants.cells import Array
-from hil.bench.zoo.plants.plant import FAN_COLUMN, ROOM_COLUMN
+from hil.bench.zoo.plants import FAN_COLUMN, ROOM_COLUMN, Array
 
 BIAS_K, MOST_BIAS_K = 0.3, 8.0
 Form = Callable[[Scene, str], Reading]

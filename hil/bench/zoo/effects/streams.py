@@ -7,9 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.bench.zoo.effects.effect import Answer, EffectType, Injection, NoSuchPlaceError, Scene
-from hil.bench.zoo.plants.cells import ABOVE, FLOW, GATE, LATCH, LINEAR, LINK, POWER, ROOM, Array, Modifier
-from hil.bench.zoo.plants.parts import Built
-from hil.bench.zoo.plants.plant import FAN_COLUMN
+from hil.bench.zoo.plants import ABOVE, FAN_COLUMN, FLOW, GATE, LATCH, LINEAR, LINK, POWER, ROOM, Array, Built, Modifier
 
 Course = Callable[[Scene], Array]
 FLOW_ANSWERS = (Answer("flow", "loop"), Answer("actuator", "pump_speed"))

@@ -35,7 +35,7 @@ def reading(command: Command) -> Command:
     def with_choice(
         *given: Any, decimal: Any, dates: Any, time_column: str | None, time_scale: float, **named: Any
     ) -> Any:
-        from hil.record.raw import Reading
+        from hil.record import Reading
 
         return command(*given, choice=Reading(decimal, dates, time_column, time_scale), **named)
 
