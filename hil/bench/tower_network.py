@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.measure.report import Cell, ReportTable
-from hil.training.tower.evaluate import BOOSTED, ENSEMBLE, GAUSS_NEWTON, evaluate
-from hil.training.tower.selftest import random_table
+from hil.bench.measure import Cell, ReportTable
+from hil.training.tower import BOOSTED, ENSEMBLE, GAUSS_NEWTON, random_table, score_members
 from twin.calibrators.hiera_unet.config import HieraError
 
 FORWARDS = 20
@@ -38,7 +37,7 @@ def network_tables(
         HieraError: the folder has no test stations, or a file is no network of a tower.
     """
     members = {f"small_{path.stem}": path for path in networks}
-    document, _ = evaluate(folder, members, device, most=most, note=note)
+    document, _ = score_members(folder, members, device, most=most, note=note)
     return [*tables_of(document), latency(networks)]
 
 
@@ -175,9 +174,7 @@ def latency(networks: Sequence[Path]) -> ReportTable:
         HieraError: a file is no network of a tower.
     """
     from twin.calibrators.hiera_unet.device import ready
-    from twin.calibrators.hiera_unet.tower.member import load_member
-    from twin.calibrators.hiera_unet.tower.predict import predict
-    from twin.calibrators.hiera_unet.tower.windows import Fleet
+    from twin.calibrators.hiera_unet.tower import Fleet, load_member, predict_windows
 
     ready("cpu", 1)
     fleet = Fleet([random_table(0)])
@@ -187,7 +184,7 @@ def latency(networks: Sequence[Path]) -> ReportTable:
         spent = []
         for k in range(FORWARDS):
             began = time.perf_counter()
-            predict(member.network, fleet, fleet.rows[k : k + 1])
+            predict_windows(member.network, fleet, fleet.rows[k : k + 1])
             spent.append(1e3 * (time.perf_counter() - began))
         limit = MOST_MS.get(member.network.config.name, MOST_MS["full"])
         middle = float(np.median(spent))

@@ -69,12 +69,11 @@ def tower_command(
       hil train tower --config small --seed 0 --minutes 9
       hil train tower --config small --seed 0 --minutes 9      (again, until it says that it is done)
     """
-    from hil.run.session.terminal import ProgressBar, console
-    from hil.training.stopping import Stop
-    from hil.training.tower.generate import DataPlan
-    from hil.training.tower.session import simulate_stations, train_member
+    from hil.run.session import ProgressBar, console
+    from hil.training import Stop
+    from hil.training.tower import DataPlan, simulate_stations, train_member
     from twin.calibrators.hiera_unet.device import ready
-    from twin.calibrators.hiera_unet.tower.plan import TowerPlan
+    from twin.calibrators.hiera_unet.tower import TowerPlan
 
     ready(device, threads)
     plan = TowerPlan(steps=steps, batch=batch, seed=seed, half=device != "cpu" if half is None else half)
