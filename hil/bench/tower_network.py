@@ -49,7 +49,9 @@ def read_results(path: Path) -> dict[str, Any]:
     """
     try:
         found = json.loads(path.read_text())
-        return {**found["evaluation"], "adapted": found.get("adapted", {}), "cards": found.get("cards", {})}
+        evaluation = dict(found["evaluation"])
+        dict(evaluation["scores"]["all"])
+        return {**evaluation, "adapted": found.get("adapted", {}), "cards": found.get("cards", {})}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise HieraError(f"{path}: holds no scores of a training ({error}); give its results.json") from error
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.bench.tower_network import tables_of
+from hil.bench.tower_network import read_results, tables_of
 from hil.training.tower.generate import MANIFEST, TEST, TRAIN, VALIDATION, DataPlan, digest_of, generate, tables
 from hil.training.tower.stations import HIDDEN_SHARE, drawn_site
 from hil.training.tower.unpack import unpack
@@ -126,3 +126,30 @@ def test_the_command_trains_in_parts_and_refuses_a_blind_member(tmp_path: Path) 
     (out / "tower_small_0.safetensors").write_bytes(b"other weights")
     with pytest.raises(HieraError, match="is not the file that its card"):
         unpack(out, unpacked)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"cards": {}}', '{"evaluation": null}', '{"evaluation": {"scores": {}}}'])
+def test_a_file_without_scores_is_named_with_what_to_give(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "results.json"
+    path.write_text(text)
+    with pytest.raises(HieraError, match=r"results\.json: holds no scores of a training .* give its results\.json"):
+        read_results(path)
+
+
+def test_a_folder_without_results_is_not_unpacked(tmp_path: Path) -> None:
+    with pytest.raises(HieraError, match="cannot be read as results of a training"):
+        unpack(tmp_path, tmp_path / "shipped")
+    assert not (tmp_path / "shipped").exists()
+
+
+def test_members_whose_weights_did_not_come_back_are_left_out(tmp_path: Path) -> None:
+    (tmp_path / "results.json").write_text(json.dumps({"cards": {"full_0": {"weights": {"sha256": ""}}}}))
+    assert unpack(tmp_path, tmp_path / "shipped") == []
+
+
+def test_the_bench_names_a_file_without_scores_in_one_sentence(tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
+    (tmp_path / "results.json").write_text("{}")
+    done = typed("bench", "tower", str(tmp_path), "--results", str(tmp_path / "results.json"))
+    assert done.returncode == 2
+    assert "holds no scores of a training" in done.stderr and "Traceback" not in done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +16,16 @@ from tests.twin.hiera.tower_tables import BIAS, made_table  # noqa: E402
 from twin.calibrators.hiera_unet import checkpoint  # noqa: E402
 from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
 from twin.calibrators.hiera_unet.service import TRAINED  # noqa: E402
-from twin.calibrators.hiera_unet.tower.member import MemberTraining, load_member  # noqa: E402
+from twin.calibrators.hiera_unet.tower.member import MemberTraining, adapt, load_member  # noqa: E402
 from twin.calibrators.hiera_unet.tower.plan import TowerPlan  # noqa: E402
-from twin.calibrators.hiera_unet.tower.predict import BLIND, Blindness, blindness, interval, predict  # noqa: E402
+from twin.calibrators.hiera_unet.tower.predict import (  # noqa: E402
+    BLIND,
+    NOT_TESTED,
+    Blindness,
+    blindness,
+    interval,
+    predict,
+)
 from twin.calibrators.hiera_unet.tower.score import Factors, believed, mixed, scores, targets_of  # noqa: E402
 from twin.calibrators.hiera_unet.tower.table import SUBJECT  # noqa: E402
 from twin.calibrators.hiera_unet.tower.train import TowerTrainer  # noqa: E402
@@ -29,6 +37,14 @@ PLAN = TowerPlan(steps=6, batch=3, pairs=0.34)
 @pytest.fixture(scope="module")
 def fleet() -> Fleet:
     return Fleet([made_table(seed=0), made_table("made_2", seed=1)])
+
+
+@pytest.fixture(scope="module")
+def member_file(fleet: Fleet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights and card of an untrained member."""
+    path = tmp_path_factory.mktemp("member") / "tower_small_0.safetensors"
+    MemberTraining("small", PLAN, fleet, fleet, None, "data").write(path, NOT_TESTED, {})
+    return path
 
 
 def test_an_untrained_network_says_what_the_belief_says(fleet: Fleet) -> None:
@@ -73,6 +89,39 @@ def test_a_network_that_ignores_its_channels_is_refused_and_its_card_says_so(fle
     assert member.card["gate"]["code"] == BLIND and member.card["refused"] == BLIND
     x, y = training.trainer.average.parameters().__next__(), member.network.parameters().__next__()
     assert torch.allclose(x, y, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("table", "another", "another channel table"),
+        ("format", 1, "format 1, not"),
+        ("parameters", ["fill", "air"], "tell fill, air"),
+        ("twin", "loop", "another structure"),
+    ],
+)
+def test_a_member_of_another_table_format_or_twin_is_refused(
+    member_file: Path, tmp_path: Path, key: str, value: object, says: str
+) -> None:
+    path = tmp_path / member_file.name
+    path.write_bytes(member_file.read_bytes())
+    card = json.loads(member_file.with_suffix(".json").read_text())
+    path.with_suffix(".json").write_text(json.dumps({**card, key: value}))
+    with pytest.raises(HieraError, match=says):
+        load_member(path, blind_too=True)
+
+
+def test_a_member_without_its_weights_is_refused(member_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / member_file.name
+    path.with_suffix(".json").write_text(member_file.with_suffix(".json").read_text())
+    with pytest.raises(HieraError, match=r"are missing; put them beside the card"):
+        load_member(path, blind_too=True)
+
+
+def test_a_station_without_windows_in_its_first_months_adapts_nothing(fleet: Fleet) -> None:
+    network = TowerTrainer(SUBJECT.config("small"), fleet, PLAN).network
+    with pytest.raises(HieraError, match="no window in its first nine months; give a longer record"):
+        adapt(network, fleet, fleet, PLAN, 0.0, last=0.0)
 
 
 def test_the_gate_opens_only_where_both_are_surely_worse() -> None:
