@@ -146,7 +146,10 @@ def _trained(cards: Mapping[str, Any]) -> ReportTable:
             gate["parameters_worse"][0], gate["outputs_worse"][0], gate["code"],
         ))  # fmt: skip
     columns = ("member", "weights", "steps", "batch", "s", "device", "parameters worse", "outputs worse", "gate")
-    notes = ("worse: with another window's channels, as a share; at least 0.05 and surely above 0, else BLIND",)
+    notes = (
+        "worse: with another window's channels, as a share; at least 0.05 and surely above 0, else BLIND",
+        "the training scored all tables above on its device; the latency alone is of the machine that this page names",
+    )
     return ReportTable("trained", "Members and their gate against blindness", columns, tuple(rows), notes)
 
 
