@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from hil.bench.tower_network import read_results, tables_of
+from hil.training.tower.evaluate import ensemble_of
 from hil.training.tower.generate import MANIFEST, TEST, TRAIN, VALIDATION, DataPlan, digest_of, generate, tables
 from hil.training.tower.stations import HIDDEN_SHARE, drawn_site
 from hil.training.tower.unpack import unpack
@@ -153,3 +154,9 @@ def test_the_bench_names_a_file_without_scores_in_one_sentence(tmp_path: Path) -
     done = typed("bench", "tower", str(tmp_path), "--results", str(tmp_path / "results.json"))
     assert done.returncode == 2
     assert "holds no scores of a training" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_the_ensemble_leaves_out_a_refused_member_unless_all_are() -> None:
+    assert ensemble_of({"small_0": "", "small_1": "BLIND", "full_0": ""}) == ["small_0"]
+    assert ensemble_of({"small_0": "BLIND", "small_1": "BLIND"}) == ["small_0", "small_1"]
+    assert ensemble_of({"full_0": ""}) == []

@@ -27,7 +27,7 @@ def evaluate(
     """Return scores as plain data, and arrays by window of the test split.
 
     Parameters:
-        members: weights by name; those whose name begins with `small` make the ensemble. most: windows of the test
+        members: weights by name; `ensemble_of` names those that make the ensemble. most: windows of the test
         split at most, evenly taken; None for all. boosted: file of `boost`, made now without. half: bfloat16 in
         the networks' products.
 
@@ -57,7 +57,8 @@ def evaluate(
     predicted = {n: predict(m.network, test, rows, size, half=half) for n, m in loaded.items()}
     note(f"predictions of {len(loaded)} networks after {time.monotonic() - began:.0f} s")
     known = {n: predict(m.network, validation, held_out, size, half=half) for n, m in loaded.items()}
-    groups = {n: [n] for n in loaded} | {ENSEMBLE: [n for n in loaded if n.startswith("small")]}
+    refused = {n: m.card.get("refused", "") for n, m in loaded.items()}
+    groups = {n: [n] for n in loaded} | {ENSEMBLE: ensemble_of(refused)}
     factors: dict[str, Any] = {}
     for name, some in groups.items():
         if not some:
@@ -67,7 +68,7 @@ def evaluate(
         factors[name] = {"theta": limits.theta.tolist(), "water": limits.water}
     document: dict[str, Any] = {
         "data": digest_of(folder), "test_cells": test.names, "windows": len(rows), "factors": factors,
-        "refused": {n: m.card.get("refused", "") for n, m in loaded.items()},
+        "refused": refused, "ensemble": groups[ENSEMBLE],
         "scores": {part: _scored(t, answers, rows_of) for part, rows_of in _parts(t, test.names).items()},
         "by_cell": score.by_cell(t, test.names, answers),
     }  # fmt: skip
@@ -76,6 +77,16 @@ def evaluate(
     document["seconds"] = round(time.monotonic() - began, 1)
     note(f"scored after {document['seconds']:.0f} s")
     return document, _arrays(t, answers)
+
+
+def ensemble_of(refused: Mapping[str, str]) -> list[str]:
+    """Return the small members that the gate passed, or all small ones where it refused each.
+
+    Parameters:
+        refused: the gate's code, "" where it passed, by the name of a member.
+    """
+    small = [name for name in refused if name.startswith("small")]
+    return [name for name in small if not refused[name]] or small
 
 
 def evenly(rows: np.ndarray, most: int | None) -> np.ndarray:

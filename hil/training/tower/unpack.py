@@ -48,7 +48,7 @@ def unpack(source: Path, target: Path) -> list[Path]:
         out.with_suffix(".json").write_text(json.dumps(card, indent=1) + "\n")
         written += [out, out.with_suffix(".json")]
         if card.get("curves"):
-            title = f"tower {name}: {card['steps_done']} steps, gate {card['gate']['code']}"
+            title = f"tower {name}: {card['steps_done']} steps, {card['refused'] or 'passed by the gate'}"
             written.append(draw(card["curves"], out.with_suffix(".png"), title))
     return written
 
@@ -67,14 +67,14 @@ def draw(curves: Sequence[Mapping[str, Any]], path: Path, title: str) -> Path:
         known = [(c["step"], c[name]) for c in curves if name in c]
         if known:
             left.plot(*zip(*known, strict=True), label=name, linewidth=1)
-    left.set(title="loss, the belief's is 1", xlabel="step", ylim=(0, None))
+    left.set(title="training loss, the belief's is 1", xlabel="step", ylim=(0, None))
     middle.plot(steps, [c["water_mae_K"] for c in curves], label="network")
     middle.plot(steps, [c["rival_water_mae_K"] for c in curves], color="0.5", label="Gauss-Newton")
-    middle.set(title="outlet error, K", xlabel="step", ylim=(0, None))
+    middle.set(title="held-out outlet error, K", xlabel="step", ylim=(0, None))
     for name in PER_DEVIATION:
         right.plot(steps, [c[f"{name}_mae"] / c[f"rival_{name}_mae"] for c in curves], label=name, linewidth=1)
     right.axhline(1.0, color="0.5", linewidth=1)
-    right.set(title="error over Gauss-Newton's", xlabel="step", ylim=(0, 2))
+    right.set(title="held-out error over Gauss-Newton's", xlabel="step", ylim=(0, 2))
     for axes in (left, middle, right):
         if axes.lines:
             axes.legend(frameon=False, fontsize=8)
