@@ -208,16 +208,16 @@ def latency(networks: Sequence[Path]) -> ReportTable:
     Raises:
         HieraError: a file is no network of a tower.
     """
-    import torch
-
     from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.network import HieraUNet
     from twin.calibrators.hiera_unet.tower import Fleet, load_member
+    from twin.calibrators.hiera_unet.tower.member import own_rows
     from twin.calibrators.hiera_unet.tower.predict import answer
     from twin.calibrators.hiera_unet.tower.table import SUBJECT
 
     ready("cpu", 1)
     fleet = Fleet([random_table(0)])
+    windows = own_rows(fleet, 0.0, 1.0)
     first = load_member(networks[0], blind_too=True).network
     timed = [(first.config.name, first)]
     if first.config.name != "full":
@@ -227,7 +227,7 @@ def latency(networks: Sequence[Path]) -> ReportTable:
         making, forward = [], []
         for k in range(FORWARDS):
             began = time.process_time()
-            batch = fleet.batch(torch.from_numpy(fleet.rows[k : k + 1]))
+            batch = fleet.batch(windows[k : k + 1])
             made = time.process_time()
             answer(network, batch, causal=True, half=False)
             making.append(1e3 * (made - began))
