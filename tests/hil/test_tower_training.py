@@ -160,3 +160,24 @@ def test_the_ensemble_leaves_out_a_refused_member_unless_all_are() -> None:
     assert ensemble_of({"small_0": "", "small_1": "BLIND", "full_0": ""}) == ["small_0"]
     assert ensemble_of({"small_0": "BLIND", "small_1": "BLIND"}) == ["small_0", "small_1"]
     assert ensemble_of({"full_0": ""}) == []
+
+
+def test_the_page_compares_the_ensemble_with_gauss_newton_cell_by_cell_and_with_intervals() -> None:
+    deviations = dict.fromkeys(("fill", "air", "uniformity", "bias"), 0.01)
+    names = ("rmse_K", "p90_K", "p99_K", "mae_after_fan_change_K", "mae_K")
+    one = {f"water_{n}": 0.1 for n in names} | {"windows": 5, "reading_mae_K": 0.1, "deviation_mae": deviations}
+    worse = dict.fromkeys(("water", "water_after_fan_change", *deviations), (0.14, 0.07, 0.21)) | {
+        "air": (-0.4, -0.5, -0.3)
+    }
+    branch = {"water_mae_K": 0.1, "deviation_mae": deviations, "worse_than_rival": worse}
+    scores = {"Gauss-Newton with discrepancy": one, "network, ensemble": one | {"worse_than_rival": worse}}
+    document = {
+        "scores": {"all": scores}, "refused": {"small_0": "", "small_1": "BLIND"}, "ensemble": ["small_0"],
+        "by_cell": {"B9001_1": {"Gauss-Newton with discrepancy": 0.05, "network, ensemble": 0.07, "small_0": 0.08}},
+        "causal": branch, "symmetric": branch, "quarter_lost": branch,
+    }  # fmt: skip
+    found = {t.key: t for t in tables_of(document)}
+    assert found["cells"].rows == (("B9001_1", 0.05, 0.07),)
+    against = dict(zip(found["against"].columns, found["against"].rows[0], strict=True))
+    assert against["outlet"] == "+0.14 (+0.07 to +0.21)" and against["air"] == "-0.40 (-0.50 to -0.30)"
+    assert found["goals"].notes == ("the ensemble is the mean of small_0",)
