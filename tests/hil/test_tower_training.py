@@ -166,9 +166,8 @@ def test_the_page_compares_the_ensemble_with_gauss_newton_cell_by_cell_and_with_
     deviations = dict.fromkeys(("fill", "air", "uniformity", "bias"), 0.01)
     names = ("rmse_K", "p90_K", "p99_K", "mae_after_fan_change_K", "mae_K")
     one = {f"water_{n}": 0.1 for n in names} | {"windows": 5, "reading_mae_K": 0.1, "deviation_mae": deviations}
-    worse = dict.fromkeys(("water", "water_after_fan_change", *deviations), (0.14, 0.07, 0.21)) | {
-        "air": (-0.4, -0.5, -0.3)
-    }
+    worse = dict.fromkeys(("water", "water_after_fan_change", *deviations), (0.14, 0.07, 0.21))
+    worse["air"] = (-0.4, -0.5, -0.3)
     branch = {"water_mae_K": 0.1, "deviation_mae": deviations, "worse_than_rival": worse}
     scores = {"Gauss-Newton with discrepancy": one, "network, ensemble": one | {"worse_than_rival": worse}}
     document = {
