@@ -124,8 +124,8 @@ def test_a_pulse_of_heat_is_told_by_its_energy(bench: Bench, healthy: Columns) -
 
 
 def test_two_effects_are_named_and_no_third(bench: Bench, healthy: Columns) -> None:
-    record = bench.record(changed=bench.with_values(tank_loss__hA=8.5), onset_h=3.0)
-    later = np.where(record.time_s >= 6.0 * HOUR, 0.5, 0.0)[:, None]
+    record = bench.record(10.0, changed=bench.with_values(tank_loss__hA=8.5), onset_h=2.0)
+    later = np.where(record.time_s >= 4.0 * HOUR, 0.5, 0.0)[:, None]
     error = later * np.eye(4)[bench.network.sensor_names.index("T_heater_C")]
     found = diagnose(bench.network, replace(record, measured=record.measured + error), healthy, by_evidence=True)
     assert {(e.kind, e.where) for e in found.effects} == {("heat_loss", "tank"), ("sensor", "T_heater_C")}
