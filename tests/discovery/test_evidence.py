@@ -85,6 +85,16 @@ def test_nothing_is_claimed_of_a_healthy_record(bench: Bench, healthy: Columns) 
     assert diagnose(bench.network, bench.record(), healthy, by_evidence=True).verdict == "adequate"
 
 
+@pytest.mark.parametrize("hours", [2.0, 3.0])
+def test_a_record_of_a_few_blocks_has_no_room_for_an_interval(bench: Bench, healthy: Columns, hours: float) -> None:
+    """Samples ten minutes apart: two and three blocks of an hour."""
+    every = slice(None, None, 120)
+    record = bench.record(hours)
+    coarse = Columns(*(np.ascontiguousarray(x[every]) for x in (record.time_s, record.inputs, record.measured)))
+    found = diagnose(bench.network, coarse, healthy, by_evidence=True)
+    assert all(e.shape != "spell" for e in found.effects)
+
+
 def test_a_reading_that_follows_heater_power_is_named_and_adopted(bench: Bench, healthy: Columns) -> None:
     def error(record: Columns) -> Array:
         return np.where(record.time_s > 4.0 * HOUR, 8e-4 * record.inputs[:, 0], 0.0)
