@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hil.cli.tower_training import tower_command
+
 if TYPE_CHECKING:
     from twin.calibrators.hiera_unet import Plan
 
@@ -28,6 +30,9 @@ def command() -> None:
     Example:
       hil train loop --config small --seed 0 --minutes 9
     """
+
+
+command.add_command(tower_command)
 
 
 @command.command("loop")

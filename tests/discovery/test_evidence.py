@@ -85,6 +85,16 @@ def test_nothing_is_claimed_of_a_healthy_record(bench: Bench, healthy: Columns) 
     assert diagnose(bench.network, bench.record(), healthy).verdict == "adequate"
 
 
+@pytest.mark.parametrize("hours", [2.0, 3.0])
+def test_a_record_of_a_few_blocks_has_no_room_for_an_interval(bench: Bench, healthy: Columns, hours: float) -> None:
+    """Samples ten minutes apart: two and three blocks of an hour."""
+    every = slice(None, None, 120)
+    record = bench.record(hours)
+    coarse = Columns(*(np.ascontiguousarray(x[every]) for x in (record.time_s, record.inputs, record.measured)))
+    found = diagnose(bench.network, coarse, healthy)
+    assert all(e.shape != "spell" for e in found.effects)
+
+
 def test_a_reading_that_follows_heater_power_is_named_and_adopted(bench: Bench, healthy: Columns) -> None:
     def error(record: Columns) -> Array:
         return np.where(record.time_s > 4.0 * HOUR, 8e-4 * record.inputs[:, 0], 0.0)
@@ -124,10 +134,26 @@ def test_a_pulse_of_heat_is_told_by_its_energy(bench: Bench, healthy: Columns) -
 
 
 def test_two_effects_are_named_and_no_third(bench: Bench, healthy: Columns) -> None:
-    record = bench.record(changed=bench.with_values(tank_loss__hA=8.5), onset_h=3.0)
-    error = (
-        np.where(record.time_s >= 6.0 * HOUR, 0.5, 0.0)[:, None]
-        * np.eye(4)[bench.network.sensor_names.index("T_heater_C")]
-    )
+    record = bench.record(10.0, changed=bench.with_values(tank_loss__hA=8.5), onset_h=2.0)
+    later = np.where(record.time_s >= 4.0 * HOUR, 0.5, 0.0)[:, None]
+    error = later * np.eye(4)[bench.network.sensor_names.index("T_heater_C")]
     found = diagnose(bench.network, replace(record, measured=record.measured + error), healthy)
     assert {(e.kind, e.where) for e in found.effects} == {("heat_loss", "tank"), ("sensor", "T_heater_C")}
+
+
+def test_two_things_at_one_moment_are_one_cause_that_no_law_describes(bench: Bench, healthy: Columns) -> None:
+    both = bench.with_values(modules_power__power=150.0, T_tank_C__bias_K=0.4)
+    found = diagnose(bench.network, bench.record(changed=both, onset_h=3.0), healthy)
+    assert found.verdict == "unexplained" and found.network is None
+    assert any("both begin at 3 h 00 min: one cause" in note for note in found.notes)
+
+
+def test_heat_into_a_solid_that_is_read_is_one_effect(bench: Bench, healthy: Columns) -> None:
+    """The water shows all of the heat, and the thermometer 0.01 K more for each watt."""
+    hot = bench.with_values(modules_power__power=80.0, T_modules_C__bias_K=0.8)
+    found = diagnose(bench.network, bench.record(changed=hot, onset_h=3.0), healthy)
+    effect = only(found)
+    assert (effect.kind, effect.where, effect.driver) == ("heat_source", "modules", "constant")
+    assert effect.value == pytest.approx(80.0, rel=0.05) and "into its solid part" in effect.says
+    assert found.network is not None
+    assert {e.kind for e in found.network.elements} >= {"law_heat", "law_reading"}

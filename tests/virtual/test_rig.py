@@ -301,22 +301,6 @@ async def test_python_can_and_cantools_decode_the_bus(connect: Connect) -> None:
         await asyncio.to_thread(stranger, rig)
 
 
-async def test_can_logger_sees_frames(tmp_path: Path) -> None:
-    log = tmp_path / "bus.asc"
-
-    async with await start_virtual_rig(mode="scaled", speed=20.0) as rig:
-        logger = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "can.logger", "-i", "socketcand", "-c", "vcan0", "-f", str(log),
-            "--bus-kwargs", f"host={rig.host}", f"port={rig.can_port}",
-            stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.DEVNULL,
-        )  # fmt: skip
-        await asyncio.sleep(2.0)
-        logger.send_signal(signal.SIGINT)
-        await logger.wait()
-    text = log.read_text()
-    assert min(text.count(f" {identifier}  ") for identifier in ("181", "281", "381")) > 5, text
-
-
 async def test_a_dead_process_is_noticed_and_takes_the_other_down() -> None:
     for victim in ("plc", "thermocouples"):
         async with await start_virtual_rig(mode="lockstep") as rig:

@@ -87,8 +87,14 @@ class Outputs:
     m_a: Array
 
 
-def solve(u: Inputs, design: Design, deviations: Deviations = Deviations()) -> Outputs:
-    """Return what the cell does at rest at each operating point; without water its outlet is its inlet."""
+def solve(
+    u: Inputs, design: Design, deviations: Deviations = Deviations(), *, with_evaporation: bool = True
+) -> Outputs:
+    """Return what the cell does at rest at each operating point; without water its outlet is its inlet.
+
+    Parameters:
+        with_evaporation: False leaves the evaporation NaN, which saves a third of the time.
+    """
     ratio_in = np.maximum(moist.ratio_from_wet_bulb(u.dry, u.wet, u.pressure), 0.0)
     h_in = moist.enthalpy(u.dry, ratio_in)
     rho = moist.density(u.dry, ratio_in, u.pressure)
@@ -109,7 +115,9 @@ def solve(u: Inputs, design: Design, deviations: Deviations = Deviations()) -> O
         effectiveness = _effectiveness(ntu, ratio)
         heat = effectiveness * wet_air * (h_hot - h_in)
         t_out = u.t_in - heat / (m_w * CP_WATER)
-    lost = design.evaporation * _evaporation(ntu, wet_air, h_in, heat, ratio_in, u.pressure)
+    lost = np.full_like(t_out, np.nan)
+    if with_evaporation:
+        lost = design.evaporation * _evaporation(ntu, wet_air, h_in, heat, ratio_in, u.pressure)
     shaft = design.power * speed**design.speed_exponent * rho / design.density
     power = design.idle + shaft * (1.0 + design.kappa * (1.0 - deviations.air))
     return Outputs(t_out, heat, lost, power, m_a)

@@ -186,7 +186,7 @@ class CellModel:
         )
         fill = (1.0 + q["fill_share"] * slow[:, 0]) * np.exp(law)
         points = Inputs(t_in, m_w, speed, dry, inside, u.pressure)
-        out = solve(points, d, Deviations(fill, 1.0 + slow[:, 1], uniformity)).t_out
+        out = solve(points, d, Deviations(fill, 1.0 + slow[:, 1], uniformity), with_evaporation=False).t_out
         out = out + self._discrepancy(o, q, t_in - out)
         if len(g) > len(NAMES):
             out = out + self.features(o) @ g[len(NAMES) :]

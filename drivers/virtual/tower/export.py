@@ -42,8 +42,8 @@ def write_station(made: Simulated, folder: Path, *, score: bool) -> list[Path]:
     )))  # fmt: skip
     files.append(folder / "datasheet.json")
     files[-1].write_text(json.dumps(datasheet(made.site, made.recorded), indent=1) + "\n")
-    files.append(_commissioning(made, folder / "commissioning.csv"))
-    files.append(_events(made, folder / "events.csv"))
+    files.append(_table(folder / "commissioning.csv", COMMISSIONING, commissioning_rows(made)))
+    files.append(_table(folder / "events.csv", EVENTS, event_rows(made)))
     files.append(_labels(made, folder / "labels.csv"))
     if score:
         files.append(_truth(made, folder / "truth.parquet"))
@@ -113,8 +113,18 @@ def datasheet(site: Site, recorded: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _commissioning(made: Simulated, path: Path) -> Path:
-    """Write the acceptance tests of the clean cells, at rest, with test instruments."""
+COMMISSIONING = (
+    "cell", "test", "water_inlet_C", "water_outlet_C", "entering_wet_bulb_C", "dry_bulb_C", "pressure_kPa", "wind_m_s",
+    "water_flow_kg_s", "fan_speed_pct", "fan_power_kW", "air_flow_kg_s", "evaporation_kg_s",
+)  # fmt: skip
+"""Columns of the acceptance tests."""
+
+
+def commissioning_rows(made: Simulated) -> list[tuple[Any, ...]]:
+    """Return the acceptance tests of the clean cells, at rest, with test instruments, in the order of `COMMISSIONING`.
+
+    Each call draws from the station's own stream of commissioning, so that two calls differ.
+    """
     site, rng = made.site, made.streams["commissioning"]
     rows = []
     for cell in range(1, made.recorded + 1):
@@ -137,21 +147,19 @@ def _commissioning(made: Simulated, path: Path) -> Path:
                 _r(power * rng.normal(1, 0.005), 2), _r(air * rng.normal(1, 0.012), 1), _r(lost * rng.normal(1, 0.02),
                 3),
             ))  # fmt: skip
-    header = (
-        "cell", "test", "water_inlet_C", "water_outlet_C", "entering_wet_bulb_C", "dry_bulb_C", "pressure_kPa",
-        "wind_m_s",
-        "water_flow_kg_s", "fan_speed_pct", "fan_power_kW", "air_flow_kg_s", "evaporation_kg_s",
-    )  # fmt: skip
-    return _table(path, header, rows)
+    return rows
 
 
 def _r(value: float, digits: int) -> float:
     return round(float(value), digits)
 
 
-def _events(made: Simulated, path: Path) -> Path:
-    """Write the events: to the minute from the control system; by the day, sometimes wrong or missing, from
-    maintenance."""
+EVENTS = ("time", "precision", "cell", "source", "event", "text")
+
+
+def event_rows(made: Simulated) -> list[tuple[Any, ...]]:
+    """Return the events in the order of `EVENTS`: to the minute from the control system; by the day, sometimes wrong or
+    missing, from maintenance. Each call draws from the station's own stream of records, so that two calls differ."""
     rng = made.streams["records"]
     rows = []
     for one in (*made.operation.happenings, *made.truth.life.happenings):
@@ -168,7 +176,7 @@ def _events(made: Simulated, path: Path) -> Path:
     for swap in made.seeded.of("swap"):
         text = f"Transmitters of {swap.tags[0]} and {swap.tags[1]} exchanged for new ones, terminals re-made"
         rows.append((_moment(made, swap.span[0]).strftime("%Y-%m-%d"), "day", 0, "CMMS", "instrument_work", text))
-    return _table(path, ("time", "precision", "cell", "source", "event", "text"), sorted(rows))
+    return sorted(rows)
 
 
 def _labels(made: Simulated, path: Path) -> Path:

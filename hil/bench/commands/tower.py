@@ -12,8 +12,17 @@ from hil.cli.options import INPUT_FILE
 
 @click.command("tower")
 @click.argument("record", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--twin", "twins", multiple=True, type=INPUT_FILE, help="Twin file of a cell; may be repeated.")
 @click.option(
-    "--twin", "twins", required=True, multiple=True, type=INPUT_FILE, help="Twin file of a cell; may be repeated."
+    "--network",
+    "networks",
+    multiple=True,
+    type=INPUT_FILE,
+    help="Trained member; RECORD is then the folder of simulated stations of `hil train tower`. May be repeated.",
+)
+@click.option("--windows", type=click.IntRange(1), help="Test windows at most, for a network.  [default: all]")
+@click.option(
+    "--results", type=INPUT_FILE, help="Scores that a training within a time limit left, instead of --network."
 )
 @click.option("--labels", type=INPUT_FILE, help="Inspections, traverses and certificates, CSV.")
 @click.option("--truth", type=INPUT_FILE, help="Truth of a made station, Parquet: errors of the deviations too.")
@@ -25,10 +34,13 @@ from hil.cli.options import INPUT_FILE
 @OUT
 @JSON
 def tower_command(
-    record: Path, twins: tuple[Path, ...], labels: Path | None, truth: Path | None, steps: int | None,
-    step_size: float, seed: int, out: Path | None, as_json: bool,
+    record: Path, twins: tuple[Path, ...], networks: tuple[Path, ...], windows: int | None, results: Path | None,
+    labels: Path | None, truth: Path | None, steps: int | None, step_size: float, seed: int, out: Path | None,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Predictions of a cell's outlet on RECORD by each baseline, its own readings hidden.
+
+    With --network: trained members and their rivals on simulated stations that no training saw.
 
     With --steps: steps of an outlet thermometer, how soon each is found, and the fouling that the refit then reports.
 
@@ -36,7 +48,13 @@ def tower_command(
     Example:
       hil bench tower record --twin cell1.toml
       hil bench tower record --twin cell1.toml --twin cell2.toml --steps 200
+      hil bench tower training/tower --network training/tower_small_0.safetensors
     """
+    if networks or results is not None:
+        _networks(record, networks, windows, results, out, as_json)
+        return
+    if not twins:
+        raise click.UsageError("name the twins of the record's cells with --twin, or trained members with --network")
     if steps is not None:
         from hil.bench.tower_steps import tables_of, try_steps
 
@@ -49,3 +67,15 @@ def tower_command(
 
     tables, skipped = compare(record, twins, labels, truth)
     finish("tower", 0, tuple(tables), tuple(skipped), out, as_json)
+
+
+def _networks(
+    folder: Path, networks: tuple[Path, ...], windows: int | None, results: Path | None, out: Path | None, as_json: bool
+) -> None:
+    from hil.bench.tower_network import latency, network_tables, read_results, tables_of
+
+    if results is not None:
+        found = [*tables_of(read_results(results)), *([latency(networks)] if networks else [])]
+    else:
+        found = network_tables(folder, networks, most=windows, note=lambda text: click.echo(text, err=True))
+    finish("tower_network", 0, tuple(found), (), out, as_json)

@@ -14,10 +14,12 @@ pytest.importorskip("safetensors", reason="safetensors is not installed: trained
 from twin.calibrators import make_calibrator  # noqa: E402
 from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
 from twin.calibrators.hiera_unet.service import TRAINED, HieraUNetCalibrator  # noqa: E402
+from twin.calibrators.hiera_unet.tower.member import load_member  # noqa: E402
 from twin.twinfile import load  # noqa: E402
 
 PROFILES = Path(__file__).resolve().parents[3] / "profiles"
 CARD = TRAINED / "loop_small.json"
+TOWER = sorted(TRAINED.glob("tower_small_*.json"))
 MOST_MB = 10.0
 
 
@@ -33,7 +35,7 @@ def test_the_shipped_ensemble_fits_the_shipped_twins_and_says_where_it_comes_fro
         assert card["data"]["sha256"] == document["data"]
         before, after = (card["metrics"]["blind"][key] for key in ("mae_before", "mae"))
         assert all(a < b for a, b in zip(after, before, strict=True))
-    assert sum(p.stat().st_size for p in TRAINED.iterdir()) < MOST_MB * 1e6
+    assert sum(p.stat().st_size for p in TRAINED.glob("loop_*")) < MOST_MB * 1e6
     assert not re.search(r"/(tmp|home|root)/", "".join(p.read_text() for p in TRAINED.glob("*.json")))
 
 
@@ -44,3 +46,19 @@ def test_a_twin_without_a_trained_network_is_refused_with_the_reason() -> None:
     else:
         with pytest.raises(HieraError, match=r"no trained network .* train one with `hil train loop`"):
             make_calibrator("hiera_unet", load(PROFILES / "twins" / "loop.toml"))
+
+
+@pytest.mark.parametrize("card", TOWER, ids=lambda path: path.stem)
+def test_a_shipped_member_of_the_tower_loads_only_if_its_gate_passed_it(card: Path) -> None:
+    document = json.loads(card.read_text())
+    weights = card.with_suffix(".safetensors")
+    assert {"seed", "plan", "steps_done", "device", "data", "curves", "gate", "command"} <= document.keys()
+    worse = [document["gate"][key] for key in ("parameters_worse", "outputs_worse")]
+    sees = all(mean >= document["gate"]["least"] and low > 0.0 for mean, low, _ in worse)
+    assert bool(document["refused"]) != sees
+    if sees:
+        assert load_member(weights).network.count() == document["weights"]["count"]
+    else:
+        with pytest.raises(HieraError, match="BLIND"):
+            load_member(weights)
+    assert weights.stat().st_size < MOST_MB * 1e6

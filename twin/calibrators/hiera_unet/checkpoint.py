@@ -154,8 +154,9 @@ def _refuse_others(path: Path, found: Identity, own: Config, identity: Identity 
     if found.twin != identity.twin or found.outputs != identity.outputs:
         other = "elements" if found.outputs == identity.outputs else f"sensors, {', '.join(found.outputs)}"
         raise HieraError(
-            f"the weights {path} were trained for a twin of another structure, with other {other}; `hil train` trains "
-            "for the shipped loop's structure alone, so choose another calibrator, such as least_squares"
+            f"the weights {path} were trained for a twin of another structure, with other {other}; `hil train loop` "
+            "trains for the shipped loop's structure alone and `hil train tower` for cooling-tower cells, so choose "
+            "weights of this structure or another calibrator, such as least_squares"
         )
     if found.table != identity.table:
         raise HieraError(f"the weights {path} were trained with another channel table; train again with `hil train`")

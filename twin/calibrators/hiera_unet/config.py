@@ -26,6 +26,10 @@ class Config:
             and its standard errors, what is believed of them if few have moved (means, standard deviations, chances),
             and the logarithm of the fit's condition number.
         evidence: whether the parameter head corrects that belief; without, it starts from the commissioned twin.
+        memory: numbers of a memory token, which the deepest stage reads beside the static numbers; 0 without memory.
+        slope_signs: (P,) sign of the twin's slope by each deviation, where the last 2 P channels are scores and
+            information rates; the heads then read them directly (`heads.WeightedStep`). residual: index of the channel
+            of the twin's residual in tolerances.
         gated: whether a skip passes a gate; without, it is concatenated directly.
         step_s: length of a step. context, target: steps seen, and steps to explain at their end.
         margin: steps before the target that the decoder works out as well, so that cropping alters nothing.
@@ -41,6 +45,9 @@ class Config:
     regimes: int = 8
     clock: int = 6
     evidence: bool = False
+    memory: int = 0
+    slope_signs: tuple[int, ...] = ()
+    residual: int = 0
     gated: bool = True
     step_s: float = 5.0
     context: int = 1440

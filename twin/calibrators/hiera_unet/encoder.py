@@ -123,13 +123,16 @@ class Encoder(nn.Module):
         pairs = zip(config.merges, config.dims[:-1], config.dims[1:], strict=True)
         self.merges = nn.ModuleList(Merge(factor, dim, out, config.channels) for factor, dim, out in pairs)
         self.meta = nn.Linear(config.meta, config.meta_tokens * config.dims[-1])
+        self.memory = nn.Linear(config.memory, config.dims[-1]) if config.memory else None
 
     def forward(
-        self, x: Tensor, m: Tensor, regime: Tensor, clock: Tensor, meta: Tensor, causal: bool
-    ) -> tuple[Scale, ...]:
+        self, x: Tensor, m: Tensor, regime: Tensor, clock: Tensor, meta: Tensor, causal: bool,
+        memory: Tensor | None = None,
+    ) -> tuple[Scale, ...]:  # fmt: skip
         """
         Args:
             x: (B, n, C). m: (B, n, C), 1 where x is there. regime: (B, n) integers. clock: (B, n, 6). meta: (B, M).
+            memory: (B, r, `config.memory`) tokens of the plant's healthy record.
         """
         x = x * m
         tokens, group_valid = self.embed(x, m)
@@ -150,6 +153,8 @@ class Encoder(nn.Module):
                 time, valid = when(time, valid, factor), merged
             last = index == len(self.stages) - 1
             read = self.meta(meta).unflatten(-1, (self.config.meta_tokens, -1)) if last else None
+            if read is not None and memory is not None and self.memory is not None:
+                read = torch.cat([read, self.memory(memory)], 1)
             h = stage(h, valid, time if index else time[:, : self.config.windows[0]], causal, read)
             out.append(Scale(h, valid, raw, shares))
         return tuple(out)

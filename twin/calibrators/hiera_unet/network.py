@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from twin.calibrators.hiera_unet.config import Config
 from twin.calibrators.hiera_unet.decoder import Decoder
 from twin.calibrators.hiera_unet.encoder import Encoder
-from twin.calibrators.hiera_unet.heads import OutputHead, ParameterHead, Queries
+from twin.calibrators.hiera_unet.heads import OutputHead, ParameterHead, Queries, recent_of
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,10 @@ class HieraUNet(nn.Module):
         self.apply(_start)
         for head in (self.parameter_head, self.output_head):
             nn.init.zeros_(head.out.weight)
+        if self.parameter_head.step is not None:
+            self.parameter_head.step.start()
+        if self.output_head.lasting is not None:
+            nn.init.zeros_(self.output_head.lasting.weight)
 
     def forward(
         self,
@@ -63,19 +67,21 @@ class HieraUNet(nn.Module):
         causal: bool = False,
         crop: bool = True,
         corrected: int | None = None,
+        memory: Tensor | None = None,
     ) -> Prediction:
         """
         Args:
             x: (B, 1440, C) channels, normalised. m: (B, 1440, C), true or 1 where x is there. regime: (B, 1440)
                 integers. clock: (B, 1440, 6). meta: (B, M).
+            memory: (B, r, `config.memory`) tokens of the plant's healthy record, for a network that has them.
             crop, corrected: see `Decoder`; of the other windows there are no corrections and scales.
         """
         m = m.to(x.dtype)
-        scales = self.encoder(x, m, regime.long(), clock, meta, causal)
+        scales = self.encoder(x, m, regime.long(), clock, meta, causal, memory)
         answers, attention = self.queries(scales[-1].h, scales[-1].valid)
         d3, d1 = self.decoder(scales, answers.mean(1), causal, crop, corrected)
-        theta, log_variance = self.parameter_head(d3, scales[2].valid, answers, meta)
-        delta, log_scale = self.output_head(d1)
+        theta, log_variance = self.parameter_head(d3, scales[2].valid, answers, meta, scales[2].raw)
+        delta, log_scale = self.output_head(d1, recent_of(self.config, x, m))
         return Prediction(theta, log_variance, delta, log_scale, attention)
 
     def count(self) -> int:

@@ -173,6 +173,8 @@ def _spells(
     sums, tops = np.zeros((b + 1, b + 1)), np.concatenate([[0.0], np.cumsum(score)])
     sums[1:, 1:] = gram.cumsum(axis=0).cumsum(axis=1)
     first, last = np.triu_indices(b - 1, 2)
+    if not len(first):
+        return []  # so short a record has no room for one
     bottom: Array = sums[last, last] - sums[first, last] - sums[last, first] + sums[first, first]
     bottom = np.maximum(bottom, _TINY * max(float(np.diag(sums).max()), _TINY))
     odds, size = log_bayes_of_sizes(law.candidate, tops[last] - tops[first], bottom)

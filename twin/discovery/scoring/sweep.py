@@ -21,7 +21,8 @@ FADING_S = (60.0, 600.0, 3600.0)
 LEAST_BLOCKS, LEAST_TURNS, PERIODS, PHASES = 3.0, 2.0, 40, 12
 """Blocks in the shortest period and periods in a record, how many periods are tried and how many phases of each."""
 DAY_S, DAYS, DAY_PHASES = 86_400.0, 1.25, 24
-"""A day, of which less has to be seen twice than of any period: rooms, shifts and the sun go by it."""
+"""A day, s; days in a record from which a daily course is tried, which then shows six hours of it twice, and phases of
+a day, one an hour. Two whole turns are not asked for, as of other periods: rooms, shifts and the sun go by the day."""
 DUTIES = (0.25, 0.5, 0.75)
 
 

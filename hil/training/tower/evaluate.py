@@ -1,0 +1,196 @@
+"""Scores of trained members and their rivals on stations that no training saw."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.training.tower.generate import TEST, TRAIN, VALIDATION, digest_of, tables
+
+BOOSTED_WINDOWS = 12_000
+"""Windows of the training split that the booster learns from."""
+HELD_OUT = 6000
+"""Windows of the validation split that intervals are set by."""
+LOST = 0.25
+Note = Callable[[str], None]
+GAUSS_NEWTON, BOOSTED, ENSEMBLE = "Gauss-Newton with discrepancy", "the same, boosted", "network, ensemble"
+
+
+def evaluate(
+    folder: Path, members: Mapping[str, Path], device: str = "cpu", *, most: int | None = None, half: bool = False,
+    boosted: Path | None = None, note: Note = lambda _: None,
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:  # fmt: skip
+    """Return scores as plain data, and arrays by window of the test split.
+
+    Parameters:
+        members: weights by name; `ensemble_of` names those that make the ensemble. most: windows of the test
+        split at most, evenly taken; None for all. boosted: file of `boost`, made now without. half: bfloat16 in
+        the networks' products.
+
+    Raises:
+        HieraError: the folder lacks a split, or a network does not fit.
+    """
+    from twin.calibrators.hiera_unet.tower import score
+    from twin.calibrators.hiera_unet.tower.member import load_fleet, load_member
+    from twin.calibrators.hiera_unet.tower.predict import predict
+
+    began = time.monotonic()
+    test, validation = load_fleet(tables(folder, TEST), device), load_fleet(tables(folder, VALIDATION), device)
+    rows, held_out = evenly(test.rows, most), evenly(validation.rows, min(most or HELD_OUT, HELD_OUT))
+    size = 256 if device != "cpu" else 64
+    t, v = score.targets_of(test, rows), score.targets_of(validation, held_out)
+    note(f"{len(rows)} test windows of {len(test.names)} cells, {len(held_out)} to set intervals")
+    answers = {
+        "commissioned": score.commissioned(t), "persistence of the last error": score.persistent(t),
+        GAUSS_NEWTON: score.believed(t),
+    }  # fmt: skip
+    figures = _read(boosted, rows) if boosted is not None else boost(folder, test, rows, note)
+    if figures is not None:
+        answers[BOOSTED] = score.Answer(*figures)
+    loaded = {name: load_member(path, blind_too=True) for name, path in members.items()}
+    for member in loaded.values():
+        member.network.to(test.device)
+    predicted = {n: predict(m.network, test, rows, size, half=half) for n, m in loaded.items()}
+    note(f"predictions of {len(loaded)} networks after {time.monotonic() - began:.0f} s")
+    known = {n: predict(m.network, validation, held_out, size, half=half) for n, m in loaded.items()}
+    refused = {n: m.card.get("refused", "") for n, m in loaded.items()}
+    groups = {n: [n] for n in loaded} | {ENSEMBLE: ensemble_of(refused)}
+    factors: dict[str, Any] = {}
+    for name, some in groups.items():
+        if not some:
+            continue
+        limits = score.Factors.of(v, *score.mixed(v, [known[n] for n in some]))
+        answers[name] = limits.applied(*score.mixed(t, [predicted[n] for n in some]))
+        factors[name] = {"theta": limits.theta.tolist(), "water": limits.water}
+    document: dict[str, Any] = {
+        "data": digest_of(folder), "test_cells": test.names, "windows": len(rows), "factors": factors,
+        "refused": refused, "ensemble": groups[ENSEMBLE],
+        "scores": {part: _scored(t, answers, rows_of) for part, rows_of in _parts(t, test.names).items()},
+        "by_cell": score.by_cell(t, test.names, answers),
+    }  # fmt: skip
+    if groups[ENSEMBLE]:
+        document |= _further(loaded, groups[ENSEMBLE], test, rows, size, half)
+    document["seconds"] = round(time.monotonic() - began, 1)
+    note(f"scored after {document['seconds']:.0f} s")
+    return document, _arrays(t, answers)
+
+
+def ensemble_of(refused: Mapping[str, str]) -> list[str]:
+    """Return the small members that the gate passed, or all small ones where it refused each.
+
+    Parameters:
+        refused: the gate's code, "" where it passed, by the name of a member.
+    """
+    small = [name for name in refused if name.startswith("small")]
+    return [name for name in small if not refused[name]] or small
+
+
+def evenly(rows: np.ndarray, most: int | None) -> np.ndarray:
+    """Return at most so many rows, evenly taken."""
+    if most is None or len(rows) <= most:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
+
+
+def boost(
+    folder: Path, test: Any, rows: np.ndarray, note: Note = lambda _: None
+) -> tuple[np.ndarray, np.ndarray] | None:  # fmt: skip
+    """Return deviations (K, 4) and outlet (K, 120), degC, of Gauss-Newton corrected by gradient boosting, learned from
+    the training split; None without scikit-learn.
+
+    Parameters:
+        test: fleet of the test split. rows: its cycles.
+    """
+    from twin.calibrators.hiera_unet.tower import score
+    from twin.calibrators.hiera_unet.tower.member import load_fleet
+
+    paths = [path for path in tables(folder, TRAIN) if _has_windows(path)]
+    parts = []
+    for path in paths:
+        # One at a time and on the processor: all tables fill a device.
+        fleet = load_fleet([path], "cpu")
+        parts.append(score.targets_of(fleet, evenly(fleet.rows, max(BOOSTED_WINDOWS // len(paths), 50)), 64))
+    try:
+        booster = score.Booster(score.joined(parts))
+    except ImportError:
+        note("boosting is left out: scikit-learn is not installed; install the extra ml")
+        return None
+    found = booster(score.targets_of(test, rows, 64))
+    return found.theta, found.water
+
+
+def write_boosted(path: Path, rows: np.ndarray, figures: tuple[np.ndarray, np.ndarray]) -> None:
+    """Write what `boost` returned, with its cycles."""
+    with path.open("wb") as file:
+        np.savez(file, rows=rows, theta=figures[0].astype(np.float32), water=figures[1].astype(np.float32))
+
+
+def _read(path: Path, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    if not path.is_file():
+        return None
+    with np.load(path, allow_pickle=False) as found:
+        same = len(found["rows"]) == len(rows) and bool((found["rows"] == rows).all())
+        return (found["theta"], found["water"]) if same else None
+
+
+def _has_windows(path: Path) -> bool:
+    with np.load(path, allow_pickle=False) as found:
+        return bool(found["valid"].any())
+
+
+def _parts(t: Any, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return the windows of each group of stations."""
+    site = np.array([names[int(c)][0] for c in t.cell])
+    kinds = {"all": np.ones(len(site), dtype=bool), "site A": site == "A", "site B": site == "B", "family": site == "F"}
+    return {name: rows for name, rows in kinds.items() if rows.any()}
+
+
+def _scored(t: Any, answers: Mapping[str, Any], rows: np.ndarray) -> dict[str, Any]:
+    from twin.calibrators.hiera_unet.tower import score
+
+    part = score.taken(t, rows)
+    own = {name: score.taken_answer(one, rows) for name, one in answers.items()}
+    rival = own.get(BOOSTED, own[GAUSS_NEWTON])
+    return {name: score.scores(part, one, rival) for name, one in own.items()}
+
+
+def _further(
+    loaded: Mapping[str, Any], members: Sequence[str], test: Any, rows: np.ndarray, size: int, half: bool
+) -> dict[str, Any]:
+    """Return scores of the ensemble in the symmetric branch, with channels lost, and its members' spread."""
+    from twin.calibrators.hiera_unet.tower import score
+    from twin.calibrators.hiera_unet.tower.predict import predict
+
+    some = rows[:: max(len(rows) // 4000, 1)]
+    t = score.targets_of(test, some)
+    rival = score.believed(t)
+    found: dict[str, Any] = {}
+    for name, options in (("causal", {}), ("symmetric", {"causal": False}), ("quarter_lost", {"lost": LOST})):
+        parts = [predict(loaded[n].network, test, some, size, half=half, **options) for n in members]
+        answer, _, _ = score.mixed(t, parts)
+        found[name] = score.scores(t, answer, rival)
+        if name == "causal":
+            spread = np.std([p.theta for p in parts], axis=0).mean(axis=0)
+            found["member_sd"] = {
+                n: float(s) for n, s in zip(("fill", "air", "uniformity", "bias"), spread, strict=True)
+            }
+    return found
+
+
+def _arrays(t: Any, answers: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    found = {
+        "cell": t.cell.astype(np.int16), "row": t.rows.astype(np.int32), "true": t.true.astype(np.float16),
+        "belief_sd": t.sd.astype(np.float16),
+    }  # fmt: skip
+    for name, one in answers.items():
+        key = "".join(c if c.isalnum() else "_" for c in name)
+        error = np.abs(one.water - t.true_water)
+        there = np.isfinite(error)
+        mean = np.where(there, error, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
+        found[f"{key}__water"] = mean.astype(np.float16)
+        found[f"{key}__theta"] = one.theta.astype(np.float16)
+    return found

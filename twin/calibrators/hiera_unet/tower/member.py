@@ -1,0 +1,228 @@
+"""One member from its tables to its weights and card: training by steps or by the clock, gate, envelope, curves."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from twin.calibrators.hiera_unet import checkpoint
+from twin.calibrators.hiera_unet.config import HieraError
+from twin.calibrators.hiera_unet.envelope import envelope, place
+from twin.calibrators.hiera_unet.network import HieraUNet
+from twin.calibrators.hiera_unet.tower.cell_table import CellTable
+from twin.calibrators.hiera_unet.tower.plan import TowerPlan
+from twin.calibrators.hiera_unet.tower.predict import Blindness, blindness, predict
+from twin.calibrators.hiera_unet.tower.score import believed, mixed, scores, targets_of
+from twin.calibrators.hiera_unet.tower.table import SUBJECT
+from twin.calibrators.hiera_unet.tower.train import TowerTrainer
+from twin.calibrators.hiera_unet.tower.windows import Fleet
+
+LOOKED_AT, LOOKS = 256, 20
+"""Held-out windows of a look, always the same, and looks in a training."""
+TIMED = 10
+"""Steps after a warm-up of as many, by which a training with a time limit plans its number of steps."""
+FIRST_LOOK = 50
+LONGEST = 1_000_000
+KEEP_EVERY_S = 60.0
+HULL = 256
+Say = Callable[[int, int, str], None]
+
+
+def load_fleet(paths: Sequence[Path], device: str) -> Fleet:
+    """Return the windows of these tables on a device.
+
+    Raises:
+        HieraError: a table cannot be read, or there is no window.
+    """
+    return Fleet([CellTable.load(path) for path in paths], device)
+
+
+def own_rows(fleet: Fleet, first: float, last: float) -> torch.Tensor:
+    """Return the cycles whose targets start within these shares of their records."""
+    rows = fleet.rows[(fleet.share[fleet.rows] >= first) & (fleet.share[fleet.rows] < last)]
+    return torch.from_numpy(rows).to(fleet.device)
+
+
+class MemberTraining:
+    """A training that goes on from `folder`, until its steps are done, a time is over or `stopped` says so.
+
+    Args:
+        size: ``small`` or ``full``. digest: of the data. steps of `plan` are those wanted without a time limit.
+    """
+
+    def __init__(
+        self, size: str, plan: TowerPlan, fleet: Fleet, held_out: Fleet, folder: Path | None, digest: str
+    ) -> None:
+        self.size, self.fleet, self.held_out, self.folder = size, fleet, held_out, folder
+        self.config = SUBJECT.config(size)
+        self.trainer = TowerTrainer(self.config, fleet, plan, digest)
+        self.curves: list[dict[str, Any]] = []
+        self.seconds = 0.0
+        rng = np.random.default_rng(0)
+        self.looked = np.sort(rng.choice(held_out.rows, min(LOOKED_AT, len(held_out.rows)), replace=False))
+        if folder is not None and (folder / "training.pt").exists():
+            self.trainer.restore(checkpoint.kept(folder / "training.pt"))
+            self.curves = [json.loads(line) for line in (folder / "curves.jsonl").read_text().splitlines()]
+
+    def run(self, until: float | None, stopped: Callable[[], bool], say: Say) -> bool:
+        """Train; return True when all steps are done.
+
+        Parameters:
+            until: time.monotonic() at which the training ends, with the learning rate brought down by then; None for
+            the plan's steps. say: called with steps done, steps in all, and a note.
+        """
+        began = last_kept = time.monotonic()
+        gathered: list[dict[str, float]] = []
+        trainer = self.trainer
+        timed, first = began, trainer.done
+        following = first + (max(trainer.plan.steps // LOOKS, 1) if until is None else FIRST_LOOK)
+        while trainer.done < trainer.plan.steps and not stopped():
+            made = trainer.done - first
+            if until is not None and made == TIMED:
+                timed = self._now()
+            if until is not None and (made == 2 * TIMED or (made and made % (5 * TIMED) == 0)):
+                self._fit_to(until, (self._now() - timed) / (made - TIMED))
+            found = trainer.step()
+            if found:
+                gathered.append(found)
+            if trainer.done >= following or trainer.done == trainer.plan.steps:
+                # A training with a time limit knows its number of steps only after its first ones.
+                following = trainer.done + max(trainer.plan.steps // LOOKS, 1)
+                self._look(gathered, time.monotonic() - began)
+                gathered = []
+                say(trainer.done, trainer.plan.steps, self.note())
+            if until is not None and time.monotonic() > until:
+                break
+            if self.folder is not None and time.monotonic() - last_kept > KEEP_EVERY_S:
+                self.keep()
+                last_kept = time.monotonic()
+        self.seconds += time.monotonic() - began
+        if self.folder is not None:
+            self.keep()
+        return trainer.done >= trainer.plan.steps or (until is not None and time.monotonic() > until)
+
+    def _now(self) -> float:
+        if self.fleet.device.type == "cuda":
+            torch.cuda.synchronize()
+        return time.monotonic()
+
+    def _fit_to(self, until: float, seconds: float) -> None:
+        """Set the number of steps to what fits before `until` at so many seconds a step."""
+        left = max(until - time.monotonic(), 0.0) * 0.97
+        steps = self.trainer.done + max(int(left / max(seconds, 1e-5)), 1)
+        self.trainer.plan = replace(self.trainer.plan, steps=min(steps, LONGEST))
+
+    def keep(self) -> None:
+        """Write what the training goes on from."""
+        assert self.folder is not None
+        self.folder.mkdir(parents=True, exist_ok=True)
+        checkpoint.keep(self.trainer.state(), self.folder / "training.pt")
+        (self.folder / "curves.jsonl").write_text("".join(json.dumps(c) + "\n" for c in self.curves))
+
+    def _look(self, gathered: Sequence[dict[str, float]], seconds: float) -> None:
+        network = self.trainer.average
+        t = targets_of(self.held_out, self.looked)
+        found, _, _ = mixed(t, [predict(network, self.held_out, self.looked, half=self.trainer.plan.half)])
+        own, rival = scores(t, found), scores(t, believed(t))
+        entry: dict[str, Any] = {"step": self.trainer.done, "seconds": round(seconds, 1), "rate": self.trainer.rate()}
+        for key in ("loss", "parameters", "outputs", "even"):
+            if gathered:
+                entry[key] = float(np.mean([g[key] for g in gathered]))
+        entry["water_mae_K"], entry["rival_water_mae_K"] = own["water_mae_K"], rival["water_mae_K"]
+        for name, value in own["deviation_mae"].items():
+            entry[f"{name}_mae"], entry[f"rival_{name}_mae"] = value, rival["deviation_mae"][name]
+        self.curves.append(entry)
+
+    def note(self) -> str:
+        last = self.curves[-1]
+        return f"outlet {last['water_mae_K']:.4f} K (Gauss-Newton {last['rival_water_mae_K']:.4f}), " + ", ".join(
+            f"{n} {last[n + '_mae']:.4f} ({last['rival_' + n + '_mae']:.4f})"
+            for n in ("fill", "air", "uniformity", "bias")
+        )
+
+    def gate(self, count: int = 768) -> Blindness:
+        """Return the blindness of the averaged weights on held-out windows."""
+        return blindness(self.trainer.average, self.held_out, count, half=self.trainer.plan.half)
+
+    def card(self, gate: Blindness, more: dict[str, Any]) -> dict[str, Any]:
+        """Return the model card as plain data."""
+        trainer = self.trainer
+        return {
+            "subject": SUBJECT.name, "gate": gate.document(), "refused": gate.code, "seed": trainer.plan.seed,
+            "plan": trainer.plan.document(), "steps_done": trainer.done, "seconds": round(self.seconds, 1),
+            "device": _device(self.fleet.device), "windows": len(self.fleet), "cells": len(self.fleet.names),
+            "held_out_cells": len(self.held_out.names), "data": trainer.digest, "curves": self.curves, **more,
+        }  # fmt: skip
+
+    def write(self, path: Path, gate: Blindness, more: dict[str, Any]) -> Path:
+        """Write the averaged weights to `path` and the card beside it; return the card's path."""
+        member = checkpoint.Member(self.trainer.average, identity(), self._hull(), self.card(gate, more))
+        return checkpoint.save(member, path)
+
+    def _hull(self) -> Any:
+        rng = np.random.default_rng(1)
+        features = []
+        for fleet in (self.fleet, self.held_out):
+            rows = rng.choice(fleet.rows, min(HULL, len(fleet.rows)), replace=False)
+            parts = []
+            for at in range(0, len(rows), 64):
+                batch = fleet.batch(torch.from_numpy(rows[at : at + 64]))
+                parts.append(place(batch.x.cpu().numpy(), batch.m.cpu().numpy()))
+            features.append(np.concatenate(parts))
+        return envelope(features[0], features[1])
+
+
+def adapt(
+    network: HieraUNet, family: Fleet, own: Fleet, plan: TowerPlan, until: float, first: float = 0.0,
+    last: float = 9.0 / 14.0,
+) -> tuple[HieraUNet, int]:  # fmt: skip
+    """Return a network adapted to readings of the station itself, and the steps that it took.
+
+    Half of the steps see windows of the family with their truth, half those of the station with its readings alone.
+    """
+    rows = own_rows(own, first, last)
+    if not len(rows):
+        raise HieraError("the station has no window in its first nine months; give a longer record")
+    trainer = TowerTrainer(network.config, family, plan, "adapted", own, rows, 0.5, network.state_dict())
+    began = time.monotonic()
+    while time.monotonic() < until and trainer.done < trainer.plan.steps:
+        trainer.step()
+        if trainer.done == TIMED or trainer.done % (4 * TIMED) == 0:
+            pace = (time.monotonic() - began) / trainer.done
+            steps = trainer.done + max(int(0.97 * (until - time.monotonic()) / pace), 1)
+            trainer.plan = replace(trainer.plan, steps=min(steps, plan.steps))
+    return trainer.average, trainer.done
+
+
+def identity() -> checkpoint.Identity:
+    """Return what weights of a tower belong to."""
+    return checkpoint.Identity(
+        "tower_cell", SUBJECT.digest(), tuple(one.name for one in SUBJECT.deviations),
+        tuple(one.name for one in SUBJECT.outputs),
+    )  # fmt: skip
+
+
+def load_member(path: Path, *, blind_too: bool = False) -> checkpoint.Member:
+    """Return a trained member.
+
+    Raises:
+        HieraError: it is of another subject, table or format, or was refused as blind.
+    """
+    member = checkpoint.load(path, identity())
+    if member.card.get("refused") and not blind_too:
+        raise HieraError(
+            f"{path}: {member.card['refused']}: its answers are hardly worse with another window's channels, see its "
+            "card; train longer or with other data"
+        )
+    return member
+
+
+def _device(device: torch.device) -> str:
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu"

@@ -1,0 +1,156 @@
+"""Predictions of a network on windows, and the blindness gate: do they hang on the channels at all?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from twin.calibrators.hiera_unet.network import HieraUNet, Prediction
+from twin.calibrators.hiera_unet.tower.windows import Batch, Fleet
+from twin.tower.air import Array
+
+LEAST_WORSE = 0.05
+"""Share by which parameters and outputs must be worse with another window's channels."""
+RESAMPLES = 1000
+BLOCK_CYCLES = 84
+"""Cycles of a bootstrap block: a week."""
+BLIND = "BLIND"
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """Predictions of K windows, with what they are judged by.
+
+    Attributes:
+        rows: (K,) cycles. theta, log_variance: (K, 4), the latter in units of the bounds. delta, log_scale: (K, 120),
+        K and logarithm of tolerances. attention: (K, 4, 12) of each query.
+    """
+
+    rows: NDArray[np.int64]
+    theta: Array
+    log_variance: Array
+    delta: Array
+    log_scale: Array
+    attention: Array
+
+
+def answer(network: HieraUNet, batch: Batch, causal: bool, half: bool) -> Prediction:
+    """Return what a network says of a batch."""
+    with torch.inference_mode(), torch.autocast(batch.x.device.type, torch.bfloat16, enabled=half):
+        return network(batch.x, batch.m, batch.regime, batch.clock, batch.meta, causal=causal, memory=batch.memory)
+
+
+def predict(
+    network: HieraUNet, fleet: Fleet, rows: NDArray[np.int64], size: int = 64, causal: bool = True, half: bool = False,
+    lost: float = 0.0,
+) -> Predicted:  # fmt: skip
+    """Return the predictions of cycles `rows` (K,).
+
+    Parameters:
+        lost: share of the channels that each window loses, drawn by a fixed seed.
+    """
+    generator = torch.Generator(device=fleet.device).manual_seed(0)
+    parts: list[tuple[Array, ...]] = []
+    for at in range(0, len(rows), size):
+        chosen = torch.from_numpy(rows[at : at + size]).to(fleet.device)
+        batch = fleet.batch(chosen)
+        if lost:
+            gone = torch.rand(len(chosen), batch.m.shape[-1], generator=generator, device=fleet.device) < lost
+            batch.m[:] = batch.m & ~gone[:, None]
+        p = answer(network, batch, causal, half)
+        found = (p.theta, p.log_variance, p.delta[..., 0], p.log_scale[..., 0], p.attention)
+        parts.append(tuple(v.float().cpu().numpy() for v in found))
+    theta, log_variance, delta, log_scale, attention = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return Predicted(rows, theta, log_variance, delta, log_scale, attention)
+
+
+@dataclass(frozen=True)
+class Blindness:
+    """Errors with another window's channels over those with the own, less one: parameters and outputs, with the 95 %
+    interval of each by a block bootstrap."""
+
+    parameters: tuple[float, float, float]
+    outputs: tuple[float, float, float]
+    windows: int
+
+    @property
+    def code(self) -> str:
+        """`BLIND` where either hardly hangs on the channels, "" else."""
+        worse = all(v[0] >= LEAST_WORSE and v[1] > 0.0 for v in (self.parameters, self.outputs))
+        return "" if worse else BLIND
+
+    def document(self) -> dict[str, Any]:
+        """Return plain data for a card."""
+        return {
+            "parameters_worse": list(self.parameters), "outputs_worse": list(self.outputs), "windows": self.windows,
+            "least": LEAST_WORSE, "code": self.code or "none",
+        }  # fmt: skip
+
+
+NOT_TESTED = Blindness((float("nan"),) * 3, (float("nan"),) * 3, 0)
+"""Figures of a member that the gate has not seen: refused."""
+
+
+def blindness(
+    network: HieraUNet, fleet: Fleet, count: int = 768, size: int = 64, half: bool = False, seed: int = 0
+) -> Blindness:
+    """Return how much worse the answers are with the channels, regimes and times of another window.
+
+    Belief, static numbers and memory stay the window's own, so that only what the channels add is lost.
+    """
+    rng = np.random.default_rng(seed)
+    rows = np.sort(rng.choice(fleet.rows, min(count, len(fleet.rows)), replace=False))
+    other = rng.permutation(rows)
+    errors: list[Array] = []
+    for at in range(0, len(rows), size):
+        batch = fleet.batch(torch.from_numpy(rows[at : at + size]))
+        strange = fleet.batch(torch.from_numpy(other[at : at + size]))
+        mixed = Batch(
+            **{**batch.__dict__, "x": strange.x, "m": strange.m, "regime": strange.regime, "clock": strange.clock}
+        )
+        columns = []
+        for one in (batch, mixed):
+            p = answer(network, one, False, half)
+            columns += [_parameter_error(p.theta, batch, fleet.bounds), _output_error(p, batch)]
+        errors.append(torch.stack(columns, 1).float().cpu().numpy())
+    table = np.concatenate(errors)
+    cells = fleet.cell.cpu().numpy()[rows]
+    block = cells.astype(np.int64) * 100000 + rows // BLOCK_CYCLES
+    return Blindness(
+        _worse(table[:, 0], table[:, 2], block, rng), _worse(table[:, 1], table[:, 3], block, rng), len(rows)
+    )
+
+
+def _parameter_error(theta: Tensor, batch: Batch, bounds: Tensor) -> Tensor:
+    weight = batch.information.clamp(min=0.05)
+    return ((theta - batch.true).abs() / bounds * weight).sum(1) / weight.sum(1)
+
+
+def _output_error(p: Prediction, batch: Batch) -> Tensor:
+    water = batch.water + (batch.slopes * (p.theta - batch.mean)[:, None, :3]).sum(-1) + p.delta[..., 0]
+    return torch.nanmean((water - batch.true_water).abs(), 1)
+
+
+def _worse(own: Array, other: Array, block: NDArray[np.int64], rng: np.random.Generator) -> tuple[float, float, float]:
+    return interval(other, own, block, rng)
+
+
+def interval(
+    ours: Array, rival: Array, block: NDArray[np.int64], rng: np.random.Generator
+) -> tuple[float, float, float]:
+    """Return mean(ours)/mean(rival) - 1 with its 95 % interval by a bootstrap of blocks of windows."""
+    there = np.isfinite(ours) & np.isfinite(rival)
+    ours, rival = ours[there], rival[there]
+    _, number = np.unique(block[there], return_inverse=True)
+    if not len(ours):
+        return float("nan"), float("nan"), float("nan")
+    sums = np.stack([np.bincount(number, ours), np.bincount(number, rival)])
+    drawn = rng.integers(0, sums.shape[1], (RESAMPLES, sums.shape[1]))
+    ratios = sums[0][drawn].sum(1) / np.maximum(sums[1][drawn].sum(1), 1e-12) - 1.0
+    low, high = np.quantile(ratios, (0.025, 0.975))
+    return float(ours.mean() / max(rival.mean(), 1e-12) - 1.0), float(low), float(high)

@@ -1,0 +1,288 @@
+"""Scores of predictions on unseen cells: deviations, outlet, intervals, and the rivals on the same windows.
+
+All errors are against the truth of a simulated station, the target's own readings hidden from every method. Rivals:
+the commissioned twin; persistence of its last error; recursive Gauss-Newton with the learned discrepancy; and gradient
+boosting that corrects the figures of the last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from twin.calibrators.hiera_unet.tower.predict import BLOCK_CYCLES, Predicted, interval
+from twin.calibrators.hiera_unet.tower.windows import CONTEXT, TARGET, Fleet
+from twin.tower.air import Array
+from twin.tower.model import DEVIATIONS
+
+BLOCK_MIN = 10
+AFTER_CHANGE_MIN, CHANGED = 30, 0.15
+"""Minutes after a change of the fan's speed by this share of full within five minutes."""
+LAST_MIN = (30, 120, 720)
+LEVEL = 0.9
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Targets of K windows: what is true and what the belief says. Arrays (K, 120) in degC, (K, 4) deviations.
+
+    Attributes:
+        water: by the twin at the belief. slopes: (K, 120, 3). true_water, reading, commissioned: NaN where none.
+        changed: minutes soon after a change of the fan. recent: (K, 3) mean residual of readings before the target, K.
+        features: (K, F) of the window for a booster. minutely: (K, 120, 5) operating point and lead.
+    """
+
+    rows: NDArray[np.int64]
+    cell: Array
+    mean: Array
+    sd: Array
+    true: Array
+    water: Array
+    slopes: Array
+    true_water: Array
+    reading: Array
+    commissioned: Array
+    changed: Array
+    recent: Array
+    features: Array
+    minutely: Array
+
+    @property
+    def block(self) -> NDArray[np.int64]:
+        """Number of the week and cell of each window."""
+        return self.cell.astype(np.int64) * 100000 + self.rows // BLOCK_CYCLES
+
+
+def targets_of(fleet: Fleet, rows: NDArray[np.int64], size: int = 256) -> Targets:
+    """Return the targets of cycles `rows` (K,)."""
+    parts: list[dict[str, Array]] = []
+    for at in range(0, len(rows), size):
+        chosen = torch.from_numpy(rows[at : at + size]).to(fleet.device)
+        batch = fleet.batch(chosen)
+        index = fleet.start[chosen][:, None] + torch.arange(TARGET - CONTEXT, TARGET, device=fleet.device)
+        point = fleet.arrays["point"][index].float()
+        water = fleet.arrays["water"][index]
+        change = batch.mean[:, None, :3] - fleet.reference[fleet.chunk[index]]
+        residual = (
+            fleet.arrays["outlet"][index]
+            - water
+            - (fleet.arrays["slopes"][index] * change).sum(-1)
+            - batch.mean[:, None, 3]
+        )
+        before = residual[:, : CONTEXT - TARGET]
+        recent = torch.stack([torch.nanmean(before[:, -m:], 1) for m in LAST_MIN], 1)
+        speed = torch.nan_to_num(point[..., 2], nan=-1.0)
+        step = torch.zeros_like(speed, dtype=torch.bool)
+        step[:, 5:] = (speed[:, 5:] - speed[:, :-5]).abs() > 2.0 * CHANGED
+        changed = torch.nn.functional.max_pool1d(step.float()[:, None], AFTER_CHANGE_MIN, 1)[:, 0]
+        lead = torch.arange(TARGET, device=fleet.device).float()[None, :, None].expand(len(chosen), -1, 1) / TARGET
+        parts.append({k: v.float().cpu().numpy() for k, v in {
+            "cell": fleet.cell[chosen], "mean": batch.mean, "sd": batch.sd, "true": batch.true, "water": batch.water,
+            "slopes": batch.slopes, "true_water": batch.true_water, "reading": batch.reading,
+            "commissioned": fleet.arrays["commissioned"][index][:, -TARGET:], "changed": changed[:, -TARGET:],
+            "recent": torch.nan_to_num(recent), "features": batch.meta,
+            "minutely": torch.cat([point[:, -TARGET:], lead], -1),
+        }.items()})  # fmt: skip
+    joined = {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
+    return Targets(rows=rows, **joined)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A method's deviations (K, 4) and water (K, 120) degC; half widths of 90 % intervals, or None."""
+
+    theta: Array
+    water: Array
+    theta_half: Array | None = None
+    water_half: Array | None = None
+
+
+def believed(t: Targets) -> Answer:
+    """Return recursive Gauss-Newton with the learned discrepancy, with its own intervals of the deviations."""
+    return Answer(t.mean, t.water, 1.6449 * t.sd)
+
+
+def commissioned(t: Targets) -> Answer:
+    """Return the commissioned twin."""
+    return Answer(np.zeros_like(t.mean), t.commissioned)
+
+
+def persistent(t: Targets) -> Answer:
+    """Return Gauss-Newton with its mean error of the last half hour, where there were readings."""
+    return Answer(t.mean, t.water + t.recent[:, :1])
+
+
+def mixed(t: Targets, members: Sequence[Predicted]) -> tuple[Answer, Array, Array]:
+    """Return the ensemble's answer, and its standard deviations of deviations (K, 4) and of the water (K, 120).
+
+    The water is the twin at the belief, moved by the members' deviations along its slopes, plus their corrections.
+    """
+    bounds = _bounds()
+    theta = np.mean([p.theta for p in members], axis=0)
+    variance = np.mean([np.exp(p.log_variance) for p in members], axis=0) * bounds**2
+    sd = np.sqrt(variance + np.var([p.theta for p in members], axis=0))
+    waters = [t.water + np.einsum("kij,kj->ki", t.slopes, (p.theta - t.mean)[:, :3]) + p.delta for p in members]
+    water = np.mean(waters, axis=0)
+    scale = np.mean([2.0 * (np.exp(np.clip(p.log_scale, -6, 6)) * 0.3) ** 2 for p in members], axis=0)
+    return Answer(theta, water), sd, np.sqrt(scale + np.var(waters, axis=0))
+
+
+def _bounds() -> Array:
+    from twin.calibrators.hiera_unet.tower.table import SUBJECT
+
+    return np.array([one.bound for one in SUBJECT.deviations])
+
+
+@dataclass(frozen=True)
+class Factors:
+    """Factors of standard deviations that hold 90 % of windows that no training saw: deviations (4,), water."""
+
+    theta: Array
+    water: float
+
+    @classmethod
+    def of(cls, t: Targets, found: Answer, sd: Array, water_sd: Array) -> Factors:
+        """Return the factors by split conformal prediction: one score a window, of a minute drawn by a fixed seed."""
+        theta = np.nanquantile(np.abs(found.theta - t.true) / sd, LEVEL, axis=0)
+        minute = np.random.default_rng(0).integers(0, TARGET, len(t.rows))
+        k = np.arange(len(t.rows))
+        score = (np.abs(found.water - t.true_water) / water_sd)[k, minute]
+        return cls(theta, float(np.nanquantile(score, LEVEL)))
+
+    def applied(self, found: Answer, sd: Array, water_sd: Array) -> Answer:
+        """Return the answer with its intervals."""
+        return Answer(found.theta, found.water, self.theta * sd, self.water * water_sd)
+
+
+class Booster:
+    """Gradient boosting that corrects the figures of Gauss-Newton: the water by blocks of ten minutes, and deviations.
+
+    Raises:
+        ImportError: scikit-learn is not installed.
+    """
+
+    def __init__(self, t: Targets, seed: int = 0, most: int = 200_000) -> None:
+        from sklearn.ensemble import HistGradientBoostingRegressor
+
+        x, y = self._minutes(t), (t.true_water - t.water)[:, BLOCK_MIN // 2 :: BLOCK_MIN].ravel()
+        there = np.flatnonzero(np.isfinite(y))
+        chosen = np.random.default_rng(seed).permutation(there)[:most]
+        options: dict[str, Any] = {"random_state": seed, "max_iter": 200, "learning_rate": 0.06}
+        self.water = HistGradientBoostingRegressor(loss="absolute_error", **options).fit(x[chosen], y[chosen])
+        own = self._windows(t)
+        self.theta = []
+        for j in range(len(DEVIATIONS)):
+            error = t.true[:, j] - t.mean[:, j]
+            good = np.isfinite(error)
+            self.theta.append(HistGradientBoostingRegressor(**options).fit(own[good], error[good]))
+
+    @staticmethod
+    def _windows(t: Targets) -> Array:
+        return np.concatenate([t.features, t.recent], axis=1)
+
+    @classmethod
+    def _minutes(cls, t: Targets) -> Array:
+        points = t.minutely[:, BLOCK_MIN // 2 :: BLOCK_MIN]
+        own = np.repeat(cls._windows(t)[:, None], points.shape[1], axis=1)
+        return np.concatenate([own, points], axis=2).reshape(-1, own.shape[2] + points.shape[2])
+
+    def __call__(self, t: Targets) -> Answer:
+        """Return Gauss-Newton's answer, corrected."""
+        more = self.water.predict(self._minutes(t)).reshape(len(t.rows), -1).repeat(BLOCK_MIN, axis=1)
+        own = self._windows(t)
+        theta = t.mean + np.stack([one.predict(own) for one in self.theta], axis=1)
+        return Answer(theta, t.water + more)
+
+
+def scores(t: Targets, found: Answer, rival: Answer | None = None, seed: int = 0) -> dict[str, Any]:
+    """Return the scores of an answer as plain data.
+
+    `worse_than_rival`: water error over the rival's, less one, with its 95 % interval; likewise each deviation's.
+    """
+    rng = np.random.default_rng(seed)
+    error = found.water - t.true_water
+    size = np.abs(error)
+    blind = np.abs(found.water + found.theta[:, 3:4] - t.reading)
+    window = _window_mean(size)
+    after = t.changed > 0.5
+    out: dict[str, Any] = {
+        "windows": len(t.rows), "water_mae_K": _mean(size), "water_rmse_K": float(np.sqrt(_mean(error**2))),
+        "water_median_K": _quantile(error, 0.5), "water_p90_K": _quantile(size, 0.9),
+        "water_p99_K": _quantile(size, 0.99),
+        "water_mae_after_fan_change_K": _mean(np.where(after, size, np.nan)), "reading_mae_K": _mean(blind),
+        "deviation_mae": {n: _mean(np.abs(found.theta - t.true)[:, j]) for j, n in enumerate(DEVIATIONS)},
+    }  # fmt: skip
+    if found.theta_half is not None:
+        inside = np.abs(found.theta - t.true) <= found.theta_half
+        out["deviation_inside_90"] = {n: float(inside[:, j].mean()) for j, n in enumerate(DEVIATIONS)}
+        out["deviation_width"] = {n: float(2.0 * found.theta_half[:, j].mean()) for j, n in enumerate(DEVIATIONS)}
+    if found.water_half is not None:
+        there = np.isfinite(size)
+        out["water_inside_90"] = float((size <= found.water_half)[there].mean())
+        out["water_width_K"] = float(2.0 * found.water_half[there].mean())
+        out["water_interval_score_K"] = float(
+            (2.0 * found.water_half + 20.0 * np.maximum(size - found.water_half, 0.0))[there].mean()
+        )
+    if rival is not None:
+        theirs = np.abs(rival.water - t.true_water)
+        out["worse_than_rival"] = {
+            "water": interval(window, _window_mean(theirs), t.block, rng),
+            "water_after_fan_change": interval(
+                _window_mean(np.where(after, size, np.nan)), _window_mean(np.where(after, theirs, np.nan)), t.block, rng
+            ),
+            **{
+                n: interval(np.abs(found.theta - t.true)[:, j], np.abs(rival.theta - t.true)[:, j], t.block, rng)
+                for j, n in enumerate(DEVIATIONS)
+            },
+        }
+    return out
+
+
+def by_cell(t: Targets, names: Sequence[str], answers: Mapping[str, Answer]) -> dict[str, dict[str, float]]:
+    """Return the mean absolute water error, K, of each method by cell."""
+    found: dict[str, dict[str, float]] = {}
+    for cell in np.unique(t.cell.astype(int)):
+        rows = t.cell.astype(int) == cell
+        found[names[cell]] = {n: _mean(np.abs(a.water - t.true_water)[rows]) for n, a in answers.items()}
+    return found
+
+
+def _window_mean(values: Array) -> Array:
+    there = np.isfinite(values)
+    total = np.where(there, values, 0.0).sum(axis=1)
+    count = there.sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _mean(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else float("nan")
+
+
+def _quantile(values: Array, share: float) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.quantile(known, share)) if len(known) else float("nan")
+
+
+def joined(parts: Sequence[Targets]) -> Targets:
+    """Return the targets of several fleets as one; cells are numbered anew."""
+    values = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Targets)}
+    return Targets(**values)
+
+
+def taken(t: Targets, rows: Array) -> Targets:
+    """Return the targets of some windows (K,) bool."""
+    return Targets(**{f.name: getattr(t, f.name)[rows] for f in fields(Targets)})
+
+
+def taken_answer(one: Answer, rows: Array) -> Answer:
+    """Return an answer to some windows (K,) bool."""
+    theta_half = None if one.theta_half is None else one.theta_half[rows]
+    return Answer(
+        one.theta[rows], one.water[rows], theta_half, None if one.water_half is None else one.water_half[rows]
+    )
