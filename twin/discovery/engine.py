@@ -23,7 +23,7 @@ from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.records.readings import Stuck, stuck
 from twin.discovery.records.standstill import Standstill, standstill
 from twin.discovery.scoring.contest import Contest, block_edges
-from twin.discovery.thermometers.at_fault import beside_late, explained_by_one, without_late
+from twin.discovery.thermometers.at_fault import beside, by_themselves, unlisted, without
 from twin.discovery.thermometers.members import Members, members
 from twin.network import Array, Network, TwinFileError, mean_of_sensors
 from twin.segments import CLOCK_PREFIX, Segments, find_segments
@@ -67,9 +67,13 @@ def diagnose(
     def again(other: Columns) -> Diagnosis:
         return diagnose(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
 
-    late = without_late(single, network, given, float(grid.time[0]))
-    if late is not None:
-        return beside_late(late[0], again(late[1]))
+    start = float(grid.time[0])
+    alone = by_themselves(single)
+    if alone is not None:
+        left = again(without(alone, network, replace(record, inputs=given.inputs)))
+        apart = beside(alone, left, network, start, still)
+        if alone.settled or left.verdict != "unexplained":
+            return apart
     say("scanning")
     inquiry = Inquiry(network, record, known, grid, say)
     whole = inquiry.whole
@@ -112,8 +116,15 @@ def diagnose(
         later=tuple(part.grid for part in further),
     )
     found = beside_unvisited(conclude(case, tuple(notes)), network, record, healthy)
-    # What stood still is found anew there, and told as that.
-    return explained_by_one(found, network, replace(record, inputs=given.inputs), single, again)
+    if alone is not None:
+        # With its course taken off nothing explains the rest: the course was not all its own.
+        return apart if found.verdict == "unexplained" else found
+    alone = unlisted(single) if found.verdict == "unexplained" else None
+    if alone is None:
+        return found
+    left = again(without(alone, network, replace(record, inputs=given.inputs)))
+    left = beside(alone, left, network, start, still)
+    return found if left.verdict in ("effect found", "ambiguous") else left
 
 
 def _said(known: Basis, *others: Segments | Standstill | None) -> list[str]:

@@ -31,8 +31,7 @@ from twin.discovery.planning.experiment import plan
 from twin.discovery.records.grid import Grid, centred
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.refit.model import Model
-from twin.discovery.thermometers.at_fault import single, standing
-from twin.discovery.thermometers.members import apart
+from twin.discovery.thermometers.at_fault import placed, standing
 from twin.network import Array, Network
 
 _USUAL = (
@@ -162,19 +161,20 @@ def _named(case: Case) -> Answer:
 
 
 def _with_thermometers(answer: Answer, case: Case) -> Answer:
-    """The answer, where one thermometer of several differs or one stands still, with which, and what is the matter."""
+    """Return the answer with the one of several thermometers that an effect is of, and with those that stand still."""
     network, start = case.known.probe.network, float(case.grid.time[0])
     verdict, effects, others = answer.verdict, answer.effects, answer.others
-    for one in (each for group in case.single for each in apart(group)):
+    for group in case.single:
+        node = next(s.node for s in network.sensors if s.name == group.sensor)
         before = effects
-        verdict, effects, same = single(one, network, verdict, effects, case.finding, start)
+        effects, same, _ = placed(effects, group, node, start)
         # What could not be told from the mean's error is no question where one of several errs.
         gone = {e.where for e in before} - {e.where for e in effects}
-        others = (*(a for a in others if one.sensor not in gone or a.where != one.sensor), *same)
-    for column in dict.fromkeys(span.column for span in reversed(case.still)):
-        effects = (standing(tuple(span for span in case.still if span.column == column)), *effects)
-        verdict = "effect found" if verdict == "adequate" else verdict
-    return replace(answer, verdict=verdict, effects=effects, others=others)
+        others = (*(a for a in others if a.where not in gone), *same)
+        verdict = "ambiguous" if same and verdict == "effect found" else verdict
+    stood = standing(case.still)
+    verdict = "effect found" if stood and verdict == "adequate" else verdict
+    return replace(answer, verdict=verdict, effects=(*stood, *effects), others=others)
 
 
 def _stale(known: Basis, grid: Grid) -> Run:

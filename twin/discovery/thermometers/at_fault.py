@@ -1,23 +1,27 @@
-"""Thermometers that are at fault by themselves: one that stands still, one of several that differs from the others."""
+"""Thermometers that are at fault by themselves: one that stands still, one of several that differs from the others.
+
+One of several that differs is looked at first, and its own error is taken off the mean of all; the record is then
+diagnosed without it. Heat that is found at their place then belongs to one of the places, where one thermometer shows
+it more than the others; what such heat leaves of the thermometer's own course is its own error.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from collections.abc import Set as AbstractSet
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Verdict
 from twin.discovery.effects.phrases import amount, clock, when
 from twin.discovery.effects.shapes import Shape
+from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.readings import Stuck
-from twin.discovery.scoring.equivalence import width
 from twin.discovery.thermometers.members import (
     LATE_WINDOW_S,
     Members,
     Odd,
+    apart,
     began_between,
     lagging_one,
     odd_one,
@@ -26,10 +30,6 @@ from twin.discovery.thermometers.members import (
 from twin.discovery.thermometers.nature import Nature, came_slowly, natures
 from twin.gauss_newton import SE90
 from twin.network import Array, Network
-
-if TYPE_CHECKING:
-    from twin.discovery.evidence.finding import Finding
-    from twin.discovery.healthy.basis import Columns
 
 HEATS = ("heat_source", "heat_loss")
 """Kinds that warm or cool one place of several, whose thermometer then stands out without being at fault."""
@@ -40,35 +40,197 @@ SMEARED = 2.0
 """Times the log odds of a claim that may be left where an error was taken off in block means: its edges are sharper."""
 
 
-def without_late(
-    groups: tuple[Members, ...], network: Network, record: Columns, start: float
-) -> tuple[Effect, Columns] | None:
-    """One thermometer of several that follows the others late, and the record without that; None where none does.
+@dataclass(frozen=True)
+class Alone:
+    """Thermometers of one sensor that differ from the others by themselves.
 
-    The mean of several is late by a part of what one of them is, as by a mass that is not there.
+    Attributes:
+        group: all that are compared. columns: those that differ.
+        late: the time constant of the only one, where it follows the others late.
+        settled: it follows late, or differs in a way that is known of a thermometer or a place; else it comes and goes,
+            which may be an error upon heat at its place.
+    """
+
+    group: Members
+    columns: tuple[str, ...]
+    late: Odd | None = None
+    settled: bool = True
+
+
+def by_themselves(groups: tuple[Members, ...]) -> Alone | None:
+    """Return the first thermometers of several that differ in a way that is known of thermometers or places, if any.
+
+    A late one makes the mean of several late by a part of what it is, as a mass would that is not there. One that
+    errs, or comes and goes, shows in the mean as an error of another form.
     """
     for group in groups:
-        odd = lagging_one(group)
-        if odd is None:
-            continue
-        j = network.sensor_names.index(group.sensor)
-        own = np.nan_to_num(group.by_itself(group.columns.index(odd.column), group.fine))
-        since_s = record.time_s - record.time_s[0]
-        bins = np.clip((since_s / group.step_s).astype(int), 0, len(own) - 1)
-        off = np.where(since_s >= odd.shape.onset_s, own[bins], 0.0)
-        measured, each = record.measured.copy(), record.members[group.sensor].copy()
-        measured[:, j] -= off / len(group.columns)
-        each[:, network.sensors[j].measured.index(odd.column)] -= off
-        members = {**record.members, group.sensor: each}
-        return _late(group, odd, start), replace(record, measured=measured, members=members)
+        late = lagging_one(group)
+        if late is not None:
+            return Alone(group, (late.column,), late)
+    for group in groups:
+        differ = [odd.column for each in apart(group) if (odd := odd_one(each)) is not None and natures(each, odd)]
+        restless = None if differ else restless_one(group)
+        columns = differ if restless is None else [restless.column]
+        if columns:
+            return Alone(group, tuple(dict.fromkeys(columns)), settled=bool(differ))
     return None
 
 
-def beside_late(late: Effect, left: Diagnosis) -> Diagnosis:
-    """What was found without the error of a thermometer that follows late, and that error."""
-    verdict: Verdict = "effect found" if left.verdict == "adequate" else left.verdict
-    said = f"{late.says}. Beside that: {left.summary}"
-    return replace(left, verdict=verdict, effects=(*left.effects, late), summary=said)
+def unlisted(groups: tuple[Members, ...]) -> Alone | None:
+    """Return the first thermometer of several that differs in no known way, and came to differ at once, if any."""
+    for group in groups:
+        odd = odd_one(group)
+        if odd is not None and not came_slowly(group, odd):
+            return Alone(group, (odd.column,))
+    return None
+
+
+def without(alone: Alone, network: Network, record: Columns) -> Columns:
+    """Return the record without the errors of such thermometers, and with the mean of several only, unless late."""
+    group, columns = alone.group, set(alone.columns)
+    j = network.sensor_names.index(group.sensor)
+    measured, members = record.measured.copy(), dict(record.members)
+    if alone.late is None:
+        measured[:, j] -= sum(_share_of(group, c, columns, record.time_s) for c in alone.columns)
+        del members[group.sensor]
+        return replace(record, measured=measured, members=members)
+    (column,) = alone.columns
+    own = np.nan_to_num(group.by_itself(group.columns.index(column), group.fine))
+    since_s = record.time_s - record.time_s[0]
+    bins = np.clip((since_s / group.step_s).astype(int), 0, len(own) - 1)
+    off = np.where(since_s >= alone.late.shape.onset_s, own[bins], 0.0)
+    each = record.members[group.sensor].copy()
+    measured[:, j] -= off / len(group.columns)
+    each[:, network.sensors[j].measured.index(column)] -= off
+    return replace(record, measured=measured, members=members | {group.sensor: each})
+
+
+def beside(alone: Alone, left: Diagnosis, network: Network, start: float, still: tuple[Stuck, ...]) -> Diagnosis:
+    """Return what is told of such thermometers, and beside them what was found without their errors.
+
+    Args:
+        left: found without their errors, and without what stood still. start: of the record, s. still: what stood.
+    """
+    stood = standing(still)
+    if alone.late is not None:
+        return _together((*stood, _late(alone.group, alone.late, start)), (), left)
+    group = alone.group
+    node = next(s.node for s in network.sensors if s.name == group.sensor)
+    if left.odds <= SMEARED * left.claim and all(e.where in (node, group.sensor) for e in left.effects):
+        left = replace(left, verdict="adequate", effects=(), indistinguishable=(), network=None)
+    effects, same, group = placed(left.effects, group, node, start)
+    left = replace(left, effects=effects, indistinguishable=(*left.indistinguishable, *same))
+    errors: list[Effect] = []
+    others: list[Alternative] = []
+    for column in alone.columns:
+        each = group
+        for other in set(alone.columns) - {column}:
+            each = each.without(other)
+        odd = odd_one(each)
+        told = () if odd is None else natures(each, odd)
+        restless = None if told else restless_one(each)
+        if odd is not None and odd.column == column and told:
+            errors.append(_fault(each, odd, told, start))
+            others += _instead(odd, told)
+        elif restless is not None and restless.column == column:
+            errors.append(_restless(each, restless, start))
+        elif odd is not None and odd.column == column and effects == left.effects and not errors:
+            errors.append(_strange(each, odd, start))
+    return _together((*stood, *errors), tuple(others), left)
+
+
+def _together(errors: tuple[Effect, ...], same: tuple[Alternative, ...], left: Diagnosis) -> Diagnosis:
+    """Return a diagnosis with the errors of single thermometers first."""
+    if not errors:
+        return left
+    found = left.verdict != "adequate"
+    verdict: Verdict = left.verdict if found else "effect found"
+    if any(e.kind == "unknown" for e in errors):
+        verdict = "unexplained"
+    elif same and verdict == "effect found":
+        verdict = "ambiguous"
+    but = f"; but this record cannot tell that from {_either(same, *errors)}" if same else ""
+    rest = f"Beside that: {left.summary}" if found else f"Without that the twin is adequate: {_leaves(left)}."
+    return replace(
+        left, verdict=verdict, effects=(*errors, *left.effects),
+        summary=f"{'. '.join(e.says for e in errors)}{but}. {rest}",
+        network=left.network if verdict == "effect found" else None,
+        next_experiment=left.next_experiment if found else None,
+        indistinguishable=(*same, *left.indistinguishable), empirical=None,
+    )  # fmt: skip
+
+
+def placed(
+    effects: tuple[Effect, ...], group: Members, node: str, start: float
+) -> tuple[tuple[Effect, ...], tuple[Alternative, ...], Members]:
+    """Return effects at the place of several thermometers with the one thermometer or place that they belong to.
+
+    Args:
+        node: place of the thermometers. start: of the record, s.
+
+    Returns:
+        effects, what cannot be told from errors of one thermometer, and the thermometers less what heat explains.
+    """
+    found: list[Effect] = []
+    others: list[Alternative] = []
+    for effect in effects:
+        here = effect.where in (node, group.sensor) and effect.kind in (*HEATS, "sensor")
+        near, odd = _came_in_with(effect, group, start) if here else (group, None)
+        told = () if odd is None else natures(near, odd)
+        if odd is None or not told or (effect.kind == "heat_source" and effect.value * odd.final < 0.0):
+            found.append(effect)
+        elif effect.kind == "sensor":
+            found.append(_fault(near, odd, told, start))
+            others += _instead(odd, told)
+        else:
+            says = f"{effect.says}; of several alike, {odd.place} alone"
+            found.append(replace(effect, where=odd.place, says=says))
+            group = group.less(odd.column, odd.size, odd.shape)
+    return tuple(found), tuple(others), group
+
+
+def _came_in_with(effect: Effect, group: Members, start: float) -> tuple[Members, Odd | None]:
+    """Return the member that came to differ as an effect came in, if one did, and those that it was compared with."""
+    shape = Shape(effect.shape, max(effect.onset_s - start, 0.0), effect.growth_s)
+    near = group.around(shape.onset_s) if shape.name == "step" and shape.onset_s > 0.0 else group
+    return near, odd_one(near, (shape,))
+
+
+def _instead(odd: Odd, told: tuple[Nature, ...]) -> tuple[Alternative, ...]:
+    """What cannot be told from the likeliest, that first, where that has not nearly all of the weight."""
+    places: dict[tuple[str, bool], float] = {}
+    for n in told:
+        places[n.kind, n.local] = places.get((n.kind, n.local), 0.0) + n.share
+    if not told or places[told[0].kind, told[0].local] >= SURE:
+        return ()
+    left = [n for n in told if n.share > OPEN * told[0].share]
+    return tuple(Alternative(n.kind, odd.place if n.local else odd.column, n.driver, n.share) for n in left)
+
+
+def _either(same: tuple[Alternative, ...], *faults: Effect) -> str:
+    """What else it may be, in words."""
+    said = {(e.kind, e.where) for e in faults}
+    named = dict.fromkeys((a.kind, a.where) for a in same if (a.kind, a.where) not in said)
+    return " or ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in named)
+
+
+def _share_of(group: Members, column: str, faults: AbstractSet[str], time_s: Array) -> Array:
+    """What one thermometer's error puts on its group's mean (N,), K: by bins, or of the block where one is missing."""
+    alone = group
+    for other in faults - {column}:
+        alone = alone.without(other)
+    i, since_s = alone.columns.index(column), time_s - time_s[0]
+    block = np.clip(np.searchsorted(group.edges_s, since_s, side="right") - 1, 0, len(alone.residual) - 1)
+    bins = np.clip((since_s / group.step_s).astype(int), 0, len(alone.fine) - 1)
+    fine = alone.by_itself(i, alone.fine)[bins]
+    found: Array = np.nan_to_num(np.where(np.isfinite(fine), fine, alone.by_itself(i, alone.residual)[block]))
+    return found / len(group.columns)
+
+
+def _leaves(left: Diagnosis) -> str:
+    worst = max(left.errors, key=lambda n: left.errors[n].before / left.errors[n].noise)
+    e = left.errors[worst]
+    return f"at most {e.before:.2g} K on {worst} at a noise of {e.noise:.2g} K, on the part that no fit saw"
 
 
 def _late(one: Members, odd: Odd, start: float) -> Effect:
@@ -83,107 +245,6 @@ def _late(one: Members, odd: Odd, start: float) -> Effect:
         says=f"{odd.column} follows the other thermometers of {one.sensor} late, by {amount(odd.size, 's', spread)} "
              f"{when(odd.shape, start)}",
     )  # fmt: skip
-
-
-def single(
-    one: Members, network: Network, verdict: Verdict, effects: tuple[Effect, ...], finding: Finding, start: float
-) -> tuple[Verdict, tuple[Effect, ...], tuple[Alternative, ...]]:
-    """Say which thermometer or place of several it is, where one differs from the others, and what else it may be.
-
-    A mismatch that nothing explains stays unexplained, with the thermometer named beside it: whether the thermometer
-    is all there is to it, `explained_by_one` tells. One that is off now and then is not of the catalogue; beside a
-    cause that is named it is not looked for.
-    """
-    node = next(s.node for s in network.sensors if s.name == one.sensor)
-    here = [i for i, e in enumerate(effects) if e.where in (node, one.sensor)]
-    shapes = tuple(e.shape for e in finding.entries) if here and finding.entries else ()
-    odd = odd_one(one, shapes) or (odd_one(one) if not here or verdict == "unexplained" else None)
-    if odd is None:
-        return (*_now_and_then(one, verdict, effects, start), ())
-    at = _belongs_to(odd, here, effects, finding)
-    if at is not None and effects[at].kind not in ("unknown", "sensor"):
-        own = _in_its_own_shape(one, odd)
-        if own is not odd and effects[at].kind not in HEATS:
-            # What came in at another time, or grew, is another thing: the thermometer's own. Heat at one place shows in
-            # its thermometer, in whatever form it is told.
-            return verdict, (*effects, _fault(one, own, natures(one, own), start)), ()
-        old = effects[at]
-        changed = replace(old, where=odd.place, says=f"{old.says}; of several alike, {odd.place} alone")
-        own_ones = (changed if i == at else _its_own(one, e, start) if i in here else e for i, e in enumerate(effects))
-        return verdict, tuple(own_ones), ()
-    if at is not None and effects[at].kind == "sensor":
-        odd = _in_its_own_shape(one, odd)
-    told = natures(one, odd)
-    if not told and (verdict == "adequate" or (verdict == "unexplained" and came_slowly(one, odd))):
-        # No error of one thermometer, nor heat of one place, that is there from one moment on.
-        return (*_now_and_then(one, verdict, effects, start), ())
-    restless = restless_one(one) if not told and at is not None else None
-    if restless is not None:
-        # What came and went at one thermometer shows in the mean as an error of another form; what else is unknown at
-        # the place stays, until the record is looked at without that thermometer.
-        rest = (e for i, e in enumerate(effects) if i != at or e.kind == "unknown")
-        return "unexplained", (_restless(one, restless, start), *rest), ()
-    fault, same = _fault(one, odd, told, start), _instead(odd, told)
-    if verdict == "unexplained":
-        return verdict, (*effects, fault), same
-    if at is not None:
-        effects = tuple(fault if i == at else e for i, e in enumerate(effects))
-        return "ambiguous" if same else "effect found", effects, same
-    if verdict == "adequate":
-        return "ambiguous" if same else "effect found", (*effects, fault), same
-    if same:
-        fault = replace(fault, says=f"{fault.says} (or so it is with {_either(same, fault)}: this record cannot tell)")
-    return verdict, (*effects, fault), same
-
-
-def _its_own(one: Members, effect: Effect, start: float) -> Effect:
-    """An error of the mean that came at one moment, as that of the thermometer which changed then, if one did."""
-    if effect.kind != "sensor" or effect.shape != "step" or effect.onset_s <= start:
-        return effect
-    shape = Shape("step", effect.onset_s - start)
-    near = one.around(shape.onset_s)
-    odd = odd_one(near, (shape,))
-    return effect if odd is None else _fault(near, odd, natures(near, odd), start)
-
-
-def _now_and_then(
-    one: Members, verdict: Verdict, effects: tuple[Effect, ...], start: float
-) -> tuple[Verdict, tuple[Effect, ...]]:
-    """The same with a thermometer that is off now and then; beside a cause that is named none is looked for."""
-    restless = restless_one(one) if verdict in ("adequate", "unexplained") else None
-    return (verdict, effects) if restless is None else ("unexplained", (*effects, _restless(one, restless, start)))
-
-
-def _instead(odd: Odd, told: tuple[Nature, ...]) -> tuple[Alternative, ...]:
-    """What cannot be told from the likeliest, that first, where that has not nearly all of the weight."""
-    places: dict[tuple[str, bool], float] = {}
-    for n in told:
-        places[n.kind, n.local] = places.get((n.kind, n.local), 0.0) + n.share
-    if not told or places[told[0].kind, told[0].local] >= SURE:
-        return ()
-    left = [n for n in told if n.share > OPEN * told[0].share]
-    return tuple(Alternative(n.kind, odd.place if n.local else odd.column, n.driver, n.share) for n in left)
-
-
-def _belongs_to(odd: Odd, here: list[int], effects: tuple[Effect, ...], finding: Finding) -> int | None:
-    """Which effect at its place one that differs belongs to: of those that came in with it, an error of reading."""
-    entries = finding.entries
-    with_it = [i for i in here if i < len(entries) and entries[i].shape == odd.shape] or here
-    return min(with_it, key=lambda i: effects[i].kind != "sensor", default=None)
-
-
-def _in_its_own_shape(one: Members, odd: Odd) -> Odd:
-    """The same thermometer's error as its neighbours show it, where that is plainer than as their mean does."""
-    own = odd_one(one)
-    plainer = own is not None and own.column == odd.column and own.z**2 > odd.z**2 + width(odd.z**2)
-    return own if own is not None and plainer else odd
-
-
-def _either(same: tuple[Alternative, ...], *faults: Effect) -> str:
-    """What else it may be, in words."""
-    said = {(e.kind, e.where) for e in faults}
-    named = dict.fromkeys((a.kind, a.where) for a in same if (a.kind, a.where) not in said)
-    return " or ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in named)
 
 
 def _fault(one: Members, odd: Odd, likely: tuple[Nature, ...], start: float) -> Effect:
@@ -221,73 +282,28 @@ def _restless(one: Members, odd: Odd, start: float) -> Effect:
     )  # fmt: skip
 
 
-def explained_by_one(
-    found: Diagnosis,
-    network: Network,
-    record: Columns,
-    groups: tuple[Members, ...],
-    again: Callable[[Columns], Diagnosis],
-) -> Diagnosis:
-    """An unexplained finding looked at without the thermometer that stands out; unchanged where there is none.
-
-    Args:
-        again: diagnoses a record anew. Only if the twin is adequate without that thermometer's error, the thermometer
-            is the answer: a place that is hotter than others of its kind makes its thermometer stand out too. What is
-            then found elsewhere is told beside it, and at its own place if the thermometer is off only now and then.
-    """
-    if found.verdict != "unexplained":
-        return found
-    for group in groups:
-        faults = {c: e for e in found.effects if (c := group.column_of(e.where)) is not None}
-        if not faults:
-            continue
-        j = network.sensor_names.index(group.sensor)
-        measured = record.measured.copy()
-        measured[:, j] -= sum(_share_of(group, c, faults.keys(), record.time_s) for c in faults)
-        rest = {name: each for name, each in record.members.items() if name != group.sensor}
-        left = again(replace(record, measured=measured, members=rest))
-        errors = tuple(faults.values())
-        # What is off now and then is of no catalogue, whatever else is found.
-        odd = any(e.kind == "unknown" for e in errors)
-        own = () if odd else (network.sensors[j].node, group.sensor)
-        beside = left.verdict in ("effect found", "ambiguous") and all(e.where not in own for e in left.effects)
-        if not beside and left.verdict != "adequate" and left.odds > SMEARED * left.claim:
-            return found
-        stuck_ones = tuple(e for e in found.effects if e.shape == "stuck" and e not in errors)
-        same = tuple(a for a in found.indistinguishable if group.column_of(a.where) in faults)
-        but = f"; but this record cannot tell that from {_either(same, *errors)}" if same else ""
-        rest_is = left.summary if beside else f"Without that the twin is adequate: {_leaves(left)}."
-        verdict: Verdict = "unexplained" if odd else "ambiguous" if same else left.verdict if beside else "effect found"
-        return replace(
-            left, verdict=verdict, effects=(*stuck_ones, *errors, *(left.effects if beside else ())),
-            summary=f"{'. '.join(e.says for e in errors)}{but}. {'Beside that: ' if beside else ''}{rest_is}",
-            network=left.network if beside and verdict == "effect found" else None, next_experiment=None,
-            indistinguishable=(*same, *(left.indistinguishable if beside else ())), empirical=None,
-        )  # fmt: skip
-    return found
+def _strange(one: Members, odd: Odd, start: float) -> Effect:
+    """Return a thermometer that differs from its neighbours in no listed way, with the most that it differs by."""
+    good = one.good
+    off = one.by_itself(one.columns.index(odd.column), one.residual[good])
+    most, onset = float(np.abs(off).max()), start + odd.shape.onset_s
+    return Effect(
+        kind="unknown", where=odd.column, driver="history", change="new", value=most, unit="K",
+        interval90=(-most, most), onset_s=onset, onset_interval90_s=(onset, onset), shape=odd.shape.name,
+        confidence=odd.share, z=odd.z, evidence=f"the other thermometers of {one.sensor} agree with one another",
+        says=f"{odd.column} differs from its neighbours by up to {amount(most, 'K')} {when(odd.shape, start)}, in no "
+             "way that is known of a thermometer or of its place",
+    )  # fmt: skip
 
 
-def _share_of(group: Members, column: str, faults: AbstractSet[str], time_s: Array) -> Array:
-    """What one thermometer's error puts on its group's mean (N,), K: by bins, or of the block where one is missing."""
-    alone = group
-    for other in faults - {column}:
-        alone = alone.without(other)
-    i, since_s = alone.columns.index(column), time_s - time_s[0]
-    block = np.clip(np.searchsorted(group.edges_s, since_s, side="right") - 1, 0, len(alone.residual) - 1)
-    bins = np.clip((since_s / group.step_s).astype(int), 0, len(alone.fine) - 1)
-    fine = alone.by_itself(i, alone.fine)[bins]
-    found: Array = np.nan_to_num(np.where(np.isfinite(fine), fine, alone.by_itself(i, alone.residual)[block]))
-    return found / len(group.columns)
+def standing(still: tuple[Stuck, ...]) -> tuple[Effect, ...]:
+    """Return each thermometer that shows one value and nothing else, once or from time to time."""
+    columns = dict.fromkeys(span.column for span in still)
+    return tuple(_standing(tuple(span for span in still if span.column == column)) for column in columns)
 
 
-def _leaves(left: Diagnosis) -> str:
-    worst = max(left.errors, key=lambda n: left.errors[n].before / left.errors[n].noise)
-    e = left.errors[worst]
-    return f"at most {e.before:.2g} K on {worst} at a noise of {e.noise:.2g} K, on the part that no fit saw"
-
-
-def standing(spans: tuple[Stuck, ...]) -> Effect:
-    """A thermometer that shows one value and nothing else, once or from time to time."""
+def _standing(spans: tuple[Stuck, ...]) -> Effect:
+    """Return one that stood still in such spans."""
     first, last = spans[0], spans[-1]
     says = f"{first.column} stands still at {first.value:.2f} degC from {clock(first.first_s)} to {clock(first.last_s)}"
     if len(spans) > 1:

@@ -102,6 +102,16 @@ class Members:
             fine=rest(self.fine), late_s=rest(self.late_s),
         )  # fmt: skip
 
+    def less(self, column: str, size: float, shape: Shape) -> Members:
+        """Return the same without an effect of `size` K at one column."""
+        pattern: Array = size * _pattern(self.columns.index(column), len(self.columns))
+        bins_s: Array = np.arange(len(self.fine) + 1.0) * self.step_s
+        return replace(
+            self,
+            residual=self.residual - shape.block_means(self.edges_s)[:, None] * pattern,
+            fine=self.fine - shape.block_means(bins_s)[:, None] * pattern if len(self.fine) else self.fine,
+        )
+
     def around(self, moment_s: float) -> Members:
         """The same within some hours of a moment, as they differ from before it."""
         before = (self.edges_s[1:] <= moment_s) & (self.edges_s[1:] > moment_s - NEAR_S)
