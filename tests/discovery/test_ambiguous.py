@@ -51,7 +51,8 @@ def test_causes_alike_at_one_load_are_a_set_and_the_planned_record_names_the_rig
     found = diagnose(network, record, healthy, limits=RIG)
     assert found.verdict == "ambiguous"
     said = {(a.kind, a.where, a.driver): a.confidence for a in found.indistinguishable}
-    assert said[truth] > 0.05 and said[twin_cause] > 0.05 and sum(said.values()) < 1.01
+    # Errors of actuators are rarer than heat, by the priors; nothing in the record is against either.
+    assert said[truth] > 0.02 and said[twin_cause] > 0.02 and sum(said.values()) < 1.01
     assert "cannot tell" in found.summary
     plan = found.next_experiment
     assert plan is not None and plan["possible"] and plan["expected_difference"] > plan["needed_difference"]

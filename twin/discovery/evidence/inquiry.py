@@ -107,7 +107,9 @@ class Inquiry:
                 f"of the fit; the fit was given the record up to {self._hours(split)}",
             )
         found = self._searched(split)
-        missed = found.finding.fit is None and odds > claim
+        # An unknown of no listed form that is likelier than every named one lacks a form, not more of the record.
+        formless = found.finding.unlisted > max(found.finding.odds, claim)
+        missed = found.finding.fit is None and odds > claim and not formless
         wrong = found.finding.fit is not None and self._held_out.far_off(found.finding, split)
         if (missed or wrong) and most > split:
             fuller = self._searched(most)

@@ -14,10 +14,14 @@ Source: linear-Gaussian evidence (MacKay, Neural Computation 4 (1992) 415, eqs. 
 
 from __future__ import annotations
 
+import math
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp
 
 from twin.discovery.evidence.priors import FORM_ERRORS, FORM_S, SPREAD
@@ -28,6 +32,8 @@ from twin.network import Array
 
 FEWEST_KNOTS = 3
 """Knots of an error of form in a short record: a beginning, a middle and an end."""
+KEPT_BYTES, MOST_TOGETHER = 1 << 26, 8
+"""Memory for the columns of effects that may be tried again, and how many are kept whatever they take."""
 
 
 def log_mass(low: Array, high: Array) -> Array:
@@ -40,18 +46,36 @@ def log_mass(low: Array, high: Array) -> Array:
     return found
 
 
-def log_bayes_of_sizes(candidate: Candidate, top: Array, bottom: Array) -> tuple[Array, Array]:
-    """Return log B of single effects with scores `top` and squares `bottom`, any shape, and their sizes.
+def log_bayes_of_sizes(
+    candidates: Candidate | Sequence[Candidate], top: Array, bottom: Array
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return log B of single effects with scores `top` and squares `bottom`, and their sizes.
 
-    The prior of the size is a Gaussian within the candidate's bounds.
+    The prior of a size is a Gaussian within its candidate's bounds.
+
+    Args:
+        candidates: one for all scores, which have any shape, or one for each row (c,) of scores (c, n).
     """
-    prior = SPREAD * candidate.typical
+    if isinstance(candidates, Candidate):
+        c = candidates
+        typical, lower, upper = np.array(c.typical), np.array(c.lower), np.array(c.upper)
+    else:
+        typical, lower, upper = np.array([(c.typical, c.lower, c.upper) for c in candidates]).T[..., None]
+    prior = SPREAD * typical
     variance = 1.0 / (bottom + prior**-2.0)
     mean, sd = variance * top, np.sqrt(variance)
     odds = 0.5 * mean * top - 0.5 * np.log1p(prior**2 * bottom)
-    here = log_mass((candidate.lower - mean) / sd, (candidate.upper - mean) / sd)
-    before = log_mass(np.array(candidate.lower / prior), np.array(candidate.upper / prior))
-    return odds + here - before, np.clip(mean, candidate.lower, candidate.upper)
+    here = log_mass((lower - mean) / sd, (upper - mean) / sd)
+    return odds + here - log_mass(lower / prior, upper / prior), np.clip(mean, lower, upper)
+
+
+def _log_mass(low: float, high: float) -> float:
+    """Return `log_mass` of one pair of bounds."""
+    if low > 0.0:
+        low, high = -high, -low
+    upper = float(log_ndtr(high))
+    share = -math.expm1(min(float(log_ndtr(low)) - upper, 0.0))
+    return upper + math.log(share) if share > 0.0 else -math.inf
 
 
 def form_basis(contest: Contest) -> Array:
@@ -66,44 +90,86 @@ def form_basis(contest: Contest) -> Array:
     return known
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Joint:
     """Effects whose sizes and errors of form are integrated out.
 
     Attributes:
-        columns: (c, sites * b), each times its prior standard deviation. onto: (sites * b, c) of the Gram matrix.
+        parts: one for each effect. scale: (c,) prior standard deviations of all their columns.
         root: (c, c), root @ root' the inverse of I + S G S. form_error: share, the likeliest.
         log_bayes: over no effect, averaged over the shares. quadratic: twice the logarithm's part that is of the data.
         sizes: (e,) of the effects.
     """
 
-    columns: Array
-    onto: Array
+    parts: tuple[_Columns, ...]
+    scale: Array
     root: Array
     form_error: float
     log_bayes: float
     quadratic: float
     sizes: Array
 
+    @cached_property
+    def onto(self) -> Array:
+        """Return how the columns show at each site and block, whitened: (sites * b, c)."""
+        found: Array = (_in_order([p.onto.T for p in self.parts]).T * self.scale) @ self.root
+        return found
+
     def reduced_score(self, score: Array) -> Array:
         """Return a score (sites * b,) with these effects integrated out."""
-        found: Array = score - self.onto @ (self.root @ (self.root.T @ (self.columns @ score)))
+        pull = self.scale * _in_order([p.every @ score for p in self.parts])
+        found: Array = score - self.onto @ (self.root.T @ pull)
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """One effect at size 1 and its errors of form: `every` (1 + c, sites * b), `onto` (sites * b, 1 + c) of the Gram
+    matrix; `vector` is held so that its identity stays its own."""
+
+    vector: Array
+    every: Array
+    onto: Array
+
+
+def _in_order(parts: list[Array]) -> Array:
+    """Return rows of effects (1 + c, ...) as `joint` has them: first each effect, then each one's errors of form."""
+    return np.concatenate([*(p[:1] for p in parts), *(p[1:] for p in parts)])
+
+
+def _columns(contest: Contest, entry: Entry) -> _Columns:
+    """Return an effect's columns, which are the same in all the sets that it is tried in."""
+    known: OrderedDict[int, _Columns] = contest.memo.setdefault("columns", OrderedDict())
+    key = id(entry.vector)
+    if key in known:
+        known.move_to_end(key)
+        return known[key]
+    every = np.concatenate([entry.vector.reshape(1, -1), _form_errors(contest, entry.vector[None])])
+    made = known[key] = _Columns(entry.vector, every, _onto(contest, every))
+    while len(known) > max(KEPT_BYTES // (2 * every.nbytes), 2 * MOST_TOGETHER):
+        known.popitem(last=False)
+    return made
+
+
+def _onto(contest: Contest, every: Array) -> Array:
+    """Return what columns (c, sites * b), most of them zero at most sites, are to the Gram matrix: (sites * b, c)."""
+    b, found = contest.b, np.zeros((len(contest.gram), len(every)))
+    each = every.reshape(len(every), contest.sites, b)
+    there: NDArray[np.bool_] = np.asarray(each.any(axis=2))
+    for site in np.flatnonzero(there.any(axis=0)):
+        rows = there[:, site]
+        found[:, rows] += contest.gram[:, site * b : (site + 1) * b] @ each[rows, site].T
+    return found
 
 
 def joint(contest: Contest, entries: Sequence[Entry]) -> Joint:
     """Return the evidence of effects together; their shapes stay as they are."""
     count = len(entries)
-    vectors = np.stack([e.vector for e in entries])
     prior = np.array([SPREAD * e.candidate.typical for e in entries])
-    errors = _form_errors(contest, vectors)
-    each = len(errors) // count
-    every = np.concatenate([vectors.reshape(count, -1), errors])
-    # Most effects act at one site: the others' columns are zeros.
-    there = every.any(axis=0)
-    few = every[:, there]
-    onto = contest.gram[:, there] @ few.T
-    gram, score = few @ onto[there], few @ contest.score[there]
+    parts = tuple(_columns(contest, e) for e in entries)
+    each = len(parts[0].every) - 1
+    gram = _in_order([_in_order([one.every @ other.onto for one in parts]).T for other in parts])
+    score = _in_order([p.every @ contest.score for p in parts])
     sizes = np.linalg.solve(gram[:count, :count] + np.diag(prior**-2.0), score[:count])
     found: list[tuple[float, float, Array, Array, Array]] = []
     for share in FORM_ERRORS:
@@ -123,14 +189,13 @@ def joint(contest: Contest, entries: Sequence[Entry]) -> Joint:
     best = max(range(len(found)), key=lambda i: found[i][0])
     log_bayes, quadratic, scale, root, mean = found[best]
     total = float(logsumexp([f[0] for f in found]) - np.log(len(found)))
-    return Joint(every * scale[:, None], onto * scale, root, FORM_ERRORS[best], total, quadratic, mean)
+    return Joint(parts, scale, root, FORM_ERRORS[best], total, quadratic, mean)
 
 
 def _within(candidate: Candidate, mean: float, sd: float, prior: float) -> float:
     """Return how much likelier a size is to be within its candidate's bounds after the data than before, log."""
     low, high = candidate.lower, candidate.upper
-    after = log_mass(np.array((low - mean) / sd), np.array((high - mean) / sd))
-    return float(after - log_mass(np.array(low / prior), np.array(high / prior)))
+    return _log_mass((low - mean) / sd, (high - mean) / sd) - _log_mass(low / prior, high / prior)
 
 
 def form_quadratic(contest: Contest, entries: Sequence[Entry], share: float) -> float:

@@ -14,7 +14,7 @@ from twin.discovery.evidence.marginal import Joint, log_bayes_of_sizes
 from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
-from twin.discovery.scoring.sweep import LAST_SHARE, Courses, Squares
+from twin.discovery.scoring.sweep import LAST_SHARE, Courses, Squares, returning, rows_by_name
 from twin.elements.base import Candidate
 from twin.network import Array
 
@@ -22,6 +22,8 @@ STEADY = ("constant", "temperature_difference")
 """Drivers of laws that are tried with the courses that end, come back or fade."""
 NEAREST_S = 15.0
 """Onsets are told no closer by block means, s."""
+TOGETHER = 32
+"""Laws that are looked at together, which bounds the memory."""
 _TINY = 1e-12
 
 
@@ -37,26 +39,46 @@ def scan(
         beside: effects that are integrated out. timed: with courses that end, come back or fade.
     """
     courses = Courses.of(contest)
-    score = contest.score if beside is None else beside.reduced_score(contest.score)
-    sites_score = score.reshape(contest.sites, contest.b)
-    found: list[Entry] = []
+    scanned = _Scanned(contest, courses, beside)
+    alike: dict[tuple[str, float, bool], list[Law]] = {}
     for law in laws:
-        squares = Squares.of(contest, law)
-        own = (sites_score * squares.blocks).sum(axis=0)
-        share = _taken(contest, squares.blocks, beside)
-        found += _of_law(contest, law, own, squares, share, courses, timed and may_end(law.candidate))
+        c = law.candidate
+        alike.setdefault((family_of(c), c.slow_s if c.begins else 0.0, may_end(c)), []).append(law)
+    found: list[Entry] = []
+    for (family, _, ends), those in alike.items():
+        for k in range(0, len(those), TOGETHER):
+            found += _of_laws(scanned, those[k : k + TOGETHER], family, timed and ends)
     found.sort(key=lambda e: -e.log_bayes)
     return found
 
 
-def _taken(contest: Contest, blocks: Array, beside: Joint | None) -> Array:
-    """Return the part (b, c) of a law's blocks that effects beside it stand for; its square leaves the Gram matrix."""
-    if beside is None:
-        return np.empty((contest.b, 0))
-    sites = np.flatnonzero(blocks.any(axis=1))
-    onto = beside.onto.reshape(contest.sites, contest.b, -1)
-    shared: Array = sum(onto[s] * blocks[s][:, None] for s in sites) @ beside.root
-    return shared
+class _Scanned:
+    """A score as it is scanned, with effects beside it integrated out."""
+
+    def __init__(self, contest: Contest, courses: Courses, beside: Joint | None) -> None:
+        self.contest, self.courses = contest, courses
+        score = contest.score if beside is None else beside.reduced_score(contest.score)
+        self._score = score.reshape(contest.sites, contest.b)
+        onto = np.empty((contest.sites * contest.b, 0)) if beside is None else beside.onto
+        self._onto = onto.reshape(contest.sites, contest.b, -1)
+
+    def score(self, squares: Squares) -> Array:
+        """Return the score (b,) of a law's blocks."""
+        found: Array = (self._score[squares.sites] * squares.blocks[squares.sites]).sum(axis=0)
+        return found
+
+    def taken(self, squares: Squares) -> Array:
+        """Return the part (b, c) of a law's blocks that effects beside it stand for; its square leaves the Gram
+        matrix."""
+        found: Array = (self._onto[squares.sites] * squares.blocks[squares.sites][:, :, None]).sum(axis=0)
+        return found
+
+
+def family_of(candidate: Candidate) -> str:
+    """Return the courses that a law is tried with: "put in", "step" alone, or "any"."""
+    if candidate.begins:
+        return "put in"
+    return "step" if candidate.shapes == ("step",) else "any"
 
 
 def may_end(candidate: Candidate) -> bool:
@@ -67,21 +89,21 @@ def may_end(candidate: Candidate) -> bool:
 def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entry:
     """Return an entry with its onset (and growth) moved to where its evidence is greatest, between the blocks too."""
     edges_s = contest.edges * contest.grid.step_s
-    blocks = Squares.of(contest, entry.law).blocks
-    gram, _ = contest.small(blocks)
-    score = contest.score if beside is None else beside.reduced_score(contest.score)
-    own = (score.reshape(contest.sites, contest.b) * blocks).sum(axis=0)
-    taken = _taken(contest, blocks, beside)
-    gram = gram - taken @ taken.T
+    squares = Squares.of(contest, entry.law)
+    blocks, scanned = squares.blocks, _Scanned(contest, Courses.of(contest), beside)
+    own, taken = scanned.score(squares), scanned.taken(squares)
+    gram = contest.small(blocks)[0] - taken @ taken.T
     least = _TINY * max(float(np.trace(gram)), _TINY)
 
-    def at(shape: Shape) -> tuple[float, float, float, Array]:
-        course = shape.block_means(edges_s)
-        bottom = max(float(course @ gram @ course), least)
-        odds, size = log_bayes_of_sizes(entry.candidate, np.array(own @ course), np.array(bottom))
-        return float(odds), float(size), bottom, course
+    def at(shapes: Sequence[Shape]) -> tuple[float, float, float, Shape, Array]:
+        """Return log B, size and squares of the best of these shapes, that shape and its course."""
+        tried = np.stack([shape.block_means(edges_s) for shape in shapes])
+        bottoms = np.maximum(((tried @ gram) * tried).sum(axis=1), least)
+        odds, sizes = log_bayes_of_sizes(entry.candidate, tried @ own, bottoms)
+        k = int(np.argmax(odds))
+        return float(odds[k]), float(sizes[k]), float(bottoms[k]), shapes[k], tried[k]
 
-    shape, (best, size, bottom, course) = entry.shape, at(entry.shape)
+    best, size, bottom, shape, course = at([entry.shape])
     start = best
     reach = contest.step_s if shape.onset_s > 0.0 or shape.name in TIMED else 0.0
     while reach >= NEAREST_S:
@@ -104,9 +126,9 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
             for s in tried
             if 0.0 <= s.onset_s <= LAST_SHARE * edges_s[-1] and (s.name not in TIMED or s.growth_s > NEAREST_S)
         ]
-        found = max(((at(s), s) for s in tried), key=lambda f: f[0][0], default=None)
-        if found is not None and found[0][0] > best:
-            (best, size, bottom, course), shape = found
+        found = at(tried) if tried else None
+        if found is not None and found[0] > best:
+            best, size, bottom, shape, course = found
         else:
             reach *= 0.5
     return replace(
@@ -115,53 +137,49 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
     )  # fmt: skip
 
 
-def _of_law(
-    contest: Contest, law: Law, score: Array, squares: Squares, share: Array, courses: Courses,
-    turns: bool,
-) -> list[Entry]:  # fmt: skip
-    c = law.candidate
-    blocks = squares.blocks
-    least = _TINY * max(float(squares.steps.max()), _TINY)
-    put_in, grows = bool(c.begins), c.shapes != ("step",) and not c.begins
-    rest = math.log((1.0 - AT_ONCE) / (4.0 if may_end(c) else 2.0)) if grows else 0.0
+def _of_laws(scanned: _Scanned, laws: Sequence[Law], family: str, turns: bool) -> list[Entry]:
+    """Return the likeliest course of each shape of laws of one family."""
+    contest, courses = scanned.contest, scanned.courses
+    candidates = [law.candidate for law in laws]
+    squares = [Squares.of(contest, law) for law in laws]
+    scores = np.stack([scanned.score(q) for q in squares])
+    taken = np.stack([scanned.taken(q) for q in squares])
+    least = _TINY * np.maximum([[float(q.steps.max())] for q in squares], _TINY)
+    grows = family == "any"
+    rest = math.log((1.0 - AT_ONCE) / (4.0 if may_end(candidates[0]) else 2.0)) if grows else 0.0
     out: list[Entry] = []
 
-    def add(shapes: Sequence[Shape], columns: Array, bottom: Array, prior: Array) -> None:
-        bottom = np.maximum(bottom, least)
-        odds, size = log_bayes_of_sizes(c, score @ columns, bottom)
-        out.extend(_best(law, blocks, shapes, columns, odds, size, bottom, prior))
+    def add(shapes: Sequence[Shape], columns: Array, bottom: Array, prior: float | Array) -> None:
+        odds, size = log_bayes_of_sizes(candidates, scores @ columns, bottom)
+        out.extend(_best(laws, squares, shapes, columns, odds + prior, odds, size, bottom))
 
-    if not put_in:
-        steps = np.maximum(
-            squares.steps - (share[::-1].cumsum(axis=0)[::-1][: len(squares.steps)] ** 2).sum(axis=1), least
-        )
-        odds, size = log_bayes_of_sizes(c, score @ courses.steps, steps)
-        if c.lumped:
-            # A lumped twin leaves as much of it all along: there it is no fault, later it has to beat that.
-            usual = abs(size[0]) < c.lumped
-            odds = odds - (max(float(odds[0]), 0.0) if usual else 0.0)
-            odds[0] = -np.inf if usual else odds[0]
-        prior = np.full(len(odds), math.log((1.0 - ALL_ALONG) / max(len(odds) - 1, 1)))
+    if family != "put in":
+        late = taken[:, ::-1].cumsum(axis=1)[:, ::-1][:, : courses.steps.shape[1]]
+        bottom = np.maximum(np.stack([q.steps for q in squares]) - (late**2).sum(axis=2), least)
+        odds, size = log_bayes_of_sizes(candidates, scores @ courses.steps, bottom)
+        # A lumped twin leaves as much of it all along: there it is no fault, later it has to beat that.
+        usual = np.abs(size[:, 0]) < [c.lumped for c in candidates]
+        odds[usual] -= np.maximum(odds[usual, :1], 0.0)
+        odds[usual, 0] = -np.inf
+        prior = np.full(odds.shape[1], math.log((1.0 - ALL_ALONG) / max(odds.shape[1] - 1, 1)))
         prior[0] = math.log(ALL_ALONG)
         prior += math.log(AT_ONCE) if grows else 0.0
-        out += _best(law, blocks, courses.steps_shapes, courses.steps, odds, size, steps, prior)
-    others, shaped = courses.beyond(c)
-    if (grows or put_in) and len(others):
-        bottom = squares.growths - ((share.T @ shaped) ** 2).sum(axis=0)
-        names = np.array([o.name for o in others])
-        for name in dict.fromkeys(names.tolist()):
-            rows = np.flatnonzero(names == name)
-            prior = np.full(len(rows), rest - math.log(len(rows)))
-            add([others[i] for i in rows], shaped[:, rows], bottom[rows], prior)
+        out += _best(laws, squares, courses.steps_shapes, courses.steps, odds + prior, odds, size, bottom)
+    others, shaped = courses.beyond(candidates[0])
+    if family != "step" and len(others):
+        less = (np.matmul(taken.transpose(0, 2, 1), shaped) ** 2).sum(axis=1)
+        bottom = np.maximum(np.stack([q.growths for q in squares]) - less, least)
+        for shapes, rows in rows_by_name(others):
+            add(shapes, shaped[:, rows], bottom[:, rows], rest - math.log(len(rows)))
     if turns:
-        gram = contest.small(blocks)[0] - share @ share.T
-        out += _spells(contest, law, blocks, score, gram, rest)
-        names = np.array([o.name for o in courses.timed])
-        bottom = (courses.returns * (gram @ courses.returns)).sum(axis=0)
-        for name in dict.fromkeys(names.tolist()):
-            rows = np.flatnonzero(names == name)
-            prior = np.full(len(rows), rest - math.log(2.0 * len(rows)))
-            add([courses.timed[i] for i in rows], courses.returns[:, rows], bottom[rows], prior)
+        grams = np.stack([contest.small(q.blocks)[0] for q in squares]) - np.matmul(taken, taken.transpose(0, 2, 1))
+        for law, q, own, gram in zip(laws, squares, scores, grams, strict=True):
+            out += _spells(contest, law, q.blocks, own, gram, rest)
+        less = (np.matmul(taken.transpose(0, 2, 1), courses.returns) ** 2).sum(axis=1)
+        bottom = np.stack([returning(contest, law) for law in laws]) - less
+        for shapes, rows in courses.by_name:
+            least_rows = np.maximum(bottom[:, rows], least)
+            add(shapes, courses.returns[:, rows], least_rows, rest - math.log(2.0 * len(rows)))
     return out
 
 
@@ -196,14 +214,22 @@ def logsumexp(values: Array) -> float:
 
 
 def _best(
-    law: Law, blocks: Array, shapes: Sequence[Shape], columns: Array, odds: Array, size: Array, bottom: Array,
-    prior: Array,
+    laws: Sequence[Law], squares: Sequence[Squares], shapes: Sequence[Shape], columns: Array, weighted: Array,
+    odds: Array, size: Array, bottom: Array,
 ) -> list[Entry]:  # fmt: skip
-    weighted = odds + prior
-    if not len(weighted) or not np.isfinite(weighted).any():
-        return []
-    k = int(np.argmax(weighted))
-    total = logsumexp(weighted)
-    gain = float(size[k] ** 2 * bottom[k])
-    return [Entry(law, shapes[k], blocks * columns[:, k], float(size[k]), float(bottom[k]) ** -0.5, gain,
-                  log_bayes=total, log_occam=total - float(odds[k]))]  # fmt: skip
+    """Return each law's likeliest course of those in `columns` (b, i); the other arrays are (laws, i)."""
+    best = np.argmax(weighted, axis=1)
+    most = weighted[np.arange(len(laws)), best]
+    with np.errstate(invalid="ignore"):
+        total = most + np.log(np.exp(weighted - most[:, None]).sum(axis=1))
+    return [
+        Entry(
+            law, shapes[k], q.blocks * columns[:, k], float(s), float(square) ** -0.5, float(s**2 * square),
+            log_bayes=float(mean), log_occam=float(mean - alone),
+        )
+        for law, q, k, s, square, mean, alone in zip(
+            laws, squares, best, size[np.arange(len(laws)), best], bottom[np.arange(len(laws)), best], total,
+            odds[np.arange(len(laws)), best], strict=True,
+        )
+        if math.isfinite(mean)
+    ]  # fmt: skip

@@ -246,14 +246,16 @@ class Contest:
 
     def small(self, p: Array, scores: Array | None = None) -> tuple[Array, Array]:
         """Gram matrix (b, b) and score (b,) of one law's blocks, p (sites, b); of `scores` (sites * b, d): (b, d)."""
-        active = np.flatnonzero(np.abs(p).max(axis=1) > 0.0)
-        columns = (active[:, None] * self.b + np.arange(self.b)).ravel()
-        weight = p[active].ravel()
-        inner = self.gram[np.ix_(columns, columns)] * np.outer(weight, weight)
-        gram = inner.reshape(len(active), self.b, len(active), self.b).sum(axis=(0, 2))
+        active = np.flatnonzero(p.any(axis=1))
+        sites = self.gram.reshape(self.sites, self.b, self.sites, self.b)
+        gram = np.zeros((self.b, self.b))
+        for one in active:
+            for other in active:
+                gram += sites[one, :, other] * np.outer(p[one], p[other])
         if scores is None:
             return gram, self.scored(p)
-        return gram, (scores[columns] * weight[:, None]).reshape(len(active), self.b, -1).sum(axis=0)
+        drawn = scores.reshape(self.sites, self.b, -1)
+        return gram, (drawn[active] * p[active][:, :, None]).sum(axis=0)
 
     def scored(self, p: Array) -> Array:
         """Score (b,) of one law's blocks, p (sites, b)."""

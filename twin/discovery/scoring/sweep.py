@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.discovery.effects.laws import Law
 from twin.discovery.effects.shapes import EARLY_S, Shape, family
@@ -54,6 +56,11 @@ class Courses:
         return _timed(self.onsets, self.edges_s)
 
     @cached_property
+    def by_name(self) -> tuple[tuple[list[Shape], NDArray[np.intp]], ...]:
+        """Return `timed` shapes of each name, with their columns of `returns`."""
+        return rows_by_name(self.timed)
+
+    @cached_property
     def returns(self) -> Array:
         """Courses (b, k) of the `timed` shapes."""
         courses = [shape.block_means(self.edges_s) for shape in self.timed]
@@ -77,11 +84,15 @@ class Courses:
 
 @dataclass(frozen=True)
 class Squares:
-    """Of a law at size 1, nothing else known: `blocks` (sites, b), squares of its steps (i,) and other shapes (j,)."""
+    """Of a law at size 1, nothing else known: `blocks` (sites, b), squares of its steps (i,) and other shapes (j,).
+
+    `sites` (a,) are those at which it acts.
+    """
 
     blocks: Array
     steps: Array
     growths: Array
+    sites: NDArray[np.intp]
 
     @classmethod
     def of(cls, contest: Contest, law: Law) -> Squares:
@@ -91,9 +102,18 @@ class Squares:
             gram = contest.small(blocks)[0]
             steps = _late_sums(gram)[: len(courses.onsets)]
             beyond = courses.beyond(law.candidate)[1]
-            known = cls(blocks, steps, (beyond * (gram @ beyond)).sum(axis=0))
+            known = cls(blocks, steps, (beyond * (gram @ beyond)).sum(axis=0), np.flatnonzero(blocks.any(axis=1)))
             contest.memo[law] = known
         return known
+
+
+def returning(contest: Contest, law: Law) -> Array:
+    """Return the squares (k,) of a law at size 1 in the courses that come back or fade."""
+    known: Array | None = contest.memo.get(("returning", law))
+    if known is None:
+        courses, gram = Courses.of(contest).returns, contest.small(contest.vector(law))[0]
+        known = contest.memo["returning", law] = (courses * (gram @ courses)).sum(axis=0)
+    return known
 
 
 class Given:
@@ -117,6 +137,16 @@ class Given:
         """(b,) of the law's score that goes with it."""
         taken: Array = share @ self._score
         return taken
+
+
+def rows_by_name(shapes: Sequence[Shape]) -> tuple[tuple[list[Shape], NDArray[np.intp]], ...]:
+    """Return the shapes of each name, with their rows."""
+    names = np.array([s.name for s in shapes])
+    found = []
+    for name in dict.fromkeys(names.tolist()):
+        rows = np.flatnonzero(names == name)
+        found.append(([shapes[int(i)] for i in rows], rows))
+    return tuple(found)
 
 
 def _courses(contest: Contest) -> Courses:
