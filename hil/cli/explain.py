@@ -115,17 +115,19 @@ def command(
     own_rig = rig_of(target) if target.is_dir() else None
     driven = None
     if rig is not None or virtual:
-        driven = _rig(target, subject.record, rig or own_rig, virtual, effects, seed, runs)
-        mode = "lockstep" if lockstep else "scaled" if speed is not None else "real"
-        driven = _replaced(
-            driven, mode=mode, speed=1.0 if speed is None else speed, rearm=rearm, guardian=not no_guardian,
-            no_lock=no_lock, viewer=viewer,
-        )  # fmt: skip
-    folder = out or (
-        target / "explanation"
-        if target.is_dir()
-        else Path(f"explanation-{target.absolute().parent.name}-{target.stem}")
-    )
+        options = {
+            "runs": runs,
+            "virtual": virtual,
+            "mode": "lockstep" if lockstep else "scaled" if speed is not None else "real",
+            "speed": 1.0 if speed is None else speed,
+            "seed": seed,
+            "rearm": rearm,
+            "guardian": not no_guardian,
+            "no_lock": no_lock,
+            "viewer": viewer,
+        }
+        driven = _rig(target, subject.record, rig or own_rig, effects, options)
+    folder = out or (target if target.is_dir() else Path()) / _folder_name(target)
     request = ExplainRequest(
         DiagnosisRequest(
             subject.record,
@@ -141,9 +143,8 @@ def command(
         rounds,
         driven,
     )
-    again = shlex.join(
-        [*invocation().split(), "explain", *sys.argv[2:]] if owns_process() else ["hil", "explain", str(target)]
-    )
+    given = sys.argv[2:] if owns_process() else [str(target)]
+    again = f"{invocation()} {shlex.join(['explain', *given])}"
     try:
         found = explain(request, _Terminal(as_json, yes))
     except KeyboardInterrupt:
@@ -157,40 +158,41 @@ def command(
         sys.exit(FOUND)
 
 
-def _replaced(choice: RigChoice, **changes: Any) -> RigChoice:
-    from dataclasses import replace
-
-    return replace(choice, **changes)
+def _folder_name(target: Path) -> str:
+    return "explanation" if target.is_dir() else f"explanation-{target.absolute().parent.name}-{target.stem}"
 
 
-def _rig(
-    target: Path, record: Path, rig: Path | None, virtual: bool, effects: Path | None, seed: int | None, runs: Path
-) -> RigChoice:
-    """Return the rig of the experiments; a virtual one as RUN left it: with its effects, seed and age."""
+def _rig(target: Path, record: Path, rig: Path | None, effects: Path | None, options: dict[str, Any]) -> RigChoice:
+    """Return the rig of the experiments; a virtual one as RUN left it: with its effects, seed and age.
+
+    Raises
+    ------
+    click.UsageError
+        RUN was made on a rig, and a virtual one was asked for, or the other way round.
+    """
     from hil.explain import ExplanationError, RigChoice
     from hil.record import read_record
     from hil.run_folder import RunFolder
 
+    virtual, seed = options["virtual"], options.pop("seed")
+    # A folder with a record alone is a record, as for `hil diagnose`.
+    manifest = RunFolder(target).read_manifest() if (target / "run.json").is_file() else None
+    settings = manifest["settings"] if manifest else {}
+    if manifest is not None and virtual != bool(settings.get("virtual", False)):
+        if virtual:
+            raise click.UsageError(
+                f"{target} was not made on a virtual rig, which has no fault of that rig; leave --virtual out, and "
+                "name the rig with --rig"
+            )
+        raise click.UsageError(f"{target} was made on a virtual rig, whose effects no rig has; add --virtual")
     if not virtual:
         assert rig is not None
-        return RigChoice(rig, runs)
-    began_s, run_seed, found = 0.0, 0, effects
-    if target.is_dir():
-        manifest = RunFolder(target).read_manifest()
-        settings = manifest.get("settings", {})
-        began_s, run_seed = float(settings.get("start_s", 0.0)), int(settings.get("seed", 0))
-        hidden = manifest.get("files", {}).get("effects")
-        if hidden is not None and effects is None:
-            found = _unchanged(Path(hidden["path"]), str(hidden["sha256"]), ExplanationError, target)
-    age_s = began_s + float(read_record(record).time_s[-1])
-    return RigChoice(
-        rig or PROJECT / VIRTUAL_RIG,
-        runs,
-        virtual=True,
-        effects=found,
-        seed=run_seed if seed is None else seed,
-        age_s=age_s,
-    )
+        return RigChoice(rig, **options)
+    if effects is None and manifest is not None and (hidden := manifest["files"].get("effects")) is not None:
+        effects = _unchanged(Path(hidden["path"]), str(hidden["sha256"]), ExplanationError, target)
+    age_s = float(settings.get("start_s", 0.0)) + float(read_record(record).time_s[-1])
+    seed = int(settings.get("seed", 0)) if seed is None else seed
+    return RigChoice(rig or PROJECT / VIRTUAL_RIG, effects=effects, seed=seed, age_s=age_s, **options)
 
 
 def _unchanged(path: Path, digest: str, failure: type[Exception], run: Path) -> Path:

@@ -10,7 +10,7 @@ from typing import Any
 
 from drivers.rig_file import file_sha256, load_rig
 from drivers.signals import split_column
-from hil.explain.explanation import Experiment, ExplanationError
+from hil.explain.explanation import Experiment
 from hil.run.session import RunRequest
 from hil.run_folder import RunFolder, RunFolderError
 
@@ -131,13 +131,13 @@ def finished_run(choice: RigChoice, experiment: Experiment, planned_at: datetime
     return None
 
 
-def record_of_run(folder: RunFolder) -> Path:
-    """Return the record of a finished run; raises ExplanationError where it was not made."""
-    if not folder.record.is_file():
-        raise ExplanationError(
-            f"{folder.path} has no record.parquet; `hil report {folder.path}` makes it from its journal"
-        )
-    return folder.record
+def is_record_of(record: Path, experiment: Experiment) -> bool:
+    """Return True if a record is in the folder of a run that replayed this experiment's load profile."""
+    try:
+        manifest = RunFolder(record.parent).read_manifest()
+        return bool(manifest["files"]["profile"]["sha256"] == file_sha256(Path(experiment.profile)))
+    except (RunFolderError, OSError, KeyError, TypeError):
+        return False
 
 
 def _hours(seconds: float) -> str:

@@ -54,7 +54,7 @@ class Belief(_Shape):
 
 
 class SensorErrors(_Shape):
-    """RMSE in K over the held-out segment: baseline twin, re-tuned, with the answer; and the sensor's noise."""
+    """RMSE in K of free runs: baseline twin, re-tuned, with the answer; and the sensor's noise."""
 
     baseline: float | None
     retuned: float | None
@@ -78,7 +78,10 @@ class Experiment(_Shape):
 
 
 class Round(_Shape):
-    """Diagnosis with `records` beside the first one; `ran` is the experiment before it, `next` the planned one."""
+    """Diagnosis with `records` beside the first one; `ran` is the experiment before it, `next` the planned one.
+
+    `after` names the twin of the errors with the answer; `further` holds the errors over each later record.
+    """
 
     number: int
     made: datetime.datetime
@@ -90,6 +93,7 @@ class Round(_Shape):
     held_out_s: tuple[float, float]
     after: str
     errors: dict[str, SensorErrors]
+    further: dict[str, dict[str, SensorErrors]]
     folder: str
     revision: str | None
     next: Experiment | None
@@ -143,12 +147,11 @@ def beliefs_of(document: dict[str, Any]) -> list[Belief]:
     return sorted(found, key=lambda one: -(one.share or 0.0))
 
 
-def errors_of(document: dict[str, Any]) -> dict[str, SensorErrors]:
-    """Return the errors on the held-out segment of a `diagnosis.json`, K, by sensor."""
+def errors_of(sensors: dict[str, Any]) -> dict[str, SensorErrors]:
+    """Return the errors of the sensors of a `diagnosis.json`, K, by sensor."""
     names = {"baseline": "stale", "retuned": "before", "after": "after", "noise": "noise"}
     return {
-        sensor: SensorErrors(**{name: errors[key] for name, key in names.items()})
-        for sensor, errors in document["error"]["sensors"].items()
+        sensor: SensorErrors(**{name: errors[key] for name, key in names.items()}) for sensor, errors in sensors.items()
     }
 
 

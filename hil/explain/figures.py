@@ -13,8 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Palette of Okabe and Ito (2008), distinguishable without red-green vision.
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442")
-OTHERS = "#c3c9cf"
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00")
 _WIDTH_IN = 10.4
 
 
@@ -22,7 +21,8 @@ def pictures(explanation: Explanation) -> dict[str, str]:
     """Return the figures by name: `beliefs`, and `experiment-<round>` for each round with steps of its own."""
     import matplotlib as mpl
 
-    with mpl.rc_context({**FIGURE_STYLE, "svg.hashsalt": "explanation"}):
+    style: dict[Any, Any] = {**FIGURE_STYLE, "svg.hashsalt": "explanation"}
+    with mpl.rc_context(style):
         found = {"beliefs": _beliefs(explanation)} if any(one.beliefs for one in explanation.rounds) else {}
         for one in explanation.rounds:
             if one.ran is not None and one.ran.steps:
@@ -31,27 +31,26 @@ def pictures(explanation: Explanation) -> dict[str, str]:
 
 
 def _beliefs(explanation: Explanation) -> str:
-    """Draw one bar a round, divided by the shares of the explanations."""
+    """Draw the share of each explanation, one bar a round: with several effects the shares do not add up to 1."""
     rounds = explanation.rounds
     labels = list(dict.fromkeys(belief.label for one in rounds for belief in one.beliefs))
-    figure = _figure(0.9 + 0.42 * len(rounds))
+    height = 0.8 / len(rounds)
+    figure = _figure(0.9 + 0.2 * len(labels) * (1 + len(rounds)))
     axes = figure.subplots()
-    for row, one in enumerate(rounds):
-        left = 0.0
-        for belief in one.beliefs:
-            share = min(max(belief.share or 0.0, 0.0), max(1.0 - left, 0.0))
-            index = labels.index(belief.label)
-            colour = COLOURS[index] if index < len(COLOURS) else OTHERS
-            axes.barh(row, share, left=left, height=0.62, color=colour, edgecolor="white")
-            left += share
-    axes.set_yticks(range(len(rounds)), [f"round {one.number}: {one.verdict}" for one in rounds])
+    for number, one in enumerate(rounds):
+        shares = {belief.label: belief.share or 0.0 for belief in one.beliefs}
+        rows = [row + height * (number - 0.5 * (len(rounds) - 1)) for row in range(len(labels))]
+        # Earlier rounds are paler.
+        shade = (number + 1.0) / len(rounds)
+        label = f"round {one.number}: {one.verdict}"
+        bars = [shares.get(name, 0.0) for name in labels]
+        axes.barh(rows, bars, height=0.9 * height, color=COLOURS[0], alpha=0.25 + 0.75 * shade**2, label=label)
+    axes.set_yticks(range(len(labels)), labels)
     axes.invert_yaxis()
     axes.set_xlim(0.0, 1.0)
     axes.set_xlabel("posterior share")
     axes.grid(axis="y", visible=False)
-    handles = [_patch(colour, label) for colour, label in zip(COLOURS, labels, strict=False)]
-    handles += [_patch(OTHERS, "others")] if len(labels) > len(COLOURS) else []
-    figure.legend(handles=handles, loc="outside lower left", ncols=3)
+    figure.legend(loc="outside lower left", ncols=4)
     return _svg(figure)
 
 
@@ -68,12 +67,6 @@ def _experiment(experiment: Experiment) -> str:
         axes.margins(y=0.15)
     rows[-1].set_xlabel("time, h")
     return _svg(figure)
-
-
-def _patch(colour: str, label: str) -> Any:
-    from matplotlib.patches import Patch
-
-    return Patch(facecolor=colour, edgecolor="none", label=label)
 
 
 def _figure(height_in: float) -> Figure:

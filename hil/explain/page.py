@@ -10,6 +10,8 @@ from hil.explain.explanation import PAGE, Explanation, Round, SensorErrors
 from hil.explain.figures import pictures
 from hil.files import Html, document, element, image, joined, replacing
 
+_WORDS = "td { overflow-wrap: break-word }"
+
 
 def write_page(explanation: Explanation, folder: Path) -> Path:
     """Write `explanation.html` into the folder atomically, and return its path; raises OSError."""
@@ -26,7 +28,7 @@ def page(explanation: Explanation) -> str:
     drawn = pictures(explanation)
     return document(
         title,
-        PAGE_STYLE,
+        PAGE_STYLE + _WORDS,
         [
             element("h1", title),
             _verdict(explanation),
@@ -55,7 +57,7 @@ def _verdict(explanation: Explanation) -> Html:
 def _open_end(explanation: Explanation) -> Html:
     if explanation.end in ("settled", ""):
         return joined([])
-    return element("p", f"{explanation.end}: {explanation.reason}", class_="warn")
+    return element("p", f"Still open: {explanation.reason}", class_="warn")
 
 
 def _overview(explanation: Explanation) -> Html:
@@ -82,22 +84,25 @@ def _round(one: Round, drawn: dict[str, str]) -> Html:
 
 
 def _errors(rounds: Sequence[Round]) -> Html:
-    first, last = rounds[0], rounds[-1]
+    last = rounds[-1]
     low, high = (f"{s / 3600.0:.4g} h" for s in last.held_out_s)
-    head = ["sensor", "baseline twin", "re-tuned", f"{last.after}, last round", "noise"]
+    head = ["sensor", "baseline twin", "re-tuned", last.after, "noise"]
     rows = [_cells(name, errors) for name, errors in last.errors.items()]
     parts: list[Html] = [element("h2", "Error before and after")]
     parts.append(_note(f"RMSE in K of free runs over the held-out segment of the first record, {low} to {high}."))
     parts.append(_table(head, rows, 4))
-    if last.number and first.after == last.after:
-        rows = [[name, _kelvin(e.after), _kelvin(last.errors[name].after)] for name, e in first.errors.items()]
-        parts.append(_note(f"The same {last.after}, by the first and the last diagnosis."))
-        parts.append(_table(["sensor", "round 0", f"round {last.number}"], rows, 2))
+    for record, sensors in last.further.items():
+        # Only an effect that was found is in a twin that can be run over another record.
+        with_answer = last.verdict == "effect found"
+        rows = [_cells(name, errors, with_answer) for name, errors in sensors.items()]
+        parts.append(_note(f"The same over all of {record}, to which no size of an effect was fitted."))
+        parts.append(_table(head if with_answer else [*head[:3], "noise"], rows, 4 if with_answer else 3))
     return joined(parts)
 
 
-def _cells(name: str, errors: SensorErrors) -> list[str]:
-    return [name, *(_kelvin(x) for x in (errors.baseline, errors.retuned, errors.after, errors.noise))]
+def _cells(name: str, errors: SensorErrors, with_answer: bool = True) -> list[str]:
+    after = [errors.after] if with_answer else []
+    return [name, *(_kelvin(x) for x in (errors.baseline, errors.retuned, *after, errors.noise))]
 
 
 def _kelvin(value: float | None) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from hil.diagnosis import DiagnosisRequest, Prepared, Written, after_label, prepare, write_results
-from hil.explain.experiment import RigChoice, finished_run, planned, record_of_run, run_request
+from hil.explain.experiment import RigChoice, finished_run, is_record_of, planned, run_request
 from hil.explain.explanation import (
     DOCUMENT,
     Experiment,
@@ -29,6 +29,7 @@ from hil.explain.explanation import (
 from hil.explain.page import write_page
 from hil.record import read_record
 from hil.run.session import RunRequest, RunResult, check_session
+from hil.run_folder import RunFolder
 from twin.discovery import Diagnosis
 
 
@@ -81,7 +82,7 @@ def explain(request: ExplainRequest, operator: Operator) -> Explanation:
     ExplanationError
         The folder holds the explanation of another record, twin or healthy record, or a damaged one.
     OSError
-        The folder cannot be written. Further errors are those of `diagnose_files` and `run_session`.
+        The disk is full. Further errors are those of `diagnose_files` and `run_session`.
     """
     state = _opened(request)
     if state.rounds:
@@ -90,7 +91,9 @@ def explain(request: ExplainRequest, operator: Operator) -> Explanation:
     if not state.rounds:
         state = _diagnosed(request, state, given, None, operator)
     elif given:
-        state = _diagnosed(request, state, given, state.last.next, operator)
+        plan = state.last.next
+        ran = plan if plan is not None and any(is_record_of(path, plan) for path in given) else None
+        state = _diagnosed(request, state, given, ran, operator)
     while True:
         end = _end(request, state)
         if end is not None:
@@ -109,6 +112,12 @@ def _opened(request: ExplainRequest) -> Explanation:
     new = Explanation(
         record=File.of(asked.record), twin=File.of(asked.twin), healthy=File.of(healthy) if healthy else None
     )
+    try:
+        request.folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ExplanationError(
+            f"{request.folder} cannot be made ({error.strerror}); choose another folder with --out"
+        ) from None
     old = read_explanation(request.folder)
     if old is None:
         return new
@@ -161,17 +170,26 @@ def _experiment(request: ExplainRequest, state: Explanation, operator: Operator)
     found = finished_run(choice, experiment, state.last.made)
     if found is not None:
         operator.note(f"the experiment has run to its end already: {found.path}")
-        return record_of_run(found)
+        return _record_of(state, found)
     passed = sum(_duration_s(Path(one.path)) for one in state.last.records)
     run = run_request(choice, experiment, request.diagnosis.twin, passed)
     if not operator.approve(experiment, run, check_session(run).notes):
         return state.ended("declined", "the experiment was not run")
     _written(request, state)
     result = operator.run(run)
-    if result.outcome.status == "done" and result.outcome.ticks:
-        return record_of_run(result.folder)
+    if result.derived is not None and result.derived.stopped_by is not None:
+        return state.ended("stopped", f"stopped after the end of the experiment ({result.folder.path})")
+    if result.outcome.status == "done":
+        return _record_of(state, result.folder)
     reason = f"the experiment {result.outcome.verdict}: {result.outcome.reason} (in {result.folder.path})"
     return state.ended("stopped", reason)
+
+
+def _record_of(state: Explanation, run: RunFolder) -> Path | Explanation:
+    """Return the record of a finished run, or the explanation with the reason for none."""
+    if run.record.is_file():
+        return run.record
+    return state.ended("stopped", f"{run.path} has no record.parquet yet; `hil report {run.path}` makes it")
 
 
 def _diagnosed(
@@ -197,7 +215,8 @@ def _diagnosed(
         beliefs=beliefs_of(document),
         held_out_s=tuple(document["error"]["held_out_s"]),
         after=after_label(document),
-        errors=errors_of(document),
+        errors=errors_of(document["error"]["sensors"]),
+        further={one["record"]: errors_of(one["sensors"]) for one in document["further_records"]},
         folder=str(folder.absolute()),
         revision=str(written.revision.absolute()) if written.revision else None,
         next=planned(document["next_experiment"], written.experiment),
