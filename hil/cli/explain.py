@@ -153,9 +153,25 @@ def command(
     if as_json:
         click.echo(json.dumps(found.model_dump(mode="json"), indent=1))
     else:
-        print_explanation(console(), found, folder, again)
+        print_explanation(console(), found, folder, again, _rig_options(target, own_rig))
     if found.last.verdict != "adequate":
         sys.exit(FOUND)
+
+
+def _rig_options(target: Path, own: Path | None) -> str:
+    """Return the options that name the rig of RUN; a virtual rig must be as old as RUN left it."""
+    if _is_virtual(target):
+        return "--virtual --lockstep"
+    return f"--rig {shlex.quote(str(own)) if own else '<its rig file>'}"
+
+
+def _is_virtual(target: Path) -> bool:
+    from hil.run_folder import RunFolder
+
+    # A folder with a record alone is a record, as for `hil diagnose`.
+    if not (target / "run.json").is_file():
+        return False
+    return bool(RunFolder(target).read_manifest()["settings"].get("virtual", False))
 
 
 def _folder_name(target: Path) -> str:
@@ -175,10 +191,9 @@ def _rig(target: Path, record: Path, rig: Path | None, effects: Path | None, opt
     from hil.run_folder import RunFolder
 
     virtual, seed = options["virtual"], options.pop("seed")
-    # A folder with a record alone is a record, as for `hil diagnose`.
     manifest = RunFolder(target).read_manifest() if (target / "run.json").is_file() else None
     settings = manifest["settings"] if manifest else {}
-    if manifest is not None and virtual != bool(settings.get("virtual", False)):
+    if manifest is not None and virtual != _is_virtual(target):
         if virtual:
             raise click.UsageError(
                 f"{target} was not made on a virtual rig, which has no fault of that rig; leave --virtual out, and "

@@ -10,7 +10,7 @@ from typing import Any
 
 from drivers.rig_file import file_sha256, load_rig
 from drivers.signals import split_column
-from hil.explain.explanation import Experiment
+from hil.explain.explanation import Experiment, File
 from hil.run.session import RunRequest
 from hil.run_folder import RunFolder, RunFolderError
 
@@ -46,13 +46,14 @@ class RigChoice:
     viewer: bool | None = None
 
 
-def planned(plan: Mapping[str, Any] | None, profile: Path | None) -> Experiment | None:
-    """Return the next experiment of a `diagnosis.json`, with the path of its load profile; None if nothing is open."""
+def planned(plan: Mapping[str, Any] | None, profile: Path | None, rig: Path | None) -> Experiment | None:
+    """Return the next experiment of a `diagnosis.json` within the limits of `rig`; None if nothing is open."""
     if not plan:
         return None
+    limits = File.of(rig) if rig is not None else None
     steps = [dict(step) for step in plan.get("steps", ())]
     if not plan.get("possible") or profile is None:
-        return Experiment(possible=False, why=str(plan.get("why", "")))
+        return Experiment(possible=False, why=str(plan.get("why", "")), rig=limits)
     return Experiment(
         possible=True,
         why=str(plan["why"]),
@@ -61,6 +62,7 @@ def planned(plan: Mapping[str, Any] | None, profile: Path | None) -> Experiment 
         hours=float(plan["hours"]),
         hottest_C=float(plan["hottest_C"]),
         steps=steps,
+        rig=limits,
     )
 
 

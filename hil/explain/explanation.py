@@ -65,7 +65,8 @@ class SensorErrors(_Shape):
 class Experiment(_Shape):
     """Planned experiment: its load profile, one sentence on its inputs, the reason, and its steps.
 
-    `possible` is False where no input separates the causes; `why` then names a measurement.
+    `possible` is False where no input separates the causes; `why` then names a measurement. `rig` is the rig file
+    whose limits it keeps, None without one.
     """
 
     possible: bool
@@ -75,6 +76,7 @@ class Experiment(_Shape):
     hours: float = 0.0
     hottest_C: float | None = None
     steps: list[dict[str, float]] = []
+    rig: File | None = None
 
 
 class Round(_Shape):
@@ -124,8 +126,9 @@ class Explanation(_Shape):
         return self.model_copy(update={"end": end, "reason": reason})
 
     def with_round(self, one: Round) -> Explanation:
-        """Return the explanation with a further round, and no end yet."""
-        return self.model_copy(update={"rounds": [*self.rounds, one], "end": "", "reason": ""})
+        """Return the explanation with a further round, or with another one of that number, and no end yet."""
+        before = [other for other in self.rounds if other.number < one.number]
+        return self.model_copy(update={"rounds": [*before, one], "end": "", "reason": ""})
 
 
 def beliefs_of(document: dict[str, Any]) -> list[Belief]:

@@ -90,6 +90,9 @@ def explain(request: ExplainRequest, operator: Operator) -> Explanation:
     given = _new_records(state, request.diagnosis.more)
     if not state.rounds:
         state = _diagnosed(request, state, given, None, operator)
+    elif not given and _has_other_limits(request, state.last):
+        operator.note(f"the experiment of round {state.last.number} is designed anew, within the limits of this rig")
+        state = _diagnosed(request, state, (), state.last.ran, operator, number=state.last.number)
     elif given:
         plan = state.last.next
         ran = plan if plan is not None and any(is_record_of(path, plan) for path in given) else None
@@ -143,6 +146,13 @@ def _new_records(state: Explanation, given: Sequence[Path]) -> tuple[Path, ...]:
     return tuple(path for path in given if File.of(path).sha256 not in known)
 
 
+def _has_other_limits(request: ExplainRequest, last: Round) -> bool:
+    """Return True if the next experiment was designed without the rig of this request, or within other limits."""
+    if request.rig is None or last.verdict != "ambiguous" or last.next is None:
+        return False
+    return last.next.rig is None or last.next.rig.sha256 != File.of(request.rig.rig).sha256
+
+
 def _end(request: ExplainRequest, state: Explanation) -> Explanation | None:
     """Return the explanation with its end, or None where an experiment is next."""
     last = state.last
@@ -193,11 +203,19 @@ def _record_of(state: Explanation, run: RunFolder) -> Path | Explanation:
 
 
 def _diagnosed(
-    request: ExplainRequest, state: Explanation, given: Sequence[Path], ran: Experiment | None, operator: Operator
+    request: ExplainRequest,
+    state: Explanation,
+    given: Sequence[Path],
+    ran: Experiment | None,
+    operator: Operator,
+    number: int | None = None,
 ) -> Explanation:
-    """Return the explanation with a further round, with the records of the last one and those `given`."""
+    """Return the explanation with a further round, with the records of the last one and those `given`.
+
+    With `number`, that round is made anew.
+    """
     began = time.monotonic()
-    number = len(state.rounds)
+    number = len(state.rounds) if number is None else number
     before = [Path(one.path) for one in state.last.records] if state.rounds else []
     records = (*before, *given)
     ready = prepare(replace(request.diagnosis, more=records))
@@ -219,7 +237,7 @@ def _diagnosed(
         further={one["record"]: errors_of(one["sensors"]) for one in document["further_records"]},
         folder=str(folder.absolute()),
         revision=str(written.revision.absolute()) if written.revision else None,
-        next=planned(document["next_experiment"], written.experiment),
+        next=planned(document["next_experiment"], written.experiment, request.diagnosis.rig),
     )
     state = _written(request, state.with_round(one))
     operator.show(ready, found, written, one)

@@ -12,7 +12,7 @@ from hil.explain.explanation import DOCUMENT, PAGE, Explanation
 from hil.explain.page import beliefs_text
 
 
-def print_explanation(to: Console, explanation: Explanation, folder: Path, again: str) -> None:
+def print_explanation(to: Console, explanation: Explanation, folder: Path, again: str, rig: str) -> None:
     """Print all rounds and the end of an explanation.
 
     Parameters
@@ -21,6 +21,8 @@ def print_explanation(to: Console, explanation: Explanation, folder: Path, again
         Folder of its files.
     again
         Command that continues it.
+    rig
+        Options that name the rig for the experiments, where this command has none.
     """
     last = explanation.last
     to.print(_rounds(explanation))
@@ -31,23 +33,31 @@ def print_explanation(to: Console, explanation: Explanation, folder: Path, again
         to.print(f"revision of the twin: {shlex.quote(last.revision)}", soft_wrap=True, markup=False)
     to.print(f"page with pictures: {folder / PAGE}", soft_wrap=True, markup=False)
     to.print(f"for scripts: {folder / DOCUMENT}", soft_wrap=True, markup=False)
-    for line in advice(explanation, again):
+    for line in advice(explanation, again, rig):
         to.print(line, soft_wrap=True, markup=False)
 
 
-def advice(explanation: Explanation, again: str) -> list[str]:
+def advice(explanation: Explanation, again: str, rig: str) -> list[str]:
     """Return the reason why the question is still open and the next command, a line each; nothing once settled."""
     plan = explanation.last.next
     if explanation.end == "not separable":
         return [f"no experiment: {explanation.reason}"]
     if explanation.end == "no rig" and plan is not None:
         return [
-            f"experiment {plan.sentence}: {plan.profile}",
-            f"run it with `hil run`, or name the rig: {again} --rig <its rig file>",
-            f"then: {again} --with <the new run>",
+            f"experiment {plan.sentence}",
+            f"as a load profile: {shlex.quote(plan.profile)}",
+            f"to run it and go on: {again} {rig}",
+            f"to go on with the record of it: {again} --with <the new run>",
         ]
-    if explanation.end in ("declined", "stopped") and plan is not None:
+    if explanation.end == "stopped":
+        went_on = "with the record of the experiment once `hil resume` has completed it, else with a new run"
+        return [f"{explanation.reason}; what is done is kept", f"to go on, {went_on}: {again}"]
+    if explanation.end == "declined":
         return [f"{explanation.reason}; what is done is kept", f"to go on: {again}"]
+    if explanation.end == "settled" and explanation.last.verdict == "effect found" and plan is not None:
+        if plan.possible:
+            return [f"its driver is still open; an experiment {plan.sentence} would settle it: {plan.profile}"]
+        return [f"its driver is still open: {plan.why}"]
     return [explanation.reason] if explanation.end == "no more rounds" else []
 
 
