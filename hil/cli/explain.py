@@ -262,9 +262,9 @@ class _Terminal:
             self.note(note)
         try:
             return click.confirm(f"Run it on {where} now?", default=False, err=True)
-        except click.Abort:
+        except (click.Abort, OSError, RuntimeError):  # Ctrl-C, the end of the input, or no input at all
             click.echo("", err=True)
-            self.note("nobody answered; --yes runs experiments without asking")
+            self.note("no answer; --yes runs experiments without asking")
             return False
 
     def run(self, request: RunRequest) -> RunResult:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
@@ -21,36 +22,32 @@ from tests.hil.command_line import typed
 from tests.hil.made_explanation import PLAN, RIG, Scripted, diagnosis, made_files, request_of
 
 PROJECT = Path(__file__).resolve().parents[2]
-HOURS = 3.0
+HOURS = 2.5
 STEADY = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,700,85,70\n{end:g},700,85,70\n"
 HEAT = '[[effect]]\nkind = "heat_source"\nwhere = "heater"\ndriver = "constant"\npower_W = 70\nonset_s = 3600\n'
 
 
-def hil(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"PYTHONPATH": str(PROJECT)}
-    command = [sys.executable, "-m", "hil", *map(str, arguments)]
-    return subprocess.run(
-        command, capture_output=True, text=True, cwd=cwd, env=environment, timeout=280, stdin=subprocess.DEVNULL
-    )
-
-
-def test_a_run_with_two_causes_alike_is_settled_by_an_experiment_on_the_virtual_rig(tmp_path: Path) -> None:
+def test_a_run_with_two_causes_alike_is_settled_by_an_experiment_on_the_virtual_rig(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Heat at the heater and a heater that gives more than it says are one at a load that never changes."""
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "steady.csv").write_text(STEADY.format(end=3600.0 * HOURS), encoding="utf-8")
     (tmp_path / "heat.toml").write_text(HEAT, encoding="utf-8")
     for name in ("virtual.toml", "virtual.healthy.parquet"):
         shutil.copy(PROJECT / "profiles/twins" / name, tmp_path)
     options = ("--virtual", "--lockstep", "--no-viewer")
-    made = hil("run", "steady.csv", "--no-twin", "--with", "heat.toml", "--seed", 4, "--json", *options, cwd=tmp_path)
+    made = typed("run", "steady.csv", "--no-twin", "--with", "heat.toml", "--seed", 4, "--json", *options)
     assert made.returncode == 0, made.stderr
     first = Path(json.loads(made.stdout)["folder"])
     asked = ("explain", first, "--twin", "virtual.toml", *options)
     # Nobody answers the question: the plan is kept, and nothing has run.
-    declined = hil(*asked, cwd=tmp_path)
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    declined = typed(*asked)
     assert declined.returncode == 1, declined.stderr
     assert "Run it on a virtual rig now?" in declined.stderr and "--yes" in declined.stderr
     assert list((tmp_path / "runs").glob("*-experiment")) == []
-    done = hil(*asked, "--yes", cwd=tmp_path)
+    done = typed(*asked, "--yes")
     assert done.returncode == 1, done.stderr
     assert "1 round; it is continued" in done.stderr and "round 1: effect found" in done.stderr
     folder = tmp_path / first / "explanation"
@@ -72,7 +69,7 @@ def test_a_run_with_two_causes_alike_is_settled_by_an_experiment_on_the_virtual_
     page = (folder / PAGE).read_text(encoding="utf-8")
     assert "heater power changes between" in page and "heat source at heater" in page and str(path) in page
     # Asked again there is nothing left to do.
-    again = hil(*asked, "--yes", "--json", cwd=tmp_path)
+    again = typed(*asked, "--yes", "--json")
     assert again.returncode == 1 and json.loads(again.stdout) == document
     assert len(list((tmp_path / "runs").iterdir())) == 2 and len(list(tmp_path.glob("virtual.r*.toml"))) == 1
 
