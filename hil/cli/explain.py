@@ -42,7 +42,13 @@ STEPS = 6.0
 @click.option("--with", "more", type=INPUT_PATH, multiple=True, help="Later run or record of the rig; may be repeated.")
 @click.option("--clock", help="Time of day at 0 s of the record, like 08:00, if the record does not state it.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.")
-@click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Parent folder.")
+@click.option(
+    "--runs",
+    type=click.Path(path_type=Path),
+    default=Path("runs"),
+    show_default=True,
+    help="Parent folder of the runs.",
+)
 @click.option("--rearm", is_flag=True, help="Acknowledge a trip that the rig has latched; find its cause before.")
 @click.option(
     "--no-guardian",

@@ -107,17 +107,18 @@ def run_request(choice: RigChoice, experiment: Experiment, twin: Path, later_s: 
     )
 
 
-def finished_run(choice: RigChoice, experiment: Experiment, planned_at: datetime.datetime) -> RunFolder | None:
-    """Return the newest run of this experiment on this rig that went to its end since it was planned, or None.
+def runs_of(choice: RigChoice, experiment: Experiment, planned_at: datetime.datetime) -> list[tuple[RunFolder, str]]:
+    """Return the runs of this experiment on this rig since it was planned, newest first, with their exit status.
 
-    It finds the experiment of a `hil explain` that was killed, and one that `hil resume` has completed since.
+    They show whether a `hil explain` that was killed, or `hil resume`, has completed the experiment.
     """
     profile = Path(experiment.profile)
     try:
         wanted = {"profile": file_sha256(profile), "rig": file_sha256(choice.rig)}
         folders = sorted(choice.runs.glob(f"*-{profile.stem}*"), reverse=True)
     except OSError:
-        return None
+        return []
+    found = []
     for path in folders:
         try:
             manifest = RunFolder(path).read_manifest()
@@ -128,9 +129,9 @@ def finished_run(choice: RigChoice, experiment: Experiment, planned_at: datetime
             since = started >= planned_at.replace(microsecond=0)
         except (RunFolderError, KeyError, ValueError, TypeError):
             continue
-        if same and here and since and str(manifest["exit_status"]).startswith("done"):
-            return RunFolder(path)
-    return None
+        if same and here and since:
+            found.append((RunFolder(path), str(manifest["exit_status"])))
+    return found
 
 
 def is_record_of(record: Path, experiment: Experiment) -> bool:

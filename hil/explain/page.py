@@ -43,8 +43,7 @@ def page(explanation: Explanation) -> str:
 
 
 _BELIEFS_NOTE = (
-    "Posterior share of each explanation, by kind and place, after the diagnosis with all records of the round. An "
-    "effect is named alone from a share of 85 % on."
+    "Posterior share of each explanation, by kind and place, after the diagnosis with all records of the round."
 )
 
 
@@ -150,7 +149,9 @@ def share_text(share: float | None) -> str:
     """Return a posterior share in per cent; "–" where none is given."""
     if share is None:
         return "–"
-    return f"{100.0 * share:.0f} %" if 0.01 <= share <= 0.99 else "> 99 %" if share > 0.99 else "< 1 %"
+    # No line break before the sign.
+    percent = f"{100.0 * share:.0f}" if 0.01 <= share <= 0.99 else "> 99" if share > 0.99 else "< 1"
+    return f"{percent}\N{NO-BREAK SPACE}%"
 
 
 def _drivers(drivers: dict[str, float | None]) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from hil.diagnosis import DiagnosisRequest, Prepared, Written, after_label, prepare, write_results
-from hil.explain.experiment import RigChoice, finished_run, is_record_of, planned, run_request
+from hil.explain.experiment import RigChoice, is_record_of, planned, run_request, runs_of
 from hil.explain.explanation import (
     DOCUMENT,
     Experiment,
@@ -101,7 +101,11 @@ def explain(request: ExplainRequest, operator: Operator) -> Explanation:
         end = _end(request, state)
         if end is not None:
             return _written(request, end)
-        done = _experiment(request, state, operator)
+        try:
+            done = _experiment(request, state, operator)
+        except Exception:
+            operator.note(f"finished rounds are kept in {request.folder}; the same command continues after them")
+            raise
         if isinstance(done, Explanation):
             return _written(request, done)
         state = _diagnosed(request, state, (done,), state.last.next, operator)
@@ -159,7 +163,7 @@ def _end(request: ExplainRequest, state: Explanation) -> Explanation | None:
     if last.verdict != "ambiguous":
         return state.ended("settled", "")
     if last.next is None or not last.next.possible:
-        return state.ended("not separable", last.next.why if last.next else "no experiment separates these causes")
+        return state.ended("not separable", last.next.why if last.next else "the diagnosis plans none for these causes")
     if request.rig is None:
         return state.ended("no rig", "no rig was named for the experiment")
     if state.experiments >= request.rounds:
@@ -177,10 +181,15 @@ def _experiment(request: ExplainRequest, state: Explanation, operator: Operator)
             f"{experiment.profile}, the experiment of round {state.last.number}, is not there; put it back, or give "
             "another folder with --out"
         )
-    found = finished_run(choice, experiment, state.last.made)
-    if found is not None:
-        operator.note(f"the experiment has run to its end already: {found.path}")
-        return _record_of(state, found)
+    earlier = runs_of(choice, experiment, state.last.made)
+    for folder, status in earlier:
+        if status.startswith("done"):
+            operator.note(f"the experiment has run to its end already: {folder.path}")
+            return _record_of(state, folder)
+    if earlier:
+        folder, status = earlier[0]
+        was = "was cut" if status == "running" else status
+        operator.note(f"{folder.path} {was}; a new run begins (`hil resume {folder.path}` would complete that one)")
     passed = sum(_duration_s(Path(one.path)) for one in state.last.records)
     run = run_request(choice, experiment, request.diagnosis.twin, passed)
     if not operator.approve(experiment, run, check_session(run).notes):

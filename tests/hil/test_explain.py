@@ -16,8 +16,9 @@ import pytest
 from hil.diagnosis.experiment_file import write_experiment
 from hil.diagnosis.session import Written
 from hil.explain import session
-from hil.explain.explanation import DOCUMENT, PAGE
-from hil.run_folder.folder import RunFolder
+from hil.explain.explanation import DOCUMENT, PAGE, File
+from hil.run.session.interrupted_run import request_of as request_of_run
+from hil.run_folder.folder import RunFolder, new_manifest
 from tests.hil.command_line import typed
 from tests.hil.made_explanation import PLAN, RIG, Scripted, diagnosis, made_files, request_of
 
@@ -117,6 +118,8 @@ def test_ctrl_c_in_an_experiment_leaves_the_heater_safe_and_the_finished_rounds(
     (path,) = (tmp_path / "runs").iterdir()
     manifest = RunFolder(path).read_manifest()
     assert (manifest["exit_status"], manifest["safe"]) == ("aborted", True)
+    # `hil resume` completes it on a virtual rig of the same age.
+    assert request_of_run(RunFolder(path), manifest, {}).start_s == manifest["settings"]["start_s"] > 1000.0
     document = json.loads((tmp_path / "out" / DOCUMENT).read_text(encoding="utf-8"))
     assert document["end"] == "stopped" and len(document["rounds"]) == 1
 
@@ -128,8 +131,6 @@ def test_a_trip_in_an_experiment_ends_it_safe_and_is_named(tmp_path: Path, open_
     path = tmp_path / "out" / DOCUMENT
     document = json.loads(path.read_text(encoding="utf-8"))
     # The plan counts as made for this rig, so that it is run as it is.
-    from hil.explain.explanation import File
-
     document["rounds"][0]["next"]["rig"] = File.of(tmp_path / "cool.toml").model_dump()
     path.write_text(json.dumps(document), encoding="utf-8")
     done = typed(*asked_of(tmp_path, open_case, "--virtual", "--lockstep", "--yes", "--rig", tmp_path / "cool.toml"))
@@ -172,8 +173,6 @@ def a_run(folder: Path, files: dict[str, Path], **settings: object) -> RunFolder
     run = RunFolder(folder)
     shutil.copy(files["record"], run.record)
     shutil.copy(files["twin"], run.twin)
-    from hil.run_folder.folder import new_manifest
-
     effects = folder.parent / "effects.toml"
     effects.write_text(HEAT, encoding="utf-8")
     run.write_manifest(new_manifest({"effects": effects}, **settings) | {"exit_status": "done"})

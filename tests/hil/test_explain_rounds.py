@@ -61,7 +61,7 @@ def test_rounds_go_on_until_the_cause_is_settled_each_with_all_records_so_far(tm
     assert "for 1 h" in operator.asked[0] and "fan speed stays at 70 %" in operator.asked[0]
     page = (tmp_path / "out" / PAGE).read_text(encoding="utf-8")
     assert page.count("heater power changes between 600 and 900 W") >= 2
-    assert "heat source at modules" in page and "70 %" in page and "98 %" in page
+    assert "heat source at modules" in page and "70\xa0%" in page and "98\xa0%" in page
 
 
 def test_a_virtual_rig_ages_from_round_to_round(tmp_path, files):
@@ -99,6 +99,7 @@ def test_an_experiment_that_did_not_end_is_begun_again_by_the_next_call(tmp_path
     again = Scripted(FOUND)
     found = explain(request_of(tmp_path, files), again)
     assert found.end == "settled" and len(again.runs) == 1 and again.given == [1]
+    assert any(f"experiment {ends}; a new run begins" in note and "hil resume" in note for note in again.notes)
 
 
 def test_an_experiment_that_was_completed_since_is_not_run_again(tmp_path, files):
@@ -180,7 +181,7 @@ def test_a_rig_without_the_columns_of_the_twin_is_refused_before_the_question(tm
     operator = Scripted(OPEN)
     with pytest.raises(ConfigurationError):
         explain(replace(request, rig=replace(request.rig, rig=tmp_path / "rig.toml")), operator)
-    assert operator.asked == []
+    assert operator.asked == [] and any("are kept in" in note for note in operator.notes)
 
 
 def test_another_record_or_twin_does_not_continue_an_explanation(tmp_path, files):
