@@ -192,6 +192,7 @@ def _rig(target: Path, record: Path, rig: Path | None, effects: Path | None, opt
     click.UsageError
         RUN was made on a rig, and a virtual one was asked for, or the other way round.
     """
+    from drivers.rig_file import file_sha256
     from hil.explain import ExplanationError, RigChoice
     from hil.record import read_record
     from hil.run_folder import RunFolder
@@ -208,10 +209,17 @@ def _rig(target: Path, record: Path, rig: Path | None, effects: Path | None, opt
         raise click.UsageError(f"{target} was made on a virtual rig, whose effects no rig has; add --virtual")
     if not virtual:
         assert rig is not None
+        if manifest is not None and manifest["files"].get("rig", {}).get("sha256") not in (None, file_sha256(rig)):
+            click.echo(
+                f"{rig} is not the rig file that {target} ran with: the experiment must be on the same rig", err=True
+            )
         return RigChoice(rig, **options)
+    if manifest is None and effects is None:
+        click.echo(f"{target} states no effects: the virtual rig has none; --effects names them", err=True)
     if effects is None and manifest is not None and (hidden := manifest["files"].get("effects")) is not None:
         effects = _unchanged(Path(hidden["path"]), str(hidden["sha256"]), ExplanationError, target)
-    age_s = float(settings.get("start_s", 0.0)) + float(read_record(record).time_s[-1])
+    time_s = read_record(record).time_s
+    age_s = float(settings.get("start_s", 0.0)) + float(time_s[-1] - time_s[0])
     seed = int(settings.get("seed", 0)) if seed is None else seed
     return RigChoice(rig or PROJECT / VIRTUAL_RIG, effects=effects, seed=seed, age_s=age_s, **options)
 

@@ -260,7 +260,8 @@ def _written(request: ExplainRequest, state: Explanation) -> Explanation:
 
 
 def _duration_s(record: Path) -> float:
-    return float(read_record(record).time_s[-1])
+    time_s = read_record(record).time_s
+    return float(time_s[-1] - time_s[0])
 
 
 def _counted(count: int, what: str) -> str:

@@ -21,6 +21,7 @@ from hil.run.session.interrupted_run import request_of as request_of_run
 from hil.run_folder.folder import RunFolder, new_manifest
 from tests.hil.command_line import typed
 from tests.hil.made_explanation import PLAN, RIG, Scripted, diagnosis, made_files, request_of
+from twin.discovery.diagnosis import Diagnosis
 
 PROJECT = Path(__file__).resolve().parents[2]
 HOURS = 2.5
@@ -75,9 +76,8 @@ def test_a_run_with_two_causes_alike_is_settled_by_an_experiment_on_the_virtual_
     assert len(list((tmp_path / "runs").iterdir())) == 2 and len(list(tmp_path.glob("virtual.r*.toml"))) == 1
 
 
-@pytest.fixture
-def open_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Path]:
-    """A record whose first diagnosis left two causes open, with a plan for the virtual rig."""
+def diagnosed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: Diagnosis) -> dict[str, Path]:
+    """Files of a record with one round in the folder `out`, whose diagnosis is `found`."""
 
     def brief(ready, found, folder, *, empirical, began):  # type: ignore[no-untyped-def]
         folder.mkdir(parents=True, exist_ok=True)
@@ -86,8 +86,14 @@ def open_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Path
     files = made_files(tmp_path)
     with monkeypatch.context() as patch:
         patch.setattr(session, "write_results", brief)
-        session.explain(request_of(tmp_path, files), Scripted(diagnosis("ambiguous", PLAN), approves=False))
+        session.explain(request_of(tmp_path, files), Scripted(found, approves=False))
     return files
+
+
+@pytest.fixture
+def open_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Path]:
+    """A record whose first diagnosis left two causes open, with a plan for the virtual rig."""
+    return diagnosed_once(tmp_path, monkeypatch, diagnosis("ambiguous", PLAN))
 
 
 def asked_of(place: Path, files: dict[str, Path], *options: object) -> tuple[object, ...]:
@@ -95,6 +101,28 @@ def asked_of(place: Path, files: dict[str, Path], *options: object) -> tuple[obj
         "explain", files["record"], "--twin", files["twin"], "--no-healthy", "--out", place / "out",
         "--runs", place / "runs", "--no-viewer", *options,
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(("verdict", "code"), [("adequate", 0), ("effect found", 1), ("unexplained", 1)])
+def test_a_settled_verdict_has_the_exit_code_of_a_diagnosis(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdict: str, code: int
+) -> None:
+    files = diagnosed_once(tmp_path, monkeypatch, diagnosis(verdict))
+    done = typed(*asked_of(tmp_path, files, "--virtual", "--lockstep", "--yes"))
+    assert done.returncode == code, done.stderr
+    assert f"{verdict}: " in done.stdout and str(tmp_path / "out" / PAGE) in done.stdout
+    assert not (tmp_path / "runs").exists()
+
+
+def test_ctrl_c_in_a_diagnosis_says_how_to_go_on(
+    tmp_path: Path, open_case: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hil.diagnosis.session.diagnose_files", interrupted)
+    done = typed(*asked_of(tmp_path / "new", open_case))
+    assert done.returncode == 1 and "To go on: " in done.stderr and "Traceback" not in done.stderr
 
 
 def test_ctrl_c_in_an_experiment_leaves_the_heater_safe_and_the_finished_rounds(

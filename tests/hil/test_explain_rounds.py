@@ -234,3 +234,11 @@ def test_two_effects_together_keep_a_share_each(tmp_path, files):
         ("heat source at tank", 0.9),
     ]
     assert json.loads((tmp_path / "out" / DOCUMENT).read_text())["end"] == "settled"
+
+
+def test_an_effect_whose_driver_is_open_is_settled_and_the_experiment_is_offered(tmp_path, files):
+    operator = Scripted(diagnosis("effect found", PLAN))
+    found = explain(request_of(tmp_path, files), operator)
+    assert found.end == "settled" and operator.asked == []
+    (line,) = advice(found, "hil explain X", "")
+    assert "driver is still open" in line and found.last.next.profile in line
