@@ -132,7 +132,7 @@ def command(
             "no_lock": no_lock,
             "viewer": viewer,
         }
-        driven = _rig(target, subject.record, rig or own_rig, effects, options)
+        driven = _rig(target, subject.record, rig or own_rig, effects, options, choice)
     folder = out or (target if target.is_dir() else Path()) / _folder_name(target)
     request = ExplainRequest(
         DiagnosisRequest(
@@ -184,7 +184,9 @@ def _folder_name(target: Path) -> str:
     return "explanation" if target.is_dir() else f"explanation-{target.absolute().parent.name}-{target.stem}"
 
 
-def _rig(target: Path, record: Path, rig: Path | None, effects: Path | None, options: dict[str, Any]) -> RigChoice:
+def _rig(
+    target: Path, record: Path, rig: Path | None, effects: Path | None, options: dict[str, Any], choice: Reading
+) -> RigChoice:
     """Return the rig of the experiments; a virtual one as RUN left it: with its effects, seed and age.
 
     Raises
@@ -218,7 +220,7 @@ def _rig(target: Path, record: Path, rig: Path | None, effects: Path | None, opt
         click.echo(f"{target} states no effects: the virtual rig has none; --effects names them", err=True)
     if effects is None and manifest is not None and (hidden := manifest["files"].get("effects")) is not None:
         effects = _unchanged(Path(hidden["path"]), str(hidden["sha256"]), ExplanationError, target)
-    time_s = read_record(record).time_s
+    time_s = read_record(record, choice=choice).time_s
     age_s = float(settings.get("start_s", 0.0)) + float(time_s[-1] - time_s[0])
     seed = int(settings.get("seed", 0)) if seed is None else seed
     return RigChoice(rig or PROJECT / VIRTUAL_RIG, effects=effects, seed=seed, age_s=age_s, **options)

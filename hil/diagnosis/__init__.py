@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.diagnosis.columns import columns_of, read_columns, read_healthy, with_clock
+    from hil.diagnosis.columns import choice_for, columns_of, read_columns, read_healthy, with_clock
     from hil.diagnosis.experiment_file import rig_of
     from hil.diagnosis.figure_style import STYLE as FIGURE_STYLE
     from hil.diagnosis.forecast import show_forecast
@@ -61,6 +61,7 @@ __all__ = [
     "Written",
     "after_label",
     "ambiguity_group",
+    "choice_for",
     "columns_of",
     "commissioned_on",
     "copy_record",
@@ -93,6 +94,7 @@ __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "columns": (
+            "choice_for",
             "columns_of",
             "read_columns",
             "read_healthy",

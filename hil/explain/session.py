@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-from hil.diagnosis import DiagnosisRequest, Prepared, Written, after_label, prepare, write_results
+from hil.diagnosis import DiagnosisRequest, Prepared, Written, after_label, choice_for, prepare, write_results
 from hil.explain.experiment import RigChoice, is_record_of, planned, run_request, runs_of
 from hil.explain.explanation import (
     DOCUMENT,
@@ -27,7 +27,7 @@ from hil.explain.explanation import (
     write_explanation,
 )
 from hil.explain.page import write_page
-from hil.record import read_record
+from hil.record import Reading, read_record
 from hil.run.session import RunRequest, RunResult, check_session
 from hil.run_folder import RunFolder
 from twin.discovery import Diagnosis
@@ -190,7 +190,7 @@ def _experiment(request: ExplainRequest, state: Explanation, operator: Operator)
         folder, status = earlier[0]
         was = "was cut" if status == "running" else status
         operator.note(f"{folder.path} {was}; a new run begins (`hil resume {folder.path}` would complete that one)")
-    passed = sum(_duration_s(Path(one.path)) for one in state.last.records)
+    passed = sum(_duration_s(Path(one.path), request.diagnosis.choice) for one in state.last.records)
     run = run_request(choice, experiment, request.diagnosis.twin, passed)
     if not operator.approve(experiment, run, check_session(run).notes):
         return state.ended("declined", "the experiment was not run")
@@ -259,8 +259,8 @@ def _written(request: ExplainRequest, state: Explanation) -> Explanation:
     return state
 
 
-def _duration_s(record: Path) -> float:
-    time_s = read_record(record).time_s
+def _duration_s(record: Path, choice: Reading | None) -> float:
+    time_s = read_record(record, choice=choice_for(record, choice)).time_s
     return float(time_s[-1] - time_s[0])
 
 
