@@ -26,20 +26,21 @@ from twin.discovery.diagnosis import Diagnosis
 PROJECT = Path(__file__).resolve().parents[2]
 HOURS = 2.5
 STEADY = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,700,85,70\n{end:g},700,85,70\n"
-HEAT = '[[effect]]\nkind = "heat_source"\nwhere = "heater"\ndriver = "constant"\npower_W = 70\nonset_s = 3600\n'
+GAIN = '[[effect]]\nkind = "actuator"\nwhere = "heater_power"\ndriver = "constant"\ngain = 1.08\nonset_s = 3600\n'
 
 
 def test_a_run_with_two_causes_alike_is_settled_by_an_experiment_on_the_virtual_rig(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Heat at the heater and a heater that gives more than it says are one at a load that never changes."""
+    """Heat at the heater and a heater that gives more than it says are one at a constant load; the former is likelier
+    beforehand, and the experiment shows the latter."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "steady.csv").write_text(STEADY.format(end=3600.0 * HOURS), encoding="utf-8")
-    (tmp_path / "heat.toml").write_text(HEAT, encoding="utf-8")
+    (tmp_path / "gain.toml").write_text(GAIN, encoding="utf-8")
     for name in ("virtual.toml", "virtual.healthy.parquet"):
         shutil.copy(PROJECT / "profiles/twins" / name, tmp_path)
     options = ("--virtual", "--lockstep", "--no-viewer")
-    made = typed("run", "steady.csv", "--no-twin", "--with", "heat.toml", "--seed", 4, "--json", *options)
+    made = typed("run", "steady.csv", "--no-twin", "--with", "gain.toml", "--seed", 4, "--json", *options)
     assert made.returncode == 0, made.stderr
     first = Path(json.loads(made.stdout)["folder"])
     asked = ("explain", first, "--twin", "virtual.toml", *options)
@@ -57,8 +58,8 @@ def test_a_run_with_two_causes_alike_is_settled_by_an_experiment_on_the_virtual_
     before, after = document["rounds"]
     assert (before["verdict"], after["verdict"], document["end"]) == ("ambiguous", "effect found", "settled")
     shares = {belief["label"]: belief["share"] for belief in before["beliefs"]}
-    assert shares["heat source at heater"] > 0.05 and shares["actuator at heater power"] > 0.005
-    assert [belief["label"] for belief in after["beliefs"]] == ["heat source at heater"]
+    assert shares["heat source at heater"] > shares["actuator at heater power"] > 0.005
+    assert [belief["label"] for belief in after["beliefs"]] == ["actuator at heater power"]
     assert all(e["after"] < 0.5 * e["baseline"] for e in after["errors"].values())
     assert all(e["after"] < 0.5 * e["baseline"] for one in after["further"].values() for e in one.values())
     # The virtual rig goes on with the effects of the run, which are as old as it left them.
@@ -66,7 +67,7 @@ def test_a_run_with_two_causes_alike_is_settled_by_an_experiment_on_the_virtual_
     manifest = RunFolder(path).read_manifest()
     assert manifest["settings"]["start_s"] == pytest.approx(3600.0 * HOURS, abs=2.0)
     assert manifest["settings"]["seed"] == 4 and manifest["safe"] is True
-    assert Path(manifest["files"]["effects"]["path"]).name == "heat.toml"
+    assert Path(manifest["files"]["effects"]["path"]).name == "gain.toml"
     assert Path(after["revision"]).is_file()
     page = (folder / PAGE).read_text(encoding="utf-8")
     assert "heater power changes between" in page and "heat source at heater" in page and str(path) in page
@@ -202,7 +203,7 @@ def a_run(folder: Path, files: dict[str, Path], **settings: object) -> RunFolder
     shutil.copy(files["record"], run.record)
     shutil.copy(files["twin"], run.twin)
     effects = folder.parent / "effects.toml"
-    effects.write_text(HEAT, encoding="utf-8")
+    effects.write_text(GAIN, encoding="utf-8")
     run.write_manifest(new_manifest({"effects": effects}, **settings) | {"exit_status": "done"})
     return run
 
@@ -221,7 +222,7 @@ def test_a_virtual_run_is_explained_on_a_virtual_rig_alone_and_a_real_one_on_a_r
 def test_effects_that_were_changed_or_moved_since_the_run_are_named(tmp_path: Path, open_case: dict[str, Path]) -> None:
     run = a_run(tmp_path / "run", open_case, virtual=True)
     effects = tmp_path / "effects.toml"
-    effects.write_text(HEAT + "# changed\n", encoding="utf-8")
+    effects.write_text(GAIN + "# changed\n", encoding="utf-8")
     done = typed("explain", run.path, "--virtual", "--no-healthy")
     assert done.returncode == 2 and "effects.toml" in done.stderr and "--effects" in done.stderr
     effects.unlink()
