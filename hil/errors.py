@@ -36,6 +36,7 @@ def exit_code(error: BaseException) -> int | None:
         "DiagnosingError",
         "SubjectError",
         "DiagnosisFolderError",
+        "ExplanationError",
         "HieraError",
     }:
         return USAGE

@@ -21,6 +21,7 @@ VERBS = {
     "commission": "Fit a twin to a healthy record",
     "ctl": "Hold, pause, resume, abort or query a live run",
     "diagnose": "Trace the error of a twin to the effect that it lacks",
+    "explain": "Run the experiments that settle an ambiguous diagnosis",
     "init": "Write a rig file from options, a register table, Telegraf, DBC ...",
     "profile": "Build and draw load profiles",
     "report": "Make the record, review and report of a run, if missing",

@@ -139,14 +139,22 @@ def read_healthy(
     return Commissioned(columns.time_s, columns.inputs, columns.measured, columns.members, compatible)
 
 
+def choice_for(path: Path, choice: Reading | None) -> Reading | None:
+    """Return how a later record is read: as the first one, but a run's own record states its time and signs itself."""
+    return None if (path.parent / "run.json").is_file() else choice
+
+
 def further_columns(
     network: Network, paths: Sequence[Path], hour_at_0: float | None, choice: Reading | None = None
 ) -> dict[str, Columns]:
-    """Return further records by a distinct name: that of the file, or its path if several files share it."""
+    """Return further records by a distinct name: that of the file, or its path if several files share it.
+
+    `choice` is that of the first record; the record of a run needs none.
+    """
     count = Counter(path.name for path in paths)
     return {
         path.name if count[path.name] == 1 and path.name != "record.parquet" else str(path): read_columns(
-            network, path, hour_at_0, choice=choice
+            network, path, hour_at_0, choice=choice_for(path, choice)
         )[0]
         for path in paths
     }

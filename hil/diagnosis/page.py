@@ -10,7 +10,7 @@ from hil.diagnosis.store import PAGE, Findings, read_findings
 from hil.diagnosis.wording import after_label, ambiguity_group, at_rest, grown, plain, reasons
 from hil.files import Html, document, element, image, joined, replacing
 
-_STYLE = """
+PAGE_STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }
 h1 { font-size: 1.05rem; font-weight: 600; color: #5b636b; margin-bottom: .6rem }
 h2 { font-size: 1.15rem; margin: 2.4rem 0 .3rem } h3 { font-size: 1rem; margin: 1.6rem 0 .2rem }
@@ -73,7 +73,7 @@ def page(findings: Findings) -> str:
         _lists(d),
         _provenance(d),
     ]
-    return document(title, _STYLE, body)
+    return document(title, PAGE_STYLE, body)
 
 
 def _note(text: str) -> Html:

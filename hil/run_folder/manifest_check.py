@@ -32,6 +32,7 @@ class _Settings(_Shape):
     virtual: bool = False
     control: tuple[str, int] | None = None
     seed: int = 0
+    start_s: float = 0.0
     calibrators: list[str] = []
     network_mode: NetworkMode = "shadow"
     diagnose_s: float | Literal["end"] | None = None

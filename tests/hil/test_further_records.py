@@ -6,6 +6,8 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+from hil.diagnosis.columns import further_columns
+from hil.record import Reading
 from tests.discovery.conftest import Bench
 from tests.hil.made_diagnosis import made
 from tests.hil.made_record import written
@@ -56,3 +58,18 @@ def test_a_grown_twin_is_tried_on_further_records_by_its_own_measure() -> None:
     )
     assert cool.says.startswith("re-tuned, the twin does not fit x: T_")
     assert elsewhere(replace(grown, network=None), bench.network, bench.record(1.0, changed=hot), "x").says == ""
+
+
+def test_options_for_a_foreign_record_do_not_change_the_record_of_a_run(tmp_path: Path) -> None:
+    """A logger in minutes, and later a run, whose record is in seconds and has no column of that name."""
+    bench = Bench(load(LOOP))
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/run.json").write_text("{}", encoding="utf-8")
+    made_record = bench.record(0.5)
+    paths = [
+        written(bench.network, made_record, folder / f"{name}.parquet")
+        for folder, name in ((tmp_path, "foreign"), (tmp_path / "run", "record"))
+    ]
+    foreign, run = further_columns(bench.network, paths, None, Reading(time_scale=60.0)).values()
+    assert foreign.time_s[-1] == 60.0 * made_record.time_s[-1]
+    assert run.time_s[-1] == made_record.time_s[-1]

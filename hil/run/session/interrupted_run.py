@@ -157,6 +157,7 @@ def request_of(
         mode=settings["mode"],
         speed=settings["speed"],
         seed=settings["seed"],
+        start_s=settings.get("start_s", 0.0),
         effects=files.get("effects"),
         calibrators=tuple(settings["calibrators"]),
         card=files.get("network"),

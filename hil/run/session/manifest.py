@@ -39,6 +39,7 @@ def settings_of(request: RunRequest, tracking: Tracking | None) -> dict[str, Any
         "virtual": request.virtual,
         "control": request.control,
         "seed": request.seed,
+        "start_s": request.start_s,
         "calibrators": [] if tracking is None else list(tracking.calibrators),
         "left_out": {} if tracking is None else tracking.left_out,
         "network_mode": request.network_mode,

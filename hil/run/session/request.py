@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -70,6 +71,8 @@ class RunRequest:
         False runs without the process that makes the rig safe when this one is killed or hangs.
     no_lock
         Run although the locks of the rig cannot be taken.
+    start_s
+        Rig time at which a virtual rig starts, s: the age of its effects.
     """
 
     profile: Path
@@ -93,6 +96,7 @@ class RunRequest:
     adopt: bool = False
     guardian: bool = True
     no_lock: bool = False
+    start_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +131,8 @@ def prepare(request: RunRequest) -> RunInputs:
             "--network belongs to a calibrator, and this run has no twin; name one, or take --network out"
         )
     _check_residuals(request, rig, network)
+    if not (math.isfinite(request.start_s) and request.start_s >= 0.0):
+        raise ConfigurationError(f"a virtual rig cannot start at {request.start_s} s of its time; give 0 s or more")
     if request.mode == "scaled" and not 0 < request.speed <= MOST_SPEED:
         raise ConfigurationError(
             f"--speed {request.speed:g} is not between 0 and {MOST_SPEED:g}; use --lockstep to go faster"
@@ -150,20 +156,20 @@ def prepare(request: RunRequest) -> RunInputs:
             "--with switches on effects in the virtual rig; give --virtual too, or take --with out"
         )
     if request.effects is not None:
-        notes = [*notes, *_check_effects(request.effects, profile)]
+        notes = [*notes, *_check_effects(request.effects, profile, request.start_s)]
     if request.diagnose_s is not None:
         notes = [*notes, *_check_diagnosis(request, twin, network)]
     return RunInputs(rig, profile, twin, network, tuple(notes))
 
 
-def _check_effects(file: Path, profile: Profile) -> list[str]:
-    """Return notes on the effects of the virtual rig; raises EffectFileError."""
+def _check_effects(file: Path, profile: Profile, start_s: float) -> list[str]:
+    """Return notes on the effects of the virtual rig, which starts at `start_s`; raises EffectFileError."""
     from drivers.virtual.plant import load_effects
 
     return [
         f"{file}: effect {number} begins at {effect.onset_s:g} s, after the profile's end at {profile.duration_s:g} s"
         for number, effect in enumerate(load_effects(file), 1)
-        if effect.onset_s >= profile.duration_s
+        if effect.onset_s >= start_s + profile.duration_s
     ]
 
 

@@ -19,7 +19,7 @@ async def rig_and_clock(
 ) -> AsyncIterator[tuple[Rig, Clock]]:
     """Yield the rig of `request` with its addresses, and its clock.
 
-    A virtual rig starts at `starts_s` seconds of its time, and ends with the block.
+    A virtual rig starts `starts_s` seconds after the request's start in its time, and ends with the block.
 
     Raises:
         LinkError: the rig in lockstep cannot be reached. VirtualRigError: the virtual rig cannot be started.
@@ -42,7 +42,7 @@ async def rig_and_clock(
         speed=request.speed,
         period_s=rig.period_s,
         effects=request.effects,
-        start_s=starts_s,
+        start_s=request.start_s + starts_s,
     )
     try:
         ports = {
