@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
+import socket
 import threading
 import time
 
 from hil.files.text import plain
+from hil.run.session.event_loop import session_result
 from hil.run.session.output_queue import LONGEST, OutputQueue, queued_output
 
 
@@ -77,3 +80,17 @@ def test_text_from_any_terminal_can_be_stored_and_shown():
     assert plain("ü 😀\n", 10) == "ü 😀\n"
     assert plain("x" * 5000, 20) == "x" * 19 + "…"
     plain("\udcff\ud800" * 2000).encode()
+
+
+def test_an_error_in_a_callback_of_the_loop_is_told_in_one_line(caplog):
+    async def session() -> int:
+        loop = asyncio.get_running_loop()
+        listener = socket.socket()
+        listener.close()
+        loop.call_soon(lambda: loop.add_reader(listener.fileno(), print))  # as asyncio does after a lack of descriptors
+        await asyncio.sleep(0.01)
+        return 7
+
+    assert session_result(session()) == 7
+    (record,) = caplog.records
+    assert record.exc_info is None and "Invalid file descriptor" in record.getMessage()

@@ -13,6 +13,7 @@ import pytest
 from drivers.rig.connection import RigConnection
 from drivers.rig_file.reader import load_rig
 from drivers.signals.points import DeviceExceptionError, DriverError, Quality
+from hil.run.engine.operator import Verb
 from hil.run.outputs import safing
 from hil.run.outputs.heaters import not_cold, safe_limit, safe_limits
 from hil.run.outputs.safing import attempt_s, write_safe
@@ -115,6 +116,23 @@ def test_what_another_master_writes_while_the_run_ends_is_made_safe_again():
         assert written
         assert bench.rig.registers.holding[0] == 0
         assert bench.outcome.safe
+
+
+def test_a_heater_that_does_not_obey_gets_no_second_dead_time_when_the_run_ends():
+    """It was told long before: the pause has withheld the heartbeat already, and so does the end."""
+    with EngineBench(rig_with(interlocks=())) as bench:
+        warm(bench)
+        bench.rig.readings["heater_power"] = 350.0
+        bench.ask(Verb.PAUSE)
+        bench.ticks(5)
+        assert bench.state == "paused"
+        withheld = bench.rig.beat
+        bench.ticks(3)
+        assert bench.rig.beat == withheld
+        bench.engine.request_stop("the test")
+        bench.ticks(200)
+        assert bench.rig.beat == withheld
+        assert "still reads 350.0 W" in bench.outcome.away
 
 
 async def test_a_mute_device_keeps_no_other_waiting_and_an_attempt_has_an_end(tmp_path, monkeypatch):

@@ -268,7 +268,10 @@ def _claims(
     has_power = bool(truth) and truth[-1].heater_W > 0.0
     if result.claimed is True and has_power:
         broken.append("run.json says safe, and the heater has power")
-    if result.claimed is False and not has_power and ending in ("rides", "pauses", "stops") and not _harness_gone(case):
+    # A device that lies contradicts the read-back, whether or not it came to change the ending.
+    told_lies = any(kind.ending == "lies" for kind in case.kinds)
+    obeyed = ending in ("rides", "pauses", "stops") and not told_lies
+    if result.claimed is False and not has_power and obeyed and not _harness_gone(case):
         broken.append("run.json says not safe, and nothing heats")
     if ending in ("frozen", "killed", "unguarded") or case.early:
         return broken

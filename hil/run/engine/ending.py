@@ -82,6 +82,7 @@ class Ending:
             hurried=lambda: parts.supervisor.hurried,
             progress=parts.expect,
             failed=self._guard_has_made_safe,
+            stays=lambda readings: self._work.descent.stays(readings, parts.clock.now()),
         )
         self._made_safe = result
         listed = ", ".join(f"{name} {value:g} {parts.rig.get(name).unit}" for name, value in safe.items())

@@ -46,7 +46,7 @@ class TickWork:
         self._residuals = parts.options.residuals
         self._targets = [point.name for point in bind(parts.rig, parts.profile.columns)]
         self._setpoint_meters = GoodReadings(parts.connection.points, self.deviations.meters)
-        self._descent = Descent(parts.rig, parts.limits, parts.clock.period_s)
+        self.descent = Descent(parts.rig, parts.limits, parts.clock.period_s)
         self._soonest_stale_s = min((point.stale_after_s for point in parts.connection.points), default=math.inf)
 
     async def interruptible(self) -> End | None:
@@ -168,12 +168,12 @@ class TickWork:
         try:
             if state not in HEATED:
                 if not self._outputs.safe_held:
-                    self._descent.clear()  # it counts from the read-back on
+                    self.descent.clear()  # it counts from the read-back on
                 readings = self._parts.heater_meters.of(self.snapshot)
-                hot = self._descent.stays(readings, self._clock.now())
+                hot = self.descent.stays(readings, self._clock.now())
                 await self._outputs.put_safe(arm=self._supervisor.arming, hot=hot)
             elif self._guard.may_heat():
-                self._descent.clear()
+                self.descent.clear()
                 await self._outputs.move(self._wanted(), elapsed_s)
             else:
                 self._recorder.event("WARN", "nothing was written on this tick: the guardian may have acted meanwhile")

@@ -20,10 +20,14 @@ T = TypeVar("T")
 def session_result(session: Coroutine[Any, Any, T], *, until_exit: bool = False) -> T:
     """Return the result of `session`; raise its errors, and no others.
 
+    An error in a callback of the loop, which nobody waits for, is told in a line: asyncio itself begins to listen anew
+    on a socket that was closed meanwhile, after a lack of descriptors.
+
     With `until_exit` this process ends with the command: later errors of destructors and threads are not printed.
     """
     runner = asyncio.Runner()
     try:
+        runner.get_loop().set_exception_handler(_tell)
         return runner.run(session)
     finally:
         if until_exit:
@@ -32,3 +36,9 @@ def session_result(session: Coroutine[Any, Any, T], *, until_exit: bool = False)
             logging.getLogger("asyncio").disabled = True
         with contextlib.suppress(Exception):
             runner.close()
+
+
+def _tell(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Log an error in a callback of the loop as one line, without its traceback."""
+    error = context.get("exception")
+    logging.getLogger("asyncio").error("%s%s", context["message"], f": {error}" if error is not None else "")
