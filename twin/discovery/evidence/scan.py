@@ -132,7 +132,8 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
         else:
             reach *= 0.5
     return replace(
-        entry, shape=shape, vector=blocks * course, size=size, sd=bottom**-0.5, gain=size**2 * bottom,
+        entry, shape=shape, vector=blocks * course, size=size, sd=bottom**-0.5,
+        gain=float(gained(np.array(size), np.array(own @ course), np.array(bottom))),
         log_bayes=entry.log_bayes + best - start,
     )  # fmt: skip
 
@@ -150,13 +151,15 @@ def _of_laws(scanned: _Scanned, laws: Sequence[Law], family: str, turns: bool) -
     out: list[Entry] = []
 
     def add(shapes: Sequence[Shape], columns: Array, bottom: Array, prior: float | Array) -> None:
-        odds, size = log_bayes_of_sizes(candidates, scores @ columns, bottom)
-        out.extend(_best(laws, squares, shapes, columns, odds + prior, odds, size, bottom))
+        top = scores @ columns
+        odds, size = log_bayes_of_sizes(candidates, top, bottom)
+        out.extend(_best(laws, squares, shapes, columns, odds + prior, odds, size, top, bottom))
 
     if family != "put in":
         late = taken[:, ::-1].cumsum(axis=1)[:, ::-1][:, : courses.steps.shape[1]]
         bottom = np.maximum(np.stack([q.steps for q in squares]) - (late**2).sum(axis=2), least)
-        odds, size = log_bayes_of_sizes(candidates, scores @ courses.steps, bottom)
+        top = scores @ courses.steps
+        odds, size = log_bayes_of_sizes(candidates, top, bottom)
         # A lumped twin leaves as much of it all along: there it is no fault, later it has to beat that.
         usual = np.abs(size[:, 0]) < [c.lumped for c in candidates]
         odds[usual] -= np.maximum(odds[usual, :1], 0.0)
@@ -164,7 +167,7 @@ def _of_laws(scanned: _Scanned, laws: Sequence[Law], family: str, turns: bool) -
         prior = np.full(odds.shape[1], math.log((1.0 - ALL_ALONG) / max(odds.shape[1] - 1, 1)))
         prior[0] = math.log(ALL_ALONG)
         prior += math.log(AT_ONCE) if grows else 0.0
-        out += _best(laws, squares, courses.steps_shapes, courses.steps, odds + prior, odds, size, bottom)
+        out += _best(laws, squares, courses.steps_shapes, courses.steps, odds + prior, odds, size, top, bottom)
     others, shaped = courses.beyond(candidates[0])
     if family != "step" and len(others):
         less = (np.matmul(taken.transpose(0, 2, 1), shaped) ** 2).sum(axis=1)
@@ -202,7 +205,7 @@ def _spells(
     block_s = contest.step_s
     shape = Shape("spell", first[k] * block_s, (last[k] - first[k]) * block_s)
     vector = blocks * shape.block_means(contest.edges * contest.grid.step_s)
-    gain = float(size[k] ** 2 * bottom[k])
+    gain = float(gained(size[k], tops[last[k]] - tops[first[k]], bottom[k]))
     return [Entry(law, shape, vector, float(size[k]), float(bottom[k]) ** -0.5, gain, log_bayes=total,
                   log_occam=total - float(odds[k]))]  # fmt: skip
 
@@ -215,21 +218,26 @@ def logsumexp(values: Array) -> float:
 
 def _best(
     laws: Sequence[Law], squares: Sequence[Squares], shapes: Sequence[Shape], columns: Array, weighted: Array,
-    odds: Array, size: Array, bottom: Array,
+    odds: Array, size: Array, top: Array, bottom: Array,
 ) -> list[Entry]:  # fmt: skip
     """Return each law's likeliest course of those in `columns` (b, i); the other arrays are (laws, i)."""
-    best = np.argmax(weighted, axis=1)
-    most = weighted[np.arange(len(laws)), best]
+    rows, best = np.arange(len(laws)), np.argmax(weighted, axis=1)
+    most, sizes, squared = (values[rows, best] for values in (weighted, size, bottom))
+    gains = gained(sizes, top[rows, best], squared)
     with np.errstate(invalid="ignore"):
         total = most + np.log(np.exp(weighted - most[:, None]).sum(axis=1))
     return [
         Entry(
-            law, shapes[k], q.blocks * columns[:, k], float(s), float(square) ** -0.5, float(s**2 * square),
+            law, shapes[k], q.blocks * columns[:, k], float(s), float(square) ** -0.5, float(gain),
             log_bayes=float(mean), log_occam=float(mean - alone),
         )
-        for law, q, k, s, square, mean, alone in zip(
-            laws, squares, best, size[np.arange(len(laws)), best], bottom[np.arange(len(laws)), best], total,
-            odds[np.arange(len(laws)), best], strict=True,
+        for law, q, k, s, square, gain, mean, alone in zip(
+            laws, squares, best, sizes, squared, gains, total, odds[rows, best], strict=True
         )
         if math.isfinite(mean)
     ]  # fmt: skip
+
+
+def gained(size: Array, top: Array, bottom: Array) -> Array:
+    """Return the weighted squares that effects of these sizes take away, given their scores and squares."""
+    return np.maximum(size * (2.0 * top - size * bottom), 0.0)
