@@ -22,7 +22,8 @@ from twin.discovery.effects.probe import Run
 from twin.discovery.effects.shapes import TIMED
 from twin.discovery.evidence.commissioned import nothing, retuned_alone
 from twin.discovery.evidence.finding import Finding
-from twin.discovery.evidence.held_out import misled
+from twin.discovery.evidence.held_out import contradicted, misled
+from twin.discovery.evidence.priors import DRIVERS
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.places.empirical import Empirical, offer
 from twin.discovery.places.localise import describe
@@ -59,6 +60,11 @@ def conclude(case: Case, notes: tuple[str, ...]) -> Diagnosis:
     finding, known, grid, whole = case.finding, case.known, case.grid, case.whole
     network, start = known.probe.network, float(grid.time[0])
     claimed = finding.fit is not None and good(case)
+    curve = _one_curve(case) if claimed else None
+    if curve is not None:
+        claimed = False
+        followed = f"several effects would explain the record together, but all of them follow {curve.variable}"
+        notes = (*notes, f"{followed}: one curve of it at {curve.node} does as well")
     if not claimed and adequate(case):
         finding = nothing(finding)
         case = replace(case, finding=finding, errors=retuned_alone(case.errors))
@@ -133,6 +139,23 @@ def _at_one_moment(case: Case) -> tuple[str, ...]:
         f"{one} and {other} would explain the record together, but both begin at {moment}: one cause that no law "
         "describes is likelier than two",
     )
+
+
+def _one_curve(case: Case) -> Empirical | None:
+    """Return the curve of one input at one place that does instead of several effects which all follow that input.
+
+    Independent faults hardly follow the same input; what no fit saw has to contradict the one cause.
+    """
+    drivers = {e.driver for e in case.finding.entries}
+    if len(case.finding.entries) < 2 or len(drivers) > 1 or not drivers <= DRIVERS.keys():
+        return None
+    curve = _offered(case)
+    if curve is None:
+        return None
+    errors = {
+        n: replace(e, means=(*e.means[:2], curve.errors[n][1])) for n, e in case.errors.items() if n in curve.errors
+    }
+    return None if contradicted(errors, case.known.probe.network) else curve
 
 
 def _offered(case: Case) -> Empirical | None:
