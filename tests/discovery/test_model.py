@@ -37,10 +37,10 @@ def test_a_thermometer_that_lags_goes_on_lagging_while_something_else_grows(benc
 
 
 def test_a_lag_and_a_growing_loss_at_one_place_are_both_found(bench: Bench, healthy: Columns) -> None:
-    n = 24
+    n = 132
     t, u = bench.inputs(16.0, 2)
     pieces, state = [], np.array([37.0, 36.8, 34.5, 34.0])
-    # The loss grows from 5 h on, in half hours.
+    # The loss grows from 5 h on, in steps of five minutes.
     edges = np.searchsorted(t, np.concatenate([[0.0], np.linspace(5.0, 16.0, n) * 3600.0]))
     for k, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
         net = bench.with_element("leak", {"kind": "ambient_loss", "node": "heater", "hA": LOSS * k / n})

@@ -6,7 +6,7 @@ import copy
 from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -137,6 +137,17 @@ def continued(part: Part, found: list[Fit], rounds: int = ROUNDS) -> list[Fit]:
         new = pool.map(lambda f: _fit(part, part.contest, f.entries, f.moved, rounds), open_ones)
         by = {id(old): other for old, other in zip(open_ones, new, strict=True)}
     return [by.get(id(f), f) for f in found]
+
+
+def slower(part: Part, entry: Entry, factor: float) -> Entry | None:
+    """Return an effect of as much capacity with another time constant; None for what has none, or where it does
+    nothing."""
+    c = entry.candidate
+    laws = part.basis.book.laws(part.grid, part.run, (c.slower(factor * c.slow_s),)) if c.slower else []
+    if not laws:
+        return None
+    shape = replace(entry.shape, growth_s=laws[0].candidate.slow_s) if c.begins else entry.shape
+    return replace(entry, law=laws[0], shape=shape, size=entry.size / factor).refreshed(part.contest)
 
 
 def plainly(part: Part, found: Fit) -> Fit:

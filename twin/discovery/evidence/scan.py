@@ -22,6 +22,8 @@ STEADY = ("constant", "temperature_difference")
 """Drivers of laws that are tried with the courses that end, come back or fade."""
 NEAREST_S = 15.0
 """Onsets are told no closer by block means, s."""
+ENDED = (0.95, 0.85, 0.7, 0.5)
+"""Shares of the time from its onset to the record's end in which a ramp may have come to its end."""
 TOGETHER = 32
 """Laws that are looked at together, which bounds the memory."""
 _TINY = 1e-12
@@ -119,6 +121,10 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
                 for by in (-reach, reach)
                 if 0.02 < (d := shape.duty + by / shape.growth_s) < 0.98
             ]
+        elif shape.name == "ramp" and not shape.free(float(edges_s[-1])):
+            # It may have come to its end before the record does.
+            left_s = float(edges_s[-1]) - shape.onset_s
+            tried += [replace(s, growth_s=f * left_s) for s in (shape, *tried) for f in ENDED]
         elif shape.free(float(edges_s[-1])):
             tried += [replace(s, growth_s=s.growth_s * f) for s in (shape, *tried) for f in (0.7, 1.4)]
         tried = [
@@ -132,8 +138,7 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
         else:
             reach *= 0.5
     return replace(
-        entry, shape=shape, vector=blocks * course, size=size, sd=bottom**-0.5,
-        gain=float(gained(np.array(size), np.array(own @ course), np.array(bottom))),
+        entry, shape=shape, vector=blocks * course, size=size, sd=bottom**-0.5, gain=size**2 * bottom,
         log_bayes=entry.log_bayes + best - start,
     )  # fmt: skip
 
@@ -151,15 +156,13 @@ def _of_laws(scanned: _Scanned, laws: Sequence[Law], family: str, turns: bool) -
     out: list[Entry] = []
 
     def add(shapes: Sequence[Shape], columns: Array, bottom: Array, prior: float | Array) -> None:
-        top = scores @ columns
-        odds, size = log_bayes_of_sizes(candidates, top, bottom)
-        out.extend(_best(laws, squares, shapes, columns, odds + prior, odds, size, top, bottom))
+        odds, size = log_bayes_of_sizes(candidates, scores @ columns, bottom)
+        out.extend(_best(laws, squares, shapes, columns, odds + prior, odds, size, bottom))
 
     if family != "put in":
         late = taken[:, ::-1].cumsum(axis=1)[:, ::-1][:, : courses.steps.shape[1]]
         bottom = np.maximum(np.stack([q.steps for q in squares]) - (late**2).sum(axis=2), least)
-        top = scores @ courses.steps
-        odds, size = log_bayes_of_sizes(candidates, top, bottom)
+        odds, size = log_bayes_of_sizes(candidates, scores @ courses.steps, bottom)
         # A lumped twin leaves as much of it all along: there it is no fault, later it has to beat that.
         usual = np.abs(size[:, 0]) < [c.lumped for c in candidates]
         odds[usual] -= np.maximum(odds[usual, :1], 0.0)
@@ -167,7 +170,7 @@ def _of_laws(scanned: _Scanned, laws: Sequence[Law], family: str, turns: bool) -
         prior = np.full(odds.shape[1], math.log((1.0 - ALL_ALONG) / max(odds.shape[1] - 1, 1)))
         prior[0] = math.log(ALL_ALONG)
         prior += math.log(AT_ONCE) if grows else 0.0
-        out += _best(laws, squares, courses.steps_shapes, courses.steps, odds + prior, odds, size, top, bottom)
+        out += _best(laws, squares, courses.steps_shapes, courses.steps, odds + prior, odds, size, bottom)
     others, shaped = courses.beyond(candidates[0])
     if family != "step" and len(others):
         less = (np.matmul(taken.transpose(0, 2, 1), shaped) ** 2).sum(axis=1)
@@ -205,7 +208,7 @@ def _spells(
     block_s = contest.step_s
     shape = Shape("spell", first[k] * block_s, (last[k] - first[k]) * block_s)
     vector = blocks * shape.block_means(contest.edges * contest.grid.step_s)
-    gain = float(gained(size[k], tops[last[k]] - tops[first[k]], bottom[k]))
+    gain = float(size[k] ** 2 * bottom[k])
     return [Entry(law, shape, vector, float(size[k]), float(bottom[k]) ** -0.5, gain, log_bayes=total,
                   log_occam=total - float(odds[k]))]  # fmt: skip
 
@@ -218,26 +221,20 @@ def logsumexp(values: Array) -> float:
 
 def _best(
     laws: Sequence[Law], squares: Sequence[Squares], shapes: Sequence[Shape], columns: Array, weighted: Array,
-    odds: Array, size: Array, top: Array, bottom: Array,
+    odds: Array, size: Array, bottom: Array,
 ) -> list[Entry]:  # fmt: skip
     """Return each law's likeliest course of those in `columns` (b, i); the other arrays are (laws, i)."""
     rows, best = np.arange(len(laws)), np.argmax(weighted, axis=1)
     most, sizes, squared = (values[rows, best] for values in (weighted, size, bottom))
-    gains = gained(sizes, top[rows, best], squared)
     with np.errstate(invalid="ignore"):
         total = most + np.log(np.exp(weighted - most[:, None]).sum(axis=1))
     return [
         Entry(
-            law, shapes[k], q.blocks * columns[:, k], float(s), float(square) ** -0.5, float(gain),
+            law, shapes[k], q.blocks * columns[:, k], float(s), float(square) ** -0.5, float(s**2 * square),
             log_bayes=float(mean), log_occam=float(mean - alone),
         )
-        for law, q, k, s, square, gain, mean, alone in zip(
-            laws, squares, best, sizes, squared, gains, total, odds[rows, best], strict=True
+        for law, q, k, s, square, mean, alone in zip(
+            laws, squares, best, sizes, squared, total, odds[rows, best], strict=True
         )
         if math.isfinite(mean)
     ]  # fmt: skip
-
-
-def gained(size: Array, top: Array, bottom: Array) -> Array:
-    """Return the weighted squares that effects of these sizes take away, given their scores and squares."""
-    return np.maximum(size * (2.0 * top - size * bottom), 0.0)

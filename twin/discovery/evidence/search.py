@@ -14,13 +14,15 @@ from twin.discovery.diagnosis import Rung
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import Law
 from twin.discovery.evidence.marginal import form_quadratic, joint
-from twin.discovery.evidence.part import Part, continued, fitted
+from twin.discovery.evidence.part import Part, continued, fitted, slower
 from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, SPREAD, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK
 from twin.discovery.refit.fitting import Fit, look_at
 from twin.discovery.refit.model import Model
+from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
+from twin.discovery.scoring.sweep import LAST_SHARE
 
 LEADING = 24
 """Single effects that are tried as one of a pair; a prototype missed true pairs with five."""
@@ -37,6 +39,9 @@ it is next."""
 
 MOST_LATE = 4
 """Classes of lags and delays that are fitted: those with the largest gain to first order."""
+SLOWER = (1.7, 1.3, 1.1)
+"""Ratios of time constants that are tried in turn around the likeliest of those that the catalogue has, a factor of 3
+apart."""
 BEGUN = 3
 """Rounds of a fit after which its squares can be compared."""
 
@@ -136,10 +141,13 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
             break
         say(f"fitting {min(len(level), FITTED)} hypotheses of {count} effect{'s' if count > 1 else ''}")
         found = _fitted(part, found, level, misfit)
-        if found[0].fit is not None and found[0].fit.chi <= contest.expected:
+        if _explained(found, contest):
             break
         if count == 1:
             found = _late(part, found, prior, misfit)
+        found = _retimed(part, found, prior, misfit)
+        if _explained(found, contest):
+            break
         if count < MOST_EFFECTS:
             level = _grown(part, [h for h in found if len(h.entries) == count], prior, laws)
     part.reset()
@@ -147,6 +155,11 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
     nothing = 0.5 * (misfit - retuned.total)
     found = [replace(h, log_bayes=h.log_bayes - nothing) for h in found]
     return Found(tuple(found), scanned, retuned, _unlisted(part) - nothing)
+
+
+def _explained(found: list[Hypothesis], contest: Contest) -> bool:
+    """Return True where the likeliest hypothesis is fitted and leaves no more than noise."""
+    return found[0].fit is not None and found[0].fit.chi <= contest.expected
 
 
 def _leading(entries: list[Entry], prior: Prior) -> list[Entry]:
@@ -297,6 +310,38 @@ def _late(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> l
     gained.sort(key=lambda g: g[0].total)
     late = [_with_fit(part, replace(_set(part, (e,), prior), entries=(e,)), fit, misfit) for fit, e in gained[:FITTED]]
     return _settled_fits(part, sorted([*found, *late], key=lambda h: -h.odds), misfit)
+
+
+def _retimed(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
+    """Return the hypotheses with the leading one that is slow fitted with other time constants and onsets."""
+    slow = [h for h in found if h.fit is not None and any(e.candidate.slower for e in h.entries)]
+    if not slow or slow[0].odds < found[0].odds - AMBIGUOUS - LEADS * abs(found[0].odds):
+        return found
+    best, tried = slow[0], list(found)
+
+    def fit_each(i: int, entries: list[Entry]) -> None:
+        nonlocal best, tried
+        groups = [(*best.entries[:i], entry, *best.entries[i + 1 :]) for entry in entries]
+        new = [
+            _with_fit(part, replace(_set(part, group, prior), entries=group), fit, misfit)
+            for fit, group in fitted(part, groups)
+        ]
+        tried += new
+        best = max((best, *new), key=lambda h: h.odds)
+
+    for i, entry in enumerate(best.entries):
+        if entry.candidate.slower is None:
+            continue
+        for share in SLOWER:
+            fit_each(i, [o for f in (share, 1.0 / share) if (o := slower(part, best.entries[i], f)) is not None])
+        # When it came in is told within its time constant only.
+        now = best.entries[i]
+        reach_s = now.candidate.slow_s if now.shape.onset_s > 0.0 else 0.0
+        moved = [now.shape.onset_s + f * reach_s for f in (-1.0, -0.5, 0.5, 1.0)]
+        last_s = LAST_SHARE * part.grid.span_s
+        shapes = [replace(now.shape, onset_s=t) for t in moved if reach_s and 0.0 < t < last_s]
+        fit_each(i, [replace(now, shape=shape).refreshed(part.contest) for shape in shapes])
+    return _settled_fits(part, sorted(tried, key=lambda h: -h.odds), misfit)
 
 
 def _unlisted(part: Part) -> float:
