@@ -19,7 +19,8 @@ from drivers.virtual.plant.effects import load_effects
 from hil.profile.load_profile import read_profile
 from hil.profile.scenario import read_scenario
 from hil.record.reader import read_record
-from twin import datasheet, regular_file
+from twin import regular_file
+from twin.twinfile import datasheet
 from twin.twinfile import load as load_twin
 
 

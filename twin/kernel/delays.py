@@ -23,9 +23,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.assembly import NetworkEquations
-from twin.kernel_functions import DELAY_STATE, SEPARATE_FLOW, SHARED_FLOW
-from twin.kernel_text import KernelText, indent
+from twin.kernel.functions import DELAY_STATE, SEPARATE_FLOW, SHARED_FLOW
+from twin.kernel.source_text import KernelText, indent
+from twin.network import NetworkEquations
 
 SLOTS = 64
 """Number of slots of a delay line, a power of two; the longest pipe of a flow never needs more than SLOTS - 4."""

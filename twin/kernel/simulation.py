@@ -1,4 +1,4 @@
-"""Compiled simulation of one network: build once, cache on disk (`twin.kernel_cache`), call with arrays."""
+"""Compiled simulation of one network: build once, cache on disk (`twin.kernel.cache`), call with arrays."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.codegen import LANES, Mode, kernel_source
 from twin.elements.base import STAMP
-from twin.kernel_cache import compile_kernel
+from twin.kernel.cache import compile_kernel
+from twin.kernel.codegen import LANES, Mode, kernel_source
+from twin.kernel.state_layout import StateLayout
 from twin.network import Array, Network, TwinFileError
-from twin.state_layout import StateLayout
 
 CHUNK = 4096
 """Particles handed to a cost kernel at once, so that a swarm of any size needs little memory."""

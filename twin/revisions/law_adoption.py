@@ -13,7 +13,7 @@ from twin.elements import KINDS
 from twin.elements.base import STAMP
 from twin.elements.law import Law
 from twin.network import Network, Revision, TwinFileError
-from twin.revisions import NOTHING, with_elements
+from twin.revisions.revision_chain import NOTHING, with_elements
 
 _PLACES_OF_INPUTS = ("driver", "minus_input", "ambient")
 SOURCE = "adopted law"

@@ -12,11 +12,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from twin.affine import ZERO, AffineForm, NotAffineError, add, affine_form, multiply, names_in, parse_expression
 from twin.elements import Fragment, Names
 from twin.elements.base import InputDrive, SampleMemory
 from twin.elements.symbols import Stream, Symbols
-from twin.network import Network
+from twin.network.affine import ZERO, AffineForm, NotAffineError, add, affine_form, multiply, names_in, parse_expression
+from twin.network.model import Network
 
 FEW_STATES = 5
 """Number of states above which shared intermediate results keep a name of their own. Written out, a chain of volumes
@@ -341,7 +341,7 @@ def feeding_streams(network: Network) -> Mapping[str, Stream]:
 def python_source(network: Network) -> str:
     """Return the source of ``rhs(T, u, p) -> list of dT/dt`` in plain Python: the reference for tests and simulations.
 
-    `twin.generated_code.define_functions` runs it; it calls ``exp`` and ``log``.
+    `twin.kernel.generated_code.define_functions` runs it; it calls ``exp`` and ``log``.
 
     T holds the node temperatures and the states of elements. The function sees only the present: no dead time, no lag
     of an actuator, and pipes without delay. Any parameter may differ from the network's, except those of elements with

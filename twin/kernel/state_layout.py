@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.assembly import NetworkEquations
-from twin.delays import delay_layout
-from twin.network import Array, Network, TwinFileError
+from twin.kernel.delays import delay_layout
+from twin.network import Array, Network, NetworkEquations, TwinFileError
 
 COMMANDS = 64
 """Number of changes of a command that are remembered for its dead time."""

@@ -16,8 +16,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from twin.differences import ElementDiff, KeyDiff, ParameterDiff, TwinDiff, diff
 from twin.network import Network, Revision, TwinFileError, did_you_mean, digest
+from twin.revisions.differences import ElementDiff, KeyDiff, ParameterDiff, TwinDiff, diff
 from twin.twinfile import from_tables, is_edited, load, read_text, save, to_tables
 
 __all__ = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.commissioning import CommissionResult
+from twin.commissioning.healthy_fit import CommissionResult
 
 ABSURD_SIGMA = 10.0
 """Standard deviations of a sensor's noise below which an error is never absurd, however little the sensor moves."""

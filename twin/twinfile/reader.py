@@ -9,23 +9,23 @@ from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, replace
 from typing import Any, NoReturn
 
-from twin.assembly import NetworkEquations
 from twin.column_names import contradicted_unit
 from twin.elements import KINDS, Element, Parameter, ParameterSpec
 from twin.elements.base import STATUSES
-from twin.identifiers import LONGEST_SHOWN, name_problem
 from twin.network import (
     InputSpec,
     Network,
+    NetworkEquations,
     Revision,
     TunableSet,
     TwinFileError,
     WindowRules,
+    check_topology,
     did_you_mean,
     digest,
     frozen_mapping,
 )
-from twin.topology import check_topology
+from twin.twinfile.identifiers import LONGEST_SHOWN, name_problem
 
 TOP = ("format", "name", "title", "inputs", "elements", "sets", "windows", "revision")
 FORMAT = 1

@@ -1,6 +1,6 @@
 """Functions that generated kernels call, as text: they are compiled beside each kernel, for its number of lanes.
 
-LANES, SLOTS and NEVER are constants of the generated module; FAST is `twin.kernel_cache.FAST`.
+LANES, SLOTS and NEVER are constants of the generated module; FAST is `twin.kernel.cache.FAST`.
 """
 
 EXP = '''

@@ -8,7 +8,7 @@ from typing import Any
 
 from twin.elements import Element, Parameter
 from twin.elements.law import Law
-from twin.law_equation import law_equation
+from twin.laws import law_equation
 from twin.network import Network
 from twin.twinfile import to_tables
 

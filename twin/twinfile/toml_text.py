@@ -12,7 +12,7 @@ from typing import Any
 
 from twin.network import Network, TwinFileError, digest
 from twin.regular_file import read_regular
-from twin.twin_reader import FORMAT, TwinReader
+from twin.twinfile.reader import FORMAT, TwinReader
 
 
 def load(path: str | Path) -> Network:

@@ -16,7 +16,7 @@ from twin.elements.node import Node
 from twin.elements.pipe import Pipe
 from twin.elements.radiator import Radiator
 from twin.elements.sensor import Sensor
-from twin.network import did_you_mean
+from twin.network.model import did_you_mean
 
 
 def check_topology(elements: tuple[Element, ...], most_nodes: int, fail: Callable[[str, str], object]) -> None:

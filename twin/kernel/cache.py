@@ -28,7 +28,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from twin.generated_code import BUILTINS, check_source, compile_tree
+from twin.kernel.generated_code import BUILTINS, check_source, compile_tree
 
 FOLDER = "hil-twin"
 """Name of the cache folder inside the user's cache directory."""
@@ -48,7 +48,7 @@ def compile_kernel(source: str) -> Callable[..., None]:
 
     Raises
     ------
-    twin.generated_code.GeneratedCodeError
+    twin.kernel.generated_code.GeneratedCodeError
         The source holds more than a kernel needs.
     """
     import numba

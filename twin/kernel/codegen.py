@@ -23,13 +23,12 @@ import re
 from collections.abc import Iterator
 from typing import Literal
 
-from twin.affine import lane_free_call, names_in
-from twin.assembly import NetworkEquations
-from twin.delays import NEVER, SLOTS, delay_lines
-from twin.integrators import PAIRS, Integrator
-from twin.kernel_functions import ARRIVED, EXP, PIECES
-from twin.kernel_text import NAME, KernelText, indent, renamed
-from twin.network import Network
+from twin.kernel.delays import NEVER, SLOTS, delay_lines
+from twin.kernel.functions import ARRIVED, EXP, PIECES
+from twin.kernel.integrators import PAIRS, Integrator
+from twin.kernel.source_text import NAME, KernelText, indent, renamed
+from twin.network import Network, NetworkEquations
+from twin.network.affine import lane_free_call, names_in
 
 LANES = 32
 """Particles in a block of a swarm's kernel."""

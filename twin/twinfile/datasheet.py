@@ -19,7 +19,7 @@ from typing import Any
 from twin.elements.flow import WATER_DENSITY
 from twin.network import Network, Revision, TwinFileError, did_you_mean
 from twin.regular_file import read_regular
-from twin.twinfile import load
+from twin.twinfile.toml_text import load
 
 WATER_CP = 4180.0
 """J/(kg K) at 30 degC (IAPWS-95)."""
@@ -65,7 +65,7 @@ def from_datasheet(path: str | Path, template: str | Path | None = None) -> Netw
     if not isinstance(data, dict):
         raise TwinFileError(f"{path}: must be a JSON object of the rig's data")
     sheet = read_data_sheet(data, str(path))
-    base = load(template or Path(__file__).resolve().parent.parent / "profiles" / "twins" / "loop.toml")
+    base = load(template or Path(__file__).resolve().parents[2] / "profiles" / "twins" / "loop.toml")
     name = f"rig_{data['rig']}" if isinstance(data.get("rig"), str) else path.parent.name or "rig"
     return apply_data_sheet(base, sheet, name=name, source=path.name)
 

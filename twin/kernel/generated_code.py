@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from types import CodeType
 from typing import Any
 
-from twin.affine import PARSER_LOCK
+from twin.network.affine import PARSER_LOCK
 
 MATH: Mapping[str, Callable[..., Any]] = {"exp": math.exp, "log": math.log}
 """Functions of plain numbers that formulas call."""
