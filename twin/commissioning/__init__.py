@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from twin.commissioning.checks import clock_warning, refusal_reason
     from twin.commissioning.healthy_fit import (
         INITIAL_SD_K,
         CommissionOptions,
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
     )
 
 _MODULES = {
+    "checks": (
+        "clock_warning",
+        "refusal_reason",
+    ),
     "healthy_fit": (
         "CommissionOptions",
         "CommissionResult",
@@ -30,7 +35,16 @@ _MODULES = {
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
-__all__ = ["INITIAL_SD_K", "CommissionOptions", "CommissionResult", "commission", "variance_inflation", "weak_prior"]
+__all__ = [
+    "INITIAL_SD_K",
+    "CommissionOptions",
+    "CommissionResult",
+    "clock_warning",
+    "commission",
+    "refusal_reason",
+    "variance_inflation",
+    "weak_prior",
+]
 
 
 def __getattr__(name: str) -> Any:

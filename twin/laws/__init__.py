@@ -9,16 +9,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twin.laws.equation import law_equation
+    from twin.laws.equation import law_equation, law_equations
     from twin.laws.values import law_values
 
 _MODULES = {
-    "equation": ("law_equation",),
+    "equation": (
+        "law_equation",
+        "law_equations",
+    ),
     "values": ("law_values",),
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
-__all__ = ["law_equation", "law_values"]
+__all__ = ["law_equation", "law_equations", "law_values"]
 
 
 def __getattr__(name: str) -> Any:

@@ -9,10 +9,24 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twin.revisions.revision_chain import chain, diff, next_path, parent_of, revert, save_revision, with_elements
+    from twin.revisions.revision_chain import (
+        ChainEntry,
+        ElementDiff,
+        TwinDiff,
+        chain,
+        diff,
+        next_path,
+        parent_of,
+        revert,
+        save_revision,
+        with_elements,
+    )
 
 _MODULES = {
     "revision_chain": (
+        "ChainEntry",
+        "ElementDiff",
+        "TwinDiff",
         "chain",
         "diff",
         "next_path",
@@ -24,7 +38,18 @@ _MODULES = {
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
-__all__ = ["chain", "diff", "next_path", "parent_of", "revert", "save_revision", "with_elements"]
+__all__ = [
+    "ChainEntry",
+    "ElementDiff",
+    "TwinDiff",
+    "chain",
+    "diff",
+    "next_path",
+    "parent_of",
+    "revert",
+    "save_revision",
+    "with_elements",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -9,9 +9,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from twin.twinfile.datasheet import from_datasheet
     from twin.twinfile.toml_text import dump, from_tables, is_edited, load, parse, read_text, save, to_tables
 
 _MODULES = {
+    "datasheet": ("from_datasheet",),
     "toml_text": (
         "dump",
         "from_tables",
@@ -25,7 +27,7 @@ _MODULES = {
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
-__all__ = ["dump", "from_tables", "is_edited", "load", "parse", "read_text", "save", "to_tables"]
+__all__ = ["dump", "from_datasheet", "from_tables", "is_edited", "load", "parse", "read_text", "save", "to_tables"]
 
 
 def __getattr__(name: str) -> Any:
