@@ -27,17 +27,17 @@ from hil.tower.record import (
     station_of,
 )
 from twin.network import Network, TwinFileError
-from twin.tower.adoption import effects_of
 from twin.tower.air import Array
-from twin.tower.basin import Drain, with_basin
 from twin.tower.calibration import NORMAL, Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
-from twin.tower.changes import undeclared_changes
-from twin.tower.evaporation import Balance, with_evaporation
-from twin.tower.evidence import Label
+from twin.tower.cell_observations.evidence import Label
+from twin.tower.change_detection.changes import undeclared_changes
+from twin.tower.change_detection.steps import Step, find_steps
+from twin.tower.diagnosis.adoption import effects_of
 from twin.tower.minutes import MEASURED, Minutes, minutes_of
 from twin.tower.model import DEVIATIONS, CellModel, Site
+from twin.tower.shared_observations.basin import Drain, with_basin
+from twin.tower.shared_observations.evaporation import Balance, with_evaporation
 from twin.tower.smoother import Opening, Priors, time_grid
-from twin.tower.steps import Step, find_steps
 from twin.tower.twin_file import IDS, cell_of, design_of, station_of_twin, value_of
 from twin.twinfile import load
 

@@ -16,7 +16,7 @@ from hil.tower.record import read_cell, read_notes
 from twin.network import Network, Revision, digest
 from twin.tower.calibration import CalibrationError, fit_cell
 from twin.tower.cell import Inputs
-from twin.tower.commissioning import Commissioned, CommissioningError, TestPoints, fit_clean_cell
+from twin.tower.clean_cell.commissioning import Commissioned, CommissioningError, TestPoints, fit_clean_cell
 from twin.tower.minutes import minutes_of
 from twin.tower.model import CellModel
 from twin.tower.twin_file import cell_network, cell_of, design_of, value_of

@@ -17,8 +17,8 @@ from hil.tower.calibrate import Prepared, prepare_cells, step_openings, thermome
 from hil.tower.errors import TowerOutputError
 from twin.network import Revision
 from twin.revisions import save_revision
-from twin.tower.adoption import adopted
 from twin.tower.calibration import CalibrationError, Fitted
+from twin.tower.diagnosis.adoption import adopted
 from twin.tower.diagnosis.search import CellCase, Finding, Hypothesis, TowerDiagnosis, search
 from twin.tower.diagnosis.validation import HeldOut
 from twin.tower.effects import UNITS, Effect

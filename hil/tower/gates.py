@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from twin.tower.air import Array
-from twin.tower.evidence import Label
+from twin.tower.cell_observations.evidence import Label
 from twin.tower.identify import MOST_HIDDEN
 from twin.tower.model import DEVIATIONS
 from twin.tower.windows import Window

@@ -14,9 +14,9 @@ from hil.record.raw import RecordError
 from hil.tower.input_files import read_object
 from hil.tower.record import seconds
 from twin.network import Network
-from twin.tower import discrepancy
 from twin.tower.air import Array
-from twin.tower.evidence import Label
+from twin.tower.cell_observations.evidence import Label
+from twin.tower.clean_cell import discrepancy
 from twin.tower.minutes import Minutes
 from twin.tower.model import NAMES
 from twin.tower.smoother import DAY_S, Priors

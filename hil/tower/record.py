@@ -21,7 +21,7 @@ from hil.tower.align import event_entry
 from hil.tower.input_files import read_rows
 from hil.tower.station import read_events
 from twin.tower.air import Array
-from twin.tower.evidence import Label
+from twin.tower.cell_observations.evidence import Label
 from twin.tower.twin_file import BOUNDS
 
 NEEDED = ("t_in_C", "t_out_C", "m_w_kg_s", "dry_C")

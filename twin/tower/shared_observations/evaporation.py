@@ -9,7 +9,7 @@ level. The gain is common to all sums; it holds the errors of the meters and of 
 is learned of the bias: 3 % of a range of 7 K are 0.2 K.
 
 Source: Kloppers & Kroeger, J. Eng. Gas Turbines Power 127 (2005) 1 (error of Merkel's evaporation against Poppe's);
-the update is that of `twin.tower.joint`.
+the update is that of `twin.tower.shared_observations.joint`.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from twin.tower.air import Array
 from twin.tower.calibration import Fitted
 from twin.tower.cell import CP_WATER, Deviations, Inputs, solve
-from twin.tower.joint import joint_update
 from twin.tower.model import NAMES, SLOW
+from twin.tower.shared_observations.joint import joint_update
 from twin.tower.smoother import Estimate
 
 SUM_S = 6 * 3600.0

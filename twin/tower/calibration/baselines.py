@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.tower.air import Array
-from twin.tower.calibration import WINDOW_S
+from twin.tower.calibration.cell_fit import WINDOW_S
 from twin.tower.cell import STARVING, solve
-from twin.tower.evidence import Label
+from twin.tower.cell_observations import Label
 from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel
 from twin.tower.smoother import DAY_S, Blocks, Estimate, Opening, Priors, estimate
 from twin.tower.smoother import WALK as DAILY

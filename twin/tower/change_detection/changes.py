@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from twin.tower.air import Array
-from twin.tower.evidence import Label
+from twin.tower.cell_observations import Label
 from twin.tower.model import SLOW, CellModel
 from twin.tower.smoother import DAY_S, JUMP, Blocks, Estimate, Opening, Priors, estimate, walk_variance
 

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.tower.air import Array
-from twin.tower.joint import joint_update
 from twin.tower.model import DEVIATIONS, SLOW
+from twin.tower.shared_observations.joint import joint_update
 from twin.tower.smoother import Estimate
 
 OFFSET_K = 0.25

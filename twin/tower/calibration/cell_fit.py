@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.tower.air import Array
-from twin.tower.evidence import Label
+from twin.tower.cell_observations import Label
 from twin.tower.minutes import Minutes, blocks_of, follow
 from twin.tower.model import DEVIATIONS, SLOW, CellModel
 from twin.tower.smoother import Blocks, Estimate, Opening, Priors, estimate
