@@ -7,7 +7,7 @@ import os
 import pytest
 from click.testing import CliRunner
 
-from hil.cli.review import command as review
+from hil.cli.run_commands.review import command as review
 from hil.review.legends import with_room_for_legends
 from hil.review.plan import make_plan
 from hil.review.rerun_io import axis_time, read_columns

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.options import INPUT_FILE
-from hil.cli.run import address, as_json_document
+from hil.cli.run_commands.run import address, as_json_document
 
 if TYPE_CHECKING:
     from hil.run.session import RunRequest

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.tower_training import tower_command
+from hil.cli.tower_commands import tower_command
 
 if TYPE_CHECKING:
     from twin.calibrators.hiera_unet import Plan

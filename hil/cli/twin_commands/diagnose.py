@@ -119,7 +119,7 @@ def command(
       hil diagnose record --twin cell1.toml --twin cell2.toml --out diagnosis
     """
     from hil.cli.options import subject_of
-    from hil.cli.tower_diagnosis import diagnose_tower, is_tower
+    from hil.cli.tower_commands import diagnose_tower, is_tower
 
     if is_tower(target):
         others = {
