@@ -12,9 +12,8 @@ import numpy as np
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
-from hil.tower.align import iso
-from hil.tower.calibrate import Prepared, prepare_cells, step_openings, thermometer_steps
-from hil.tower.errors import TowerOutputError
+from hil.tower.calibration import Prepared, prepare_cells, step_openings, thermometer_steps
+from hil.tower.station import TowerOutputError, iso
 from twin.network import Revision
 from twin.revisions import save_revision
 from twin.tower.calibration import CalibrationError, Fitted

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.record.raw import RecordError
-from hil.tower.input_files import read_object, read_rows
+from hil.tower.station.input_files import read_object, read_rows
 from twin.historian.columns import OF_CELL, OF_STATION
 from twin.historian.events import Event
 from twin.historian.tags import Tag

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.tower.align import iso
-from hil.tower.calibrate import CellResult, site_of
-from hil.tower.gates import Evidence, Verdict, judge
-from hil.tower.governance import (
+from hil.tower.calibration import CellResult, site_of
+from hil.tower.governance.gates import Evidence, Verdict, judge
+from hil.tower.governance.records import (  # fmt: skip
     EVERY_S,
     QUEUE,
     RECORDS,
@@ -24,8 +23,8 @@ from hil.tower.governance import (
     append_records,
     drift_alarms,
     write_queue,
-)  # fmt: skip
-from hil.tower.record import StationNotes, seconds
+)
+from hil.tower.station import StationNotes, iso, seconds
 from twin.network import Revision
 from twin.revisions import save_revision
 from twin.tower.air import Array

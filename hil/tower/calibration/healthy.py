@@ -11,8 +11,7 @@ import numpy as np
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
-from hil.tower.input_files import read_object
-from hil.tower.record import seconds
+from hil.tower.station import read_object, seconds
 from twin.network import Network
 from twin.tower.air import Array
 from twin.tower.cell_observations.evidence import Label

@@ -52,8 +52,8 @@ import pyarrow.parquet as pq
 
 from drivers.historian import HistorianStore, Samples
 from hil.record.raw import RecordError
-from hil.tower.errors import TowerOutputError
-from hil.tower.station import Station
+from hil.tower.station.description import Station
+from hil.tower.station.errors import TowerOutputError
 from twin.historian.defects import Repaired, find_and_repair
 from twin.historian.events import Event, disturbed, influence_of
 from twin.historian.plausible import in_usual_units, order_and_silence

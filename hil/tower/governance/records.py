@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
-from hil.tower.align import iso
-from hil.tower.gates import Verdict
+from hil.tower.governance.gates import Verdict
+from hil.tower.station import iso
 from twin.tower.air import Array
 from twin.tower.windows import Window
 

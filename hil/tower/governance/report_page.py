@@ -12,8 +12,8 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from hil.record.raw import RecordError
-from hil.tower.calibrate import TABLE
-from hil.tower.governance import QUEUE, RECORDS, check_records
+from hil.tower.calibration import TABLE
+from hil.tower.governance.records import QUEUE, RECORDS, check_records
 from twin.tower.model import DEVIATIONS
 
 REPORT = "report.md"

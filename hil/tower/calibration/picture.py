@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.files.atomic import replacing
-from hil.tower.truth import Columns
+from hil.tower.calibration.truth import Columns
 from twin.historian.events import Event, influence_of
 
 TITLES = {

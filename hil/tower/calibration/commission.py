@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from hil.record.raw import RecordError
-from hil.tower.calibrate import priors_of, site_of
-from hil.tower.healthy import Healthy
-from hil.tower.input_files import read_object, read_rows
-from hil.tower.record import read_cell, read_notes
+from hil.tower.calibration.healthy import Healthy
+from hil.tower.calibration.station_fit import priors_of, site_of
+from hil.tower.station import read_cell, read_notes, read_object, read_rows
 from twin.network import Network, Revision, digest
 from twin.tower.calibration import CalibrationError, fit_cell
 from twin.tower.cell import Inputs

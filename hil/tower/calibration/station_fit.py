@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
-from hil.tower.healthy import known_by, path_beside, read_healthy
-from hil.tower.record import (
+from hil.tower.calibration.healthy import known_by, path_beside, read_healthy
+from hil.tower.station import (
     CellRecord,
     StationNotes,
     cells_of,

@@ -17,9 +17,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from hil.record.raw import RecordError
-from hil.tower.align import event_entry
-from hil.tower.input_files import read_rows
-from hil.tower.station import read_events
+from hil.tower.station.alignment import event_entry
+from hil.tower.station.description import read_events
+from hil.tower.station.input_files import read_rows
 from twin.tower.air import Array
 from twin.tower.cell_observations.evidence import Label
 from twin.tower.twin_file import BOUNDS
