@@ -28,8 +28,27 @@ def diagnose_tower(
 ) -> None:  # fmt: skip
     """Diagnose the cells of a record, write diagnosis.json and revisions of their twins, and print the result.
 
-    Parameters:
-        others: options that were given and do not apply.
+    Parameters
+    ----------
+    record
+        Folder of an aligned record.
+    twins
+        Twin files of its cells.
+    labels
+        Inspections of the cells, or None.
+    out
+        Folder of the results; None: a folder named after the record.
+    dry, as_json
+        True: nothing is written; the result is printed as JSON.
+    others
+        Options that were given and do not apply.
+
+    Raises
+    ------
+    RecordError
+        The folder holds no aligned record.
+    click.UsageError
+        No twin is named, or an option does not apply.
     """
     from hil.record import RecordError
     from hil.run.session import ProgressBar, console

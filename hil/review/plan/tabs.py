@@ -6,7 +6,7 @@ import itertools
 from dataclasses import replace
 
 from hil.journal import Header
-from hil.review.styles import ACTUATOR_WORDS, Panel, Stack, path, titled, twin_words
+from hil.review.plan.styles import ACTUATOR_WORDS, Panel, Stack, path, titled, twin_words
 
 MARGIN = 0.13
 PARAMETERS_KEY, ESTIMATES_KEY = path("key", "parameters"), path("key", "estimates")

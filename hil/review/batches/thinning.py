@@ -16,12 +16,21 @@ _QUARTER = GROUP // 4
 
 
 def needed_rows(time_s: NDArray[np.float64], values: NDArray[np.float64], tolerance: float) -> NDArray[np.bool_]:
-    """Return which of n rows a curve needs so that straight lines between them miss no other by more than `tolerance`.
+    """Return a mask of the rows that a curve needs: straight lines between them miss no other by more than `tolerance`.
 
-    Args:
-        time_s: (n,) s. values: (n, k), NaN where there is a gap, whose neighbours are kept.
+    Parameters
+    ----------
+    time_s
+        Times of the rows, s, shape (n,).
+    values
+        Values of the rows, shape (n, k); NaN in a gap, whose neighbours are kept.
+    tolerance
+        Largest miss, in the unit of the values.
 
-    Rows after the last whole group are kept.
+    Returns
+    -------
+    NDArray
+        True for rows to keep, shape (n,). Rows after the last whole group are kept.
     """
     groups = max(len(time_s) - 1, 0) // GROUP
     found = np.ones(len(time_s), dtype=bool)

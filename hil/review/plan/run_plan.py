@@ -31,8 +31,8 @@ import itertools
 from drivers.signals import Quality
 from hil.journal import Header
 from hil.report import pair_actuators
-from hil.review.legends import with_room_for_legends
-from hil.review.styles import (
+from hil.review.plan.legends import with_room_for_legends
+from hil.review.plan.styles import (
     ACTUATORS,
     FAINT,
     FLAG_COLOURS,
@@ -55,7 +55,7 @@ from hil.review.styles import (
     twin_colours,
     with_colours,
 )
-from hil.review.tabs import (
+from hil.review.plan.tabs import (
     ESTIMATES_KEY,
     MARGIN,
     PARAMETERS_KEY,

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 
-from hil.review.styles import Panel, Stack
+from hil.review.plan.styles import Panel, Stack
 
 WINDOW_PX = 1400.0
 """Width of the window in pixels for these margins; in a wider window a legend takes a smaller part."""

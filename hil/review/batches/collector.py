@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from drivers.signals import Quality
 from hil.journal import CalibrationRow, JournalReader, Samples, TwinOutput
-from hil.review.batches import Batch, Estimates, Rows, States, Texts
-from hil.review.plan import make_plan, worst_state
-from hil.review.residuals import Residuals
-from hil.review.styles import QUALITY_NAMES, Plan, path
-from hil.review.twin_bands import Proposals, band_batches
+from hil.review.batches.columns import Batch, Estimates, Rows, States, Texts
+from hil.review.batches.residuals import Residuals
+from hil.review.batches.twin_bands import Proposals, band_batches
+from hil.review.plan import QUALITY_NAMES, Plan, make_plan, path, worst_state
 from hil.tracking import NORMAL90
 
 PAGE_TICKS = 36_000
@@ -24,7 +23,7 @@ _STEPS_OF_NOISE = 8.0
 no figure shows so small a step.
 """
 _CURVE_OF_NOISE = 20.0
-"""Largest error of predictions in a file, as a share of the sensor's noise; see `hil.review.thinning`."""
+"""Largest error of predictions in a file, as a share of the sensor's noise; see `hil.review.batches.thinning`."""
 _ROUTINE_WRITES = ("profile", "slew", "restore", "soak")  # the last one in older journals
 
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from hil.journal import BandRow, ProposalRow
-from hil.review.batches import Batch, Estimates, Rows, States, Texts
-from hil.review.styles import path
+from hil.review.batches.columns import Batch, Estimates, Rows, States, Texts
+from hil.review.plan import path
 from hil.tracking import NORMAL90, Proposed, accepted, offset_text
 
 OPEN, SOME = "open", "some held"
