@@ -16,8 +16,10 @@ class EncodingError(ValueError):
 def utf8(content: bytes) -> bytes:
     """Return the bytes of a UTF-16 text as UTF-8, and any other content unchanged.
 
-    Raises:
-        EncodingError: it begins as UTF-16 and is none.
+    Raises
+    ------
+    EncodingError
+        The text begins as UTF-16 and is none.
     """
     encoding = _BOMS.get(content[:2]) or _by_zeros(content[:_SAMPLE])
     if encoding is None:

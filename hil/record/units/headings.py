@@ -58,8 +58,10 @@ def with_heading_units(raw: RawRecord) -> RawRecord:
 
     Times keep their names. Letters in brackets that cannot all be units, as `zone (A)` beside `zone (B)`, are none.
 
-    Raises:
-        RecordError: a heading gives two units.
+    Raises
+    ------
+    RecordError
+        A heading gives two units.
     """
     brackets = [_IN_BRACKETS.fullmatch(name.strip()) for name in raw.names]
     letters = [match[2] for match in brackets if match is not None and len(match[2]) == 1]

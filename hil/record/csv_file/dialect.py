@@ -13,8 +13,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from hil.record.heading_units import unit_of
 from hil.record.times import SECONDS_PER, is_time_name
+from hil.record.units import unit_of
 from hil.record.values import MARKS, MISSING, readings
 
 DELIMITERS = (",", ";", "\t", "|")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from hil.record.csv_dialect import is_value
+from hil.record.csv_file.dialect import is_value
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times import is_time_name
 from hil.record.values import trimmed

@@ -7,10 +7,10 @@ import re
 from typing import Any
 
 from drivers.signals import split_column
-from hil.record.heading_units import fahrenheit_hint, suffixed, unit_of
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times import is_time_name
-from hil.record.values.numbers import MARKS, readings, trimmed
+from hil.record.units.headings import fahrenheit_hint, suffixed, unit_of
+from hil.record.values import MARKS, readings, trimmed
 
 _CELL = re.compile(
     r"([+\-\u2212]?[\d.,' \u00a0\u2009\u202f\u2019]*\d(?:[eE][+-]?\d+)?)\s*([^\d\s.,'+-][^\d]*\d?(?:/[a-z]+)?)"

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.signals import column_name, split_column
 from hil.files import require_columns
-from hil.record.annotated import is_annotated, read_annotated
-from hil.record.csv_dialect import BLANKS, Dialect, DialectError, find_dialect, heading_cells, is_value, split
-from hil.record.heading_units import fahrenheit_hint, name_and_unit
-from hil.record.headings import by_later_headings
+from hil.record.csv_file.annotated import is_annotated, read_annotated
+from hil.record.csv_file.dialect import BLANKS, Dialect, DialectError, find_dialect, heading_cells, is_value, split
+from hil.record.csv_file.repeated_headings import by_later_headings
 from hil.record.raw import RawRecord, RecordError, unique
 from hil.record.times import SECONDS_PER, is_time_name, names_unit, seconds_per_unit
+from hil.record.units import fahrenheit_hint, name_and_unit
 from hil.record.values import may_be_lost
 
 if TYPE_CHECKING:
@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
     """Return the columns of the CSV `content` of the file at `path`, as text.
 
-    Raises:
-        RecordError: no line names the columns, or more lines than `record_numbers.may_be_lost` do not fit them.
+    Raises
+    ------
+    RecordError
+        No line names the columns, or more lines than `hil.record.values.may_be_lost` allows do not fit them.
     """
     messages = []
     encoding = "utf-8"
@@ -121,8 +123,10 @@ def _without_empty_end(
 def _named(path: Path, dialect: Dialect) -> tuple[list[str], dict[str, str], list[str]]:
     """Return the names with the suffixes of the units that the file gives, units by column, and hints at units.
 
-    Raises:
-        RecordError: a name ends in the suffix of another unit than the line below the names gives.
+    Raises
+    ------
+    RecordError
+        A name ends in the suffix of another unit than the line below the names gives.
     """
     names = list(dialect.names)
     units: dict[str, str] = {}
