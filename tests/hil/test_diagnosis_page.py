@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.diagnosis.figures import pictures
 from hil.diagnosis.page import page
+from hil.diagnosis.page.figures import pictures
 from hil.diagnosis.results import write
 from hil.diagnosis.store import (
     CURVES,

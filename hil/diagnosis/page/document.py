@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from hil.diagnosis.figures import pictures
+from hil.diagnosis.page.figures import pictures
 from hil.diagnosis.store import PAGE, Findings, read_findings
 from hil.diagnosis.wording import after_label, ambiguity_group, at_rest, grown, plain, reasons
 from hil.files import Html, document, element, image, joined, replacing

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
-from hil.diagnosis.table import error_table, errors_of, held_out
+from hil.diagnosis.terminal.table import error_table, errors_of, held_out
 from hil.diagnosis.wording import reasons
 from twin.discovery import Diagnosis
 

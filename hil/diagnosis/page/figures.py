@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.diagnosis.figure_style import (
+from hil.diagnosis.page.figure_style import (
     BAND,
     BLUE,
     DARK,
