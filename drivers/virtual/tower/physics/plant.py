@@ -10,8 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from drivers.virtual.tower.cell import M_W0, RECIRCULATION, RECIRCULATION_WIND, cell_step
-from drivers.virtual.tower.moist_air import CP_WATER, wet_bulb
+from drivers.virtual.tower.physics.cell import M_W0, RECIRCULATION, RECIRCULATION_WIND, cell_step
+from drivers.virtual.tower.physics.moist_air import CP_WATER, wet_bulb
 
 Array = NDArray[Any]
 OF_CELL = (

@@ -11,7 +11,7 @@ Lewis factor.
 import numpy as np
 from numba import njit
 
-from drivers.virtual.tower.moist_air import (
+from drivers.virtual.tower.physics.moist_air import (
     CP_AIR,
     CP_VAPOUR,
     CP_WATER,

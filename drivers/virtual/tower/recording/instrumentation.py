@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.virtual.tower.degradation import Life
-from drivers.virtual.tower.plant import OF_CELL, OF_STATION
+from drivers.virtual.tower.physics import OF_CELL, OF_STATION
 from drivers.virtual.tower.sites import Site
 from drivers.virtual.tower.weather import Minutes
 
@@ -191,7 +191,13 @@ class Instrument:
 
 
 def tag_name(site: Site, role: str, cell: int) -> str:
-    """Return the tag of a role and cell."""
+    """Return the tag of a role and cell.
+
+    Raises
+    ------
+    KeyError
+        No instrument has the role.
+    """
     for kind in (*OF_EACH_CELL, *ALSO_UNRECORDED, *OF_ALL):
         if kind.role == role:
             return "21-" + kind.loop.format(c=cell) if site.style == "loops" else kind.word.format(c=cell)
@@ -253,7 +259,10 @@ class Truth:
 
 
 def scanned(one: Instrument, truth: Truth, scan_s: Array, rng: np.random.Generator) -> Array:
-    """Return what an instrument shows at scans, s since the beginning, in its tag's unit, with noise and resolution."""
+    """Return the readings (n,) of an instrument at scans, in its tag's unit, with noise and resolution.
+
+    `scan_s` (n,) are seconds since the beginning.
+    """
     values = truth.seen(one)
     minute = scan_s / MINUTE_S
     if one.unit == "0/1" or one.kind.role in ("wind_direction", "fan_speed_command"):

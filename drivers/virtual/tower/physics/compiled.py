@@ -13,7 +13,7 @@ from typing import Any
 from numba import njit
 
 from drivers.virtual.plant import may_cache
-from drivers.virtual.tower import cell, moist_air, plant, poppe
+from drivers.virtual.tower.physics import cell, moist_air, plant, poppe
 
 
 def _digest() -> str:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.virtual.tower.instruments import Instrument, Truth, quantised
+from drivers.virtual.tower.recording.instrumentation import Instrument, Truth, quantised
 
 Array = NDArray[np.float64]
 DAY_S, HOUR_S = 86400.0, 3600.0

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def scan_times(start_s: float, end_s: float, every_s: float, rng: np.random.Generator) -> Array:
-    """Return times of scans: a phase of the tag's own, jitter of some seconds, now and then one that comes late."""
+    """Return times of scans, s (n,): a phase of the tag's own, jitter of some seconds, now and then a late one."""
     nominal = np.arange(start_s + rng.uniform(0.0, every_s), end_s, every_s)
     jitter = rng.normal(0.0, 3.0, len(nominal)) + np.where(
         rng.random(len(nominal)) < 0.01, rng.uniform(5.0, 40.0, len(nominal)), 0.0
@@ -67,6 +67,9 @@ def swinging_door(time_s: Array, value: Array, deviation: float, longest_s: floa
 
 
 def archived(time_s: Array, value: Array, deviation: float, longest_s: float) -> NDArray[np.int64]:
-    """Return the rows of scans that end in the archive: exceptions at half the deviation, then the door."""
+    """Return the rows (k,) of scans that end in the archive: exceptions at half the deviation, then the door.
+
+    `time_s` (n,) is in s; `value` (n,) and `deviation` have the unit of the tag.
+    """
     sent = np.flatnonzero(exceptions(time_s, value, 0.5 * deviation, 0.5 * longest_s))
     return np.asarray(sent[swinging_door(time_s[sent], value[sent], deviation, longest_s)])

@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from drivers.virtual.plant import may_cache
-from drivers.virtual.tower.moist_air import (
+from drivers.virtual.tower.physics.moist_air import (
     CP_AIR,
     CP_VAPOUR,
     CP_WATER,
@@ -22,7 +22,7 @@ from drivers.virtual.tower.moist_air import (
     saturation,
     wet_bulb,
 )
-from drivers.virtual.tower.poppe import outlet
+from drivers.virtual.tower.physics.poppe import outlet
 
 CACHE = may_cache()
 Array = NDArray[Any]
