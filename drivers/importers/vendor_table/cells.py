@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from drivers.importers.draft import ImportFileError, number
-from drivers.importers.vendor_words import ACCESS, OF_FUNCTION, TABLES, TYPES, WRITES, squeezed
+from drivers.importers.vendor_table.words import ACCESS, OF_FUNCTION, TABLES, TYPES, WRITES, squeezed
 
 Addressing = Literal["zero", "one", "modicon"]
 _OF_LEADING_DIGIT = {"0": "coil", "1": "discrete", "3": "input", "4": "holding"}

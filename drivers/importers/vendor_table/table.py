@@ -18,7 +18,7 @@ from drivers.importers.draft import (
     placeholder_in,
     read_any_text,
 )
-from drivers.importers.vendor_cells import (
+from drivers.importers.vendor_table.cells import (
     Addressing,
     access_of,
     address_of,
@@ -28,7 +28,7 @@ from drivers.importers.vendor_cells import (
     table_of,
     type_of,
 )
-from drivers.importers.vendor_columns import (
+from drivers.importers.vendor_table.columns import (
     ColumnError,
     ambiguous_thousand,
     has_decimal_comma,
@@ -37,7 +37,7 @@ from drivers.importers.vendor_columns import (
     order_of_swaps,
     raw_ends,
 )
-from drivers.importers.vendor_scale import (
+from drivers.importers.vendor_table.scale import (
     ScaleError,
     divisor_of,
     factor_in_words,
@@ -45,7 +45,7 @@ from drivers.importers.vendor_scale import (
     is_exponent_like,
     unit_and_factor,
 )
-from drivers.importers.vendor_words import heading_key
+from drivers.importers.vendor_table.words import heading_key
 from drivers.signals import RegisterType
 
 _DELIMITERS = (";", "\t", ",", "|")

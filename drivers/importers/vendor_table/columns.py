@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from drivers.importers.vendor_words import squeezed
+from drivers.importers.vendor_table.words import squeezed
 from drivers.signals import RegisterType, canonical_unit, plausible_range, raw_bounds
 
 _PREFIXED = re.compile(r"0x[0-9a-f]{1,5}|[0-9a-f]{1,5}h", re.I)
