@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.kernel import clean_time, define_functions, evaluate_formula, hold_inputs, with_stamps
-from twin.network import Array, Network, NetworkEquations, TwinFileError, python_source, stateful_source
+from twin.network import Array, Network, TwinFileError
+from twin.network.assembly import NetworkEquations, python_source, stateful_source
 
 Rhs = Callable[[Array, Array, Array], list[float]]
 

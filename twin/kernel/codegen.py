@@ -27,8 +27,9 @@ from twin.kernel.delays import NEVER, SLOTS, delay_lines
 from twin.kernel.functions import ARRIVED, EXP, PIECES
 from twin.kernel.integrators import PAIRS, Integrator
 from twin.kernel.source_text import NAME, KernelText, indent, renamed
-from twin.network import Network, NetworkEquations
+from twin.network import Network
 from twin.network.affine import lane_free_call, names_in
+from twin.network.assembly import NetworkEquations
 
 LANES = 32
 """Particles in a block of a swarm's kernel."""

@@ -25,7 +25,7 @@ from typing import ClassVar
 
 from twin.kernel.functions import DELAY_STATE, SEPARATE_FLOW, SHARED_FLOW
 from twin.kernel.source_text import KernelText, indent
-from twin.network import NetworkEquations
+from twin.network.assembly import NetworkEquations
 
 SLOTS = 64
 """Number of slots of a delay line, a power of two; the longest pipe of a flow never needs more than SLOTS - 4."""

@@ -14,8 +14,8 @@ from collections.abc import Iterable, Mapping
 
 from twin.kernel.delays import DelayLines
 from twin.kernel.source_text import KernelText, renamed
-from twin.network import FEW_STATES, NetworkEquations
 from twin.network.affine import ZERO, AffineForm, add, names_in
+from twin.network.assembly import FEW_STATES, NetworkEquations
 
 ORDER, STEP_LIMIT = 5, 0.2
 """Order of the series of a small network, and the largest step * rate for it; also the limit for Runge-Kutta."""

@@ -12,7 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from twin.kernel.delays import delay_layout
-from twin.network import Array, Network, NetworkEquations, TwinFileError
+from twin.network import Array, Network, TwinFileError
+from twin.network.assembly import NetworkEquations
 
 COMMANDS = 64
 """Number of changes of a command that are remembered for its dead time."""

@@ -9,7 +9,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twin.network.assembly import FEW_STATES, NetworkEquations, python_source, stateful_source
     from twin.network.model import (
         Array,
         InputSpec,
@@ -26,12 +25,6 @@ if TYPE_CHECKING:
     from twin.network.topology import check_topology
 
 _MODULES = {
-    "assembly": (
-        "FEW_STATES",
-        "NetworkEquations",
-        "python_source",
-        "stateful_source",
-    ),
     "model": (
         "Array",
         "InputSpec",
@@ -50,11 +43,9 @@ _MODULES = {
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "FEW_STATES",
     "Array",
     "InputSpec",
     "Network",
-    "NetworkEquations",
     "Revision",
     "TunableSet",
     "TwinFileError",
@@ -64,8 +55,6 @@ __all__ = [
     "digest",
     "frozen_mapping",
     "mean_of_sensors",
-    "python_source",
-    "stateful_source",
 ]
 
 

@@ -15,7 +15,6 @@ from twin.elements.base import STATUSES
 from twin.network import (
     InputSpec,
     Network,
-    NetworkEquations,
     Revision,
     TunableSet,
     TwinFileError,
@@ -25,6 +24,7 @@ from twin.network import (
     digest,
     frozen_mapping,
 )
+from twin.network.assembly import NetworkEquations
 from twin.twinfile.identifiers import LONGEST_SHOWN, name_problem
 
 TOP = ("format", "name", "title", "inputs", "elements", "sets", "windows", "revision")

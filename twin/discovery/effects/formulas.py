@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from twin.kernel import define_functions, evaluate_formula
-from twin.network import Array, Network, NetworkEquations, python_source
+from twin.network import Array, Network
+from twin.network.assembly import NetworkEquations, python_source
 
 ARRAYS = {"exp": np.exp, "log": np.log, "max": np.maximum, "min": np.minimum}
 """Functions of arrays in place of those of numbers."""

@@ -15,7 +15,8 @@ from twin.discovery.effects.shared_kernels import injection
 from twin.discovery.scoring.search import Entry
 from twin.elements.base import Candidate
 from twin.kernel import FEW_LANES, Kernel
-from twin.network import Array, Network, NetworkEquations
+from twin.network import Array, Network
+from twin.network.assembly import NetworkEquations
 from twin.segments import restarted_states, segment_rows
 
 SETTLE_S, FIRST_ROWS, STATE_STEP_K = 900.0, 6, 1.0e-2
