@@ -12,16 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.column_names import UNITS_OF_SUFFIX, celsius_conversion, column_hint
-    from twin.commission_check import clock_warning, refusal_reason
-    from twin.commissioning import CommissionOptions, CommissionResult, commission
-    from twin.datasheet import from_datasheet
+    from twin.commissioning.checks import clock_warning, refusal_reason
+    from twin.commissioning.healthy_fit import CommissionOptions, CommissionResult, commission
     from twin.drawing import draw
     from twin.elements.base import STAMP
-    from twin.kernel import Kernel, hold_inputs, mask_measurements, simulate
-    from twin.law_equation import law_equations
-    from twin.network import Array, InputSpec, Network, Revision, TunableSet, TwinFileError, WindowRules
+    from twin.kernel.simulation import Kernel, hold_inputs, mask_measurements, simulate
+    from twin.laws.equation import law_equations
+    from twin.network.model import Array, InputSpec, Network, Revision, TunableSet, TwinFileError, WindowRules
     from twin.reference_simulation import right_hand_side, simulate_exact, simulate_fine_steps
-    from twin.revisions import (
+    from twin.revisions.revision_chain import (
         ChainEntry,
         ElementDiff,
         TwinDiff,
@@ -36,27 +35,28 @@ if TYPE_CHECKING:
     from twin.segments import LONG_GAP_S, Segments, find_segments, segment_rows, simulate_segments
     from twin.steady import steady_readings, steady_state
     from twin.tracking import TrackerUpdate, TwinTracker
-    from twin.twinfile import dump, load, parse, save
+    from twin.twinfile.datasheet import from_datasheet
+    from twin.twinfile.toml_text import dump, load, parse, save
 
 _MODULES = {
-    "twin.law_equation": ("law_equations",),
+    "twin.laws.equation": ("law_equations",),
     "twin.elements.base": ("STAMP",),
     "twin.column_names": ("UNITS_OF_SUFFIX", "celsius_conversion", "column_hint"),
-    "twin.commission_check": ("clock_warning", "refusal_reason"),
-    "twin.commissioning": ("CommissionOptions", "CommissionResult", "commission"),
-    "twin.datasheet": ("from_datasheet",),
+    "twin.commissioning.checks": ("clock_warning", "refusal_reason"),
+    "twin.commissioning.healthy_fit": ("CommissionOptions", "CommissionResult", "commission"),
+    "twin.twinfile.datasheet": ("from_datasheet",),
     "twin.drawing": ("draw",),
-    "twin.kernel": ("Kernel", "hold_inputs", "mask_measurements", "simulate"),
-    "twin.network": ("Array", "InputSpec", "Network", "Revision", "TunableSet", "TwinFileError", "WindowRules"),
+    "twin.kernel.simulation": ("Kernel", "hold_inputs", "mask_measurements", "simulate"),
+    "twin.network.model": ("Array", "InputSpec", "Network", "Revision", "TunableSet", "TwinFileError", "WindowRules"),
     "twin.reference_simulation": ("right_hand_side", "simulate_exact", "simulate_fine_steps"),
-    "twin.revisions": (
+    "twin.revisions.revision_chain": (
         *("ChainEntry", "ElementDiff", "TwinDiff", "chain", "diff", "next_path", "parent_of", "revert"),
         *("save_revision", "with_elements"),
     ),
     "twin.segments": ("LONG_GAP_S", "Segments", "find_segments", "segment_rows", "simulate_segments"),
     "twin.steady": ("steady_readings", "steady_state"),
     "twin.tracking": ("TrackerUpdate", "TwinTracker"),
-    "twin.twinfile": ("dump", "load", "parse", "save"),
+    "twin.twinfile.toml_text": ("dump", "load", "parse", "save"),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 

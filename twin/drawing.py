@@ -19,7 +19,7 @@ from twin.elements.law import Law, LawActuator, LawFlow, LawReading
 from twin.elements.meter import Meter
 from twin.elements.pipe import Pipe
 from twin.elements.sensor import Sensor
-from twin.law_equation import law_equation
+from twin.laws import law_equation
 from twin.network import Network
 
 Point = tuple[float, float]

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.codegen import LANES
-from twin.kernel import Kernel
+from twin.kernel import LANES, Kernel
 from twin.network import Array, Network, TwinFileError
 from twin.segments import segment_rows
 
@@ -235,7 +234,7 @@ class FitProblem:
         Samples and weights.
     state
         (s * k,) at the restarts. For a record in one segment also a full state at the first sample; its entries beyond
-        the k temperatures (`twin.state_layout`) are taken as known.
+        the k temperatures (`twin.kernel.state_layout`) are taken as known.
 
     Raises
     ------

@@ -12,10 +12,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.assembly import NetworkEquations, python_source, stateful_source
-from twin.generated_code import define_functions, evaluate_formula
-from twin.kernel import clean_time, hold_inputs, with_stamps
+from twin.kernel import clean_time, define_functions, evaluate_formula, hold_inputs, with_stamps
 from twin.network import Array, Network, TwinFileError
+from twin.network.assembly import NetworkEquations, python_source, stateful_source
 
 Rhs = Callable[[Array, Array, Array], list[float]]
 

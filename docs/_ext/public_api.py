@@ -38,6 +38,14 @@ def public_packages(root: Path, top: str) -> list[str]:
     return found
 
 
+def exported_above(package: str) -> set[str]:
+    """Return the public names that a package around this one exports as well: they are documented there alone."""
+    names = set(importlib.import_module(package).__all__)
+    around = package.split(".")[:-1]
+    above = (importlib.import_module(".".join(around[:size])) for size in range(1, len(around) + 1))
+    return names & {name for each in above for name in getattr(each, "__all__", ())}
+
+
 class PublicApi(SphinxDirective):
     """Directive that takes the name of a top-level package and documents every public package in it."""
 
@@ -49,13 +57,17 @@ class PublicApi(SphinxDirective):
         lines = []
         for name in public_packages(root, self.arguments[0]):
             try:
-                importlib.import_module(name)
+                package = importlib.import_module(name)
             except ImportError as error:  # an extra that is not installed, as torch
                 log.info("%s is left out of the API pages: %s", name, error)
                 continue
+            known = exported_above(name)
+            if known and known == set(package.__all__):
+                continue
             if name != self.arguments[0]:  # whose heading is the page's
                 lines += [name, "-" * len(name), ""]
-            lines += [f".. automodule:: {name}", "   :members:", "   :imported-members:", ""]
+            lines += [f".. automodule:: {name}", "   :members:", "   :imported-members:"]
+            lines += [f"   :exclude-members: {', '.join(sorted(known))}", ""] if known else [""]
         if not lines:
             lines = [f"No package of ``{self.arguments[0]}`` declares ``__all__`` yet."]
         section = nodes.section()

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from drivers.importers.draft import Collector, Draft, DraftBus, DraftPoint, ImportFileError, rig_file_text
     from drivers.importers.homeassistant import import_homeassistant
     from drivers.importers.telegraf import import_telegraf
-    from drivers.importers.vendor_csv import import_csv
+    from drivers.importers.vendor_table import import_csv
 
 _HOME = {
     "Actuator": "drivers.importers.described",
@@ -41,7 +41,7 @@ _HOME = {
     "actuator_of": "drivers.importers.described",
     "draft_of_description": "drivers.importers.described",
     "heartbeat_of": "drivers.importers.described",
-    "import_csv": "drivers.importers.vendor_csv",
+    "import_csv": "drivers.importers.vendor_table.table",
     "import_dbc": "drivers.importers.dbc",
     "import_homeassistant": "drivers.importers.homeassistant",
     "import_telegraf": "drivers.importers.telegraf",

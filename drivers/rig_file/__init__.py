@@ -18,7 +18,6 @@ from drivers.rig_file.bus_sections import (
 )
 from drivers.rig_file.can_ids import IdMatch, Senders, by_id, by_j1939, pgn_of
 from drivers.rig_file.checks import Layout, cross_checks, unwritable
-from drivers.rig_file.encodings import decoded
 from drivers.rig_file.host_address import addresses, is_own
 from drivers.rig_file.interlock_specs import (
     HeaterPowerSpec,
@@ -34,8 +33,7 @@ from drivers.rig_file.messages import mistake, shown
 from drivers.rig_file.model import Heartbeat, Point, Rig
 from drivers.rig_file.plain_values import checked_host
 from drivers.rig_file.reader import RigFileError, file_sha256, load_rig, located
-from drivers.rig_file.regular_file import MOST_DESCRIPTION, read_regular, refuse_irregular
-from drivers.rig_file.toml_lines import line_of, tables_of
+from drivers.rig_file.text import MOST_DESCRIPTION, decoded, line_of, read_regular, refuse_irregular, tables_of
 from drivers.rig_file.wires import device_of_bus, serial_device, wire_of_bus
 
 __all__ = [

@@ -8,7 +8,7 @@ from typing import Any
 
 from drivers.rig_file.bus_sections import TRANSPORTS
 from drivers.rig_file.interlock_specs import KINDS
-from drivers.rig_file.toml_lines import line_of
+from drivers.rig_file.text import line_of
 
 _TAGS = (*TRANSPORTS, *KINDS)
 """Tags of union members: pydantic puts the tag into the place of a mistake."""

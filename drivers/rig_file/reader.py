@@ -17,8 +17,7 @@ from pydantic import ValidationError
 from drivers.rig_file.checks import cross_checks
 from drivers.rig_file.messages import sentence
 from drivers.rig_file.model import Rig
-from drivers.rig_file.regular_file import MOST_DESCRIPTION, read_regular
-from drivers.rig_file.toml_lines import line_of, tables_of
+from drivers.rig_file.text import MOST_DESCRIPTION, line_of, read_regular, tables_of
 from drivers.signals import ConfigurationError
 
 

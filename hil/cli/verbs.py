@@ -34,6 +34,15 @@ VERBS = {
     "train": "Train the network calibrator",
     "twin": "Revisions of a twin: log, diff, revert",
 }
+PACKAGES = {
+    "hil.bench.commands": ("bench",),
+    "hil.cli.rig_commands": ("check", "init", "profile", "rig"),
+    "hil.cli.run_commands": ("ctl", "report", "resume", "review", "run"),
+    "hil.cli.tower_commands": ("tower",),
+    "hil.cli.twin_commands": ("commission", "diagnose", "explain", "track", "train", "twin"),
+}
+"""Package -> verbs, each with a module of its name."""
+_HOME = {verb: package for package, verbs in PACKAGES.items() for verb in verbs}
 
 
 class _Verbs(click.Group):
@@ -43,7 +52,7 @@ class _Verbs(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in VERBS:
             return None
-        module = importlib.import_module("hil.bench.commands.bench" if name == "bench" else f"hil.cli.{name}")
+        module = importlib.import_module(f"{_HOME[name]}.{name}")
         command: click.Command = module.command
         return command
 

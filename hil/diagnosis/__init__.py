@@ -39,8 +39,7 @@ if TYPE_CHECKING:
         write_curves,
         write_document,
     )
-    from hil.diagnosis.table import errors_of, held_out
-    from hil.diagnosis.terminal_report import print_diagnosis
+    from hil.diagnosis.terminal import errors_of, held_out, print_diagnosis
     from hil.diagnosis.wording import after_label, ambiguity_group, plain, reasons, short
 
 __all__ = [
@@ -139,11 +138,11 @@ __getattr__, __dir__ = lazy_names(
             "write_curves",
             "write_document",
         ),
-        "table": (
+        "terminal.table": (
             "errors_of",
             "held_out",
         ),
-        "terminal_report": ("print_diagnosis",),
+        "terminal.report": ("print_diagnosis",),
         "wording": (
             "after_label",
             "ambiguity_group",

@@ -10,10 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.record.annotated import is_annotated
-    from hil.record.csv_dialect import DialectError, find_dialect
-    from hil.record.encodings import beginning_of
-    from hil.record.heading_units import name_and_unit
+    from hil.record.csv_file import DialectError, beginning_of, find_dialect, is_annotated
     from hil.record.long_format import VALUES
     from hil.record.public import (
         PIPE_TESTS,
@@ -28,6 +25,7 @@ if TYPE_CHECKING:
     from hil.record.raw import Reading, RecordError
     from hil.record.reader import Record, read_record, require_record_suffix, write_record
     from hil.record.segments import Parts
+    from hil.record.units import name_and_unit
 
 __all__ = [
     "PIPE_TESTS",
@@ -56,13 +54,13 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "annotated": ("is_annotated",),
-        "csv_dialect": (
+        "csv_file.annotated": ("is_annotated",),
+        "csv_file.dialect": (
             "DialectError",
             "find_dialect",
         ),
-        "encodings": ("beginning_of",),
-        "heading_units": ("name_and_unit",),
+        "csv_file.encodings": ("beginning_of",),
+        "units.headings": ("name_and_unit",),
         "long_format": ("VALUES",),
         "public": (
             "Columns",

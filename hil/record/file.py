@@ -8,11 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from hil.files import TEXT_COPIES, read_parquet, require_size
-from hil.record.csv_table import read_csv
-from hil.record.encodings import EncodingError, utf8
-from hil.record.heading_units import with_heading_units
+from hil.record.csv_file import EncodingError, read_csv, utf8
 from hil.record.long_format import one_column_a_series
 from hil.record.raw import RawRecord, RecordError, unique
+from hil.record.units import with_heading_units
 
 _FOREIGN = (
     (b"SQLite format 3", "is a journal, not a record; `hil export` makes the record from it"),

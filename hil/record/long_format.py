@@ -8,10 +8,10 @@ from typing import Any
 
 from drivers.signals import split_column
 from hil.files import require_cells
-from hil.record.heading_units import suffixed, unit_of
 from hil.record.quality import usable_by
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times import is_time_name
+from hil.record.units import suffixed, unit_of
 from hil.record.values import evidence_of, may_be_lost, parse, trimmed
 
 VALUES = ("value", "_value", "state", "reading", "val", "wert", "payload", "varvalue", "messwert")

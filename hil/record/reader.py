@@ -30,6 +30,7 @@ from hil.record.plausibility import SENTINELS, without_implausible
 from hil.record.quality import codes_of_words, reasons, valued_by
 from hil.record.raw import RawRecord, Reading, RecordError
 from hil.record.times import numbered, read_time, span
+from hil.record.units import without_cell_units
 from hil.record.values import (
     LOST,
     DecimalSignError,
@@ -40,7 +41,6 @@ from hil.record.values import (
     of_a_room,
     parse,
     remarks,
-    without_cell_units,
 )
 from twin import column_hint
 

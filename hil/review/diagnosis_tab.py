@@ -30,7 +30,7 @@ from hil.diagnosis import (
 )
 from hil.journal import Header
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
-from hil.review.styles import FAINT, GREEN, NEUTRAL, ORANGE, TRACKED, Colour, Lane, Lines, Panel, Plan, Stack, path
+from hil.review.plan import FAINT, GREEN, NEUTRAL, ORANGE, TRACKED, Colour, Lane, Lines, Panel, Plan, Stack, path
 
 VERDICT, ERRORS = "/diagnosis/verdict", "/diagnosis/errors"
 _MOST_BESIDE = 4

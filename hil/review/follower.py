@@ -13,12 +13,10 @@ from urllib.parse import urlsplit
 from hil.diagnosis import Findings, read_findings
 from hil.files import replacing, utf8_path
 from hil.journal import JournalError, JournalReader
-from hil.review.batches import Batch, Rows, merged
-from hil.review.collector import Collector
+from hil.review.batches import GROUP, Batch, Collector, Rows, merged, needed_rows
 from hil.review.diagnosis_tab import batches, findings_of_run, notes, plan_of_findings, with_findings
+from hil.review.plan import Plan
 from hil.review.rerun_io import Recording
-from hil.review.styles import Plan
-from hil.review.thinning import GROUP, needed_rows
 from hil.review.viewer import listens
 
 POLL_S = 0.25

@@ -17,7 +17,7 @@ from rerun.experimental import ViewerClient
 
 from hil.files import printable, utf8_path
 from hil.review.batches import Batch, Estimates, Rows, States, Texts
-from hil.review.styles import NEUTRAL, Colour, Panel, Plan, Stack, symbol, twin_colours
+from hil.review.plan import NEUTRAL, Colour, Panel, Plan, Stack, symbol, twin_colours
 
 TIMELINE = "test_time"
 _SETTLED = 3

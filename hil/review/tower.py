@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from hil.files import replacing, utf8_path
 from hil.journal import Header
 from hil.review.batches import Rows
+from hil.review.plan import FAINT, NEUTRAL, ORANGE, TRACKED, Lines, Panel, Plan, Stack
 from hil.review.rerun_io import Recording
-from hil.review.styles import FAINT, NEUTRAL, ORANGE, TRACKED, Lines, Panel, Plan, Stack
 
 EVERY = 10
 """Minutes of one point: a mean of ten minutes is a steady block of the calibration."""

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.tower.align import Aligned, iso
-    from hil.tower.align import align as align_station
-    from hil.tower.calibrate import (
+    from hil.tower.calibration.commission import commission_cell, learn_healthy
+    from hil.tower.calibration.healthy import parse_span, path_beside, write_healthy
+    from hil.tower.calibration.picture import draw_cell
+    from hil.tower.calibration.station_fit import (
         DRIVEN,
         TABLE,
         CellResult,
@@ -24,22 +25,21 @@ if TYPE_CHECKING:
         withheld,
         write_table,
     )
-    from hil.tower.calibrate import calibrate as calibrate_station
-    from hil.tower.collect import Collected
-    from hil.tower.collect import collect as collect_points
-    from hil.tower.commission import commission_cell, learn_healthy
+    from hil.tower.calibration.station_fit import calibrate as calibrate_station
+    from hil.tower.calibration.truth import Columns, compare, read_minutes, read_truth
     from hil.tower.diagnose import adopt, diagnose_station, document, write_document
-    from hil.tower.errors import writing
-    from hil.tower.governance import RECORDS, check_records
-    from hil.tower.healthy import parse_span, path_beside, write_healthy
-    from hil.tower.picture import draw_cell
+    from hil.tower.governance.records import RECORDS, check_records
+    from hil.tower.governance.report_page import REPORT
+    from hil.tower.governance.report_page import report as report_text
+    from hil.tower.governance.service import CellGovernance, govern
     from hil.tower.plan import plan as plan_step_test
-    from hil.tower.record import CellRecord, StationNotes, cells_of, read_cell, read_notes
-    from hil.tower.report import REPORT
-    from hil.tower.report import report as report_text
-    from hil.tower.service import CellGovernance, govern
-    from hil.tower.station import read_station
-    from hil.tower.truth import Columns, compare, read_minutes, read_truth
+    from hil.tower.station.alignment import Aligned, iso
+    from hil.tower.station.alignment import align as align_station
+    from hil.tower.station.collection import Collected
+    from hil.tower.station.collection import collect as collect_points
+    from hil.tower.station.description import read_station
+    from hil.tower.station.errors import writing
+    from hil.tower.station.record import CellRecord, StationNotes, cells_of, read_cell, read_notes
 
 __all__ = [
     "DRIVEN",
@@ -91,12 +91,12 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "align": (
+        "station.alignment": (
             "Aligned",
             "align_station = align",
             "iso",
         ),
-        "calibrate": (
+        "calibration.station_fit": (
             "CellResult",
             "DRIVEN",
             "TABLE",
@@ -109,11 +109,11 @@ __getattr__, __dir__ = lazy_names(
             "withheld",
             "write_table",
         ),
-        "collect": (
+        "station.collection": (
             "Collected",
             "collect_points = collect",
         ),
-        "commission": (
+        "calibration.commission": (
             "commission_cell",
             "learn_healthy",
         ),
@@ -123,35 +123,35 @@ __getattr__, __dir__ = lazy_names(
             "document",
             "write_document",
         ),
-        "errors": ("writing",),
-        "governance": (
+        "station.errors": ("writing",),
+        "governance.records": (
             "RECORDS",
             "check_records",
         ),
-        "healthy": (
+        "calibration.healthy": (
             "parse_span",
             "path_beside",
             "write_healthy",
         ),
-        "picture": ("draw_cell",),
+        "calibration.picture": ("draw_cell",),
         "plan": ("plan_step_test = plan",),
-        "record": (
+        "station.record": (
             "CellRecord",
             "StationNotes",
             "cells_of",
             "read_cell",
             "read_notes",
         ),
-        "report": (
+        "governance.report_page": (
             "REPORT",
             "report_text = report",
         ),
-        "service": (
+        "governance.service": (
             "CellGovernance",
             "govern",
         ),
-        "station": ("read_station",),
-        "truth": (
+        "station.description": ("read_station",),
+        "calibration.truth": (
             "Columns",
             "compare",
             "read_minutes",

@@ -12,13 +12,12 @@ import numpy as np
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
-from hil.tower.align import iso
-from hil.tower.calibrate import Prepared, prepare_cells, step_openings, thermometer_steps
-from hil.tower.errors import TowerOutputError
+from hil.tower.calibration import Prepared, prepare_cells, step_openings, thermometer_steps
+from hil.tower.station import TowerOutputError, iso
 from twin.network import Revision
 from twin.revisions import save_revision
-from twin.tower.adoption import adopted
 from twin.tower.calibration import CalibrationError, Fitted
+from twin.tower.diagnosis.adoption import adopted
 from twin.tower.diagnosis.search import CellCase, Finding, Hypothesis, TowerDiagnosis, search
 from twin.tower.diagnosis.validation import HeldOut
 from twin.tower.effects import UNITS, Effect

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.record.raw import RecordError
-from hil.tower.align import iso
-from hil.tower.record import read_cell
+from hil.tower.station import iso, read_cell
 from twin.tower.cell import Deviations
 from twin.tower.identify import Identifiability
 from twin.tower.minutes import blocks_of, minutes_of

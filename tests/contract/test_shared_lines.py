@@ -174,7 +174,7 @@ def test_what_all_devices_of_a_line_ask_for_must_fit_on_it(tmp_path):
 def test_a_serial_line_is_shown_with_its_speed_and_what_a_tick_takes_of_it(tmp_path):
     from click.testing import CliRunner
 
-    from hil.cli.check import command
+    from hil.cli.rig_commands.check import command
 
     where = 'transport = "modbus_rtu"\nserial_port = "/dev/ttyUSB0"\nserial_baud = 9600\nparity = "none"\nstop_bits = 2'
     done = CliRunner().invoke(command, [str(rig_file(tmp_path, where))])

@@ -9,9 +9,9 @@ import pytest
 from hil.record.reader import Record, read_record
 from tests.twin.conftest import stranger  # noqa: F401
 from twin.commissioning import commission
-from twin.datasheet import from_datasheet
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
+from twin.twinfile.datasheet import from_datasheet
 
 
 @pytest.mark.parametrize("case", [f"d{k}" for k in range(8)])

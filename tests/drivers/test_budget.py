@@ -14,7 +14,7 @@ from drivers.rig_file.bus_sections import ModbusTcpBus
 from drivers.rig_file.model import Point
 from drivers.rig_file.reader import load_rig
 from drivers.signals.points import ConfigurationError
-from hil.cli.check import command
+from hil.cli.rig_commands.check import command
 
 PROJECT = Path(__file__).resolve().parents[2]
 VIRTUAL = PROJECT / "profiles" / "rigs" / "virtual.toml"

@@ -24,7 +24,7 @@ from drivers.rig_file.can_ids import EXTENDED_BITS, STANDARD_BITS, IdMatch, by_i
 from drivers.rig_file.model import Point
 from drivers.rig_file.reader import load_rig
 from drivers.signals.points import ConfigurationError, LinkError, Quality
-from hil.cli.check import command as check
+from hil.cli.rig_commands.check import command as check
 from tests.drivers.j1939 import EEC1, ET1, POINTS, dbc_in, et1, section
 
 identifiers = st.integers(0, EXTENDED_BITS)

@@ -8,10 +8,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from drivers.importers.draft import Collector, Draft, DraftBus, ImportFileError, placeholder_in
-from drivers.importers.vendor_csv import import_csv
+from drivers.importers.vendor_table.table import import_csv
 from drivers.rig_file.reader import load_rig
-from hil.cli.check import command as check
-from hil.cli.init import command as init
+from hil.cli.rig_commands.check import command as check
+from hil.cli.rig_commands.init import command as init
 from tests.drivers.import_files import BUS, CELLS, complaint, table, written
 
 TABLE = """\

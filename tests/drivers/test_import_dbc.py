@@ -10,8 +10,8 @@ from click.testing import CliRunner
 from drivers.can.dbc import bind
 from drivers.rig_file.reader import load_rig
 from drivers.signals.points import ConfigurationError
-from hil.cli.check import command as check
-from hil.cli.init import command as init
+from hil.cli.rig_commands.check import command as check
+from hil.cli.rig_commands.init import command as init
 from tests.drivers.import_files import table
 from tests.drivers.j1939 import dbc_in
 

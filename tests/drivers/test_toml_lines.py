@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.rig_file.toml_lines import key_lines, line_of, tables_of
+from drivers.rig_file.text.toml_lines import key_lines, line_of, tables_of
 
 TEXT = """\
 title = "a [point] # = no section"

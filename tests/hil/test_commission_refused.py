@@ -13,8 +13,8 @@ from tests.discovery.conftest import Bench
 from tests.hil.made_record import written
 from tests.hil.test_bad_input import hil
 from tests.twin.conftest import LOOP
-from twin.commission_check import clock_warning, refusal_reason
 from twin.commissioning import CommissionOptions, CommissionResult, commission
+from twin.commissioning.checks import clock_warning, refusal_reason
 from twin.discovery.healthy.basis import Columns
 from twin.twinfile import load
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.cli.commission import _document, _show
+from hil.cli.twin_commands.commission import _document, _show
 
 
 def test_a_sensor_without_a_reading_has_no_row_and_no_nan(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,10 +15,10 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from hil.cli.check import command as check
-from hil.cli.commission import command as commission
 from hil.cli.options.subject import SubjectError, subject_of
-from hil.cli.report import command as report
+from hil.cli.rig_commands.check import command as check
+from hil.cli.run_commands.report import command as report
+from hil.cli.twin_commands.commission import command as commission
 from hil.errors import exit_code
 from hil.record.reader import RecordError
 from hil.run.session.derived_files import RUN_UID, DerivedFiles, derive_files, missing_sentence

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.diagnosis.figures import pictures
 from hil.diagnosis.page import page
+from hil.diagnosis.page.figures import pictures
 from hil.diagnosis.results import write
 from hil.diagnosis.store import (
     CURVES,
@@ -24,7 +24,7 @@ from hil.diagnosis.store import (
 )
 from hil.diagnosis.wording import after_label, frequency, reasons
 from hil.review import read_columns, read_words, write_findings_review, write_review
-from hil.review.styles import path
+from hil.review.plan.styles import path
 from tests.hil.made_diagnosis import SAYS, SENSORS, made
 from tests.hil.synthetic_journal import make
 from tests.hil.synthetic_journal import write as write_journal

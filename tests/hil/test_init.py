@@ -12,8 +12,8 @@ from click.testing import CliRunner, Result
 
 from drivers.rig_file.reader import Rig, load_rig
 from drivers.virtual.rig import start_virtual_rig
-from hil.cli.check import command as check
-from hil.cli.init import command as init
+from hil.cli.rig_commands.check import command as check
+from hil.cli.rig_commands.init import command as init
 
 DBC = Path(__file__).resolve().parents[2] / "profiles" / "rigs" / "thermocouples.dbc"
 ON_MODBUS = (
@@ -135,7 +135,7 @@ ANSWERS = [
 
 
 def test_who_says_nothing_is_asked(tmp_path, monkeypatch):
-    monkeypatch.setattr("hil.cli.init._somebody_is_there", lambda: True)
+    monkeypatch.setattr("hil.cli.rig_commands.init._somebody_is_there", lambda: True)
     out = tmp_path / "rig.toml"
     done = made("--out", out, typed="\n".join(ANSWERS) + "\n")
     assert done.exit_code == 0, done.output
@@ -150,7 +150,7 @@ def test_who_says_nothing_is_asked(tmp_path, monkeypatch):
 
 
 def test_who_gives_up_leaves_nothing_behind(tmp_path, monkeypatch):
-    monkeypatch.setattr("hil.cli.init._somebody_is_there", lambda: True)
+    monkeypatch.setattr("hil.cli.rig_commands.init._somebody_is_there", lambda: True)
     done = made("--out", tmp_path / "rig.toml", typed="my bench\n")
     assert done.exit_code == 1
     assert list(tmp_path.iterdir()) == []

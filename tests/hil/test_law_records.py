@@ -9,8 +9,8 @@ import pytest
 
 from hil.diagnosis.columns import columns_of
 from hil.record.reader import Record
-from twin.law_adoption import adopt_law
 from twin.network import Network
+from twin.revisions.law_adoption import adopt_law
 from twin.twinfile import load
 
 LOOP = Path(__file__).resolve().parents[2] / "profiles" / "twins" / "loop.toml"

@@ -212,7 +212,7 @@ async def test_what_listens_and_says_nothing_is_no_can_bus(tmp_path):
 def test_what_cannot_be_looked_at_is_said(options, words):
     from click.testing import CliRunner
 
-    from hil.cli.check import command
+    from hil.cli.rig_commands.check import command
 
     result = CliRunner().invoke(command, options)
     assert result.exit_code == 2

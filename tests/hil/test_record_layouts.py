@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from hil.record.csv_dialect import find_dialect
+from hil.record.csv_file.dialect import find_dialect
 from hil.record.reader import Record, RecordError, read_record
 from tests.hil.test_bad_input import hil
 

@@ -9,7 +9,8 @@ from drivers.bus.contract import judge
 from drivers.rig_file.model import Point
 from drivers.signals.points import Quality
 from drivers.signals.units import PLAUSIBLE, SUFFIX_OF_UNIT
-from hil.cli import check, commission, diagnose, track
+from hil.cli.rig_commands import check
+from hil.cli.twin_commands import commission, diagnose, track
 from hil.record.reader import read_record
 from hil.record.values.numbers import ALWAYS_LOST, LOST
 from tests.hil.reference_pages import FOLDER, page

@@ -14,12 +14,13 @@ import pytest
 from drivers.can.dbc import read_dbc
 from drivers.importers.draft import read_bytes
 from drivers.rig_file.reader import load_rig
-from drivers.rig_file.regular_file import read_regular
+from drivers.rig_file.text.regular_file import read_regular
 from drivers.virtual.plant.effects import load_effects
 from hil.profile.load_profile import read_profile
 from hil.profile.scenario import read_scenario
 from hil.record.reader import read_record
-from twin import datasheet, regular_file
+from twin import regular_file
+from twin.twinfile import datasheet
 from twin.twinfile import load as load_twin
 
 

@@ -29,9 +29,9 @@ from hil.review import (
     write_review,
 )
 from hil.review import show as show_module
+from hil.review.batches.twin_bands import proposal_text
 from hil.review.plan import make_plan
-from hil.review.styles import path
-from hil.review.twin_bands import proposal_text
+from hil.review.plan.styles import path
 from hil.review.viewer import HOST, _free_port, binary, listens
 from hil.tracking.twins import Proposed
 from tests.hil.synthetic_journal import COMMISSIONED, SENSORS, Truth, make, put_ticks, write

@@ -7,11 +7,11 @@ import os
 import pytest
 from click.testing import CliRunner
 
-from hil.cli.review import command as review
-from hil.review.legends import with_room_for_legends
+from hil.cli.run_commands.review import command as review
 from hil.review.plan import make_plan
+from hil.review.plan.legends import with_room_for_legends
+from hil.review.plan.styles import Panel, Stack, path
 from hil.review.rerun_io import axis_time, read_columns
-from hil.review.styles import Panel, Stack, path
 from tests.hil.ended_run import ended_run
 from tests.hil.synthetic_journal import make, put_ticks
 

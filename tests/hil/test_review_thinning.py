@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.review.residuals import LATE_TICKS, Residuals
-from hil.review.thinning import GROUP, needed_rows
+from hil.review.batches.residuals import LATE_TICKS, Residuals
+from hil.review.batches.thinning import GROUP, needed_rows
 
 
 def drawn(time_s: np.ndarray, values: np.ndarray, tolerance: float) -> tuple[np.ndarray, int]:

@@ -21,8 +21,8 @@ from click.testing import CliRunner
 from drivers.rig_file.bus_sections import ModbusRtuTcpBus
 from drivers.rig_file.model import Rig
 from drivers.rig_file.reader import load_rig
-from hil.cli.resume import command as resume_command
-from hil.cli.run import command as run_command
+from hil.cli.run_commands.resume import command as resume_command
+from hil.cli.run_commands.run import command as run_command
 from hil.errors import exit_code
 from hil.run.engine.control_socket import ask, live_runs
 from hil.run.engine.status import Outcome

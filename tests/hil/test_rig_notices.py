@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from drivers.rig_file.reader import load_rig
 from drivers.signals.roles import ROLES
-from hil.cli.check import command
+from hil.cli.rig_commands.check import command
 from hil.rig.notices import notices, unguarded
 from hil.run.restore.thermal_restore import restore_obstacle
 from hil.run.session.request import RunRequest, prepare

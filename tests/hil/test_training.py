@@ -18,8 +18,8 @@ from click.testing import CliRunner, Result
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be written")
 
-from hil.cli.train import PIECES as command_pieces  # noqa: E402
-from hil.cli.train import again, anywhere, command, loop_command, wanted  # noqa: E402
+from hil.cli.twin_commands.train import PIECES as command_pieces  # noqa: E402
+from hil.cli.twin_commands.train import again, anywhere, command, loop_command, wanted  # noqa: E402
 from hil.training import generate, session  # noqa: E402
 from hil.training.ablation import PIECES, without  # noqa: E402
 from hil.training.data import TrainingData, least_windows, read  # noqa: E402

@@ -16,8 +16,8 @@ from hil.run.session.request import RunRequest, prepare
 from tests.hil.reference_pages import page
 from twin.elements import KINDS
 from twin.network import TwinFileError, WindowRules
-from twin.twin_reader import FORMAT
 from twin.twinfile import from_tables, load, parse
+from twin.twinfile.reader import FORMAT
 
 PAGE = page("twin-file")
 EXAMPLE = PAGE.code["toml"][0]

@@ -12,9 +12,9 @@ from rich.console import Console
 from hil.cli import group
 from hil.errors import exit_code
 from hil.run.session import terminal
-from twin.law_adoption import adopt_law
 from twin.network import Revision
 from twin.revisions import save_revision, with_elements
+from twin.revisions.law_adoption import adopt_law
 from twin.twinfile import load, save
 
 PROJECT = Path(__file__).resolve().parents[2]

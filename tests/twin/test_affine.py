@@ -6,7 +6,7 @@ import ast
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-from twin.affine import parse_expression
+from twin.network.affine import parse_expression
 
 TEXT = "+".join(f"(a{i}*exp(b{i}/{i + 1}.5))" for i in range(60))
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from twin.datasheet import from_datasheet
 from twin.network import TwinFileError
 from twin.twinfile import load, save
+from twin.twinfile.datasheet import from_datasheet
 
 SHEET = {
     "rig": "Z",

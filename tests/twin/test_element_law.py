@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from tests.twin.two_nodes import TWO, U, drivers, heat, network, worst_error
-from twin.codegen import kernel_source
 from twin.elements import KINDS, Sites
 from twin.elements.law import Law
 from twin.elements.law_forms import COURSES, FORMS
 from twin.kernel import Kernel, simulate
+from twin.kernel.codegen import kernel_source
 from twin.network import TwinFileError
 from twin.reference_simulation import simulate_fine_steps
 from twin.twinfile import dump, parse

@@ -10,9 +10,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.twin.conftest import LOOP, START, drive
-from twin.codegen import LANES
 from twin.gauss_newton import FitData, linearise
 from twin.kernel import Kernel, clean_time, hold_inputs, mask_measurements, simulate
+from twin.kernel.codegen import LANES
 from twin.network import Network, TwinFileError
 from twin.reference_simulation import right_hand_side, simulate_exact
 from twin.twinfile import parse

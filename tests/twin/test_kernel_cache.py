@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twin import kernel_cache
-from twin.kernel_cache import cache_root, compile_kernel
+from twin.kernel import cache as kernel_cache
+from twin.kernel.cache import cache_root, compile_kernel
 
 SOURCE = """
 @nb.njit('void(f8[::1])', cache=True)
@@ -154,7 +154,7 @@ def test_a_folder_that_everybody_could_replace_is_not_used(root: Path, tmp_path:
     assert cache_root() == root
 
 
-@pytest.mark.parametrize("module", ["twin.kernel_cache", "drivers.virtual.plant.compiled_cache"])
+@pytest.mark.parametrize("module", ["twin.kernel.cache", "drivers.virtual.plant.compiled_cache"])
 def test_functions_compiled_ahead_are_not_kept_where_others_may_write(
     module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,7 +173,7 @@ def test_functions_compiled_ahead_are_not_kept_where_others_may_write(
 
 SHARED = """
 import numpy as np
-from twin.kernel_cache import compile_kernel
+from twin.kernel.cache import compile_kernel
 out = np.zeros(1)
 compile_kernel({source!r})(out)
 print(out[0])

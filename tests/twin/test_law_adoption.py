@@ -10,10 +10,10 @@ from twin.calibrators import CALIBRATOR_NAMES, make_calibrator
 from twin.commissioning import commission
 from twin.drawing import draw
 from twin.kernel import simulate
-from twin.law_adoption import adopt_law
-from twin.law_equation import law_equations
+from twin.laws.equation import law_equations
 from twin.network import Network, TwinFileError
 from twin.revisions import diff, revert, save_revision
+from twin.revisions.law_adoption import adopt_law
 from twin.tracking import TwinTracker
 from twin.twinfile import load, parse, save
 

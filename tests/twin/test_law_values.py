@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.elements.law_forms import COURSES, FORMS, course_text, follow_text, form_text, switch_text
-from twin.generated_code import evaluate_formula
 from twin.kernel import Kernel
-from twin.law_values import law_values
+from twin.kernel.generated_code import evaluate_formula
+from twin.laws.values import law_values
 from twin.twinfile import parse
 
 BOUNDS = {

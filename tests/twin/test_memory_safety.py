@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.twin.conftest import ROOT
-from twin.codegen import LANES, kernel_source
 from twin.kernel import Kernel, mask_measurements
+from twin.kernel.codegen import LANES, kernel_source
 from twin.network import Network
 from twin.twinfile import load, parse
 

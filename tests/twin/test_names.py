@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.assembly import NetworkEquations, python_source, stateful_source
-from twin.codegen import MODES, kernel_source
 from twin.elements.symbols import Names, Symbols
-from twin.generated_code import MATH, GeneratedCodeError, check_source, define_functions, evaluate_formula
+from twin.kernel.codegen import MODES, kernel_source
+from twin.kernel.generated_code import MATH, GeneratedCodeError, check_source, define_functions, evaluate_formula
 from twin.network import Network, TwinFileError
+from twin.network.assembly import NetworkEquations, python_source, stateful_source
 from twin.twinfile import parse
 
 ODD = {

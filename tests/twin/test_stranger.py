@@ -7,9 +7,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from twin.commissioning import commission
-from twin.datasheet import from_datasheet
 from twin.network import Network
 from twin.tracking import TwinTracker
+from twin.twinfile.datasheet import from_datasheet
 
 
 def read(path: Path, net: Network) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

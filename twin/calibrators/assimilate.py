@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from twin.kernel_cache import numba_may_cache
+from twin.kernel import numba_may_cache
 
 
 @njit(cache=numba_may_cache())  # type: ignore[untyped-decorator, unused-ignore]

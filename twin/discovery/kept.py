@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.kernel_cache import cache_folder
+from twin.kernel import cache_folder
 from twin.network import Array, Network
 from twin.twinfile import dump
 

@@ -24,7 +24,7 @@ A constant heat or fluid in a pulse is given by its `amount` (J, kg) instead of 
 t is the stamp of the sample. A course is averaged over edge_s from each sample on. With edge_s equal to the sample
 interval no energy is lost between the samples, and the value is continuous in all times.
 
-`twin.law_values` evaluates the same vocabulary on arrays. Sources: dead band, relay with hysteresis, first-order lag
+`twin.laws.values` evaluates the same vocabulary on arrays. Sources: dead band, relay with hysteresis, first-order lag
 and filtered derivative as in Astrom & Hagglund, Advanced PID Control, 2006, secs. 2.5, 3.3 and 8.4.
 """
 

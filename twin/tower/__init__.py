@@ -12,11 +12,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twin.tower.adoption import adopted, effects_of
     from twin.tower.air import Array, wet_bulb
-    from twin.tower.baselines import BASELINES, Case, split, without_discrepancy
-    from twin.tower.basin import Drain, with_basin
-    from twin.tower.calibration import (
+    from twin.tower.calibration.baselines import BASELINES, Case, split, without_discrepancy
+    from twin.tower.calibration.cell_fit import (
         NORMAL,
         QUANTILE,
         WET_C,
@@ -28,28 +26,30 @@ if TYPE_CHECKING:
         predict_cell,
     )
     from twin.tower.cell import Deviations, Inputs
-    from twin.tower.changes import undeclared_changes
-    from twin.tower.commissioning import Commissioned, CommissioningError, TestPoints, fit_clean_cell
+    from twin.tower.cell_observations.evidence import Label
+    from twin.tower.change_detection.changes import undeclared_changes
+    from twin.tower.change_detection.steps import Step, find_steps
+    from twin.tower.clean_cell.commissioning import Commissioned, CommissioningError, TestPoints, fit_clean_cell
+    from twin.tower.diagnosis.adoption import adopted, effects_of
     from twin.tower.effects import UNITS, Effect
-    from twin.tower.evaporation import Balance, with_evaporation
-    from twin.tower.evidence import Label
     from twin.tower.identify import MOST_CONDITION, MOST_HIDDEN, Identifiability
     from twin.tower.minutes import MEASURED, Minutes, blocks_of, minutes_of
     from twin.tower.model import DEVIATIONS, NAMES, CellModel, Site
     from twin.tower.planning import StepTest, plan_tests
+    from twin.tower.shared_observations.basin import Drain, with_basin
+    from twin.tower.shared_observations.evaporation import Balance, with_evaporation
     from twin.tower.smoother import DAY_S, Opening, Priors, estimate, time_grid
-    from twin.tower.steps import Step, find_steps
     from twin.tower.twin_file import BOUNDS, IDS, cell_network, cell_of, design_of, station_of_twin, value_of
     from twin.tower.windows import Window, distances, windows_of
 
 _MODULES = {
-    "baselines": (
+    "calibration.baselines": (
         "without_discrepancy",
         "split",
         "Case",
         "BASELINES",
     ),
-    "adoption": (
+    "diagnosis.adoption": (
         "adopted",
         "effects_of",
     ),
@@ -57,11 +57,11 @@ _MODULES = {
         "Array",
         "wet_bulb",
     ),
-    "basin": (
+    "shared_observations.basin": (
         "Drain",
         "with_basin",
     ),
-    "calibration": (
+    "calibration.cell_fit": (
         "WET_C",
         "QUANTILE",
         "Calibrated",
@@ -76,8 +76,8 @@ _MODULES = {
         "Deviations",
         "Inputs",
     ),
-    "changes": ("undeclared_changes",),
-    "commissioning": (
+    "change_detection.changes": ("undeclared_changes",),
+    "clean_cell.commissioning": (
         "Commissioned",
         "CommissioningError",
         "TestPoints",
@@ -87,11 +87,11 @@ _MODULES = {
         "Effect",
         "UNITS",
     ),
-    "evaporation": (
+    "shared_observations.evaporation": (
         "Balance",
         "with_evaporation",
     ),
-    "evidence": ("Label",),
+    "cell_observations.evidence": ("Label",),
     "identify": (
         "Identifiability",
         "MOST_CONDITION",
@@ -120,7 +120,7 @@ _MODULES = {
         "Priors",
         "time_grid",
     ),
-    "steps": (
+    "change_detection.steps": (
         "Step",
         "find_steps",
     ),

@@ -22,9 +22,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twin.tower import air as moist
-from twin.tower import discrepancy
 from twin.tower.air import Array
 from twin.tower.cell import STARVING, WETTED, Design, Deviations, Inputs, Rows, solve
+from twin.tower.clean_cell import discrepancy
 from twin.tower.effects import Effect, after_fill, before_fill
 
 SLOW = ("fill", "air", "uniformity", "bias", "flow_meter")
@@ -106,7 +106,7 @@ GLOBALS: tuple[Global, ...] = (
         -1.3,
         1.7,
         "power of the air in the fan's power, negative: 0.4 by fouling of the path, -3 by a slipping belt; kept at its "
-        "mean, its spread is that of a level (`twin.tower.fan_power`)",
+        "mean, its spread is that of a level (`twin.tower.cell_observations.fan_power`)",
     ),
     Global(
         "power_gain",

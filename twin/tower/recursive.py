@@ -23,10 +23,9 @@ from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.calibration import WINDOW_S
-from twin.tower.changes import RATE_D
-from twin.tower.discrepancy import FEATURES
-from twin.tower.evidence import Label, interval_as_gaussian
-from twin.tower.fan_power import AMPLITUDE
+from twin.tower.cell_observations import AMPLITUDE, Label, interval_as_gaussian
+from twin.tower.change_detection import RATE_D
+from twin.tower.clean_cell import FEATURES
 from twin.tower.identify import TOLERANCE
 from twin.tower.minutes import Minutes, follow
 from twin.tower.model import DEVIATIONS, GLOBALS, NAMES, SLOW, CellModel
@@ -42,7 +41,7 @@ POWER_BLOCKS = 6.0
 Rows = NDArray[np.intp]
 _S, _LEVEL = len(SLOW), len(SLOW)
 _LOAD = slice(_S + 1, _S + 1 + FEATURES)
-"""Weights of the power's own error, `twin.tower.fan_power`."""
+"""Weights of the power's own error, `twin.tower.cell_observations.fan_power`."""
 _FIRST = _S + 1 + FEATURES
 
 
@@ -144,7 +143,8 @@ class _Filter:
         load = np.arange(_LOAD.start, _LOAD.stop)
         self.covariance[load, load] = AMPLITUDE**2 / FEATURES
         kappa = _FIRST + NAMES.index("kappa")
-        # The power of the air in the fan's power is kept; its spread is that of the level (`twin.tower.fan_power`).
+        # The power of the air in the fan's power is kept; its spread is that of the level
+        # (`twin.tower.cell_observations.fan_power`).
         self.covariance[kappa], self.covariance[:, kappa] = 0.0, 0.0
         self.variance = healthy.sigma[0] ** 2 * healthy.time_correlation
         self.power_variance = healthy.sigma[1] ** 2 * POWER_BLOCKS

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotri
 
-from twin.tower import discrepancy
 from twin.tower.air import Array
-from twin.tower.evidence import Label, interval_as_gaussian
-from twin.tower.fan_power import PowerErrors, PowerRows
+from twin.tower.cell_observations import Label, PowerErrors, PowerRows, interval_as_gaussian
+from twin.tower.clean_cell import discrepancy
 from twin.tower.model import GLOBALS, NAMES, SLOW, CellModel, Operation
 
 DAY_S = 86400.0

@@ -10,10 +10,10 @@ import numpy as np
 from twin.tower.air import Array
 from twin.tower.calibration import WINDOW_S, Calibrated
 from twin.tower.cell import Inputs
-from twin.tower.evaporation import GAIN
 from twin.tower.identify import TOLERANCE, Identifiability, excited, identifiability
 from twin.tower.minutes import Minutes
 from twin.tower.model import DEVIATIONS, GLOBALS, NAMES, CellModel
+from twin.tower.shared_observations import GAIN
 from twin.tower.twin_file import BOUNDS
 
 CONTEXT_S = 86400.0

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.virtual.tower.cell import S_BLOCKAGE, S_FILL, S_PITCH, S_SLIP, S_UNIFORMITY, STATE
+from drivers.virtual.tower.physics import S_BLOCKAGE, S_FILL, S_PITCH, S_SLIP, S_UNIFORMITY, STATE
 from drivers.virtual.tower.records import Happening, Label
 from drivers.virtual.tower.sites import Built
 

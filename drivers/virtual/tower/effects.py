@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.virtual.tower.plant import HIDDEN
+from drivers.virtual.tower.physics import HIDDEN
 from drivers.virtual.tower.sites import Site
 
 EFFECTS = {

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from drivers.virtual.tower.degradation import WRITTEN
-from drivers.virtual.tower.moist_air import ratios, wet_bulb
+from drivers.virtual.tower.physics import ratios, wet_bulb
 from drivers.virtual.tower.sites import Site
 from drivers.virtual.tower.station import Simulated, state_by_minute
 

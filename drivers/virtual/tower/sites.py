@@ -10,10 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.virtual.tower import cell as physics
-from drivers.virtual.tower import compiled, plant
-from drivers.virtual.tower.cell import CELL, STATE
-from drivers.virtual.tower.moist_air import dry_air_density, wet_bulb
+from drivers.virtual.tower.physics import CELL, STATE, compiled, dry_air_density, plant, wet_bulb
+from drivers.virtual.tower.physics import cell as physics
 from drivers.virtual.tower.weather import CHICAGO, MIAMI, Climate
 
 Array = NDArray[np.float64]

@@ -14,12 +14,22 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.virtual.tower import compiled, degradation, operation, weather
-from drivers.virtual.tower.archive import archived, scan_times
-from drivers.virtual.tower.cell import S_FILL, STATE
-from drivers.virtual.tower.defects import Samples, Seeding, seed_archive, seed_scans
+from drivers.virtual.tower import degradation, operation, weather
 from drivers.virtual.tower.effects import hidden_effects
-from drivers.virtual.tower.instruments import Instrument, Truth, instruments, scanned, tag_name
+from drivers.virtual.tower.physics import S_FILL, STATE, compiled
+from drivers.virtual.tower.recording import (
+    Instrument,
+    Samples,
+    Seeding,
+    Truth,
+    archived,
+    instruments,
+    scan_times,
+    scanned,
+    seed_archive,
+    seed_scans,
+    tag_name,
+)
 from drivers.virtual.tower.sites import SITES, Built, Site, build
 
 MINUTES_A_DAY = 1440

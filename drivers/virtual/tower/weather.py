@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import DriverError
-from drivers.virtual.tower.moist_air import humidities, ratios, wet_bulbs
+from drivers.virtual.tower.physics import humidities, ratios, wet_bulbs
 
 Array = NDArray[np.float64]
 HOURS = 8760

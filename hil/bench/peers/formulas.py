@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from twin import Array, Network
-from twin.assembly import python_source
-from twin.generated_code import define_functions
+from twin.kernel.generated_code import define_functions
+from twin.network.assembly import python_source
 
 Rhs = Callable[[Any, Any, Any], list[Any]]
 

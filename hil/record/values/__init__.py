@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.record.values.cell_units import without_cell_units
     from hil.record.values.numbers import (
         LOST,
         MARKS,
@@ -43,13 +42,11 @@ __all__ = [
     "readings",
     "remarks",
     "trimmed",
-    "without_cell_units",
 ]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "cell_units": ("without_cell_units",),
         "numbers": (
             "DecimalSignError",
             "LOST",

@@ -25,8 +25,8 @@ from twin.historian.tags import Series, Tag
 from twin.tower.air import Array
 from twin.tower.calibration import fit_cell
 from twin.tower.cell import Inputs
-from twin.tower.commissioning import Commissioned, TestPoints, fit_clean_cell
-from twin.tower.evidence import Label
+from twin.tower.cell_observations.evidence import Label
+from twin.tower.clean_cell.commissioning import Commissioned, TestPoints, fit_clean_cell
 from twin.tower.minutes import Minutes, blocks_of, minutes_of
 from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel
 from twin.tower.model import Site as DesignPoint

@@ -12,8 +12,8 @@ import pytest
 from drivers.historian import HistorianError, Samples, open_store
 from drivers.rig_file.reader import load_rig
 from drivers.signals.points import LinkError, Quality, Snapshot
-from hil.tower import collect as module
-from hil.tower.collect import CODES, Collected, collect
+from hil.tower.station import collection as module
+from hil.tower.station.collection import CODES, Collected, collect
 
 RIG = load_rig(Path(__file__).resolve().parents[3] / "profiles" / "rigs" / "virtual.toml")
 

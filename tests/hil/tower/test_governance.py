@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.tower.gates import Evidence, judge
 from hil.tower.governance import Indicators, drift_alarms
+from hil.tower.governance.gates import Evidence, judge
 from twin.tower.identify import Identifiability
 from twin.tower.windows import Window
 

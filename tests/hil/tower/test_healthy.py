@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from hil.bench.tower import compare
-from hil.tower.calibrate import calibrate
-from hil.tower.healthy import read_healthy
+from hil.tower.calibration.healthy import read_healthy
+from hil.tower.calibration.station_fit import calibrate
 from tests.hil.tower.test_calibrate import SHEET, files, iso, refused, run, write_points, write_record
 from tests.twin.tower.made_cell import made_cell
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hil.record.raw import RecordError
-from hil.tower.input_files import read_object, read_rows
+from hil.tower.station.input_files import read_object, read_rows
 
 READERS = {"table": lambda path: read_rows(path, ("a",)), "object": read_object}
 

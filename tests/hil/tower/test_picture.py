@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from hil.record.raw import RecordError
-from hil.tower.picture import draw_cell
-from hil.tower.truth import Columns, compare, read_truth
+from hil.tower.calibration.picture import draw_cell
+from hil.tower.calibration.truth import Columns, compare, read_truth
 from twin.historian.events import Event
 
 N = 3 * 1440

@@ -9,8 +9,8 @@ import pytest
 from tests.twin.tower.made_cell import EXPONENT, M_A0, M_W0, ME0, Made, made_cell, made_points
 from twin.tower.calibration import CalibrationError, fit_cell, predict_cell
 from twin.tower.cell import Inputs
-from twin.tower.commissioning import CommissioningError, TestPoints, fit_clean_cell
-from twin.tower.evidence import Label, interval_as_gaussian
+from twin.tower.cell_observations.evidence import Label, interval_as_gaussian
+from twin.tower.clean_cell.commissioning import CommissioningError, TestPoints, fit_clean_cell
 from twin.tower.minutes import Minutes, minutes_of
 from twin.tower.model import CellModel, Site
 from twin.tower.smoother import Opening, Priors

@@ -11,10 +11,10 @@ from tests.twin.tower.test_calibration import SITE, clean, minutes
 from twin.tower.air import Array
 from twin.tower.calibration import fit_cell
 from twin.tower.cell import Inputs
-from twin.tower.changes import undeclared_changes
-from twin.tower.commissioning import fit_clean_cell
-from twin.tower.discrepancy import AMPLITUDE_K, prior_sd
-from twin.tower.evidence import Label
+from twin.tower.cell_observations.evidence import Label
+from twin.tower.change_detection.changes import undeclared_changes
+from twin.tower.clean_cell.commissioning import fit_clean_cell
+from twin.tower.clean_cell.discrepancy import AMPLITUDE_K, prior_sd
 from twin.tower.model import CALM, NAMES, CellModel, Operation
 from twin.tower.smoother import DAY_S, Opening, Priors, time_grid
 from twin.tower.twin_file import BOUNDS

@@ -11,8 +11,8 @@ from tests.twin.tower.test_calibration import SITE, clean
 from twin.elements import tower_effect
 from twin.network import Revision
 from twin.tower import effects as physics
-from twin.tower.adoption import adopted, effects_of
-from twin.tower.commissioning import fit_clean_cell
+from twin.tower.clean_cell.commissioning import fit_clean_cell
+from twin.tower.diagnosis.adoption import adopted, effects_of
 from twin.tower.diagnosis.candidates import candidates, decoys, noons
 from twin.tower.diagnosis.evidence import gain
 from twin.tower.diagnosis.search import CellCase, search

@@ -22,9 +22,9 @@ from tests.twin.tower.made_cell import (
 from tests.twin.tower.test_calibration import SITE, clean, minutes
 from twin.tower.calibration import Fitted, fit_cell
 from twin.tower.cell import Inputs, solve
-from twin.tower.commissioning import fit_clean_cell
-from twin.tower.evaporation import Balance, with_evaporation
+from twin.tower.clean_cell.commissioning import fit_clean_cell
 from twin.tower.model import CellModel
+from twin.tower.shared_observations.evaporation import Balance, with_evaporation
 from twin.tower.smoother import Priors
 from twin.tower.twin_file import BOUNDS
 

@@ -9,10 +9,10 @@ from tests.twin.tower.made_cell import Made, made_cell
 from tests.twin.tower.test_calibration import M_W0 as WATER
 from tests.twin.tower.test_calibration import SITE, clean, minutes
 from twin.tower.calibration import fit_cell
-from twin.tower.changes import undeclared_changes
-from twin.tower.commissioning import fit_clean_cell
-from twin.tower.evidence import Label
-from twin.tower.fan_power import PowerErrors, PowerRows
+from twin.tower.cell_observations.evidence import Label
+from twin.tower.cell_observations.fan_power import PowerErrors, PowerRows
+from twin.tower.change_detection.changes import undeclared_changes
+from twin.tower.clean_cell.commissioning import fit_clean_cell
 from twin.tower.model import NAMES, CellModel
 from twin.tower.smoother import DAY_S, Estimate, Priors, estimate, time_grid
 from twin.tower.twin_file import BOUNDS

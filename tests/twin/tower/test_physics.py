@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from twin.tower import air as moist
 from twin.tower.cell import WETTED, Design, Deviations, Inputs, solve
-from twin.tower.merkel import entering_enthalpy, merkel_number
+from twin.tower.clean_cell.merkel import entering_enthalpy, merkel_number
 
 
 def reference(name: str) -> Path:

@@ -10,8 +10,8 @@ import pytest
 from tests.twin.tower.made_cell import M_W0, Made, made_cell
 from tests.twin.tower.test_calibration import SITE, clean, minutes
 from twin.tower.calibration import fit_cell
-from twin.tower.commissioning import fit_clean_cell
-from twin.tower.evidence import Label
+from twin.tower.cell_observations.evidence import Label
+from twin.tower.clean_cell.commissioning import fit_clean_cell
 from twin.tower.minutes import blocks_of
 from twin.tower.model import CellModel
 from twin.tower.recursive import Recursion, recursion

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.tower.steps import find_steps
+from twin.tower.change_detection.steps import find_steps
 
 SCAN_S = 300.0
 

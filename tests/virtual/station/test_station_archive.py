@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.virtual.tower.archive import archived, exceptions, scan_times, swinging_door
+from drivers.virtual.tower.recording.archive import archived, exceptions, scan_times, swinging_door
 
 
 @pytest.mark.parametrize("seed", range(4))

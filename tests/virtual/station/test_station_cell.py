@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from drivers.virtual.tower import cell as physics
-from drivers.virtual.tower.moist_air import CP_WATER, enthalpy, saturation, wet_bulb
+from drivers.virtual.tower.physics import cell as physics
+from drivers.virtual.tower.physics.moist_air import CP_WATER, enthalpy, saturation, wet_bulb
 from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, Built, build, design_air
 from twin.tower import air as other_air
 from twin.tower.cell import Design, Inputs, solve

@@ -22,8 +22,8 @@ from drivers.virtual.tower.device import (
     serve_station,
     write_dictionary,
 )
-from hil.tower.collect import Collected, collect
 from hil.tower.station import read_station
+from hil.tower.station.collection import Collected, collect
 
 
 def ask(replay: Replay, first: int, count: int, function: int = 4) -> bytes:

@@ -12,7 +12,7 @@ import pytest
 
 from drivers.virtual.tower.effects import EFFECTS, hidden_effects
 from drivers.virtual.tower.export import key_of, write_station
-from drivers.virtual.tower.plant import OF_STATION
+from drivers.virtual.tower.physics.plant import OF_STATION
 from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE
 from drivers.virtual.tower.station import Plan, Simulated, simulate
 from hil.tower.station import read_station

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.virtual.tower.moist_air import CP_WATER, enthalpy, ratios, wet_bulb
-from drivers.virtual.tower.poppe import merkel_number, outlet
+from drivers.virtual.tower.physics.moist_air import CP_WATER, enthalpy, ratios, wet_bulb
+from drivers.virtual.tower.physics.poppe import merkel_number, outlet
 
 PRESSURE = 100.0
 

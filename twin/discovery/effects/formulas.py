@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.assembly import NetworkEquations, python_source
-from twin.generated_code import define_functions, evaluate_formula
+from twin.kernel import define_functions, evaluate_formula
 from twin.network import Array, Network
+from twin.network.assembly import NetworkEquations, python_source
 
 ARRAYS = {"exp": np.exp, "log": np.log, "max": np.maximum, "min": np.minimum}
 """Functions of arrays in place of those of numbers."""

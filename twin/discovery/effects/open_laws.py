@@ -24,9 +24,9 @@ from twin.discovery.records.grid import Grid
 from twin.elements import KINDS
 from twin.elements.base import STAMP, Candidate
 from twin.elements.law_forms import FORMS
-from twin.law_adoption import adopt_law
-from twin.law_values import law_values
+from twin.laws import law_values
 from twin.network import Array, Network
+from twin.revisions.law_adoption import adopt_law
 
 MOST_LEVELS = 8
 """Levels of a column up to which a threshold is sought between each two; beyond, at quartiles."""

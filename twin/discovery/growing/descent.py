@@ -11,9 +11,9 @@ from itertools import accumulate
 
 import numpy as np
 
-from twin.codegen import FEW_LANES
 from twin.discovery.growing.likelihood import Spectrum
 from twin.discovery.growing.unaided import Problem, readings_of
+from twin.kernel import FEW_LANES
 from twin.network import Array
 
 ROUNDS = 25

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.assembly import python_source
 from twin.discovery.effects.formulas import ARRAYS
-from twin.generated_code import define_functions
-from twin.kernel import Kernel
+from twin.kernel import Kernel, define_functions
 from twin.network import Array, Network, TwinFileError
+from twin.network.assembly import python_source
 
 MOST = 60
 RESTS_K = 1.0e-7

@@ -9,12 +9,12 @@ from itertools import islice
 
 import numpy as np
 
-from twin.codegen import FEW_LANES
 from twin.discovery.growing.likelihood import Spectrum
 from twin.discovery.growing.unaided import Fit, Problem, readings_of
 from twin.discovery.growing.wardrobe import Wardrobe, unsized
 from twin.discovery.scoring.search import Entry
 from twin.elements.base import Candidate
+from twin.kernel import FEW_LANES
 from twin.network import Array
 
 KEPT = 1.0e-4

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.codegen import FEW_LANES
 from twin.discovery.growing.likelihood import Spectrum, cosines, judged
 from twin.discovery.growing.wardrobe import Wardrobe
 from twin.discovery.records.grid import centred
 from twin.discovery.scoring.search import Entry
 from twin.gauss_newton import Scaling
+from twin.kernel import FEW_LANES
 from twin.network import Array
 
 STATE_SD_K = 1.0

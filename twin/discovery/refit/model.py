@@ -8,16 +8,15 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.assembly import NetworkEquations
-from twin.codegen import FEW_LANES
 from twin.discovery.effects.catalogue import extended
 from twin.discovery.effects.probe import Probe
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.effects.shared_kernels import injection
 from twin.discovery.scoring.search import Entry
 from twin.elements.base import Candidate
-from twin.kernel import Kernel
+from twin.kernel import FEW_LANES, Kernel
 from twin.network import Array, Network
+from twin.network.assembly import NetworkEquations
 from twin.segments import restarted_states, segment_rows
 
 SETTLE_S, FIRST_ROWS, STATE_STEP_K = 900.0, 6, 1.0e-2

@@ -9,10 +9,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from twin.tower.diagnosis.adoption import adopted, effects_of
     from twin.tower.diagnosis.search import CellCase, Finding, Hypothesis, TowerDiagnosis
     from twin.tower.diagnosis.validation import HeldOut
 
 _MODULES = {
+    "adoption": (
+        "adopted",
+        "effects_of",
+    ),
     "search": (
         "CellCase",
         "Finding",
@@ -23,7 +28,7 @@ _MODULES = {
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
-__all__ = ["CellCase", "Finding", "HeldOut", "Hypothesis", "TowerDiagnosis"]
+__all__ = ["CellCase", "Finding", "HeldOut", "Hypothesis", "TowerDiagnosis", "adopted", "effects_of"]
 
 
 def __getattr__(name: str) -> Any:

@@ -16,11 +16,11 @@ from scipy.special import logsumexp
 
 from twin.tower.air import Array
 from twin.tower.calibration import Fitted, fit_cell
+from twin.tower.cell_observations import Label
 from twin.tower.diagnosis.candidates import DECOYS, FAULT, FREE, Candidate, candidates, decoys, onset_grid
 from twin.tower.diagnosis.evidence import Evidence
 from twin.tower.diagnosis.validation import HeldOut, Parts, held_out, held_out_parts, inside, predictive_gain
 from twin.tower.effects import Effect, pattern, patterns
-from twin.tower.evidence import Label
 from twin.tower.minutes import Minutes
 from twin.tower.model import CellModel
 from twin.tower.smoother import Opening, Priors

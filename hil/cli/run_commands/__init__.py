@@ -1,0 +1,3 @@
+"""Commands about runs: `hil run`, `resume`, `ctl`, `report`, `review`."""
+
+__all__: list[str] = []

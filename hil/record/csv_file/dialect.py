@@ -1,0 +1,258 @@
+"""Dialect of a CSV: its delimiter, the line of its column names, and its first row.
+
+Loggers and spreadsheets write lines above the names (`sep=;`, the logger's own data) and below them (units, kinds of
+processing). The rows of a table are alike; the lines above them are not. So the rows are found first, by the number of
+fields that most lines have and by the columns that hold numbers or times, and the names above them.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from hil.record.times import SECONDS_PER, is_time_name
+from hil.record.units import unit_of
+from hil.record.values import MARKS, MISSING, readings
+
+DELIMITERS = (",", ";", "\t", "|")
+BLANKS = " "
+"""Delimiter of a table whose columns are separated by runs of blanks."""
+SAMPLE = 200
+"""Lines from the beginning that the dialect is found from: far more than any logger writes above its rows."""
+MOST_BELOW = 3
+"""Lines between names and rows: units, kinds of processing and places of sensors, as loggers write them."""
+
+_MAY_LACK = ("", "comment", "comments", "remark", "note", "notes")
+"""Last name of a heading, lower case, whose cells rows may omit with their delimiter."""
+_SEPARATOR_LINE = re.compile(r'"?sep=(.)"?[,;\t|"]*', re.IGNORECASE)
+_MOMENT = re.compile(r"\d{1,4}([-./])\d{1,2}\1\d{1,4}([ T].*)?|\d{1,2}:\d{2}(:\d{2})?.*|\d{4}-\d{2}-\d{2}T.*", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Line:
+    """Line of the file: its number, from 1, and its text."""
+
+    number: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """Layout of a CSV.
+
+    Attributes:
+        delimiter: between columns. names: of the columns, as written.
+        header_line: number of the line that names them. rows_from: lines above the first row.
+        units: by place of the column, where a line below the names gives them.
+        messages: lines that were left out.
+    """
+
+    delimiter: str
+    names: tuple[str, ...]
+    header_line: int
+    rows_from: int
+    units: dict[int, str] = field(default_factory=dict)
+    messages: tuple[str, ...] = ()
+
+
+class DialectError(ValueError):
+    """Error of a layout that cannot be found; the message lacks only the file."""
+
+
+def find_dialect(text: str) -> Dialect:
+    """Return the dialect of the CSV `text`; its beginning is enough.
+
+    Raises
+    ------
+    DialectError
+        No line names the columns.
+    """
+    lines, commented, only = _sample(text)
+    if not lines:
+        raise DialectError(" holds nothing but comments; give a record with a header and at least one row")
+    found = [d for mark in only or (*DELIMITERS, BLANKS) if (d := _with(mark, lines, commented)) is not None]
+    if found:
+        return max(found, key=lambda d: (d.delimiter != BLANKS, len(d.names)))
+    return _first_line(lines[0], only)
+
+
+def _sample(text: str) -> tuple[list[Line], Line | None, tuple[str, ...]]:
+    """Return the first lines that are neither blank nor comments, the last comment above them, the named delimiter."""
+    lines: list[Line] = []
+    commented: Line | None = None
+    only: tuple[str, ...] = ()
+    start = number = 0
+    while start < len(text) and len(lines) < SAMPLE:
+        end = text.find("\n", start)
+        end = len(text) if end < 0 else end
+        line = text[start:end].strip("\r")
+        number, start = number + 1, end + 1
+        if not line.strip():
+            continue
+        if line.startswith("#"):
+            commented = commented if lines else Line(number, line.lstrip("# "))
+        elif not lines and (named := _SEPARATOR_LINE.fullmatch(line.strip())):
+            only = (named[1],)
+        else:
+            lines.append(Line(number, line))
+    return lines, commented, only
+
+
+def split(line: str, delimiter: str) -> list[str] | None:
+    """Return the fields of a line without blanks around them, None for one with a quote that does not end."""
+    if delimiter == BLANKS:
+        return line.split()
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, strict=True), [""])]
+    except csv.Error:
+        return None
+
+
+def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dialect | None:
+    """Return the dialect with this delimiter, None where no line can name the columns that it makes."""
+    fields = [split(line.text, delimiter) for line in lines]
+    width = Counter(len(row) for row in fields if row is not None).most_common(1)
+    if not width or width[0][0] < 2:
+        return None
+    k = width[0][0]
+    fields = _ended_alike(fields, k)
+    table = [(line, row) for line, row in zip(lines, fields, strict=True) if row is not None and len(row) == k]
+    numeric, moments = _numeric([row for _, row in table], k)
+    if not numeric or len(table) < 2:
+        return None
+    first = next((i for i, (_, row) in enumerate(table) if _is_row(row, numeric, moments)), None)
+    if first is None:
+        return None
+    above = table[:first]
+    if not above and commented is not None:
+        # numpy.savetxt and similar writers comment their heading out.
+        names = split(commented.text, delimiter)
+        if names is not None and len(names) == k:
+            return Dialect(delimiter, tuple(names), commented.number, table[0][0].number - 1)
+    if not above:
+        return None
+    heading = _heading(above)
+    line, names = above[heading]
+    below = [row for _, row in above[heading + 1 :]]
+    if len(below) > MOST_BELOW:
+        return None
+    _require_one_table(delimiter, lines, line)
+    left_out = [str(one.number) for one in lines if one.number < table[first][0].number and one.number != line.number]
+    over = [row for _, row in above[:heading] if len(_units(row, names)) > sum(map(bool, row)) / 2]
+    units = next((found for row in (*below, *over) if (found := _units(row, names))), {})
+    said: tuple[str, ...] = ()
+    if left_out:
+        which = "line" if len(left_out) == 1 else "lines"
+        told = f", and a line {'below' if below else 'above'} it gives units" if units else ""
+        said = (f"line {line.number} is taken for the heading{told}; {which} {', '.join(left_out)} left out",)
+    return Dialect(delimiter, tuple(names), line.number, max(above[-1][0].number, line.number), units, said)
+
+
+def _ended_alike(fields: Sequence[list[str] | None], k: int) -> list[list[str] | None]:
+    """Return the fields of lines with those of a heading made `k`, where only a delimiter at the ends of lines differs.
+
+    Loggers end rows with a delimiter and not the heading, or the heading and not the rows; LabVIEW names a column for
+    comments that rows without one leave out.
+    """
+    rows = [row for row in fields if row is not None and len(row) == k]
+    out = list(fields)
+    for place, row in enumerate(fields):
+        if row is None or not any(is_time_name(cell) for cell in row):
+            continue
+        if len(row) == k - 1 and all(not one[-1] for one in rows):
+            out[place] = [*row, ""]
+        elif len(row) == k + 1 and row[-1].lower() in _MAY_LACK:
+            out[place] = row[:-1]
+    return out
+
+
+def heading_cells(text: str, delimiter: str) -> list[str] | None:
+    """Return the fields of a line that names columns, one of them a time; None for any other line."""
+    row = split(text, delimiter)
+    cells = [cell for cell in row or [] if cell]
+    if row is None or len(cells) < 2 or len(set(cells)) < len(cells) or any(is_value(cell) for cell in cells):
+        return None
+    return row if any(is_time_name(cell) for cell in cells) else None
+
+
+def _require_one_table(delimiter: str, lines: Sequence[Line], heading: Line) -> None:
+    """Raise DialectError where rows of another table, with a heading of their own, stand above the heading."""
+    for place, line in enumerate(lines):
+        if line.number >= heading.number:
+            return
+        row = heading_cells(line.text, delimiter)
+        after = split(lines[place + 1].text, delimiter) if place + 1 < len(lines) else None
+        if row is not None and after is not None and len(after) == len(row) and all(map(is_value, filter(None, after))):
+            raise DialectError(
+                f" line {heading.number} is a heading of other columns than line {line.number}, and rows follow both; "
+                "split the file there"
+            )
+
+
+def _numeric(rows: Sequence[Sequence[str]], k: int) -> tuple[list[int], list[int]]:
+    """Return the columns of numbers or times by most cells of the later half of the sample, and those of times."""
+    later = rows[len(rows) // 2 :]
+    found, moments = [], []
+    for column in range(k):
+        cells = [row[column] for row in later if row[column].lower() not in MISSING]
+        if cells and sum(is_value(cell) for cell in cells) > len(cells) / 2:
+            found.append(column)
+        if cells and sum(_MOMENT.fullmatch(cell) is not None for cell in cells) > len(cells) / 2:
+            moments.append(column)
+    return found, moments
+
+
+def _is_row(row: Sequence[str], numeric: Sequence[int], moments: Sequence[int]) -> bool:
+    """Return True for a line with values in at least half of the cells that it has there, and no word for a time."""
+    if any(row[column] and not is_value(row[column]) for column in moments):
+        return False
+    cells = [row[column] for column in numeric if row[column].lower() not in (*MISSING, *MARKS)]
+    return bool(cells) and sum(is_value(cell) for cell in cells) >= len(cells) / 2
+
+
+def is_value(cell: str) -> bool:
+    """Return True for a cell of a number, a date or a time of day."""
+    return readings(cell) != (None, None) or _MOMENT.fullmatch(cell) is not None
+
+
+def _heading(above: Sequence[tuple[Line, list[str]]]) -> int:
+    """Return which of the lines above the rows names the columns: one with a time, else one that leaves no name out.
+
+    A line in which more cells are units than not gives units, though `s` or `ms` among them may name a time.
+    """
+    named = [i for i, (_, row) in enumerate(above) if any(is_time_name(cell) for cell in row)]
+    for i in named:
+        row = above[i][1]
+        if i == named[-1] or 2 * len(_units(row, row)) < sum(map(bool, row)):
+            return i
+    for i, (_, row) in enumerate(above):
+        if all(row) and len(set(row)) == len(row):
+            return i
+    return 0
+
+
+def _units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
+    """Return the units that a line below the names gives, by column; empty where it gives none."""
+    found = {}
+    for place, cell in enumerate(row):
+        symbol = cell.strip("[]() ").lower()
+        if is_time_name(names[place]) and symbol in SECONDS_PER:
+            found[place] = symbol
+        elif (unit := unit_of(cell)) is not None:
+            found[place] = unit
+    return found
+
+
+def _first_line(line: Line, only: Sequence[str]) -> Dialect:
+    """Return the dialect that the first line shows alone: a file of a heading, or one whose rows do not fit it."""
+    delimiter = only[0] if only else max(DELIMITERS, key=line.text.count)
+    try:
+        names = [cell.strip() for cell in next(csv.reader([line.text], delimiter=delimiter, strict=True))]
+    except csv.Error as error:
+        raise DialectError(f" line {line.number} is no header ({error}); name the columns there") from error
+    if all(readings(name) != (None, None) for name in names):
+        raise DialectError(f" line {line.number} holds numbers where column names should stand; add a header line")
+    return Dialect(delimiter, tuple(names), line.number, line.number)

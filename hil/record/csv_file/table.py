@@ -1,0 +1,193 @@
+"""Bytes of a CSV to named columns of text."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from drivers.signals import column_name, split_column
+from hil.files import require_columns
+from hil.record.csv_file.annotated import is_annotated, read_annotated
+from hil.record.csv_file.dialect import BLANKS, Dialect, DialectError, find_dialect, heading_cells, is_value, split
+from hil.record.csv_file.repeated_headings import by_later_headings
+from hil.record.raw import RawRecord, RecordError, unique
+from hil.record.times import SECONDS_PER, is_time_name, names_unit, seconds_per_unit
+from hil.record.units import fahrenheit_hint, name_and_unit
+from hil.record.values import may_be_lost
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
+    """Return the columns of the CSV `content` of the file at `path`, as text.
+
+    Raises
+    ------
+    RecordError
+        No line names the columns, or more lines than `hil.record.values.may_be_lost` allows do not fit them.
+    """
+    messages = []
+    encoding = "utf-8"
+    if b"\n" not in content:
+        content = content.replace(b"\r", b"\n")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        encoding = "latin-1"
+        text = content.decode(encoding)
+        messages.append(f"line {content.count(bytes([10]), 0, error.start) + 1} is not UTF-8; read as Latin-1")
+    if is_annotated(text):
+        return read_annotated(path, text, digest)
+    try:
+        dialect = find_dialect(text)
+    except DialectError as error:
+        raise RecordError(f"{path}{error}") from error
+    messages += dialect.messages
+    delimiter = dialect.delimiter
+    if delimiter == BLANKS:
+        messages.append("columns are separated by blanks")
+        text = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+(?=\r?$)", "", text))
+        content, encoding, delimiter = text.encode(), "utf-8", "\t"
+    require_columns(path, len(dialect.names), RecordError)
+    named, units, hints = _named(path, dialect)
+    messages += hints
+    names, repeated = unique(named)
+    messages += repeated
+    table, skipped = _table(path, content, names, delimiter, encoding, dialect.rows_from)
+    if skipped:
+        _require_no_heading(path, skipped, dialect)
+        line, row_text = skipped[0]
+        if len(skipped) > may_be_lost(table.num_rows + len(skipped)):
+            most = ", like most lines" if len(skipped) > table.num_rows else f", like {len(skipped)} lines in all"
+            raise RecordError(
+                f"{path} line {line} does not have the {len(names)} fields of the header{most} ('{row_text[:40]}'); "
+                f"{_remedy(row_text, dialect)}"
+            )
+        what = "1 line has" if len(skipped) == 1 else f"{len(skipped)} lines have"
+        last = text.endswith(row_text) and len(skipped) == 1
+        where = "the last one, cut off" if last else f"the first is line {line}"
+        messages.append(f"{what} not the {len(names)} fields of the header ({where}): dropped")
+    names, table = _without_empty_end(dialect.names, names, table)
+    raw = RawRecord(
+        path,
+        digest,
+        names,
+        tuple(table.columns),
+        tuple(messages),
+        units=units,
+        header_line=dialect.rows_from,
+        skipped_lines=tuple(line for line, _ in skipped),
+        delimiter=delimiter,
+    )
+    return by_later_headings(raw, dialect.names[: len(names)])
+
+
+def _require_no_heading(path: Path, skipped: list[tuple[int, str]], dialect: Dialect) -> None:
+    """Raise RecordError for a line with another number of fields that names columns."""
+    for line, row_text in skipped:
+        row = heading_cells(row_text, dialect.delimiter)
+        if row is not None:
+            raise RecordError(
+                f"{path} line {line} is a heading of {len(row)} columns where that at the top (line "
+                f"{dialect.header_line}) has {len(dialect.names)}; split the file there"
+            )
+
+
+def _remedy(row_text: str, dialect: Dialect) -> str:
+    """Return what to do about a row whose number of fields differs from the heading's."""
+    row, width = split(row_text, dialect.delimiter), len(dialect.names)
+    if row is None:
+        return "close its quotes"
+    if len(row) < width:
+        return "give every row all its fields, empty where there is no value"
+    plain = all(cell.lstrip("+-").isdigit() for cell in row)
+    if dialect.delimiter == "," and plain:
+        return "write decimal points, or separate columns by semicolons"
+    if any(cell and not is_value(cell) for cell in row):
+        return f"quote texts that hold the delimiter '{dialect.delimiter}', or name every column in the heading"
+    return "name every column in the heading, and write decimal points where the delimiter is a comma"
+
+
+def _without_empty_end(
+    written: tuple[str, ...], names: tuple[str, ...], table: pa.Table
+) -> tuple[tuple[str, ...], pa.Table]:
+    """Return names and columns without a last one that has neither a name nor a cell: each line ends in a delimiter."""
+    if written[-1] or len(names) < 2 or table.column(len(names) - 1).null_count < table.num_rows:
+        return names, table
+    return names[:-1], table.select(range(len(names) - 1))
+
+
+def _named(path: Path, dialect: Dialect) -> tuple[list[str], dict[str, str], list[str]]:
+    """Return the names with the suffixes of the units that the file gives, units by column, and hints at units.
+
+    Raises
+    ------
+    RecordError
+        A name ends in the suffix of another unit than the line below the names gives.
+    """
+    names = list(dialect.names)
+    units: dict[str, str] = {}
+    hints: list[str] = []
+    for place, unit in dialect.units.items():
+        name = names[place]
+        own = _unit_of(name)
+        same = own == unit or (is_time_name(name) and SECONDS_PER.get(unit) == seconds_per_unit(name))
+        if own is not None and not same:
+            raise RecordError(
+                f"{path}: column '{name}' is in {own} by its name and in {unit} by a line below the names; correct one "
+                "of them"
+            )
+        if unit == "degF":
+            names[place] = name if name.lower().endswith(("_f", "_degf")) else f"{name}_F"
+            hints.append(fahrenheit_hint(names[place]))
+            continue
+        if name and not is_time_name(name) and own is None:
+            names[place] = column_name(name, unit)
+        units[names[place]] = unit
+    return names, units, list(filter(None, hints))
+
+
+def _unit_of(name: str) -> str | None:
+    """Return the unit that a name ends in; None where it gives none."""
+    if is_time_name(name):
+        per = seconds_per_unit(name)
+        return next(unit for unit, seconds in SECONDS_PER.items() if seconds == per) if names_unit(name) else None
+    parts = split_column(name) or name_and_unit(name)
+    return None if parts is None else parts[1]
+
+
+def _table(
+    path: Path, content: bytes, names: tuple[str, ...], delimiter: str, encoding: str, rows_from: int
+) -> tuple[pa.Table, list[tuple[int, str]]]:
+    """Return the rows as text, and number and text of each line with another number of fields."""
+    import pyarrow as pa
+    import pyarrow.csv as pacsv
+
+    skipped: list[tuple[int, str]] = []
+
+    def skip(row: Any) -> str:
+        skipped.append((row.number, row.text))
+        return "skip"
+
+    try:
+        table = pacsv.read_csv(
+            io.BytesIO(content),
+            read_options=pacsv.ReadOptions(
+                use_threads=False, skip_rows=rows_from, column_names=names, encoding=encoding
+            ),
+            parse_options=pacsv.ParseOptions(
+                delimiter=delimiter, invalid_row_handler=skip, ignore_empty_lines=False, newlines_in_values=False
+            ),
+            convert_options=pacsv.ConvertOptions(
+                column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=True, null_values=[""]
+            ),
+        )
+    except (pa.ArrowException, UnicodeDecodeError) as error:
+        if "Empty CSV" not in str(error) and "Could not skip" not in str(error):
+            why = (str(error).splitlines() or [type(error).__name__])[0]
+            raise RecordError(f"{path} cannot be read as CSV ({why}); check its quotes and separators") from error
+        table = pa.table({name: pa.array([], pa.string()) for name in names})
+    return table, skipped

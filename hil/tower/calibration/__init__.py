@@ -1,0 +1,100 @@
+"""Calibration of a station's cells: commissioning, healthy record, calibration, comparison with the truth.
+
+The names below are the package's interface; they are loaded on first use.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hil.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from hil.tower.calibration.commission import commission_cell, learn_healthy
+    from hil.tower.calibration.healthy import parse_span, path_beside, write_healthy
+    from hil.tower.calibration.picture import draw_cell
+    from hil.tower.calibration.station_fit import (
+        DRIVEN,
+        TABLE,
+        CellResult,
+        Prepared,
+        calibrate,
+        fit_with_steps,
+        load_all,
+        openings_of,
+        prepare_cells,
+        priors_of,
+        site_of,
+        step_openings,
+        thermometer_steps,
+        withheld,
+        write_table,
+    )
+    from hil.tower.calibration.truth import Columns, compare, read_minutes, read_truth
+
+__all__ = [
+    "DRIVEN",
+    "TABLE",
+    "CellResult",
+    "Columns",
+    "Prepared",
+    "calibrate",
+    "commission_cell",
+    "compare",
+    "draw_cell",
+    "fit_with_steps",
+    "learn_healthy",
+    "load_all",
+    "openings_of",
+    "parse_span",
+    "path_beside",
+    "prepare_cells",
+    "priors_of",
+    "read_minutes",
+    "read_truth",
+    "site_of",
+    "step_openings",
+    "thermometer_steps",
+    "withheld",
+    "write_healthy",
+    "write_table",
+]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "commission": (
+            "commission_cell",
+            "learn_healthy",
+        ),
+        "healthy": (
+            "parse_span",
+            "path_beside",
+            "write_healthy",
+        ),
+        "picture": ("draw_cell",),
+        "station_fit": (
+            "CellResult",
+            "DRIVEN",
+            "Prepared",
+            "TABLE",
+            "calibrate",
+            "fit_with_steps",
+            "load_all",
+            "openings_of",
+            "prepare_cells",
+            "priors_of",
+            "site_of",
+            "step_openings",
+            "thermometer_steps",
+            "withheld",
+            "write_table",
+        ),
+        "truth": (
+            "Columns",
+            "compare",
+            "read_minutes",
+            "read_truth",
+        ),
+    },
+)

@@ -1,0 +1,172 @@
+"""Commissioning of a tower cell from its test points and datasheet: a twin file of the clean cell."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hil.record.raw import RecordError
+from hil.tower.calibration.healthy import Healthy
+from hil.tower.calibration.station_fit import priors_of, site_of
+from hil.tower.station import read_cell, read_notes, read_object, read_rows
+from twin.network import Network, Revision, digest
+from twin.tower.calibration import CalibrationError, fit_cell
+from twin.tower.cell import Inputs
+from twin.tower.clean_cell.commissioning import Commissioned, CommissioningError, TestPoints, fit_clean_cell
+from twin.tower.minutes import minutes_of
+from twin.tower.model import CellModel
+from twin.tower.twin_file import cell_network, cell_of, design_of, value_of
+
+REQUIRED = (
+    "cell", "water_inlet_C", "water_outlet_C", "entering_wet_bulb_C", "dry_bulb_C", "water_flow_kg_s", "fan_speed_pct",
+)  # fmt: skip
+OPTIONAL = ("pressure_kPa", "fan_power_kW", "air_flow_kg_s", "evaporation_kg_s", "wind_m_s")
+RANGES = {
+    "water_inlet_C": (0.0, 70.0), "water_outlet_C": (0.0, 60.0), "entering_wet_bulb_C": (-30.0, 40.0),
+    "dry_bulb_C": (-40.0, 60.0), "water_flow_kg_s": (0.01, 1e5), "fan_speed_pct": (5.0, 120.0), "pressure_kPa": (50.0,
+    110.0),
+}  # fmt: skip
+"""Values that a test point can have in these units; others are in another unit, which the message names."""
+HINTS = {
+    "C": "it looks like degF: convert to degC",
+    "kPa": "it looks like hPa: divide by 10",
+    "pct": "give it in %, 0 to 100",
+}
+WET_BULB_MARGIN_K = 0.2
+"""By which a measured outlet may lie below the entering wet bulb: two thermometers' uncertainty."""
+
+
+@dataclass(frozen=True)
+class CommissioningPoints:
+    """Test points of one cell with the name of each and its line in the file."""
+
+    points: TestPoints
+    names: tuple[str, ...]
+
+
+def read_points(path: Path, cell: int, site_kPa: float = 101.325) -> CommissioningPoints:
+    """Return the test points of a cell.
+
+    Raises:
+        RecordError: a column or the cell is missing, or a value is no number or cannot be in the column's unit.
+    """
+    rows, names, cells = [], [], set()
+    for line, row in read_rows(path, REQUIRED):
+        number = _number(path, line, "cell", row["cell"])
+        cells.add(int(number))
+        if int(number) != cell:
+            continue
+        rows.append(
+            {name: _value(path, line, name, row.get(name) or "", site_kPa) for name in (*REQUIRED[1:], *OPTIONAL)}
+        )
+        names.append(row.get("test") or f"line {line}")
+        _refuse_impossible(path, line, rows[-1])
+    if not rows:
+        raise RecordError(f"{path}: has no test point of cell {cell}; it has those of {_listed(cells)}")
+    v = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    inputs = Inputs(
+        v["water_inlet_C"], v["water_flow_kg_s"], v["fan_speed_pct"] / 100.0, v["dry_bulb_C"], v["entering_wet_bulb_C"],
+        v["pressure_kPa"],
+    )  # fmt: skip
+    points = TestPoints(inputs, v["water_outlet_C"], v["fan_power_kW"], v["air_flow_kg_s"], v["evaporation_kg_s"])
+    return CommissioningPoints(points, tuple(names))
+
+
+def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, Commissioned, CommissioningPoints]:
+    """Return the twin of a clean cell, its fit and the test points.
+
+    Raises:
+        RecordError: a file cannot be used, or the fit describes no cooling tower.
+    """
+    sheet = read_object(datasheet)
+    design = sheet.get("design", {})
+    try:
+        water_flow = float(design["water_flow_kg_s"])
+        loading = float(design.get("water_to_air", math.nan))
+        share = float(sheet.get("bypass", {}).get("share_when_open", 0.0))
+        site = float(design.get("pressure_kPa", 101.325))
+    except (KeyError, TypeError, ValueError) as error:
+        raise RecordError(
+            f"{datasheet}: design.water_flow_kg_s, the design water flow of a cell, is needed as a number"
+        ) from error
+    found = read_points(points, cell, site)
+    try:
+        fitted = fit_clean_cell(found.points, water_flow, water_flow / loading if loading > 0.0 else None)
+    except CommissioningError as error:
+        raise RecordError(f"{points}: cell {cell} {error}") from error
+    evidence = f"{len(found.names)} test points, {fitted.rmse:.3f} K RMSE of the outlet"
+    revision = Revision(
+        made_by="hil tower commission", evidence=evidence, record=digest(points.read_text()), record_file=points.name,
+        error_fitted_K={"T_out_C": fitted.rmse}, notes=fitted.remarks,
+    )  # fmt: skip
+    station = str(sheet.get("station", ""))
+    return cell_network(cell, station, fitted.design, share, fitted.rmse, fitted.sd, revision), fitted, found
+
+
+def learn_healthy(record: Path, network: Network, span: tuple[float, float]) -> Healthy:
+    """Return what the healthy span of a record teaches of a clean cell's constants and discrepancy.
+
+    Raises:
+        RecordError: the record cannot be used or has too little of the span.
+    """
+    cell, design = read_cell(record, cell_of(network)), design_of(network)
+    share = value_of(network, "cell.bypass_share")
+    rows = (cell.time_s >= span[0]) & (cell.time_s < span[1])
+    if not rows.any():
+        raise RecordError(f"{cell.path}: holds no minute of the healthy span; give days of this record")
+    columns = {name: values[rows] for name, values in cell.columns.items()}
+    origin = {name: values[rows] for name, values in cell.origin.items()}
+    minutes = minutes_of(cell.time_s[rows], columns, origin, design.m_w0, share)
+    clean = Healthy(*span, np.zeros(0), np.zeros((0, 0)))
+    model = CellModel(design, site_of(read_notes(record), share))
+    try:
+        found = fit_cell(model, minutes, priors_of(network), clean.labels(cell.cell), ()).posterior
+    except CalibrationError as error:
+        raise RecordError(f"{cell.path}: the healthy span {error}") from error
+    at = found.slow.size
+    return replace(clean, mean=found.constant, covariance=found.covariance[at:, at:])
+
+
+def _number(path: Path, line: int, name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise RecordError(f"{path}:{line}: {name} is {text or 'empty'!r}, which is no number; correct it")
+    return value
+
+
+def _value(path: Path, line: int, name: str, text: str, site_kPa: float) -> float:
+    if name in OPTIONAL and not text.strip():
+        return site_kPa if name == "pressure_kPa" else math.nan
+    value = _number(path, line, name, text)
+    low, high = RANGES.get(name, (-math.inf, math.inf))
+    if not low <= value <= high:
+        hint = next((words for end, words in HINTS.items() if name.endswith(end)), "check its unit")
+        raise RecordError(f"{path}:{line}: {name} is {value:g}, outside {low:g} to {high:g}; {hint}")
+    return value
+
+
+def _refuse_impossible(path: Path, line: int, row: dict[str, float]) -> None:
+    """Raise RecordError for a point that no cooling tower can have."""
+    t_in, t_out, wet, dry = (row[k] for k in ("water_inlet_C", "water_outlet_C", "entering_wet_bulb_C", "dry_bulb_C"))
+    if t_out >= t_in:
+        raise RecordError(
+            f"{path}:{line}: the outlet, {t_out:g} degC, is not below the inlet, {t_in:g} degC; are they swapped?"
+        )
+    if t_out < wet - WET_BULB_MARGIN_K:
+        raise RecordError(
+            f"{path}:{line}: the outlet, {t_out:g} degC, is below the entering wet bulb, {wet:g} degC; correct one"
+        )
+    if wet > dry + WET_BULB_MARGIN_K:
+        raise RecordError(
+            f"{path}:{line}: the wet bulb, {wet:g} degC, is above the dry bulb, {dry:g} degC; are they swapped?"
+        )
+
+
+def _listed(cells: set[int]) -> str:
+    return ", ".join(f"cell {n}" for n in sorted(cells)) or "none"

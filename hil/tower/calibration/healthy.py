@@ -1,0 +1,123 @@
+"""Healthy record of a clean cell: the twin's discrepancy and constants with their spread, in a file beside the twin."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hil.files.atomic import replacing
+from hil.record.raw import RecordError
+from hil.tower.station import read_object, seconds
+from twin.network import Network
+from twin.tower.air import Array
+from twin.tower.cell_observations.evidence import Label
+from twin.tower.clean_cell import discrepancy
+from twin.tower.minutes import Minutes
+from twin.tower.model import NAMES
+from twin.tower.smoother import DAY_S, Priors
+
+CLEAN = {"fill": 0.015, "air": 0.01, "uniformity": 0.01}
+"""Standard deviation of the deviations of a cell that counts as clean: two to four weeks of scale, an air flow as it
+was measured to 1 %."""
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Healthy:
+    """Span of a healthy record, s since 1970, and the posterior of the twin's constants by it."""
+
+    start_s: float
+    end_s: float
+    mean: Array
+    covariance: Array
+
+    def labels(self, cell: int) -> tuple[Label, ...]:
+        """Return the statement that the cell was clean, for a fit of a record that holds the span."""
+        middle = 0.5 * (self.start_s + self.end_s)
+        return tuple(Label(middle, cell, name, 0.0, 0.0, sd, "healthy record") for name, sd in CLEAN.items())
+
+
+def parse_span(text: str) -> tuple[float, float]:
+    """Return the span of FROM..TO, s since 1970.
+
+    Raises:
+        RecordError: it is no span.
+    """
+    try:
+        start, end = (seconds(part) for part in text.split(".."))
+    except ValueError:
+        raise RecordError(f"{text!r} is no span; write it as 2022-05-01..2022-05-15") from None
+    if end - start < DAY_S:
+        raise RecordError(f"{text!r} is shorter than a day; give a healthy record of several days")
+    return start, end
+
+
+def path_beside(twin: Path, network: Network) -> Path:
+    """Return the path of a twin's healthy record; its revisions have the same."""
+    return twin.parent / f"{network.name}.healthy.json"
+
+
+def write_healthy(healthy: Healthy, path: Path) -> None:
+    """Write a healthy record.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    text = json.dumps(
+        {
+            "format": FORMAT, "from": _iso(healthy.start_s), "to": _iso(healthy.end_s),
+            "constants": [*NAMES, *(f"feature_{k}" for k in range(len(healthy.mean) - len(NAMES)))],
+            "mean": [float(f"{v:.7g}") for v in healthy.mean],
+            "covariance": [[float(f"{v:.7g}") for v in row] for row in healthy.covariance],
+        }
+    )  # fmt: skip
+    with replacing(path) as unfinished:
+        unfinished.write_text(text + "\n")
+
+
+def read_healthy(path: Path) -> Healthy | None:
+    """Return the healthy record beside a twin, None without one.
+
+    Raises:
+        RecordError: the file is damaged or of another version.
+    """
+    if not path.exists():
+        return None
+    found = read_object(path)
+    count = len(NAMES) + discrepancy.FEATURES
+    try:
+        healthy = Healthy(
+            seconds(found["from"]), seconds(found["to"]), np.array(found["mean"], dtype=float),
+            np.array(found["covariance"], dtype=float),
+        )  # fmt: skip
+        named = found["constants"][: len(NAMES)] == list(NAMES) and found["format"] == FORMAT
+        if not named or healthy.mean.shape != (count,) or healthy.covariance.shape != (count, count):
+            raise ValueError("its constants are those of another version")
+        np.linalg.cholesky(healthy.covariance)
+    except (KeyError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
+        raise RecordError(
+            f"{path}: is no healthy record ({error}); commission the cell again with --healthy"
+        ) from error
+    return healthy
+
+
+def known_by(healthy: Healthy | None, priors: Priors, minutes: Minutes, cell: int) -> tuple[Priors, tuple[Label, ...]]:
+    """Return the priors and labels with which a calibration uses a healthy record.
+
+    A record that holds the span is fitted with the statement that the cell was clean then, so that no reading counts
+    twice; another record takes the learned constants as its prior.
+    """
+    if healthy is None:
+        return priors, ()
+    middle = 0.5 * (healthy.start_s + healthy.end_s)
+    if minutes.time_s[0] <= middle <= minutes.time_s[-1]:
+        return priors, healthy.labels(cell)
+    return replace(priors, learned=(healthy.mean, healthy.covariance)), ()
+
+
+def _iso(time_s: float) -> str:
+    return datetime.datetime.fromtimestamp(time_s, datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -1,0 +1,125 @@
+"""Gates of a proposal: every one must hold, or the proposal goes to an engineer with its reason codes.
+
+| code | holds back where |
+|---|---|
+| `MISSING_REQUIRED` | more than a quarter of the required channels is hidden |
+| `LOW_SENSITIVITY:<parameter>` | the condition is above 80; of the weaker of the deviations that are confounded |
+| `HIGH_UNCERTAINTY` | the outlet's interval is wider than 0.8 K either way |
+| `OUT_OF_ENVELOPE` | the operating point is further out than 99.5 % of the reference windows |
+| `CONTRADICTORY_EVENT` | a deviation jumped and no event explains it |
+| `WETBULB_DROPPED` | the wet bulb was dropped for its closure in more than a quarter of the minutes |
+| `BYPASS` | the bypass was open in more than a quarter of the minutes |
+| `NO_SECOND_THERMOMETER` | of the bias: neither a second thermometer nor a certificate |
+| `FEW_EXCITED_WINDOWS` | of fill, air, uniformity: fewer than three excited windows before |
+| `NO_INSPECTION` | of fill and uniformity: no inspection within 90 days |
+| `BALANCE_OFF:<reason>` | the station's water balance is not used, for information |
+
+Reasons: `NO_MAKEUP` and `NO_BASIN` where flow or volume is unknown, `NOT_ALL_CELLS` where a cell of the station is not
+calibrated, `NO_WHOLE_SUM` without six hours of known flows, `NOT_CLOSED` where most sums contradict the cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twin.tower.air import Array
+from twin.tower.cell_observations.evidence import Label
+from twin.tower.identify import MOST_HIDDEN
+from twin.tower.model import DEVIATIONS
+from twin.tower.windows import Window
+
+MOST_HALF_K = 0.8
+MOST_DROPPED = 0.25
+ENVELOPE_QUANTILE = 0.995
+EXCITED_WINDOWS = 3
+INSPECTED_DAYS = 90.0
+"""A fill that loses 0.2 to 0.6 % a week has moved by some 5 % after these days: an older inspection says little."""
+CERTIFIED_DAYS = 365.0
+"""Usual interval between calibrations of a thermometer."""
+JUMPED_SD = 4.0
+"""Standard deviations of a day's walk beyond which a change within a day is a jump."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Reason codes of a window that hold for all deviations, and those of each deviation; `notes` are for
+    information."""
+
+    codes: tuple[str, ...]
+    of: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def accepts(self, name: str) -> bool:
+        """Return True if all gates of a deviation hold."""
+        return not self.codes and not self.of.get(name, ())
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Evidence beside the record: labels of the cell, inspections by event s, steps and jumps that nothing explains
+    s, and whether a basin thermometer is in use. `balance`: reason for which the water balance is not used, or
+    nothing."""
+
+    labels: Sequence[Label]
+    inspections_s: Sequence[float]
+    unexplained_s: Sequence[float]
+    second_thermometer: bool
+    balance: str = ""
+
+
+def judge(
+    windows: Sequence[Window], distance: Array, dropped: Array, bypass: Array, evidence: Evidence
+) -> list[Verdict]:  # fmt: skip
+    """Return the verdict on each window.
+
+    Parameters:
+        distance: of each window from the envelope. dropped, bypass: share of its minutes without wet bulb, and with
+        bypass.
+    """
+    finite = distance[np.isfinite(distance)]
+    limit = float(np.quantile(finite, ENVELOPE_QUANTILE)) if len(finite) else np.inf
+    notes = (f"BALANCE_OFF:{evidence.balance}",) if evidence.balance else ()
+    verdicts, excited = [], 0
+    for window, apart, dry, open_ in zip(windows, distance, dropped, bypass, strict=True):
+        codes = []
+        if window.told.hidden > MOST_HIDDEN:
+            codes.append("MISSING_REQUIRED")
+        if not window.half <= MOST_HALF_K:
+            codes.append("HIGH_UNCERTAINTY")
+        if apart > limit:
+            codes.append("OUT_OF_ENVELOPE")
+        if any(window.start_s - 86400.0 <= at < window.end_s for at in evidence.unexplained_s):
+            codes.append("CONTRADICTORY_EVENT")
+        if dry > MOST_DROPPED:
+            codes.append("WETBULB_DROPPED")
+        if open_ > MOST_DROPPED:
+            codes.append("BYPASS")
+        if window.excited and not window.told.refused:
+            excited += 1
+        verdicts.append(Verdict(tuple(codes), _of_each(window, excited, evidence), notes))
+    return verdicts
+
+
+def _of_each(window: Window, excited: int, evidence: Evidence) -> dict[str, tuple[str, ...]]:
+    def labelled(name: str, days: float) -> bool:
+        return any(
+            one.parameter == name and abs(window.end_s - one.time_s) <= 86400.0 * days for one in evidence.labels
+        )
+
+    inspected = any(abs(window.end_s - at) <= 86400.0 * INSPECTED_DAYS for at in evidence.inspections_s)
+    found: dict[str, tuple[str, ...]] = {}
+    for name in DEVIATIONS:
+        codes = [f"LOW_SENSITIVITY:{name}"] if name in window.told.frozen else []
+        if name == "bias":
+            if not evidence.second_thermometer and not labelled(name, CERTIFIED_DAYS):
+                codes.append("NO_SECOND_THERMOMETER")
+        else:
+            if excited < EXCITED_WINDOWS:
+                codes.append("FEW_EXCITED_WINDOWS")
+            if name != "air" and not inspected and not labelled(name, INSPECTED_DAYS):
+                codes.append("NO_INSPECTION")
+        found[name] = tuple(codes)
+    return found

@@ -1,0 +1,234 @@
+"""Calibration as a service: windows, gates, records, review queue and, in the controlled state, revisions of the
+twins."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.tower.calibration import CellResult, site_of
+from hil.tower.governance.gates import Evidence, Verdict, judge
+from hil.tower.governance.records import (  # fmt: skip
+    EVERY_S,
+    QUEUE,
+    RECORDS,
+    CellLines,
+    Indicators,
+    append_records,
+    drift_alarms,
+    write_queue,
+)
+from hil.tower.station import StationNotes, iso, seconds
+from twin.network import Revision
+from twin.revisions import save_revision
+from twin.tower.air import Array
+from twin.tower.calibration import WINDOW_S
+from twin.tower.identify import MOST_CONDITION
+from twin.tower.model import DEVIATIONS, CellModel
+from twin.tower.twin_file import IDS, design_of, value_of
+from twin.tower.windows import Window, distances, windows_of
+
+REQUIRED = ("t_in_C", "t_out_C", "m_w_kg_s", "fan_speed_pct", "fan_power_kW", "dry_C", "pressure_kPa")
+"""Channels that a calibration needs, beside a wet bulb."""
+INSPECTIONS = ("inspection",)
+
+
+@dataclass(frozen=True)
+class CellGovernance:
+    """Windows, verdicts and alarms of a cell, and the revision of its twin where one was saved."""
+
+    result: CellResult
+    windows: Sequence[Window]
+    verdicts: Sequence[Verdict]
+    alarms: Sequence[tuple[float, tuple[str, ...]]]
+    revision: Path | None
+    balance: str
+
+    @property
+    def withheld(self) -> dict[str, float]:
+        """Share of the windows in which each deviation is held back."""
+        n = max(len(self.verdicts), 1)
+        return {name: sum(not v.accepts(name) for v in self.verdicts) / n for name in DEVIATIONS}
+
+    @property
+    def low_sensitivity(self) -> str:
+        """Refusal of the last window in which the cell ran, in words; "" where the deviations are identifiable."""
+        k = _latest(self.windows)
+        if k is None or not self.windows[k].told.refused:
+            return ""
+        told = self.windows[k].told
+        if told.refused == "MISSING_REQUIRED":
+            return f"the last window is refused: {100 * told.hidden:.0f} % of its channels are hidden"
+        return (
+            f"the last day does not identify all deviations (condition {told.condition:.0f}, limit "
+            f"{MOST_CONDITION:.0f}); known least: {told.says()}; {', '.join(told.frozen)} is held back. "
+            f"`hil tower plan` proposes a step test"
+        )
+
+
+def govern(results: Sequence[CellResult], notes: StationNotes, out: Path, state: str) -> list[CellGovernance]:
+    """Write records and review queue of the cells into `out`, and revisions of their twins in the controlled state.
+
+    Raises:
+        RecordError: the records that are there were changed.
+        OSError, TwinFileError: a file cannot be written.
+    """
+    found, lines, queue = [], [], []
+    for result in results:
+        windows, verdicts, balance = _judged(result, notes)
+        alarms = drift_alarms(_indicators(result, windows, verdicts))
+        lines.append(_lines(result, windows, verdicts))
+        found.append(CellGovernance(result, windows, verdicts, alarms, None, balance))
+        queue += _queue(result, windows, verdicts, alarms, state)
+    append_records(out / RECORDS, lines, state)
+    if state == "controlled":
+        found = [_controlled(one) for one in found]
+    if state != "shadow":
+        write_queue(out / QUEUE, queue)
+    return found
+
+
+def _judged(result: CellResult, notes: StationNotes) -> tuple[list[Window], list[Verdict], str]:
+    design = design_of(result.network)
+    model = CellModel(design, site_of(notes, value_of(result.network, "cell.bypass_share")))
+    columns, n = result.record.columns, len(result.record.time_s)
+    hidden = np.mean([~np.isfinite(columns.get(name, np.full(n, np.nan))) for name in REQUIRED], axis=0)
+    windows = windows_of(model, result.minutes, result.calibrated, hidden, result.second, not result.unused)
+    told = [k for k, w in enumerate(windows) if not w.told.refused]
+    distance = distances([w.features for w in windows], told)
+    dropped = _shares(result, windows, ~np.isfinite(columns.get("wet_C", np.full(n, np.nan))))
+    bypass = _shares(result, windows, result.minutes.operation.bypass > 0.05)
+    balance = result.unused
+    inspections = [
+        seconds(e["time"])
+        for e in notes.events
+        if e.get("kind") in INSPECTIONS and int(e.get("cell", 0)) in (0, result.cell)
+    ]
+    unexplained = [s.start_s for s in result.steps if s.lasting and s.kind == "water"]
+    evidence = Evidence(result.labels, inspections, unexplained, result.second, balance)
+    return windows, judge(windows, distance, dropped, bypass, evidence), balance
+
+
+def _shares(result: CellResult, windows: Sequence[Window], rows: NDArray[np.bool_]) -> Array:
+    edges = np.searchsorted(result.minutes.time_s, [w.start_s for w in windows] + [windows[-1].end_s])
+    return np.array([float(np.mean(rows[a:b])) if b > a else 0.0 for a, b in zip(edges[:-1], edges[1:], strict=True)])
+
+
+def _lines(result: CellResult, windows: Sequence[Window], verdicts: Sequence[Verdict]) -> CellLines:
+    m, c = result.minutes, result.calibrated
+    rows = np.flatnonzero(np.mod(m.time_s, EVERY_S) < 60.0)
+    window = np.clip(((m.time_s[rows] - windows[0].start_s) // WINDOW_S).astype(int), 0, len(windows) - 1)
+    deviations, sd = c.deviations[rows].copy(), c.sd[rows].copy()
+    deviations[:, :3] += 1.0
+    twin = hashlib.sha256(result.twin.read_bytes()).hexdigest()
+    return CellLines(
+        result.cell, m.time_s[rows], deviations, sd, (c.t_out - c.commissioned)[rows], 0.5 * (c.high - c.low)[rows],
+        m.regime[rows], window, windows, verdicts, result.record.digest, twin,
+    )  # fmt: skip
+
+
+def _indicators(result: CellResult, windows: Sequence[Window], verdicts: Sequence[Verdict]) -> Indicators:
+    m, c = result.minutes, result.calibrated
+    hour = (m.time_s // 3600.0).astype(np.int64)
+    hour -= hour[0]
+    count = int(hour[-1]) + 1
+    residual = m.outlet - c.deviations[:, 3] - c.t_out
+    there = np.isfinite(residual)
+    covered = (np.abs(residual) <= c.high - c.t_out) & there
+    with np.errstate(invalid="ignore", divide="ignore"):
+        seen = np.bincount(hour, there, count)
+        mean = np.bincount(hour, np.nan_to_num(residual), count) / seen
+        coverage = np.bincount(hour, covered, count) / seen
+    time_s = m.time_s[0] + 3600.0 * np.arange(count)
+    at = np.clip(((time_s - windows[0].start_s) // WINDOW_S).astype(int), 0, len(windows) - 1)
+    distance = distances([w.features for w in windows], list(range(len(windows))))[at]
+    withheld = np.array([float(bool(verdicts[k].codes)) for k in at])
+    missing = np.array([windows[k].told.hidden for k in at])
+    return Indicators(time_s, mean, coverage, withheld, missing, distance)
+
+
+def _queue(
+    result: CellResult, windows: Sequence[Window], verdicts: Sequence[Verdict], alarms: Sequence[tuple[float,
+    tuple[str, ...]]],
+    state: str,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Return what waits for an engineer: the present proposal of each deviation, steps and alarms."""
+    entries: list[dict[str, Any]] = []
+    k = _latest(windows)
+    if k is not None:
+        for name, value, sd in _proposals(result, windows[k]):
+            codes = [*verdicts[k].codes, *verdicts[k].of.get(name, ())]
+            entries.append({
+                "time": iso(windows[k].end_s), "cell": result.cell, "parameter": name, "value": round(value, 4),
+                "sd": round(sd, 4),
+                "accepted": not codes, "codes": codes, "condition": round(windows[k].told.condition, 1),
+                "combined": windows[k].told.says(), "state": state,
+            })  # fmt: skip
+    for step in result.steps:
+        if step.lasting:
+            entries.append({
+                "time": iso(step.alarm_s), "cell": result.cell, "event": f"{step.kind}_step", "from": iso(step.start_s),
+                "size_K": round(step.size, 2),
+                "codes": ["CONTRADICTORY_EVENT"] if step.kind == "water" else ["THERMOMETER_STEP"],
+            })  # fmt: skip
+    entries += [
+        {"time": iso(t), "cell": result.cell, "event": "drift_alarm", "indicators": list(names)} for t, names in alarms
+    ]
+    return entries
+
+
+def _latest(windows: Sequence[Window]) -> int | None:
+    running = [k for k, w in enumerate(windows) if w.share_known > 0.5]
+    return running[-1] if running else None
+
+
+def _proposals(result: CellResult, window: Window) -> list[tuple[str, float, float]]:
+    row = int(np.clip(np.searchsorted(result.minutes.time_s, window.end_s) - 1, 0, len(result.minutes.time_s) - 1))
+    c = result.calibrated
+    return [
+        (name, float(c.deviations[row, j]) + (0.0 if name == "bias" else 1.0), float(c.sd[row, j]))
+        for j, name in enumerate(DEVIATIONS)
+    ]
+
+
+def _controlled(one: CellGovernance) -> CellGovernance:
+    """Save the deviations of the last windows that passed all gates as a revision of the twin."""
+    from dataclasses import replace
+
+    result, values, notes = one.result, {}, []
+    for name in DEVIATIONS:
+        passed = [k for k, v in enumerate(one.verdicts) if v.accepts(name) and one.windows[k].share_known > 0.5]
+        if not passed:
+            codes = sorted({c for v in one.verdicts for c in (*v.codes, *v.of.get(name, ()))})
+            notes.append(f"{name} stays: {', '.join(codes) or 'no window ran'}")
+            continue
+        value, sd = next((v, s) for n, v, s in _proposals(result, one.windows[passed[-1]]) if n == name)
+        low, high = (float(b[0]) for b in result.network.bounds([IDS[name]]))
+        if not low < value < high:
+            notes.append(f"{name} stays: {value:.3f} is outside its bounds {low:g} to {high:g}")
+            continue
+        values[IDS[name]] = float(f"{value:.5g}")
+        notes.append(f"{name} {value:.4g} +- {sd:.2g} at {iso(one.windows[passed[-1]].end_s)}")
+    if not values:
+        return one
+    residual = result.calibrated.posterior.residual
+    before = result.minutes.outlet - result.calibrated.commissioned
+    revision = Revision(
+        made_by="hil tower calibrate", notes=tuple(notes), record=result.record.digest,
+        record_file=result.record.path.name,
+        error_before_K={"outlet": _rms(before)}, error_after_K={"outlet": _rms(residual)},
+        window_s=(float(result.minutes.time_s[0]), float(result.minutes.time_s[-1])),
+        effects=tuple(f"{name} {values[name]:.4g}" for name in values), evidence="windows that passed all gates",
+    )  # fmt: skip
+    return replace(one, revision=save_revision(result.network.with_values(values, revision), result.twin))
+
+
+def _rms(values: Array) -> float:
+    there = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(there**2))) if len(there) else float("nan")

@@ -1,0 +1,165 @@
+"""Files that describe a station: tag dictionary, datasheet and events."""
+
+from __future__ import annotations
+
+import datetime
+import zoneinfo
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hil.record.raw import RecordError
+from hil.tower.station.input_files import read_object, read_rows
+from twin.historian.columns import OF_CELL, OF_STATION
+from twin.historian.events import Event
+from twin.historian.tags import Tag
+from twin.historian.units import UnitError, unit_of
+
+REQUIRED = ("tag", "unit", "role")
+
+
+@dataclass(frozen=True)
+class Station:
+    """Description of a station: tags by name, datasheet as in its file, events in the order of time, and remarks."""
+
+    tags: dict[str, Tag]
+    datasheet: dict[str, Any] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
+    remarks: tuple[str, ...] = ()
+    places: dict[str, str] = field(default_factory=dict)
+    """File and line of each tag in the dictionary."""
+
+    @property
+    def timezone(self) -> str | None:
+        """Time zone of the site, IANA."""
+        found = self.datasheet.get("timezone")
+        return str(found) if found else None
+
+    @property
+    def cells(self) -> tuple[int, ...]:
+        """Cells with an outlet thermometer, in order: those that a record can be made of."""
+        return tuple(
+            sorted({t.cell for t in self.tags.values() if t.cell is not None and t.role == "water_outlet_temperature"})
+        )
+
+    @property
+    def pressure_kPa(self) -> float:
+        """Pressure of the site by its datasheet; of sea level where it is not given."""
+        return float(self.datasheet.get("design", {}).get("pressure_kPa", 101.325))
+
+    @property
+    def design_flow_kg_s(self) -> float | None:
+        """Design water flow of a cell by the datasheet."""
+        found = self.datasheet.get("design", {}).get("water_flow_kg_s")
+        return float(found) if found else None
+
+    @property
+    def full_speed(self) -> str:
+        """Speed of a fan at 100 %, with its unit, such as `60 Hz`."""
+        return str(self.datasheet.get("fan", {}).get("speed_100pct", "60 Hz"))
+
+
+def read_station(tags: Path, datasheet: Path | None = None, events: Path | None = None) -> Station:
+    """Return the station of these files.
+
+    Raises:
+        RecordError: a file cannot be read, lacks a column, or a line of it has an unknown unit, role or time; the
+        message
+            names file, line, tag and remedy.
+    """
+    dictionary, remarks, places = _tags(tags)
+    sheet = _datasheet(datasheet) if datasheet is not None else {}
+    happened = read_events(events) if events is not None else ()
+    return Station(dictionary, sheet, happened, tuple(remarks), places)
+
+
+def _tags(path: Path) -> tuple[dict[str, Tag], list[str], dict[str, str]]:
+    found: dict[str, Tag] = {}
+    places: dict[str, str] = {}
+    taken: dict[tuple[str, int | None], str] = {}
+    remarks = []
+    for line, row in read_rows(path, REQUIRED):
+        name, role = row["tag"], row["role"]
+        if not name:
+            raise RecordError(f"{path}:{line}: the tag has no name; give one or remove the line")
+        if name in found:
+            raise RecordError(f"{path}:{line}: {name} is there twice; remove one line")
+        try:
+            unit_of(row["unit"])
+        except UnitError as error:
+            raise RecordError(f"{path}:{line}: {name}: {error}") from error
+        if role not in OF_CELL and role not in OF_STATION:
+            remarks.append(
+                f"{path.name}:{line}: {name} has role {role!r}, which no column of the record takes; it is left out"
+            )
+            continue
+        cell = _cell(path, line, name, row.get("cell", ""))
+        if (role in OF_CELL) and cell is None:
+            raise RecordError(f"{path}:{line}: {name} has role {role} and no cell; give the number of its cell")
+        wanted = (OF_CELL.get(role) or OF_STATION[role]).dimension
+        dimension = unit_of(row["unit"]).dimension
+        if dimension != wanted and not (wanted == "share" and dimension in ("frequency", "state")):
+            raise RecordError(
+                f"{path}:{line}: {name} is in {row['unit']}, a unit of {dimension}; a {role} is a {wanted}"
+            )
+        first = taken.setdefault((role, cell), name)
+        if first != name:
+            remarks.append(f"{path.name}:{line}: {name} has role and cell of {first}, which is used; it is left out")
+            continue
+        scan = _number(path, line, name, row.get("scan_s", "") or "60")
+        places[name] = f"{path.name}:{line}"
+        found[name] = Tag(name, row["unit"], role, cell, scan, row.get("description", ""))
+    if not found:
+        raise RecordError(f"{path}: no tag has a role that is known; roles are {', '.join((*OF_CELL, *OF_STATION))}")
+    return found, remarks, places
+
+
+def _cell(path: Path, line: int, name: str, text: str) -> int | None:
+    if not text:
+        return None
+    try:
+        cell = int(float(text))
+    except ValueError:
+        raise RecordError(
+            f"{path}:{line}: {name} has cell {text!r}; give a whole number, or nothing for the station"
+        ) from None
+    return cell if cell > 0 else None
+
+
+def _number(path: Path, line: int, name: str, text: str) -> float:
+    try:
+        return max(float(text), 1.0)
+    except ValueError:
+        raise RecordError(f"{path}:{line}: {name} has scan_s {text!r}; give seconds as a number") from None
+
+
+def _datasheet(path: Path) -> dict[str, Any]:
+    found = read_object(path)
+    zone = found.get("timezone")
+    if zone is not None and zone not in zoneinfo.available_timezones():
+        raise RecordError(f"{path}: {zone!r} is no time zone; give one of the IANA names, such as Europe/Madrid")
+    return found
+
+
+def read_events(path: Path) -> tuple[Event, ...]:
+    """Return the events of a station in the order of time.
+
+    Raises:
+        RecordError: a column is missing, or a line has no time or cell that can be read.
+    """
+    found = []
+    for line, row in read_rows(path, ("time", "event")):
+        text = row["time"]
+        by_day = row.get("precision", "") == "day" or len(text) <= 10
+        try:
+            moment = datetime.datetime.fromisoformat(text.replace("Z", "+00:00"))
+        except ValueError:
+            raise RecordError(
+                f"{path}:{line}: {text!r} is no time; write it as 2024-07-31T14:05:00Z or 2024-07-31"
+            ) from None
+        moment = moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
+        cell = _cell(path, line, row["event"], row.get("cell", ""))
+        found.append(
+            Event(moment.timestamp(), by_day, cell or 0, row["event"], row.get("source", ""), row.get("text", ""))
+        )
+    return tuple(sorted(found, key=lambda event: event.time_s))

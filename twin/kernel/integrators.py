@@ -1,0 +1,228 @@
+"""Source text of one substep: a Taylor series for networks that are affine in the temperatures, else Runge-Kutta.
+
+The inputs are constant in a substep, so x' = A x + b(t) with b constant or, behind pipes, quadratic in time. The terms
+
+    e_1 = h f(x, Ds),   e_2 = h/2 (A e_1 + E Da),   e_3 = h/3 (A e_2 + E Db),   e_i = h/i A e_(i-1)
+
+sum up to the exact solution; outlets of delays are Ds + Da r + Db r^2 at the share r of the step. A large network runs
+its terms beyond the third in a loop, in pairs, and as many as the stiffest lane needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from twin.kernel.delays import DelayLines
+from twin.kernel.source_text import KernelText, renamed
+from twin.network.affine import ZERO, AffineForm, add, names_in
+from twin.network.assembly import FEW_STATES, NetworkEquations
+
+ORDER, STEP_LIMIT = 5, 0.2
+"""Order of the series of a small network, and the largest step * rate for it; also the limit for Runge-Kutta."""
+PAIRS = ((0.3, 1), (0.67, 2), (1.14, 3), (1.67, 4))
+"""Step * rate -> pairs of terms beyond the third, for a large network."""
+
+
+class Integrator:
+    """Lines of the substeps of one kernel.
+
+    Attributes
+    ----------
+    limit
+        Largest substep * (bound on a state's own rate).
+    paired
+        True if terms run in a loop.
+    """
+
+    def __init__(self, system: NetworkEquations, text: KernelText, delays: DelayLines | None) -> None:
+        self.system, self.text, self.delays = system, text, delays
+        self.count = len(self.system.states)
+        self.paired = self.system.linear and self.count > FEW_STATES
+        self.limit = PAIRS[-1][0] if self.paired else STEP_LIMIT
+        self.constants = list(dict.fromkeys(f.constant for f in self.system.lag_terms))
+        if self.paired:
+            for j in range(self.count):
+                text.row(f"e{j}")
+                text.row(f"n{j}")
+                text.row(f"m{j}")
+
+    def refresh(self) -> list[str]:
+        """Return the weights of the lags for the step: the response of a lag to a quadratic in time is known in
+        closed form.
+        """
+        k, body = self.text, list[str]()
+        for g, constant in enumerate(self.constants):
+            lane = bool(names_in(constant) & k.rows.keys())
+            lines = [
+                f"ratio = ({constant}) / max(h, 1e-12)",
+                f"decay{g} = exp(-1.0 / max(ratio, 1e-12))",
+                f"hold{g} = ratio * (1.0 - decay{g})",
+                f"bend{g} = 2.0 * ratio * (hold{g} - 1.0)",
+            ]
+            if lane:
+                names = [f"{n}{g}" for n in ("decay", "hold", "bend")]
+                for name in names:
+                    k.row(name)
+                body += k.loop([*lines, *(f"{k.at(name)} = {name}" for name in names)])
+            else:
+                body += lines
+        return body
+
+    def substep(self) -> list[str]:
+        """Return the lines, loops over lanes included, that take the state from the start x to the end n of a step
+        of h.
+        """
+        k, delays, count = self.text, self.delays, range(self.count)
+        outlets = delays.outlets() if delays else []
+        end = [*self._lags(), *self._waters(), *self._store("x", "n")]
+        if self.paired:
+            begin = [*self._first_terms(), *self._sums(["e1_", "e2_", "e3_"]), *self._store("e", "e3_")]
+            begin += [*self._store("n", "n"), *self._store("m", "m")]
+            more = [*self._term(self._names("e"), "a_", "ha"), *self._term(self._names("a_"), "b_", "hb")]
+            more += [*self._store("e", "b_"), *(f"{k.at(f'n{j}')} = n{j} + a_{j} + b_{j}" for j in count)]
+            more += [f"{k.at(f'm{j}')} = m{j} + qa * a_{j} + qb * b_{j}" for j in count]
+            pair = ["ha, hb = h / (2.0 * pair + 4.0), h / (2.0 * pair + 5.0)"]
+            pair += ["qa, qb = 1.0 / (2.0 * pair + 5.0), 1.0 / (2.0 * pair + 6.0)"]
+            pair += k.outlined("two_terms", more, always=True)
+            lines = [*k.outlined("begin_step", begin, always=True), "for pair in range(pairs):"]
+            lines += [f"    {line}" for line in pair]
+            return lines + k.outlined("end_step", [*outlets, *end], always=True)
+        if not self.system.linear:
+            lines = [*outlets, *self._runge_kutta()]
+        elif delays:
+            lines = [*outlets, *self._first_terms()]
+            for i in range(4, ORDER + 1):
+                lines += self._term(self._names(f"e{i - 1}_"), f"e{i}_", f"h{i}")
+            lines += self._sums([f"e{i}_" for i in range(1, ORDER + 1)])
+        else:
+            lines = self._horner()
+        return k.outlined("advance", [*lines, *end])
+
+    def _names(self, letter: str) -> list[str]:
+        return [f"{letter}{j}" for j in range(self.count)]
+
+    def _store(self, row: str, name: str) -> list[str]:
+        return [f"{self.text.at(f'{row}{j}')} = {name}{j}" for j in range(self.count)]
+
+    def _sums(self, terms: list[str]) -> list[str]:
+        """Return the series n and its mean m over the step."""
+        lines = []
+        for j in range(self.count):
+            lines.append(f"n{j} = " + " + ".join([f"x{j}", *(f"{t}{j}" for t in terms)]))
+            shares = (f"{t}{j} * {1.0 / (i + 2)!r}" for i, t in enumerate(terms))
+            lines.append(f"m{j} = " + " + ".join([f"x{j}", *shares]))
+        return lines
+
+    def _three(self, forms: list[AffineForm], suffix: str) -> tuple[list[str], list[tuple[str, str, str]]]:
+        """Return lines, and per form its values at the start and the end of the step and its mean."""
+        lines: list[str] = []
+        found = []
+        if forms and self.delays:
+            lines += [f"Dq{p} = Ds{p} + 0.5 * Da{p} + {1.0 / 3.0!r} * Db{p}" for p in range(len(self.system.delays))]
+        for y, outlets, tail in (("x", "Ds", "b"), ("n", "De", "n"), ("m", "Dq", "m")):
+            names, more = self._chained(self._names(y), outlets, f"_{suffix}{tail}", forms)
+            lines += more
+            found.append([renamed(form.text(), names) for form in forms])
+        return lines, list(zip(*found, strict=True))
+
+    def _lags(self) -> list[str]:
+        """Return the lines of the lags, which follow the quadratic through start and end that has the right mean."""
+        k = self.text
+        lines, values = self._three([f.of for f in self.system.lag_terms], "l")
+        for j, ((start, end, mean), f) in enumerate(zip(values, self.system.lag_terms, strict=True)):
+            g = self.constants.index(f.constant)
+            lines += [
+                f"t0 = {start}",
+                f"t1 = ({end}) - t0",
+                f"t2 = 6.0 * (({mean}) - t0) - 2.0 * t1",
+                f"f{j} = t0 + t1 + bend{g} * (t1 - t2) - hold{g} * t2 + decay{g} * (f{j} - t0)",
+                f"{k.at(f'f{j}')} = f{j}",
+            ]
+        return lines
+
+    def _waters(self) -> list[str]:
+        """Return the lines of the water that enters delays: at the start, slope over the step, at the end."""
+        k = self.text
+        lines, values = self._three(list(self.system.inlet_forms), "w")
+        for p, (start, end, mean) in enumerate(values):
+            lines += [
+                f"wb{p} = {start}",
+                f"wn{p} = {end}",
+                f"{k.at(f'ws{p}')} = 6.0 * ({mean}) - 4.0 * wb{p} - 2.0 * wn{p}",
+                f"{k.at(f'wb{p}')} = wb{p}",
+                f"{k.at(f'wn{p}')} = wn{p}",
+            ]
+        return lines
+
+    def _chained(
+        self, y: list[str], outlets: str, suffix: str, forms: Iterable[AffineForm], offsets: bool = True
+    ) -> tuple[dict[str, str], list[str]]:
+        """Return names of all that the forms need at temperatures `y`, and lines for the locals among it."""
+        system = self.system
+        names = {f"x{j}": y[j] for j in range(self.count)}
+        names |= {f"D{p}": f"{outlets}{p}" if outlets else ZERO for p in range(len(system.delays))}
+        wanted = set().union(*(form.slopes.keys() for form in forms))
+        for name, form in reversed(system.chain.items()):
+            if name in wanted:
+                wanted |= form.slopes.keys()
+        lines = []
+        for name, form in system.chain.items():
+            if name in wanted:
+                names[name] = f"{name}{suffix}"
+                lines.append(f"{names[name]} = {self._expression(form, names, offsets)}")
+        return names, lines
+
+    def _expression(self, form: AffineForm, names: Mapping[str, str], offsets: bool) -> str:
+        slopes = {v: t for v, t in form.slopes.items() if names[v] != ZERO}
+        return renamed(AffineForm(slopes, form.offset if offsets else ZERO).text(), names)
+
+    def _rates(self, y: list[str], outlets: str, stage: str, offsets: bool = True) -> list[str]:
+        """Return the rates k0, k1, .. of a stage at temperatures `y`, with delay outlets named `outlets` + index."""
+        system = self.system
+        names, lines = self._chained(y, outlets, f"_{stage}", [form for form, _ in system.slopes], offsets)
+        staged = {name: f"{name}_{stage}" for name in system.nonaffine_locals}
+        lines += [f"{staged[n]} = {renamed(t, {**names, **staged})}" for n, t in system.nonaffine_locals.items()]
+        for j, (form, rest) in enumerate(system.slopes):
+            text = self._expression(form, names, offsets)
+            if rest != ZERO:
+                text = add(text, renamed(rest, {**names, **staged}))
+            lines.append(f"k{j}{stage} = {text}")
+        return lines
+
+    def _term(self, y: list[str], to: str, step: str, outlets: str = "", offsets: bool = False) -> list[str]:
+        """Return one term of the series from the one before."""
+        lines = self._rates(y, outlets, to, offsets)
+        return lines + [f"{to}{j} = {step} * k{j}{to}" for j in range(self.count)]
+
+    def _first_terms(self) -> list[str]:
+        lines = self._term(self._names("x"), "e1_", "h", "Ds", offsets=True)
+        lines += self._term(self._names("e1_"), "e2_", "h2", "Da")
+        return lines + self._term(self._names("e2_"), "e3_", "h3", "Db")
+
+    def _horner(self) -> list[str]:
+        """Return the Taylor series for a right-hand side that is constant in the step, as Horner's scheme of exp.
+
+        x_i = x + h/(s + 1 - i) f(x_(i-1)), i = 1 .. s, of order s.
+        """
+        k, y, lines = range(self.count), self._names("x"), list[str]()
+        for i in range(ORDER, 0, -1):
+            last = i == 1
+            lines += self._rates(y, "D", f"s{i}")
+            if i == ORDER and self.system.lag_terms:
+                lines += [f"e{j} = h * k{j}s{i}" for j in k]
+            y = [f"n{j}" if last else f"y{j}s{i}" for j in k]
+            lines += [f"{y[j]} = x{j} + {'h' if last else f'h{i}'} * k{j}s{i}" for j in k]
+        if self.system.lag_terms:
+            lines += [f"m{j} = {1.0 / 3.0!r} * (2.0 * x{j} + n{j}) + {1.0 / 6.0!r} * e{j}" for j in k]
+        return lines
+
+    def _runge_kutta(self) -> list[str]:
+        """Return the classical fourth-order method (Runge-Kutta)."""
+        k, x = range(self.count), self._names("x")
+        lines = self._rates(x, "Ds", "a")
+        stages = (("a", "b", "h2", "Dm"), ("b", "c", "h2", "Dm"), ("c", "d", "h", "De"))
+        for last, here, share, outlets in stages:
+            lines += [f"y{j}{here} = x{j} + {share} * k{j}{last}" for j in k]
+            lines += self._rates([f"y{j}{here}" for j in k], outlets, here)
+        lines += [f"n{j} = x{j} + h6 * (k{j}a + 2.0 * (k{j}b + k{j}c) + k{j}d)" for j in k]
+        return lines + [f"m{j} = x{j} + h6 * (k{j}a + k{j}b + k{j}c)" for j in k]
