@@ -12,11 +12,11 @@ from hil.lazy_names import lazy_names
 if TYPE_CHECKING:
     from hil.diagnosis.columns import choice_for, columns_of, read_columns, read_healthy, with_clock
     from hil.diagnosis.experiment_file import rig_of
-    from hil.diagnosis.figure_style import STYLE as FIGURE_STYLE
     from hil.diagnosis.forecast import show_forecast
     from hil.diagnosis.healthy_record import commissioned_on, copy_record, healthy_path, save_with_record
     from hil.diagnosis.live import END_ONLY, LiveConfig, LiveDiagnosis, Reply, interval_of
     from hil.diagnosis.page import PAGE_STYLE
+    from hil.diagnosis.page import STYLE as FIGURE_STYLE
     from hil.diagnosis.revision import revise
     from hil.diagnosis.session import (
         DiagnosisRequest,
@@ -100,7 +100,7 @@ __getattr__, __dir__ = lazy_names(
             "with_clock",
         ),
         "experiment_file": ("rig_of",),
-        "figure_style": ("FIGURE_STYLE = STYLE",),
+        "page.figure_style": ("FIGURE_STYLE = STYLE",),
         "forecast": ("show_forecast",),
         "healthy_record": (
             "commissioned_on",
@@ -115,7 +115,7 @@ __getattr__, __dir__ = lazy_names(
             "Reply",
             "interval_of",
         ),
-        "page": ("PAGE_STYLE",),
+        "page.document": ("PAGE_STYLE",),
         "revision": ("revise",),
         "session": (
             "DiagnosisRequest",

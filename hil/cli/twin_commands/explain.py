@@ -101,7 +101,7 @@ def command(
       hil explain runs/<a run> --with runs/<the run of the experiment>
     """
     from hil.cli.options import owns_process, record_of, subject_of
-    from hil.cli.tower_diagnosis import is_tower
+    from hil.cli.tower_commands import is_tower
     from hil.diagnosis import DiagnosisRequest, rig_of
     from hil.explain import ExplainRequest, explain, print_explanation
     from hil.run.session import console, invocation
