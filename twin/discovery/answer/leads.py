@@ -11,17 +11,12 @@ from scipy.fft import idct
 from twin.discovery.answer.case import Case
 from twin.discovery.diagnosis import Diagnosis, Lead
 from twin.discovery.healthy.basis import Columns
-from twin.discovery.leads.concentration import Squares
-from twin.discovery.leads.rows import Suspicious, suspicious_inputs, suspicious_readings
-from twin.discovery.leads.words import outside_leads, place_leads, range_leads, row_leads, segment_leads, stamped
+from twin.discovery.leads.concentration import NOTED, Squares
+from twin.discovery.leads.words import outside_leads, place_leads, range_leads, record_rows, segment_leads
 from twin.discovery.refit.fitting import look_at
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.contest import Contest
-from twin.network import Array, Network
-
-
-NOTED = 0.1
-"""Share of the record's misfit that effects must leave beyond noise to be looked into: no form of an effect is exact."""
+from twin.network import Array
 
 
 def with_leads(found: Diagnosis, case: Case, record: Columns, healthy: Columns | None) -> Diagnosis:
@@ -51,7 +46,7 @@ def with_leads(found: Diagnosis, case: Case, record: Columns, healthy: Columns |
             leads += outside_leads(network, squares, inputs, healthy)
     if not explained:
         leads += place_leads(case.free, dict(found.description), float(case.grid.time[0]))
-    leads += _rows(network, record, _simulated(case, record))
+    leads += record_rows(network, record, _simulated(case, record))
     return replace(found, leads=tuple(leads))
 
 
@@ -82,16 +77,3 @@ def _simulated(case: Case, record: Columns) -> Array:
     readings = probe.run(grid, probe.first_state(grid)).readings
     middle = grid.time + 0.5 * grid.step_s
     return np.stack([np.interp(record.time_s, middle, each) for each in readings.T], axis=1)
-
-
-def _rows(network: Network, record: Columns, simulated: Array) -> tuple[Lead, ...]:
-    time = record.time_s
-    readings = suspicious_readings(time, record.measured, simulated, network.sigma)
-    inputs = suspicious_inputs(time, record.inputs)
-    specs = list(network.inputs.values())
-    sensors, columns = network.sensor_names, network.input_columns
-    found: list[tuple[Suspicious, list[str], list[str]]] = [
-        (s, [columns[j] for j in s.columns], [specs[j].unit for j in s.columns]) for s in inputs
-    ]
-    found += [(s, [sensors[j] for j in s.columns], ["K"] * len(s.columns)) for s in readings]
-    return row_leads(found, lambda row: stamped(float(time[row])))

@@ -28,7 +28,9 @@ DRAWS = 499
 MOST_SEGMENTS, MOST_RANGES = 3, 2
 """Segments, and ranges of inputs, that are named: an operator looks at a few places."""
 LEAST_SHARE = 0.1
-"""Share of the squares beyond noise that a further segment must hold: with less it is not where to look first."""
+"""Share of the squares beyond noise that a segment must hold: with less it is not where to look first."""
+NOTED = 0.1
+"""Share of a record's misfit that effects must leave beyond noise to be looked into: no form of an effect is exact."""
 GROUPS = 24
 """Groups of equally many blocks, by the value of an input: blocks of one of at most 240 then count ten."""
 
@@ -80,23 +82,21 @@ def segments(squares: Squares) -> tuple[Concentration, ...]:
     """Return the segments of a record in which squares concentrate, in order of time; none where only noise is left.
 
     The record is cut into pieces of one variance each by the least -2 log likelihood, where each cut costs as much as
-    noise gains by one with probability `LEVEL`. Of the pieces above the record's mean, those that hold most are taken.
+    noise gains by one with probability `LEVEL`. Pieces above the record's mean are joined where they meet, and
+    those that hold most are taken.
     """
     total, count = squares.total, squares.count.astype(np.float64)
     cuts = _cuts(total, count, _cut_cost(tuple(count.tolist())))
-    index = np.arange(len(total))
-    pieces = [_concentration(squares, (index >= a) & (index < b)) for a, b in itertools.pairwise(cuts)]
-    chosen, held = np.zeros(len(total), dtype=bool), 0.0
-    dense = [p for p in pieces if p.share > p.of_record] if len(pieces) > 1 else []
-    for piece in sorted(dense, key=lambda p: -p.share)[:MOST_SEGMENTS]:
-        if piece.share < LEAST_SHARE or held > 1.0 - LEAST_SHARE:
-            break
-        chosen |= piece.rows
-        held += piece.share
-    borders = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))
-    return tuple(
-        _concentration(squares, (index >= a) & (index < b)) for a, b in zip(borders[::2], borders[1::2], strict=True)
-    )
+    if len(cuts) < 3:
+        return ()
+    index, dense = np.arange(len(total)), np.zeros(len(total), dtype=bool)
+    for a, b in itertools.pairwise(cuts):
+        piece = _concentration(squares, (index >= a) & (index < b))
+        dense[a:b] = piece.share > piece.of_record
+    borders = np.flatnonzero(np.diff(np.concatenate([[False], dense, [False]]).astype(int)))
+    runs = [(index >= a) & (index < b) for a, b in zip(borders[::2], borders[1::2], strict=True)]
+    found = sorted((_concentration(squares, rows) for rows in runs), key=lambda c: -c.share)[:MOST_SEGMENTS]
+    return tuple(sorted((c for c in found if c.share >= LEAST_SHARE), key=lambda c: int(np.argmax(c.rows))))
 
 
 def _cuts(total: Array, count: Array, cost: float) -> list[int]:

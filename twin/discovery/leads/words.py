@@ -13,7 +13,7 @@ from twin.discovery.effects.statement import entering
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.healthy.visited import BRIEF, STEADY
 from twin.discovery.leads.concentration import Squares, input_ranges, segments
-from twin.discovery.leads.rows import MOST_ROWS, Suspicious
+from twin.discovery.leads.rows import MOST_ROWS, Suspicious, suspicious_inputs, suspicious_readings
 from twin.network import Array, Network
 from twin.segments import CLOCK_PREFIX
 
@@ -52,7 +52,8 @@ def range_leads(network: Network, squares: Squares, inputs: Array, memory: int |
     found = []
     for j, one in input_ranges(squares, inputs, memory):
         column, spec = list(network.inputs.items())[j]
-        low, high = (float(x) for x in np.percentile(inputs[one.rows, j], BRIEF))
+        # Blocks in which an input passes through a range are a moment of it; a state is not.
+        low, high = (float(x) for x in np.percentile(inputs[one.rows, j], (0.0, 100.0) if memory is None else BRIEF))
         says = (
             f"{_percent(one.share)} of the squares left beyond noise lies where {_named(column)} is "
             f"{_range(low, high, spec.unit)} ({_of(one.of_record, memory is None)})"
@@ -118,16 +119,25 @@ def row_leads(
             for name, x, unit in zip(names, one.off, units, strict=True)
         )
         times = f", {one.times:.0f} times the noise" if one.times else ""
-        beside = "what the twin gives, unlike all other states" if when.startswith("state") else "its neighbours"
-        leads.append(Lead("row", f"{when}: {off} {beside}{times}", " ".join(names), time, time, "s"))
+        at_rest = when.startswith("state")
+        beside = "what the twin gives, unlike all other states" if at_rest else "its neighbours"
+        leads.append(Lead("row", f"{when}: {off} {beside}{times}", " ".join(names), time, time, "" if at_rest else "s"))
     if len(found) > MOST_ROWS:
         leads[-1] = _more(leads[-1], len(found) - MOST_ROWS)
     return tuple(leads)
 
 
-def stamped(time_s: float) -> tuple[float, str]:
-    """Return the time of a row, s, and the row in words."""
-    return time_s, f"single row at {time_s:.10g} s ({clock(time_s)})"
+def record_rows(network: Network, record: Columns, simulated: Array) -> tuple[Lead, ...]:
+    """Return the single suspicious rows of a record, inputs first; `simulated` (N, m) degC at its stamps."""
+    time, specs = record.time_s, list(network.inputs.values())
+    sensors, columns = network.sensor_names, network.input_columns
+    found: list[tuple[Suspicious, Sequence[str], Sequence[str]]] = [
+        (s, [columns[j] for j in s.columns], [specs[j].unit for j in s.columns])
+        for s in suspicious_inputs(time, record.inputs)
+    ]
+    readings = suspicious_readings(time, record.measured, simulated, network.sigma)
+    found += [(s, [sensors[j] for j in s.columns], ["K"] * len(s.columns)) for s in readings]
+    return row_leads(found, lambda row: (float(time[row]), f"single row at {time[row]:.10g} s ({clock(time[row])})"))
 
 
 def _more(lead: Lead, count: int) -> Lead:
