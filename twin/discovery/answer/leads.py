@@ -51,8 +51,8 @@ def with_leads(found: Diagnosis, case: Case, record: Columns, healthy: Columns |
 
 
 def squares_of(contest: Contest) -> Squares:
-    """Return the squares of what is left of a record after its tunables have taken what commissioning lets them, whitened
-    by the noise that is expected and put back in time; of blocks with readings."""
+    """Return the squares, by blocks with readings, of what a record leaves of a twin re-tuned as far as commissioning
+    lets it. The residual is whitened by the noise that is expected and put back in time."""
     white = contest.residual - contest.slopes @ contest.moved(np.empty((0, 0)), np.empty(0))
     left = idct(white.reshape(contest.b, contest.m), type=2, norm="ortho", axis=0)
     known = contest.known

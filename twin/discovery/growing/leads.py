@@ -28,8 +28,8 @@ def leads_of(
     record
         The record at its own stamps.
     whole
-        The samples, or steady states, of which `left` and `before` (n, m) K are the residuals: of the answer, and of the
-        re-tuned twin.
+        The samples, or steady states, of which `left` and `before` (n, m) K are the residuals: of the answer, and of
+        the re-tuned twin.
     """
     if verdict == "adequate":
         return ()
@@ -52,7 +52,7 @@ def leads_of(
 def _of_states(network: Network, whole: Samples, left: Array, squares: Squares | None) -> tuple[Lead, ...]:
     """Return the leads of steady states, `squares` None where nothing is to be looked into but single states.
 
-    A state in a range of an input that misfits is not suspicious by itself, and the order of states matters only where no
+    A state in a range of an input that misfits is not suspicious by itself. The order of states matters only where no
     range does.
     """
     names = network.sensor_names

@@ -1,12 +1,13 @@
 """Segments of a record, and ranges of its inputs, in which the squares of a whitened residual concentrate.
 
-Segments are the pieces of one variance into which the likelihood cuts the record. For an input, blocks are put in order
-of its value, and every interval is compared with the rest: two variances, neither below that of noise, against one. The
-root of this likelihood ratio is lowered by a penalty of the interval's length, so that short intervals, which are many,
-do not win by their number. Both thresholds are what records of pure noise reach with probability `LEVEL`, by simulation.
+Segments are the pieces of one variance into which the likelihood cuts the record. For an input, blocks are put in
+order of its value, and every interval is compared with the rest: two variances, neither below that of noise, against
+one. The root of this likelihood ratio is lowered by a penalty of the interval's length, so that short intervals, which
+are many, do not win by their number. Both thresholds are what records of pure noise reach with probability `LEVEL`, by
+simulation.
 
-Sources: optimal partitioning of Jackson et al., IEEE Signal Process. Lett. 12 (2005) 105; multiscale scan with the length
-penalty of Dümbgen & Spokoiny, Ann. Statist. 29 (2001) 124.
+Sources: optimal partitioning of Jackson et al., IEEE Signal Process. Lett. 12 (2005) 105; multiscale scan with the
+length penalty of Dümbgen & Spokoiny, Ann. Statist. 29 (2001) 124.
 """
 
 from __future__ import annotations
@@ -118,8 +119,8 @@ def _cuts(total: Array, count: Array, cost: float) -> list[int]:
 def input_ranges(squares: Squares, inputs: Array, memory: int | None) -> tuple[tuple[int, Concentration], ...]:
     """Return the columns on whose value the squares depend, with the blocks in the range that holds them; best first.
 
-    A misfit of some hours meets some value of every input. A column is therefore named only if its range also stands out
-    among those of records in which the residual is shifted against the inputs (circular shifts, all columns together).
+    A misfit of some hours meets some value of every input. A column is therefore named only if its range also stands
+    out among those of the residual shifted against the inputs (circular shifts, all columns together).
 
     Parameters
     ----------
@@ -232,7 +233,7 @@ def _quantile(scores: Array) -> float:
 
 @lru_cache(maxsize=16)
 def _cut_cost(count: Sequence[float]) -> float:
-    """Return what noise gains by a cut with probability `LEVEL`: the most of any interval over the cuts that it needs."""
+    """Return what noise gains by a cut with probability `LEVEL`: the most of any interval over the cuts it needs."""
     many = np.array(count)
     noise = _noise(many, np.random.default_rng(0), DRAWS)
     sums = np.concatenate([np.zeros((DRAWS, 1)), np.cumsum(noise, axis=1)], axis=1)

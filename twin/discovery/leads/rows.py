@@ -41,20 +41,20 @@ class Suspicious:
 def suspicious_readings(time_s: Array, measured: Array, simulated: Array, sigma: Array) -> tuple[Suspicious, ...]:
     """Return the rows of which a reading, or the readings together, leave their neighbours; the farthest first.
 
-    Both the readings and their difference from the twin must: the one alone may be the rig in motion, the other the twin
-    between its steps.
+    Both the readings and their difference from the twin must: the one alone may be the rig in motion, the other the
+    twin between its steps.
 
     Parameters
     ----------
     time_s, measured, simulated
         (N,) s and (N, m) degC, NaN where nothing is measured.
     sigma
-        (m,) K, declared noise of a reading, taken where the readings are too coarse to show theirs.
+        (m,) K, declared noise of a reading, taken where the readings do not show theirs.
     """
     n, m = measured.shape
     left = measured - simulated
     before, after = np.full((n, m), np.nan), np.full((n, m), np.nan)
-    scale = np.array([_noise(left[:, j], float(sigma[j])) for j in range(m)])
+    scale = np.array([max(_noise(x, s), _quantum(y)) for x, y, s in zip(left.T, measured.T, sigma, strict=True)])
     for j in np.flatnonzero(scale > 0.0):
         pairs = zip(_sides(time_s, measured[:, j]), _sides(time_s, left[:, j]), strict=True)
         before[:, j], after[:, j] = (_both(own, other) / scale[j] for own, other in pairs)
@@ -131,10 +131,13 @@ def _noise(values: Array, declared: float) -> float:
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     if not steps.size:
         return 0.0
-    own = MAD * float(np.median(steps)) / np.sqrt(2.0)
-    if own > 0.0 or declared == 0.0:
-        return own
-    return max(declared, float(steps[steps > 0.0].min(initial=np.inf)) if (steps > 0.0).any() else 0.0)
+    return MAD * float(np.median(steps)) / np.sqrt(2.0) or declared
+
+
+def _quantum(values: Array) -> float:
+    """Return the least step of a column, below which it shows no noise; 0 for a column that does not move."""
+    steps = np.abs(np.diff(values[np.isfinite(values)]))
+    return float(steps[steps > 0.0].min()) if (steps > 0.0).any() else 0.0
 
 
 def _sides(time_s: Array, values: Array) -> tuple[Array, Array]:

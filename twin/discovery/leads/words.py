@@ -63,8 +63,8 @@ def range_leads(network: Network, squares: Squares, inputs: Array, memory: int |
 
 
 def outside_leads(network: Network, squares: Squares, inputs: Array, healthy: Columns) -> tuple[Lead, ...]:
-    """Return the inputs (b, c) that leave what they ranged over in the healthy record, by more than an input that hardly
-    moves."""
+    """Return the inputs (b, c) that leave what they ranged over in the healthy record, by more than an input does that
+    hardly moves."""
     found = []
     for j, (column, spec) in enumerate(network.inputs.items()):
         then = healthy.inputs[np.isfinite(healthy.inputs[:, j]), j]
