@@ -128,7 +128,7 @@ def test_noise_steps_and_drifts_give_no_single_row() -> None:
     assert sum(bool(suspicious_readings(*one, sigma)) for one in drawn) <= CHANCE
     # So do readings that are rounded, and a twin that is off.
     assert sum(bool(suspicious_readings(t, y.round(1), s + 1.0, sigma)) for t, y, s in drawn) <= CHANCE
-    assert sum(bool(suspicious_inputs(t, y)) for t, y, _ in drawn) <= CHANCE
+    assert sum(bool(suspicious_inputs(t, y, sigma)) for t, y, _ in drawn) <= CHANCE
     states = [np.random.default_rng(s).normal(0.0, 1.0, (24, 2)) for s in range(SEEDS)]
     assert sum(bool(suspicious_states(x, np.full(2, 0.1))) for x in states) <= CHANCE
 
@@ -152,12 +152,14 @@ def test_a_reading_that_moves_with_its_twin_is_not_suspicious() -> None:
 def test_an_input_that_drops_for_a_row_is_named_unless_it_does_so_by_nature() -> None:
     time = 5.0 * np.arange(1000)
     held = np.where(time < 2000.0, 700.0, 500.0)[:, None].copy()
-    assert suspicious_inputs(time, held) == ()
+    least = np.array([100.0])
+    held[700] += 1.0
+    assert suspicious_inputs(time, held, least) == ()
     held[600] = 0.0
-    (found,) = suspicious_inputs(time, held)
+    (found,) = suspicious_inputs(time, held, least)
     assert (found.row, found.off) == (600, (-500.0,))
     held[50::100] = 0.0
-    assert suspicious_inputs(time, held) == ()
+    assert suspicious_inputs(time, held, least) == ()
 
 
 def test_one_state_off_among_many_is_named_and_a_twin_that_fits_none_names_none() -> None:

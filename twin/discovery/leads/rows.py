@@ -77,10 +77,17 @@ def suspicious_readings(time_s: Array, measured: Array, simulated: Array, sigma:
     return tuple(sorted(found, key=lambda s: -s.times))
 
 
-def suspicious_inputs(time_s: Array, inputs: Array) -> tuple[Suspicious, ...]:
-    """Return the rows in which an input (N, c) leaves its level for one row; the farthest first.
+def suspicious_inputs(time_s: Array, inputs: Array, least: Array) -> tuple[Suspicious, ...]:
+    """Return the rows in which an input leaves its level for one row; the farthest first.
 
     An input that is held has no noise: of it only rare rows count that return to the very level which they left.
+
+    Parameters
+    ----------
+    time_s, inputs
+        (N,) s and (N, c).
+    least
+        (c,) by how much an input that is held must leave its level: a flicker of its last digit is rounding.
     """
     found: list[Suspicious] = []
     sd = np.sqrt(1.0 + 1.0 / ON_A_SIDE)
@@ -92,8 +99,8 @@ def suspicious_inputs(time_s: Array, inputs: Array) -> tuple[Suspicious, ...]:
         if noise > 0.0:
             rows = np.flatnonzero(np.abs(off) > limit * noise)
         else:
-            least = 1e-9 * max(float(np.nanmax(np.abs(inputs[:, j]), initial=0.0)), 1e-300)
-            rows = np.flatnonzero((np.abs(off) > least) & (np.abs(before - after) <= least))
+            same = 1e-9 * float(np.abs(least[j]))
+            rows = np.flatnonzero((np.abs(off) > least[j]) & (np.abs(before - after) <= same))
         if len(rows) <= MOST_ROWS or noise > 0.0:
             times = [abs(off[r]) / noise if noise > 0.0 else 0.0 for r in rows]
             found += [Suspicious(int(r), (j,), (float(off[r]),), t) for r, t in zip(rows, times, strict=True)]

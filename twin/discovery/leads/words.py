@@ -14,7 +14,7 @@ from twin.discovery.healthy.basis import Columns
 from twin.discovery.healthy.visited import BRIEF, STEADY
 from twin.discovery.leads.concentration import Squares, input_ranges, segments
 from twin.discovery.leads.rows import MOST_ROWS, Suspicious, suspicious_inputs, suspicious_readings
-from twin.network import Array, Network
+from twin.network import Array, InputSpec, Network
 from twin.segments import CLOCK_PREFIX
 
 NEARLY_ALL = 0.995
@@ -70,8 +70,7 @@ def outside_leads(network: Network, squares: Squares, inputs: Array, healthy: Co
         then = healthy.inputs[np.isfinite(healthy.inputs[:, j]), j]
         if column.startswith(CLOCK_PREFIX) or not then.size:
             continue
-        width = spec.upper - spec.lower
-        room = STEADY * (width if np.isfinite(width) else abs(spec.nominal))
+        room = _room(spec)
         least, most = float(then.min()), float(then.max())
         rows = (inputs[:, j] < least - room) | (inputs[:, j] > most + room)
         if not rows.any():
@@ -133,7 +132,7 @@ def record_rows(network: Network, record: Columns, simulated: Array) -> tuple[Le
     sensors, columns = network.sensor_names, network.input_columns
     found: list[tuple[Suspicious, Sequence[str], Sequence[str]]] = [
         (s, [columns[j] for j in s.columns], [specs[j].unit for j in s.columns])
-        for s in suspicious_inputs(time, record.inputs)
+        for s in suspicious_inputs(time, record.inputs, np.array([_room(spec) for spec in specs]))
     ]
     readings = suspicious_readings(time, record.measured, simulated, network.sigma)
     found += [(s, [sensors[j] for j in s.columns], ["K"] * len(s.columns)) for s in readings]
@@ -158,6 +157,12 @@ def _course(description: dict[str, Any]) -> str:
         way = "rises and falls with" if follows[driver] > 0.0 else "falls when more comes of"
         return f"it {way} {driver.replace('_', ' ')}"
     return "its course follows no input"
+
+
+def _room(spec: InputSpec) -> float:
+    """Return by how much an input moves that is taken to hardly move."""
+    width = spec.upper - spec.lower
+    return STEADY * float(width if np.isfinite(width) else abs(spec.nominal))
 
 
 def _named(column: str) -> str:
