@@ -107,11 +107,14 @@ def test_a_range_in_the_middle_of_what_an_input_wanders_through_is_found() -> No
 
 def test_a_time_is_not_taken_for_a_range() -> None:
     """In some hours every input has some value; one that rises all along has one of its own."""
-    for seed in range(10):
+    named: list[int] = []
+    for seed in range(40):
         white = _white(seed)
         white[50:62] *= 4.0
         inputs = np.column_stack([_inputs(seed), np.linspace(20.0, 24.0, BLOCKS)])
-        assert input_ranges(_squares(white), inputs, 5) == ()
+        named += [column for column, _ in input_ranges(_squares(white), inputs, 5)]
+    # At one in twenty, more than six of forty do so once in a hundred tries.
+    assert len(named) <= 6 and 3 not in named
 
 
 def _readings(seed: int, rows: int = 1500) -> tuple[Array, Array, Array]:
@@ -206,6 +209,13 @@ def test_tracking_and_diagnosis_state_alike_where_something_enters(
     if unit == "W":
         window = {"disturbed": "tank", "disturbed_W": value, "disturbed_since_s": 3600.0}
         assert disturbance(window | {"disturbed_interval90_W": interval}) == said
+
+
+def test_a_course_that_goes_both_ways_has_no_mean() -> None:
+    assert entering("T_tank_C", 0.006, "K", (-0.49, 0.48), 0.0, average=True) == (
+        "T_tank_C reads too high by between -0.49 K and 0.48 K"
+    )
+    assert "on average" in entering("T_tank_C", 0.2, "K", (-0.01, 0.8), 0.0, average=True)
 
 
 def test_a_cause_that_cannot_be_described_has_its_leads_in_json_terminal_and_page(

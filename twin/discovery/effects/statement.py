@@ -33,6 +33,12 @@ def entering(
     average
         True if `value` is the mean of a course, and `interval` its range.
     """
+    since = f", from {clock(since_s)} on" if since_s is not None and since_s > 0.0 else ""
+    if interval is not None and average and _both_ways(*interval):
+        between = f"between {_sized(interval[0], unit)} and {_sized(interval[1], unit)}"
+        verb = {"W": "gives off", "K": "reads too high by"}.get(unit, "differs from the twin by")
+        rest = " that the twin does not model" if unit == "W" else ""
+        return f"{where.replace('_', ' ') if unit not in ('W', 'K') else where} {verb} {between}{rest}{since}"
     low, high = sorted(-x if value < 0.0 else x for x in interval or (value, value))
     spread = f" ({_bare(low, unit)} to {_bare(high, unit)})" if interval is not None else ""
     size = f"{_sized(abs(value), unit)}{' on average' if average else ''}{spread}"
@@ -42,7 +48,12 @@ def entering(
         text = f"{where} reads too {'low' if value < 0.0 else 'high'} by {size}"
     else:
         text = f"{where.replace('_', ' ')} has {size} {'less' if value < 0.0 else 'more'} than the twin models"
-    return text + (f", from {clock(since_s)} on" if since_s is not None and since_s > 0.0 else "")
+    return text + since
+
+
+def _both_ways(low: float, high: float) -> bool:
+    """Return True if a course goes about as far to either side, so that its mean tells nothing."""
+    return low < 0.0 < high and min(-low, high) > 0.5 * max(-low, high)
 
 
 def _sized(value: float, unit: str) -> str:

@@ -24,6 +24,9 @@ from twin.network import Array
 
 LEVEL = 0.01
 """Probability by which noise alone gives a lead of one kind in a record."""
+COINCIDENCE = 0.05
+"""Probability by which a misfit that has nothing to do with the inputs is said to depend on one: the usual 5 %, as a
+lead is a hint, and a record of some hours has no more than a hundred shifts to compare with."""
 DRAWS = 499
 """Records of noise per threshold: the hundredth part of one more than these is a whole number."""
 MOST_SEGMENTS, MOST_RANGES = 3, 2
@@ -120,7 +123,8 @@ def input_ranges(squares: Squares, inputs: Array, memory: int | None) -> tuple[t
     """Return the columns on whose value the squares depend, with the blocks in the range that holds them; best first.
 
     A misfit of some hours meets some value of every input. A column is therefore named only if its range also stands
-    out among those of the residual shifted against the inputs (circular shifts, all columns together).
+    out among those of the residual shifted against the inputs (circular shifts, all columns together, each in standard
+    deviations of its own scores).
 
     Parameters
     ----------
@@ -138,23 +142,27 @@ def input_ranges(squares: Squares, inputs: Array, memory: int | None) -> tuple[t
     b, count = len(squares.total), squares.count.astype(np.float64)
     rng = np.random.default_rng(0)
     orders = _orders(b, memory, rng)
-    noise, there = _noise(count, rng, DRAWS), np.arange(b)
-    scores, best = [], []
-    drawn, moved = np.full(DRAWS, -np.inf), np.full(len(orders), -np.inf)
-    for _, group in used:
+    noise = _noise(count, rng, DRAWS)
+    if 1.0 / (1 + len(orders)) > COINCIDENCE:
+        return ()
+    drawn, highest = np.full(DRAWS, -np.inf), np.full(len(orders), -np.inf)
+    candidates: list[tuple[float, float, int, np.ndarray]] = []
+    for j, group in used:
         onto = (group[:, None] == np.arange(group.max() + 1)).astype(np.float64)
-        score, first, last = (x[0] for x in _scan((squares.total @ onto)[None], (count @ onto)[None]))
-        scores.append(float(score))
-        best.append(there[(group >= first) & (group < last)])
+        found, first, last = _scan((squares.total @ onto)[None], (count @ onto)[None])
         drawn = np.maximum(drawn, _scan(noise @ onto, (count @ onto)[None])[0])
-        if len(orders):
-            moved = np.maximum(moved, _scan(squares.total[orders] @ onto, count[orders] @ onto)[0])
+        moved = np.maximum(_scan(squares.total[orders] @ onto, count[orders] @ onto)[0], 0.0)
+        # An input of many values scores high by chance, so each column is measured by its own chance scores.
+        usual, spread = float(moved.mean()), max(float(moved.std()), 1e-9)
+        highest = np.maximum(highest, (moved - usual) / spread)
+        score = float(found[0])
+        candidates.append(((score - usual) / spread, score, j, (group >= first[0]) & (group < last[0])))
     limit = _quantile(drawn)
     named = []
-    for (j, _), score, rows in sorted(zip(used, scores, best, strict=True), key=lambda x: -x[1]):
-        chance = (1 + int((moved >= score).sum())) / (1 + len(orders))
-        if score > limit and chance <= LEVEL:
-            named.append((j, _concentration(squares, np.isin(there, rows))))
+    for odd, score, j, rows in sorted(candidates, key=lambda c: -c[0]):
+        chance = (1 + int((highest >= odd).sum())) / (1 + len(orders))
+        if score > limit and chance <= COINCIDENCE:
+            named.append((j, _concentration(squares, rows)))
     return tuple(named[:MOST_RANGES])
 
 
