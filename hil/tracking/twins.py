@@ -357,7 +357,7 @@ def disturbance(document: dict[str, Any]) -> str | None:
     record implausible for a rig.
     """
     from twin.calibrators.hiera_unet.gates import BROKEN
-    from twin.discovery.effects.statement import entering
+    from twin.discovery import disturbance_statement
 
     if document.get("outdone") or any(flag.startswith(BROKEN) for flag in document.get("flags", ())):
         return None
@@ -365,7 +365,7 @@ def disturbance(document: dict[str, Any]) -> str | None:
     if where is None or power is None:
         return None
     bounds = None if interval is None else (float(interval[0]), float(interval[1]))
-    return entering(where, power, "W", bounds, document.get("disturbed_since_s"))
+    return disturbance_statement(where, power, "W", bounds, document.get("disturbed_since_s"))
 
 
 def window_kind(document: dict[str, Any]) -> str:

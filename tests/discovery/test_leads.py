@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from hil.tracking.twins import disturbance
 from tests.discovery.conftest import Bench
 from tests.discovery.test_records import TWINS, cooler
 from twin.discovery.diagnosis import Course
-from twin.discovery.effects.statement import entering
+from twin.discovery.effects.statement import disturbance_statement
 from twin.discovery.engine import diagnose
 from twin.discovery.growing.answer import diagnose_grown
 from twin.discovery.healthy.basis import Columns
@@ -204,7 +203,7 @@ def test_place_sign_and_course_are_told_in_the_words_of_tracking() -> None:
 def test_tracking_and_diagnosis_state_alike_where_something_enters(
     value: float, unit: str, interval: tuple[float, float] | None, text: str
 ) -> None:
-    said = entering("tank", value, unit, interval, 3600.0)
+    said = disturbance_statement("tank", value, unit, interval, 3600.0)
     assert said.startswith(text)
     if unit == "W":
         window = {"disturbed": "tank", "disturbed_W": value, "disturbed_since_s": 3600.0}
@@ -212,10 +211,10 @@ def test_tracking_and_diagnosis_state_alike_where_something_enters(
 
 
 def test_a_course_that_goes_both_ways_has_no_mean() -> None:
-    assert entering("T_tank_C", 0.006, "K", (-0.49, 0.48), 0.0, average=True) == (
+    assert disturbance_statement("T_tank_C", 0.006, "K", (-0.49, 0.48), 0.0, average=True) == (
         "T_tank_C reads too high by between -0.49 K and 0.48 K"
     )
-    assert "on average" in entering("T_tank_C", 0.2, "K", (-0.01, 0.8), 0.0, average=True)
+    assert "on average" in disturbance_statement("T_tank_C", 0.2, "K", (-0.01, 0.8), 0.0, average=True)
 
 
 def test_a_cause_that_cannot_be_described_has_its_leads_in_json_terminal_and_page(
@@ -237,9 +236,9 @@ def test_a_cause_that_cannot_be_described_has_its_leads_in_json_terminal_and_pag
     assert sum(lead.share for lead in by["segment"]) > 0.8
     assert by["place"][0].where == "T_tank_C" and "reads too high by" in by["place"][0].says
     assert {(lead.where, lead.low) for lead in by["row"]} == {("heater_power_W", 10000.0), ("T_radiator_C", 5000.0)}
-    assert entering("T_tank_C", found.effects[0].value, "K", found.effects[0].interval90, average=True) in re.sub(
-        r", from \d.* on, following", ", following", found.summary
-    )
+    first = found.effects[0]
+    since = first.onset_s if found.description["onset_s"] else None
+    assert disturbance_statement("T_tank_C", first.value, "K", first.interval90, since, average=True) in found.summary
 
     document = found.document()
     assert [lead["says"] for lead in document["leads"]] == [lead.says for lead in found.leads]

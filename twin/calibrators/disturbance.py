@@ -16,7 +16,7 @@ from types import MappingProxyType
 import numpy as np
 
 from twin.calibrators.base import Calibration, Window
-from twin.discovery.effects.statement import entering
+from twin.discovery import disturbance_statement
 from twin.elements import Parameter
 from twin.elements.heat_source import HeatSource
 from twin.gauss_newton import SE90
@@ -65,7 +65,7 @@ class DisturbanceLocation:
         """Return the calibration of the same window with these entries, and a flag if there is a place."""
         flags = calibration.flags
         if self.disturbed is not None and self.power_W is not None:
-            flags += (entering(self.disturbed, self.power_W, "W", self.interval90_W),)
+            flags += (disturbance_statement(self.disturbed, self.power_W, "W", self.interval90_W),)
         return replace(
             calibration,
             flags=flags,

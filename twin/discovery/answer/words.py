@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from twin.discovery.diagnosis import Alternative, Effect, SensorError, Verdict
 from twin.discovery.effects.phrases import clock, lasting, said, when
-from twin.discovery.effects.statement import entering
+from twin.discovery.effects.statement import disturbance_statement
 from twin.discovery.evidence.held_out import MUCH_WORSE, worse
 from twin.discovery.places.sites import spoken
 from twin.discovery.scoring.equivalence import OPEN
@@ -98,7 +98,7 @@ def summarise(
         if u.shape == "spell":
             return f"{beside}{u.says}.{spoken(description)} No effect of the catalogue ends, so nothing is adopted."
         since = u.onset_s if description.get("onset_s") else None
-        entered = entering(u.where, u.value, u.unit, u.interval90, since, average=True)
+        entered = disturbance_statement(u.where, u.value, u.unit, u.interval90, since, average=True)
         return (
             f"{beside}Something that no effect of the catalogue explains: {entered}, following "
             f"{u.driver.replace('_', ' ')}.{spoken(description)} Nothing is adopted."

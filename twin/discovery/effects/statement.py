@@ -10,7 +10,7 @@ KILO = 10_000.0
 """Watts from which a power is given in kilowatts."""
 
 
-def entering(
+def disturbance_statement(
     where: str,
     value: float,
     unit: str,

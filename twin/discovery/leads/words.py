@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.discovery.diagnosis import Course, Lead
 from twin.discovery.effects.phrases import amount, clock, lasting
-from twin.discovery.effects.statement import entering
+from twin.discovery.effects.statement import disturbance_statement
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.healthy.visited import BRIEF, STEADY
 from twin.discovery.leads.concentration import Squares, input_ranges, segments
@@ -94,7 +94,7 @@ def place_leads(free: Sequence[Course], description: dict[str, Any], start: floa
     low, high = (float(x) for x in description["range"])
     where = best.where or best.site
     since = start + float(description["onset_s"]) if description["onset_s"] else None
-    text = entering(where, float(description["mean"]), best.unit, (low, high), since, average=True)
+    text = disturbance_statement(where, float(description["mean"]), best.unit, (low, high), since, average=True)
     return (Lead("place", f"{text}; {_course(description)}", where, low, high, best.unit),)
 
 
