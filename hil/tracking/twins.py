@@ -357,23 +357,15 @@ def disturbance(document: dict[str, Any]) -> str | None:
     record implausible for a rig.
     """
     from twin.calibrators.hiera_unet.gates import BROKEN
+    from twin.discovery import disturbance_statement
 
     if document.get("outdone") or any(flag.startswith(BROKEN) for flag in document.get("flags", ())):
         return None
     where, power, interval = (document.get(f"disturbed{end}") for end in ("", "_W", "_interval90_W"))
     if where is None or power is None:
         return None
-    low, high = sorted(-x if power < 0 else x for x in interval or (0.0, 0.0))
-    spread = f" ({_watts(low)} to {_watts(high)})" if interval is not None else ""
-    since = document.get("disturbed_since_s")
-    when = f" since {since / 3600:.2f} h" if since is not None else ""
-    gives = "takes up" if power < 0 else "gives off"
-    return f"{where} {gives} {_watts(abs(power))} W{spread} that the twin does not model{when}"
-
-
-def _watts(power: float) -> str:
-    """Format whole watts; below ten two digits, for small rigs."""
-    return f"{power:.0f}" if abs(power) >= 9.5 else f"{power:.2g}"
+    bounds = None if interval is None else (float(interval[0]), float(interval[1]))
+    return disturbance_statement(where, power, "W", bounds, document.get("disturbed_since_s"))
 
 
 def window_kind(document: dict[str, Any]) -> str:

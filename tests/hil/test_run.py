@@ -89,7 +89,7 @@ def test_the_operator_is_told_where_something_entered_the_rig(finished):
     time_s, text = warnings[0]
     assert time_s == pytest.approx(1200, abs=2)  # the end of the first window after it began
     assert "pso: modules gives off" in text
-    assert "that the twin does not model since 0.1" in text
+    assert "that the twin does not model, from" in text
 
 
 def test_the_table_is_that_of_the_journal(finished):

@@ -16,6 +16,7 @@ from types import MappingProxyType
 import numpy as np
 
 from twin.calibrators.base import Calibration, Window
+from twin.discovery import disturbance_statement
 from twin.elements import Parameter
 from twin.elements.heat_source import HeatSource
 from twin.gauss_newton import SE90
@@ -63,9 +64,8 @@ class DisturbanceLocation:
     def enter(self, calibration: Calibration) -> Calibration:
         """Return the calibration of the same window with these entries, and a flag if there is a place."""
         flags = calibration.flags
-        if self.disturbed is not None and self.interval90_W is not None:
-            low, high = self.interval90_W
-            flags += (f"{self.power_W:.0f} W ({low:.0f} to {high:.0f}) unaccounted for at {self.disturbed}",)
+        if self.disturbed is not None and self.power_W is not None:
+            flags += (disturbance_statement(self.disturbed, self.power_W, "W", self.interval90_W),)
         return replace(
             calibration,
             flags=flags,

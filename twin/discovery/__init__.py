@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.discovery.diagnosis import Diagnosis, SensorError
+    from twin.discovery.effects.statement import disturbance_statement
     from twin.discovery.engine import diagnose, foresee, foresee_plan
     from twin.discovery.growing.answer import diagnose_grown
     from twin.discovery.healthy.basis import Columns, Commissioned
@@ -27,6 +28,7 @@ _HOME = {
     "TooShortError": "twin.discovery.records.grid",
     "diagnose": "twin.discovery.engine",
     "diagnose_grown": "twin.discovery.growing.answer",
+    "disturbance_statement": "twin.discovery.effects.statement",
     "foresee": "twin.discovery.engine",
     "foresee_plan": "twin.discovery.engine",
 }
@@ -41,6 +43,7 @@ __all__ = [
     "TooShortError",
     "diagnose",
     "diagnose_grown",
+    "disturbance_statement",
     "foresee",
     "foresee_plan",
 ]

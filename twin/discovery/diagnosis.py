@@ -126,6 +126,38 @@ class Fold:
     gain: float
 
 
+LeadKind = Literal["segment", "input range", "outside healthy range", "place", "row"]
+
+
+@dataclass(frozen=True)
+class Lead:
+    """A hint of where to look in what is left unexplained, beyond noise.
+
+    Attributes
+    ----------
+    says
+        In plain words, a sentence without a full stop.
+    where
+        Input column of a range, place of an unknown quantity, columns of a row; "" of a segment.
+    low, high
+        Range of the input in `unit`; of the place's quantity in `unit`; else first and last time, s of the record or
+        numbers of steady states.
+    share
+        Of the squares left beyond noise that lies there, 0 to 1; NaN of a place or a row.
+    of_record
+        Share of the record that is there; NaN of a place or a row.
+    """
+
+    kind: LeadKind
+    says: str
+    where: str
+    low: float
+    high: float
+    unit: str
+    share: float = float("nan")
+    of_record: float = float("nan")
+
+
 @dataclass(frozen=True)
 class Rung:
     """One step of the ladder: what the twin held, the misfit left (chi per block and sensor), the best next score."""
@@ -149,7 +181,7 @@ class Diagnosis:
         threshold: of a growth, score that the best of a record of noise reaches once in a hundred.
         method: `contest` of effects with a twin that is nearly right, or `growth` of one of which little is known; `at
             rest` of steady states, whose times are their numbers from 1.
-        elsewhere: what it comes to on further records.
+        elsewhere: what it comes to on further records. leads: where to look in what is left unexplained.
     """
 
     verdict: Verdict
@@ -179,6 +211,7 @@ class Diagnosis:
     empirical: Empirical | None = None
     method: Literal["contest", "growth", "growth at rest"] = "contest"
     elsewhere: tuple[Elsewhere, ...] = ()
+    leads: tuple[Lead, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """The contract's ``diagnosis.json``."""
@@ -220,6 +253,7 @@ class Diagnosis:
                 {"first_s": _round(f.first_s), "last_s": _round(f.last_s), "gain": _round(f.gain)} for f in self.folds
             ],
             "description": dict(self.description),
+            "leads": [_lead(one) for one in self.leads],
             "warnings": list(self.warnings),
             "notes": list(self.notes),
         }  # fmt: skip
@@ -239,6 +273,13 @@ def _error(e: SensorError) -> dict[str, Any]:
     return {
         "stale": _round(e.stale), "before": _round(e.before), "after": _round(e.after), "noise": _round(e.noise),
         "ten_second_means": dict(zip(("stale", "before", "after"), map(_round, e.means), strict=True)),
+    }  # fmt: skip
+
+
+def _lead(one: Lead) -> dict[str, Any]:
+    return {
+        "kind": one.kind, "where": one.where, "low": _round(one.low), "high": _round(one.high), "unit": one.unit,
+        "share": _round(one.share), "of_record": _round(one.of_record), "says": one.says,
     }  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin.discovery.answer.case import Case
+from twin.discovery.answer.leads import with_leads
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.evidence.commissioned import as_commissioned, as_under_another_load, nothing, retuned_alone
@@ -116,6 +117,7 @@ def diagnose(
         later=tuple(part.grid for part in further),
     )
     found = beside_unvisited(conclude(case, tuple(notes)), network, record, healthy)
+    found = with_leads(found, case, record, healthy)
     if alone is not None:
         # With its course taken off nothing explains the rest: the course was not all its own.
         return apart if found.verdict == "unexplained" else found

@@ -54,6 +54,7 @@ def page(findings: Findings) -> str:
         element("h1", title),
         _verdict(d),
         _cards(d),
+        _leads(d),
         _experiment(d),
         _section("Residual", drawn, "residuals", _residual_note(d)),
         _section("Unknown input by place", drawn, "unknowns", _UNKNOWN_NOTE),
@@ -84,6 +85,9 @@ _UNKNOWN_NOTE = (
     "These estimates use no catalogue of effects. Each curve is the power (or thermometer error, or change of "
     "radiator heat or of flow) that explains the record if it acts at that place alone. "
     "The likeliest places come first; the likeliest one is blue."
+)
+_LEADS_NOTE = (
+    "Where to look in what is left unexplained. Noise alone gives a lead of one kind in one record of a hundred."
 )
 _LADDER_NOTE = (
     "Left: misfit of the twin with each added effect; the dotted line is noise alone. Right: "
@@ -165,6 +169,12 @@ def _verdict(d: dict[str, Any]) -> Html:
             *(_note(text) for text in d["notes"]),
         ]
     )
+
+
+def _leads(d: dict[str, Any]) -> Html:
+    """Render the leads: where to look in what is left unexplained."""
+    items = [element("li", lead["says"]) for lead in d.get("leads") or ()]
+    return joined([element("h2", "Leads"), _note(_LEADS_NOTE), element("ul", *items)]) if items else NOTHING
 
 
 def _cards(d: dict[str, Any]) -> Html:

@@ -26,6 +26,8 @@ def print_diagnosis(to: Console, d: Diagnosis) -> None:
     to.print(f"[bold]{d.verdict}[/bold]: {d.summary}", soft_wrap=True)
     for note in d.notes:
         to.print(note, soft_wrap=True)
+    for lead in d.leads:
+        to.print(f"lead: {lead.says}", soft_wrap=True)
     if d.effects:
         table = Table(title="Effects", title_justify="left")
         for heading in ("kind", "place", "driver", "change", "size", "90 %", "onset", "z"):

@@ -6,7 +6,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from twin.discovery.diagnosis import Alternative, Effect, SensorError, Verdict
-from twin.discovery.effects.phrases import amount, clock, lasting, said, when
+from twin.discovery.effects.phrases import clock, lasting, said, when
+from twin.discovery.effects.statement import disturbance_statement
 from twin.discovery.evidence.held_out import MUCH_WORSE, worse
 from twin.discovery.places.sites import spoken
 from twin.discovery.scoring.equivalence import OPEN
@@ -96,11 +97,11 @@ def summarise(
         beside = "".join(f"{e.says}. " for e in effects if e is not u and e.says)
         if u.shape == "spell":
             return f"{beside}{u.says}.{spoken(description)} No effect of the catalogue ends, so nothing is adopted."
-        low, high = (amount(x, u.unit) for x in u.interval90)
+        since = u.onset_s if description.get("onset_s") else None
+        entered = disturbance_statement(u.where, u.value, u.unit, u.interval90, since, average=True)
         return (
-            f"{beside}Something at {u.where} is not in the catalogue: {amount(u.value, u.unit)} on average "
-            f"({low} to {high}) since {clock(u.onset_s)}, following {u.driver.replace('_', ' ')}.{spoken(description)} "
-            "No known effect explains it, so nothing is adopted."
+            f"{beside}Something that no effect of the catalogue explains: {entered}, following "
+            f"{u.driver.replace('_', ' ')}.{spoken(description)} Nothing is adopted."
         )
     said = ". ".join(e.says for e in effects)
     named = {(e.kind, e.where) for e in effects}

@@ -18,6 +18,7 @@ from twin.discovery.effects.phrases import amount, said
 from twin.discovery.evidence.held_out import binned, worse
 from twin.discovery.growing.beam import BEAM
 from twin.discovery.growing.growth import MOST_EFFECTS, Added, Growth, grow_samples, samples_of, states_of
+from twin.discovery.growing.leads import leads_of
 from twin.discovery.growing.merit import LEFT, NEEDED
 from twin.discovery.growing.unaided import Fit, Samples
 from twin.discovery.healthy.basis import Columns
@@ -146,6 +147,14 @@ class _Answer:
             folds=tuple(replace(f, first_s=f.first_s + self.start, last_s=f.last_s + self.start) for f in g.folds),
             threshold=math.sqrt(max([NEEDED, *(a.limit for a in self.added)])),
             method="growth at rest" if self.whole.at_rest else "growth",
+            leads=leads_of(
+                self.network,
+                self.record,
+                self.whole,
+                self.residuals[1 if worse(errors) else 2],
+                self.residuals[1],
+                verdict,
+            ),
         )
 
     def _absent(self) -> tuple[str, ...]:

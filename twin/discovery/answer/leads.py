@@ -1,0 +1,79 @@
+"""Leads of a diagnosis: where to look in what its answer leaves of the record."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+from scipy.fft import idct
+
+from twin.discovery.answer.case import Case
+from twin.discovery.diagnosis import Diagnosis, Lead
+from twin.discovery.healthy.basis import Columns
+from twin.discovery.leads.concentration import NOTED, Squares
+from twin.discovery.leads.words import outside_leads, place_leads, range_leads, record_rows, segment_leads
+from twin.discovery.refit.fitting import look_at
+from twin.discovery.refit.model import Model
+from twin.discovery.scoring.contest import Contest
+from twin.network import Array
+
+
+def with_leads(found: Diagnosis, case: Case, record: Columns, healthy: Columns | None) -> Diagnosis:
+    """Return a diagnosis with its leads: none where the twin is adequate.
+
+    Where effects were found, only what they leave beyond noise gives leads. Where nothing explains the record, there is
+    at least one: that the misfit lies all over it.
+
+    Parameters
+    ----------
+    record
+        The record that was diagnosed, at its own stamps.
+    """
+    if found.verdict == "adequate":
+        return found
+    network = case.known.probe.network
+    explained = found.verdict != "unexplained"
+    contest = _after(case) if explained else case.whole
+    squares = squares_of(contest)
+    leads: list[Lead] = []
+    if squares.present and (not explained or squares.beyond > NOTED * case.whole.misfit):
+        times = case.grid.time[0] + contest.edges * case.grid.step_s
+        inputs = contest.block_means(case.grid.inputs)
+        leads += segment_leads(squares, times[:-1], times[1:])
+        leads += range_leads(network, squares, inputs, contest.memory)
+        if healthy is not None:
+            leads += outside_leads(network, squares, inputs, healthy)
+    if not explained:
+        leads += place_leads(case.free, dict(found.description), float(case.grid.time[0]))
+    leads += record_rows(network, record, _simulated(case, record))
+    return replace(found, leads=tuple(leads))
+
+
+def squares_of(contest: Contest) -> Squares:
+    """Return the squares, by blocks with readings, of what a record leaves of a twin re-tuned as far as commissioning
+    lets it. The residual is whitened by the noise that is expected and put back in time."""
+    white = contest.residual - contest.slopes @ contest.moved(np.empty((0, 0)), np.empty(0))
+    left = idct(white.reshape(contest.b, contest.m), type=2, norm="ortho", axis=0)
+    known = contest.known
+    return Squares(np.where(known, left**2, 0.0).sum(axis=1), known.sum(axis=1))
+
+
+def _after(case: Case) -> Contest:
+    """Return the contest of all of the record, looking at what the effects leave."""
+    contest, fit = copy.copy(case.whole), case.finding.fit
+    if fit is not None:
+        # Segments that the fit has not seen begin as the readings tell.
+        state, unseen = contest.probe.first_state(case.grid), contest.slopes.shape[1] - len(fit.moved)
+        begun = np.concatenate([fit.state, state[len(fit.state) :]])
+        moved = np.concatenate([fit.moved, np.zeros(unseen)])
+        look_at(contest, Model.of(contest.probe, fit.entries), replace(fit, state=begun, moved=moved))
+    return contest
+
+
+def _simulated(case: Case, record: Columns) -> Array:
+    """Return what the twin as commissioned gives at the record's stamps (N, m), degC."""
+    grid, probe = case.grid, case.known.probe
+    readings = probe.run(grid, probe.first_state(grid)).readings
+    middle = grid.time + 0.5 * grid.step_s
+    return np.stack([np.interp(record.time_s, middle, each) for each in readings.T], axis=1)
