@@ -10,7 +10,7 @@ from rich.console import Console
 
 from hil.diagnosis.page import page
 from hil.diagnosis.store import Findings, curves_of
-from hil.diagnosis.terminal_report import print_diagnosis
+from hil.diagnosis.terminal.report import print_diagnosis
 from hil.tracking.twins import disturbance
 from tests.discovery.conftest import Bench
 from tests.discovery.test_records import TWINS, cooler
