@@ -6,7 +6,7 @@ from hil.journal import ENDED, HEATED, UNTOUCHED, Event, State, TransitionError
 from hil.run.engine.components import Components
 from hil.run.engine.status import Outcome
 from hil.run.engine.tick import TickWork
-from hil.run.outputs import Safed, attempt_s, make_safe, still_hot, write_safe
+from hil.run.outputs import Meanwhile, Safed, attempt_s, make_safe, still_hot, write_safe
 
 INTERRUPTED_AT_MOST = 100
 """So often making safe is begun again after whatever interrupted it."""
@@ -80,9 +80,11 @@ class Ending:
             advance=parts.step,
             period_s=parts.step_s,
             hurried=lambda: parts.supervisor.hurried,
-            progress=parts.expect,
-            failed=self._guard_has_made_safe,
-            stays=lambda readings: self._work.descent.stays(readings, parts.clock.now()),
+            meanwhile=Meanwhile(
+                progress=parts.expect,
+                failed=self._guard_has_made_safe,
+                stays=lambda readings: self._work.descent.stays(readings, parts.clock.now()),
+            ),
         )
         self._made_safe = result
         listed = ", ".join(f"{name} {value:g} {parts.rig.get(name).unit}" for name, value in safe.items())

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from hil.run.outputs.heaters import DEAD_TIME_S, Descent, GoodReadings, safe_limit, safe_limits, still_hot
     from hil.run.outputs.outputs import ARMING_TICKS, Outputs
     from hil.run.outputs.readback import SetpointReadback
-    from hil.run.outputs.safing import Safed, attempt_s, make_safe, write_safe
+    from hil.run.outputs.safing import Meanwhile, Safed, attempt_s, make_safe, write_safe
     from hil.run.outputs.setpoints import Setpoints, bind, setpoint_columns
     from hil.run.outputs.time_to_safe import SAFE_WITHIN_S, SILENCE_S, takes_s
 
@@ -26,6 +26,7 @@ __all__ = [
     "Descent",
     "Deviations",
     "GoodReadings",
+    "Meanwhile",
     "Outputs",
     "Safed",
     "SetpointReadback",
@@ -59,6 +60,7 @@ __getattr__, __dir__ = lazy_names(
         ),
         "readback": ("SetpointReadback",),
         "safing": (
+            "Meanwhile",
             "Safed",
             "attempt_s",
             "make_safe",

@@ -46,6 +46,21 @@ class Safed:
         return self.written and not self.hot
 
 
+@dataclass(frozen=True, slots=True)
+class Meanwhile:
+    """Calls while the rig is made safe.
+
+    Attributes:
+        progress: before each attempt. failed: after each that failed; returns whether somebody else has made the rig
+            safe. stays: which meter does not come down, counted from when its heater was first told to be safe; None
+            counts from now.
+    """
+
+    progress: Callable[[], None] = lambda: None
+    failed: Callable[[], bool] = lambda: False
+    stays: Callable[[Mapping[str, float]], str] | None = None
+
+
 async def make_safe(
     connection: RigConnection,
     safe_values: dict[str, float],
@@ -54,26 +69,22 @@ async def make_safe(
     advance: Callable[[], Awaitable[None]],
     period_s: float,
     hurried: Callable[[], bool],
-    progress: Callable[[], None] = lambda: None,
-    failed: Callable[[], bool] = lambda: False,
-    stays: Callable[[Mapping[str, float]], str] | None = None,
+    meanwhile: Meanwhile | None = None,
 ) -> Safed:
     """Write `safe_values` in their order, read them back, and wait until the measured values follow.
 
     A lost link is retried for `WRITE_DEADLINE_S` of wall time. `advance` lets one period of rig time pass. When
-    `hurried()` turns true the waits are cut short; the writing and its read-back never are. `progress` is called
-    before each attempt, `failed` after each that failed: it returns whether somebody else has made the rig safe.
-    `stays` tells which meter does not come down, counted from when its heater was first told to be safe; by default
-    that is now. Raises nothing.
+    `hurried()` turns true the waits are cut short; the writing and its read-back never are. Raises nothing.
     """
+    meanwhile = meanwhile or Meanwhile()
     began = time.monotonic()
     while True:
-        progress()
+        meanwhile.progress()
         left_s = began + (HURRIED_WRITE_DEADLINE_S if hurried() else WRITE_DEADLINE_S) - time.monotonic()
         problem = await write_safe(connection, safe_values, within_s=max(left_s, attempt_s(connection.rig)))
         if not problem:
             break
-        if failed():
+        if meanwhile.failed():
             return Safed(True, True, "")
         if left_s <= 0.0:
             return Safed(False, False, problem)
@@ -85,7 +96,7 @@ async def make_safe(
     busy_s = 0.0
     every = max(round(REWRITE_EVERY_S / period_s), 1)
     for number in range(math.ceil(max(waits, default=0.0) / period_s)):
-        progress()
+        meanwhile.progress()
         asked_s = time.monotonic()
         try:
             snapshot = await connection.read()
@@ -95,7 +106,9 @@ async def make_safe(
             problem = hot or problem
             if not problem or hurried():
                 break
-            disobeyed = stays(readings) if stays is not None else fresh.stays(readings, number * period_s)
+            disobeyed = (
+                meanwhile.stays(readings) if meanwhile.stays is not None else fresh.stays(readings, number * period_s)
+            )
             if not disobeyed:
                 await connection.write(heartbeat())
             if disobeyed or number % every == every - 1:  # another master may have written since
