@@ -92,7 +92,7 @@ async def make_safe(
     waits = [connection.rig.get(name).readback_within_s for name in safe_values]
     limits, held_s = safe_limits(connection.rig), time.monotonic()
     hot = "no meter was read" if limits else ""
-    fresh = Descent(connection.rig, limits, period_s)
+    fresh, stays = Descent(connection.rig, limits, period_s), meanwhile.stays
     busy_s = 0.0
     every = max(round(REWRITE_EVERY_S / period_s), 1)
     for number in range(math.ceil(max(waits, default=0.0) / period_s)):
@@ -106,9 +106,7 @@ async def make_safe(
             problem = hot or problem
             if not problem or hurried():
                 break
-            disobeyed = (
-                meanwhile.stays(readings) if meanwhile.stays is not None else fresh.stays(readings, number * period_s)
-            )
+            disobeyed = stays(readings) if stays is not None else fresh.stays(readings, number * period_s)
             if not disobeyed:
                 await connection.write(heartbeat())
             if disobeyed or number % every == every - 1:  # another master may have written since
