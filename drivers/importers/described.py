@@ -154,8 +154,11 @@ _HEAD = """\
 """
 _UNIT = {"heater": "W", "pump": "%", "fan": "%"}
 _NAME = {"heater": "heater_power", "pump": "pump_speed", "fan": "fan_speed"}
-_SAFE = {"heater": (0.0, 0, "off"), "pump": (None, 1, "goes on: the water carries the heat away"),
-         "fan": (None, 2, "goes on")}  # fmt: skip
+_SAFE = {
+    "heater": (0.0, 0, "off"),
+    "pump": (None, 1, "goes on: the water carries the heat away"),
+    "fan": (None, 2, "goes on"),
+}
 
 
 def draft_of_description(rig: Described, out: Path) -> Draft:
@@ -175,10 +178,12 @@ def draft_of_description(rig: Described, out: Path) -> Draft:
     stale = _stale_after(rig)
     for name, place in rig.thermocouples.items():
         keys = {
-            "unit": "degC", **({"role": name} if name in ROLES else {}),
+            "unit": "degC",
+            **({"role": name} if name in ROLES else {}),
             "plausible": [-10.0, max(95.0, rig.trip_C + 20.0)],
-            "alarm": [-5.0, rig.trip_C], "stale_after_s": stale.get(str(place.keys.get("message")), 3.0 * rig.period_s),
-        }  # fmt: skip
+            "alarm": [-5.0, rig.trip_C],
+            "stale_after_s": stale.get(str(place.keys.get("message")), 3.0 * rig.period_s),
+        }
         said = {
             "plausible": "guessed: a reading beyond it is recorded as out of range",
             "alarm": "beyond it the run ends",
@@ -202,9 +207,13 @@ def _driven(one: Actuator, name: str, first: bool, period_s: float) -> list[tupl
     unit = _UNIT[one.kind]
     safe, order, why = _SAFE[one.kind]
     keys: dict[str, Any] = {
-        "unit": unit, "access": "rw", "limits": [0.0, one.most], "max_rate": one.most / (10.0 if unit == "W" else 5.0),
-        "safe_value": one.most if safe is None else safe, "safe_order": order,
-    }  # fmt: skip
+        "unit": unit,
+        "access": "rw",
+        "limits": [0.0, one.most],
+        "max_rate": one.most / (10.0 if unit == "W" else 5.0),
+        "safe_value": one.most if safe is None else safe,
+        "safe_order": order,
+    }
     said = {
         "limits": "no profile goes beyond",
         "max_rate": f"guessed: {unit} a second",

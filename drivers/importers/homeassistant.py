@@ -35,9 +35,16 @@ _HUB_NOTED = {
     "message_wait_milliseconds": "give the bus gap_s, in s",
 }
 _ITEM_HARMLESS = {
-    "unique_id", "scan_interval", "device_class", "state_class", "lazy_error_count", "icon", "entity_category",
-    "precision", "friendly_name",
-}  # fmt: skip
+    "unique_id",
+    "scan_interval",
+    "device_class",
+    "state_class",
+    "lazy_error_count",
+    "icon",
+    "entity_category",
+    "precision",
+    "friendly_name",
+}
 """Keys by which Home Assistant shows, names and schedules an entity; no value and no address depends on them."""
 _ITEM_NOTED = {"zero_suppress": "small values are kept as they are read"}
 _MOST_VIRTUAL = 2000

@@ -16,9 +16,17 @@ _OLD = {"int": "int", "uint": "uint", "float": "float"}
 """Types without a size, of older configurations: `count` registers hold them."""
 _ORDERS = {"none": "ABCD", "byte": "BADC", "word": "CDAB", "word_byte": "DCBA"}
 _STRUCTURES = {
-    "h": "int16", "H": "uint16", "i": "int32", "I": "uint32", "l": "int32", "L": "uint32",
-    "q": "int64", "Q": "uint64", "f": "float32", "d": "float64",
-}  # fmt: skip
+    "h": "int16",
+    "H": "uint16",
+    "i": "int32",
+    "I": "uint32",
+    "l": "int32",
+    "L": "uint32",
+    "q": "int64",
+    "Q": "uint64",
+    "f": "float32",
+    "d": "float64",
+}
 """Letters of Python's struct module, with standard sizes as after `>` or `!`."""
 
 

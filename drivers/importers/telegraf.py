@@ -30,16 +30,48 @@ _REGISTERS = {"coil": "coil", "discrete": "discrete", "holding": "holding", "inp
 _SERIAL = {"baud": "baud_rate", "parity": "parity", "stop_bits": "stop_bits", "data_bits": "data_bits"}
 
 _SECTION = {
-    "controller", "slave_id", "transmission_mode", "configuration_type", "workarounds", "request", "metric",
-    *_STYLE_TABLES, *_SERIAL.values(),
-}  # fmt: skip
+    "controller",
+    "slave_id",
+    "transmission_mode",
+    "configuration_type",
+    "workarounds",
+    "request",
+    "metric",
+    *_STYLE_TABLES,
+    *_SERIAL.values(),
+}
 _SECTION_HARMLESS = {
-    "name", "alias", "log_level", "debug_connection", "exclude_register_type_tag", "timeout", "busy_retries",
-    "busy_retries_wait", "interval", "precision", "collection_jitter", "collection_offset", "name_override",
-    "name_prefix", "name_suffix", "tags", "startup_error_behavior", "optimization", "optimization_max_register_fill",
-    "namepass", "namedrop", "fieldpass", "fielddrop", "fieldinclude", "fieldexclude", "tagpass", "tagdrop",
-    "taginclude", "tagexclude", "metricpass",
-}  # fmt: skip
+    "name",
+    "alias",
+    "log_level",
+    "debug_connection",
+    "exclude_register_type_tag",
+    "timeout",
+    "busy_retries",
+    "busy_retries_wait",
+    "interval",
+    "precision",
+    "collection_jitter",
+    "collection_offset",
+    "name_override",
+    "name_prefix",
+    "name_suffix",
+    "tags",
+    "startup_error_behavior",
+    "optimization",
+    "optimization_max_register_fill",
+    "namepass",
+    "namedrop",
+    "fieldpass",
+    "fielddrop",
+    "fieldinclude",
+    "fieldexclude",
+    "tagpass",
+    "tagdrop",
+    "taginclude",
+    "tagexclude",
+    "metricpass",
+}
 """Keys by which Telegraf names, schedules and filters its metrics; no value and no address depends on them."""
 _WORKAROUNDS_HARMLESS = {"close_connection_after_gather", "read_coils_starting_at_zero", "string_register_location"}
 _WORKAROUNDS_NOTED = {

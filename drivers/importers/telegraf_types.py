@@ -14,11 +14,23 @@ _IEEE = {"FLOAT32-IEEE": "float32", "FLOAT64-IEEE": "float64"}
 _REGISTER_WORDS = (*_INTEGERS, *_FIXED, *_IEEE, *_BYTES, "BIT", "STRING")
 _FIELD_WORDS = (*_INTEGERS, "FLOAT32", "FLOAT64", *_BYTES, "BIT", "STRING")
 _ORDERS = {
-    "AB": "ABCD", "ABCD": "ABCD", "ABCDEFGH": "ABCD", "MSW": "ABCD", "MSW-BE": "ABCD",
-    "CDAB": "CDAB", "GHEFCDAB": "CDAB", "LSW-BE": "CDAB",
-    "BADC": "BADC", "BADCFEHG": "BADC", "MSW-LE": "BADC",
-    "BA": "DCBA", "DCBA": "DCBA", "HGFEDCBA": "DCBA", "LSW": "DCBA", "LSW-LE": "DCBA",
-}  # fmt: skip
+    "AB": "ABCD",
+    "ABCD": "ABCD",
+    "ABCDEFGH": "ABCD",
+    "MSW": "ABCD",
+    "MSW-BE": "ABCD",
+    "CDAB": "CDAB",
+    "GHEFCDAB": "CDAB",
+    "LSW-BE": "CDAB",
+    "BADC": "BADC",
+    "BADCFEHG": "BADC",
+    "MSW-LE": "BADC",
+    "BA": "DCBA",
+    "DCBA": "DCBA",
+    "HGFEDCBA": "DCBA",
+    "LSW": "DCBA",
+    "LSW-LE": "DCBA",
+}
 
 
 def register_type(word: str, count: int) -> tuple[dict[str, Any], str]:

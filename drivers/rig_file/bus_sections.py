@@ -252,5 +252,12 @@ def is_numbered(bus: ModbusBusSection) -> bool:
 
 AnyBus = ModbusTcpBus | ModbusTlsBus | ModbusRtuTcpBus | ModbusRtuBus | CanBus
 TRANSPORTS = (
-    "modbus_tcp", "modbus_tls", "modbus_rtu_tcp", "modbus_rtu", "socketcand", "socketcan", "slcan", "virtual",
-)  # fmt: skip
+    "modbus_tcp",
+    "modbus_tls",
+    "modbus_rtu_tcp",
+    "modbus_rtu",
+    "socketcand",
+    "socketcan",
+    "slcan",
+    "virtual",
+)

@@ -7,9 +7,16 @@ import difflib
 HEATER, FAN, ROOM = "heater_power", "fan_speed", "T_ambient"
 """Roles that the thermal restore uses: it drives the first two, and cannot restore the third."""
 ROLES: tuple[str, ...] = (
-    HEATER, "pump_speed", FAN, "flow", ROOM, "T_heater", *(f"T_pm{number}" for number in range(1, 7)), "T_radiator",
+    HEATER,
+    "pump_speed",
+    FAN,
+    "flow",
+    ROOM,
+    "T_heater",
+    *(f"T_pm{number}" for number in range(1, 7)),
+    "T_radiator",
     "T_tank",
-)  # fmt: skip
+)
 
 
 def nearest_role(role: str, unit: str) -> str:

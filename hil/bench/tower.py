@@ -84,9 +84,10 @@ def compare(
             )
             clean = np.zeros((len(blocks.time_s), len(DEVIATIONS)))
             ways = {
-                "commissioned": clean, "Gauss-Newton MAP": plain.slow[plain.cells_at(blocks.time_s), :4],
+                "commissioned": clean,
+                "Gauss-Newton MAP": plain.slow[plain.cells_at(blocks.time_s), :4],
                 "with discrepancy": result.calibrated.posterior.slow[plain.cells_at(blocks.time_s), :4],
-            }  # fmt: skip
+            }
             errors += [_parameter_row(name, result.cell, blocks.time_s, values, true) for name, values in ways.items()]
         tables.append(ReportTable(f"cell{result.cell}", about, COLUMNS, tuple(rows), NOTES))
     if errors:

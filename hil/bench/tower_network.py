@@ -29,9 +29,12 @@ PARTS = {
 
 
 def network_tables(
-    folder: Path, networks: Sequence[Path], device: str = "cpu", most: int | None = None,
+    folder: Path,
+    networks: Sequence[Path],
+    device: str = "cpu",
+    most: int | None = None,
     note: Callable[[str], None] = lambda _: None,
-) -> list[ReportTable]:  # fmt: skip
+) -> list[ReportTable]:
     """Score networks on the test split of a folder of simulated stations.
 
     Raises:
@@ -79,8 +82,13 @@ def tables_of(document: Mapping[str, Any]) -> list[ReportTable]:
 def _outlets(part: str, scores: Mapping[str, Any]) -> ReportTable:
     columns = ("method", "MAE K", "RMSE K", "p90 K", "p99 K", "30 min after a fan change K", "readings MAE K")
     names = (
-        "water_mae_K", "water_rmse_K", "water_p90_K", "water_p99_K", "water_mae_after_fan_change_K", "reading_mae_K",
-    )  # fmt: skip
+        "water_mae_K",
+        "water_rmse_K",
+        "water_p90_K",
+        "water_p99_K",
+        "water_mae_after_fan_change_K",
+        "reading_mae_K",
+    )
     rows = tuple((method, *(one[n] for n in names)) for method, one in scores.items())
     count = next(iter(scores.values()))["windows"]
     about = f"Outlet against the truth, {PARTS.get(part, part)}, {count} windows of two hours, their readings hidden"
@@ -150,10 +158,15 @@ def _change(mean: float, low: float, high: float) -> str:
 def _adapted(stations: Mapping[str, Any]) -> ReportTable:
     """Return the outlet errors of a member before and after it saw nine months of a station's own readings."""
     rows = [
-        (name, one["steps"], one["windows"], *(one[k]["water_mae_K"] for k in ("belief", "family", "adapted")),
-         *(one[k]["reading_mae_K"] for k in ("belief", "family", "adapted")))
+        (
+            name,
+            one["steps"],
+            one["windows"],
+            *(one[k]["water_mae_K"] for k in ("belief", "family", "adapted")),
+            *(one[k]["reading_mae_K"] for k in ("belief", "family", "adapted")),
+        )
         for name, one in stations.items()
-    ]  # fmt: skip
+    ]
     ways = ("Gauss-Newton", "family", "adapted")
     columns = ("cell", "steps", "windows", *(f"{what} {way} K" for what in ("outlet", "readings") for way in ways))
     notes = ("trained on a family of plants, then on readings of the first 9 of 14 months; scored on the last 3",)
@@ -166,10 +179,19 @@ def _trained(cards: Mapping[str, Any]) -> ReportTable:
     rows: list[tuple[Cell, ...]] = []
     for name, card in cards.items():
         gate = card["gate"]
-        rows.append((
-            name, card["weights"]["count"], card["steps_done"], card["plan"]["batch"], card["seconds"], card["device"],
-            gate["parameters_worse"][0], gate["outputs_worse"][0], card.get("refused") or "passed",
-        ))  # fmt: skip
+        rows.append(
+            (
+                name,
+                card["weights"]["count"],
+                card["steps_done"],
+                card["plan"]["batch"],
+                card["seconds"],
+                card["device"],
+                gate["parameters_worse"][0],
+                gate["outputs_worse"][0],
+                card.get("refused") or "passed",
+            )
+        )
     columns = ("member", "weights", "steps", "batch", "s", "device", "parameters worse", "outputs worse", "gate")
     notes = (
         "worse: with another window's channels, as a share; at least 0.05 and surely above 0, else BLIND",

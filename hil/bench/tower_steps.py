@@ -38,8 +38,17 @@ IN_TIME_MIN = 18.0
 """Limit of the paper for a step of 0.5 K."""
 RUNNING_MIN = 240
 """Minutes before and after a step in which the cell must run steadily: a thermometer that stands dry shows nothing."""
-CASES = ("trial", "cell", "size K", "found after min", "class", "fill moved sd", "air moved sd", "uniformity moved sd",
-         "bias moved K")  # fmt: skip
+CASES = (
+    "trial",
+    "cell",
+    "size K",
+    "found after min",
+    "class",
+    "fill moved sd",
+    "air moved sd",
+    "uniformity moved sd",
+    "bias moved K",
+)
 
 
 @dataclass(frozen=True)
@@ -111,9 +120,11 @@ def _times(network: Network, whole: CellRecord) -> Array:
 
 def _part(whole: CellRecord, rows: slice) -> CellRecord:
     return replace(
-        whole, time_s=whole.time_s[rows], columns={n: v[rows] for n, v in whole.columns.items()},
+        whole,
+        time_s=whole.time_s[rows],
+        columns={n: v[rows] for n, v in whole.columns.items()},
         origin={n: v[rows] for n, v in whole.origin.items()},
-    )  # fmt: skip
+    )
 
 
 def _fit(network: Network, record: CellRecord, notes: StationNotes) -> tuple[Fitted, tuple[Step, ...]]:
@@ -144,9 +155,13 @@ def _trial(network: Network, week: CellRecord, notes: StationNotes, plain: Fitte
     fill, air, uniformity = (change / plain.posterior.sd()[row])[:3].tolist()
     after = (near[0].alarm_s - at) / 60.0 if near else None
     return Trial(
-        week.cell, size, after, near[0].kind if near else "none", (fill, air, uniformity),
+        week.cell,
+        size,
+        after,
+        near[0].kind if near else "none",
+        (fill, air, uniformity),
         float(change[DEVIATIONS.index("bias")]),
-    )  # fmt: skip
+    )
 
 
 def tables_of(trials: Sequence[Trial], size: float) -> list[ReportTable]:
@@ -156,7 +171,9 @@ def tables_of(trials: Sequence[Trial], size: float) -> list[ReportTable]:
     late = int((delays > IN_TIME_MIN).sum())
     bias = np.array([np.sign(t.size) * t.bias for t in trials])
     rows: list[tuple[Cell, ...]] = [
-        ("steps", n), (f"found within {IN_TIME_MIN:g} min", int(len(delays) - late)), ("found later", late),
+        ("steps", n),
+        (f"found within {IN_TIME_MIN:g} min", int(len(delays) - late)),
+        ("found later", late),
         ("missed", n - len(delays)),
         ("taken for a change of the water", sum(t.kind == "water" for t in trials)),
         ("called fouling by the refit", sum(t.called_fouling for t in trials)),
@@ -164,7 +181,7 @@ def tables_of(trials: Sequence[Trial], size: float) -> list[ReportTable]:
         ("longest minutes to the alarm", float(delays.max()) if len(delays) else None),
         ("largest change of fill, air or uniformity, sd", max((max(map(abs, t.moved)) for t in trials), default=None)),
         ("median change of the bias with the step, K", float(np.median(bias)) if n else None),
-    ]  # fmt: skip
+    ]
     about = f"{n} steps of {size:g} K of an outlet thermometer, either sign, at random times; the fan runs steadily"
     notes = (
         f"each in a record of {BEFORE_DAYS:g} days before and {AFTER_DAYS:g} days after it, fitted with and without",
@@ -174,4 +191,4 @@ def tables_of(trials: Sequence[Trial], size: float) -> list[ReportTable]:
     return [
         ReportTable("steps", about, ("figure", "value"), tuple(rows), notes),
         ReportTable("trials", "The trials", CASES, tuple(each)),
-    ]  # fmt: skip
+    ]

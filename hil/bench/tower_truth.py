@@ -43,10 +43,14 @@ class Outlet:
         error = np.abs(self.found[rows] - true)
         penalty = 2.0 / (1.0 - QUANTILE) * (np.maximum(low - true, 0.0) + np.maximum(true - high, 0.0))
         return (
-            int(rows.sum()), float(np.abs(self.commissioned[rows] - true).mean()), float(error.mean()),
-            float(np.quantile(error, 0.9)), float(np.mean((low <= true) & (true <= high))),
-            float(np.mean(high - low)), float(np.mean(high - low + penalty)),
-        )  # fmt: skip
+            int(rows.sum()),
+            float(np.abs(self.commissioned[rows] - true).mean()),
+            float(error.mean()),
+            float(np.quantile(error, 0.9)),
+            float(np.mean((low <= true) & (true <= high))),
+            float(np.mean(high - low)),
+            float(np.mean(high - low + penalty)),
+        )
 
 
 def outlet_of(result: CellResult, truth: Columns) -> Outlet:
@@ -58,9 +62,14 @@ def outlet_of(result: CellResult, truth: Columns) -> Outlet:
     mine, its = mine[there], its[there]
     month = (m.time_s[mine].astype("datetime64[s]").astype("datetime64[M]").astype(np.intp)) % 12 + 1
     return Outlet(
-        truth["t_out"][its], c.t_out[mine], c.low[mine], c.high[mine], c.commissioned[mine],
-        m.operation.inputs.wet[mine], month,
-    )  # fmt: skip
+        truth["t_out"][its],
+        c.t_out[mine],
+        c.low[mine],
+        c.high[mine],
+        c.commissioned[mine],
+        m.operation.inputs.wet[mine],
+        month,
+    )
 
 
 def against_truth(results: Sequence[CellResult], notes: StationNotes, path: Path) -> list[ReportTable]:
@@ -79,16 +88,22 @@ def against_truth(results: Sequence[CellResult], notes: StationNotes, path: Path
         deviations += _deviation_rows(result, truth[result.cell])
     return [
         ReportTable(
-            "outlet", "Outlet against the truth, readings of the own window hidden", OUTLET, tuple(outlet),
+            "outlet",
+            "Outlet against the truth, readings of the own window hidden",
+            OUTLET,
+            tuple(outlet),
             ("score: interval score of Gneiting & Raftery 2007, width and twenty times what lies outside",),
         ),
         ReportTable(
-            "deviations", "Deviations against the truth, day by day", DEVIATION, tuple(deviations),
+            "deviations",
+            "Deviations against the truth, day by day",
+            DEVIATION,
+            tuple(deviations),
             ("shares of the clean cell, and K for the bias; days whose value is withheld are left out",),
         ),
         _withheld_table(results, notes),
         ReportTable("goals", "Goals", ("goal", "found", "reached"), tuple(_goals(outlet))),
-    ]  # fmt: skip
+    ]
 
 
 def _outlet_rows(cell: int, o: Outlet) -> list[tuple[Cell, ...]]:

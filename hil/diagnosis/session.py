@@ -142,9 +142,14 @@ def diagnose_files(ready: Prepared, say: Callable[[str], None], note: Callable[[
         note(message)
     try:
         found = answer(
-            network, record, ready.healthy, more=later, limits=limits, at_rest=request.at_rest,
+            network,
+            record,
+            ready.healthy,
+            more=later,
+            limits=limits,
+            at_rest=request.at_rest,
             say=say,
-        )  # fmt: skip
+        )
     except NotHealthyError as error:
         raise TwinFileError(f"{ready.healthy_file}: {error}") from None
     except TwinFileError as error:

@@ -220,6 +220,15 @@ def _size(count: float) -> str:
 
 
 __all__ = [
-    "CEILING", "COPIES", "MOST_COLUMNS", "MOST_JSON", "SHARE", "TEXT_COPIES", "limit_bytes", "read_parquet",
-    "require_cells", "require_columns", "require_size",
-]  # fmt: skip
+    "CEILING",
+    "COPIES",
+    "MOST_COLUMNS",
+    "MOST_JSON",
+    "SHARE",
+    "TEXT_COPIES",
+    "limit_bytes",
+    "read_parquet",
+    "require_cells",
+    "require_columns",
+    "require_size",
+]

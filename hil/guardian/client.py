@@ -170,9 +170,13 @@ class GuardianClient:
             with theirs:
                 self._process = subprocess.Popen(
                     [sys.executable, "-I", "-S", "-c", code],
-                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                    pass_fds=(theirs.fileno(), *self._keep), cwd="/", start_new_session=True,
-                )  # fmt: skip
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                    pass_fds=(theirs.fileno(), *self._keep),
+                    cwd="/",
+                    start_new_session=True,
+                )
         except OSError as error:
             ours.close()
             raise GuardianError(f"not armed: the guardian cannot be started ({error})") from error

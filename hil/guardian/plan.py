@@ -62,28 +62,40 @@ def plan_of(rig: Rig) -> dict[str, Any] | None:
         (block,) = plan_reads([meter], max_gap=0)
         found[first[meter.bus]]["meters"].append(
             {
-                "device": bus.device_id, "pdu": Read(block).request.hex(), "name": meter.name, "unit": meter.unit,
-                "limit": limit.at_most, "within_s": limit.within_s / rig.time_scale,
-                "invalid": sorted(meter.sentinels), **_number(meter),
+                "device": bus.device_id,
+                "pdu": Read(block).request.hex(),
+                "name": meter.name,
+                "unit": meter.unit,
+                "limit": limit.at_most,
+                "within_s": limit.within_s / rig.time_scale,
+                "invalid": sorted(meter.sentinels),
+                **_number(meter),
             }
-        )  # fmt: skip
+        )
     return {"silence_s": SILENCE_S, "wires": list(found.values())}
 
 
 def wire_of(bus: ModbusBusSection) -> dict[str, Any]:
     """Return the connection data of a wire, with empty lists of requests."""
     found: dict[str, Any] = {
-        "place": bus.place, "timeout_s": min(bus.timeout_s, DEADLINE_S), "writes": [], "checks": [], "meters": [],
+        "place": bus.place,
+        "timeout_s": min(bus.timeout_s, DEADLINE_S),
+        "writes": [],
+        "checks": [],
+        "meters": [],
         "framing": "rtu" if is_rtu(bus) else "mbap" if is_numbered(bus) else "mbap0",
         "connect_delay_s": bus.connect_delay_s if isinstance(bus, ModbusTcpBus) else 0.0,
         # A device with a wrong length in its replies is read by the length that the function code implies.
         "counts": not isinstance(bus, ModbusTcpBus) or bus.frame_length == "checked",
-    }  # fmt: skip
+    }
     if isinstance(bus, ModbusRtuBus):
         return found | {
-            "kind": "serial", "serial_port": bus.serial_port, "baud": bus.serial_baud, "parity": bus.parity,
+            "kind": "serial",
+            "serial_port": bus.serial_port,
+            "baud": bus.serial_baud,
+            "parity": bus.parity,
             "stop_bits": bus.stop_bits,
-        }  # fmt: skip
+        }
     assert isinstance(bus, ModbusTcpBus)
     # Resolved now: a name server may be gone when it matters.
     found |= {"kind": "tcp", "host": bus.host, "port": bus.port, "addresses": list(addresses(bus.host))}
@@ -98,6 +110,10 @@ def _number(point: Point) -> dict[str, Any]:
     bit = point.table in ("coil", "discrete")
     kind = "bit" if bit else point.type
     return {
-        "type": kind, "order": point.order, "scale": point.scale, "offset": point.offset,
-        "words": 1 if bit else WIDTH[point.type], "bits": None if point.bits is None else list(point.bits),
-    }  # fmt: skip
+        "type": kind,
+        "order": point.order,
+        "scale": point.scale,
+        "offset": point.offset,
+        "words": 1 if bit else WIDTH[point.type],
+        "bits": None if point.bits is None else list(point.bits),
+    }

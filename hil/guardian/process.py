@@ -49,9 +49,15 @@ STANDBY_S = 5.0
 """Interval of reads that keep a connection open, s: devices close those that are idle for some ten seconds."""
 _FAULT_SIGNALS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP)
 _FORMATS = {
-    "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
     "float64": "d",
-}  # fmt: skip
+}
 
 
 def now_s() -> float:
@@ -303,8 +309,9 @@ class GuardianProcess:
         took_s = round(now_s() - self._acted_s, 3)
         if result != self._reported:
             self._reported = result
-            self._log.write("safe" if not problems else "not safe", problem="; ".join(problems), after_s=took_s,
-                            meters=meters)  # fmt: skip
+            self._log.write(
+                "safe" if not problems else "not safe", problem="; ".join(problems), after_s=took_s, meters=meters
+            )
             acted = {"reason": self._reason, "safe": not problems, "problem": "; ".join(problems), "meters": meters}
             self._send(json.dumps({"acted": acted}, ensure_ascii=True).encode())
         gone = self._engine is None

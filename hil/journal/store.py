@@ -138,8 +138,15 @@ class JournalStore:
                 for entry in batch:
                     try:
                         execute(self._statement(entry[0]), entry[1])
-                    except (ValueError, TypeError, OverflowError, sqlite3.InterfaceError, sqlite3.ProgrammingError,
-                            sqlite3.IntegrityError, sqlite3.DataError) as error:  # fmt: skip
+                    except (
+                        ValueError,
+                        TypeError,
+                        OverflowError,
+                        sqlite3.InterfaceError,
+                        sqlite3.ProgrammingError,
+                        sqlite3.IntegrityError,
+                        sqlite3.DataError,
+                    ) as error:
                         dropped.append(plain(f"{_named(entry)} could not be journaled ({error}) and is left out", 300))
             else:
                 for kind in ("sample", "twin"):

@@ -22,9 +22,11 @@ from hil.review.rerun_io import Recording
 EVERY = 10
 """Minutes of one point: a mean of ten minutes is a steady block of the calibration."""
 DEVIATIONS = {
-    "fill": "fill, share of clean", "air": "air, share of clean", "uniformity": "uniformity, share of clean",
+    "fill": "fill, share of clean",
+    "air": "air, share of clean",
+    "uniformity": "uniformity, share of clean",
     "bias": "bias of the outlet thermometer [K]",
-}  # fmt: skip
+}
 BLUE = TRACKED["blue"]
 Columns = dict[str, NDArray[np.float64]]
 

@@ -164,8 +164,12 @@ def as_json(file: Path) -> str:
     cycles = {name: receiver.cycle_s for name, receiver in receivers.items()}
     frames = {name: {m.name: str(m.match) for m in receiver.messages} for name, receiver in receivers.items()}
     found = {
-        "rig": rig.name, "period_s": rig.period_s, "time_scale": rig.time_scale, "modbus": plan, "can_cycle_s": cycles,
+        "rig": rig.name,
+        "period_s": rig.period_s,
+        "time_scale": rig.time_scale,
+        "modbus": plan,
+        "can_cycle_s": cycles,
         "can_frames": frames,
         "notes": [*notices(rig, file), *missing_declarations(rig)],
-    }  # fmt: skip
+    }
     return json.dumps(found, indent=2)

@@ -167,11 +167,19 @@ def document(watch: RigWatch) -> dict[str, Any]:
         },
         "points": [
             {
-                "name": seen.point.name, "bus": seen.point.bus, "raw": seen.raw, "value": known(seen.value),
-                "text": seen.text, "unit": seen.point.unit, "age_s": known(seen.age_s), "quality": _words(seen.quality),
-                "limits": seen.point.limits, "plausible": seen.point.plausible, "alarm": seen.point.alarm,
+                "name": seen.point.name,
+                "bus": seen.point.bus,
+                "raw": seen.raw,
+                "value": known(seen.value),
+                "text": seen.text,
+                "unit": seen.point.unit,
+                "age_s": known(seen.age_s),
+                "quality": _words(seen.quality),
+                "limits": seen.point.limits,
+                "plausible": seen.point.plausible,
+                "alarm": seen.point.alarm,
             }
             for seen in watch.seen()
         ],
         "faults": [sentence for sentences in faults.values() for sentence in sentences],
-    }  # fmt: skip
+    }

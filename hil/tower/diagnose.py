@@ -47,11 +47,17 @@ def diagnose_station(
     records = {one.record.cell: one.record for one in cells}
     cases = [
         CellCase(
-            one.record.cell, one.model, one.minutes, one.record.columns, one.priors, one.labels, one.openings,
+            one.record.cell,
+            one.model,
+            one.minutes,
+            one.record.columns,
+            one.priors,
+            one.labels,
+            one.openings,
             one.edges_s,
         )
         for one in cells
-    ]  # fmt: skip
+    ]
 
     def steps(cell: int, fitted: Fitted) -> tuple[Opening, ...]:
         return step_openings(thermometer_steps(fitted, records[cell]))
@@ -76,28 +82,32 @@ def document(diagnosis: StationDiagnosis, revisions: Sequence[Path] = ()) -> dic
         "twins": {str(d.record.cell): str(d.twin) for d in diagnosis.cells},
         "effects": effects,
         "held_out": [{"from": iso(a), "to": iso(b)} for a, b in found.held_s],
-        "error_K": {
-            str(cell): _errors(found.before[cell], found.after[cell]) for cell in found.before
-        },
+        "error_K": {str(cell): _errors(found.before[cell], found.after[cell]) for cell in found.before},
         "rejected": list(found.rejected),
         "leading": [_leading(one) for one in found.leading],
         "decoy_log_odds": _number(found.decoy, 1),
         "revisions": [str(path) for path in revisions],
-    }  # fmt: skip
+    }
 
 
 def _effect(finding: Finding, cell: int, effect: Effect) -> dict[str, Any]:
     entry: dict[str, Any] = {
-        "kind": effect.kind, "driver": effect.named_driver(), "cell": cell,
+        "kind": effect.kind,
+        "driver": effect.named_driver(),
+        "cell": cell,
         "time": iso(effect.onset_s) if effect.onset_s is not None else None,
-        "mechanism": finding.hypothesis.candidate.name, "path": effect.path,
-        "size": _number(effect.size), "sd": _number(effect.sd), "unit": UNITS[effect.path],
+        "mechanism": finding.hypothesis.candidate.name,
+        "path": effect.path,
+        "size": _number(effect.size),
+        "sd": _number(effect.sd),
+        "unit": UNITS[effect.path],
         "size_is": finding.hypothesis.candidate.says,
-        "log_odds": _number(finding.hypothesis.log_odds, 1), "p_value": finding.p_value,
+        "log_odds": _number(finding.hypothesis.log_odds, 1),
+        "p_value": finding.p_value,
         "held_out_gain": _number(finding.held_out_gain, 1),
         "error_K": _errors(finding.before[cell], finding.after[cell]),
         "rivals": [_leading(one) for one in finding.rivals],
-    }  # fmt: skip
+    }
     if effect.form is not None:
         key = {"wind_direction": "from_deg", "solar": "noon_h_utc"}.get(effect.driver, "below_share_of_flow")
         entry[key] = round(effect.form, 2)
@@ -107,10 +117,11 @@ def _effect(finding: Finding, cell: int, effect: Effect) -> dict[str, Any]:
 def _errors(before: HeldOut, after: HeldOut) -> dict[str, float | None]:
     """Return mean absolute errors of the held-out weeks, and those about the median of each week, K."""
     return {
-        "before": _number(before.mean_absolute()), "after": _number(after.mean_absolute()),
+        "before": _number(before.mean_absolute()),
+        "after": _number(after.mean_absolute()),
         "before_without_offset": _number(before.without_offset()),
         "after_without_offset": _number(after.without_offset()),
-    }  # fmt: skip
+    }
 
 
 def says(entry: dict[str, Any]) -> str:
@@ -129,9 +140,13 @@ def says(entry: dict[str, Any]) -> str:
 def _leading(one: Hypothesis) -> dict[str, Any]:
     effect = next(iter(one.effects.values()))
     return {
-        "mechanism": one.candidate.name, "kind": effect.kind, "driver": effect.named_driver(), "path": effect.path,
-        "cells": list(one.cells), "log_odds": _number(one.log_odds, 1),
-    }  # fmt: skip
+        "mechanism": one.candidate.name,
+        "kind": effect.kind,
+        "driver": effect.named_driver(),
+        "path": effect.path,
+        "cells": list(one.cells),
+        "log_odds": _number(one.log_odds, 1),
+    }
 
 
 def write_document(diagnosis: StationDiagnosis, out: Path, revisions: Sequence[Path]) -> Path:
@@ -165,13 +180,15 @@ def adopt(diagnosis: StationDiagnosis) -> list[Path]:
             continue
         start, end = found.held_s[0][0], found.held_s[-1][1]
         revision = Revision(
-            made_by="hil diagnose", record=draft.record.digest, record_file=draft.record.path.name,
+            made_by="hil diagnose",
+            record=draft.record.digest,
+            record_file=draft.record.path.name,
             error_before_K={"outlet": found.before[cell].mean_absolute()},
             error_after_K={"outlet": found.after[cell].mean_absolute()},
             held_out_s=(float(start - first), float(end - first)),
             effects=tuple(f"{e.kind} by {e.named_driver()}, {e.size:.4g}" for e in effects),
             evidence="; ".join(f"{e['mechanism']}: log odds {e['log_odds']}" for e in entries),
-        )  # fmt: skip
+        )
         saved.append(save_revision(adopted(draft.network, effects, revision), draft.twin))
     return saved
 

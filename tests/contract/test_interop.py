@@ -165,8 +165,13 @@ async def test_mbpoll_on_the_virtual_rig(transport):
         assert "Written 3 references" in _mbpoll(*where, "-t", "4", "-r", "0", place, "7500", "1000", "700")
         holding = _mbpoll(*where, "-t", "4", "-r", "0", "-c", "6", place)
         assert [line.split()[-1] for line in holding.splitlines() if line.startswith("[")] == [
-            "7500", "1000", "700", "0", "100", "0"
-        ]  # fmt: skip
+            "7500",
+            "1000",
+            "700",
+            "0",
+            "100",
+            "0",
+        ]
         assert "Illegal data address" in _mbpoll(*where, "-t", "3", "-r", "12", "-c", "1", place)
         assert "Illegal data value" in _mbpoll(*where, "-t", "4", "-r", "0", place, "10001")
 
@@ -219,9 +224,15 @@ async def test_the_logger_of_python_can_on_our_hub(tmp_path):
     async with await start_virtual_rig(period_s=0.1) as rig:
         arguments = ["-i", "socketcand", "-c", "vcan0", "--bus-kwargs", "host=127.0.0.1", f"port={rig.can_port}"]
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "can.logger", *arguments, "-f", str(log),
-            stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.DEVNULL,
-        )  # fmt: skip
+            sys.executable,
+            "-m",
+            "can.logger",
+            *arguments,
+            "-f",
+            str(log),
+            stdout=asyncio.subprocess.DEVNULL,
+            stderr=asyncio.subprocess.DEVNULL,
+        )
         await _interrupted(process, when=lambda: log.exists(), after_s=3.0)
     text = log.read_text(encoding="utf-8")
     for identifier in ("181", "281", "381"):

@@ -121,8 +121,13 @@ wall_hA = 1000.0
     )
     open_loop = parse(text)
     t = np.arange(50) * 600.0
-    u = np.tile([{"T_in_C": 40.0, "heater_power_W": 500.0, "pump_pct": 100.0, "T_ambient_C": 10.0}[c]
-                 for c in open_loop.input_columns], (50, 1))  # fmt: skip
+    u = np.tile(
+        [
+            {"T_in_C": 40.0, "heater_power_W": 500.0, "pump_pct": 100.0, "T_ambient_C": 10.0}[c]
+            for c in open_loop.input_columns
+        ],
+        (50, 1),
+    )
     kernel = Kernel(open_loop, ("pipe.wall_capacity",), whole_memory=True)
     values = np.tile(open_loop.values, (2, 1))
     values[:, open_loop.index(["pipe.wall_capacity"])[0]] = (0.0, 400.0)

@@ -31,8 +31,12 @@ def truths(bench: Bench) -> dict[tuple[str, str, str], Network]:
     source = {"kind": "heat_source", "node": "heater", "power": 40.0}
     warm = {"kind": "heat_source", "node": "tank", "power": 18.0}
     pumped = {
-        "kind": "heat_source", "node": "tank", "driver": "pump_speed_pct", "law": "cubed", "power_100": 60.0 / 0.85**3,
-    }  # fmt: skip
+        "kind": "heat_source",
+        "node": "tank",
+        "driver": "pump_speed_pct",
+        "law": "cubed",
+        "power_100": 60.0 / 0.85**3,
+    }
     return {
         HEATED: bench.with_element("more", source),
         GAINED: bench.with_values(heater_power__factor=1.0 + 40.0 / 700.0),

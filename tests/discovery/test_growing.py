@@ -136,8 +136,9 @@ def test_one_of_two_heaters_that_are_tied_may_lose_more() -> None:
     network = bare()
     offered = apart(network, sites_of(network))
     assert {(c.where, *c.adds) for c in offered} == {
-        ("heater_1", "further_loss_of_heater_1"), ("heater_2", "further_loss_of_heater_2")
-    }  # fmt: skip
+        ("heater_1", "further_loss_of_heater_1"),
+        ("heater_2", "further_loss_of_heater_2"),
+    }
     differs = with_elements(network, {"more": {"kind": "ambient_loss", "node": "heater_1", "hA": 0.006}})
     found = grow(network, *heaters(differs, 4), most=1, beam=2)
     assert added(found) == [("heat_loss", "heater_1", "temperature_difference")]

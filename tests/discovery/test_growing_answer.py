@@ -28,8 +28,10 @@ def test_a_twin_that_was_never_commissioned_is_grown_and_judged_where_no_fit_saw
     found = diagnose_grown(bare, record, more=(Columns(*heaters(full, 2)),), most=3)
     assert found.verdict == "effect found" and found.method == "growth" and found.network is not None
     assert {(e.kind, e.where) for e in found.effects} == {
-        ("sensor", "heaters"), ("coupling", "heater_2"), ("heat_loss", "heaters")
-    }  # fmt: skip
+        ("sensor", "heaters"),
+        ("coupling", "heater_2"),
+        ("heat_loss", "heaters"),
+    }
     assert all(e.family_wise < 0.01 and e.onset_s == 0.0 and e.confidence > 0.8 for e in found.effects)
     assert found.held_out_s == (450.0, 599.0)
     for error in found.errors.values():

@@ -73,8 +73,9 @@ def test_a_lesser_mass_is_told_beside_heat(bench: Bench, healthy: Columns, mass_
     told = searched(inquiry.part(grid.part(0, int(0.75 * len(grid.time))))).told
     assert told is not None
     assert {(e.candidate.kind, e.candidate.where) for e in told.entries} == {
-        ("heat_source", "modules"), ("thermal_mass", "tank")
-    }  # fmt: skip
+        ("heat_source", "modules"),
+        ("thermal_mass", "tank"),
+    }
 
 
 @pytest.mark.parametrize(("onset_h", "verdict"), [(6.0, "effect found"), (0.0, "adequate")])

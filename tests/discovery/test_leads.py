@@ -42,11 +42,13 @@ def _squares(white: Array) -> Squares:
 def _inputs(seed: int) -> Array:
     """Levels that are held for some blocks, and one that wanders."""
     rng = np.random.default_rng(seed + 1000)
-    return np.column_stack([
-        rng.choice([60.0, 80.0, 100.0], BLOCKS // 4).repeat(4),
-        rng.choice([500.0, 700.0], BLOCKS // 3).repeat(3),
-        rng.standard_normal(BLOCKS).cumsum(),
-    ])  # fmt: skip
+    return np.column_stack(
+        [
+            rng.choice([60.0, 80.0, 100.0], BLOCKS // 4).repeat(4),
+            rng.choice([500.0, 700.0], BLOCKS // 3).repeat(3),
+            rng.standard_normal(BLOCKS).cumsum(),
+        ]
+    )
 
 
 def test_noise_gives_no_segment_and_no_range_beyond_its_level() -> None:

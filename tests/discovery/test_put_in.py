@@ -13,8 +13,9 @@ CONDUCTANCE, CAPACITY, ONSET_H = 30.0, 5.0e4, 7.0
 
 def put_in(bench: Bench, *, cold: bool) -> Columns:
     """Readings of the loop with a mass in its tank since `ONSET_H`, as warm as the room or as the tank."""
-    heavier = bench.with_element("mass", {"kind": "hidden_mass", "node": "tank", "conductance": CONDUCTANCE,
-                                          "capacity": CAPACITY})  # fmt: skip
+    heavier = bench.with_element(
+        "mass", {"kind": "hidden_mass", "node": "tank", "conductance": CONDUCTANCE, "capacity": CAPACITY}
+    )
     t, u = bench.inputs(16.0, 3)
     at = int(np.searchsorted(t, ONSET_H * 3600.0))
     nodes = len(bench.network.nodes)

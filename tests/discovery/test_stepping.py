@@ -40,9 +40,7 @@ def smooth(wanted: np.ndarray, reach: float = np.inf, unit: float = 1.0) -> Squa
 @settings(max_examples=40, deadline=None)
 @example(a=2.4609375, b=0.1, c=0.0, reach=0.3)
 @example(a=1.0, b=0.25, c=0.375, reach=0.3)
-@given(
-    a=st.floats(0.5, 4.5), b=st.floats(0.1, 2.8), c=st.floats(-0.9, 0.9), reach=st.sampled_from([0.3, np.inf])
-)  # fmt: skip
+@given(a=st.floats(0.5, 4.5), b=st.floats(0.1, 2.8), c=st.floats(-0.9, 0.9), reach=st.sampled_from([0.3, np.inf]))
 def test_smooth_squares_become_as_small_as_scipy_makes_them(a: float, b: float, c: float, reach: float) -> None:
     squares = smooth(np.array([a, b, c]), reach)
     found, *_ = minimise(squares, np.array([1.0, 1.0, 0.0]), 40)
@@ -86,9 +84,7 @@ def test_a_bounded_step_is_the_best_within_its_bounds(seed: int, size: int) -> N
 
 def test_a_step_without_bounds_in_its_way_is_newtons() -> None:
     hessian, wide = np.array([[4.0, 1.0], [1.0, 3.0]]), np.full(2, 1e9)
-    assert bounded(hessian, np.array([1.0, -2.0]), -wide, wide) == pytest.approx(
-        np.linalg.solve(hessian, [1.0, -2.0])
-    )  # fmt: skip
+    assert bounded(hessian, np.array([1.0, -2.0]), -wide, wide) == pytest.approx(np.linalg.solve(hessian, [1.0, -2.0]))
     held = bounded(hessian, np.array([1.0, -2.0]), np.array([0.0, -9.0]), np.array([0.0, 9.0]))
     assert held == pytest.approx([0.0, -2.0 / 3.0])
 

@@ -109,9 +109,10 @@ def test_offsets_at_pairs_of_speeds_are_structure_where_a_record_speaks_for_them
 ) -> None:
     good = patchy(bench, 10.0, seed=7)
     # What the record speaks for is told of this very twin, which leaves more of it than noise.
-    rough = replace(bench.network, revision=replace(bench.network.revision, error_after_K=dict.fromkeys(
-        bench.network.sensor_names, 0.5
-    )))  # fmt: skip
+    rough = replace(
+        bench.network,
+        revision=replace(bench.network.revision, error_after_K=dict.fromkeys(bench.network.sensor_names, 0.5)),
+    )
     own = Bench(rough)
     known, grid = seen(own, patchy(own, 20.0, seed=3), good)
     assert known.structure is not None and known.structure.width > 0.0

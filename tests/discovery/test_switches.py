@@ -8,8 +8,10 @@ from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
 
 POWERS = (700.0, 640.0, 700.0, 640.0, 700.0, 640.0, 860.0, 800.0, 860.0, 800.0, 860.0, 800.0)
-HOURLY = tuple({"time_s": 3600.0 * h, "heater_power_W": p, "pump_speed_pct": 85.0, "fan_speed_pct": 70.0}
-               for h, p in enumerate((*POWERS, 0.0)))  # fmt: skip
+HOURLY = tuple(
+    {"time_s": 3600.0 * h, "heater_power_W": p, "pump_speed_pct": 85.0, "fan_speed_pct": 70.0}
+    for h, p in enumerate((*POWERS, 0.0))
+)
 
 
 def test_what_begins_at_a_new_highest_temperature_may_have_been_switched(bench: Bench, healthy: Columns) -> None:

@@ -154,8 +154,11 @@ def _python(fence: Fence, folder: Path) -> None:
     paths = os.pathsep.join([str(PROJECT), str(folder)])
     done = subprocess.run(
         [sys.executable, "-W", "error", str(script)],
-        capture_output=True, text=True, timeout=120, env={**os.environ, "PYTHONPATH": paths},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, "PYTHONPATH": paths},
+    )
     assert done.returncode == 0, f"{fence.place}: {done.stderr}"
 
 

@@ -27,12 +27,20 @@ def _built(folder: Path, text: str) -> tuple[str, str]:
     (source / "index.md").write_text(text, encoding="utf-8")
     with (folder / "warnings").open("w+", encoding="utf-8") as warnings:
         app = Sphinx(
-            source, None, out, folder / "trees", "html", status=None, warning=warnings, freshenv=True,
+            source,
+            None,
+            out,
+            folder / "trees",
+            "html",
+            status=None,
+            warning=warnings,
+            freshenv=True,
             confoverrides={
-                "extensions": ["myst_parser", "mathml"], "html_math_renderer": "mathml",
+                "extensions": ["myst_parser", "mathml"],
+                "html_math_renderer": "mathml",
                 "myst_enable_extensions": ["dollarmath"],
             },
-        )  # fmt: skip
+        )
         app.build()
         warnings.seek(0)
         return (out / "index.html").read_text(encoding="utf-8"), warnings.read()

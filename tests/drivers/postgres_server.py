@@ -36,9 +36,18 @@ class Server:
         secret.write_text(self.password)
         secret.chmod(0o644)
         self._run(
-            "initdb", "-D", str(self.data), "-U", "plant", "--auth=scram-sha-256", f"--pwfile={secret}", "--no-sync",
-            "-E", "UTF8", "--locale=C",
-        )  # fmt: skip
+            "initdb",
+            "-D",
+            str(self.data),
+            "-U",
+            "plant",
+            "--auth=scram-sha-256",
+            f"--pwfile={secret}",
+            "--no-sync",
+            "-E",
+            "UTF8",
+            "--locale=C",
+        )
         self.start()
 
     @property

@@ -53,9 +53,10 @@ def _samples(times: list[float], values: list[float], quality: int = 192) -> Sam
 
 def _same(a: Samples, b: Samples) -> bool:
     return bool(
-        np.allclose(a.time_s, b.time_s, atol=5e-4) and np.array_equal(a.value, b.value, equal_nan=True)
+        np.allclose(a.time_s, b.time_s, atol=5e-4)
+        and np.array_equal(a.value, b.value, equal_nan=True)
         and np.array_equal(a.quality, b.quality)
-    )  # fmt: skip
+    )
 
 
 def test_what_was_appended_is_read_again(address: str) -> None:

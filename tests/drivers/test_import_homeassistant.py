@@ -138,9 +138,12 @@ def test_entries_that_stand_for_several_become_all_of_them(tmp_path):
     )
     by_name = {point.name: point for point in written(tmp_path, draft_of(Path("ha.yaml"), placed(document))).point}
     assert {name: (p.table, p.address) for name, p in by_name.items()} == {
-        "T": ("holding", 10), "T_1": ("holding", 12), "T_2": ("holding", 14),
-        "Door": ("coil", 3), "Door_1": ("coil", 4),
-    }  # fmt: skip
+        "T": ("holding", 10),
+        "T_1": ("holding", 12),
+        "T_2": ("holding", 14),
+        "Door": ("coil", 3),
+        "Door_1": ("coil", 4),
+    }
     assert {by_name[name].scale for name in ("T", "T_1", "T_2")} == {0.01}
 
 

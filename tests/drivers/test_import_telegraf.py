@@ -173,7 +173,7 @@ def test_float32_of_the_request_style_is_an_ieee_number(tmp_path):
             ["line 5: metric is left out: Telegraf does not read it in the register style"],
         ),
     ],
-)  # fmt: skip
+)
 def test_every_key_of_a_telegraf_file_is_used_or_harmless_or_noted_with_its_line(tmp_path, old, new, notes):
     assert old in REGISTERS
     at = REGISTERS.rindex(old) if old == "]\n" else REGISTERS.index(old)

@@ -55,9 +55,16 @@ async def test_what_was_queued_while_the_reader_was_stopped_is_not_good(tmp_path
     async with rig:
         with (tmp_path / "rows").open("wb") as output:
             reader = await asyncio.create_subprocess_exec(
-                sys.executable, "-c", READER, str(RIG), str(rig.modbus_port), str(rig.can_port), str(STALE_AFTER_S),
-                stdout=output, env={**os.environ, "PYTHONPATH": str(PROJECT)},
-            )  # fmt: skip
+                sys.executable,
+                "-c",
+                READER,
+                str(RIG),
+                str(rig.modbus_port),
+                str(rig.can_port),
+                str(STALE_AFTER_S),
+                stdout=output,
+                env={**os.environ, "PYTHONPATH": str(PROJECT)},
+            )
         try:
             while len(rows(tmp_path)) < 40:
                 assert reader.returncode is None

@@ -195,7 +195,11 @@ def test_a_rig_file_names_files_beside_it_and_all_three_of_them(tmp_path):
 def test_the_virtual_rig_wants_all_three_files_or_none(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "hil", "rig", "--tls-key", __file__],
-        capture_output=True, text=True, cwd=PROJECT, timeout=60, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        cwd=PROJECT,
+        timeout=60,
+        check=False,
+    )
     assert done.returncode == 2
     assert "give all three or none" in done.stderr

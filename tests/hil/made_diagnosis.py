@@ -13,10 +13,23 @@ SAYS = "The modules give off 180 W that the twin does not know of, since 2 h 00 
 
 def effect(value: float = 180.0, where: str = "modules", onset_s: float = 7200.0, confidence: float = 0.97) -> Effect:
     return Effect(
-        "heat_source", where, "constant", "new", value, "W", (value - 4.0, value + 4.0), onset_s,
-        (onset_s - 60.0, onset_s + 60.0), "step", confidence, 41.0, "with it 99 % of the mismatch is gone", 0.0, SAYS,
+        "heat_source",
+        where,
+        "constant",
+        "new",
+        value,
+        "W",
+        (value - 4.0, value + 4.0),
+        onset_s,
+        (onset_s - 60.0, onset_s + 60.0),
+        "step",
+        confidence,
+        41.0,
+        "with it 99 % of the mismatch is gone",
+        0.0,
+        SAYS,
         1e-9,
-    )  # fmt: skip
+    )
 
 
 def made(

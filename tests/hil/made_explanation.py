@@ -33,9 +33,14 @@ STEPS = [
     {"time_s": 3600.0, **LEVELS, "heater_power_W": 900.0},
 ]
 PLAN = {
-    "possible": True, "name": "steps in heater power", "why": "1 h of steps separates them", "hours": 1.0,
-    "hottest_C": 46.0, "steps": STEPS, "causes": ["one", "other"],
-}  # fmt: skip
+    "possible": True,
+    "name": "steps in heater power",
+    "why": "1 h of steps separates them",
+    "hours": 1.0,
+    "hottest_C": 46.0,
+    "steps": STEPS,
+    "causes": ["one", "other"],
+}
 RIVAL = Alternative("actuator", "heater_power", "constant", 0.3)
 
 

@@ -101,8 +101,10 @@ def test_a_thermometer_that_was_left_aside_speaks_neither_for_a_revision_nor_aga
     assert "T_tank_C" not in revision.error_after_K and max(revision.error_after_K.values()) < 0.06
     assert "T_tank_C excluded from 1.50 h on: it read 0.80 K less than the other" in revision.notes[-1]
     until = closed_gates(doubting(proposals(TRUE), since, 7200.0))
-    assert until.endswith("T_tank_C excluded from 1.50 h to 2.00 h: it read 0.80 K less than the other "
-                          "thermometers and any parameter allow")  # fmt: skip
+    assert until.endswith(
+        "T_tank_C excluded from 1.50 h to 2.00 h: it read 0.80 K less than the other "
+        "thermometers and any parameter allow"
+    )
 
 
 def test_only_what_came_before_the_end_is_saved_and_errors_are_of_the_end(twin: Path, record: Record) -> None:
@@ -113,8 +115,10 @@ def test_only_what_came_before_the_end_is_saved_and_errors_are_of_the_end(twin: 
 
 def test_accepted_is_what_several_proposals_in_a_row_agree_on() -> None:
     def after(*given: float | None) -> dict[str, float]:
-        row = [proposed(300.0 * k, {}, held=("a",)) if v is None else proposed(300.0 * k, {"a": v})
-               for k, v in enumerate(given)]  # fmt: skip
+        row = [
+            proposed(300.0 * k, {}, held=("a",)) if v is None else proposed(300.0 * k, {"a": v})
+            for k, v in enumerate(given)
+        ]
         return {name: found.value for name, found in accepted(row, IN_A_ROW).items()}
 
     assert after(5.0, 5.1, 5.2) == after(5.0, 5.1, 5.2, None) == {"a": 5.2}

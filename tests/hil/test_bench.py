@@ -83,8 +83,15 @@ def test_tables_fit_into_a_hundred_columns_and_numbers_stay_legible(capsys):
     report.show(document)
     assert max(len(line) for line in capsys.readouterr().out.splitlines()) <= report.WIDTH
     assert [report.number(x) for x in (1.0e6, 123456.0, 12.345, 0.05, 7e-8, None, float("nan"), 3)] == [
-        "1 M", "123 k", "12.3", "0.050", "7e-08", "-", "-", "3",
-    ]  # fmt: skip
+        "1 M",
+        "123 k",
+        "12.3",
+        "0.050",
+        "7e-08",
+        "-",
+        "-",
+        "3",
+    ]
 
 
 def test_a_report_is_written_with_its_manifest(tmp_path):

@@ -34,24 +34,37 @@ from hil.synthetic.plant_record import direct_record
 
 def effect(kind: str = "heat_source", where: str = "tank", driver: str = "constant", **more: Any) -> dict[str, Any]:
     return {
-        "kind": kind, "where": where, "driver": driver, "value": 44.0, "unit": "W", "onset_s": 3600.0, "z": 20.0,
-        "interval90": [38.0, 50.0], "onset_interval90_s": [3300.0, 3900.0],
-        "confidence": 0.9, "shape": "step", **more,
-    }  # fmt: skip
+        "kind": kind,
+        "where": where,
+        "driver": driver,
+        "value": 44.0,
+        "unit": "W",
+        "onset_s": 3600.0,
+        "z": 20.0,
+        "interval90": [38.0, 50.0],
+        "onset_interval90_s": [3300.0, 3900.0],
+        "confidence": 0.9,
+        "shape": "step",
+        **more,
+    }
 
 
 def answer(verdict: str, *effects: dict[str, Any], others: tuple[tuple[str, str], ...] = ()) -> dict[str, Any]:
     sensors = {"T_tank_C": {"before": 0.3, "after": 0.05, "noise": 0.04}}
     return {
-        "verdict": verdict, "effects": list(effects), "error": {"sensors": sensors},
+        "verdict": verdict,
+        "effects": list(effects),
+        "error": {"sensors": sensors},
         "indistinguishable": [{"kind": k, "where": w} for k, w in others],
-    }  # fmt: skip
+    }
 
 
 HIDDEN = {
-    "group": "one", "what": "heat_source at tank (constant), power_W 40",
-    "effects": [{"onset_s": 3000.0}], "labels": [["heat_source", "tank", "constant"]],
-}  # fmt: skip
+    "group": "one",
+    "what": "heat_source at tank (constant), power_W 40",
+    "effects": [{"onset_s": 3000.0}],
+    "labels": [["heat_source", "tank", "constant"]],
+}
 
 
 def judged(said: dict[str, Any], hidden: dict[str, Any] | None = None) -> AnswerScore:
@@ -90,8 +103,12 @@ def test_classes_of_what_no_record_tells_apart() -> None:
     assert alike(("heat_source", "pm3"), ("heat_source", "modules"), ())
     assert not alike(("heat_source", "tank"), ("heat_loss", "tank"), ())
     assert [volume(w) for w in ("T_pm2_C", "pm4", "element", "T_tank_C", "T_modules_C")] == [
-        "modules", "modules", "heater", "tank", "modules",
-    ]  # fmt: skip
+        "modules",
+        "modules",
+        "heater",
+        "tank",
+        "modules",
+    ]
 
 
 def test_adequate_on_a_case_with_an_effect_is_no_wrong_name() -> None:

@@ -14,9 +14,20 @@ from hil.bench.fuzz import tables as files
 from hil.bench.fuzz.readers import HANG, READ, REFUSED, TRACEBACK, UNCLEAR, outcome_of
 
 KINDS = (
-    "rig file", "twin file", "effects file", "scenario", "register table", "Telegraf", "Home Assistant", "DBC",
-    "data sheet", "model card", "run.json", "diagnosis.json", "journal",
-)  # fmt: skip
+    "rig file",
+    "twin file",
+    "effects file",
+    "scenario",
+    "register table",
+    "Telegraf",
+    "Home Assistant",
+    "DBC",
+    "data sheet",
+    "model card",
+    "run.json",
+    "diagnosis.json",
+    "journal",
+)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -119,10 +119,12 @@ def test_parameters_inside_their_own_intervals_are_counted_where_the_data_tells_
     shares = [
         hiera_score.sure([hiera_score.score(given(), answer, plain, 0.1)], lambda s: s.after)
         for answer in (
-            replace(right, theta_half=wide), replace(right, theta=right.theta + off, theta_half=wide), right,
+            replace(right, theta_half=wide),
+            replace(right, theta=right.theta + off, theta_half=wide),
+            right,
             replace(right, theta_half=np.full(wide.shape, np.nan)),
         )
-    ]  # fmt: skip
+    ]
     after = hiera_score.score(given(), right, plain, 0.1).after
     known = given().known[after]
     assert shares[0] == 1.0
@@ -147,9 +149,14 @@ def test_hiding_channels_hides_them_from_everyone_but_not_from_the_score():
 
 def test_the_tables_of_a_small_run_name_every_contestant(tmp_path):
     size = hiera.HieraSize(
-        seeds=(0,), simulated=2, virtual=1, rigs=("simulated", "virtual", "stranger"), trackers=("least_squares",),
-        lost=(0.25,), calibrating=4,
-    )  # fmt: skip
+        seeds=(0,),
+        simulated=2,
+        virtual=1,
+        rigs=("simulated", "virtual", "stranger"),
+        trackers=("least_squares",),
+        lost=(0.25,),
+        calibrating=4,
+    )
     tables, left_out = hiera.measure(size, 0, tmp_path, lambda share, note: None)
     assert any("network" in line for line in left_out)
     assert any("stranger" in line for line in left_out)

@@ -34,9 +34,15 @@ from hil.bench.faults import judge
 
 SEED = 20_261
 ATTACKS = (
-    ("harness killed",), ("stopped and continued",), ("Ctrl-S",), ("journal locked",), ("folder deleted",),
-    ("reader gone", "abort, odd reason"), ("guardian killed",), ("device lies",),
-)  # fmt: skip
+    ("harness killed",),
+    ("stopped and continued",),
+    ("Ctrl-S",),
+    ("journal locked",),
+    ("folder deleted",),
+    ("reader gone", "abort, odd reason"),
+    ("guardian killed",),
+    ("device lies",),
+)
 """All without the rig's watchdog: only what the harness brings along can cut the heater."""
 
 
@@ -137,9 +143,12 @@ def test_a_stepped_clock_moves_the_wall_clock_of_one_process_alone(tmp_path):
     clock = SteppedClock(tmp_path)
     code = "import time; input(); print(time.time(), time.monotonic())"
     with subprocess.Popen(
-        [sys.executable, "-c", code], env={**os.environ, **clock.environment}, text=True, stdin=subprocess.PIPE,
+        [sys.executable, "-c", code],
+        env={**os.environ, **clock.environment},
+        text=True,
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-    ) as process:  # fmt: skip
+    ) as process:
         clock.step(-86_400)
         said, _ = process.communicate("\n", timeout=20)
     wall_s, monotonic_s = map(float, said.split())
@@ -204,9 +213,16 @@ def test_the_event_is_the_attack_that_ends_the_run_or_the_signal_at_its_end():
 def test_the_tables_count_by_kind_and_list_what_was_broken():
     good = ChaosResult(["Ctrl-S"], 0, False, ending="rides", safe=0.1, heated=True, acknowledged=40)
     late = ChaosResult(
-        ["harness killed", "link drop, brief"], 1, False, ending="killed", safe=20.0, heated=True, acknowledged=30,
-        lost=1, failures=["safe 20.00 s after the event, the limit is 2 s"],
-    )  # fmt: skip
+        ["harness killed", "link drop, brief"],
+        1,
+        False,
+        ending="killed",
+        safe=20.0,
+        heated=True,
+        acknowledged=30,
+        lost=1,
+        failures=["safe 20.00 s after the event, the limit is 2 s"],
+    )
     left_out = ChaosResult(["folder read-only"], 2, True, left_out="no immutable folders")
     musts, kinds, about, broken = chaos_tables([good, late, left_out])
     found = dict(musts.rows)

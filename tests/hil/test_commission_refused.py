@@ -77,10 +77,13 @@ def test_no_file_is_written_where_the_error_is_absurd(tmp_path: Path, made: tupl
     wrong = read_record(path)
     rng = np.random.default_rng(1)
     columns = {
-        name: values * 1000.0 if name.endswith("_W") else 25.0 + rng.normal(0.0, 0.05, len(values))
-        if name.startswith("T_") else values
+        name: values * 1000.0
+        if name.endswith("_W")
+        else 25.0 + rng.normal(0.0, 0.05, len(values))
+        if name.startswith("T_")
+        else values
         for name, values in wrong.columns.items()
-    }  # fmt: skip
+    }
     write_record(Record(wrong.time_s, columns), path)
     code, printed = hil("commission", path, "--twin", LOOP, "--out", tmp_path / "new.toml")
     assert code == 2 and f"{path}: no twin is written: " in printed and "Traceback" not in printed

@@ -36,10 +36,22 @@ def test_a_run_in_lockstep_is_held_paused_resumed_and_aborted_from_a_second_term
     (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
     assert ctl(tmp_path, "status").returncode == 2  # nothing runs
     process = subprocess.Popen(
-        [*HIL, "run", str(tmp_path / "load.csv"), "--virtual", "--lockstep", "--no-twin", "--no-viewer",
-         "--runs", str(tmp_path)],
-        cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [
+            *HIL,
+            "run",
+            str(tmp_path / "load.csv"),
+            "--virtual",
+            "--lockstep",
+            "--no-twin",
+            "--no-viewer",
+            "--runs",
+            str(tmp_path),
+        ],
+        cwd=PROJECT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     try:
         deadline = time.monotonic() + 180
         while not live_runs(tmp_path) or ask(live_runs(tmp_path)[0] / "control.sock", "status")["text"] != "running":
@@ -81,8 +93,16 @@ def test_a_run_in_lockstep_is_held_paused_resumed_and_aborted_from_a_second_term
     targets = [row.target for row in reader.states()]
     reader.close()
     assert targets == [
-        "validating", "connecting", "restoring", "running", "held", "paused", "running", "finishing", "aborted",
-    ]  # fmt: skip
+        "validating",
+        "connecting",
+        "restoring",
+        "running",
+        "held",
+        "paused",
+        "running",
+        "finishing",
+        "aborted",
+    ]
     lane = [word for _, word in read_words(folder / "review.rrd", "/state")]
     assert lane == ["running", "held", "paused", "running", "aborted"]
 

@@ -264,7 +264,8 @@ def test_a_run_folder_is_checked_and_commissioned_by_its_record(tmp_path):
     twin.write_text(text.replace("pump_speed_pct", "pump_nowhere_pct"), encoding="utf-8")
     with pytest.raises(RecordError) as caught:
         CliRunner().invoke(
-            commission, [str(folder.path), "--twin", str(twin), "--out", str(tmp_path / "new.toml")],
+            commission,
+            [str(folder.path), "--twin", str(twin), "--out", str(tmp_path / "new.toml")],
             catch_exceptions=False,
-        )  # fmt: skip
+        )
     assert str(caught.value).startswith(f"{folder.record} lacks pump_nowhere_pct")

@@ -51,15 +51,28 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     ):
         (place / f"{name}.csv").write_text(beginning(LOADS / f"{shipped}.csv", hours), encoding="utf-8")
         done = hil(
-            "run", place / f"{name}.csv", "--virtual", "--lockstep", "--no-twin", "--seed", 5,
-            "--runs", place / name, "--json", *extra,
-        )  # fmt: skip
+            "run",
+            place / f"{name}.csv",
+            "--virtual",
+            "--lockstep",
+            "--no-twin",
+            "--seed",
+            5,
+            "--runs",
+            place / name,
+            "--json",
+            *extra,
+        )
         assert done.returncode == 0, done.stderr
         found[name] = Path(json.loads(done.stdout)["folder"])
     done = hil(
-        "commission", found["healthy"] / "record.parquet", "--twin", "profiles/twins/loop.toml", "--out",
+        "commission",
+        found["healthy"] / "record.parquet",
+        "--twin",
+        "profiles/twins/loop.toml",
+        "--out",
         place / "rig.toml",
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     return {**found, "twin": place / "rig.toml", "place": place}
 
@@ -105,9 +118,16 @@ def test_dry_writes_nothing(runs: dict[str, Path], tmp_path: Path) -> None:
     twin = tmp_path / "rig.toml"
     twin.write_bytes(runs["twin"].read_bytes())
     done = typed(
-        "diagnose", runs["heated"], "--twin", twin, "--healthy", runs["healthy"] / "record.parquet", "--dry",
-        "--out", tmp_path / "out",
-    )  # fmt: skip
+        "diagnose",
+        runs["heated"],
+        "--twin",
+        twin,
+        "--healthy",
+        runs["healthy"] / "record.parquet",
+        "--dry",
+        "--out",
+        tmp_path / "out",
+    )
     assert done.returncode == 1 and "give off" in done.stdout
     assert sorted(p.name for p in tmp_path.iterdir()) == ["rig.toml"]
 

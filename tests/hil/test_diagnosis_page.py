@@ -80,10 +80,13 @@ def test_what_comes_from_files_cannot_become_markup(folder):
     findings = read_findings(folder)
     evil = "<b onclick=x>&"
     document = findings.document | {
-        "summary": evil, "warnings": [evil], "record": f"{evil}/x.csv", "blind_spots": [evil],
-        "next_experiment": {"hold": evil}, "alternatives": [{"kind": evil, "where": evil, "driver": evil,
-        "confidence": 0.0, "why_not": evil}],
-    }  # fmt: skip
+        "summary": evil,
+        "warnings": [evil],
+        "record": f"{evil}/x.csv",
+        "blind_spots": [evil],
+        "next_experiment": {"hold": evil},
+        "alternatives": [{"kind": evil, "where": evil, "driver": evil, "confidence": 0.0, "why_not": evil}],
+    }
     text = page(Findings(document, findings.curves))
     assert evil not in text
     assert text.count("&lt;b onclick=x&gt;&amp;") >= 6
@@ -154,8 +157,9 @@ def test_rerun_shows_the_curves_and_the_onset(folder, tmp_path):
     )
     assert read_words(rrd, "/diagnosis/onsets") == [(7200.0, SAYS)]
     assert [state for _, state in read_words(rrd, "/diagnosis/state")] == [
-        "as commissioned", "heat source at modules (constant)",
-    ]  # fmt: skip
+        "as commissioned",
+        "heat source at modules (constant)",
+    ]
 
 
 def test_the_review_of_a_run_takes_in_the_diagnosis_in_its_folder(tmp_path):

@@ -36,10 +36,20 @@ EXAMPLE = PAGE.code["toml"][0]
 PROJECT = Path(__file__).resolve().parents[2]
 GROUPS = {"volumes": PLACES, "thermocouples": CHANNELS, "meters": READINGS}
 UNITS = {
-    "power_W": "W", "conductance_W_per_K": "W/K", "capacity_J_per_K": "J/K", "lag_s": "s", "jump_K": "K", "tau_s": "s",
-    "period_s": "s", "peak_hour": "h", "width_h": "h", "threshold_C": "°C", "hysteresis_K": "K",
-    "bias": "of the column", "drift_per_h": "of the column per hour",
-}  # fmt: skip
+    "power_W": "W",
+    "conductance_W_per_K": "W/K",
+    "capacity_J_per_K": "J/K",
+    "lag_s": "s",
+    "jump_K": "K",
+    "tau_s": "s",
+    "period_s": "s",
+    "peak_hour": "h",
+    "width_h": "h",
+    "threshold_C": "°C",
+    "hysteresis_K": "K",
+    "bias": "of the column",
+    "drift_per_h": "of the column per hour",
+}
 KINDS = dict.fromkeys(form.kind for form in FORMS)
 
 
@@ -68,9 +78,14 @@ def row_of(form: Form) -> tuple[str, ...]:
     allowed = "true" if form.magnitude in SWITCHES else f"{form.lowest:g} to {form.highest:g}"
     ramp = "none" if form.magnitude in NO_RAMP else "needed" if needs_ramp(form) else "allowed"
     return (
-        f"`{form.driver}`", f"`{form.magnitude}`", type_of(form.magnitude), allowed, where_of(form),
-        ", ".join(shapes) or "none", ramp,
-    )  # fmt: skip
+        f"`{form.driver}`",
+        f"`{form.magnitude}`",
+        type_of(form.magnitude),
+        allowed,
+        where_of(form),
+        ", ".join(shapes) or "none",
+        ramp,
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -137,9 +152,10 @@ def test_what_must_be_given_is_missed_and_nothing_else(tmp_path, table):
     rows = PAGE.keys("[[effect]]")
     row = next(r for r in PAGE.rows[keys["kind"]] if r["Driver"] == f"`{keys['driver']}`")
     needed = {"kind", "where", row["Key"].strip("`")} | {
-        key for key, default in next(f for f in FORMS if row_of(f)[:2] == (row["Driver"], row["Key"])).shape
+        key
+        for key, default in next(f for f in FORMS if row_of(f)[:2] == (row["Driver"], row["Key"])).shape
         if default is None
-    }  # fmt: skip
+    }
     needed |= {"ramp_s"} if row["Ramp"] == "needed" else set()
     needed |= {"driver"} if sum(r["Key"] == row["Key"] for r in PAGE.rows[keys["kind"]]) > 1 else set()
     assert {key for key in keys if key in rows and rows[key]["Default"] == "must be given"} <= needed
@@ -156,12 +172,24 @@ def test_what_must_be_given_is_missed_and_nothing_else(tmp_path, table):
 @pytest.mark.parametrize(
     "effect",
     [
-        Effect("heat_loss", "pipe_to_modules", "temperature_difference", "conductance_W_per_K", 60.0,
-               shape={"exponent": SHAPES["exponent"][1]}),
-        Effect("thermal_mass", "tank", "history", "capacity_J_per_K", 100.0,
-               shape={"conductance_W_per_K": SHAPES["conductance_W_per_K"][1]}),
+        Effect(
+            "heat_loss",
+            "pipe_to_modules",
+            "temperature_difference",
+            "conductance_W_per_K",
+            60.0,
+            shape={"exponent": SHAPES["exponent"][1]},
+        ),
+        Effect(
+            "thermal_mass",
+            "tank",
+            "history",
+            "capacity_J_per_K",
+            100.0,
+            shape={"conductance_W_per_K": SHAPES["conductance_W_per_K"][1]},
+        ),
     ],
-)  # fmt: skip
+)
 def test_at_the_bounds_of_the_shapes_the_plant_is_stable(effect):
     plant = Plant(seed=1, start_C=70.0, effects=(effect,))
     for _ in range(300):

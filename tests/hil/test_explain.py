@@ -99,9 +99,18 @@ def open_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Path
 
 def asked_of(place: Path, files: dict[str, Path], *options: object) -> tuple[object, ...]:
     return (
-        "explain", files["record"], "--twin", files["twin"], "--no-healthy", "--out", place / "out",
-        "--runs", place / "runs", "--no-viewer", *options,
-    )  # fmt: skip
+        "explain",
+        files["record"],
+        "--twin",
+        files["twin"],
+        "--no-healthy",
+        "--out",
+        place / "out",
+        "--runs",
+        place / "runs",
+        "--no-viewer",
+        *options,
+    )
 
 
 @pytest.mark.parametrize(("verdict", "code"), [("adequate", 0), ("effect found", 1), ("unexplained", 1)])
@@ -131,9 +140,13 @@ def test_ctrl_c_in_an_experiment_leaves_the_heater_safe_and_the_finished_rounds(
 ) -> None:
     asked = asked_of(tmp_path, open_case, "--virtual", "--speed", 20, "--yes")
     process = subprocess.Popen(
-        [sys.executable, "-m", "hil", *map(str, asked)], cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        text=True, process_group=0,
-    )  # fmt: skip
+        [sys.executable, "-m", "hil", *map(str, asked)],
+        cwd=PROJECT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        process_group=0,
+    )
     assert process.stdout is not None
     before = []
     for line in process.stdout:

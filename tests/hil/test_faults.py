@@ -21,9 +21,14 @@ SEED = 20_261
 COSTLY = ("calibrator crash", "viewer killed", "SIGKILL")
 """Seconds of processor time each, and tested elsewhere; `hil bench faults` has them."""
 OF_FRAMES = (
-    "garbled replies", "garbled replies, brief", "garbled over TLS, brief", "cut-off replies", "too few registers",
-    "wrong function", "late replies, brief",
-)  # fmt: skip
+    "garbled replies",
+    "garbled replies, brief",
+    "garbled over TLS, brief",
+    "cut-off replies",
+    "too few registers",
+    "wrong function",
+    "late replies, brief",
+)
 """Replies that the driver refuses: tests/contract has each on every transport, and the run sees the same link fault of
 all. "late replies" and "garbled over TLS" stand for them here; `hil bench faults` has them all."""
 HUNG, KILLED = ("loop hangs", 0), ("SIGKILL", 3)
@@ -142,10 +147,13 @@ def moment(wall_s: float, heater_W: float = 500.0, status: int = 1, tank_C: floa
 
 
 TRUE = {
-    "heater_power_W": 500.0, "flow_L_per_min": 3.8, "pump_speed_pct": 100.0, "fan_speed_pct": 100.0,
+    "heater_power_W": 500.0,
+    "flow_L_per_min": 3.8,
+    "pump_speed_pct": 100.0,
+    "fan_speed_pct": 100.0,
     "T_ambient_C": 20.0,
     **dict.fromkeys((f"T_{name}_C" for name in ("heater", *(f"pm{k}" for k in range(1, 7)), "radiator", "tank")), 30.0),
-}  # fmt: skip
+}
 
 
 def journal(tank: list[float], quality: list[int] | None = None, **others: object) -> judge.JournalContent:

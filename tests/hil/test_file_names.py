@@ -27,11 +27,26 @@ from hil.run_folder.folder import RunFolderError, create_run_folder
 from tests.hil.ended_run import ended_run
 
 NAMES = [
-    b"hash#1", b"quest?ion", b"pct%41", b"q?mode=rwc&cache=shared", b"with space \xc3\xbc", b"quo\"te'`$(x)",
+    b"hash#1",
+    b"quest?ion",
+    b"pct%41",
+    b"q?mode=rwc&cache=shared",
+    b"with space \xc3\xbc",
+    b"quo\"te'`$(x)",
     b"two\nlines",
-    b"no utf-8 \xff\xfe", b"--option", b"-", b"dots...", b"<b>&amp;", b"[red]markup[", b"back\\slash", b"file:x",
-    b"\x1b[31mescape", "\N{FIRE}\N{COMBINING ACUTE ACCENT}".encode() * 30, b"x" * 220, b" ",
-]  # fmt: skip
+    b"no utf-8 \xff\xfe",
+    b"--option",
+    b"-",
+    b"dots...",
+    b"<b>&amp;",
+    b"[red]markup[",
+    b"back\\slash",
+    b"file:x",
+    b"\x1b[31mescape",
+    "\N{FIRE}\N{COMBINING ACUTE ACCENT}".encode() * 30,
+    b"x" * 220,
+    b" ",
+]
 NESTED = [b"/".join(NAMES[first : first + 4]) for first in range(0, 16, 4)] + [
     b"/".join(NAMES[k : k + 1] + NAMES[-1:]) for k in (16, 17)
 ]

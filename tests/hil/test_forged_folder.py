@@ -30,8 +30,13 @@ HIL = [sys.executable, "-m", "hil"]
 RIG = PROJECT / "profiles" / "rigs" / "virtual.toml"
 LOAD = PROJECT / "profiles" / "loads" / "battle_10h.csv"
 SETTINGS = {
-    "virtual": True, "mode": "lockstep", "speed": 1.0, "seed": 0, "calibrators": [], "network_mode": "shadow",
-}  # fmt: skip
+    "virtual": True,
+    "mode": "lockstep",
+    "speed": 1.0,
+    "seed": 0,
+    "calibrators": [],
+    "network_mode": "shadow",
+}
 
 
 @pytest.fixture(scope="module")
@@ -85,11 +90,17 @@ def test_a_folder_with_everything_that_a_run_may_write_is_in_order(run: RunFolde
     run.diagnosis.mkdir()
     (run.diagnosis / "diagnosis.json").write_text("{}", encoding="utf-8")
     outcome = {
-        "exit_status": "done with deviations", "deviations": ["pump asked for 80 % in the mean"], "trips": ["T high"],
-        "away": "", "guardian": "the run hung; safe values read back", "missing": {"review.rrd": "no space"},
+        "exit_status": "done with deviations",
+        "deviations": ["pump asked for 80 % in the mean"],
+        "trips": ["T high"],
+        "away": "",
+        "guardian": "the run hung; safe values read back",
+        "missing": {"review.rrd": "no space"},
         "errors_K": {"columns": ["static"], "rows": {"T_C": [None]}, "noise_K": {"T_C": None}},
-        "bands": {"static": {"T_C": [None, None]}}, "diagnosis": None, "adoption": None,
-    }  # fmt: skip
+        "bands": {"static": {"T_C": [None, None]}},
+        "diagnosis": None,
+        "adoption": None,
+    }
     altered(run, **outcome)
     assert run.read_manifest()["exit_status"] == "done with deviations"
     write_report(run)
@@ -134,11 +145,24 @@ def test_the_control_socket_of_a_live_run_is_in_order(run: RunFolder) -> None:
 
 
 WRONG: dict[str, Any] = {
-    "exit_status": {"a": 1}, "reason": ["x"], "uid": 7, "files": ["rig"], "versions": {"hil": 1}, "problems": "all",
-    "segments": [{"number": "two"}], "errors_K": {"columns": 1}, "bands": {"static": {"T": [1.0]}},
-    "parameters": {"pso": {"a": ["x", None, True]}}, "adoption": "yes", "overruns": "many", "host": None,
-    "settings": {"control": ["host", "port"]}, "missing": ["review.rrd"], "deviations": "none", "guardian": {},
-}  # fmt: skip
+    "exit_status": {"a": 1},
+    "reason": ["x"],
+    "uid": 7,
+    "files": ["rig"],
+    "versions": {"hil": 1},
+    "problems": "all",
+    "segments": [{"number": "two"}],
+    "errors_K": {"columns": 1},
+    "bands": {"static": {"T": [1.0]}},
+    "parameters": {"pso": {"a": ["x", None, True]}},
+    "adoption": "yes",
+    "overruns": "many",
+    "host": None,
+    "settings": {"control": ["host", "port"]},
+    "missing": ["review.rrd"],
+    "deviations": "none",
+    "guardian": {},
+}
 
 
 @pytest.mark.parametrize("key", WRONG)
@@ -230,9 +254,14 @@ def test_a_state_that_no_run_has_is_one_sentence(run: RunFolder) -> None:
 
 
 DOCUMENTS = [
-    '{"parameters": "x"}', '{"parameters": {"a": "x"}}', '{"standard_errors": 7}', '{"kind": [1]}', '{"rmse_K": "a"}',
-    '{"mean_K": 1}', '{"values": {"a": "x"}, "held": [], "reasons": 3}',
-]  # fmt: skip
+    '{"parameters": "x"}',
+    '{"parameters": {"a": "x"}}',
+    '{"standard_errors": 7}',
+    '{"kind": [1]}',
+    '{"rmse_K": "a"}',
+    '{"mean_K": 1}',
+    '{"values": {"a": "x"}, "held": [], "reasons": 3}',
+]
 
 
 @pytest.mark.parametrize("table", ["calibrations", "proposals", "bands"])
@@ -253,9 +282,14 @@ def test_a_document_of_another_shape_is_one_sentence(run: RunFolder, table: str)
 
 
 HEADERS: dict[str, Any] = {
-    "twin_sensors": {"T": ["no_such_C"]}, "signals": "x", "twin_names": [1], "period_s": 0.0, "duration_s": "x",
-    "noise_K": {"T": "x"}, "profile": 1,
-}  # fmt: skip
+    "twin_sensors": {"T": ["no_such_C"]},
+    "signals": "x",
+    "twin_names": [1],
+    "period_s": 0.0,
+    "duration_s": "x",
+    "noise_K": {"T": "x"},
+    "profile": 1,
+}
 
 
 @pytest.mark.parametrize("key", HEADERS)

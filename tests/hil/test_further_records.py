@@ -25,9 +25,19 @@ def test_an_effect_that_is_not_in_a_further_record_does_not_carry_over_to_it(tmp
     for name, seed, changed in (("good", 7, None), ("hot", 1, hot), ("again", 3, hot), ("cool", 4, None)):
         written(bench.network, bench.record(4.0, seed=seed, changed=changed), tmp_path / f"{name}.parquet")
     code, printed = hil(
-        "diagnose", tmp_path / "hot.parquet", "--twin", twin, "--healthy", tmp_path / "good.parquet",
-        "--with", tmp_path / "again.parquet", "--with", tmp_path / "cool.parquet", "--out", tmp_path / "out",
-    )  # fmt: skip
+        "diagnose",
+        tmp_path / "hot.parquet",
+        "--twin",
+        twin,
+        "--healthy",
+        tmp_path / "good.parquet",
+        "--with",
+        tmp_path / "again.parquet",
+        "--with",
+        tmp_path / "cool.parquet",
+        "--out",
+        tmp_path / "out",
+    )
     assert code == 1 and "effect found" in printed
     assert "this effect does not carry over to cool.parquet: T_" in printed
     assert "over to again.parquet" not in printed

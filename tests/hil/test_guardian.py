@@ -384,7 +384,9 @@ def test_the_shipped_rig_has_a_plan_that_turns_the_heater_off_first():
     assert plan is not None
     (wire,) = plan["wires"]
     assert [step["name"] for step in wire["writes"]] == [
-        "heater_power_set 0 W", "pump_speed_set 100 %", "fan_speed_set 100 %"
-    ]  # fmt: skip
+        "heater_power_set 0 W",
+        "pump_speed_set 100 %",
+        "fan_speed_set 100 %",
+    ]
     assert wire["writes"][0]["pdu"] == "0600000000"
     assert [meter["name"] for meter in wire["meters"]] == ["heater_power"]

@@ -25,9 +25,28 @@ MARK = "$\\frac{<script>x</script>\"'&<img src=x onerror=alert(1)>"
 SHORT = "<u>\"'&$"
 """Where a picture draws it: a longer one leaves no room for the picture."""
 ALLOWED = {
-    "html", "head", "meta", "title", "style", "body", "h1", "h2", "h3", "p", "b", "i", "div", "span", "table", "tr",
-    "th", "td", "ul", "li", "img",
-}  # fmt: skip
+    "html",
+    "head",
+    "meta",
+    "title",
+    "style",
+    "body",
+    "h1",
+    "h2",
+    "h3",
+    "p",
+    "b",
+    "i",
+    "div",
+    "span",
+    "table",
+    "tr",
+    "th",
+    "td",
+    "ul",
+    "li",
+    "img",
+}
 
 
 class Reader(html.parser.HTMLParser):
@@ -104,13 +123,26 @@ def a_run(folder: Path) -> RunFolder:
     run = RunFolder(folder)
     write(run.journal, make(400))
     manifest = new_manifest({"rig": Path(__file__)}, mode="real") | {
-        "exit_status": "done", "reason": "over", "safe": True, "problems": ["one"],
-        "segments": [{"number": 2, "from_s": 1.0, "gap_s": 2.0, "profile_s": 3.0, "why": "cut", "exit_status": "done",
-                      "reason": "r"}],
+        "exit_status": "done",
+        "reason": "over",
+        "safe": True,
+        "problems": ["one"],
+        "segments": [
+            {
+                "number": 2,
+                "from_s": 1.0,
+                "gap_s": 2.0,
+                "profile_s": 3.0,
+                "why": "cut",
+                "exit_status": "done",
+                "reason": "r",
+            }
+        ],
         "errors_K": {"columns": ["static"], "rows": {"T_tank_C": [0.1]}, "noise_K": {"T_tank_C": 0.05}},
-        "bands": {"static": {"T_tank_C": [0.1, 0.9]}}, "parameters": {"pso": {"tank.hA": [1.0, None, True]}},
+        "bands": {"static": {"T_tank_C": [0.1, 0.9]}},
+        "parameters": {"pso": {"tank.hA": [1.0, None, True]}},
         "adoption": {"sentence": "adopted"},
-    }  # fmt: skip
+    }
     run.write_manifest(manifest)
     return run
 

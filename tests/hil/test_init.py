@@ -17,10 +17,17 @@ from hil.cli.rig_commands.init import command as init
 
 DBC = Path(__file__).resolve().parents[2] / "profiles" / "rigs" / "thermocouples.dbc"
 ON_MODBUS = (
-    "--heater", "set=holding:0*0.1,read=input:0:float32:CDAB", "--pump", "set=40002*0.1,read=30005*0.1",
-    "--fan", "holding:2*0.1,read=input:5*0.1", "--flow", "input:2:float32:CDAB",
-    "--heartbeat", "point=holding:3,counter=input:11,arm=holding:5,watchdog=holding:4*0.1",
-)  # fmt: skip
+    "--heater",
+    "set=holding:0*0.1,read=input:0:float32:CDAB",
+    "--pump",
+    "set=40002*0.1,read=30005*0.1",
+    "--fan",
+    "holding:2*0.1,read=input:5*0.1",
+    "--flow",
+    "input:2:float32:CDAB",
+    "--heartbeat",
+    "point=holding:3,counter=input:11,arm=holding:5,watchdog=holding:4*0.1",
+)
 
 
 def made(*options: object, typed: str | None = None) -> Result:
@@ -69,10 +76,25 @@ async def test_what_is_said_is_a_rig_file_that_finds_everything_on_the_rig(tmp_p
 def test_thermocouples_on_modbus_and_several_of_a_kind(tmp_path):
     out = tmp_path / "rig.toml"
     done = made(
-        "--heater", "holding:0", "--heater", "set=holding:1,max=300", "--pump", "holding:2", "--trip-at", "60",
-        "--thermocouple", "T_tank=input:20:int16*0.01", "--thermocouple", "T_in=30022:int16*0.01", "--out", out,
-        "--period", "2", "--name", "bench 4",
-    )  # fmt: skip
+        "--heater",
+        "holding:0",
+        "--heater",
+        "set=holding:1,max=300",
+        "--pump",
+        "holding:2",
+        "--trip-at",
+        "60",
+        "--thermocouple",
+        "T_tank=input:20:int16*0.01",
+        "--thermocouple",
+        "T_in=30022:int16*0.01",
+        "--out",
+        out,
+        "--period",
+        "2",
+        "--name",
+        "bench 4",
+    )
     assert done.exit_code == 0, done.output
     rig = accepted(out)
     assert (rig.name, rig.period_s, rig.abort_after_s) == ("bench 4", 2.0, 10.0)
@@ -126,12 +148,30 @@ def test_nothing_is_written_over_unasked(tmp_path):
 
 
 ANSWERS = [
-    "my bench", "192.168.1.20", "1502", "3", "can0", str(DBC),
-    "1", "holding:x", "holding:0*0.1", "input:0:float32:CDAB", "2000",  # a slip is asked again
-    "1", "40002*0.1", "-", "",
+    "my bench",
+    "192.168.1.20",
+    "1502",
+    "3",
+    "can0",
+    str(DBC),
+    "1",
+    "holding:x",
+    "holding:0*0.1",
+    "input:0:float32:CDAB",
+    "2000",  # a slip is asked again
+    "1",
+    "40002*0.1",
+    "-",
+    "",
     "0",
-    "-", "y", "T_room", "input:6:int16*0.01", "-", "", "-",
-]  # fmt: skip
+    "-",
+    "y",
+    "T_room",
+    "input:6:int16*0.01",
+    "-",
+    "",
+    "-",
+]
 
 
 def test_who_says_nothing_is_asked(tmp_path, monkeypatch):

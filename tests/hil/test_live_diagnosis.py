@@ -168,10 +168,14 @@ def test_no_block_waits_and_one_diagnosis_is_asked_for_at_a_time(live):
 
 def test_an_event_only_where_there_is_news(live):
     for reply in (
-        Reply(), Reply(problem="too short"), Reply(interim_finding(made("adequate"), 3600.0)), Reply(found()),
-        Reply(found(value=182.0)), Reply(found(), adopted=Path("my runs/twin.r2.toml")),
+        Reply(),
+        Reply(problem="too short"),
+        Reply(interim_finding(made("adequate"), 3600.0)),
+        Reply(found()),
+        Reply(found(value=182.0)),
+        Reply(found(), adopted=Path("my runs/twin.r2.toml")),
         Reply(interim_finding(made("adequate"), 9e3)),
-    ):  # fmt: skip
+    ):
         live._tell(reply)
     told = events(live)
     assert [line.split()[0] for line in told] == ["WARN", "INFO", "INFO"]
@@ -233,8 +237,11 @@ def test_healthy_without_diagnose_is_a_usage_error(tmp_path):
     (tmp_path / "load.csv").write_text(LOAD.format(end=9000), encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-m", "hil", "run", str(tmp_path / "load.csv"), "--virtual", "--adopt"],
-        capture_output=True, text=True, cwd=PROJECT, timeout=180,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        cwd=PROJECT,
+        timeout=180,
+    )
     assert done.returncode == 2 and "--diagnose" in done.stderr
 
 

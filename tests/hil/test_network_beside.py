@@ -161,8 +161,9 @@ def test_a_flat_or_shuffled_record_moves_nothing_and_says_why(
     columns = {name: change(v) if name in thermometers or damage == "blocks" else v for name, v in data.columns.items()}
     write_record(Record(data.time_s, columns), tmp_path / "bad.parquet")
     twin = Path(shutil.copy(LOOP, tmp_path / "my_twin.toml"))
-    done = hil("track", tmp_path / "bad.parquet", "--twin", twin, "--calibrator", "hiera_unet",
-               "--network-mode", "controlled")  # fmt: skip
+    done = hil(
+        "track", tmp_path / "bad.parquet", "--twin", twin, "--calibrator", "hiera_unet", "--network-mode", "controlled"
+    )
     assert f"hiera_unet held everything in 30 of 30 proposals; {code} in {times} (" in done.output
     # Of blocks in another order the first window is as it was measured, and is judged before anything is torn.
     assert damage == "blocks" or "that the twin does not model" not in done.output
@@ -276,8 +277,17 @@ def test_a_run_names_its_network_and_goes_on_with_that_alone(tmp_path: Path, mon
 
 def test_a_twin_without_a_network_is_run_by_the_others(tmp_path: Path) -> None:
     (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
-    done = hil("run", tmp_path / "load.csv", "--virtual", "--lockstep", "--twin", PROFILES / "twins/loop_six.toml",
-               "--runs", tmp_path / "runs", "--check-only")  # fmt: skip
+    done = hil(
+        "run",
+        tmp_path / "load.csv",
+        "--virtual",
+        "--lockstep",
+        "--twin",
+        PROFILES / "twins/loop_six.toml",
+        "--runs",
+        tmp_path / "runs",
+        "--check-only",
+    )
     assert done.exit_code == 0, done.output
     assert "hiera_unet is left out: " in done.output
 
@@ -287,8 +297,16 @@ def test_lockstep_with_the_network_is_the_same_every_time(tmp_path: Path) -> Non
     (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
     seen = []
     for _ in range(2):
-        done = hil("run", tmp_path / "load.csv", "--virtual", "--lockstep", "--runs", tmp_path / "runs", "--json",
-                   "--no-viewer")  # fmt: skip
+        done = hil(
+            "run",
+            tmp_path / "load.csv",
+            "--virtual",
+            "--lockstep",
+            "--runs",
+            tmp_path / "runs",
+            "--json",
+            "--no-viewer",
+        )
         assert done.exit_code == 0, done.output
         folder = RunFolder(Path(json.loads(done.stdout)["folder"]))
         reader = JournalReader(folder.journal)
@@ -313,9 +331,14 @@ async def test_a_network_that_hangs_holds_up_neither_the_engine_nor_the_fits(rec
     data = read_record(record)
     columns = tuple(data.columns)
     header = Header(
-        signals=tuple(Signal(name, "1") for name in columns), twin_sensors=dict(load(LOOP).sensor_columns),
-        twin_names=("static", "least_squares", "hiera_unet"), profile="p", duration_s=1300.0, period_s=1.0, noise_K={},
-    )  # fmt: skip
+        signals=tuple(Signal(name, "1") for name in columns),
+        twin_sensors=dict(load(LOOP).sensor_columns),
+        twin_names=("static", "least_squares", "hiera_unet"),
+        profile="p",
+        duration_s=1300.0,
+        period_s=1.0,
+        noise_K={},
+    )
     tracking = Tracking(TrackingConfig(LOOP, columns, ("least_squares", "hiera_unet")), wait=False)
     await tracking.start()
     journal = JournalWriter(tmp_path / "journal.sqlite", header)

@@ -43,9 +43,17 @@ def rig_file(place: Path, modbus: int, can: int) -> Path:
 
 async def check(path: Path, *options: str, interrupt: bool = False) -> tuple[int, str]:
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "hil", "check", str(path), "--online", *options,
-        stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT, cwd=PROJECT,
-    )  # fmt: skip
+        sys.executable,
+        "-m",
+        "hil",
+        "check",
+        str(path),
+        "--online",
+        *options,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+        cwd=PROJECT,
+    )
     try:
         said = b""
         assert process.stdout is not None
@@ -120,9 +128,18 @@ async def test_a_rig_that_is_well_shows_what_it_holds_and_nothing_is_written(tmp
     assert re.fullmatch(r"([0-9A-F]{2} ){7}[0-9A-F]{2}", tank["raw"])
     assert tank["value"] == pytest.approx(int.from_bytes(bytes.fromhex(tank["raw"])[:2], "little") * 0.01)
     assert points["heater_power_set"] | {"age_s": 0} == {
-        "name": "heater_power_set", "bus": "plc", "raw": "0000", "value": 0.0, "text": "", "unit": "W", "age_s": 0,
-        "quality": "good", "limits": [0.0, 1000.0], "plausible": None, "alarm": None,
-    }  # fmt: skip
+        "name": "heater_power_set",
+        "bus": "plc",
+        "raw": "0000",
+        "value": 0.0,
+        "text": "",
+        "unit": "W",
+        "age_s": 0,
+        "quality": "good",
+        "limits": [0.0, 1000.0],
+        "plausible": None,
+        "alarm": None,
+    }
     assert all(point["age_s"] < 10.0 for point in points.values())
     assert "all buses answer and all 25 points are good" in text
     assert relay.codes == {3, 4}

@@ -69,8 +69,10 @@ def test_log_and_errors_of_threads_are_lines_of_the_output_and_no_tracebacks(cap
         thread.start()
         thread.join()
     assert said == [
-        "before", "accept failed: no descriptor left", "the thread can ended: ZeroDivisionError: division by zero"
-    ]  # fmt: skip
+        "before",
+        "accept failed: no descriptor left",
+        "the thread can ended: ZeroDivisionError: division by zero",
+    ]
     assert "Traceback" not in capfd.readouterr().err
 
 

@@ -49,9 +49,15 @@ def test_the_examples_run_on_the_example_of_the_rig_file(tmp_path, twin):
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [("0,200", "5,200"), ("900,350", "0,350"), ("900,350", "900,"), ("heater_power_W", "heater_power"),
-     ("time_s", "time"), ("900,350", "# here\n900,350")],
-)  # fmt: skip
+    [
+        ("0,200", "5,200"),
+        ("900,350", "0,350"),
+        ("900,350", "900,"),
+        ("heater_power_W", "heater_power"),
+        ("time_s", "time"),
+        ("900,350", "# here\n900,350"),
+    ],
+)
 def test_what_the_page_does_not_allow_of_a_profile_is_refused(tmp_path, old, new):
     path = tmp_path / "load.csv"
     text = PAGE.code["csv"][0]

@@ -24,11 +24,19 @@ def _read(tmp_path: Path, text: str) -> Record:
 
 
 def _rows(row: str, between: str = "\n") -> str:
-    return between.join(
-        row.format(k=k, t=10 * k, clock=f"2026-05-06 07:{10 * k // 60:02}:{10 * k % 60:02}", T=f"{warm:.2f}",
-                   comma=f"{warm:.2f}".replace(".", ","))
-        for k, warm in enumerate(WARM)
-    ) + "\n"  # fmt: skip
+    return (
+        between.join(
+            row.format(
+                k=k,
+                t=10 * k,
+                clock=f"2026-05-06 07:{10 * k // 60:02}:{10 * k % 60:02}",
+                T=f"{warm:.2f}",
+                comma=f"{warm:.2f}".replace(".", ","),
+            )
+            for k, warm in enumerate(WARM)
+        )
+        + "\n"
+    )
 
 
 FLUX = "#group,false,false,false,false,true,true\n#datatype,string,long,dateTime:RFC3339,double,string,string\n"
@@ -104,8 +112,12 @@ def test_a_column_called_value_beside_a_phase_stays_a_column(tmp_path: Path) -> 
 
 def test_a_parquet_file_that_repeats_a_name_is_read(tmp_path: Path) -> None:
     path = tmp_path / "twice.parquet"
-    pq.write_table(pa.Table.from_arrays([pa.array([0.0, 1.0]), pa.array([5.0, 6.0]), pa.array([7.0, 8.0])],
-                                        names=["time_s", "a_W", "a_W"]), path)  # fmt: skip
+    pq.write_table(
+        pa.Table.from_arrays(
+            [pa.array([0.0, 1.0]), pa.array([5.0, 6.0]), pa.array([7.0, 8.0])], names=["time_s", "a_W", "a_W"]
+        ),
+        path,
+    )
     record = read_record(path)
     assert record.columns["a_W"].tolist() == [5, 6] and record.columns["a_W_2"].tolist() == [7, 8]
 

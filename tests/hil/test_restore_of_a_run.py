@@ -261,7 +261,13 @@ def test_profile_time_is_told_from_the_transitions():
     def row(tick: int, profile_s: float, target: str) -> StateRow:
         return StateRow(0, tick, float(tick), 0.0, profile_s, "", "", target, "")
 
-    states = [row(0, 0.0, "running"), row(5, 4.0, "held"), row(8, 4.0, "running"), row(10, 6.0, "idle"),
-              row(20, 6.0, "restoring"), row(30, 6.0, "running")]  # fmt: skip
+    states = [
+        row(0, 0.0, "running"),
+        row(5, 4.0, "held"),
+        row(8, 4.0, "running"),
+        row(10, 6.0, "idle"),
+        row(20, 6.0, "restoring"),
+        row(30, 6.0, "running"),
+    ]
     ticks = np.array([0, 4, 5, 7, 8, 9, 21, 30, 32])
     assert profile_times(states, ticks, 1.0).tolist() == [0.0, 4.0, 4.0, 4.0, 4.0, 5.0, 6.0, 6.0, 8.0]

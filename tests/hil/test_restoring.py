@@ -45,8 +45,10 @@ def test_only_what_the_journal_lacks_is_passed_on(tmp_path):
     assert [row.time_s for row in reader.proposals()] == [300.0, 600.0]
     assert [row.end_s for row in reader.bands()] == [600.0, 1200.0]
     assert [row.text for row in reader.events()] == [
-        "of the window up to 1200", "of the proposal at 600", "pso: stopped"
-    ]  # fmt: skip
+        "of the window up to 1200",
+        "of the proposal at 600",
+        "pso: stopped",
+    ]
     reader.close()
     journal.close()
 
@@ -84,9 +86,12 @@ async def test_calibrators_that_do_not_come_back_start_anew_and_that_is_said(mon
     monkeypatch.setattr(hil.run.session.run, "restore_calibrators", fails)
     monkeypatch.setattr(hil.run.session.run, "start_tracking", start)
     run: Any = SimpleNamespace(
-        resumption=SimpleNamespace(position=SimpleNamespace(tick=7, time_s=7.0)), folder=SimpleNamespace(journal=None),
-        announce=said.append, request=None, ready=None,
-    )  # fmt: skip
+        resumption=SimpleNamespace(position=SimpleNamespace(tick=7, time_s=7.0)),
+        folder=SimpleNamespace(journal=None),
+        announce=said.append,
+        request=None,
+        ready=None,
+    )
     tracking: Any = SimpleNamespace(failures=[])
     journal: Any = SimpleNamespace(event=lambda *row: noted.append(row))
     async with contextlib.AsyncExitStack() as stack:

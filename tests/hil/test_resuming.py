@@ -40,11 +40,14 @@ class Story:
         self._state = target
         for tick in range(self._tick, self._tick + ticks):
             self._journal.sample(
-                tick, tick * self.period_s, 1e9 + tick * self.period_s, 0.001,
+                tick,
+                tick * self.period_s,
+                1e9 + tick * self.period_s,
+                0.001,
                 [temperature_C if signal.unit == "degC" else 1.0 for signal in SIGNALS],
                 [int(Quality.STALE if signal.name in bad else Quality.GOOD) for signal in SIGNALS],
                 [0.0] * len(SIGNALS),
-            )  # fmt: skip
+            )
             self._profile_s += self.period_s if target is State.RUNNING else 0.0
         self._tick += ticks
         return self

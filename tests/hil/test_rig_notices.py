@@ -72,10 +72,12 @@ def test_a_fan_that_is_set_in_watts_is_no_heater(tmp_path):
 @pytest.mark.parametrize(
     ("known", "role", "meant"),
     [
-        ("heater_power", "heater", "heater_power"), ("fan_speed", "Fan", "fan_speed"),
-        ("T_ambient", "t_ambient", "T_ambient"), ("T_radiator", "radiator", "T_radiator"),
+        ("heater_power", "heater", "heater_power"),
+        ("fan_speed", "Fan", "fan_speed"),
+        ("T_ambient", "t_ambient", "T_ambient"),
+        ("T_radiator", "radiator", "T_radiator"),
     ],
-)  # fmt: skip
+)
 def test_a_role_that_nothing_knows_is_told_with_the_nearest_and_all(tmp_path, known, role, meant):
     path = rig_file(tmp_path, (f'role = "{known}"', f'role = "{role}"'))
     line = path.read_text(encoding="utf-8").splitlines().index(f'role = "{role}"') + 1

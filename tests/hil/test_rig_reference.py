@@ -26,20 +26,31 @@ PAGE = page("rig-file")
 MODBUS, TCP = "Every Modbus bus", "modbus_tcp"
 POINT = ("Every point", "Where it is on Modbus", "Where it is on CAN", "Readings of a point", "Writes to a point")
 SECTIONS: dict[type[BaseModel], tuple[str, ...]] = {
-    Rig: ("[rig]",), Heartbeat: ("[heartbeat]",), Point: POINT, Hole: ("hole",), CanBus: ("CAN",),
+    Rig: ("[rig]",),
+    Heartbeat: ("[heartbeat]",),
+    Point: POINT,
+    Hole: ("hole",),
+    CanBus: ("CAN",),
     CanMessage: ("message",),
-    bus_sections.ModbusTcpBus: (MODBUS, TCP), bus_sections.ModbusTlsBus: (MODBUS, TCP, "modbus_tls"),
-    bus_sections.ModbusRtuTcpBus: (MODBUS, "modbus_rtu_tcp"), bus_sections.ModbusRtuBus: (MODBUS, "modbus_rtu"),
+    bus_sections.ModbusTcpBus: (MODBUS, TCP),
+    bus_sections.ModbusTlsBus: (MODBUS, TCP, "modbus_tls"),
+    bus_sections.ModbusRtuTcpBus: (MODBUS, "modbus_rtu_tcp"),
+    bus_sections.ModbusRtuBus: (MODBUS, "modbus_rtu"),
     **{
         spec: ("Every interlock", get_args(spec.model_fields["kind"].annotation)[0])
         for spec in get_args(get_args(interlock_specs.InterlockSpec)[0])
     },
-}  # fmt: skip
+}
 SECTIONS_OF_RIG = {"heartbeat": "[heartbeat]", "bus": "[bus.NAME]", "point": "[[point]]", "interlock": "[[interlock]]"}
 WORDS = {
-    int: "whole number", float: "number", str: "text", bool: "true or false", Path: "path", tuple: ("pair", "list"),
+    int: "whole number",
+    float: "number",
+    str: "text",
+    bool: "true or false",
+    Path: "path",
+    tuple: ("pair", "list"),
     dict: "table",
-}  # fmt: skip
+}
 
 
 def fields(model: type[BaseModel]) -> dict[str, FieldInfo]:

@@ -51,9 +51,22 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     (place / "load.csv").write_text(LOAD.format(end=3000), encoding="utf-8")
     (place / "heat.toml").write_text(HEAT, encoding="utf-8")
     done = hil(
-        "run", place / "load.csv", "--virtual", "--lockstep", "--runs", place / "runs", "--json",
-        "--with", place / "heat.toml", "--calibrator", "pso", "--calibrator", "least_squares", "--seed", 3,
-    )  # fmt: skip
+        "run",
+        place / "load.csv",
+        "--virtual",
+        "--lockstep",
+        "--runs",
+        place / "runs",
+        "--json",
+        "--with",
+        place / "heat.toml",
+        "--calibrator",
+        "pso",
+        "--calibrator",
+        "least_squares",
+        "--seed",
+        3,
+    )
     assert done.returncode == 0, done.stderr
     printed = json.loads(done.stdout)
     return Finished(RunFolder(Path(printed["folder"])), printed)
@@ -137,9 +150,18 @@ def test_a_picture_of_the_review_has_no_complaints(finished, tmp_path):
 
 def test_tracking_the_record_again_gives_the_same_table(finished):
     done = hil(
-        "track", finished.folder.record, "--twin", finished.folder.twin, "--seed", 3,
-        "--calibrator", "pso", "--calibrator", "least_squares", "--json",
-    )  # fmt: skip
+        "track",
+        finished.folder.record,
+        "--twin",
+        finished.folder.twin,
+        "--seed",
+        3,
+        "--calibrator",
+        "pso",
+        "--calibrator",
+        "least_squares",
+        "--json",
+    )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["errors_K"]["rows"] == finished.printed["errors_K"]["rows"]
 
@@ -219,9 +241,17 @@ def test_a_rig_that_runs_already_is_taken_over_in_lockstep(tmp_path):
         assert b"Virtual rig" in server.stdout.readline()
         for _ in range(2):
             done = hil(
-                "run", tmp_path / "load.csv", "--rig", rig, "--control", f"127.0.0.1:{ports['--control-port']}",
-                "--runs", tmp_path / "runs", "--no-twin", "--json",
-            )  # fmt: skip
+                "run",
+                tmp_path / "load.csv",
+                "--rig",
+                rig,
+                "--control",
+                f"127.0.0.1:{ports['--control-port']}",
+                "--runs",
+                tmp_path / "runs",
+                "--no-twin",
+                "--json",
+            )
             assert done.returncode == 0, done.stderr
             assert json.loads(done.stdout)["ticks"] == 1600
     finally:

@@ -157,8 +157,13 @@ def test_a_run_folder_that_names_other_files_shows_nothing_of_them(tmp_path):
     folder.path.mkdir()
     about = {"path": str(secret), "sha256": file_sha256(secret)}
     settings = {
-        "virtual": True, "mode": "lockstep", "speed": 1.0, "seed": 0, "calibrators": [], "network_mode": "shadow",
-    }  # fmt: skip
+        "virtual": True,
+        "mode": "lockstep",
+        "speed": 1.0,
+        "seed": 0,
+        "calibrators": [],
+        "network_mode": "shadow",
+    }
     manifest = {"exit_status": "running", "files": {"rig": about, "profile": about}, "settings": settings}
     request = request_of(folder, manifest, {})
     from hil.run.session.request import prepare
@@ -187,17 +192,26 @@ async def test_a_run_over_tls_leaves_no_key_in_its_folder(tmp_path):
     async with await start_virtual_rig(period_s=0.1, tls=made.rig) as rig:
         await prepare(rig.modbus_port, made.context())
         (tmp_path / "rig.toml").write_text(
-            rig_text({"plc": rig.modbus_port, "thermocouples": rig.can_port}, made.harness).replace(
-                'kind = "heater_power"', 'kind = "sensor"\npoint = "T_tank"\n#'
-            ).split('[[interlock]]\nkind = "sensor"')[0],
+            rig_text({"plc": rig.modbus_port, "thermocouples": rig.can_port}, made.harness)
+            .replace('kind = "heater_power"', 'kind = "sensor"\npoint = "T_tank"\n#')
+            .split('[[interlock]]\nkind = "sensor"')[0],
             encoding="utf-8",
-        )  # fmt: skip
+        )
         (tmp_path / "load.csv").write_text(LOAD.format(400), encoding="utf-8")
         process = await asyncio.create_subprocess_exec(
-            *HIL, "run", str(tmp_path / "load.csv"), "--rig", str(tmp_path / "rig.toml"), "--no-twin", "--no-viewer",
-            "--runs", str(tmp_path / "runs"), cwd=PROJECT, stdout=asyncio.subprocess.PIPE,
+            *HIL,
+            "run",
+            str(tmp_path / "load.csv"),
+            "--rig",
+            str(tmp_path / "rig.toml"),
+            "--no-twin",
+            "--no-viewer",
+            "--runs",
+            str(tmp_path / "runs"),
+            cwd=PROJECT,
+            stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
-        )  # fmt: skip
+        )
         deadline = time.monotonic() + 30.0
         while time.monotonic() < deadline and not any(
             "running" in [target for _, target in read_states(path)]

@@ -29,11 +29,12 @@ SPEED = 10.0
 def rig_file(place: Path, time_scale: float, modbus: int = 5020, can: int = 29536) -> Path:
     text = SHIPPED.read_text(encoding="utf-8")
     for old, new in (
-        ("port = 5020", f"port = {modbus}"), ("port = 29536", f"port = {can}"),
+        ("port = 5020", f"port = {modbus}"),
+        ("port = 29536", f"port = {can}"),
         ("period_s = 1.0", f"period_s = 1.0\ntime_scale = {time_scale}"),
         ('twin = "../twins/virtual.toml"', ""),
         ('"thermocouples.dbc"', json.dumps(str(SHIPPED.parent / "thermocouples.dbc"))),
-    ):  # fmt: skip
+    ):
         assert old in text
         text = text.replace(old, new)
     file = place / "fast.toml"
@@ -43,9 +44,14 @@ def rig_file(place: Path, time_scale: float, modbus: int = 5020, can: int = 2953
 
 async def hil(*arguments: object) -> tuple[int, str, str]:
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "hil", *map(str, arguments), cwd=PROJECT,
-        stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
-    )  # fmt: skip
+        sys.executable,
+        "-m",
+        "hil",
+        *map(str, arguments),
+        cwd=PROJECT,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
     out, err = await asyncio.wait_for(process.communicate(), 120)
     assert process.returncode is not None
     return process.returncode, out.decode(), err.decode()
@@ -79,10 +85,12 @@ async def test_record_of_a_fast_rig_agrees_with_its_own_uptime(tmp_path):
 @pytest.mark.parametrize(
     ("virtual", "control", "mode", "speed"),
     [
-        (False, None, "real", 10.0), (True, None, "real", 1.0), (True, None, "scaled", 4.0),
+        (False, None, "real", 10.0),
+        (True, None, "real", 1.0),
+        (True, None, "scaled", 4.0),
         (False, ("127.0.0.1", 1), "lockstep", 1.0),
     ],
-)  # fmt: skip
+)
 def test_declared_scale_is_of_the_real_rig_alone(tmp_path, virtual, control, mode, speed):
     file = rig_file(tmp_path, SPEED)
     request = RunRequest(

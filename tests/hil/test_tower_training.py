@@ -171,10 +171,14 @@ def test_the_page_compares_the_ensemble_with_gauss_newton_cell_by_cell_and_with_
     branch = {"water_mae_K": 0.1, "deviation_mae": deviations, "worse_than_rival": worse}
     scores = {"Gauss-Newton with discrepancy": one, "network, ensemble": one | {"worse_than_rival": worse}}
     document = {
-        "scores": {"all": scores}, "refused": {"small_0": "", "small_1": "BLIND"}, "ensemble": ["small_0"],
+        "scores": {"all": scores},
+        "refused": {"small_0": "", "small_1": "BLIND"},
+        "ensemble": ["small_0"],
         "by_cell": {"B9001_1": {"Gauss-Newton with discrepancy": 0.05, "network, ensemble": 0.07, "small_0": 0.08}},
-        "causal": branch, "symmetric": branch, "quarter_lost": branch,
-    }  # fmt: skip
+        "causal": branch,
+        "symmetric": branch,
+        "quarter_lost": branch,
+    }
     found = {t.key: t for t in tables_of(document)}
     assert found["cells"].rows == (("B9001_1", 0.05, 0.07),)
     against = dict(zip(found["against"].columns, found["against"].rows[0], strict=True))

@@ -18,9 +18,16 @@ from twin.twinfile import load
 
 NODES = ("plate", "radiator", "tank")
 TUNED = (
-    "plate.capacitance", "radiator.capacitance", "tank.capacitance", "plate_radiator.resistance",
-    "radiator_tank.resistance", "plate_loss.hA", "radiator_loss.hA", "tank_loss.hA", "heat.factor",
-)  # fmt: skip
+    "plate.capacitance",
+    "radiator.capacitance",
+    "tank.capacitance",
+    "plate_radiator.resistance",
+    "radiator_tank.resistance",
+    "plate_loss.hA",
+    "radiator_loss.hA",
+    "tank_loss.hA",
+    "heat.factor",
+)
 START = np.array([45.0, 38.0, 34.0])
 
 

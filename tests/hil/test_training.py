@@ -62,9 +62,15 @@ def trained(
     stop = Stop(minutes)
     plan = Plan(steps=4, batch=5, pairs=1, seed=seed)
     return session.train(
-        data, "small", plan, folder / f"fake_small_{seed}", folder / f"fake_small_{seed}.safetensors",
-        stop=stop, command="hil train", say=lambda done, _: None if say is None else say(done, stop),
-    )  # fmt: skip
+        data,
+        "small",
+        plan,
+        folder / f"fake_small_{seed}",
+        folder / f"fake_small_{seed}.safetensors",
+        stop=stop,
+        command="hil train",
+        say=lambda done, _: None if say is None else say(done, stop),
+    )
 
 
 def test_a_training_in_pieces_ends_with_card_picture_and_ensemble(data: TrainingData, tmp_path: Path) -> None:
@@ -176,8 +182,9 @@ def test_what_is_left_out_is_gone_and_the_rest_is_not() -> None:
     rng = np.random.default_rng(0)
     n = len(features.table)
     base = fake.windows(2)
-    some = replace(base, x=rng.normal(size=(2, 1440, n)), m=np.ones((2, 1440, n), dtype=bool),
-                   meta=np.ones((2, config.meta)))  # fmt: skip
+    some = replace(
+        base, x=rng.normal(size=(2, 1440, n)), m=np.ones((2, 1440, n), dtype=bool), meta=np.ones((2, config.meta))
+    )
     data = TrainingData(features.network, features.table, features.deviations, some, some, some, some, {}, "d")
     same = without((), config, plan, data)
     assert same == (config, plan, data)

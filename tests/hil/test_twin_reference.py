@@ -22,10 +22,13 @@ from twin.twinfile.reader import FORMAT
 PAGE = page("twin-file")
 EXAMPLE = PAGE.code["toml"][0]
 ROLES = {
-    "node": ("node", "declared"), "nodes": ("list of nodes", "declared"), "input": ("input column", "declared"),
-    "columns": ("list of columns", "of the record"), "choice": ("text", ""),
+    "node": ("node", "declared"),
+    "nodes": ("list of nodes", "declared"),
+    "input": ("input column", "declared"),
+    "columns": ("list of columns", "of the record"),
+    "choice": ("text", ""),
     "element": ("element", "declared"),
-}  # fmt: skip
+}
 MARKED = "qqqqqqqq"
 ASKED = {
     "Top of the file": (f"{MARKED} = 1\n", 0),

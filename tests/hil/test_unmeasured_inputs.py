@@ -62,9 +62,20 @@ def test_a_sensor_cannot_be_a_set_point_and_an_input_must_be_somewhere(tmp_path)
 def test_the_twin_of_a_run_follows_the_set_points(tmp_path):
     rig = rig_without(tmp_path, "pump_speed", "fan_speed")
     done = hil(
-        "run", tmp_path / "load.csv", "--rig", rig, "--twin", TWIN, "--virtual", "--lockstep", "--no-viewer",
-        "--calibrator", "least_squares", "--runs", tmp_path / "runs",
-    )  # fmt: skip
+        "run",
+        tmp_path / "load.csv",
+        "--rig",
+        rig,
+        "--twin",
+        TWIN,
+        "--virtual",
+        "--lockstep",
+        "--no-viewer",
+        "--calibrator",
+        "least_squares",
+        "--runs",
+        tmp_path / "runs",
+    )
     assert done.returncode == 0, done.stderr
     assert "pump_speed_pct is not measured on" in done.stderr
     (journal,) = (tmp_path / "runs").glob("*/journal.sqlite")

@@ -32,8 +32,10 @@ def test_a_plant_keeps_energy_and_water(family: str) -> None:
     network = s.plant.network
     cell = int(network.stream_to[0])
     disturbed = (
-        Modifier(HEAT, cell, 30.0 * s.step), Modifier(FLOW, 0, -0.3 * s.step), Modifier(GATE, 0, 0.4 * s.step),
-    )  # fmt: skip
+        Modifier(HEAT, cell, 30.0 * s.step),
+        Modifier(FLOW, 0, -0.3 * s.step),
+        Modifier(GATE, 0, 0.4 * s.step),
+    )
     moved = simulate(network, s.drive, SHORT.period_s, s.calm[0], disturbed)
     assert moved.put_in > 0.0
     assert moved.stored == pytest.approx(moved.put_in - moved.lost, abs=1e-9 * moved.put_in)

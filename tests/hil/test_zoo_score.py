@@ -26,36 +26,56 @@ ANY_LOSS = [{"kind": "heat_loss", "where": "tank", "drivers": []}]
 
 def effect(kind: str, where: str, driver: str = "constant") -> dict[str, Any]:
     return {
-        "kind": kind, "where": where, "driver": driver, "value": 1.0, "unit": "W", "onset_s": 0.0, "shape": "step",
+        "kind": kind,
+        "where": where,
+        "driver": driver,
+        "value": 1.0,
+        "unit": "W",
+        "onset_s": 0.0,
+        "shape": "step",
         "z": 9.0,
-    }  # fmt: skip
+    }
 
 
 def answer(verdict: str, effects: tuple[dict[str, Any], ...] = (), others: tuple[dict[str, Any], ...] = ()) -> Any:
     sensors = {"T": {"before": 0.4, "after": 0.2, "noise": 0.1}}
     return {
-        "verdict": verdict, "effects": list(effects), "indistinguishable": list(others), "error": {"sensors": sensors}
-    }  # fmt: skip
+        "verdict": verdict,
+        "effects": list(effects),
+        "indistinguishable": list(others),
+        "error": {"sensors": sensors},
+    }
 
 
 def truth(accepted: list[dict[str, Any]], place: str = "tank", hidden: str = "something") -> dict[str, Any]:
     return {
-        "family": "serial", "effect": hidden, "group": "heat", "element": True, "answers": accepted, "place": place,
-        "score": 20.0, "score_of_noise": 50.0, "rows": 100, "schedule": {"kind": "steps"},
-    }  # fmt: skip
+        "family": "serial",
+        "effect": hidden,
+        "group": "heat",
+        "element": True,
+        "answers": accepted,
+        "place": place,
+        "score": 20.0,
+        "score_of_noise": 50.0,
+        "rows": 100,
+        "schedule": {"kind": "steps"},
+    }
 
 
 CASES = [
     (PUMP_HEAT, answer("effect found", (effect("heat_source", "tank", "pump_speed"),)), score.RIGHT),
     (PUMP_HEAT, answer("effect found", (effect("heat_source", "tank", "fan_speed"),)), score.WRONG),
     (PUMP_HEAT, answer("effect found", (effect("heat_source", "heater", "pump_speed"),)), score.WRONG),
-    (PUMP_HEAT, answer("ambiguous", (effect("flow", "loop"),), (effect("heat_source", "tank", "pump_speed"),)),
-     score.ALIKE),
+    (
+        PUMP_HEAT,
+        answer("ambiguous", (effect("flow", "loop"),), (effect("heat_source", "tank", "pump_speed"),)),
+        score.ALIKE,
+    ),
     (ANY_LOSS, answer("effect found", (effect("heat_loss", "tank", "temperature"),)), score.RIGHT),
     (ANY_LOSS, answer("unexplained", (effect("heat_source", "tank"),)), score.ABSTAINED),
     (ANY_LOSS, answer("adequate"), score.MISSED),
     (ANY_LOSS, answer("crashed"), score.CRASHED),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("accepted", "given", "outcome"), CASES)

@@ -57,16 +57,22 @@ def run(extra: str, n: int = 150, text: str = TWO) -> np.ndarray:
             '[elements.x]\nkind="conduction"\nfrom="a"\nto="b"\nresistance=0.25\n',
         ),
         (FLOW + law("law_flow", flow="f", size=0.2), FLOW + "factor=1.2\n"),
-        (FLOW + law("law_flow", flow="f", size=-0.6, change_in="L_min", driver="pump_speed_pct", form="power",
-                    scale=100.0), FLOW + "factor=0.8\n"),
+        (
+            FLOW
+            + law(
+                "law_flow", flow="f", size=-0.6, change_in="L_min", driver="pump_speed_pct", form="power", scale=100.0
+            ),
+            FLOW + "factor=0.8\n",
+        ),
         (ACTUATOR + POWER + law("law_actuator", column="heater_power_W", size=-0.1), ACTUATOR + "gain=0.9\n" + POWER),
         (
-            ACTUATOR + POWER + law("law_actuator", column="heater_power_W", driver="heater_power_W", form="linear",
-                                   gain=-2e-4),
+            ACTUATOR
+            + POWER
+            + law("law_actuator", column="heater_power_W", driver="heater_power_W", form="linear", gain=-2e-4),
             ACTUATOR + "droop=0.2\nfull=1000.0\n" + POWER,
         ),
     ],
-)  # fmt: skip
+)
 def test_a_law_is_a_named_element_where_they_coincide(one: str, other: str) -> None:
     for temperatures, power, speed in (((40.0, 30.0), 500.0, 80.0), ((18.0, 61.0), 950.0, 15.0)):
         inputs = np.where([True, True, True, *5 * [False]], [power, speed, speed, *5 * [0.0]], U)
@@ -76,11 +82,12 @@ def test_a_law_is_a_named_element_where_they_coincide(one: str, other: str) -> N
 
 def test_kernels_agree_with_the_named_elements_too() -> None:
     laws = (
-        law("law_heat", node="b", size=50.0), law("law_heat", node="b", of="b", minus_input="T_ambient_C",
-        form="linear", gain=-6.0), law("law_conductance", node="b", to="a", size=4.0),
-        law("law_flow", flow="f", size=0.2), law("law_actuator", column="heater_power_W", driver="heater_power_W",
-        form="linear", gain=-2e-4),
-    )  # fmt: skip
+        law("law_heat", node="b", size=50.0),
+        law("law_heat", node="b", of="b", minus_input="T_ambient_C", form="linear", gain=-6.0),
+        law("law_conductance", node="b", to="a", size=4.0),
+        law("law_flow", flow="f", size=0.2),
+        law("law_actuator", column="heater_power_W", driver="heater_power_W", form="linear", gain=-2e-4),
+    )
     one = (
         FLOW
         + ACTUATOR
@@ -111,8 +118,9 @@ def test_a_reading_with_memory_or_a_switch_is_that_of_the_sample() -> None:
         z[i + 1] = u[i, 2] + (z[i] - u[i, 2]) * np.exp(-(time[i + 1] - time[i]) / 20.0)
     lagging = run(law("law_reading", sensor="T_a_C", driver="fan_speed_pct", form="memory", gain=0.1, lag_s=20.0), 80)
     assert lagging[:, 0] == pytest.approx(plain + 0.1 * z, abs=1e-7)
-    switching = run(law("law_reading", sensor="T_a_C", driver="fan_speed_pct", form="threshold", size=1.0, on=60.0,
-                        off=60.0), 80)  # fmt: skip
+    switching = run(
+        law("law_reading", sensor="T_a_C", driver="fan_speed_pct", form="threshold", size=1.0, on=60.0, off=60.0), 80
+    )
     assert switching[:, 0] == pytest.approx(plain + (u[:, 2] >= 60.0), abs=1e-9)
 
 
@@ -157,10 +165,13 @@ def sites() -> list[tuple[str, str]]:
     found = []
     for kind in sorted(k for k, cls in KINDS.items() if issubclass(cls, Law)):
         own = {
-            "law_heat": 'node = "a"\nsource = "b"\n', "law_fluid": 'node = "a"\ntemperature = 90.0\n',
-            "law_conductance": 'node = "a"\nto = "b"\n', "law_flow": 'flow = "f"\n',
-            "law_reading": 'sensor = "T_a_C"\n', "law_actuator": 'column = "heater_power_W"\n',
-        }[kind]  # fmt: skip
+            "law_heat": 'node = "a"\nsource = "b"\n',
+            "law_fluid": 'node = "a"\ntemperature = 90.0\n',
+            "law_conductance": 'node = "a"\nto = "b"\n',
+            "law_flow": 'flow = "f"\n',
+            "law_reading": 'sensor = "T_a_C"\n',
+            "law_actuator": 'column = "heater_power_W"\n',
+        }[kind]
         found.append((kind, own))
     return found
 

@@ -44,8 +44,13 @@ def with_meters(net: Network, **of: tuple[str, str, str, dict[str, float]]) -> N
     tables = to_tables(net)
     for name, (element, quantity, column, values) in of.items():
         tables["elements"][name] = {
-            "kind": "meter", "of": element, "quantity": quantity, "columns": [column], "sigma": 1.0, **values
-        }  # fmt: skip
+            "kind": "meter",
+            "of": element,
+            "quantity": quantity,
+            "columns": [column],
+            "sigma": 1.0,
+            **values,
+        }
     return from_tables(tables, "made")
 
 
@@ -53,15 +58,18 @@ def test_a_tower_cells_meters_read_what_the_cells_own_equations_give() -> None:
     clean = cell_network(1, "Z", DESIGN, 0.7, 0.1, (0.02, 0.1), Revision())
     net = with_meters(
         clean.with_values({"cell.fill": 0.86, "cell.air": 0.93, "cell.uniformity": 0.95}),
-        makeup=("cell", "evaporation", "makeup_kg_s", {}), fan=("cell", "fan_power", "fan_W", {}),
+        makeup=("cell", "evaporation", "makeup_kg_s", {}),
+        fan=("cell", "fan_power", "fan_W", {}),
         rejected=("cell", "heat_rejected", "rejected_kW", {}),
-    )  # fmt: skip
+    )
     rng, n = np.random.default_rng(3), 300
     dry = rng.uniform(-5.0, 38.0, n)
     wet = dry - rng.uniform(0.1, 5.0, n)
     inlet = np.maximum(wet, 3.0) + rng.uniform(3.0, 25.0, n)
-    u = np.stack([inlet, rng.uniform(100, 300, n), rng.uniform(0, 100, n), dry, wet, rng.uniform(80, 102, n),
-                  np.zeros(n)], axis=1)  # fmt: skip
+    u = np.stack(
+        [inlet, rng.uniform(100, 300, n), rng.uniform(0, 100, n), dry, wet, rng.uniform(80, 102, n), np.zeros(n)],
+        axis=1,
+    )
     read = dict(zip(net.sensor_names, simulate(net, 60.0 * np.arange(n), u, np.array([20.0])).T, strict=True))
     own = solve(
         Inputs(u[:, 0], u[:, 1], u[:, 2] / 100.0, u[:, 3], u[:, 4], u[:, 5]), DESIGN, Deviations(0.86, 0.93, 0.95)

@@ -12,11 +12,23 @@ from twin.laws.values import law_values
 from twin.twinfile import parse
 
 BOUNDS = {
-    "size": (-1e5, 1e5), "gain": (-1e5, 1e5), "reference": (-1e3, 1e3), "scale": (1e-3, 1e6), "exponent": (0.25, 4.0),
-    "width": (0.0, 1e3), "on": (-1e3, 1e3), "off": (-1e3, 1e3), "lag_s": (1.0, 1e7), "start_s": (-1e4, 1e4),
-    "end_s": (1e4, 2e4), "settle_s": (1.0, 1e7), "period_s": (1.0, 1e4), "duty": (0.0, 1.0), "decay_s": (1e-3, 1e7),
+    "size": (-1e5, 1e5),
+    "gain": (-1e5, 1e5),
+    "reference": (-1e3, 1e3),
+    "scale": (1e-3, 1e6),
+    "exponent": (0.25, 4.0),
+    "width": (0.0, 1e3),
+    "on": (-1e3, 1e3),
+    "off": (-1e3, 1e3),
+    "lag_s": (1.0, 1e7),
+    "start_s": (-1e4, 1e4),
+    "end_s": (1e4, 2e4),
+    "settle_s": (1.0, 1e7),
+    "period_s": (1.0, 1e4),
+    "duty": (0.0, 1.0),
+    "decay_s": (1e-3, 1e7),
     "edge_s": (1e-2, 1e3),
-}  # fmt: skip
+}
 # Thresholds and drivers on a grid: at a distance of rounding from a threshold, a switch may be half on.
 GRID = {name: st.floats(*bounds).map(lambda v: round(v, 3)) for name, bounds in BOUNDS.items()}
 
@@ -116,10 +128,23 @@ def test_an_incomplete_law_is_refused(form, course, parameters, driver, said) ->
 
 
 VALUES = {
-    "size": 40.0, "gain": 3.0, "reference": 45.0, "scale": 20.0, "exponent": 1.7, "width": 8.0, "on": 60.0,
-    "off": 35.0, "lag_s": 70.0, "start_s": 155.0, "end_s": 1204.0, "settle_s": 200.0, "period_s": 130.0, "duty": 0.3,
-    "decay_s": 150.0, "edge_s": 5.0,
-}  # fmt: skip
+    "size": 40.0,
+    "gain": 3.0,
+    "reference": 45.0,
+    "scale": 20.0,
+    "exponent": 1.7,
+    "width": 8.0,
+    "on": 60.0,
+    "off": 35.0,
+    "lag_s": 70.0,
+    "start_s": 155.0,
+    "end_s": 1204.0,
+    "settle_s": 200.0,
+    "period_s": 130.0,
+    "duty": 0.3,
+    "decay_s": 150.0,
+    "edge_s": 5.0,
+}
 REMEMBERING = [("threshold", "always"), ("memory", "periodic"), ("rate", "always")]
 LAWS = [*((form, "always") for form in FORMS), *(("linear", course) for course in COURSES)]
 

@@ -59,10 +59,23 @@ columns = ["T_b_C"]
 other = "a"
 """
 ALL = (
-    "tube.volume", "tube.wall_capacity", "tube.wall_hA", "tube.loss_hA", "stream.factor",
-    "mass.capacity", "mass.conductance", "relay.gain", "relay.droop", "relay.dead_time_s", "relay.lag_s",
-    "T_b_C.lag_s", "T_b_C.bias_K", "T_b_C.drift_K_per_h", "T_b_C.gain", "T_b_C.cross_talk",
-)  # fmt: skip
+    "tube.volume",
+    "tube.wall_capacity",
+    "tube.wall_hA",
+    "tube.loss_hA",
+    "stream.factor",
+    "mass.capacity",
+    "mass.conductance",
+    "relay.gain",
+    "relay.droop",
+    "relay.dead_time_s",
+    "relay.lag_s",
+    "T_b_C.lag_s",
+    "T_b_C.bias_K",
+    "T_b_C.drift_K_per_h",
+    "T_b_C.gain",
+    "T_b_C.cross_talk",
+)
 MCP = 6.0 / 60.0 * 0.997 * 4180.0
 REST = np.array([20.0, 20.0])
 N = 401
@@ -310,9 +323,14 @@ def test_a_kernel_with_whole_memory_goes_on_where_it_was(line: Network) -> None:
     whole = Kernel(line, ALL, whole_memory=True)
     values = line.values.copy()
     for name, value in {
-        "tube.wall_capacity": 900.0, "tube.wall_hA": 40.0, "mass.capacity": 4000.0, "mass.conductance": 30.0,
-        "relay.dead_time_s": 7.0, "relay.lag_s": 11.0, "T_b_C.lag_s": 23.0,
-    }.items():  # fmt: skip
+        "tube.wall_capacity": 900.0,
+        "tube.wall_hA": 40.0,
+        "mass.capacity": 4000.0,
+        "mass.conductance": 30.0,
+        "relay.dead_time_s": 7.0,
+        "relay.lag_s": 11.0,
+        "T_b_C.lag_s": 23.0,
+    }.items():
         values[line.index([name])[0]] = value
     u, cut = drive(), 170
     at_once, ends = whole.trace(values, REST, TIME, u)
@@ -328,10 +346,17 @@ def test_parameters_that_change_on_the_way_are_runs_one_after_the_other(line: Ne
     cuts = [0, 60, 61, 170, N - 1]
     full = np.tile(line.values, (len(cuts), lanes, 1))
     for name, high in {
-        "tube.volume": 1.4, "tube.wall_capacity": 900.0, "tube.wall_hA": 40.0, "mass.capacity": 4000.0,
-        "mass.conductance": 30.0, "relay.dead_time_s": 7.0, "relay.lag_s": 11.0, "T_b_C.lag_s": 23.0,
-        "T_b_C.bias_K": 1.0, "stream.factor": 1.3,
-    }.items():  # fmt: skip
+        "tube.volume": 1.4,
+        "tube.wall_capacity": 900.0,
+        "tube.wall_hA": 40.0,
+        "mass.capacity": 4000.0,
+        "mass.conductance": 30.0,
+        "relay.dead_time_s": 7.0,
+        "relay.lag_s": 11.0,
+        "T_b_C.lag_s": 23.0,
+        "T_b_C.bias_K": 1.0,
+        "stream.factor": 1.3,
+    }.items():
         full[..., line.index([name])[0]] = high * rng.uniform(0.5, 1.0, (len(cuts), lanes))
     readings, end = whole.trace_pieces(full, np.tile(REST, (lanes, 1)), TIME, u, cuts)
     state, rows = np.tile(REST, (lanes, 1)), []

@@ -267,8 +267,9 @@ def test_a_missing_parent_is_said(first: Path) -> None:
     sha = load(first).digest[:12]
     first.unlink()
     (only,) = chain(second)
-    assert only.remarks == (f"its parent my_twin.toml (SHA-256 {sha}...) is not in this folder; "
-                            "put it beside my_twin.r2.toml",)  # fmt: skip
+    assert only.remarks == (
+        f"its parent my_twin.toml (SHA-256 {sha}...) is not in this folder; put it beside my_twin.r2.toml",
+    )
     assert not only.faults
     for attempt in (parent_of, revert):
         with pytest.raises(TwinFileError, match=r"r2\.toml: its parent my_twin\.toml .* is not in this folder"):

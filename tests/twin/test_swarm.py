@@ -140,13 +140,17 @@ def test_unknown_names() -> None:
 @pytest.mark.parametrize(
     ("sets", "expected"),
     [
-        ('[sets.other]\nmembers = ["link.resistance"]\n[sets.commission]\nmembers = ["a.capacitance"]\n',
-            ("a.capacitance",)),
-        ('[sets.mine]\nmembers = [{ parameter = "link.resistance", scale = 2.0, initial = [1.0, 2.0] }]\n',
-            ("link.resistance",)),
+        (
+            '[sets.other]\nmembers = ["link.resistance"]\n[sets.commission]\nmembers = ["a.capacitance"]\n',
+            ("a.capacitance",),
+        ),
+        (
+            '[sets.mine]\nmembers = [{ parameter = "link.resistance", scale = 2.0, initial = [1.0, 2.0] }]\n',
+            ("link.resistance",),
+        ),
         ("", ("link.resistance",)),
     ],
-)  # fmt: skip
+)
 def test_a_twin_that_is_no_loop_is_calibrated_by_what_it_has(sets: str, expected: tuple[str, ...]) -> None:
     network = parse(TWO + sets)
     for name in ANY_TWIN_CALIBRATORS:

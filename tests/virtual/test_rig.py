@@ -261,8 +261,13 @@ async def test_mbpoll_reads_and_writes() -> None:
         assert "Written 3 references" in mbpoll(rig, "-t", "4", "-r", "0", rig.host, "7500", "1000", "700")
         holding = mbpoll(rig, "-t", "4", "-r", "0", "-c", "6", rig.host)
         assert [line.split()[-1] for line in holding.splitlines() if line.startswith("[")] == [
-            "7500", "1000", "700", "0", "100", "0"
-        ]  # fmt: skip
+            "7500",
+            "1000",
+            "700",
+            "0",
+            "100",
+            "0",
+        ]
         flow = mbpoll(rig, "-t", "3:float", "-r", "2", "-c", "1", rig.host)
         assert "[2]:" in flow
         assert "Illegal data address" in mbpoll(rig, "-t", "3", "-r", "12", "-c", "1", rig.host)

@@ -236,8 +236,12 @@ class Diagnosis:
             ],
             "tunables_moved": [
                 {
-                    "parameter": m.parameter, "commissioned": _round(m.commissioned), "before": _round(m.before),
-                    "after": _round(m.after), "unit": m.unit, "before_sd": _round(m.before_sd),
+                    "parameter": m.parameter,
+                    "commissioned": _round(m.commissioned),
+                    "before": _round(m.before),
+                    "after": _round(m.after),
+                    "unit": m.unit,
+                    "before_sd": _round(m.before_sd),
                     "after_sd": _round(m.after_sd),
                 }
                 for m in self.moved
@@ -256,31 +260,51 @@ class Diagnosis:
             "leads": [_lead(one) for one in self.leads],
             "warnings": list(self.warnings),
             "notes": list(self.notes),
-        }  # fmt: skip
+        }
 
 
 def _effect(e: Effect) -> dict[str, Any]:
     return {
-        "kind": e.kind, "where": e.where, "driver": e.driver, "change": e.change, "value": _round(e.value),
-        "unit": e.unit, "interval90": [_round(x) for x in e.interval90], "onset_s": _round(e.onset_s),
-        "onset_interval90_s": [_round(x) for x in e.onset_interval90_s], "shape": e.shape,
-        "confidence": _round(e.confidence), "z": _round(e.z),
-        "p_family_wise": _round(e.family_wise), "noise_z": _round(e.noise_z), "evidence": e.evidence, "says": e.says,
-    }  # fmt: skip
+        "kind": e.kind,
+        "where": e.where,
+        "driver": e.driver,
+        "change": e.change,
+        "value": _round(e.value),
+        "unit": e.unit,
+        "interval90": [_round(x) for x in e.interval90],
+        "onset_s": _round(e.onset_s),
+        "onset_interval90_s": [_round(x) for x in e.onset_interval90_s],
+        "shape": e.shape,
+        "confidence": _round(e.confidence),
+        "z": _round(e.z),
+        "p_family_wise": _round(e.family_wise),
+        "noise_z": _round(e.noise_z),
+        "evidence": e.evidence,
+        "says": e.says,
+    }
 
 
 def _error(e: SensorError) -> dict[str, Any]:
     return {
-        "stale": _round(e.stale), "before": _round(e.before), "after": _round(e.after), "noise": _round(e.noise),
+        "stale": _round(e.stale),
+        "before": _round(e.before),
+        "after": _round(e.after),
+        "noise": _round(e.noise),
         "ten_second_means": dict(zip(("stale", "before", "after"), map(_round, e.means), strict=True)),
-    }  # fmt: skip
+    }
 
 
 def _lead(one: Lead) -> dict[str, Any]:
     return {
-        "kind": one.kind, "where": one.where, "low": _round(one.low), "high": _round(one.high), "unit": one.unit,
-        "share": _round(one.share), "of_record": _round(one.of_record), "says": one.says,
-    }  # fmt: skip
+        "kind": one.kind,
+        "where": one.where,
+        "low": _round(one.low),
+        "high": _round(one.high),
+        "unit": one.unit,
+        "share": _round(one.share),
+        "of_record": _round(one.of_record),
+        "says": one.says,
+    }
 
 
 def _other(a: Alternative) -> dict[str, Any]:

@@ -315,9 +315,11 @@ class LawConductance(Law):
         )
         heat = {self.node: q} | ({self.to: f"-{q}"} if self.to else {})
         more = Fragment(
-            sample=(*parts.sample, (bound, largest)), stage=(*parts.stage, exchange), states=parts.states,
+            sample=(*parts.sample, (bound, largest)),
+            stage=(*parts.stage, exchange),
+            states=parts.states,
             memories=parts.memories,
-        )  # fmt: skip
+        )
         return _with_heat(more, heat, dict.fromkeys(heat, bound))
 
 
@@ -422,6 +424,10 @@ class LawActuator(Law):
 
 def _with_heat(parts: Fragment, heat: Mapping[str, str], conductance: Mapping[str, str]) -> Fragment:
     return Fragment(
-        sample=parts.sample, stage=parts.stage, heat=heat, conductance=conductance, states=parts.states,
+        sample=parts.sample,
+        stage=parts.stage,
+        heat=heat,
+        conductance=conductance,
+        states=parts.states,
         memories=parts.memories,
-    )  # fmt: skip
+    )

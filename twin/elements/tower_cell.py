@@ -119,9 +119,12 @@ class TowerCell(Element):
             (mcp, f"{CP_WATER} * max({n.input(self.water)}, 0.0)"),
         ]
         return Fragment(
-            uniform=first, sample=tuple(sample), heat={self.node: f"{mcp} * ({mixed} - {n.temperature(self.node)})"},
-            conductance={self.node: mcp}, exports=self._exports(n, uniform, fill_out),
-        )  # fmt: skip
+            uniform=first,
+            sample=tuple(sample),
+            heat={self.node: f"{mcp} * ({mixed} - {n.temperature(self.node)})"},
+            conductance={self.node: mcp},
+            exports=self._exports(n, uniform, fill_out),
+        )
 
     def _exports(self, n: Names, u: Mapping[str, str], fill_out: str) -> dict[str, Export]:
         """Return heat rejected, fan power and evaporation, as `twin.tower.cell` has them."""
@@ -148,11 +151,12 @@ class TowerCell(Element):
         return {
             "heat_rejected": Export("kW", f"0.001 * {n.local('mcp')} * ({u['t_in']} - {n.local('mixed')})"),
             "fan_power": Export(
-                "kW", f"{par('fan_idle')} + {shaft} * (1.0 + {par('kappa')} * (1.0 - {par('air')}))",
+                "kW",
+                f"{par('fan_idle')} + {shaft} * (1.0 + {par('kappa')} * (1.0 - {par('air')}))",
                 ((speed, u["fan_share"]),),
             ),
             "evaporation": Export("kg/s", lost, tuple(steps)),
-        }  # fmt: skip
+        }
 
     def _fixed_point(self, n: Names, u: Mapping[str, str]) -> tuple[list[tuple[str, str]], str]:
         """Return the locals of the fixed point and the name of the temperature of the water that leaves the fill."""

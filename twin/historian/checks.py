@@ -20,12 +20,18 @@ THERMOMETER_K = 1.0
 """Bias of a thermometer that is no contradiction yet: the bound of the paper."""
 SETTLED_MIN = 30
 """Minutes of flow before an outlet is held against inlet and wet bulb."""
-NAMES = {FAN_LAW: "fan power is not that of its speed", PUMP_WORK: "pump power is not that of flow and pressure",
-         BELOW_WET_BULB: "the outlet is below the wet bulb", ABOVE_INLET: "the outlet is above the inlet"}  # fmt: skip
+NAMES = {
+    FAN_LAW: "fan power is not that of its speed",
+    PUMP_WORK: "pump power is not that of flow and pressure",
+    BELOW_WET_BULB: "the outlet is below the wet bulb",
+    ABOVE_INLET: "the outlet is above the inlet",
+}
 COMPARED = {
-    FAN_LAW: ("fan_speed_pct", "fan_power_kW"), PUMP_WORK: ("pump_kW", "m_w_kg_s", "header_kPa"),
-    BELOW_WET_BULB: ("t_out_C", "wet_C"), ABOVE_INLET: ("t_out_C", "t_in_C"),
-}  # fmt: skip
+    FAN_LAW: ("fan_speed_pct", "fan_power_kW"),
+    PUMP_WORK: ("pump_kW", "m_w_kg_s", "header_kPa"),
+    BELOW_WET_BULB: ("t_out_C", "wet_C"),
+    ABOVE_INLET: ("t_out_C", "t_in_C"),
+}
 """Columns that a check compares."""
 
 

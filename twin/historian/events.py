@@ -73,10 +73,19 @@ INFLUENCE: dict[str, Influence] = {
 by their usual length; work in a cell takes a shift, and is dated by the day."""
 
 WORDS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("thermometer", ("bias",)), ("transmitter", ("bias",)), ("rtd", ("bias",)), ("nozzle", ("uniformity",)),
-    ("fill", ("fill", "uniformity")), ("clean", ("fill", "uniformity")), ("wash", ("fill", "uniformity")),
-    ("blade", ("air",)), ("belt", ("air",)), ("pitch", ("air",)), ("eliminator", ("air",)), ("fan", ("air",)),
-)  # fmt: skip
+    ("thermometer", ("bias",)),
+    ("transmitter", ("bias",)),
+    ("rtd", ("bias",)),
+    ("nozzle", ("uniformity",)),
+    ("fill", ("fill", "uniformity")),
+    ("clean", ("fill", "uniformity")),
+    ("wash", ("fill", "uniformity")),
+    ("blade", ("air",)),
+    ("belt", ("air",)),
+    ("pitch", ("air",)),
+    ("eliminator", ("air",)),
+    ("fan", ("air",)),
+)
 """Words of a class that is not in the table, and the parameters that it may move."""
 CHANGES = ("clean", "replace", "exchang", "adjust", "repair", "wash", "maint", "renew", "change")
 

@@ -84,12 +84,26 @@ def regimes(
     apart = np.abs(np.nan_to_num(speed - command)) > FOLLOWS_PCT
     upset = unknown | (np.nan_to_num(fault) > 0.5) | (apart & ~moving) | disturbed
     chosen = np.select(
-        [off, upset, _since(flowing & ~off) < START_UP_MIN, np.nan_to_num(bypass) > BYPASS_PCT, moving,
-         fan < STANDSTILL_PCT, fan <= LOW_FAN_PCT],
-        [Regime.OFF, Regime.UPSET, Regime.START_UP, Regime.BYPASS, Regime.FAN_TRANSITION, Regime.FREE_CONVECTION,
-         Regime.LOW_FAN],
+        [
+            off,
+            upset,
+            _since(flowing & ~off) < START_UP_MIN,
+            np.nan_to_num(bypass) > BYPASS_PCT,
+            moving,
+            fan < STANDSTILL_PCT,
+            fan <= LOW_FAN_PCT,
+        ],
+        [
+            Regime.OFF,
+            Regime.UPSET,
+            Regime.START_UP,
+            Regime.BYPASS,
+            Regime.FAN_TRANSITION,
+            Regime.FREE_CONVECTION,
+            Regime.LOW_FAN,
+        ],
         Regime.HIGH_FAN,
-    )  # fmt: skip
+    )
     return chosen.astype(np.uint8)
 
 

@@ -186,9 +186,11 @@ class Network:
         One sigma of a meter counts as much as one sigma of a usual thermometer.
         """
         return np.array(
-            [USUAL_K / self.parameters[f"{s.name}.sigma"].value if isinstance(s, Meter) else 1.0
-             for s in self.instruments]
-        )  # fmt: skip
+            [
+                USUAL_K / self.parameters[f"{s.name}.sigma"].value if isinstance(s, Meter) else 1.0
+                for s in self.instruments
+            ]
+        )
 
     @cached_property
     def ids(self) -> tuple[str, ...]:

@@ -26,8 +26,14 @@ if TYPE_CHECKING:
 PATHS = ("exhaust", "past_fill", "wetted", "outlet", "inlet", "wet_bulb", "water")
 DRIVERS = ("always", "wind_direction", "wind_speed", "neighbours_speed", "solar", "low_flow", "column")
 UNITS = {
-    "exhaust": "1", "past_fill": "1", "wetted": "1", "outlet": "K", "inlet": "K", "wet_bulb": "K", "water": "1",
-}  # fmt: skip
+    "exhaust": "1",
+    "past_fill": "1",
+    "wetted": "1",
+    "outlet": "K",
+    "inlet": "K",
+    "wet_bulb": "K",
+    "water": "1",
+}
 LATITUDE = 40.0
 """Degrees north, for the sun's height where no irradiance is recorded: between 25 and 55 the shape of a day hardly
 differs, and the size takes the rest."""
@@ -117,9 +123,7 @@ def sun_height(time_s: Array, noon_h: float) -> Array:
     declination = np.radians(23.45 * np.sin(2.0 * np.pi * (284.0 + day) / 365.0))
     hour = 2.0 * np.pi * (np.mod(time_s, DAY_S) / HOUR_S - noon_h) / 24.0
     phi = np.radians(LATITUDE)
-    return np.maximum(
-        np.sin(phi) * np.sin(declination) + np.cos(phi) * np.cos(declination) * np.cos(hour), 0.0
-    )  # fmt: skip
+    return np.maximum(np.sin(phi) * np.sin(declination) + np.cos(phi) * np.cos(declination) * np.cos(hour), 0.0)
 
 
 def patterns(effects: Sequence[Effect], time_s: Array, columns: Mapping[str, Array], m_w0: float) -> Array:

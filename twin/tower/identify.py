@@ -77,8 +77,10 @@ def excited(u: Inputs, design: Design) -> bool:
     if len(u.t_in) < 2:
         return False
     moved = {
-        "flow": float(np.ptp(u.m_w)) / design.m_w0, "fan": float(np.ptp(u.speed)), "wet_bulb": float(np.ptp(u.wet)),
-    }  # fmt: skip
+        "flow": float(np.ptp(u.m_w)) / design.m_w0,
+        "fan": float(np.ptp(u.speed)),
+        "wet_bulb": float(np.ptp(u.wet)),
+    }
     return any(moved[name] >= least for name, least in EXCITATION.items())
 
 

@@ -72,10 +72,13 @@ def minutes_of(
     dry = np.maximum(column("dry_C"), wet)
     inputs = Inputs(column("t_in_C"), column("m_w_kg_s"), np.clip(speed, 0.0, 1.2), dry, wet, pressure)
     operation = Operation(
-        inputs, share, _filled(column("wind_m_s"), 3.0), _filled(column("wind_deg"), 0.0),
+        inputs,
+        share,
+        _filled(column("wind_m_s"), 3.0),
+        _filled(column("wind_deg"), 0.0),
         np.clip(_filled(column("neighbours_speed_pct"), 100.0) / 100.0, 0.0, 1.2),
         patterns(effects, time_s, columns, m_w0),
-    )  # fmt: skip
+    )
     known = (
         np.isfinite(inputs.t_in) & np.isfinite(inputs.m_w) & np.isfinite(speed) & np.isfinite(dry) & np.isfinite(wet)
     )
@@ -105,8 +108,11 @@ def _sampled(origin: Mapping[str, NDArray[np.uint8]], name: str, n: int) -> NDAr
 def _steady(u: Inputs, share: Array, m_w0: float, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     moving = ~known
     for values, most in (
-        (u.speed, MOVED["speed"]), (u.m_w / m_w0, MOVED["flow"]), (share, MOVED["bypass"]), (u.t_in, MOVED["t_in"]),
-    ):  # fmt: skip
+        (u.speed, MOVED["speed"]),
+        (u.m_w / m_w0, MOVED["flow"]),
+        (share, MOVED["bypass"]),
+        (u.t_in, MOVED["t_in"]),
+    ):
         shifted = np.full(len(values), np.nan)
         shifted[5:] = values[5:] - values[:-5]
         moving |= np.abs(np.nan_to_num(shifted)) > most

@@ -143,9 +143,13 @@ class Operation:
     def take(self, rows: Rows) -> Operation:
         """Return the operating points at these rows."""
         return Operation(
-            self.inputs.take(rows), self.bypass[rows], self.wind[rows], self.wind_deg[rows], self.neighbours[rows],
+            self.inputs.take(rows),
+            self.bypass[rows],
+            self.wind[rows],
+            self.wind_deg[rows],
+            self.neighbours[rows],
             self.patterns[rows] if self.patterns.size else self.patterns,
-        )  # fmt: skip
+        )
 
 
 class CellModel:

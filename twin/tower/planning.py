@@ -42,9 +42,13 @@ class StepTest:
 
 
 def plan_tests(
-    design: Design, day: Inputs, at: Deviations, sensors: Sequence[str], most_warmer: float = MOST_WARMER_K,
-    kappa: float = -1.3
-) -> tuple[Identifiability, list[StepTest]]:  # fmt: skip
+    design: Design,
+    day: Inputs,
+    at: Deviations,
+    sensors: Sequence[str],
+    most_warmer: float = MOST_WARMER_K,
+    kappa: float = -1.3,
+) -> tuple[Identifiability, list[StepTest]]:
     """Return what a day tells without a test, and the tests within the limit, best first.
 
     Parameters:

@@ -72,9 +72,15 @@ class Recursion:
 
 
 def recursion(
-    model: CellModel, minutes: Minutes, blocks: Blocks, priors: Priors, healthy: Estimate, end_s: float,
-    labels: Sequence[Label], openings: Sequence[Opening],
-) -> Recursion:  # fmt: skip
+    model: CellModel,
+    minutes: Minutes,
+    blocks: Blocks,
+    priors: Priors,
+    healthy: Estimate,
+    end_s: float,
+    labels: Sequence[Label],
+    openings: Sequence[Opening],
+) -> Recursion:
     """Return the beliefs of a cell from the end of its healthy record on.
 
     Parameters:
@@ -120,18 +126,14 @@ def recursion(
         at = until
     water = follow(water, minutes.known)
     slopes = np.stack([follow(column, minutes.known) for column in slopes.T], axis=1)
-    return Recursion(
-        starts, means, sds, fits, fit_sds, condition, age, seen, water, slopes, chunk, np.array(reference)
-    )  # fmt: skip
+    return Recursion(starts, means, sds, fits, fit_sds, condition, age, seen, water, slopes, chunk, np.array(reference))
 
 
 class _Filter:
     """State z = [slow (5), level of the power, weights of the power's error, constants], its covariance, and the linear
     equations of a chunk."""
 
-    def __init__(
-        self, model: CellModel, priors: Priors, healthy: Estimate, openings: Sequence[Opening]
-    ) -> None:  # fmt: skip
+    def __init__(self, model: CellModel, priors: Priors, healthy: Estimate, openings: Sequence[Opening]) -> None:
         self.model, self.priors, self.openings = model, priors, tuple(openings)
         k, g = len(healthy.slow), len(healthy.constant)
         own = np.r_[(k - 1) * _S : k * _S, k * _S : k * _S + g]

@@ -149,10 +149,16 @@ def time_grid(start_s: float, end_s: float) -> Array:
 
 
 def estimate(
-    model: CellModel, blocks: Blocks, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening],
-    edges_s: Array | None = None, fixed: Sequence[str] = (), start: Estimate | None = None,
+    model: CellModel,
+    blocks: Blocks,
+    priors: Priors,
+    labels: Sequence[Label],
+    openings: Sequence[Opening],
+    edges_s: Array | None = None,
+    fixed: Sequence[str] = (),
+    start: Estimate | None = None,
     least_correlation: bool = False,
-) -> Estimate:  # fmt: skip
+) -> Estimate:
     """Return the posterior of the deviations over a record.
 
     Parameters:
@@ -180,9 +186,16 @@ def walk_variance(edges_s: Array, name: str, openings: Sequence[Opening]) -> tup
 
 class _Solver:
     def __init__(
-        self, model: CellModel, blocks: Blocks, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening],
-        edges_s: Array | None, fixed: Sequence[str], least_correlation: bool,
-    ) -> None:  # fmt: skip
+        self,
+        model: CellModel,
+        blocks: Blocks,
+        priors: Priors,
+        labels: Sequence[Label],
+        openings: Sequence[Opening],
+        edges_s: Array | None,
+        fixed: Sequence[str],
+        least_correlation: bool,
+    ) -> None:
         self.model, self.blocks, self.priors = model, blocks, priors
         if edges_s is None:
             edges_s = time_grid(float(blocks.time_s[0]), float(blocks.time_s[-1]) + 1.0)
@@ -266,9 +279,11 @@ class _Solver:
             factor = cho_factor(normal)
             new = self._bounded(cho_solve(factor, right))
             moved = x - new
-            linear = res_t + np.einsum(
-                "ij,ij->i", jac_t[:, : self.s], moved[: self.k * self.s].reshape(self.k, self.s)[self.cell]
-            ) + jac_t[:, self.s :] @ moved[self.k * self.s :]  # fmt: skip
+            linear = (
+                res_t
+                + np.einsum("ij,ij->i", jac_t[:, : self.s], moved[: self.k * self.s].reshape(self.k, self.s)[self.cell])
+                + jac_t[:, self.s :] @ moved[self.k * self.s :]
+            )
             before = x
             x, res_t, rows_p, res_p, left = self._descended(x, new, known, w_t, w_p, (res_t, rows_p, res_p))
             change = float((np.abs(x - before) / self.unit).max())
@@ -283,9 +298,19 @@ class _Solver:
             np.isfinite(residual), _weights(residual, self.sigma[0]) / (self.sigma[0] ** 2 * self.tau), 0.0
         )
         return Estimate(
-            self.edges, slow, g, covariance, (self.sigma[0], self.sigma[1]), residual, weights, self.cell, jac_t,
-            self.tau, linear, w_t,
-        )  # fmt: skip
+            self.edges,
+            slow,
+            g,
+            covariance,
+            (self.sigma[0], self.sigma[1]),
+            residual,
+            weights,
+            self.cell,
+            jac_t,
+            self.tau,
+            linear,
+            w_t,
+        )
 
     def _outlet(self, here: Array, g: Array) -> Array:
         """Return the slopes of the outlet's reading."""
@@ -313,9 +338,14 @@ class _Solver:
         right[index] += added
 
     def _descended(
-        self, x: Array, new: Array, known: tuple[Array, Array], w_t: Array, w_p: Array,
+        self,
+        x: Array,
+        new: Array,
+        known: tuple[Array, Array],
+        w_t: Array,
+        w_p: Array,
         current: tuple[Array, PowerRows, Array],
-    ) -> tuple[Array, Array, PowerRows, Array, Array]:  # fmt: skip
+    ) -> tuple[Array, Array, PowerRows, Array, Array]:
         """Return the point between `x` and `new` at which the objective is below that at `x`, halving the step, with
         its residuals, those of the power also less their likeliest errors.
 

@@ -20,12 +20,14 @@ FLUME_S = 60.0
 RTD_LAG_S = 40.0
 """Time constant of a resistance thermometer in a thermowell in flowing water, 20 to 60 s."""
 _INPUTS = (
-    ("t_in_C", 35.0, -5.0, 80.0, "degC"), ("m_w_kg_s", None, 0.0, None, "kg/s"), ("fan_speed_pct", 100.0, 0.0, 120.0,
-    "%"),
-    ("dry_C", 25.0, -40.0, 60.0, "degC"), ("wet_C", 18.0, -40.0, 45.0, "degC"), ("pressure_kPa", 101.3, 60.0, 110.0,
-    "kPa"),
+    ("t_in_C", 35.0, -5.0, 80.0, "degC"),
+    ("m_w_kg_s", None, 0.0, None, "kg/s"),
+    ("fan_speed_pct", 100.0, 0.0, 120.0, "%"),
+    ("dry_C", 25.0, -40.0, 60.0, "degC"),
+    ("wet_C", 18.0, -40.0, 45.0, "degC"),
+    ("pressure_kPa", 101.3, 60.0, 110.0, "kPa"),
     ("bypass_pct", 0.0, -5.0, 105.0, "%"),
-)  # fmt: skip
+)
 
 
 def cell_network(
@@ -48,30 +50,45 @@ def cell_network(
     for name, nominal, low, high, unit in _INPUTS:
         flow = name == "m_w_kg_s"
         inputs[name] = {
-            "nominal": design.m_w0 if flow else nominal, "lower": low, "upper": 3.0 * design.m_w0 if flow else high,
+            "nominal": design.m_w0 if flow else nominal,
+            "lower": low,
+            "upper": 3.0 * design.m_w0 if flow else high,
             "unit": unit,
-        }  # fmt: skip
+        }
     fitted, sheet = "fitted to the test points", "datasheet"
     element: dict[str, Any] = {
-        "kind": "tower_cell", "node": "flume", "inlet": "t_in_C", "water": "m_w_kg_s", "fan": "fan_speed_pct",
+        "kind": "tower_cell",
+        "node": "flume",
+        "inlet": "t_in_C",
+        "water": "m_w_kg_s",
+        "fan": "fan_speed_pct",
         "dry": "dry_C",
-        "wet": "wet_C", "pressure": "pressure_kPa", "bypass": "bypass_pct",
-        "water_flow": _fixed(design.m_w0, sheet), "air_flow": _fixed(design.m_a0, fitted),
+        "wet": "wet_C",
+        "pressure": "pressure_kPa",
+        "bypass": "bypass_pct",
+        "water_flow": _fixed(design.m_w0, sheet),
+        "air_flow": _fixed(design.m_a0, fitted),
         "density": _fixed(design.density, fitted),
-        "merkel": _fixed(design.merkel, fitted), "exponent": _fixed(design.exponent, fitted),
-        "fan_power": _fixed(design.power, fitted), "fan_idle": _fixed(design.idle, fitted),
+        "merkel": _fixed(design.merkel, fitted),
+        "exponent": _fixed(design.exponent, fitted),
+        "fan_power": _fixed(design.power, fitted),
+        "fan_idle": _fixed(design.idle, fitted),
         "kappa": _fixed(design.kappa, "unknown until air and fan power have been measured together"),
-        "evaporation": _fixed(design.evaporation, fitted), "bypass_share": _fixed(bypass_share, sheet),
-        "merkel_sd": _fixed(min(max(sd[0], 1e-3), 0.5), fitted), "exponent_sd": _fixed(min(max(sd[1], 1e-3), 0.5),
-        fitted),
+        "evaporation": _fixed(design.evaporation, fitted),
+        "bypass_share": _fixed(bypass_share, sheet),
+        "merkel_sd": _fixed(min(max(sd[0], 1e-3), 0.5), fitted),
+        "exponent_sd": _fixed(min(max(sd[1], 1e-3), 0.5), fitted),
         "error_K": _fixed(max(error_K, 0.001), "RMSE at the test points"),
-    }  # fmt: skip
+    }
     for name in ("fill", "air", "uniformity"):
         bound = BOUNDS[name]
         element[name] = {
-            "value": 1.0, "lower": 1.0 - bound, "upper": 1.0 + bound, "status": "tunable",
+            "value": 1.0,
+            "lower": 1.0 - bound,
+            "upper": 1.0 + bound,
+            "status": "tunable",
             "source": "clean cell; bounds of a deviation",
-        }  # fmt: skip
+        }
     bias = {
         "value": 0.0,
         "lower": -BOUNDS["bias"],
@@ -80,19 +97,24 @@ def cell_network(
         "source": "thermometer in calibration",
     }
     tables = {
-        "format": 1, "name": f"{_plain(station)}cell{cell}",
+        "format": 1,
+        "name": f"{_plain(station)}cell{cell}",
         "title": f"Cell {cell}{f' of station {station}' if station else ''}",
         "inputs": inputs,
         "elements": {
             "flume": {"kind": "node", "capacitance": _fixed(design.m_w0 * FLUME_S * 4186.0, "a minute of design flow")},
             "cell": element,
             "outlet": {
-                "kind": "sensor", "node": "flume", "columns": ["t_out_C"], "sigma": _fixed(0.1, "class A thermometer"),
-                "lag_s": _fixed(RTD_LAG_S, "thermowell"), "bias_K": bias,
+                "kind": "sensor",
+                "node": "flume",
+                "columns": ["t_out_C"],
+                "sigma": _fixed(0.1, "class A thermometer"),
+                "lag_s": _fixed(RTD_LAG_S, "thermowell"),
+                "bias_K": bias,
             },
         },
         "sets": {"calibrate": {"members": list(IDS.values())}},
-    }  # fmt: skip
+    }
     return replace(from_tables(tables, f"twin of cell {cell}"), revision=revision)
 
 
@@ -110,13 +132,31 @@ def cell_of(network: Network) -> int:
 
 def design_of(network: Network) -> Design:
     """Return the clean cell of a twin."""
-    v = {name: value_of(network, f"cell.{name}") for name in (
-        "water_flow", "air_flow", "merkel", "exponent", "fan_power", "density", "kappa", "evaporation", "fan_idle",
-    )}  # fmt: skip
+    v = {
+        name: value_of(network, f"cell.{name}")
+        for name in (
+            "water_flow",
+            "air_flow",
+            "merkel",
+            "exponent",
+            "fan_power",
+            "density",
+            "kappa",
+            "evaporation",
+            "fan_idle",
+        )
+    }
     return Design(
-        v["water_flow"], v["air_flow"], v["merkel"], v["exponent"], v["fan_power"], v["density"], v["kappa"],
-        evaporation=v["evaporation"], idle=v["fan_idle"],
-    )  # fmt: skip
+        v["water_flow"],
+        v["air_flow"],
+        v["merkel"],
+        v["exponent"],
+        v["fan_power"],
+        v["density"],
+        v["kappa"],
+        evaporation=v["evaporation"],
+        idle=v["fan_idle"],
+    )
 
 
 def value_of(network: Network, name: str) -> float:

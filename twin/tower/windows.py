@@ -63,11 +63,15 @@ def windows_of(
         half = 0.5 * (calibrated.high[within] - calibrated.low[within])
         found.append(
             Window(
-                float(start), float(end), told, excited(u, model.design), _features(minutes, within, model.design.m_w0),
+                float(start),
+                float(end),
+                told,
+                excited(u, model.design),
+                _features(minutes, within, model.design.m_w0),
                 float(minutes.known[within].mean()),
                 float(np.nanmean(half)) if np.isfinite(half).any() else float("nan"),
             )
-        )  # fmt: skip
+        )
     return found
 
 

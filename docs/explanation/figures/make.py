@@ -84,12 +84,16 @@ def _virtual(effects: str) -> tuple[Any, Any, Any]:
     network = load(profiles / "twins" / "virtual.toml")
     rng = np.random.default_rng(SEED)
     begins = np.arange(0.0, HOURS * 3600.0 + 1.0, 1500.0)
-    levels = np.column_stack([
-        rng.uniform(600.0, 900.0, len(begins)), rng.uniform(70.0, 100.0, len(begins)),
-        rng.uniform(50.0, 100.0, len(begins)),
-    ])  # fmt: skip
-    load_profile = Profile(name="steps", columns=("heater_power_W", "pump_speed_pct", "fan_speed_pct"), time_s=begins,
-                           values=levels)  # fmt: skip
+    levels = np.column_stack(
+        [
+            rng.uniform(600.0, 900.0, len(begins)),
+            rng.uniform(70.0, 100.0, len(begins)),
+            rng.uniform(50.0, 100.0, len(begins)),
+        ]
+    )
+    load_profile = Profile(
+        name="steps", columns=("heater_power_W", "pump_speed_pct", "fan_speed_pct"), time_s=begins, values=levels
+    )
     rig = load_rig(profiles / "rigs" / "virtual.toml")
     made = direct_record(load_profile, rig, seed=SEED, unit=1, effects=load_effects(profiles / "effects" / effects))
     record = Columns.of(network, made.time_s, made.columns)
@@ -163,8 +167,10 @@ def hiera() -> plt.Figure:
     information = slopes.T @ slopes * 2.0
     noise = rng.multivariate_normal(np.zeros(9), information)
     fit = np.linalg.solve(information + np.eye(9) * 0.4**-2, information @ truth + noise)
-    belief = posterior(Likelihood(information, information @ truth + noise), Usual(
-        chance=np.full(9, 0.05), slab=np.full(9, 0.3), spike=np.full(9, 0.01)))  # fmt: skip
+    belief = posterior(
+        Likelihood(information, information @ truth + noise),
+        Usual(chance=np.full(9, 0.05), slab=np.full(9, 0.3), spike=np.full(9, 0.01)),
+    )
     place = np.arange(9)
     sd = np.sqrt(np.diag(np.linalg.inv(information + np.eye(9) * 0.4**-2)))
     right.errorbar(place - 0.15, fit, 1.645 * sd, fmt="o", color=GREY, ms=4, lw=1, label="Gauss-Newton")
@@ -276,11 +282,28 @@ def _draw(
     for (source, target), events in arrows.items():
         a, b = np.array(places[source]), np.array(places[target])
         bend = 0.22 if (target, source) in arrows else 0.0
-        axes.add_patch(FancyArrowPatch(a, b, connectionstyle=f"arc3,rad={bend}", arrowstyle="-|>", mutation_scale=10,
-                                       shrinkA=22, shrinkB=22, color=GREY, lw=0.9))  # fmt: skip
+        axes.add_patch(
+            FancyArrowPatch(
+                a,
+                b,
+                connectionstyle=f"arc3,rad={bend}",
+                arrowstyle="-|>",
+                mutation_scale=10,
+                shrinkA=22,
+                shrinkB=22,
+                color=GREY,
+                lw=0.9,
+            )
+        )
         across = np.array([b[1] - a[1], a[0] - b[0]])
-        axes.text(*(0.5 * (a + b) + 0.5 * bend * across), ",\n".join(events), fontsize=7, ha="center", va="center",
-                  bbox={"fc": "white", "ec": "none", "pad": 0.4})  # fmt: skip
+        axes.text(
+            *(0.5 * (a + b) + 0.5 * bend * across),
+            ",\n".join(events),
+            fontsize=7,
+            ha="center",
+            va="center",
+            bbox={"fc": "white", "ec": "none", "pad": 0.4},
+        )
     for name, (x, y) in places.items():
         state = module.State(name)
         fill = "heat" if state in module.HEATED else "none" if state in module.UNTOUCHED else "safe"
@@ -297,8 +320,18 @@ def reads() -> plt.Figure:
     from drivers.modbus.read_plan import plan_reads
     from drivers.rig_file.model import Point
 
-    layout = ((0, "float32"), (2, "float32"), (4, "int16"), (5, "int16"), (9, "int16"), (10, "uint32"), (24, "int16"),
-              (40, "float32"), (42, "float32"), (44, "int16"))  # fmt: skip
+    layout = (
+        (0, "float32"),
+        (2, "float32"),
+        (4, "int16"),
+        (5, "int16"),
+        (9, "int16"),
+        (10, "uint32"),
+        (24, "int16"),
+        (40, "float32"),
+        (42, "float32"),
+        (44, "int16"),
+    )
     points = [Point(name=f"p{a}", bus="plc", unit="degC", table="holding", address=a, type=kind) for a, kind in layout]
     cases = (
         ("max_gap = 8", {}),
@@ -346,14 +379,16 @@ def tower() -> plt.Figure:
     speed = np.linspace(0.3, 1.0, 60)
     one = np.ones(60)
     for axis, flow, fan, x, label in (
-        (axes[0], share, one, share, "water flow over that of design"), (axes[1], one, speed, speed, "fan speed"),
-    ):  # fmt: skip
+        (axes[0], share, one, share, "water flow over that of design"),
+        (axes[1], one, speed, speed, "fan speed"),
+    ):
         u = Inputs(36.0 * one, 250.0 * flow, fan, 30.0 * one, 24.0 * one, 99.0 * one)
         clean = solve(u, design).t_out
         for lost, colour, name in (
-            (Deviations(fill=0.9), BLUE, "fill"), (Deviations(air=0.9), ORANGE, "air"),
+            (Deviations(fill=0.9), BLUE, "fill"),
+            (Deviations(air=0.9), ORANGE, "air"),
             (Deviations(uniformity=0.9), GREEN, "uniformity"),
-        ):  # fmt: skip
+        ):
             dashes = (4, 3) if name == "uniformity" else (None, None)
             axis.plot(x, solve(u, design, lost).t_out - clean, color=colour, label=name, dashes=dashes)
         axis.set(xlabel=label)
@@ -364,9 +399,15 @@ def tower() -> plt.Figure:
 
 
 FIGURES: dict[str, Callable[[], plt.Figure]] = {
-    "integrator": integrator, "windows": windows, "hiera": hiera, "scores": scores, "states": states, "reads": reads,
-    "trial": trial, "tower": tower,
-}  # fmt: skip
+    "integrator": integrator,
+    "windows": windows,
+    "hiera": hiera,
+    "scores": scores,
+    "states": states,
+    "reads": reads,
+    "trial": trial,
+    "tower": tower,
+}
 
 
 def main() -> None:

@@ -72,10 +72,16 @@ SWITCHES = ("stuck", "open_circuit")
 """Magnitudes that are true, not a number."""
 _KEYS = {*COMMON, *(form.magnitude for form in FORMS), *(name for form in FORMS for name, _ in form.shape)}
 SHAPES = {
-    "tau_s": (0.0, inf), "peak_hour": (0.0, 24.0), "width_h": (0.0, 24.0), "exponent": (0.0, 3.0),
-    "period_s": (0.0, inf), "duty": (0.0, 1.0), "threshold_C": (-inf, inf), "hysteresis_K": (0.0, inf),
+    "tau_s": (0.0, inf),
+    "peak_hour": (0.0, 24.0),
+    "width_h": (0.0, 24.0),
+    "exponent": (0.0, 3.0),
+    "period_s": (0.0, inf),
+    "duty": (0.0, 1.0),
+    "threshold_C": (-inf, inf),
+    "hysteresis_K": (0.0, inf),
     "conductance_W_per_K": (0.0, 1000.0),
-}  # fmt: skip
+}
 """Shape keys: above the first, at most the second; `peak_hour` may be the first, too. Some keep the plant stable."""
 _ALONE = ("bypass_fraction", "recirculated_fraction", "capacity_J_per_K")
 """The plant has one of each."""

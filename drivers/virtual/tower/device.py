@@ -34,13 +34,23 @@ LONGEST_S = 3900.0
 GOOD = 192
 HELD = ("fan_speed_command", "fan_fault", "cell_in_service", "wind_direction")
 RIG_UNIT = {
-    "degC": ("degC", 1.0, 0.0), "degF": ("degC", 5.0 / 9.0, -160.0 / 9.0), "kPa": ("kPa", 1.0, 0.0), "psi": ("kPa",
-    6.894757, 0.0),
-    "hPa": ("mbar", 1.0, 0.0), "kW": ("kW", 1.0, 0.0), "MW": ("kW", 1e3, 0.0), "mph": ("m/s", 0.44704, 0.0),
-    "m/s": ("m/s", 1.0, 0.0), "m3/h": ("m3/h", 1.0, 0.0), "L/s": ("L/s", 1.0, 0.0), "kg/s": ("kg/s", 1.0, 0.0),
+    "degC": ("degC", 1.0, 0.0),
+    "degF": ("degC", 5.0 / 9.0, -160.0 / 9.0),
+    "kPa": ("kPa", 1.0, 0.0),
+    "psi": ("kPa", 6.894757, 0.0),
+    "hPa": ("mbar", 1.0, 0.0),
+    "kW": ("kW", 1.0, 0.0),
+    "MW": ("kW", 1e3, 0.0),
+    "mph": ("m/s", 0.44704, 0.0),
+    "m/s": ("m/s", 1.0, 0.0),
+    "m3/h": ("m3/h", 1.0, 0.0),
+    "L/s": ("L/s", 1.0, 0.0),
+    "kg/s": ("kg/s", 1.0, 0.0),
     "%": ("%", 1.0, 0.0),
-    "Hz": ("Hz", 1.0, 0.0), "deg": ("1", 1.0, 0.0), "0/1": ("1", 1.0, 0.0),
-}  # fmt: skip
+    "Hz": ("Hz", 1.0, 0.0),
+    "deg": ("1", 1.0, 0.0),
+    "0/1": ("1", 1.0, 0.0),
+}
 """Unit of a point by the unit of its tag, and the factor and offset from the tag's to the point's."""
 
 
@@ -126,11 +136,21 @@ def load_station(folder: Path) -> tuple[Served, ...]:
         cell = (row.get("cell") or "").strip()
         point = f"cell{cell}_{row['role']}" if cell else row["role"]
         to, factor, offset = RIG_UNIT[unit]
-        found.append(Served(
-            row["tag"], point, to, unit, row["role"], cell, row.get("description") or "", row.get("scan_s") or "60",
-            stamp[mine],
-            value[mine] * factor + offset, (quality[mine] >= GOOD) & np.isfinite(value[mine]),
-        ))  # fmt: skip
+        found.append(
+            Served(
+                row["tag"],
+                point,
+                to,
+                unit,
+                row["role"],
+                cell,
+                row.get("description") or "",
+                row.get("scan_s") or "60",
+                stamp[mine],
+                value[mine] * factor + offset,
+                (quality[mine] >= GOOD) & np.isfinite(value[mine]),
+            )
+        )
     if not any(len(one.time_s) for one in found):
         raise StationFolderError(
             f"{folder}: raw.parquet has no sample of the tags in tags.csv; use the files of one station"

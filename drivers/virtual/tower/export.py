@@ -19,10 +19,22 @@ from drivers.virtual.tower.sites import Site
 from drivers.virtual.tower.station import Simulated, state_by_minute
 
 TESTS = (
-    (1.0, 1.0), (1.0, 1.0), (1.0, 1.0), (1.0, 1.0), (1.0, 0.92), (1.0, 0.9), (1.0, 0.9), (1.0, 0.9), (1.0, 1.1), (1.0,
-    1.1),
-    (1.0, 1.1), (1.0, 1.1), (0.8, 1.0), (0.6, 1.0), (0.5, 1.0),
-)  # fmt: skip
+    (1.0, 1.0),
+    (1.0, 1.0),
+    (1.0, 1.0),
+    (1.0, 1.0),
+    (1.0, 0.92),
+    (1.0, 0.9),
+    (1.0, 0.9),
+    (1.0, 0.9),
+    (1.0, 1.1),
+    (1.0, 1.1),
+    (1.0, 1.1),
+    (1.0, 1.1),
+    (0.8, 1.0),
+    (0.6, 1.0),
+    (0.5, 1.0),
+)
 """Fan speed and water flow, as shares, of the acceptance test of a cell."""
 DAYS_OFF = 3
 
@@ -37,9 +49,16 @@ def write_station(made: Simulated, folder: Path, *, score: bool) -> list[Path]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = [_raw(made, folder / "raw.parquet")]
-    files.append(_table(folder / "tags.csv", ("tag", "description", "unit", "cell", "role", "scan_s"), (
-        (one.tag, one.description, one.unit, one.cell or "", one.kind.role, one.scan_s) for one in made.instruments
-    )))  # fmt: skip
+    files.append(
+        _table(
+            folder / "tags.csv",
+            ("tag", "description", "unit", "cell", "role", "scan_s"),
+            (
+                (one.tag, one.description, one.unit, one.cell or "", one.kind.role, one.scan_s)
+                for one in made.instruments
+            ),
+        )
+    )
     files.append(folder / "datasheet.json")
     files[-1].write_text(json.dumps(datasheet(made.site, made.recorded), indent=1) + "\n")
     files.append(_table(folder / "commissioning.csv", COMMISSIONING, commissioning_rows(made)))
@@ -74,12 +93,14 @@ def _raw(made: Simulated, path: Path) -> Path:
     stamp = np.concatenate([np.round((zero + one.time_s) * 1e3) for one in kept]).astype("datetime64[ms]")
     index = np.repeat(np.arange(len(names), dtype=np.int32), [len(one.time_s) for one in kept])
     value = np.concatenate([one.value for one in kept]).astype(np.float32)
-    table = pa.table({
-        "timestamp": pa.array(stamp, pa.timestamp("ms", tz="UTC")),
-        "tag": pa.DictionaryArray.from_arrays(pa.array(index), pa.array(names, pa.string())),
-        "value": pa.array(value, pa.float32()),
-        "quality": pa.array(np.concatenate([one.quality for one in kept]), pa.int16()),
-    })  # fmt: skip
+    table = pa.table(
+        {
+            "timestamp": pa.array(stamp, pa.timestamp("ms", tz="UTC")),
+            "tag": pa.DictionaryArray.from_arrays(pa.array(index), pa.array(names, pa.string())),
+            "value": pa.array(value, pa.float32()),
+            "quality": pa.array(np.concatenate([one.quality for one in kept]), pa.int16()),
+        }
+    )
     pq.write_table(table, path, compression="zstd")
     return path
 
@@ -87,36 +108,60 @@ def _raw(made: Simulated, path: Path) -> Path:
 def datasheet(site: Site, recorded: int) -> dict[str, Any]:
     """Return the datasheet of a station: what its maker states."""
     return {
-        "station": site.station, "site": site.city, "timezone": site.timezone,
-        "kind": "induced-draft counterflow, film fill, VFD fan", "cells_in_station": site.cells,
+        "station": site.station,
+        "site": site.city,
+        "timezone": site.timezone,
+        "kind": "induced-draft counterflow, film fill, VFD fan",
+        "cells_in_station": site.cells,
         "cells_recorded": list(range(1, recorded + 1)),
         "design": {
-            "water_flow_kg_s": site.water, "water_flow_m3_h": round(site.water * 3.61), "water_inlet_C": site.hot,
-            "water_outlet_C": site.cold, "range_K": round(site.hot - site.cold, 2),
+            "water_flow_kg_s": site.water,
+            "water_flow_m3_h": round(site.water * 3.61),
+            "water_inlet_C": site.hot,
+            "water_outlet_C": site.cold,
+            "range_K": round(site.hot - site.cold, 2),
             "approach_K": round(site.cold - site.wet, 2),
-            "wet_bulb_C": site.wet, "pressure_kPa": site.pressure, "water_to_air": round(site.water / site.air, 2),
+            "wet_bulb_C": site.wet,
+            "pressure_kPa": site.pressure,
+            "water_to_air": round(site.water / site.air, 2),
         },
         "fan": {
-            "rated_power_kW": site.rated_power, "power_at_design_kW": site.power, "minimum_speed_pct": 30,
+            "rated_power_kW": site.rated_power,
+            "power_at_design_kW": site.power,
+            "minimum_speed_pct": 30,
             "speed_100pct": "60 Hz",
         },
         "fill": {"length_m": site.plan, "width_m": site.plan, "height_m": site.fill_height},
         "basin": {
-            "volume_m3": site.basin, "compartments": 2, "first_compartment_cells": list(range(1, site.first_cells + 1)),
+            "volume_m3": site.basin,
+            "compartments": 2,
+            "first_compartment_cells": list(range(1, site.first_cells + 1)),
             "suction": "from both compartments",
         },
         "hot_header_volume_m3": site.header,
         "pumps": {"speed": "variable" if site.variable_pumps else "fixed", "per_cells": site.cells_per_pump},
         "bypass": {"route": "hot water of a cell past its fill into its outlet flume", "share_when_open": 0.7},
-        "supply_setpoint_C": site.setpoint, "outlet_rtd": "in the outlet flume of each cell, after the bypass return",
+        "supply_setpoint_C": site.setpoint,
+        "outlet_rtd": "in the outlet flume of each cell, after the bypass return",
         "quality_codes": {"192": "good", "64": "uncertain", "0": "bad"},
-    }  # fmt: skip
+    }
 
 
 COMMISSIONING = (
-    "cell", "test", "water_inlet_C", "water_outlet_C", "entering_wet_bulb_C", "dry_bulb_C", "pressure_kPa", "wind_m_s",
-    "water_flow_kg_s", "fan_speed_pct", "fan_power_kW", "air_flow_kg_s", "evaporation_kg_s",
-)  # fmt: skip
+    "cell",
+    "test",
+    "water_inlet_C",
+    "water_outlet_C",
+    "entering_wet_bulb_C",
+    "dry_bulb_C",
+    "pressure_kPa",
+    "wind_m_s",
+    "water_flow_kg_s",
+    "fan_speed_pct",
+    "fan_power_kW",
+    "air_flow_kg_s",
+    "evaporation_kg_s",
+)
 """Columns of the acceptance tests."""
 
 
@@ -139,14 +184,23 @@ def commissioning_rows(made: Simulated) -> list[tuple[Any, ...]]:
                 cell - 1, made.built.clean_state(), m_w, speed, hot, dry, ratio, pressure, wind
             )
             wet = wet_bulb(dry, ratio, pressure)
-            rows.append((
-                cell, f"T{k + 1:02d}", _r(hot + rng.normal(0, 0.03), 2), _r(out + rng.normal(0, 0.03), 2),
-                _r(wet + rng.normal(0, 0.06), 2),
-                _r(dry + rng.normal(0, 0.05), 2), _r(pressure, 2), _r(wind, 1), _r(m_w * rng.normal(1, 0.006), 2),
-                _r(100 * speed, 1),
-                _r(power * rng.normal(1, 0.005), 2), _r(air * rng.normal(1, 0.012), 1), _r(lost * rng.normal(1, 0.02),
-                3),
-            ))  # fmt: skip
+            rows.append(
+                (
+                    cell,
+                    f"T{k + 1:02d}",
+                    _r(hot + rng.normal(0, 0.03), 2),
+                    _r(out + rng.normal(0, 0.03), 2),
+                    _r(wet + rng.normal(0, 0.06), 2),
+                    _r(dry + rng.normal(0, 0.05), 2),
+                    _r(pressure, 2),
+                    _r(wind, 1),
+                    _r(m_w * rng.normal(1, 0.006), 2),
+                    _r(100 * speed, 1),
+                    _r(power * rng.normal(1, 0.005), 2),
+                    _r(air * rng.normal(1, 0.012), 1),
+                    _r(lost * rng.normal(1, 0.02), 3),
+                )
+            )
     return rows
 
 
@@ -181,11 +235,17 @@ def event_rows(made: Simulated) -> list[tuple[Any, ...]]:
 
 def _labels(made: Simulated, path: Path) -> Path:
     rows = [
-        (iso(_moment(made, 60.0 * one.minute)), one.cell, one.parameter,
-        "point" if one.value is not None else "interval",
-         *("" if x is None else x for x in (one.value, one.sd, one.low, one.high)), one.source)
-        for one in made.truth.life.labels if one.cell <= made.recorded
-    ]  # fmt: skip
+        (
+            iso(_moment(made, 60.0 * one.minute)),
+            one.cell,
+            one.parameter,
+            "point" if one.value is not None else "interval",
+            *("" if x is None else x for x in (one.value, one.sd, one.low, one.high)),
+            one.source,
+        )
+        for one in made.truth.life.labels
+        if one.cell <= made.recorded
+    ]
     return _table(path, ("time", "cell", "parameter", "kind", "value", "sd", "lo", "hi", "source"), sorted(rows))
 
 
@@ -198,17 +258,24 @@ def _truth(made: Simulated, path: Path) -> Path:
     for cell in range(1, made.recorded + 1):
         daily = made.truth.life
         columns = {
-            "t_out": truth.cell("t_out", cell), "t_in": truth.cell("t_in", cell), "twb": truth.wet,
+            "t_out": truth.cell("t_out", cell),
+            "t_in": truth.cell("t_in", cell),
+            "twb": truth.wet,
             "twb_in": truth.cell("wet_in", cell),
-            "m_w": truth.cell("m_w", cell), "m_a": truth.cell("m_a", cell), "speed": truth.cell("speed", cell) / 100.0,
-            "bypass": truth.cell("bypass", cell) / 100.0, "evap": truth.cell("evaporation", cell),
+            "m_w": truth.cell("m_w", cell),
+            "m_a": truth.cell("m_a", cell),
+            "speed": truth.cell("speed", cell) / 100.0,
+            "bypass": truth.cell("bypass", cell) / 100.0,
+            "evap": truth.cell("evaporation", cell),
             **state_by_minute(made, cell),
-            "bias": truth.held(daily.bias[:, cell - 1]), "flow_gain": truth.held(daily.flow_gain[:, cell - 1]),
-        }  # fmt: skip
+            "bias": truth.held(daily.bias[:, cell - 1]),
+            "flow_gain": truth.held(daily.flow_gain[:, cell - 1]),
+        }
         head = {
-            "time": pa.array(time, pa.timestamp("ms")), "cell": pa.array(np.full(n, cell, dtype=np.int8)),
+            "time": pa.array(time, pa.timestamp("ms")),
+            "cell": pa.array(np.full(n, cell, dtype=np.int8)),
             "running": pa.array(truth.cell("on", cell) > 0.5),
-        }  # fmt: skip
+        }
         tables.append(pa.table(head | {name: pa.array(values.astype(np.float32)) for name, values in columns.items()}))
     pq.write_table(pa.concat_tables(tables), path, compression="zstd")
     return path
@@ -225,20 +292,27 @@ def key_of(made: Simulated) -> dict[str, Any]:
         defects.append({"type": one.kind, **named, **one.more, **span})
     done = [
         {"time": iso(_moment(made, 60.0 * one.minute)), "cell": one.cell, "event": one.event}
-        for one in made.truth.life.happenings if one.cell <= made.recorded and one.minute < len(made.truth.wet)
-    ]  # fmt: skip
+        for one in made.truth.life.happenings
+        if one.cell <= made.recorded and one.minute < len(made.truth.wet)
+    ]
     mix = {str(cell): _mix(made, cell) for cell in range(1, made.recorded + 1)}
     return {
-        "answer": made.answer, "hidden": list(made.plan.hide), "defects": defects, "events": done,
-        "seed": made.plan.seed, "weather": made.weather_source, "mix": mix,
-    }  # fmt: skip
+        "answer": made.answer,
+        "hidden": list(made.plan.hide),
+        "defects": defects,
+        "events": done,
+        "seed": made.plan.seed,
+        "weather": made.weather_source,
+        "mix": mix,
+    }
 
 
 def _mix(made: Simulated, cell: int) -> dict[str, Any]:
     """Return the deviations of a cell at the beginning and the end: the mix that makes a commissioned twin's error."""
     days = slice(made.plan.days)
     daily = {
-        "bias": made.truth.life.bias[days, cell - 1], "flow_gain": made.truth.life.flow_gain[days, cell - 1],
+        "bias": made.truth.life.bias[days, cell - 1],
+        "flow_gain": made.truth.life.flow_gain[days, cell - 1],
         **state_by_minute(made, cell),
-    }  # fmt: skip
+    }
     return {name: [round(float(values[0]), 4), round(float(values[-1]), 4)] for name, values in daily.items()}

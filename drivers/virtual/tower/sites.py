@@ -53,15 +53,57 @@ class Site:
 
 
 CHICAGO_SITE = Site(
-    "A", "Chicago", "America/Chicago", ("chicago",), CHICAGO, 4, 250.0, 200.0, 36.0, 29.0, 25.0, 98.9, 55.0, 45.0,
-    9.8, 1.5, 420.0,
-    160.0, 2, 1.6, False, 23.0, False, "loops",
-)  # fmt: skip
+    "A",
+    "Chicago",
+    "America/Chicago",
+    ("chicago",),
+    CHICAGO,
+    4,
+    250.0,
+    200.0,
+    36.0,
+    29.0,
+    25.0,
+    98.9,
+    55.0,
+    45.0,
+    9.8,
+    1.5,
+    420.0,
+    160.0,
+    2,
+    1.6,
+    False,
+    23.0,
+    False,
+    "loops",
+)
 MIAMI_SITE = Site(
-    "B", "Miami", "America/New_York", ("miami",), MIAMI, 2, 132.0, 122.0, 38.2, 31.4, 26.7, 101.3, 30.0, 23.5, 7.4,
-    1.2, 150.0, 60.0,
-    1, 1.0, True, 28.6, True, "words",
-)  # fmt: skip
+    "B",
+    "Miami",
+    "America/New_York",
+    ("miami",),
+    MIAMI,
+    2,
+    132.0,
+    122.0,
+    38.2,
+    31.4,
+    26.7,
+    101.3,
+    30.0,
+    23.5,
+    7.4,
+    1.2,
+    150.0,
+    60.0,
+    1,
+    1.0,
+    True,
+    28.6,
+    True,
+    "words",
+)
 SITES = (CHICAGO_SITE, MIAMI_SITE)
 
 
@@ -130,10 +172,22 @@ def build(site: Site, rng: np.random.Generator) -> Built:
     sectors = int(rng.integers(5, 9))
     cells = np.stack([_cell(site, rng) for _ in range(site.cells)])
     shares = np.stack([_shares(sectors, rng) for _ in range(site.cells)])
-    numbers = np.array([
-        site.cell_load, site.setpoint, site.header, site.basin, site.cells_per_pump, float(site.variable_pumps), 0.7,
-        float(site.first_cells), 0.3, rng.uniform(20.0, 45.0), rng.uniform(25.0, 60.0), site.climate.mean + 2.0,
-    ])  # fmt: skip
+    numbers = np.array(
+        [
+            site.cell_load,
+            site.setpoint,
+            site.header,
+            site.basin,
+            site.cells_per_pump,
+            float(site.variable_pumps),
+            0.7,
+            float(site.first_cells),
+            0.3,
+            rng.uniform(20.0, 45.0),
+            rng.uniform(25.0, 60.0),
+            site.climate.mean + 2.0,
+        ]
+    )
     built = Built(site, cells, shares, numbers, rng.uniform(20.0, 60.0, site.cells))
     for c in range(site.cells):
         _size_fill(built, c, site.cold + rng.normal(0.0, 0.25))
@@ -144,17 +198,30 @@ def _cell(site: Site, rng: np.random.Generator) -> Array:
     exhaust = dry_air_density(site.hot - 3.0, 0.0345, site.pressure)
     slope, bend = rng.uniform(0.0, 0.3), rng.uniform(0.35, 0.7)
     values = {
-        "m_w0": site.water, "m_a0": site.air * rng.normal(1.0, 0.02), "fill": 1.0, "fill_water": rng.uniform(0.42,
-        0.62),
-        "fill_air": rng.uniform(0.50, 0.66), "fill_hot": rng.uniform(0.20, 0.40), "spray": rng.uniform(0.08, 0.14),
-        "rain": rng.uniform(0.12, 0.22), "starving": rng.uniform(1.1, 1.7), "dry_air": rng.uniform(1.05, 1.25),
-        "fan_shut": 1.0 + slope + bend, "fan_slope": slope, "fan_bend": bend, "load_drag": rng.uniform(0.10, 0.22),
-        "wind_drag": rng.uniform(0.0007, 0.0016), "draft": rng.uniform(0.4, 0.6),
+        "m_w0": site.water,
+        "m_a0": site.air * rng.normal(1.0, 0.02),
+        "fill": 1.0,
+        "fill_water": rng.uniform(0.42, 0.62),
+        "fill_air": rng.uniform(0.50, 0.66),
+        "fill_hot": rng.uniform(0.20, 0.40),
+        "spray": rng.uniform(0.08, 0.14),
+        "rain": rng.uniform(0.12, 0.22),
+        "starving": rng.uniform(1.1, 1.7),
+        "dry_air": rng.uniform(1.05, 1.25),
+        "fan_shut": 1.0 + slope + bend,
+        "fan_slope": slope,
+        "fan_bend": bend,
+        "load_drag": rng.uniform(0.10, 0.22),
+        "wind_drag": rng.uniform(0.0007, 0.0016),
+        "draft": rng.uniform(0.4, 0.6),
         "power": site.power * rng.normal(0.97, 0.015),
-        "drive_loss": rng.uniform(0.015, 0.03), "density0": exhaust, "t_hot0": site.hot,
+        "drive_loss": rng.uniform(0.015, 0.03),
+        "density0": exhaust,
+        "t_hot0": site.hot,
         "recirculation": rng.uniform(0.004, 0.012),
-        "recirculation_wind": rng.uniform(0.0006, 0.0018), "windmill": rng.uniform(1.0, 2.0),
-    }  # fmt: skip
+        "recirculation_wind": rng.uniform(0.0006, 0.0018),
+        "windmill": rng.uniform(1.0, 2.0),
+    }
     return np.array([values[name] for name in CELL])
 
 

@@ -118,10 +118,20 @@ def simulate(site: Site, recorded: int, plan: Plan, note: Callable[[str], None] 
     note(f"station {site.station}: {site.cells} cells of {sectors} sectors, {days} days, weather by {year.source}")
     columns = np.stack([air.dry, air.ratio, air.pressure, air.wind, air.direction, air.sun], axis=1)
     cells, station = compiled.run(
-        built.cells, built.shares, built.numbers, hidden, built.rtd_s, columns, life.states, done.load, done.outage,
+        built.cells,
+        built.shares,
+        built.numbers,
+        hidden,
+        built.rtd_s,
+        columns,
+        life.states,
+        done.load,
+        done.outage,
         done.trips,
-        done.test_speed, done.test_flow, done.lead,
-    )  # fmt: skip
+        done.test_speed,
+        done.test_flow,
+        done.lead,
+    )
     truth = Truth(cells, station, air, air.wet_bulb(), air.humidity(), life)
     tags = instruments(site, recorded, streams["instruments"])
     seeding = Seeding.draw(tags, days, site.timezone, truth, streams["defects"]) if plan.defects else Seeding()
@@ -158,6 +168,7 @@ def state_by_minute(made: Simulated, cell: int) -> dict[str, np.ndarray]:
     day = np.arange(len(made.truth.wet)) / MINUTES_A_DAY
     assert states.shape[1] == len(STATE)
     return {
-        "fill": np.interp(day, days, states[:, S_FILL]), "air": np.interp(day, days, air),
+        "fill": np.interp(day, days, states[:, S_FILL]),
+        "air": np.interp(day, days, air),
         "uniformity": np.interp(day, days, even),
-    }  # fmt: skip
+    }

@@ -130,9 +130,13 @@ def _epw(line: str) -> tuple[float, ...]:
 def _tm2(line: str) -> tuple[float, ...]:
     """Return a line's values by the columns of the TMY2 manual (tenths of degC and m/s, millibars)."""
     return (
-        float(line[67:71]) / 10.0, float(line[73:77]) / 10.0, float(line[84:88]) / 10.0, float(line[95:98]) / 10.0,
-        float(line[90:93]), float(line[17:21]),
-    )  # fmt: skip
+        float(line[67:71]) / 10.0,
+        float(line[73:77]) / 10.0,
+        float(line[84:88]) / 10.0,
+        float(line[95:98]) / 10.0,
+        float(line[90:93]),
+        float(line[17:21]),
+    )
 
 
 def made_year(climate: Climate, rng: np.random.Generator) -> Year:

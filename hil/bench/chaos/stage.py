@@ -190,9 +190,18 @@ async def set_chaos_stage(
         harness = await _start(needs, place, disk, terminal, clock, marker)
         stack.push_async_callback(harness.finish)
         stage = ChaosStage(
-            generator, rig, plc, can, harness, truth, disk,
-            terminal=terminal, device=device, clock=clock, marker=marker,
-        )  # fmt: skip
+            generator,
+            rig,
+            plc,
+            can,
+            harness,
+            truth,
+            disk,
+            terminal=terminal,
+            device=device,
+            clock=clock,
+            marker=marker,
+        )
         stack.callback(stage.clear_up)
         yield stage
 

@@ -34,10 +34,19 @@ from hil.cli.options import INPUT_FILE
 @OUT
 @JSON
 def tower_command(
-    record: Path, twins: tuple[Path, ...], networks: tuple[Path, ...], windows: int | None, results: Path | None,
-    labels: Path | None, truth: Path | None, steps: int | None, step_size: float, seed: int, out: Path | None,
+    record: Path,
+    twins: tuple[Path, ...],
+    networks: tuple[Path, ...],
+    windows: int | None,
+    results: Path | None,
+    labels: Path | None,
+    truth: Path | None,
+    steps: int | None,
+    step_size: float,
+    seed: int,
+    out: Path | None,
     as_json: bool,
-) -> None:  # fmt: skip
+) -> None:
     """Predictions of a cell's outlet on RECORD by each baseline, its own readings hidden.
 
     With --network: trained members and their rivals on simulated stations that no training saw.

@@ -17,8 +17,11 @@ CLEAR = 20.0
 """Score above which chance has little influence on an effect's size."""
 COVERAGES = (0.25, 0.5, 0.75, 0.9, 1.0)
 GROUP_NAMES = {
-    "none": "nothing", "one": "one effect of the catalogue", "two": "two of them", "outside": "not in the catalogue",
-}  # fmt: skip
+    "none": "nothing",
+    "one": "one effect of the catalogue",
+    "two": "two of them",
+    "outside": "not in the catalogue",
+}
 
 
 def tables(done: Sequence[FinishedCase], size: TrialSize) -> tuple[ReportTable, ...]:
@@ -28,11 +31,17 @@ def tables(done: Sequence[FinishedCase], size: TrialSize) -> tuple[ReportTable, 
     return tuple(
         t
         for t in (
-            _scores(outcomes, how), _verdicts(outcomes), _numbers(outcomes), _by_z(outcomes), _risk(outcomes),
-            _ablations(done), _by_load(outcomes), _failures(done, size),
+            _scores(outcomes, how),
+            _verdicts(outcomes),
+            _numbers(outcomes),
+            _by_z(outcomes),
+            _risk(outcomes),
+            _ablations(done),
+            _by_load(outcomes),
+            _failures(done, size),
         )
         if t.rows
-    )  # fmt: skip
+    )
 
 
 def _how(size: TrialSize) -> str:
@@ -76,8 +85,11 @@ def _scores(outcomes: Sequence[AnswerScore], how: str) -> ReportTable:
         _count("one effect: driver right, of those with kind and place right", one, lambda o: o.driver),
         *_visible([o for o in one if (o.z_truth or 0.0) >= SEEN]),
         _count("two effects: both right", two, lambda o: bool(o.exact)),
-        _count(f"two effects, the lesser with a score of {SEEN:g} or more: both right or within the ambiguity group",
-               [o for o in two if (o.z_least or 0.0) >= SEEN], lambda o: bool(o.in_set and o.class1)),
+        _count(
+            f"two effects, the lesser with a score of {SEEN:g} or more: both right or within the ambiguity group",
+            [o for o in two if (o.z_least or 0.0) >= SEEN],
+            lambda o: bool(o.in_set and o.class1),
+        ),
         _count("two effects: the first right within the ambiguity group", two, lambda o: bool(o.class1)),
         _count("two effects: both in the set, of named", two, lambda o: o.in_set),
         _count("catalogue, something found: left unexplained", seen, lambda o: o.verdict == "unexplained"),
@@ -85,12 +97,15 @@ def _scores(outcomes: Sequence[AnswerScore], how: str) -> ReportTable:
         _count("left unexplained: rightly (precision)", abstained, lambda o: o.group == "outside"),
         _count("not in the catalogue: described by effects of the right kind and place", outside, lambda o: o.in_words),
         _count("not in the catalogue: a wrong cause named", outside, lambda o: o.named and not o.in_words),
-        _count("not in the catalogue, left unexplained: place right",
-               [o for o in outside if o.verdict == "unexplained"], lambda o: o.place),
+        _count(
+            "not in the catalogue, left unexplained: place right",
+            [o for o in outside if o.verdict == "unexplained"],
+            lambda o: o.place,
+        ),
         _count("one effect: 90 % interval of the size holds it", one, lambda o: o.size_held),
         _count("one effect: 90 % interval of the onset holds it", one, lambda o: o.onset_held),
         _count("no answer (an error)", outcomes, lambda o: o.verdict == "crashed"),
-    ]  # fmt: skip
+    ]
     columns = ("what", "cases", "of", "%", "90 % from", "to")
     return ReportTable("scores", "Scores", columns, tuple(r for r in rows if r[2]), (how,))
 
@@ -132,15 +147,23 @@ def _numbers(outcomes: Sequence[AnswerScore]) -> ReportTable:
         (f"the same, true score of {CLEAR:g} or more", median(clear), max(clear, default=float("nan")), len(clear)),
         ("causes not excluded", median(sets), max(sets, default=float("nan")), len(sets)),
         ("causes not excluded, mean", sum(sets) / len(sets) if sets else float("nan"), None, len(sets)),
-        ("held out, re-tuned, K", median([e[0] for e in errors]), max((e[0] for e in errors), default=float("nan")),
-         len(errors)),
-        ("held out, with the effects, K", median([e[1] for e in errors]),
-         max((e[1] for e in errors), default=float("nan")), len(errors)),
+        (
+            "held out, re-tuned, K",
+            median([e[0] for e in errors]),
+            max((e[0] for e in errors), default=float("nan")),
+            len(errors),
+        ),
+        (
+            "held out, with the effects, K",
+            median([e[1] for e in errors]),
+            max((e[1] for e in errors), default=float("nan")),
+            len(errors),
+        ),
         ("held out, healthy records, re-tuned, K", median(floor), max(floor, default=float("nan")), len(floor)),
         ("noise of the thermometers, K", median([e[2] for e in errors]), None, len(errors)),
         ("seconds a record", median(times), max(times, default=float("nan")), len(times)),
         ("seconds of processors a record", median(used), max(used, default=float("nan")), len(used)),
-    ]  # fmt: skip
+    ]
     return ReportTable("numbers", "Sizes, onsets, errors and time", ("what", "median", "worst", "cases"), tuple(rows))
 
 
@@ -151,10 +174,17 @@ def _by_z(outcomes: Sequence[AnswerScore]) -> ReportTable:
         if found:
             name = f"{low:g} to {high:g}" if high < math.inf else f"above {low:g}"
             seen = [o for o in found if o.alarmed]
-            rows.append((
-                name, len(found), len(seen), sum(bool(o.top1) for o in found), sum(bool(o.class1) for o in found),
-                sum(bool(o.in_set) for o in found), sum(o.verdict == "unexplained" for o in found),
-            ))  # fmt: skip
+            rows.append(
+                (
+                    name,
+                    len(found),
+                    len(seen),
+                    sum(bool(o.top1) for o in found),
+                    sum(bool(o.class1) for o in found),
+                    sum(bool(o.in_set) for o in found),
+                    sum(o.verdict == "unexplained" for o in found),
+                )
+            )
     note = "score that the true effect would get at its true size, tunables projected out"
     columns = ("z of the truth", "cases", "found", "right", "within the ambiguity group", "in the set", "unexplained")
     return ReportTable("z", "One effect, by its visibility", columns, tuple(rows), (note,))
@@ -184,23 +214,44 @@ def _ablations(done: Sequence[FinishedCase]) -> ReportTable:
     outside = [f for f in tried if f.outcome.group == "outside"]
     if not tried:
         return ReportTable("ablations", "Ablations", (), ())
-    rows: list[tuple[Cell, ...]] = [(
-        "complete", len(one), sum(bool(f.outcome.top1) for f in one), sum(bool(f.outcome.class1) for f in one),
-        len(none), sum(f.outcome.alarmed for f in none), len(outside),
-        sum(f.outcome.named and not f.outcome.in_words for f in outside),
-    )]  # fmt: skip
+    rows: list[tuple[Cell, ...]] = [
+        (
+            "complete",
+            len(one),
+            sum(bool(f.outcome.top1) for f in one),
+            sum(bool(f.outcome.class1) for f in one),
+            len(none),
+            sum(f.outcome.alarmed for f in none),
+            len(outside),
+            sum(f.outcome.named and not f.outcome.in_words for f in outside),
+        )
+    ]
     for key, name in METHODS:
         if not any(key in (f.ablation or {}) for f in tried):
             continue
         right = [_first(f, key) for f in one]
-        rows.append((
-            name, len(one), sum(r[0] for r in right), sum(r[1] for r in right),
-            len(none), sum(_seen(f, key) for f in none), len(outside), sum(_seen(f, key) for f in outside),
-        ))  # fmt: skip
+        rows.append(
+            (
+                name,
+                len(one),
+                sum(r[0] for r in right),
+                sum(r[1] for r in right),
+                len(none),
+                sum(_seen(f, key) for f in none),
+                len(outside),
+                sum(_seen(f, key) for f in outside),
+            )
+        )
     columns = (
-        "method", "one effect", "right", "within the ambiguity group", "healthy", "alarms", "not in the catalogue",
+        "method",
+        "one effect",
+        "right",
+        "within the ambiguity group",
+        "healthy",
+        "alarms",
+        "not in the catalogue",
         "named",
-    )  # fmt: skip
+    )
     return ReportTable("ablations", "Ablations of the method, on the same records", columns, tuple(rows))
 
 
@@ -230,10 +281,17 @@ def _by_load(outcomes: Sequence[AnswerScore]) -> ReportTable:
     for load in dict.fromkeys(o.load for o in outcomes):
         one = [o for o in outcomes if o.load == load and o.group == "one"]
         none = [o for o in outcomes if o.load == load and o.group == "none"]
-        rows.append((
-            load, len(one), sum(o.alarmed for o in one), sum(bool(o.top1) for o in one),
-            sum(bool(o.class1) for o in one), len(none), sum(o.alarmed for o in none),
-        ))  # fmt: skip
+        rows.append(
+            (
+                load,
+                len(one),
+                sum(o.alarmed for o in one),
+                sum(bool(o.top1) for o in one),
+                sum(bool(o.class1) for o in one),
+                len(none),
+                sum(o.alarmed for o in none),
+            )
+        )
     columns = ("load", "one effect", "found", "right", "within the ambiguity group", "healthy", "alarms")
     return ReportTable("loads", "By kind of load", columns, tuple(rows))
 

@@ -186,10 +186,15 @@ def _has_yaml() -> bool:
 
 _BUS = {"transport": "modbus_tcp", "host": "10.0.0.5", "port": 502, "device_id": 1}
 _SHEET = {
-    "rig": "a", "nominal_flow_L_per_min_at_pump_100pct": 8.0, "tank_volume_L": 10.0, "heater_water_volume_L": 1.0,
-    "heater_rated_W": 1500.0, "thermocouple_sigma_K": 0.05, "flow_is": "proportional to pump speed",
+    "rig": "a",
+    "nominal_flow_L_per_min_at_pump_100pct": 8.0,
+    "tank_volume_L": 10.0,
+    "heater_water_volume_L": 1.0,
+    "heater_rated_W": 1500.0,
+    "thermocouple_sigma_K": 0.05,
+    "flow_is": "proportional to pump speed",
     "pipe_volumes_L": {"tank_to_heater": 0.2, "heater_to_modules": 0.3},
-}  # fmt: skip
+}
 
 
 def _rig(path: Path) -> None:

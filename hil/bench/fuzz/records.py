@@ -39,7 +39,7 @@ CELLS = (
 LINES = (
     *("sep=;", "sep=,", "#comment", "", ";;;", ",,,", "TOA5,a,b,c", "TS,RN,,", "s,W,degC,%", '"unfinished', "\ufeff"),
     *("#datatype,string,long,double", "#group,false,false", "#default,_result,,", "time_s,T_tank_C", "0,1,2,3,4,5,6,7"),
-)  # fmt: skip
+)
 
 
 @dataclass

@@ -9,11 +9,49 @@ from collections.abc import Callable
 from typing import Any
 
 VALUES = (
-    "0", "-1", "1.5", "1e308", "-1e-320", "70000", "99999999999999999999", "0x10", "nan", "inf", "true", '""', '"x"',
-    "'°C'", '"\\u0000"', "[]", "[1]", "[1, 2, 3]", "[[]]", '["a"]', "{}", "{ a = 1 }", "1979-05-27", "null", "~",
-    "!secret k", "!include k.yaml", "${VAR}", "*a", "&a", "0,1", "1/10", "x10", "-", "|", ">", "<<", "<<:",
-    "1.000,5", "٣", "é", "\x7f",
-)  # fmt: skip
+    "0",
+    "-1",
+    "1.5",
+    "1e308",
+    "-1e-320",
+    "70000",
+    "99999999999999999999",
+    "0x10",
+    "nan",
+    "inf",
+    "true",
+    '""',
+    '"x"',
+    "'°C'",
+    '"\\u0000"',
+    "[]",
+    "[1]",
+    "[1, 2, 3]",
+    "[[]]",
+    '["a"]',
+    "{}",
+    "{ a = 1 }",
+    "1979-05-27",
+    "null",
+    "~",
+    "!secret k",
+    "!include k.yaml",
+    "${VAR}",
+    "*a",
+    "&a",
+    "0,1",
+    "1/10",
+    "x10",
+    "-",
+    "|",
+    ">",
+    "<<",
+    "<<:",
+    "1.000,5",
+    "٣",
+    "é",
+    "\x7f",
+)
 """Replacements of a value: wrong types, ends of ranges, other tools' placeholders, decimal commas."""
 MARKS = (
     '"',
@@ -251,14 +289,19 @@ BA_ "GenMsgCycleTime" BO_ 300 500;
 VAL_ 300 Mode 0 "off" 1 "on" ;
 """
 RUN = {
-    "uid": "a", "format": 1, "exit_status": "done", "files": {"rig": {"path": "rig.toml", "sha256": "00"}},
+    "uid": "a",
+    "format": 1,
+    "exit_status": "done",
+    "files": {"rig": {"path": "rig.toml", "sha256": "00"}},
     "segments": [{"number": 2, "from_s": 9.0, "gap_s": 3.0, "profile_s": 9.0, "why": "cut", "exit_status": "done"}],
     "settings": {"speed": 1.0, "seed": 3},
-}  # fmt: skip
+}
 CARD = {
-    "format": 3, "name": "loop", "members": {"a.safetensors": "00", "b.safetensors": "11"},
+    "format": 3,
+    "name": "loop",
+    "members": {"a.safetensors": "00", "b.safetensors": "11"},
     "modes": {"causal": {"outputs": {"overall": [1.0], "binned": {"0": [1.0]}}, "parameters": None}},
-}  # fmt: skip
+}
 
 
 def mutated(text: str, pick: random.Random) -> bytes:
@@ -382,6 +425,16 @@ def _word_by(text: str, pick: random.Random, new: str) -> str:
 
 
 _CHANGES: tuple[Callable[[str, random.Random], str], ...] = (
-    _word, _word, _word, _number, _number, _line, _line, _mark, _letter, _letter, _odd,
-)  # fmt: skip
+    _word,
+    _word,
+    _word,
+    _number,
+    _number,
+    _line,
+    _line,
+    _mark,
+    _letter,
+    _letter,
+    _odd,
+)
 """Changes; the first have more weight: they keep most of the file unchanged."""

@@ -150,8 +150,11 @@ def _watched(size: TimingSize, seed: int, runs: Path, kill_s: float | None) -> t
     command = ["run", str(size.profile), "--virtual", "--lockstep", "--no-viewer", "--seed", str(seed)]
     process = subprocess.Popen(
         [sys.executable, "-m", "hil", *command, "--runs", str(runs)],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, cwd=PROFILES.parent, text=True,
-    )  # fmt: skip
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        cwd=PROFILES.parent,
+        text=True,
+    )
     memory: list[_Memory] = []
     try:
         while process.poll() is None:
@@ -274,16 +277,24 @@ def _resume_tables(
     }
     rows: list[tuple[Cell, ...]] = []
     for k, (sensor, columns) in enumerate(whole.header.twin_sensors.items()):
-        own, other = (j.values[r][:, [j.column(c) for c in columns]].mean(axis=1) for j, r in
-                      ((after, mine), (whole, theirs)))  # fmt: skip
+        own, other = (
+            j.values[r][:, [j.column(c) for c in columns]].mean(axis=1) for j, r in ((after, mine), (whole, theirs))
+        )
         off = own - other
         rest = off - (after.static[mine, k] - whole.static[theirs, k])
         noise = float(np.sqrt(2.0) * whole.header.noise_K[sensor])
         later = _rms(rest[parts["later"]])
         rows.append(
-            (sensor, _rms(off[parts["before"]]), _rms(off[parts["2 h after"]]), _rms(off[parts["later"]]), later, noise,
-             "yes" if later <= 1.25 * noise else "no")
-        )  # fmt: skip
+            (
+                sensor,
+                _rms(off[parts["before"]]),
+                _rms(off[parts["2 h after"]]),
+                _rms(off[parts["later"]]),
+                later,
+                noise,
+                "yes" if later <= 1.25 * noise else "no",
+            )
+        )
     notes = (
         "room out: less what the static twin expects of the two runs' room temperatures, which are of other hours. "
         "noise: of the difference of two readings. within: room out is at most 1.25 times that.",

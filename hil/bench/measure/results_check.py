@@ -41,10 +41,16 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "wire": ("drivers/bus", "drivers/can", "drivers/modbus", "drivers/signals", "hil/bench/fuzz"),
     "tower": ("twin/tower", "twin/historian", "hil/tower"),
     "files": (
-        *_TWIN, "drivers/can", "drivers/importers", "drivers/rig_file", "hil/bench/fuzz", "hil/files", "hil/profile",
+        *_TWIN,
+        "drivers/can",
+        "drivers/importers",
+        "drivers/rig_file",
+        "hil/bench/fuzz",
+        "hil/files",
+        "hil/profile",
         "hil/record",
     ),
-}  # fmt: skip
+}
 """Code that each command of `hil bench` measures: folders with all that is below them, and `*` within one folder."""
 
 

@@ -8,13 +8,27 @@ registers; with LANES = 1 it is ordinary scalar C. The exponents of the fan law 
 from __future__ import annotations
 
 C_PARAMETERS = (
-    "heater.capacitance", "modules.capacitance", "radiator.capacitance", "tank.capacitance",
-    "circuit.nominal", "circuit.factor", "circuit.cp", "circuit.effectiveness_modules",
-    "heater_to_modules.resistance", "modules_to_radiator.resistance", "radiator_to_tank.resistance",
-    "heater_loss.hA", "modules_loss.hA", "tank_loss.hA",
-    "fins.UA_100", "fins.fan_exponent", "fins.flow_exponent", "fins.UA_still",
-    "heater_power.factor", "modules_power.power",
-)  # fmt: skip
+    "heater.capacitance",
+    "modules.capacitance",
+    "radiator.capacitance",
+    "tank.capacitance",
+    "circuit.nominal",
+    "circuit.factor",
+    "circuit.cp",
+    "circuit.effectiveness_modules",
+    "heater_to_modules.resistance",
+    "modules_to_radiator.resistance",
+    "radiator_to_tank.resistance",
+    "heater_loss.hA",
+    "modules_loss.hA",
+    "tank_loss.hA",
+    "fins.UA_100",
+    "fins.fan_exponent",
+    "fins.flow_exponent",
+    "fins.UA_still",
+    "heater_power.factor",
+    "modules_power.power",
+)
 """Order of a particle's numbers."""
 C_INPUTS = ("heater_power_W", "pump_speed_pct", "fan_speed_pct", "T_ambient_C")
 

@@ -130,8 +130,17 @@ def make_case(
     scene = Scene(plant, drive, schedule, t, onset, rng, calm)
     kind, injection = _chosen(scene, effect, family in SEALED)
     shown, inputs = calm_shown, plant.columns(drive)
-    truth: dict[str, Any] = {"family": family, "seed": seed, "effect": "none", "group": "none", "element": True,
-                             "answers": [], "place": "", "score": 0.0, "score_of_noise": 0.0}  # fmt: skip
+    truth: dict[str, Any] = {
+        "family": family,
+        "seed": seed,
+        "effect": "none",
+        "group": "none",
+        "element": True,
+        "answers": [],
+        "place": "",
+        "score": 0.0,
+        "score_of_noise": 0.0,
+    }
     if kind is not None and injection is not None:
         network_inputs, first = _of(fit.network, calm_shown, inputs)
         ruler = yardstick(fit, (healthy.time_s, *chosen), t, network_inputs, first[0])
@@ -156,17 +165,30 @@ def make_case(
                 *reversed(_of(fit.network, calm_shown, plant.columns(drive))),
             )
         truth |= {
-            "effect": kind.name, "group": kind.group, "element": kind.element, "place": injection.place,
-            "answers": [asdict(a) for a in injection.answers], "size": amount, "unit": injection.unit,
-            "onset_s": injection.onset_s, "score": scores[0], "score_of_noise": scores[1], "wanted": wanted,
-        }  # fmt: skip
+            "effect": kind.name,
+            "group": kind.group,
+            "element": kind.element,
+            "place": injection.place,
+            "answers": [asdict(a) for a in injection.answers],
+            "size": amount,
+            "unit": injection.unit,
+            "onset_s": injection.onset_s,
+            "score": scores[0],
+            "score_of_noise": scores[1],
+            "wanted": wanted,
+        }
     truth |= {"schedule": asdict(schedule), "rows": len(t), "sigma_K": plant.sigma_K, "volumes": len(network.nodes)}
     record = noisy(plant, t, shown, inputs, np.random.default_rng([seed, 3]))
     clocked = with_clock(fit.network)
     return Case(
-        f"{family}_{seed}", clocked, columns_of(clocked, record, START_H), columns_of(clocked, healthy, START_H), truth,
-        {"record": record, "healthy": healthy}, took,
-    )  # fmt: skip
+        f"{family}_{seed}",
+        clocked,
+        columns_of(clocked, record, START_H),
+        columns_of(clocked, healthy, START_H),
+        truth,
+        {"record": record, "healthy": healthy},
+        took,
+    )
 
 
 def draw_schedules(rng: np.random.Generator) -> tuple[Schedule, Schedule]:
@@ -192,9 +214,14 @@ def _chosen(scene: Scene, effect: str | None, sealed: bool) -> tuple[EffectType 
 
 
 def inject(
-    plant: Plant, drive: Drive, schedule: Schedule, injection: Injection, size: float, calm: Array,
+    plant: Plant,
+    drive: Drive,
+    schedule: Schedule,
+    injection: Injection,
+    size: float,
+    calm: Array,
     calm_shown: Mapping[str, Array],
-) -> tuple[dict[str, Array], dict[str, Array]]:  # fmt: skip
+) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return noise-free readings and recorded inputs of a record with an effect of a size."""
     inputs = plant.columns(drive)
     shown = dict(calm_shown)

@@ -38,9 +38,12 @@ def make(request: Request, sealed: Path) -> Request:
     sealed.mkdir(parents=True, exist_ok=True)
     (sealed / f"{request['name']}.json").write_text(text, encoding="utf-8")
     return {
-        **found, "twin": str(twin), "sealed": hashlib.sha256(text.encode()).hexdigest(),
-        "cpu_s": time.process_time() - began, "commission_cpu_s": case.commission_cpu_s,
-    }  # fmt: skip
+        **found,
+        "twin": str(twin),
+        "sealed": hashlib.sha256(text.encode()).hexdigest(),
+        "cpu_s": time.process_time() - began,
+        "commission_cpu_s": case.commission_cpu_s,
+    }
 
 
 def main() -> None:

@@ -10,9 +10,15 @@ from typing import Any
 from hil.bench.discovery import NAMED, pooled, spoken
 
 RIGHT, ALIKE, ABSTAINED, MISSED, WRONG, FALSE_ALARM, QUIET, CRASHED = (
-    "right", "right within the ambiguity group", "left unexplained", "missed", "wrong", "false alarm", "quiet",
+    "right",
+    "right within the ambiguity group",
+    "left unexplained",
+    "missed",
+    "wrong",
+    "false alarm",
+    "quiet",
     "no answer",
-)  # fmt: skip
+)
 _SAME_DRIVER = (frozenset({"history", "rate_of_change"}), frozenset({"temperature", "temperature_difference"}))
 
 
@@ -88,19 +94,37 @@ def judge(
     outcome = _outcome(verdict, hidden, named, effects, accepted, answer)
     errors = pooled(answer)
     return ZooScore(
-        case=case, family=str(truth["family"]), effect=str(truth["effect"]), group=str(truth["group"]),
-        element=bool(truth["element"]), score=float(truth["score"]), score_of_noise=float(truth["score_of_noise"]),
-        verdict=verdict, said="; ".join(spoken(e) for e in effects) or "-", outcome=outcome, place=place,
-        spurious=spurious, before_K=errors[0] if errors else None, after_K=errors[1] if errors else None,
-        noise_K=errors[2] if errors else None, healthy_K=healthy_K, diagnose_cpu_s=diagnose_cpu_s,
-        make_cpu_s=make_cpu_s, load=str(truth.get("schedule", {}).get("kind", "")), rows=int(truth.get("rows", 0)),
-    )  # fmt: skip
+        case=case,
+        family=str(truth["family"]),
+        effect=str(truth["effect"]),
+        group=str(truth["group"]),
+        element=bool(truth["element"]),
+        score=float(truth["score"]),
+        score_of_noise=float(truth["score_of_noise"]),
+        verdict=verdict,
+        said="; ".join(spoken(e) for e in effects) or "-",
+        outcome=outcome,
+        place=place,
+        spurious=spurious,
+        before_K=errors[0] if errors else None,
+        after_K=errors[1] if errors else None,
+        noise_K=errors[2] if errors else None,
+        healthy_K=healthy_K,
+        diagnose_cpu_s=diagnose_cpu_s,
+        make_cpu_s=make_cpu_s,
+        load=str(truth.get("schedule", {}).get("kind", "")),
+        rows=int(truth.get("rows", 0)),
+    )
 
 
 def _outcome(
-    verdict: str, hidden: bool, named: bool, effects: Sequence[Mapping[str, Any]],
-    accepted: Sequence[Mapping[str, Any]], answer: Mapping[str, Any],
-) -> str:  # fmt: skip
+    verdict: str,
+    hidden: bool,
+    named: bool,
+    effects: Sequence[Mapping[str, Any]],
+    accepted: Sequence[Mapping[str, Any]],
+    answer: Mapping[str, Any],
+) -> str:
     if verdict == "crashed":
         return CRASHED
     if not hidden:

@@ -48,8 +48,9 @@ def _scores(hidden: Sequence[ZooScore], quiet: Sequence[ZooScore], which: str) -
     left = [s for s in hidden if s.outcome == ABSTAINED and s.place is not None]
     rows = (
         _count("alarms on healthy records", quiet, lambda s: s.outcome != QUIET),
-        _count("a cause named on healthy records", quiet,
-               lambda s: s.outcome == FALSE_ALARM and s.verdict != "unexplained"),
+        _count(
+            "a cause named on healthy records", quiet, lambda s: s.outcome == FALSE_ALARM and s.verdict != "unexplained"
+        ),
         _count("kind and place right, of all", hidden, lambda s: s.outcome == RIGHT),
         _count("the same, or within the ambiguity group", hidden, lambda s: s.outcome in (RIGHT, ALIKE)),
         _count("a wrong cause named, of all", hidden, lambda s: s.outcome == WRONG),
@@ -57,14 +58,20 @@ def _scores(hidden: Sequence[ZooScore], quiet: Sequence[ZooScore], which: str) -
         _count("left unexplained: place right", left, lambda s: bool(s.place)),
         _count("missed, of all", hidden, lambda s: s.outcome == MISSED),
         _count("named: a spurious second effect", named, lambda s: s.spurious > 0),
-        _count(f"element, score of {SEEN:g} or more: right, or within the ambiguity group", inside,
-               lambda s: s.outcome in (RIGHT, ALIKE)),
+        _count(
+            f"element, score of {SEEN:g} or more: right, or within the ambiguity group",
+            inside,
+            lambda s: s.outcome in (RIGHT, ALIKE),
+        ),
         _count(f"element, score of {SEEN:g} or more: a wrong cause named", inside, lambda s: s.outcome == WRONG),
-        _count(f"no element, score of {SEEN:g} or more: right or left unexplained", outside,
-               lambda s: s.outcome in (RIGHT, ALIKE, ABSTAINED)),
+        _count(
+            f"no element, score of {SEEN:g} or more: right or left unexplained",
+            outside,
+            lambda s: s.outcome in (RIGHT, ALIKE, ABSTAINED),
+        ),
         _count(f"no element, score of {SEEN:g} or more: a wrong cause named", outside, lambda s: s.outcome == WRONG),
         _count("no answer (an error)", [*hidden, *quiet], lambda s: s.outcome == CRASHED),
-    )  # fmt: skip
+    )
     note = "sealed families, opened for this table" if which == "sealed" else "families for development"
     columns = ("what", "cases", "of", "%", "90 % from", "to")
     return ReportTable("scores", "Scores", columns, tuple(r for r in rows if r[2]), (note, DEFINITION))
@@ -90,10 +97,14 @@ def _by(key: str, title: str, hidden: Sequence[ZooScore], of: Callable[[ZooScore
     rows: list[tuple[Cell, ...]] = []
     for each in names:
         found = [s for s in hidden if of(s) == each]
-        rows.append((
-            each, len(found), *(sum(s.outcome == o for s in found) for o in OUTCOMES),
-            sum(s.spurious > 0 for s in found),
-        ))  # fmt: skip
+        rows.append(
+            (
+                each,
+                len(found),
+                *(sum(s.outcome == o for s in found) for o in OUTCOMES),
+                sum(s.spurious > 0 for s in found),
+            )
+        )
     return ReportTable(key, title, (name, "cases", *OUTCOMES, "spurious second"), tuple(rows))
 
 
@@ -110,23 +121,34 @@ def _numbers(done: Sequence[ZooScore], hidden: Sequence[ZooScore], quiet: Sequen
         row("held out, healthy record of commissioning, K", [s.healthy_K for s in done]),
         row("held out, re-tuned, over the healthy floor", before),
         row("held out, with the effects, over the healthy floor", over),
-        row("held out, healthy plants, over the healthy floor",
-            [s.after_K / s.healthy_K for s in quiet if s.after_K is not None and s.healthy_K]),
+        row(
+            "held out, healthy plants, over the healthy floor",
+            [s.after_K / s.healthy_K for s in quiet if s.after_K is not None and s.healthy_K],
+        ),
         row("samples", [float(s.rows) for s in done]),
         row("diagnosis, s of processors", [s.diagnose_cpu_s for s in done]),
         row("plant and commissioning, s of processors", [s.make_cpu_s for s in done]),
-    )  # fmt: skip
-    return ReportTable("numbers", "Sizes, errors and time", ("what", "median", "worst", "cases"),
-                       tuple(r for r in rows if r[3]))  # fmt: skip
+    )
+    return ReportTable(
+        "numbers", "Sizes, errors and time", ("what", "median", "worst", "cases"), tuple(r for r in rows if r[3])
+    )
 
 
 def _cases(done: Sequence[ZooScore]) -> ReportTable:
     rows = tuple(
         (
-            s.case, s.family, s.effect, "yes" if s.element else "no", s.score, s.verdict, s.outcome, s.spurious, s.said,
+            s.case,
+            s.family,
+            s.effect,
+            "yes" if s.element else "no",
+            s.score,
+            s.verdict,
+            s.outcome,
+            s.spurious,
+            s.said,
             s.diagnose_cpu_s,
         )
         for s in done
-    )  # fmt: skip
+    )
     columns = ("case", "family", "truth", "element", "true score", "verdict", "outcome", "spurious", "answer", "cpu s")
     return ReportTable("cases", "Cases", columns, rows)

@@ -70,8 +70,11 @@ class ZooTrial:
             made = _made(injector, case, folder)
             self._write(case.name, "sealed", made["sealed"])
             given = {
-                "record": made["record"], "twin": made["twin"], "healthy": made["healthy"], "hour": START_H,
-            }  # fmt: skip
+                "record": made["record"],
+                "twin": made["twin"],
+                "healthy": made["healthy"],
+                "hour": START_H,
+            }
             try:
                 handed_in = answerer.ask(**given, out=str(folder))
                 path, took = Path(handed_in["answer"]), float(handed_in["cpu_s"])
@@ -120,8 +123,14 @@ def _healthy_floor(twin: Path) -> float | None:
 
 
 def measure(
-    which: str, cases: int, healthy: int, seed: int, jobs: int, work: Path, progress: Callable[[float, str], None],
-) -> list[ZooScore]:  # fmt: skip
+    which: str,
+    cases: int,
+    healthy: int,
+    seed: int,
+    jobs: int,
+    work: Path,
+    progress: Callable[[float, str], None],
+) -> list[ZooScore]:
     """Run a trial. `progress` is called with the share done and the last result."""
     trial = ZooTrial(which, seed, work, jobs)
     planned = plan(which, cases, healthy, seed)

@@ -45,9 +45,13 @@ def sheet_twin(sheet: Mapping[str, Any], *, fan_varies: bool, pump_varies: bool)
     for k, loop in enumerate(sheet["loops"]):
         name = "circuit" if k == 0 else f"circuit{k + 1}"
         flow: dict[str, Any] = {
-            "kind": "flow", "path": loop["path"], "pump": loop["pump"], "nominal": {"value": loop["L_per_min"]},
-            "cp": {"value": loop["cp"] / 0.997}, "factor": {"value": 1.0, "lower": 0.4, "upper": 2.5},
-        }  # fmt: skip
+            "kind": "flow",
+            "path": loop["path"],
+            "pump": loop["pump"],
+            "nominal": {"value": loop["L_per_min"]},
+            "cp": {"value": loop["cp"] / 0.997},
+            "factor": {"value": 1.0, "lower": 0.4, "upper": 2.5},
+        }
         free.append(f"{name}.factor")
         for node in loop["path"]:
             pump_of[node] = loop["pump"]
@@ -62,41 +66,55 @@ def sheet_twin(sheet: Mapping[str, Any], *, fan_varies: bool, pump_varies: bool)
         if node["fan_W_per_K"]:
             full = node["fan_W_per_K"]
             elements[f"fins_{name}"] = {
-                "kind": "radiator", "node": name, "fan": FAN_COLUMN, "pump": pump_of[name], "UA_100": positive(full),
+                "kind": "radiator",
+                "node": name,
+                "fan": FAN_COLUMN,
+                "pump": pump_of[name],
+                "UA_100": positive(full),
                 "fan_exponent": {"value": 0.6, "lower": 0.1, "upper": 1.5},
                 "flow_exponent": {"value": 0.0, "lower": -0.5, "upper": 1.0},
                 "UA_still": {"value": STILL_SHARE * full, "lower": 0.0, "upper": full},
-            }  # fmt: skip
+            }
             free += [f"fins_{name}.UA_100"]
             free += [f"fins_{name}.fan_exponent", f"fins_{name}.UA_still"] if fan_varies else []
             free += [f"fins_{name}.flow_exponent"] if pump_varies else []
         else:
             elements[f"{name}_loss"] = {
-                "kind": "ambient_loss", "node": name,
+                "kind": "ambient_loss",
+                "node": name,
                 "hA": {"value": node["loss_W_per_K"], "lower": 1e-3, "upper": 20.0 * node["loss_W_per_K"] + 5.0},
-            }  # fmt: skip
+            }
             free.append(f"{name}_loss.hA")
     if sheet["exchanger"] is not None:
         link = sheet["exchanger"]
         elements["exchanger"] = {
-            "kind": "conduction", "from": link["hot"], "to": link["cold"],
+            "kind": "conduction",
+            "from": link["hot"],
+            "to": link["cold"],
             "resistance": {
-                "value": max(link["K_per_W"], LEAST_K_PER_W), "lower": LEAST_K_PER_W, "upper": WIDTH * link["K_per_W"],
+                "value": max(link["K_per_W"], LEAST_K_PER_W),
+                "lower": LEAST_K_PER_W,
+                "upper": WIDTH * link["K_per_W"],
             },
-        }  # fmt: skip
+        }
         free.append("exchanger.resistance")
     for column, nodes in sheet["heaters"].items():
         for node in nodes:
             elements[f"power_of_{node}"] = {
-                "kind": "heat_source", "node": node, "driver": column,
+                "kind": "heat_source",
+                "node": node,
+                "driver": column,
                 "factor": {"value": 1.0 / len(nodes), "lower": 0.0, "upper": 3.0},
-            }  # fmt: skip
+            }
     for node, columns in sheet["sensors"].items():
         if columns:
             name = columns[0] if len(columns) == 1 else f"T_{node}_C"
             elements[name] = {
-                "kind": "sensor", "node": node, "columns": columns, "sigma": {"value": sheet["sigma_K"]},
-            }  # fmt: skip
+                "kind": "sensor",
+                "node": node,
+                "columns": columns,
+                "sigma": {"value": sheet["sigma_K"]},
+            }
     inputs: dict[str, dict[str, Any]] = {
         column: {"nominal": 0.5 * rated, "lower": 0.0, "upper": rated, "unit": "W"}
         for column, rated in sheet["rated_W"].items()
@@ -107,8 +125,12 @@ def sheet_twin(sheet: Mapping[str, Any], *, fan_varies: bool, pump_varies: bool)
     inputs[ROOM_COLUMN] = {"nominal": 22.0, "lower": -40.0, "upper": 60.0, "unit": "degC"}
     return from_tables(
         {
-            "format": 1, "name": "zoo", "title": "Lumped twin from a data sheet", "inputs": inputs,
-            "elements": elements, "sets": {"commission": {"members": free}},
+            "format": 1,
+            "name": "zoo",
+            "title": "Lumped twin from a data sheet",
+            "inputs": inputs,
+            "elements": elements,
+            "sets": {"commission": {"members": free}},
         },
         "data sheet",
-    )  # fmt: skip
+    )

@@ -85,9 +85,11 @@ def yardstick(
     structure = np.array([_long_variance(free[:, j]) for j in range(free.shape[1])])
     shape = base.shape
     return Yardstick(
-        twin, np.array(rows).T, np.broadcast_to(np.maximum(structure, noise), shape).ravel(),
+        twin,
+        np.array(rows).T,
+        np.broadcast_to(np.maximum(structure, noise), shape).ravel(),
         np.broadcast_to(noise, shape).ravel(),
-    )  # fmt: skip
+    )
 
 
 def blocks(course: Array) -> Array:

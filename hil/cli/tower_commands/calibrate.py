@@ -23,9 +23,12 @@ if TYPE_CHECKING:
 @click.option("--labels", type=INPUT_FILE, help="Inspections, traverses and certificates, CSV.")
 @click.option("--events", type=INPUT_FILE, help="Events, CSV; default: those of the record.")
 @click.option(
-    "--mode", type=click.Choice(("shadow", "advisory", "controlled")), default="shadow", show_default=True,
+    "--mode",
+    type=click.Choice(("shadow", "advisory", "controlled")),
+    default="shadow",
+    show_default=True,
     help="Records alone; the review queue too; revisions of the twins too.",
-)  # fmt: skip
+)
 def command(
     record: Path, twins: tuple[Path, ...], out: Path, labels: Path | None, events: Path | None, mode: str
 ) -> None:

@@ -64,6 +64,7 @@ def command(record: Path, cell: int, datasheet: Path, points: Path, out: Path, h
     if kept is not None:
         terminal.print(
             f"healthy record: {(kept.end_s - kept.start_s) / 86400.0:.0f} days, {path_beside(out, network)}",
-            markup=False, soft_wrap=True,
-        )  # fmt: skip
+            markup=False,
+            soft_wrap=True,
+        )
     terminal.print(f"written: {out}", markup=False, soft_wrap=True)

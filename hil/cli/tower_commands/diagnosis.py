@@ -23,9 +23,14 @@ def is_tower(target: Path) -> bool:
 
 
 def diagnose_tower(
-    record: Path, twins: Sequence[Path], labels: Path | None, out: Path | None, dry: bool, as_json: bool,
+    record: Path,
+    twins: Sequence[Path],
+    labels: Path | None,
+    out: Path | None,
+    dry: bool,
+    as_json: bool,
     others: Sequence[str],
-) -> None:  # fmt: skip
+) -> None:
     """Diagnose the cells of a record, write diagnosis.json and revisions of their twins, and print the result.
 
     Parameters

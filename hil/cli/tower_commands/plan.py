@@ -40,8 +40,9 @@ def command(record: Path, twin: Path, warmer: float) -> None:
     terminal = console()
     terminal.print(
         f"cell {found.cell}: on {found.day} the condition number was {found.without.condition:.0f}; known least is "
-        f"{found.without.says()}", markup=False,
-    )  # fmt: skip
+        f"{found.without.says()}",
+        markup=False,
+    )
     if not found.tests:
         terminal.print(
             f"no test keeps the outlet within {warmer:g} K; allow more with --warmer or wait for a lower load",
@@ -53,10 +54,12 @@ def command(record: Path, twin: Path, warmer: float) -> None:
         table.add_column(heading)
     for test in found.tests[:SHOWN]:
         table.add_row(
-            f"{100 * test.fan:.0f} %", f"{100 * test.flow:.0f} %", f"{test.told.condition:.0f}",
+            f"{100 * test.fan:.0f} %",
+            f"{100 * test.flow:.0f} %",
+            f"{test.told.condition:.0f}",
             f"{100 * test.told.sd['fill']:.1f} %",
             f"+{test.warmer:.1f} / -{test.colder:.1f} K",
-        )  # fmt: skip
+        )
     terminal.print(table)
     best = found.tests[0]
     steps = "; ".join(

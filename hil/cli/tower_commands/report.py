@@ -81,10 +81,14 @@ def recorded_events(record: Path) -> tuple[Event, ...]:
         rows = json.loads(path.read_text())["events"]
         return tuple(
             Event(
-                datetime.datetime.fromisoformat(row["time"].replace("Z", "+00:00")).timestamp(), bool(row["by_day"]),
-                int(row["cell"]), row["kind"], row["source"], row["text"],
+                datetime.datetime.fromisoformat(row["time"].replace("Z", "+00:00")).timestamp(),
+                bool(row["by_day"]),
+                int(row["cell"]),
+                row["kind"],
+                row["source"],
+                row["text"],
             )
             for row in rows
-        )  # fmt: skip
+        )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RecordError(f"{path}: holds no events that can be read ({error}); align the record again") from error

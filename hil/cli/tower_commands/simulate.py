@@ -38,9 +38,16 @@ EFFECTS = ("recirculation", "bypass_leak", "neighbour", "solar")
     help="Folder of .epw and .tm2 files; default: $HIL_DATA/weather.",
 )
 def command(
-    out: Path, months: float, cells: int, seed: int, start: datetime.datetime, hide: tuple[str, ...], defects: bool,
-    score: bool, weather: Path | None,
-) -> None:  # fmt: skip
+    out: Path,
+    months: float,
+    cells: int,
+    seed: int,
+    start: datetime.datetime,
+    hide: tuple[str, ...],
+    defects: bool,
+    score: bool,
+    weather: Path | None,
+) -> None:
     """Simulate one or two stations of cooling towers and their historian.
 
     Station A has four cells in Chicago, station B two in Miami; `--cells` says how many have a record, two thirds of

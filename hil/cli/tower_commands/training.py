@@ -56,9 +56,21 @@ STATIONS = 24
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def tower_command(
-    size: str, seed: int, data: Path, stations: int, months: float, workers: int, steps: int, batch: int,
-    minutes: float | None, device: str, threads: int, half: bool | None, out: Path, as_json: bool,
-) -> None:  # fmt: skip
+    size: str,
+    seed: int,
+    data: Path,
+    stations: int,
+    months: float,
+    workers: int,
+    steps: int,
+    batch: int,
+    minutes: float | None,
+    device: str,
+    threads: int,
+    half: bool | None,
+    out: Path,
+    as_json: bool,
+) -> None:
     """Train one member for cooling-tower cells on simulated stations.
 
     Weights and model card go to OUT. A training that --minutes or Ctrl-C interrupted continues when the same command is
@@ -88,9 +100,15 @@ def tower_command(
         if done.stations == done.wanted:
             with ProgressBar("training", float(steps), quiet=as_json) as bar:
                 done = train_member(
-                    data, size, plan, out / f"tower_{size}_{seed}.safetensors", stopped=lambda: stop.over,
-                    command=shlex.join(words), say=bar.update, device=device,
-                )  # fmt: skip
+                    data,
+                    size,
+                    plan,
+                    out / f"tower_{size}_{seed}.safetensors",
+                    stopped=lambda: stop.over,
+                    command=shlex.join(words),
+                    say=bar.update,
+                    device=device,
+                )
                 bar.cut = done.card is None
     if as_json:
         click.echo(json.dumps(asdict(done), default=str, indent=1))
@@ -105,6 +123,8 @@ def tower_command(
                 f"{done.refused}: parameters are {done.gate['parameters_worse'][0]:.1%} and outputs "
                 f"{done.gate['outputs_worse'][0]:.1%} worse with another window's channels, which is less than "
                 f"{done.gate['least']:.0%} or not certain; the member is not used: train longer or on more stations"
-                if done.gate else done.refused, soft_wrap=True,
-            )  # fmt: skip
+                if done.gate
+                else done.refused,
+                soft_wrap=True,
+            )
     sys.exit(INTERRUPTED if stop.interrupted else REFUSED if done.refused else 0)

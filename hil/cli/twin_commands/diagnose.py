@@ -116,10 +116,17 @@ def command(
 
     if is_tower(target):
         others = {
-            "--healthy": healthy, "--no-healthy": no_healthy, "--with": more, "--at-rest": at_rest, "--rig": rig,
-            "--clock": clock, "--empirical": empirical, "--review": review,
-            "--forecast": forecast, "--bootstrap": bootstrap,
-        }  # fmt: skip
+            "--healthy": healthy,
+            "--no-healthy": no_healthy,
+            "--with": more,
+            "--at-rest": at_rest,
+            "--rig": rig,
+            "--clock": clock,
+            "--empirical": empirical,
+            "--review": review,
+            "--forecast": forecast,
+            "--bootstrap": bootstrap,
+        }
         diagnose_tower(target, twins, labels, out, dry, as_json, [name for name, value in others.items() if value])
         return
     if labels is not None:

@@ -24,11 +24,18 @@ _REASONS = {
     **{
         number: f"stopped by {number.name}"
         for number in (
-            signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF, signal.SIGXCPU,
-            signal.SIGXFSZ, signal.SIGIO, signal.SIGPWR,
+            signal.SIGUSR1,
+            signal.SIGUSR2,
+            signal.SIGALRM,
+            signal.SIGVTALRM,
+            signal.SIGPROF,
+            signal.SIGXCPU,
+            signal.SIGXFSZ,
+            signal.SIGIO,
+            signal.SIGPWR,
         )
     },
-}  # fmt: skip
+}
 _OF_A_TERMINAL = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
 _SKIPPING = (signal.SIGINT, signal.SIGTERM)
 

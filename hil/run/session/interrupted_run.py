@@ -25,9 +25,13 @@ AIM_TICKS = 10
 AIM_WITHIN_S = 60.0
 """Greatest age of these values, s: the cause of the interruption may have lost a sensor's last values."""
 FILES = {
-    "rig": "--rig", "profile": "--profile", "twin": "--twin", "effects": "--with", "healthy": "--healthy",
+    "rig": "--rig",
+    "profile": "--profile",
+    "twin": "--twin",
+    "effects": "--with",
+    "healthy": "--healthy",
     "network": "--network",
-}  # fmt: skip
+}
 """Files that a run depends on: name in `run.json` -> option that gives the new place of a moved file."""
 
 

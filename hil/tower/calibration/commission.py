@@ -21,14 +21,24 @@ from twin.tower.model import CellModel
 from twin.tower.twin_file import cell_network, cell_of, design_of, value_of
 
 REQUIRED = (
-    "cell", "water_inlet_C", "water_outlet_C", "entering_wet_bulb_C", "dry_bulb_C", "water_flow_kg_s", "fan_speed_pct",
-)  # fmt: skip
+    "cell",
+    "water_inlet_C",
+    "water_outlet_C",
+    "entering_wet_bulb_C",
+    "dry_bulb_C",
+    "water_flow_kg_s",
+    "fan_speed_pct",
+)
 OPTIONAL = ("pressure_kPa", "fan_power_kW", "air_flow_kg_s", "evaporation_kg_s", "wind_m_s")
 RANGES = {
-    "water_inlet_C": (0.0, 70.0), "water_outlet_C": (0.0, 60.0), "entering_wet_bulb_C": (-30.0, 40.0),
-    "dry_bulb_C": (-40.0, 60.0), "water_flow_kg_s": (0.01, 1e5), "fan_speed_pct": (5.0, 120.0), "pressure_kPa": (50.0,
-    110.0),
-}  # fmt: skip
+    "water_inlet_C": (0.0, 70.0),
+    "water_outlet_C": (0.0, 60.0),
+    "entering_wet_bulb_C": (-30.0, 40.0),
+    "dry_bulb_C": (-40.0, 60.0),
+    "water_flow_kg_s": (0.01, 1e5),
+    "fan_speed_pct": (5.0, 120.0),
+    "pressure_kPa": (50.0, 110.0),
+}
 """Values that a test point can have in these units; others are in another unit, which the message names."""
 HINTS = {
     "C": "it looks like degF: convert to degC",
@@ -68,9 +78,13 @@ def read_points(path: Path, cell: int, site_kPa: float = 101.325) -> Commissioni
         raise RecordError(f"{path}: has no test point of cell {cell}; it has those of {_listed(cells)}")
     v = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     inputs = Inputs(
-        v["water_inlet_C"], v["water_flow_kg_s"], v["fan_speed_pct"] / 100.0, v["dry_bulb_C"], v["entering_wet_bulb_C"],
+        v["water_inlet_C"],
+        v["water_flow_kg_s"],
+        v["fan_speed_pct"] / 100.0,
+        v["dry_bulb_C"],
+        v["entering_wet_bulb_C"],
         v["pressure_kPa"],
-    )  # fmt: skip
+    )
     points = TestPoints(inputs, v["water_outlet_C"], v["fan_power_kW"], v["air_flow_kg_s"], v["evaporation_kg_s"])
     return CommissioningPoints(points, tuple(names))
 
@@ -99,9 +113,13 @@ def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, 
         raise RecordError(f"{points}: cell {cell} {error}") from error
     evidence = f"{len(found.names)} test points, {fitted.rmse:.3f} K RMSE of the outlet"
     revision = Revision(
-        made_by="hil tower commission", evidence=evidence, record=digest(points.read_text()), record_file=points.name,
-        error_fitted_K={"T_out_C": fitted.rmse}, notes=fitted.remarks,
-    )  # fmt: skip
+        made_by="hil tower commission",
+        evidence=evidence,
+        record=digest(points.read_text()),
+        record_file=points.name,
+        error_fitted_K={"T_out_C": fitted.rmse},
+        notes=fitted.remarks,
+    )
     station = str(sheet.get("station", ""))
     return cell_network(cell, station, fitted.design, share, fitted.rmse, fitted.sd, revision), fitted, found
 

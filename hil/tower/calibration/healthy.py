@@ -69,12 +69,14 @@ def write_healthy(healthy: Healthy, path: Path) -> None:
     """
     text = json.dumps(
         {
-            "format": FORMAT, "from": _iso(healthy.start_s), "to": _iso(healthy.end_s),
+            "format": FORMAT,
+            "from": _iso(healthy.start_s),
+            "to": _iso(healthy.end_s),
             "constants": [*NAMES, *(f"feature_{k}" for k in range(len(healthy.mean) - len(NAMES)))],
             "mean": [float(f"{v:.7g}") for v in healthy.mean],
             "covariance": [[float(f"{v:.7g}") for v in row] for row in healthy.covariance],
         }
-    )  # fmt: skip
+    )
     with replacing(path) as unfinished:
         unfinished.write_text(text + "\n")
 
@@ -91,9 +93,11 @@ def read_healthy(path: Path) -> Healthy | None:
     count = len(NAMES) + discrepancy.FEATURES
     try:
         healthy = Healthy(
-            seconds(found["from"]), seconds(found["to"]), np.array(found["mean"], dtype=float),
+            seconds(found["from"]),
+            seconds(found["to"]),
+            np.array(found["mean"], dtype=float),
             np.array(found["covariance"], dtype=float),
-        )  # fmt: skip
+        )
         named = found["constants"][: len(NAMES)] == list(NAMES) and found["format"] == FORMAT
         if not named or healthy.mean.shape != (count,) or healthy.covariance.shape != (count, count):
             raise ValueError("its constants are those of another version")

@@ -19,9 +19,11 @@ from hil.tower.calibration.truth import Columns
 from twin.historian.events import Event, influence_of
 
 TITLES = {
-    "fill": "fill, share of clean", "air": "air, share of clean", "uniformity": "uniformity, share of clean",
+    "fill": "fill, share of clean",
+    "air": "air, share of clean",
+    "uniformity": "uniformity, share of clean",
     "bias": "bias of the outlet thermometer, K",
-}  # fmt: skip
+}
 BLUE, BAND, DARK, ORANGE, GREEN = "#0072B2", "#bcd7ea", "#30343a", "#E69F00", "#009E73"
 POINTS = 600
 """Points of a curve: a picture of 1100 pixels shows no more."""

@@ -70,7 +70,7 @@ class CellResult:
 
 def calibrate(
     record: Path, twins: Sequence[Path], labels: Path | None, events: Path | None = None
-) -> tuple[list[CellResult], StationNotes]:  # fmt: skip
+) -> tuple[list[CellResult], StationNotes]:
     """Calibrate the cells of these twins on a record.
 
     Raises:
@@ -82,11 +82,21 @@ def calibrate(
     fitted, unused = joined_by_makeup(fitted, records, notes)
     return [
         CellResult(
-            d.record.cell, d.twin, d.network, d.record, one.minutes, predict_cell(one), d.priors, d.labels, d.steps,
-            d.record.cell in second, unused, d.changes,
+            d.record.cell,
+            d.twin,
+            d.network,
+            d.record,
+            one.minutes,
+            predict_cell(one),
+            d.priors,
+            d.labels,
+            d.steps,
+            d.record.cell in second,
+            unused,
+            d.changes,
         )
         for d, one in zip(drafts, fitted, strict=True)
-    ], notes  # fmt: skip
+    ], notes
 
 
 def fitted_drafts(
@@ -182,9 +192,12 @@ def joined_by_makeup(
     if {r.cell for r in records} != set(range(1, cells + 1)) or len({len(r.time_s) for r in records}) > 1:
         return list(fitted), "NOT_ALL_CELLS"
     water = Balance(
-        records[0].time_s, columns["makeup_kg_s"], np.nan_to_num(columns.get("blowdown_kg_s", np.zeros(n))),
-        columns.get("level_pct", np.full(n, np.nan)) / 100.0, volume,
-    )  # fmt: skip
+        records[0].time_s,
+        columns["makeup_kg_s"],
+        np.nan_to_num(columns.get("blowdown_kg_s", np.zeros(n))),
+        columns.get("level_pct", np.full(n, np.nan)) / 100.0,
+        volume,
+    )
     posteriors, unused = with_evaporation(fitted, [_off(f, r) for f, r in zip(fitted, records, strict=True)], water)
     joined = [replace(one, posterior=posterior) for one, posterior in zip(fitted, posteriors, strict=True)]
     return joined, unused
@@ -268,7 +281,7 @@ def load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Netwo
 
 def _prepare(
     record: Path, cell: int, path: Path, network: Network, notes: StationNotes, labels: tuple[Label, ...]
-) -> Prepared:  # fmt: skip
+) -> Prepared:
     minutes_read = read_cell(record, cell)
     design, share = design_of(network), value_of(network, "cell.bypass_share")
     effects = effects_of(network)
@@ -299,7 +312,7 @@ def _fit(one: Prepared) -> Draft:
     try:
         fitted, steps, changes = fit_with_steps(
             one.model, one.minutes, one.record, one.priors, one.labels, one.openings
-        )  # fmt: skip
+        )
     except CalibrationError as error:
         raise RecordError(f"{one.record.path}: {error}") from error
     return Draft(one.twin, one.network, one.record, fitted, one.priors, one.labels, steps, changes)
@@ -311,9 +324,13 @@ def step_openings(steps: Sequence[Step]) -> tuple[Opening, ...]:
 
 
 def fit_with_steps(
-    model: CellModel, minutes: Minutes, record: CellRecord, priors: Priors, labels: Sequence[Label],
+    model: CellModel,
+    minutes: Minutes,
+    record: CellRecord,
+    priors: Priors,
+    labels: Sequence[Label],
     openings: Sequence[Opening],
-) -> tuple[Fitted, tuple[Step, ...], tuple[Opening, ...]]:  # fmt: skip
+) -> tuple[Fitted, tuple[Step, ...], tuple[Opening, ...]]:
     """Fit a cell; where its thermometer has stepped, or a deviation jumped undeclared, fit it again with that opened.
 
     Raises:
@@ -347,8 +364,9 @@ def priors_of(network: Network) -> Priors:
         low, high = network.bounds([identifier])
         bounds[name] = float(high[0] - low[0]) / 2.0
     replaced = {
-        "merkel": (0.0, value_of(network, "cell.merkel_sd")), "exponent": (0.0, value_of(network, "cell.exponent_sd")),
-    }  # fmt: skip
+        "merkel": (0.0, value_of(network, "cell.merkel_sd")),
+        "exponent": (0.0, value_of(network, "cell.exponent_sd")),
+    }
     return Priors(bounds, replaced)
 
 
@@ -356,9 +374,11 @@ def site_of(notes: StationNotes, bypass_share: float) -> Site:
     """Return the design point of a datasheet; the usual rating where it gives none."""
     design, usual = notes.datasheet.get("design", {}), Site()
     return Site(
-        float(design.get("water_inlet_C", usual.inlet)), float(design.get("wet_bulb_C", usual.wet)),
-        float(design.get("range_K", usual.fall)), bypass_share,
-    )  # fmt: skip
+        float(design.get("water_inlet_C", usual.inlet)),
+        float(design.get("wet_bulb_C", usual.wet)),
+        float(design.get("range_K", usual.fall)),
+        bypass_share,
+    )
 
 
 def openings_of(notes: StationNotes, cell: int) -> tuple[Opening, ...]:

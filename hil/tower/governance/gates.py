@@ -72,7 +72,7 @@ class Evidence:
 
 def judge(
     windows: Sequence[Window], distance: Array, dropped: Array, bypass: Array, evidence: Evidence
-) -> list[Verdict]:  # fmt: skip
+) -> list[Verdict]:
     """Return the verdict on each window.
 
     Parameters:

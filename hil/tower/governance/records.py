@@ -138,12 +138,20 @@ def _lines(cell: CellLines, state: str, after_s: float) -> Iterator[dict[str, An
             continue
         k = int(cell.window[i])
         yield {
-            "t": iso(time_s), "c": cell.cell, "m": state, "d": _rounded(cell.deviations[i], 4),
+            "t": iso(time_s),
+            "c": cell.cell,
+            "m": state,
+            "d": _rounded(cell.deviations[i], 4),
             "s": _rounded(cell.sd[i], 4),
-            "y": _number(cell.correction[i], 3), "w": _number(cell.half[i], 3), "r": int(cell.regime[i]),
-            "k": _number(min(cell.windows[k].told.condition, 9999.0), 1), "h": _number(cell.windows[k].told.hidden, 3),
-            "f": flags[k], "src": sources[k], "tw": cell.twin[:HASH],
-        }  # fmt: skip
+            "y": _number(cell.correction[i], 3),
+            "w": _number(cell.half[i], 3),
+            "r": int(cell.regime[i]),
+            "k": _number(min(cell.windows[k].told.condition, 9999.0), 1),
+            "h": _number(cell.windows[k].told.hidden, 3),
+            "f": flags[k],
+            "src": sources[k],
+            "tw": cell.twin[:HASH],
+        }
 
 
 def _flags(verdict: Verdict) -> list[str]:

@@ -74,9 +74,14 @@ def _of(columns: dict[str, Any], rows: Any, cell: int) -> _Cell:
         for end, at in zip(ends, (0, -1), strict=True):
             end[name] = float(told[at]) if len(told) else float("nan")
     return _Cell(
-        cell, int(rows.sum()), float(there.mean()), float(np.nanmean(width)) if there.any() else float("nan"),
-        float(np.nanmean(np.abs(correction))) if there.any() else float("nan"), ends[0], ends[1],
-    )  # fmt: skip
+        cell,
+        int(rows.sum()),
+        float(there.mean()),
+        float(np.nanmean(width)) if there.any() else float("nan"),
+        float(np.nanmean(np.abs(correction))) if there.any() else float("nan"),
+        ends[0],
+        ends[1],
+    )
 
 
 def _outlet_table(cells: list[_Cell]) -> list[str]:

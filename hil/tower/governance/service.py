@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hil.tower.calibration import CellResult, site_of
 from hil.tower.governance.gates import Evidence, Verdict, judge
-from hil.tower.governance.records import (  # fmt: skip
+from hil.tower.governance.records import (
     EVERY_S,
     QUEUE,
     RECORDS,
@@ -128,9 +128,19 @@ def _lines(result: CellResult, windows: Sequence[Window], verdicts: Sequence[Ver
     deviations[:, :3] += 1.0
     twin = hashlib.sha256(result.twin.read_bytes()).hexdigest()
     return CellLines(
-        result.cell, m.time_s[rows], deviations, sd, (c.t_out - c.commissioned)[rows], 0.5 * (c.high - c.low)[rows],
-        m.regime[rows], window, windows, verdicts, result.record.digest, twin,
-    )  # fmt: skip
+        result.cell,
+        m.time_s[rows],
+        deviations,
+        sd,
+        (c.t_out - c.commissioned)[rows],
+        0.5 * (c.high - c.low)[rows],
+        m.regime[rows],
+        window,
+        windows,
+        verdicts,
+        result.record.digest,
+        twin,
+    )
 
 
 def _indicators(result: CellResult, windows: Sequence[Window], verdicts: Sequence[Verdict]) -> Indicators:
@@ -154,29 +164,44 @@ def _indicators(result: CellResult, windows: Sequence[Window], verdicts: Sequenc
 
 
 def _queue(
-    result: CellResult, windows: Sequence[Window], verdicts: Sequence[Verdict], alarms: Sequence[tuple[float,
-    tuple[str, ...]]],
+    result: CellResult,
+    windows: Sequence[Window],
+    verdicts: Sequence[Verdict],
+    alarms: Sequence[tuple[float, tuple[str, ...]]],
     state: str,
-) -> list[dict[str, Any]]:  # fmt: skip
+) -> list[dict[str, Any]]:
     """Return what waits for an engineer: the present proposal of each deviation, steps and alarms."""
     entries: list[dict[str, Any]] = []
     k = _latest(windows)
     if k is not None:
         for name, value, sd in _proposals(result, windows[k]):
             codes = [*verdicts[k].codes, *verdicts[k].of.get(name, ())]
-            entries.append({
-                "time": iso(windows[k].end_s), "cell": result.cell, "parameter": name, "value": round(value, 4),
-                "sd": round(sd, 4),
-                "accepted": not codes, "codes": codes, "condition": round(windows[k].told.condition, 1),
-                "combined": windows[k].told.says(), "state": state,
-            })  # fmt: skip
+            entries.append(
+                {
+                    "time": iso(windows[k].end_s),
+                    "cell": result.cell,
+                    "parameter": name,
+                    "value": round(value, 4),
+                    "sd": round(sd, 4),
+                    "accepted": not codes,
+                    "codes": codes,
+                    "condition": round(windows[k].told.condition, 1),
+                    "combined": windows[k].told.says(),
+                    "state": state,
+                }
+            )
     for step in result.steps:
         if step.lasting:
-            entries.append({
-                "time": iso(step.alarm_s), "cell": result.cell, "event": f"{step.kind}_step", "from": iso(step.start_s),
-                "size_K": round(step.size, 2),
-                "codes": ["CONTRADICTORY_EVENT"] if step.kind == "water" else ["THERMOMETER_STEP"],
-            })  # fmt: skip
+            entries.append(
+                {
+                    "time": iso(step.alarm_s),
+                    "cell": result.cell,
+                    "event": f"{step.kind}_step",
+                    "from": iso(step.start_s),
+                    "size_K": round(step.size, 2),
+                    "codes": ["CONTRADICTORY_EVENT"] if step.kind == "water" else ["THERMOMETER_STEP"],
+                }
+            )
     entries += [
         {"time": iso(t), "cell": result.cell, "event": "drift_alarm", "indicators": list(names)} for t, names in alarms
     ]
@@ -220,12 +245,16 @@ def _controlled(one: CellGovernance) -> CellGovernance:
     residual = result.calibrated.posterior.residual
     before = result.minutes.outlet - result.calibrated.commissioned
     revision = Revision(
-        made_by="hil tower calibrate", notes=tuple(notes), record=result.record.digest,
+        made_by="hil tower calibrate",
+        notes=tuple(notes),
+        record=result.record.digest,
         record_file=result.record.path.name,
-        error_before_K={"outlet": _rms(before)}, error_after_K={"outlet": _rms(residual)},
+        error_before_K={"outlet": _rms(before)},
+        error_after_K={"outlet": _rms(residual)},
         window_s=(float(result.minutes.time_s[0]), float(result.minutes.time_s[-1])),
-        effects=tuple(f"{name} {values[name]:.4g}" for name in values), evidence="windows that passed all gates",
-    )  # fmt: skip
+        effects=tuple(f"{name} {values[name]:.4g}" for name in values),
+        evidence="windows that passed all gates",
+    )
     return replace(one, revision=save_revision(result.network.with_values(values, revision), result.twin))
 
 

@@ -191,9 +191,13 @@ def iso(time_s: float) -> str:
 
 def _defect(one: Defect) -> dict[str, Any]:
     return {
-        "type": one.kind, "tags": list(one.tags), "from": iso(one.start_s), "to": iso(one.end_s), "says": one.says,
+        "type": one.kind,
+        "tags": list(one.tags),
+        "from": iso(one.start_s),
+        "to": iso(one.end_s),
+        "says": one.says,
         "repair": one.repair,
-    }  # fmt: skip
+    }
 
 
 def event_entry(event: Event) -> dict[str, Any]:
@@ -201,7 +205,13 @@ def event_entry(event: Event) -> dict[str, Any]:
     influence = influence_of(event.kind, event.text)
     low, high = event.window_s
     return {
-        "time": iso(event.time_s), "by_day": event.by_day, "cell": event.cell, "kind": event.kind,
-        "source": event.source, "text": event.text, "from": iso(low), "to": iso(high + 3600.0 * influence.hours),
+        "time": iso(event.time_s),
+        "by_day": event.by_day,
+        "cell": event.cell,
+        "kind": event.kind,
+        "source": event.source,
+        "text": event.text,
+        "from": iso(low),
+        "to": iso(high + 3600.0 * influence.hours),
         "parameters": list(influence.parameters),
-    }  # fmt: skip
+    }

@@ -126,7 +126,7 @@ def _all(o: argparse.Namespace) -> int:
 
         document, arrays = evaluate(
             data, weights, o.device, most=o.most or None, boosted=o.work / "boosted.npz", note=say
-        )  # fmt: skip
+        )
         results["evaluation"] = document
     except Exception:  # the weights are worth having without their scores
         results["evaluation_failed"] = traceback.format_exc()
@@ -170,7 +170,7 @@ def _member(o: argparse.Namespace) -> int:
     family, held_out = load_fleet(tables(data, TRAIN), o.device), load_fleet(tables(data, VALIDATION), o.device)
     plan = TowerPlan(
         steps=LONGEST, batch=o.batch or BATCH[o.size], rate=RATE[o.size], half=o.device != "cpu", seed=o.seed
-    )  # fmt: skip
+    )
     training = MemberTraining(o.size, plan, family, held_out, None, digest_of(data))
     print(f"{name}: {len(family)} windows loaded in {time.time() - began:.0f} s", flush=True)
     until = time.monotonic() + o.until - time.time()
@@ -208,9 +208,11 @@ def _adapt(o: argparse.Namespace) -> int:
         answer, _, _ = mixed(t, [predict(one, own, rows, half=plan.half)])
         document[name] = scores(t, answer, rival)
     (o.work / f"adapted_{o.station}.json").write_text(json.dumps(document) + "\n")
-    print(f"adapted to {o.station}: {steps} steps, outlet {document['belief']['water_mae_K']:.4f} (Gauss-Newton), "
-          f"{document['family']['water_mae_K']:.4f} (family), {document['adapted']['water_mae_K']:.4f} K",
-          flush=True)  # fmt: skip
+    print(
+        f"adapted to {o.station}: {steps} steps, outlet {document['belief']['water_mae_K']:.4f} (Gauss-Newton), "
+        f"{document['family']['water_mae_K']:.4f} (family), {document['adapted']['water_mae_K']:.4f} K",
+        flush=True,
+    )
     return 0
 
 

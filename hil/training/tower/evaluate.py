@@ -21,9 +21,15 @@ GAUSS_NEWTON, BOOSTED, ENSEMBLE = "Gauss-Newton with discrepancy", "the same, bo
 
 
 def evaluate(
-    folder: Path, members: Mapping[str, Path], device: str = "cpu", *, most: int | None = None, half: bool = False,
-    boosted: Path | None = None, note: Note = lambda _: None,
-) -> tuple[dict[str, Any], dict[str, np.ndarray]]:  # fmt: skip
+    folder: Path,
+    members: Mapping[str, Path],
+    device: str = "cpu",
+    *,
+    most: int | None = None,
+    half: bool = False,
+    boosted: Path | None = None,
+    note: Note = lambda _: None,
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return scores as plain data, and arrays by window of the test split.
 
     Parameters:
@@ -45,9 +51,10 @@ def evaluate(
     t, v = score.targets_of(test, rows), score.targets_of(validation, held_out)
     note(f"{len(rows)} test windows of {len(test.names)} cells, {len(held_out)} to set intervals")
     answers = {
-        "commissioned": score.commissioned(t), "persistence of the last error": score.persistent(t),
+        "commissioned": score.commissioned(t),
+        "persistence of the last error": score.persistent(t),
         GAUSS_NEWTON: score.believed(t),
-    }  # fmt: skip
+    }
     figures = _read(boosted, rows) if boosted is not None else boost(folder, test, rows, note)
     if figures is not None:
         answers[BOOSTED] = score.Answer(*figures)
@@ -67,11 +74,15 @@ def evaluate(
         answers[name] = limits.applied(*score.mixed(t, [predicted[n] for n in some]))
         factors[name] = {"theta": limits.theta.tolist(), "water": limits.water}
     document: dict[str, Any] = {
-        "data": digest_of(folder), "test_cells": test.names, "windows": len(rows), "factors": factors,
-        "refused": refused, "ensemble": groups[ENSEMBLE],
+        "data": digest_of(folder),
+        "test_cells": test.names,
+        "windows": len(rows),
+        "factors": factors,
+        "refused": refused,
+        "ensemble": groups[ENSEMBLE],
         "scores": {part: _scored(t, answers, rows_of) for part, rows_of in _parts(t, test.names).items()},
         "by_cell": score.by_cell(t, test.names, answers),
-    }  # fmt: skip
+    }
     if groups[ENSEMBLE]:
         document |= _further(loaded, groups[ENSEMBLE], test, rows, size, half)
     document["seconds"] = round(time.monotonic() - began, 1)
@@ -98,7 +109,7 @@ def evenly(rows: np.ndarray, most: int | None) -> np.ndarray:
 
 def boost(
     folder: Path, test: Any, rows: np.ndarray, note: Note = lambda _: None
-) -> tuple[np.ndarray, np.ndarray] | None:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Return deviations (K, 4) and outlet (K, 120), degC, of Gauss-Newton corrected by gradient boosting, learned from
     the training split; None without scikit-learn.
 
@@ -183,9 +194,11 @@ def _further(
 
 def _arrays(t: Any, answers: Mapping[str, Any]) -> dict[str, np.ndarray]:
     found = {
-        "cell": t.cell.astype(np.int16), "row": t.rows.astype(np.int32), "true": t.true.astype(np.float16),
+        "cell": t.cell.astype(np.int16),
+        "row": t.rows.astype(np.int32),
+        "true": t.true.astype(np.float16),
         "belief_sd": t.sd.astype(np.float16),
-    }  # fmt: skip
+    }
     for name, one in answers.items():
         key = "".join(c if c.isalnum() else "_" for c in name)
         error = np.abs(one.water - t.true_water)

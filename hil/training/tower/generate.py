@@ -59,9 +59,13 @@ class DataPlan:
 
 
 def generate(
-    plan: DataPlan, folder: Path, workers: int = 1, until: float | None = None, note: Note = lambda _: None,
+    plan: DataPlan,
+    folder: Path,
+    workers: int = 1,
+    until: float | None = None,
+    note: Note = lambda _: None,
     stopped: Callable[[], bool] = lambda: False,
-) -> int:  # fmt: skip
+) -> int:
     """Simulate the stations that `folder` lacks; return the number of stations that are there.
 
     Parameters:
@@ -91,9 +95,13 @@ def generate(
 
 
 def _in_parallel(
-    stations: Sequence[StationPlan], folder: Path, workers: int, until: float | None, note: Note,
+    stations: Sequence[StationPlan],
+    folder: Path,
+    workers: int,
+    until: float | None,
+    note: Note,
     stopped: Callable[[], bool],
-) -> None:  # fmt: skip
+) -> None:
     from drivers.virtual.tower.export import commissioning_rows
     from drivers.virtual.tower.sites import MIAMI_SITE
     from drivers.virtual.tower.station import Plan, simulate

@@ -33,7 +33,7 @@ class TowerProgress:
 
 def simulate_stations(
     plan: DataPlan, folder: Path, workers: int, minutes: float | None, stopped: Callable[[], bool], say: Say
-) -> TowerProgress:  # fmt: skip
+) -> TowerProgress:
     """Simulate the stations that `folder` lacks, until it has all or the work is stopped.
 
     Raises:
@@ -52,9 +52,16 @@ def simulate_stations(
 
 
 def train_member(
-    folder: Path, size: str, plan: Any, out: Path, *, stopped: Callable[[], bool], command: str, say: Say,
+    folder: Path,
+    size: str,
+    plan: Any,
+    out: Path,
+    *,
+    stopped: Callable[[], bool],
+    command: str,
+    say: Say,
     device: str = "cpu",
-) -> TowerProgress:  # fmt: skip
+) -> TowerProgress:
     """Continue the training of `out` until it is stopped, or to its end; then write weights and card.
 
     Args:

@@ -99,16 +99,27 @@ def drawn_site(seed: int) -> tuple[Site, tuple[str, ...]]:
     )
     pressure = DENVER_KPA if rng.random() < HIGH_SHARE else float(climate.pressure)
     climate = replace(
-        climate, pressure=pressure, wind=float(climate.wind * rng.uniform(0.7, 1.4)),
+        climate,
+        pressure=pressure,
+        wind=float(climate.wind * rng.uniform(0.7, 1.4)),
         prevailing=float(rng.uniform(0.0, 360.0)),
-    )  # fmt: skip
+    )
     first = bool(rng.random() < 0.5)
     changes |= {
-        "station": "F", "city": "family", "weather_words": (), "climate": climate, "cells": 2, "first_cells": 1,
-        "cells_per_pump": 1.0, "basin": float(rng.uniform(140.0, 240.0)), "header": float(rng.uniform(50.0, 90.0)),
-        "pressure": pressure, "variable_pumps": bool(rng.random() < 0.5), "batch": bool(rng.random() < 0.5),
+        "station": "F",
+        "city": "family",
+        "weather_words": (),
+        "climate": climate,
+        "cells": 2,
+        "first_cells": 1,
+        "cells_per_pump": 1.0,
+        "basin": float(rng.uniform(140.0, 240.0)),
+        "header": float(rng.uniform(50.0, 90.0)),
+        "pressure": pressure,
+        "variable_pumps": bool(rng.random() < 0.5),
+        "batch": bool(rng.random() < 0.5),
         "style": "loops" if first else "words",
-    }  # fmt: skip
+    }
     hide = (str(rng.choice(list(EFFECTS))),) if rng.random() < HIDDEN_SHARE else ()
     return Site(**changes), hide
 
@@ -141,15 +152,31 @@ def station_cells(plan: StationPlan) -> list[CellData]:
 def table_of(cell: CellData) -> CellTable:
     """Return the arrays that windows of a simulated cell are cut from."""
     return cell_table(
-        cell.name, cell.sheet, cell.columns, cell.minutes, cell.commissioned.design, cell.clean, cell.log_clean,
-        cell.recursion, cell.events, cell.openings, cell.healthy_end_s, cell.truth_water, cell.truth,
-    )  # fmt: skip
+        cell.name,
+        cell.sheet,
+        cell.columns,
+        cell.minutes,
+        cell.commissioned.design,
+        cell.clean,
+        cell.log_clean,
+        cell.recursion,
+        cell.events,
+        cell.openings,
+        cell.healthy_end_s,
+        cell.truth_water,
+        cell.truth,
+    )
 
 
 def _cell(
-    plan: StationPlan, made: Simulated, cell: int, sheet: dict[str, Any], aligned: CellMinutes, points: TestPoints,
+    plan: StationPlan,
+    made: Simulated,
+    cell: int,
+    sheet: dict[str, Any],
+    aligned: CellMinutes,
+    points: TestPoints,
     events: tuple[Event, ...],
-) -> CellData:  # fmt: skip
+) -> CellData:
     design, bypass = sheet["design"], float(sheet["bypass"]["share_when_open"])
     water = float(design["water_flow_kg_s"])
     fitted = fit_clean_cell(points, water, water / float(design["water_to_air"]))
@@ -180,11 +207,20 @@ def _cell(
     truth = np.stack([*(state[name] - 1.0 for name in DEVIATIONS[:3]), bias], axis=1)
     on = made.truth.cell("on", cell) > 0.5
     return CellData(
-        f"{plan.name}_{cell}", sheet, columns, minutes, fitted, _clean(model, minutes),
-        _log_power(model, minutes), beliefs, openings,
-        tuple(e for e in events if e.cell in (0, cell)), end, np.where(on, made.truth.cell("t_out", cell), np.nan),
+        f"{plan.name}_{cell}",
+        sheet,
+        columns,
+        minutes,
+        fitted,
+        _clean(model, minutes),
+        _log_power(model, minutes),
+        beliefs,
+        openings,
+        tuple(e for e in events if e.cell in (0, cell)),
+        end,
+        np.where(on, made.truth.cell("t_out", cell), np.nan),
         truth,
-    )  # fmt: skip
+    )
 
 
 def _clean(model: CellModel, minutes: Minutes) -> Array:
@@ -212,9 +248,14 @@ def _log_power(model: CellModel, minutes: Minutes) -> Array:
 def _part(m: Minutes, until: int) -> Minutes:
     rows = slice(0, until)
     return Minutes(
-        m.time_s[rows], m.operation.take(rows), m.outlet[rows], m.power[rows], m.known[rows], m.steady[rows],
+        m.time_s[rows],
+        m.operation.take(rows),
+        m.outlet[rows],
+        m.power[rows],
+        m.known[rows],
+        m.steady[rows],
         m.regime[rows],
-    )  # fmt: skip
+    )
 
 
 def _series(made: Simulated, one: Any, zero: float) -> Series:
@@ -231,9 +272,13 @@ def _points(made: Simulated) -> dict[int, TestPoints]:
         mine = [row for row in rows if int(row["cell"]) == cell]
         v = {name: np.array([float(row[name]) for row in mine]) for name in COMMISSIONING if name != "test"}
         inputs = Inputs(
-            v["water_inlet_C"], v["water_flow_kg_s"], v["fan_speed_pct"] / 100.0, v["dry_bulb_C"],
-            v["entering_wet_bulb_C"], v["pressure_kPa"],
-        )  # fmt: skip
+            v["water_inlet_C"],
+            v["water_flow_kg_s"],
+            v["fan_speed_pct"] / 100.0,
+            v["dry_bulb_C"],
+            v["entering_wet_bulb_C"],
+            v["pressure_kPa"],
+        )
         found[cell] = TestPoints(
             inputs, v["water_outlet_C"], v["fan_power_kW"], v["air_flow_kg_s"], v["evaporation_kg_s"]
         )

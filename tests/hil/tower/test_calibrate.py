@@ -21,12 +21,19 @@ from hil.errors import exit_code
 from tests.twin.tower.made_cell import M_A0, M_W0, made_cell, made_points
 
 SHEET = {
-    "station": "Z", "cells_in_station": 1, "cells_recorded": [1],
-    "design": {"water_flow_kg_s": M_W0, "water_to_air": M_W0 / M_A0, "water_inlet_C": 34.0, "wet_bulb_C": 24.0,
-    "range_K": 6.0,
-               "pressure_kPa": 99.0},
+    "station": "Z",
+    "cells_in_station": 1,
+    "cells_recorded": [1],
+    "design": {
+        "water_flow_kg_s": M_W0,
+        "water_to_air": M_W0 / M_A0,
+        "water_inlet_C": 34.0,
+        "wet_bulb_C": 24.0,
+        "range_K": 6.0,
+        "pressure_kPa": 99.0,
+    },
     "basin": {"volume_m3": 120, "compartments": 1},
-}  # fmt: skip
+}
 
 
 def write_record(folder: Path, cell: int = 1, days: float = 6, **options: Any) -> None:
@@ -43,9 +50,19 @@ def write_record(folder: Path, cell: int = 1, days: float = 6, **options: Any) -
         {"hil.tower": json.dumps({"format": 1, "cell": cell, "station": "Z"})}
     )
     pq.write_table(table, folder / f"cell{cell}.parquet")
-    events = [{"time": iso(made.time_s[1440]), "by_day": False, "cell": cell, "kind": "inspection", "source": "CMMS",
-    "text": "",
-               "from": iso(made.time_s[1440]), "to": iso(made.time_s[1500]), "parameters": []}]  # fmt: skip
+    events = [
+        {
+            "time": iso(made.time_s[1440]),
+            "by_day": False,
+            "cell": cell,
+            "kind": "inspection",
+            "source": "CMMS",
+            "text": "",
+            "from": iso(made.time_s[1440]),
+            "to": iso(made.time_s[1500]),
+            "parameters": [],
+        }
+    ]
     (folder / "station.json").write_text(json.dumps({"datasheet": SHEET, "events": events}))
 
 
@@ -99,9 +116,18 @@ def refused(done: Any) -> str:
 @pytest.fixture(scope="module")
 def calibrated(plant: Path) -> Path:
     out = plant / "out"
-    done = run("calibrate", plant / "record", "--twin", plant / "cell1.toml", "--labels", plant / "labels.csv",
-    "--out", out,
-               "--mode", "controlled")  # fmt: skip
+    done = run(
+        "calibrate",
+        plant / "record",
+        "--twin",
+        plant / "cell1.toml",
+        "--labels",
+        plant / "labels.csv",
+        "--out",
+        out,
+        "--mode",
+        "controlled",
+    )
     assert done.exit_code == 0, done.output + repr(done.exception)
     assert "written" in done.output
     return out
@@ -275,9 +301,12 @@ def test_a_twin_of_no_tower_is_refused(plant: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("column", "value", "says"),
-    [("t_out_C", np.nan, "t_out_C is missing throughout"), ("m_w_kg_s", 0.0, "no minute has water"),
-     ("m_w_kg_s", 3000.0, "design flow")],
-)  # fmt: skip
+    [
+        ("t_out_C", np.nan, "t_out_C is missing throughout"),
+        ("m_w_kg_s", 0.0, "no minute has water"),
+        ("m_w_kg_s", 3000.0, "design flow"),
+    ],
+)
 def test_a_record_that_cannot_calibrate_is_refused(
     plant: Path, tmp_path: Path, column: str, value: float, says: str
 ) -> None:
@@ -291,11 +320,13 @@ def test_a_record_that_cannot_calibrate_is_refused(
 
 @pytest.mark.parametrize(
     ("line", "says"),
-    [("2022-09-10,1,fill,interval,,,0.9,0.8,", "labels.csv:2: lo 0.9 is not below hi 0.8"),
-     ("2022-09-10,1,scale,point,0.9,0.1,,,", "labels.csv:2: parameter 'scale' is unknown"),
-     ("someday,1,fill,point,0.9,0.1,,,", "labels.csv:2: time or cell cannot be read"),
-     ("2022-09-10,1,air,point,0.9,0,,,", "labels.csv:2: sd 0 is not above 0")],
-)  # fmt: skip
+    [
+        ("2022-09-10,1,fill,interval,,,0.9,0.8,", "labels.csv:2: lo 0.9 is not below hi 0.8"),
+        ("2022-09-10,1,scale,point,0.9,0.1,,,", "labels.csv:2: parameter 'scale' is unknown"),
+        ("someday,1,fill,point,0.9,0.1,,,", "labels.csv:2: time or cell cannot be read"),
+        ("2022-09-10,1,air,point,0.9,0,,,", "labels.csv:2: sd 0 is not above 0"),
+    ],
+)
 def test_bad_labels_are_refused_with_their_line(plant: Path, tmp_path: Path, line: str, says: str) -> None:
     labels = tmp_path / "labels.csv"
     labels.write_text(f"time,cell,parameter,kind,value,sd,lo,hi,source\n{line}\n")
@@ -307,17 +338,30 @@ def test_bad_labels_are_refused_with_their_line(plant: Path, tmp_path: Path, lin
 
 @pytest.mark.parametrize(
     ("changed", "says"),
-    [({"water_inlet_C": 60.0}, "outside 0 to 70; it looks like degF"), ({"pressure_kPa": 900.0}, "it looks like hPa"),
-     ({"water_outlet_C": 15.0}, "is not below the inlet"), ({"entering_wet_bulb_C": 9.0},
-     "below the entering wet bulb"),
-     ({"fan_speed_pct": -99.5}, "fan_speed_pct")],
-)  # fmt: skip
+    [
+        ({"water_inlet_C": 60.0}, "outside 0 to 70; it looks like degF"),
+        ({"pressure_kPa": 900.0}, "it looks like hPa"),
+        ({"water_outlet_C": 15.0}, "is not below the inlet"),
+        ({"entering_wet_bulb_C": 9.0}, "below the entering wet bulb"),
+        ({"fan_speed_pct": -99.5}, "fan_speed_pct"),
+    ],
+)
 def test_bad_test_points_are_refused_with_their_line(
     plant: Path, tmp_path: Path, changed: dict[str, float], says: str
 ) -> None:
     write_points(tmp_path / "points.csv", **changed)
-    done = run("commission", plant / "record", "--cell", 1, "--datasheet", plant / "datasheet.json", "--points",
-               tmp_path / "points.csv", "--out", tmp_path / "cell.toml")  # fmt: skip
+    done = run(
+        "commission",
+        plant / "record",
+        "--cell",
+        1,
+        "--datasheet",
+        plant / "datasheet.json",
+        "--points",
+        tmp_path / "points.csv",
+        "--out",
+        tmp_path / "cell.toml",
+    )
     assert says in refused(done) and "points.csv:" in refused(done)
     assert not (tmp_path / "cell.toml").exists()
 
@@ -326,8 +370,18 @@ def test_commissioning_of_a_cell_that_is_not_there_is_refused(plant: Path, tmp_p
     done = run("commission", plant / "record", "--cell", 3, *files(plant), "--out", tmp_path / "cell.toml")
     assert "has no cell 3" in refused(done)
     write_points(tmp_path / "points.csv", cell=2)
-    done = run("commission", plant / "record", "--cell", 1, "--datasheet", plant / "datasheet.json", "--points",
-               tmp_path / "points.csv", "--out", tmp_path / "cell.toml")  # fmt: skip
+    done = run(
+        "commission",
+        plant / "record",
+        "--cell",
+        1,
+        "--datasheet",
+        plant / "datasheet.json",
+        "--points",
+        tmp_path / "points.csv",
+        "--out",
+        tmp_path / "cell.toml",
+    )
     assert "has no test point of cell 1" in refused(done)
 
 

@@ -62,9 +62,16 @@ def test_the_healthy_record_narrows_the_deviations_of_the_calibration(clean_plan
 )
 def test_a_healthy_span_that_cannot_be_used_is_refused(clean_plant: Path, tmp_path: Path, span: str, says: str) -> None:
     done = run(
-        "commission", clean_plant / "record", "--cell", 1, *files(clean_plant), "--out", tmp_path / "c.toml",
-        "--healthy", span,
-    )  # fmt: skip
+        "commission",
+        clean_plant / "record",
+        "--cell",
+        1,
+        *files(clean_plant),
+        "--out",
+        tmp_path / "c.toml",
+        "--healthy",
+        span,
+    )
     assert says in refused(done)
     assert not list(tmp_path.iterdir())
 
@@ -81,9 +88,12 @@ def test_the_bench_scores_outlet_and_deviations_against_the_truth(clean_plant: P
     made = made_cell(6, seed=21, fill=(1.0, 0.99), air=1.0, bias=0.0)
     n = len(made.time_s)
     columns = {
-        "time": pa.array((made.time_s * 1e3).astype("datetime64[ms]")), "cell": np.ones(n, dtype=np.int8),
-        "running": np.ones(n, dtype=bool), "uniformity": np.ones(n), **made.truth,
-    }  # fmt: skip
+        "time": pa.array((made.time_s * 1e3).astype("datetime64[ms]")),
+        "cell": np.ones(n, dtype=np.int8),
+        "running": np.ones(n, dtype=bool),
+        "uniformity": np.ones(n),
+        **made.truth,
+    }
     pq.write_table(pa.table(columns), clean_plant / "truth.parquet")
     tables, _ = compare(clean_plant / "record", [clean_plant / "cell1.toml"], None, clean_plant / "truth.parquet")
     by_key = {table.key: table for table in tables}

@@ -45,10 +45,14 @@ def folder_of_station(tmp_path: Path) -> Path:
 
     start = datetime.datetime(2022, 5, 1, tzinfo=datetime.UTC)
     times = [start + datetime.timedelta(minutes=k) for k in range(3)]
-    table = pa.table({
-        "timestamp": pa.array(times, pa.timestamp("ms", tz="UTC")), "tag": ["T"] * 3, "value": [20.0, 21.0, 22.0],
-        "quality": pa.array([192] * 3, pa.int16()),
-    })  # fmt: skip
+    table = pa.table(
+        {
+            "timestamp": pa.array(times, pa.timestamp("ms", tz="UTC")),
+            "tag": ["T"] * 3,
+            "value": [20.0, 21.0, 22.0],
+            "quality": pa.array([192] * 3, pa.int16()),
+        }
+    )
     pq.write_table(table, tmp_path / "raw.parquet")
     (tmp_path / "tags.csv").write_text(
         "tag,description,unit,cell,role,scan_s\nT,x,degC,1,water_outlet_temperature,60\n"

@@ -16,9 +16,17 @@ TOLD = np.array([False, False, True, True, True])
 def config(**other: Any) -> Config:
     """A network as small as the stages allow."""
     sizes: dict[str, Any] = {
-        "groups": GROUPS, "bounds": (1.1, 1.1), "tolerances": (0.3, 0.3), "meta": 13, "evidence": True,
-        "group_dim": 8, "dims": (16, 16, 32, 32), "depths": (1, 1, 1, 1), "head_dim": 16, **other,
-    }  # fmt: skip
+        "groups": GROUPS,
+        "bounds": (1.1, 1.1),
+        "tolerances": (0.3, 0.3),
+        "meta": 13,
+        "evidence": True,
+        "group_dim": 8,
+        "dims": (16, 16, 32, 32),
+        "depths": (1, 1, 1, 1),
+        "head_dim": 16,
+        **other,
+    }
     return named("small", **sizes)
 
 

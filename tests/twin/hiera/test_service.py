@@ -372,11 +372,22 @@ def test_a_card_of_another_format_or_of_too_few_or_unlike_members_is_refused(tmp
 def open_gates() -> gates.Evidently:
     rng = np.random.default_rng(0)
     return gates.Evidently(
-        hidden=0.1, steps=1440, measured=rng.normal(size=(120, 2)), noise=np.ones(2), condition=30.0,
-        told=np.array([True, True]), half_width=np.array([0.1, 0.2]), missed=np.array([0.1, np.nan]),
-        left=np.array([0.02, np.nan]), tolerated=0.1, lost=(), sd=np.array([0.1, 0.1]), prior=np.array([0.4, 0.4]),
-        distance=0.5, leakage=0.0,
-    )  # fmt: skip
+        hidden=0.1,
+        steps=1440,
+        measured=rng.normal(size=(120, 2)),
+        noise=np.ones(2),
+        condition=30.0,
+        told=np.array([True, True]),
+        half_width=np.array([0.1, 0.2]),
+        missed=np.array([0.1, np.nan]),
+        left=np.array([0.02, np.nan]),
+        tolerated=0.1,
+        lost=(),
+        sd=np.array([0.1, 0.1]),
+        prior=np.array([0.4, 0.4]),
+        distance=0.5,
+        leakage=0.0,
+    )
 
 
 def warming(steps: int, *jumps: float) -> Any:
@@ -403,7 +414,7 @@ def warming(steps: int, *jumps: float) -> Any:
         ({"measured": warming(500, 25.0, 25.0)}, "SHUFFLED_RECORD", [True, True]),
         ({"measured": warming(120, 0.0, 20.0)}, "", [False, False]),
     ],
-)  # fmt: skip
+)
 def test_each_gate_closes_for_its_own_reason(other: dict[str, Any], code: str, held: list[bool]) -> None:
     found = gates.reasons(replace(open_gates(), **other), ("a", "b"))
     assert {r.code for r in found} == ({code} if code else set())

@@ -49,9 +49,13 @@ def by_hand(likely: Likelihood, law: Usual, most: int) -> tuple[np.ndarray, np.n
 
 @settings(max_examples=60, deadline=None)
 @given(
-    st.integers(0, 10_000), st.integers(1, P), st.floats(0.02, 0.5), st.floats(0.1, 1.0), st.floats(0.002, 0.08),
+    st.integers(0, 10_000),
+    st.integers(1, P),
+    st.floats(0.02, 0.5),
+    st.floats(0.1, 1.0),
+    st.floats(0.002, 0.08),
     st.integers(0, 12),
-)  # fmt: skip
+)
 def test_it_is_the_sum_over_all_sets(seed: int, most: int, chance: float, slab: float, spike: float, rows: int) -> None:
     likely, law = data(seed, rows), usual(chance, slab, spike)
     found = posterior(likely, law, most)

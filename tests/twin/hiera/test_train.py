@@ -34,8 +34,16 @@ def _one_thread() -> Iterator[None]:
 
 def test_eight_windows_are_learned_by_heart() -> None:
     windows = fake.windows(8)
-    plan = Plan(steps=120, batch=8, rate=4e-3, warmup=0.1, ema=0.9, structure=0.0, pairs=0,
-                hiding=Hiding(whole=1.0, dropped=0.0, burst=0.0))  # fmt: skip
+    plan = Plan(
+        steps=120,
+        batch=8,
+        rate=4e-3,
+        warmup=0.1,
+        ema=0.9,
+        structure=0.0,
+        pairs=0,
+        hiding=Hiding(whole=1.0, dropped=0.0, burst=0.0),
+    )
     trainer = Trainer(fake.config(), windows, PHYSICS, plan)
     before = outcome(trainer.network, windows, fake.simulate, fake.TOLD).metrics()
     for _ in range(plan.steps):

@@ -38,9 +38,13 @@ def spoilt_store(
 
 
 def _spoil_scans(
-    rng: np.random.Generator, days: float, cells: int, by_name: dict[str, Instrument],
-    scans: dict[str, tuple[Array, Array]], seeded: Seeded,
-) -> tuple[Event, ...]:  # fmt: skip
+    rng: np.random.Generator,
+    days: float,
+    cells: int,
+    by_name: dict[str, Instrument],
+    scans: dict[str, tuple[Array, Array]],
+    seeded: Seeded,
+) -> tuple[Event, ...]:
     switched = f"F{rng.integers(1, cells + 1)}"
     at = START_S + DAY_S * days * rng.uniform(0.25, 0.75)
     time_s, value = scans[switched]
@@ -135,10 +139,12 @@ def found_of(seeded: Seeded, defects: list[tuple[str, tuple[str, ...], float, fl
     found, used = [], set()
     for j, (kind, tags, start, end) in enumerate(seeded.rows):
         hits = [
-            k for k, (a, b, low, high) in enumerate(defects)
-            if a == kind and (not tags or set(tags) & set(b))
+            k
+            for k, (a, b, low, high) in enumerate(defects)
+            if a == kind
+            and (not tags or set(tags) & set(b))
             and min(end, high) - max(start, low) + 3.0 * HOUR_S > 0.3 * (min(end - start, high - low) + 3.0 * HOUR_S)
-        ]  # fmt: skip
+        ]
         if hits:
             found.append(j)
             used.update(hits)

@@ -183,9 +183,17 @@ def silent(one: Series, start_s: float, end_s: float) -> Series:
 
 
 def _instrument(
-    name: str, unit: str, role: str, cell: int | None, truth: Array, noise: float, resolution: float, deviation: float,
-    interface: str, rng: np.random.Generator,
-) -> Instrument:  # fmt: skip
+    name: str,
+    unit: str,
+    role: str,
+    cell: int | None,
+    truth: Array,
+    noise: float,
+    resolution: float,
+    deviation: float,
+    interface: str,
+    rng: np.random.Generator,
+) -> Instrument:
     scan = float(rng.choice([120.0, 120.0, 180.0, 300.0]))
     return Instrument(Tag(name, unit, role, cell, scan), truth, noise, resolution, deviation, interface)
 

@@ -30,13 +30,15 @@ def _station(rng: np.random.Generator, days: float = 12.0) -> dict[str, list[Ser
     return {
         where: [
             Series(
-                Tag(f"{where}{k}", "%", "other", None, STEP_S), START_S + STEP_S * np.arange(n),
-                drive + 0.25 * _wander(rng, n), np.full(n, 192, dtype=np.int16),
+                Tag(f"{where}{k}", "%", "other", None, STEP_S),
+                START_S + STEP_S * np.arange(n),
+                drive + 0.25 * _wander(rng, n),
+                np.full(n, 192, dtype=np.int16),
             )
             for k, drive in enumerate(signals)
         ]
         for where, signals in drives.items()
-    }  # fmt: skip
+    }
 
 
 def _found(station: dict[str, list[Series]]) -> list[tuple[str, str]]:

@@ -17,9 +17,14 @@ N = 300
 
 def _regimes(**changes: Any) -> list[Regime]:
     columns: dict[str, Any] = {
-        "flow": np.full(N, 200.0), "in_service": np.ones(N), "command": np.full(N, 80.0), "speed": np.full(N, 80.0),
-        "bypass": np.zeros(N), "fault": np.zeros(N), "disturbed": np.zeros(N, dtype=bool),
-    }  # fmt: skip
+        "flow": np.full(N, 200.0),
+        "in_service": np.ones(N),
+        "command": np.full(N, 80.0),
+        "speed": np.full(N, 80.0),
+        "bypass": np.zeros(N),
+        "fault": np.zeros(N),
+        "disturbed": np.zeros(N, dtype=bool),
+    }
     return [Regime(int(code)) for code in regimes(**(columns | changes))]
 
 
@@ -63,10 +68,17 @@ def test_unknown_flow_is_taken_from_the_service_state_and_unknown_both_is_an_ups
 
 def test_a_regime_does_not_depend_on_later_minutes() -> None:
     whole = _regimes(command=_from(200, 80.0, 20.0), speed=_from(200, 80.0, 20.0), flow=_from(50, 0.0, 200.0))
-    rows = {name: values[:200] for name, values in {
-        "flow": _from(50, 0.0, 200.0), "in_service": np.ones(N), "command": np.full(N, 80.0),
-        "speed": np.full(N, 80.0), "bypass": np.zeros(N), "fault": np.zeros(N),
-    }.items()}  # fmt: skip
+    rows = {
+        name: values[:200]
+        for name, values in {
+            "flow": _from(50, 0.0, 200.0),
+            "in_service": np.ones(N),
+            "command": np.full(N, 80.0),
+            "speed": np.full(N, 80.0),
+            "bypass": np.zeros(N),
+            "fault": np.zeros(N),
+        }.items()
+    }
     part = regimes(**rows, disturbed=np.zeros(200, dtype=bool))
     assert [Regime(int(code)) for code in part] == whole[:200]
 
@@ -106,10 +118,16 @@ def test_only_documented_maintenance_moves_a_parameter(kind: str, text: str, mov
 def _columns(**changes: Array) -> dict[str, Any]:
     speed = np.linspace(40.0, 100.0, N)
     columns = {
-        "fan_speed_pct": speed, "fan_power_kW": 40.0 * (speed / 100.0) ** 3, "pump_kW": np.full(N, 100.0),
-        "m_w_kg_s": np.full(N, 200.0), "header_kPa": np.full(N, 150.0), "t_in_C": np.full(N, 30.0),
-        "t_out_C": np.full(N, 24.0), "wet_C": np.full(N, 20.0), "wet_rh_C": np.full(N, 20.0),
-    }  # fmt: skip
+        "fan_speed_pct": speed,
+        "fan_power_kW": 40.0 * (speed / 100.0) ** 3,
+        "pump_kW": np.full(N, 100.0),
+        "m_w_kg_s": np.full(N, 200.0),
+        "header_kPa": np.full(N, 150.0),
+        "t_in_C": np.full(N, 30.0),
+        "t_out_C": np.full(N, 24.0),
+        "wet_C": np.full(N, 20.0),
+        "wet_rh_C": np.full(N, 20.0),
+    }
     return columns | changes
 
 

@@ -61,10 +61,17 @@ class Made:
 
 
 def made_cell(
-    days: float, seed: int = 0, *, fill: tuple[float, float] = (0.88, 0.86), air: float = 0.93, bias: float = 0.3,
-    step: tuple[float, float] | None = None, test_days: tuple[int, ...] = (2, 5), error_K: float = 0.05,
+    days: float,
+    seed: int = 0,
+    *,
+    fill: tuple[float, float] = (0.88, 0.86),
+    air: float = 0.93,
+    bias: float = 0.3,
+    step: tuple[float, float] | None = None,
+    test_days: tuple[int, ...] = (2, 5),
+    error_K: float = 0.05,
     hot: float = 18.0,
-) -> Made:  # fmt: skip
+) -> Made:
     """Minutes of a cell with a fill that goes from the first to the second value.
 
     `step`: day and size K of a step of the outlet thermometer. `test_days`: with a step test of fan and flow.
@@ -111,17 +118,26 @@ def made_cell(
     power = IDLE + POWER * fine(speed) ** 3 * fine(rho) * (1 + 1.5 * (air - 1.0))
     sampled = (minute % 3 == 0).astype(np.uint8) + 2 * (minute % 3 != 0).astype(np.uint8)
     columns = {
-        "t_in_C": fine(t_in) + rng.normal(0, 0.03, n), "t_out_C": reading, "m_w_kg_s": fine(flow) * (1 + rng.normal(0,
-        0.004, n)),
-        "fan_speed_pct": 100 * fine(speed), "fan_command_pct": 100 * fine(speed),
+        "t_in_C": fine(t_in) + rng.normal(0, 0.03, n),
+        "t_out_C": reading,
+        "m_w_kg_s": fine(flow) * (1 + rng.normal(0, 0.004, n)),
+        "fan_speed_pct": 100 * fine(speed),
+        "fan_command_pct": 100 * fine(speed),
         "fan_power_kW": power * (1 + rng.normal(0, 0.01, n)),
-        "dry_C": fine(dry), "wet_C": fine(wet) + rng.normal(0, 0.05, n), "wet_rh_C": fine(wet),
+        "dry_C": fine(dry),
+        "wet_C": fine(wet) + rng.normal(0, 0.05, n),
+        "wet_rh_C": fine(wet),
         "pressure_kPa": np.full(n, PRESSURE),
-        "wind_m_s": 3.0 + rng.normal(0, 0.3, n), "wind_deg": np.full(n, 200.0), "neighbours_speed_pct": np.full(n,
-        70.0),
-        "bypass_pct": np.zeros(n), "regime": np.full(n, 3.0), "check": np.zeros(n), "in_service": np.ones(n),
-        "basin_C": np.interp(minute - 15, coarse, out) + rng.normal(0, 0.03, n), "makeup_kg_s": np.zeros(n),
-    }  # fmt: skip
+        "wind_m_s": 3.0 + rng.normal(0, 0.3, n),
+        "wind_deg": np.full(n, 200.0),
+        "neighbours_speed_pct": np.full(n, 70.0),
+        "bypass_pct": np.zeros(n),
+        "regime": np.full(n, 3.0),
+        "check": np.zeros(n),
+        "in_service": np.ones(n),
+        "basin_C": np.interp(minute - 15, coarse, out) + rng.normal(0, 0.03, n),
+        "makeup_kg_s": np.zeros(n),
+    }
     truth = {"t_out": t_out, "fill": fine(fill_now), "air": np.full(n, air), "bias": np.full(n, bias)}
     return Made(START_S + 60.0 * minute, columns, dict.fromkeys(columns, sampled), truth)
 
@@ -138,8 +154,13 @@ def made_points(seed: int = 1) -> dict[str, Array]:
     t_in = wet + rng.uniform(9, 13, 14)
     out = outlet(t_in, flow, m_a, dry, wet, ME0 * (flow / m_a / (M_W0 / M_A0)) ** -EXPONENT)
     return {
-        "water_inlet_C": t_in, "water_outlet_C": out + rng.normal(0, 0.03, 14), "entering_wet_bulb_C": wet,
+        "water_inlet_C": t_in,
+        "water_outlet_C": out + rng.normal(0, 0.03, 14),
+        "entering_wet_bulb_C": wet,
         "dry_bulb_C": dry,
-        "pressure_kPa": np.full(14, PRESSURE), "water_flow_kg_s": flow, "fan_speed_pct": 100 * speed,
-        "fan_power_kW": IDLE + POWER * speed**3 * rho, "air_flow_kg_s": m_a * (1 + rng.normal(0, 0.01, 14)),
-    }  # fmt: skip
+        "pressure_kPa": np.full(14, PRESSURE),
+        "water_flow_kg_s": flow,
+        "fan_speed_pct": 100 * speed,
+        "fan_power_kW": IDLE + POWER * speed**3 * rho,
+        "air_flow_kg_s": m_a * (1 + rng.normal(0, 0.01, 14)),
+    }

@@ -22,9 +22,13 @@ SITE = Site(34.0, 24.0, 6.0)
 def clean(**changes: float) -> TestPoints:
     v = made_points()
     u = Inputs(
-        v["water_inlet_C"], v["water_flow_kg_s"] * changes.get("flow", 1.0), v["fan_speed_pct"] / 100, v["dry_bulb_C"],
-        v["entering_wet_bulb_C"], v["pressure_kPa"],
-    )  # fmt: skip
+        v["water_inlet_C"],
+        v["water_flow_kg_s"] * changes.get("flow", 1.0),
+        v["fan_speed_pct"] / 100,
+        v["dry_bulb_C"],
+        v["entering_wet_bulb_C"],
+        v["pressure_kPa"],
+    )
     air = v["air_flow_kg_s"] * changes.get("air", 1.0)
     return TestPoints(u, v["water_outlet_C"] + changes.get("out", 0.0), v["fan_power_kW"], air, np.full(14, np.nan))
 
@@ -65,10 +69,10 @@ def test_commissioning_refuses_points_that_make_no_cooling_tower(changes: dict[s
 def test_deviations_are_found_with_intervals_and_the_outlet_gets_better(model: CellModel) -> None:
     made = made_cell(10, seed=3)
     labels = [
-        Label(made.time_s[7 * 1440], 1, "bias", 0.3, 0.3, 0.05), Label(made.time_s[4 * 1440], 1, "air", -0.07, -0.07,
-        0.02),
+        Label(made.time_s[7 * 1440], 1, "bias", 0.3, 0.3, 0.05),
+        Label(made.time_s[4 * 1440], 1, "air", -0.07, -0.07, 0.02),
         Label(made.time_s[5 * 1440], 1, "uniformity", -0.03, 0.03),
-    ]  # fmt: skip
+    ]
     got = predict_cell(fit_cell(model, minutes(made), Priors(BOUNDS), labels, ()))
     there = np.isfinite(got.t_out)
     truth = made.truth["t_out"]

@@ -29,13 +29,20 @@ def test_a_tenth_more_or_less_fan_moves_the_outlet_the_right_way(seed: int, wide
     wet = rng.uniform(-3.0, 27.0, POINTS)
     t_in = np.maximum(wet + rng.uniform(4.0, 22.0, POINTS), 8.0)
     u = Inputs(
-        t_in, rng.uniform(150.0, 290.0, POINTS), rng.uniform(0.33, 0.95, POINTS), wet + rng.uniform(0.5, 9.0, POINTS),
-        wet, np.full(POINTS, 99.0),
-    )  # fmt: skip
+        t_in,
+        rng.uniform(150.0, 290.0, POINTS),
+        rng.uniform(0.33, 0.95, POINTS),
+        wet + rng.uniform(0.5, 9.0, POINTS),
+        wet,
+        np.full(POINTS, 99.0),
+    )
     at = Operation(
-        u, np.zeros(POINTS), rng.uniform(0.0, 10.0, POINTS), rng.uniform(0.0, 360.0, POINTS),
+        u,
+        np.zeros(POINTS),
+        rng.uniform(0.0, 10.0, POINTS),
+        rng.uniform(0.0, 360.0, POINTS),
         rng.uniform(0.0, 1.0, POINTS),
-    )  # fmt: skip
+    )
 
     def outlet(share: float) -> np.ndarray:
         return MODEL.outlet(replace(at, inputs=replace(u, speed=share * u.speed)), slow, constants)

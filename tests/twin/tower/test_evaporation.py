@@ -138,7 +138,8 @@ def test_a_cell_that_stands_evaporates_nothing(model: CellModel, made: Made, fit
     alone = with_evaporation([fitted], [np.zeros(len(lost), dtype=bool)], balance(made, lost))[0][0]
     both, reason = with_evaporation(
         [fitted, replace(still, blocks=replace(still.blocks, time_s=still.blocks.time_s - 1e9))],
-        [np.zeros(len(lost), dtype=bool), np.ones(len(lost), dtype=bool)], balance(made, lost),
-    )  # fmt: skip
+        [np.zeros(len(lost), dtype=bool), np.ones(len(lost), dtype=bool)],
+        balance(made, lost),
+    )
     assert reason == "" and both[0].slow == pytest.approx(alone.slow, abs=1e-9)
     assert both[1].slow == pytest.approx(fitted.posterior.slow, abs=1e-12)

@@ -42,10 +42,11 @@ def labels_of(made: Made) -> list[Label]:
     """Return two correct traverses, a certificate and a count of nozzles."""
     t = made.time_s
     return [
-        Label(t[3 * 1440], 1, "air", AIR - 1.0, AIR - 1.0, 0.02), Label(t[9 * 1440], 1, "air", AIR - 1.0, AIR - 1.0,
-        0.02),
-        Label(t[2000], 1, "bias", 0.3, 0.3, 0.05), Label(t[7 * 1440], 1, "uniformity", -0.02, 0.02),
-    ]  # fmt: skip
+        Label(t[3 * 1440], 1, "air", AIR - 1.0, AIR - 1.0, 0.02),
+        Label(t[9 * 1440], 1, "air", AIR - 1.0, AIR - 1.0, 0.02),
+        Label(t[2000], 1, "bias", 0.3, 0.3, 0.05),
+        Label(t[7 * 1440], 1, "uniformity", -0.02, 0.02),
+    ]
 
 
 def fitted(model: CellModel, made: Made) -> Estimate:
@@ -76,8 +77,14 @@ def test_an_estimate_that_begins_at_another_stays_there(model: CellModel) -> Non
     edges = time_grid(float(made.time_s[0]), float(made.time_s[-1]))
     first = fit_cell(model, minutes(made), Priors(BOUNDS), labels_of(made), (), edges)
     again = estimate(
-        model, first.blocks, Priors(BOUNDS), labels_of(made), (), edges, start=first.posterior,
-    )  # fmt: skip
+        model,
+        first.blocks,
+        Priors(BOUNDS),
+        labels_of(made),
+        (),
+        edges,
+        start=first.posterior,
+    )
     moved = np.abs(again.slow - first.posterior.slow) / first.posterior.sd()
     assert moved.max() < 0.1
     spread = np.sqrt(np.diag(first.posterior.covariance)[first.posterior.slow.size :])

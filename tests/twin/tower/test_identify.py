@@ -41,11 +41,15 @@ def condition(sensors: str, **excitation: float) -> float:
 
 
 TABLE = [
-    ("TFEB", {}, 244.0), ("TFEB", {"load": 0.3}, 158.0), ("TF", {"load": 0.3, "fan": 0.15}, 102.0),
-    ("TFEB", {"load": 0.3, "fan": 0.15}, 81.0), ("TFE", {"load": 0.3, "fan": 0.15, "flow": 0.12}, 41.0),
-    ("T", {"load": 0.3, "fan": 0.4, "flow": 0.3}, 28.0), ("TFEB", {"load": 0.3, "fan": 0.4, "flow": 0.3}, 15.0),
+    ("TFEB", {}, 244.0),
+    ("TFEB", {"load": 0.3}, 158.0),
+    ("TF", {"load": 0.3, "fan": 0.15}, 102.0),
+    ("TFEB", {"load": 0.3, "fan": 0.15}, 81.0),
+    ("TFE", {"load": 0.3, "fan": 0.15, "flow": 0.12}, 41.0),
+    ("T", {"load": 0.3, "fan": 0.4, "flow": 0.3}, 28.0),
+    ("TFEB", {"load": 0.3, "fan": 0.4, "flow": 0.3}, 15.0),
     ("TFEB", {"load": 0.8, "fan": 0.4, "flow": 0.5}, 10.0),
-]  # fmt: skip
+]
 """Excitation and sensors with the condition number that 20 days of Chicago weather gave, in falling order."""
 
 
@@ -74,8 +78,9 @@ def test_standard_deviations_by_excitation_are_those_of_the_study(
     sensors: str, excitation: dict[str, float], published: dict[str, float]
 ) -> None:
     names = [SENSORS[letter] for letter in sensors]
-    days = [identifiability(cell_sensitivities(CELL, day(seed=s, **excitation), names, AT, KAPPA), 5.0)
-            for s in range(4)]  # fmt: skip
+    days = [
+        identifiability(cell_sensitivities(CELL, day(seed=s, **excitation), names, AT, KAPPA), 5.0) for s in range(4)
+    ]
     found = {name: float(np.median([one.sd[name] for one in days])) for name in published}
     assert found == pytest.approx(published, rel=0.4)
 

@@ -33,9 +33,14 @@ def celsius(fahrenheit: str) -> float:
 
 @pytest.mark.parametrize(
     ("t", "kPa", "ratio", "h"),
-    [(-20.0, 0.10326, 0.000637, -18.54), (0.0, 0.61115, 0.003790, 9.475), (20.0, 2.33921, 0.014761, 57.544),
-     (40.0, 7.38427, 0.049014, 166.374), (60.0, 19.94439, 0.152845, 458.962)],
-)  # fmt: skip
+    [
+        (-20.0, 0.10326, 0.000637, -18.54),
+        (0.0, 0.61115, 0.003790, 9.475),
+        (20.0, 2.33921, 0.014761, 57.544),
+        (40.0, 7.38427, 0.049014, 166.374),
+        (60.0, 19.94439, 0.152845, 458.962),
+    ],
+)
 def test_saturated_air_is_that_of_ashraes_table(t: float, kPa: float, ratio: float, h: float) -> None:
     # ASHRAE Fundamentals 2017, chapter 1, tables 2 and 3; the table's air is real, with 0.5 % more vapour.
     assert float(moist.saturation_pressure(t)) == pytest.approx(kPa, rel=1e-3)

@@ -36,9 +36,15 @@ def healthy(model: CellModel, made: Made) -> Estimate:
     whole = minutes(made)
     rows = slice(0, int(HEALTHY * 1440))
     first = replace(
-        whole, time_s=whole.time_s[rows], operation=whole.operation.take(rows), outlet=whole.outlet[rows],
-        power=whole.power[rows], known=whole.known[rows], steady=whole.steady[rows], regime=whole.regime[rows],
-    )  # fmt: skip
+        whole,
+        time_s=whole.time_s[rows],
+        operation=whole.operation.take(rows),
+        outlet=whole.outlet[rows],
+        power=whole.power[rows],
+        known=whole.known[rows],
+        steady=whole.steady[rows],
+        regime=whole.regime[rows],
+    )
     return fit_cell(model, first, Priors(BOUNDS), (), ()).posterior
 
 

@@ -81,8 +81,13 @@ def test_the_station_holds_its_water_and_its_process(clean: Simulated) -> None:
 
 def test_files_are_those_that_the_alignment_reads_and_hold_no_truth(folder: Path) -> None:
     assert sorted(path.name for path in folder.iterdir()) == [
-        "commissioning.csv", "datasheet.json", "events.csv", "labels.csv", "raw.parquet", "tags.csv",
-    ]  # fmt: skip
+        "commissioning.csv",
+        "datasheet.json",
+        "events.csv",
+        "labels.csv",
+        "raw.parquet",
+        "tags.csv",
+    ]
     station = read_station(folder / "tags.csv", folder / "datasheet.json", folder / "events.csv")
     assert station.cells == (1,)
     assert not station.remarks

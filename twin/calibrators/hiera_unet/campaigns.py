@@ -117,9 +117,13 @@ def recorded(
         told, measured, said = damaged(rng, told, measured)
     known_time = rng.uniform() < 0.7
     series = Series(
-        np.arange(n, dtype=np.float64) * STEP_S, told, measured, np.full(measured.shape, np.nan),
-        hour=hour if known_time else float("nan"), day=float(rng.uniform(0.0, 365.0)) if known_time else float("nan"),
-    )  # fmt: skip
+        np.arange(n, dtype=np.float64) * STEP_S,
+        told,
+        measured,
+        np.full(measured.shape, np.nan),
+        hour=hour if known_time else float("nan"),
+        day=float(rng.uniform(0.0, 365.0)) if known_time else float("nan"),
+    )
     label = theta + undeclared.equivalent(heat, family)
     return Campaign(series, truth, label, amiss, rig.nominal, "twin", (*(c.what for c in changes), *said))
 

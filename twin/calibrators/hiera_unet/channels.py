@@ -137,10 +137,11 @@ def loop(network: Network) -> ChannelTable:
         add("event", "e", "s", "log", 0.1, "since", column)
     add("event", "e", "s", "log", 0.1, "age")
     figures = (
-        ("power_over_flow",), ("rejection_over_flow",),
+        ("power_over_flow",),
+        ("rejection_over_flow",),
         *(("time_constant", node) for node in network.nodes),
         ("loss_over_flow",),
-    )  # fmt: skip
+    )
     return ChannelTable("loop", tuple(found), figures, ("flow_L_per_min",))
 
 

@@ -94,9 +94,7 @@ def load(path: Path, identity: Identity | None = None, config: Config | None = N
     card = path.with_suffix(".json")
     document = _document(card)
     try:
-        found = Identity(
-            document["twin"], document["table"], tuple(document["parameters"]), tuple(document["outputs"])
-        )  # fmt: skip
+        found = Identity(document["twin"], document["table"], tuple(document["parameters"]), tuple(document["outputs"]))
         own = Config.of(document["config"])
         digest, limit = document["weights"]["sha256"], float(document["envelope_limit"])
     except (ValueError, KeyError, TypeError) as error:
@@ -117,7 +115,7 @@ def load(path: Path, identity: Identity | None = None, config: Config | None = N
         network.load_state_dict(weights)
         hull = Envelope(
             tensors["envelope.mean"].double().numpy(), tensors["envelope.precision"].double().numpy(), limit
-        )  # fmt: skip
+        )
     except (SafetensorError, RuntimeError, KeyError) as error:
         raise HieraError(
             f"the weights {path} do not fit model card {card}: they are of another configuration than {own.name!r} "

@@ -46,18 +46,22 @@ class Factors:
 
     def document(self) -> dict[str, Any]:
         return {
-            "confidence": self.confidence, "overall": list(self.overall), "method": self.method,
+            "confidence": self.confidence,
+            "overall": list(self.overall),
+            "method": self.method,
             "binned": {str(b): list(v) for b, v in self.binned.items()},
             "counts": {str(b): n for b, n in self.counts.items()},
-        }  # fmt: skip
+        }
 
     @classmethod
     def read(cls, document: dict[str, Any]) -> Factors:
         return cls(
-            document["confidence"], tuple(map(float, document["overall"])),
+            document["confidence"],
+            tuple(map(float, document["overall"])),
             {int(b): tuple(map(float, v)) for b, v in document["binned"].items()},
-            {int(b): n for b, n in document["counts"].items()}, document["method"],
-        )  # fmt: skip
+            {int(b): n for b, n in document["counts"].items()},
+            document["method"],
+        )
 
 
 def fit(scores: Array, bins: np.ndarray, confidence: float = CONFIDENCE) -> Factors:

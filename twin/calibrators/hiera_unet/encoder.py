@@ -126,9 +126,15 @@ class Encoder(nn.Module):
         self.memory = nn.Linear(config.memory, config.dims[-1]) if config.memory else None
 
     def forward(
-        self, x: Tensor, m: Tensor, regime: Tensor, clock: Tensor, meta: Tensor, causal: bool,
+        self,
+        x: Tensor,
+        m: Tensor,
+        regime: Tensor,
+        clock: Tensor,
+        meta: Tensor,
+        causal: bool,
         memory: Tensor | None = None,
-    ) -> tuple[Scale, ...]:  # fmt: skip
+    ) -> tuple[Scale, ...]:
         """
         Args:
             x: (B, n, C). m: (B, n, C), 1 where x is there. regime: (B, n) integers. clock: (B, n, 6). meta: (B, M).

@@ -171,9 +171,18 @@ def nothing(features: Features, frame: Frame, belief: Belief) -> Evidence:
     """What is known without any data: the prior."""
     none = np.zeros(len(belief.sd), dtype=bool)
     return Evidence(
-        belief.mean, belief.sd, 1e16, none, 1.0, HORIZONS[-1], frame.start, frame.state,
-        Likelihood.nothing(len(belief.sd)), 1.0, 0,
-    )  # fmt: skip
+        belief.mean,
+        belief.sd,
+        1e16,
+        none,
+        1.0,
+        HORIZONS[-1],
+        frame.start,
+        frame.state,
+        Likelihood.nothing(len(belief.sd)),
+        1.0,
+        0,
+    )
 
 
 def _data(features: Features, frame: Frame, first: int, last: int) -> FitData:
@@ -182,9 +191,11 @@ def _data(features: Features, frame: Frame, first: int, last: int) -> FitData:
     good = np.isfinite(measured) & ~stuck(frame.measured[:last])[first:]
     sigma = step_noise(features)
     return FitData(
-        np.ascontiguousarray(frame.time[first:last]), np.ascontiguousarray(frame.held[first:last]),
-        np.where(good, measured, 0.0), np.where(good, 1.0 / sigma, 0.0),
-    )  # fmt: skip
+        np.ascontiguousarray(frame.time[first:last]),
+        np.ascontiguousarray(frame.held[first:last]),
+        np.where(good, measured, 0.0),
+        np.where(good, 1.0 / sigma, 0.0),
+    )
 
 
 def step_noise(features: Features) -> Array:

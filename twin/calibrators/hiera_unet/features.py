@@ -93,9 +93,22 @@ class Features:
         x, m = self._channels(stretch, begin)
         tokens = np.array([figures.token(network, what) for what in self.table.figures])
         return Frame(
-            x, m, regimes(network, part.inputs), clock(part), tokens, part.measured[-TARGET:], base, state,
-            held, part.time, part.measured, free, start, begin, stretch,
-        )  # fmt: skip
+            x,
+            m,
+            regimes(network, part.inputs),
+            clock(part),
+            tokens,
+            part.measured[-TARGET:],
+            base,
+            state,
+            held,
+            part.time,
+            part.measured,
+            free,
+            start,
+            begin,
+            stretch,
+        )
 
     def explained(self, frame: Frame, values: Array, theta: Array, steps: int) -> Frame:
         """The window with the channels of a fit.

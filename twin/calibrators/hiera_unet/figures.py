@@ -85,4 +85,4 @@ _TOKENS: dict[str, Callable[..., float]] = {
     "rejection_over_flow": lambda f, _: float(np.log(max(f.rejection_W_per_K, 1e-3) / f.capacity_rate_W_per_K / 0.23)),
     "loss_over_flow": lambda f, _: 0.5 * float(np.log(max(f.loss_W_per_K, 1e-2) / f.capacity_rate_W_per_K / 0.02)),
     "time_constant": _time_constant,
-}  # fmt: skip
+}

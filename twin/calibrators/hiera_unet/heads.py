@@ -148,7 +148,7 @@ class ParameterHead(nn.Module):
 
     def forward(
         self, d3: Tensor, valid: Tensor, answers: Tensor, meta: Tensor, raw: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:  # fmt: skip
+    ) -> tuple[Tensor, Tensor]:
         """
         Args:
             d3: (B, n, d3). valid: (B, n). answers: (B, Q, d4). meta: (B, M), its end the evidence. raw: (B, n, 2 C) of

@@ -84,9 +84,12 @@ class History:
     def state(self) -> dict[str, Any]:
         """Plain data to go on from."""
         arrays = {
-            "time": self._time, "inputs": self._inputs, "measured": self._measured, "earlier": self._earlier,
+            "time": self._time,
+            "inputs": self._inputs,
+            "measured": self._measured,
+            "earlier": self._earlier,
             "usual": self._usual,
-        }  # fmt: skip
+        }
         return {"origin": self._origin, **{key: to_json(a) for key, a in arrays.items()}}
 
     def restore(self, state: Mapping[str, Any]) -> None:

@@ -10,9 +10,13 @@ from twin.network import Array, Network
 KINDS = ("battle", "steps", "busy", "ramps", "constant", "cycles")
 SHARES = (0.28, 0.22, 0.16, 0.12, 0.14, 0.08)
 DWELL_S = {
-    "battle": (300.0, 3600.0), "steps": (1200.0, 7200.0), "busy": (90.0, 1200.0), "ramps": (900.0, 3600.0),
-    "constant": (1e9, 2e9), "cycles": (600.0, 1800.0),
-}  # fmt: skip
+    "battle": (300.0, 3600.0),
+    "steps": (1200.0, 7200.0),
+    "busy": (90.0, 1200.0),
+    "ramps": (900.0, 3600.0),
+    "constant": (1e9, 2e9),
+    "cycles": (600.0, 1800.0),
+}
 COOLING_DWELL_S = (1800.0, 10800.0)
 LOAD_SHARE = (0.4, 1.3)
 """Of the nominal power."""

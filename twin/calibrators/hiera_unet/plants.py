@@ -35,14 +35,19 @@ Law = tuple[str, float, float]
 """`log` and the sd of a logarithm and its shift; `uniform` from, to; `wide` log-uniform from, to."""
 
 OWN: Mapping[tuple[str, str], Law] = {
-    ("node", "capacitance"): ("log", 0.3, 0.1), ("flow", "factor"): ("uniform", 0.85, 1.15),
+    ("node", "capacitance"): ("log", 0.3, 0.1),
+    ("flow", "factor"): ("uniform", 0.85, 1.15),
     ("flow", "nominal"): ("log", 0.2, 0.0),
-    ("flow", "effectiveness"): ("uniform", 0.93, 1.0), ("conduction", "resistance"): ("log", 0.5, 0.0),
-    ("ambient_loss", "hA"): ("log", 0.5, -0.2), ("radiator", "UA_100"): ("log", 0.3, 0.1),
-    ("radiator", "fan_exponent"): ("uniform", 0.4, 0.8), ("radiator", "flow_exponent"): ("uniform", 0.0, 0.2),
-    ("radiator", "UA_still"): ("uniform", 0.1, 4.0), ("radiator", "recirculation"): ("wide", 1e-6, 3e-4),
+    ("flow", "effectiveness"): ("uniform", 0.93, 1.0),
+    ("conduction", "resistance"): ("log", 0.5, 0.0),
+    ("ambient_loss", "hA"): ("log", 0.5, -0.2),
+    ("radiator", "UA_100"): ("log", 0.3, 0.1),
+    ("radiator", "fan_exponent"): ("uniform", 0.4, 0.8),
+    ("radiator", "flow_exponent"): ("uniform", 0.0, 0.2),
+    ("radiator", "UA_still"): ("uniform", 0.1, 4.0),
+    ("radiator", "recirculation"): ("wide", 1e-6, 3e-4),
     ("sensor", "lag_s"): ("uniform", 1.0, 9.0),
-}  # fmt: skip
+}
 """Parameters of the twin's own elements as they vary from rig to rig, by kind and beginning of the name."""
 WITH_POWER = (("radiator", "UA_100"), ("flow", "nominal"))
 """What a rig made for more power has more of."""
@@ -50,11 +55,15 @@ ON_THE_SHEET = (("node", "capacitance"), ("flow", "nominal"))
 FITTED: Mapping[tuple[str, str], Law] = {("flow", "effectiveness"): ("uniform", 0.5, 1.0)}
 """The same for those that commissioning or tracking adjusts, where it is more."""
 ADDED: Mapping[tuple[str, str], Law] = {
-    ("natural_convection", "coefficient"): ("wide", 0.01, 0.5), ("radiation", "area"): ("wide", 0.005, 0.2),
-    ("hidden_mass", "capacity"): ("wide", 100.0, 5000.0), ("hidden_mass", "conductance"): ("wide", 5.0, 60.0),
-    ("pipe", "volume"): ("wide", 0.03, 0.6), ("pipe", "wall_capacity"): ("wide", 50.0, 900.0),
-    ("pipe", "wall_hA"): ("wide", 15.0, 80.0), ("pipe", "loss_hA"): ("wide", 0.05, 0.6),
-}  # fmt: skip
+    ("natural_convection", "coefficient"): ("wide", 0.01, 0.5),
+    ("radiation", "area"): ("wide", 0.005, 0.2),
+    ("hidden_mass", "capacity"): ("wide", 100.0, 5000.0),
+    ("hidden_mass", "conductance"): ("wide", 5.0, 60.0),
+    ("pipe", "volume"): ("wide", 0.03, 0.6),
+    ("pipe", "wall_capacity"): ("wide", 50.0, 900.0),
+    ("pipe", "wall_hA"): ("wide", 15.0, 80.0),
+    ("pipe", "loss_hA"): ("wide", 0.05, 0.6),
+}
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,7 @@ class RefinedCalibrator(LeastSquares):
         live = self.kernel.trace(left.parameters, state, window.time, window.inputs)[0][0]
         found = make_window(
             window.number, window.time, window.inputs, window.measured, state, left.parameters, live, rules, window.read
-        )  # fmt: skip
+        )
         return replace(found, kind=window.kind)
 
     def _led(self, window: Window, belief: Belief, alone: Calibration) -> Calibration:
@@ -167,9 +167,11 @@ class RefinedCalibrator(LeastSquares):
         concluded."""
         aside = (d.sentence(self.network) for d in proposal.doubts)
         return replace(
-            done, flags=(*aside, *done.flags, flag), evaluations=done.evaluations + proposal.evaluations + more,
+            done,
+            flags=(*aside, *done.flags, flag),
+            evaluations=done.evaluations + proposal.evaluations + more,
             error_before_K=window.error_K,
-        )  # fmt: skip
+        )
 
     def _full(self, calibration: Calibration) -> Array:
         full = self.network.values.copy()

@@ -55,9 +55,15 @@ class Series:
         time = self.time[0] + STEP_S * np.arange(first, last) if lead else self.time[rows]
         extra = {name: cut(a) for name, a in self.extra.items()}
         return Series(
-            time, cut(self.inputs), cut(self.measured), cut(self.spread), extra, self.hour, self.day,
+            time,
+            cut(self.inputs),
+            cut(self.measured),
+            cut(self.spread),
+            extra,
+            self.hour,
+            self.day,
             latest(self.inputs[: max(first, 0)], self.earlier),
-        )  # fmt: skip
+        )
 
     def ahead(self, count: int) -> Series:
         """The same with as many steps to come, of which nothing is known."""
@@ -68,9 +74,15 @@ class Series:
         time = np.concatenate([self.time, self.time[-1] + STEP_S * np.arange(1, count + 1)])
         extra = {name: longer(a) for name, a in self.extra.items()}
         return Series(
-            time, longer(self.inputs), longer(self.measured), longer(self.spread), extra, self.hour, self.day,
+            time,
+            longer(self.inputs),
+            longer(self.measured),
+            longer(self.spread),
+            extra,
+            self.hour,
+            self.day,
             self.earlier,
-        )  # fmt: skip
+        )
 
 
 def series(
@@ -112,8 +124,11 @@ def series(
         if len(present) > 1:
             each = binned(np.column_stack(present), near, n)
             spread[:, j] = _spread(each)
-    taken = {name: binned(np.asarray(columns[name], dtype=np.float64)[:, None], before, n)[:, 0]
-             for name in extra if name in columns}  # fmt: skip
+    taken = {
+        name: binned(np.asarray(columns[name], dtype=np.float64)[:, None], before, n)[:, 0]
+        for name in extra
+        if name in columns
+    }
     return Series(
         t[0] + STEP_S * np.arange(n), binned(inputs, before, n), binned(measured, near, n), spread, taken, hour, day
     )

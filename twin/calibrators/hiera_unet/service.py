@@ -132,9 +132,16 @@ class HieraUNetCalibrator:
             return window
         left = contradicted.without(window.time, window.measured, self._aside)
         found = make_window(
-            window.number, window.time, window.inputs, left, window.state, window.parameters, window.live,
-            self.network.rules, window.read,
-        )  # fmt: skip
+            window.number,
+            window.time,
+            window.inputs,
+            left,
+            window.state,
+            window.parameters,
+            window.live,
+            self.network.rules,
+            window.read,
+        )
         return replace(found, kind=window.kind) if found.kind == "skipped" else found
 
     def series(self) -> Series:

@@ -245,8 +245,22 @@ def _log_steps(steps: Array) -> Array:
 
 
 FORMULAS: dict[str, Callable[..., Array]] = {
-    "level": _level, "quick": _quick, "measured": _measured, "flow_gap": _flow_gap, "reading": _reading,
-    "base": _base, "rate": _rate, "drop": _drop, "residual": _residual, "fitted": _fitted, "balance": _balance,
-    "stale": _stale, "flat": _flat, "spread": _spread, "step": _step, "since": _since, "age": _age,
-}  # fmt: skip
+    "level": _level,
+    "quick": _quick,
+    "measured": _measured,
+    "flow_gap": _flow_gap,
+    "reading": _reading,
+    "base": _base,
+    "rate": _rate,
+    "drop": _drop,
+    "residual": _residual,
+    "fitted": _fitted,
+    "balance": _balance,
+    "stale": _stale,
+    "flat": _flat,
+    "spread": _spread,
+    "step": _step,
+    "since": _since,
+    "age": _age,
+}
 """Formula -> (stretch, arguments) -> values (n,), NaN where missing."""

@@ -104,18 +104,21 @@ def read_shard(path: Path) -> list[Kept]:
         wide = {name: a[name][rows].astype(np.float64) for name in ("inputs", "measured", "spread", "truth", "theta")}
         series = Series(
             time, wide["inputs"], wide["measured"], wide["spread"], extra, float(a["hour"][k]), float(a["day"][k])
-        )  # fmt: skip
+        )
         what = tuple(str(a["what"][k]).split("; ")) if str(a["what"][k]) else ()
         campaign = Campaign(
             series, wide["truth"], wide["theta"], a["amiss"][rows], a["nominal"][k], str(a["source"][k]), what
-        )  # fmt: skip
+        )
         labels = tuple(
             Label(
-                int(a["end"][i]), a["label_theta"][i], a["label_known"][i], bool(a["label_changed"][i]),
+                int(a["end"][i]),
+                a["label_theta"][i],
+                a["label_known"][i],
+                bool(a["label_changed"][i]),
                 a["label_fit"][i],
             )
             for i in own
-        )  # fmt: skip
+        )
         kept.append(Kept(campaign, labels))
     return kept
 
@@ -140,14 +143,21 @@ def _row(features: Features, campaign: Campaign, label: Label) -> Mapping[str, n
     frame = features.explained(bare, campaign.nominal, theta, steps)
     single = np.float32
     return {
-        "x": frame.x.astype(single), "m": frame.m, "regime": frame.regime, "clock": frame.clock.astype(single),
+        "x": frame.x.astype(single),
+        "m": frame.m,
+        "regime": frame.regime,
+        "clock": frame.clock.astype(single),
         "meta": np.concatenate([frame.figures, tokens_of(label.fit, features.deviations)]).astype(single),
         "target": frame.target.astype(single),
         "truth": campaign.truth[label.end - TARGET : label.end].astype(single),
-        "base": frame.base.astype(single), "state": frame.state, "inputs": frame.held[-TARGET:],
-        "theta": label.theta.astype(single), "known": label.known, "changed": np.array(label.changed),
+        "base": frame.base.astype(single),
+        "state": frame.state,
+        "inputs": frame.held[-TARGET:],
+        "theta": label.theta.astype(single),
+        "known": label.known,
+        "changed": np.array(label.changed),
         "nominal": campaign.nominal,
-    }  # fmt: skip
+    }
 
 
 class Store:

@@ -89,12 +89,19 @@ class Subject:
             HieraError: there is no such size.
         """
         sizes: dict[str, Any] = {
-            "groups": self.groups, "bounds": tuple(one.bound for one in self.deviations),
-            "tolerances": tuple(one.tolerance for one in self.outputs), "regimes": self.regimes, "evidence": True,
-            "meta": self.statics + 5 * len(self.deviations) + 1, "memory": self.memory,
-            "slope_signs": self.slope_signs, "residual": self.index(self.residual) if self.residual else 0,
-            "step_s": self.step_s, "context": self.context, "target": self.target,
-        }  # fmt: skip
+            "groups": self.groups,
+            "bounds": tuple(one.bound for one in self.deviations),
+            "tolerances": tuple(one.tolerance for one in self.outputs),
+            "regimes": self.regimes,
+            "evidence": True,
+            "meta": self.statics + 5 * len(self.deviations) + 1,
+            "memory": self.memory,
+            "slope_signs": self.slope_signs,
+            "residual": self.index(self.residual) if self.residual else 0,
+            "step_s": self.step_s,
+            "context": self.context,
+            "target": self.target,
+        }
         return named(size, **sizes)
 
     def digest(self) -> str:

@@ -196,9 +196,7 @@ class Trainer:
 def check(config: Config, windows: Windows) -> None:
     """Raises HieraError: windows of other shapes than the configuration's."""
     found = (windows.x.shape[1:], windows.meta.shape[1], windows.theta.shape[1], windows.target.shape[1:])
-    wanted = (
-        (config.context, config.channels), config.meta, config.parameters, (config.target, config.outputs)
-    )  # fmt: skip
+    wanted = ((config.context, config.channels), config.meta, config.parameters, (config.target, config.outputs))
     if found != wanted or not len(windows):
         raise HieraError(
             f"{len(windows)} windows with (steps, channels), static numbers, parameters, (steps, outputs) of {found} "

@@ -241,8 +241,13 @@ def _moved(finding: Finding, known: Basis) -> tuple[Moved, ...]:
         k = scaling.index[i]
         out.append(
             Moved(
-                name, float(network.values[k]), float(finding.retuned.values[k]), float(after.values[k]),
-                network.parameters[name].unit, float(finding.retuned.moved[i] / sd[i]), float(after.moved[i] / sd[i]),
+                name,
+                float(network.values[k]),
+                float(finding.retuned.values[k]),
+                float(after.values[k]),
+                network.parameters[name].unit,
+                float(finding.retuned.moved[i] / sd[i]),
+                float(after.moved[i] / sd[i]),
             )
-        )  # fmt: skip
+        )
     return tuple(out)

@@ -141,11 +141,24 @@ def candidate_of(network: Network, site: OpenSite, values: Values) -> Candidate:
     """Return the candidate of a law at a site."""
     scale = max(values.scale, 1.0e-12)
     return Candidate(
-        site.kind, site.where, values.driver, "new", site.changes, _unit(network, site, values), site.typical / scale,
-        site.lower / scale, site.upper / scale, f"{site.says} {values.says}".rstrip(), adds=site.tables,
-        shapes=("step",), column=site.column, follows=values.at, injects=site.injects, reads=site.reads,
+        site.kind,
+        site.where,
+        values.driver,
+        "new",
+        site.changes,
+        _unit(network, site, values),
+        site.typical / scale,
+        site.lower / scale,
+        site.upper / scale,
+        f"{site.says} {values.says}".rstrip(),
+        adds=site.tables,
+        shapes=("step",),
+        column=site.column,
+        follows=values.at,
+        injects=site.injects,
+        reads=site.reads,
         adopts={"form": values.form, "column": values.column, **values.parameters},
-    )  # fmt: skip
+    )
 
 
 def _unit(network: Network, site: OpenSite, values: Values) -> str:
@@ -177,19 +190,35 @@ def values_of(network: Network, grid: Grid) -> Iterator[Values]:
         for reference in references:
             scale = float(np.abs(x - reference).max())
             above = f" above {reference:.4g}" if reference else ""
-            yield of("linear", parameters={"gain": 1.0, "reference": reference}, scale=scale,
-                     says=f"in proportion to {spoken}{above}")  # fmt: skip
+            yield of(
+                "linear",
+                parameters={"gain": 1.0, "reference": reference},
+                scale=scale,
+                says=f"in proportion to {spoken}{above}",
+            )
         if unit == "pct":
-            yield of("power", parameters={"size": 1.0, "reference": 0.0, "scale": 100.0, "exponent": 2.0}, scale=1.0,
-                     says=f"with the square of {spoken}")  # fmt: skip
+            yield of(
+                "power",
+                parameters={"size": 1.0, "reference": 0.0, "scale": 100.0, "exponent": 2.0},
+                scale=1.0,
+                says=f"with the square of {spoken}",
+            )
         for lag in LAGS_S:
             reference = references[-1] if unit == "C" else 0.0
             scale = float(np.abs(x - reference).max())
-            yield of("memory", parameters={"gain": 1.0, "reference": reference, "lag_s": lag}, scale=scale,
-                     says=f"following {spoken} within {lag / 60:.0f} min")  # fmt: skip
+            yield of(
+                "memory",
+                parameters={"gain": 1.0, "reference": reference, "lag_s": lag},
+                scale=scale,
+                says=f"following {spoken} within {lag / 60:.0f} min",
+            )
         for level in _levels(x):
-            yield of("threshold", parameters={"size": 1.0, "on": level, "off": level}, scale=1.0,
-                     says=f"while {spoken} is above {level:.4g}")  # fmt: skip
+            yield of(
+                "threshold",
+                parameters={"size": 1.0, "on": level, "off": level},
+                scale=1.0,
+                says=f"while {spoken} is above {level:.4g}",
+            )
 
 
 def _levels(x: Array) -> list[float]:
@@ -233,11 +262,26 @@ def _heat_site(network: Network, law: Law) -> OpenSite:
     name = f"heat_{_plain(c.where)}"
     nodes = [(network.nodes[k], float(w / weight.sum())) for k, w in enumerate(weight) if w > 0.0]
     response = law.heat / max(float(law.heat.sum(axis=1).max()), 1e-12)
-    tables = {f"{name}_{node}": {"kind": "law_heat", "node": node, "driver": f"open_{name}", "form": "linear"}
-              for node, _ in nodes}  # fmt: skip
+    tables = {
+        f"{name}_{node}": {"kind": "law_heat", "node": node, "driver": f"open_{name}", "form": "linear"}
+        for node, _ in nodes
+    }
     changes = {f"{name}_{node}.gain": share for node, share in nodes}
-    return OpenSite(name, "heat_source", c.where, tables, changes, "W", 20.0, -2000.0, 2000.0, response, None,
-                    "gives off {value}", injects=dict(nodes))  # fmt: skip
+    return OpenSite(
+        name,
+        "heat_source",
+        c.where,
+        tables,
+        changes,
+        "W",
+        20.0,
+        -2000.0,
+        2000.0,
+        response,
+        None,
+        "gives off {value}",
+        injects=dict(nodes),
+    )
 
 
 def _reading_site(network: Network, law: Law) -> OpenSite | None:
@@ -246,11 +290,25 @@ def _reading_site(network: Network, law: Law) -> OpenSite | None:
     if any(n not in network.sensor_names for n in names):
         return None
     name = f"read_{_plain(c.where)}"
-    tables = {f"{name}_{s}": {"kind": "law_reading", "sensor": s, "driver": f"open_{name}", "form": "linear"}
-              for s in names}  # fmt: skip
+    tables = {
+        f"{name}_{s}": {"kind": "law_reading", "sensor": s, "driver": f"open_{name}", "form": "linear"} for s in names
+    }
     changes = {f"{name}_{s}.gain": 1.0 for s in names}
-    return OpenSite(name, "sensor", c.where, tables, changes, "K", 0.2, -20.0, 20.0, None, law.reading,
-                    "reads {value} too high", reads=dict.fromkeys(names, 1.0))  # fmt: skip
+    return OpenSite(
+        name,
+        "sensor",
+        c.where,
+        tables,
+        changes,
+        "K",
+        0.2,
+        -20.0,
+        20.0,
+        None,
+        law.reading,
+        "reads {value} too high",
+        reads=dict.fromkeys(names, 1.0),
+    )
 
 
 def _flow_site(network: Network, law: Law) -> OpenSite | None:
@@ -262,8 +320,20 @@ def _flow_site(network: Network, law: Law) -> OpenSite | None:
     factor = network.parameters[key].value
     name = f"flow_{_plain(element)}"
     tables = {name: {"kind": "law_flow", "flow": element, "driver": f"open_{name}", "form": "linear"}}
-    return OpenSite(name, "flow", c.where, tables, {f"{name}.gain": 1.0}, "of the flow", 0.03, -0.8, 1.0,
-                    law.heat * factor, None, "carries {value} more")  # fmt: skip
+    return OpenSite(
+        name,
+        "flow",
+        c.where,
+        tables,
+        {f"{name}.gain": 1.0},
+        "of the flow",
+        0.03,
+        -0.8,
+        1.0,
+        law.heat * factor,
+        None,
+        "carries {value} more",
+    )
 
 
 def _loss_site(network: Network, law: Law) -> OpenSite | None:
@@ -276,10 +346,23 @@ def _loss_site(network: Network, law: Law) -> OpenSite | None:
         return None
     node = network.nodes[int(active[0])]
     name = f"loss_{_plain(node)}"
-    tables = {name: {"kind": "law_conductance", "node": node, "ambient": room, "driver": f"open_{name}",
-                     "form": "linear"}}  # fmt: skip
-    return OpenSite(name, "heat_loss", c.where, tables, {f"{name}.gain": 1.0}, "W/K", 1.0, -60.0, 60.0, law.heat, None,
-                    "loses {value} more to the room")  # fmt: skip
+    tables = {
+        name: {"kind": "law_conductance", "node": node, "ambient": room, "driver": f"open_{name}", "form": "linear"}
+    }
+    return OpenSite(
+        name,
+        "heat_loss",
+        c.where,
+        tables,
+        {f"{name}.gain": 1.0},
+        "W/K",
+        1.0,
+        -60.0,
+        60.0,
+        law.heat,
+        None,
+        "loses {value} more to the room",
+    )
 
 
 def _solids(network: Network, sites: Sequence[OpenSite]) -> Iterator[OpenSite]:
@@ -301,12 +384,26 @@ def _solids(network: Network, sites: Sequence[OpenSite]) -> Iterator[OpenSite]:
             tables: dict[str, dict[str, Any]] = {
                 heat: {"kind": "law_heat", "node": node, "driver": column, "form": "linear"}
             }
-            tables |= {f"{name}_{s}": {"kind": "law_reading", "sensor": s, "driver": column, "form": "linear"}
-                       for s in sensors}  # fmt: skip
+            tables |= {
+                f"{name}_{s}": {"kind": "law_reading", "sensor": s, "driver": column, "form": "linear"} for s in sensors
+            }
             changes = {f"{heat}.gain": 1.0} | {f"{name}_{s}.gain": above for s in sensors}
-            yield OpenSite(name, "heat_source", site.where, tables, changes, "W", site.typical, site.lower, site.upper,
-                           site.heat, above * reading, "gives off {value} into its solid part", injects={node: 1.0},
-                           reads=dict.fromkeys(sensors, above))  # fmt: skip
+            yield OpenSite(
+                name,
+                "heat_source",
+                site.where,
+                tables,
+                changes,
+                "W",
+                site.typical,
+                site.lower,
+                site.upper,
+                site.heat,
+                above * reading,
+                "gives off {value} into its solid part",
+                injects={node: 1.0},
+                reads=dict.fromkeys(sensors, above),
+            )
 
 
 def _transfers(network: Network, named: Sequence[Law]) -> Iterator[OpenSite]:
@@ -318,8 +415,21 @@ def _transfers(network: Network, named: Sequence[Law]) -> Iterator[OpenSite]:
         heat[:, network.nodes.index(a)], heat[:, network.nodes.index(b)] = 1.0, -1.0
         name = f"transfer_{_plain(a)}_{_plain(b)}"
         tables = {name: {"kind": "law_heat", "node": a, "source": b, "driver": f"open_{name}", "form": "linear"}}
-        yield OpenSite(name, "heat_transfer", a, tables, {f"{name}.gain": 1.0}, "W", 20.0, -2000.0, 2000.0, heat, None,
-                       f"receives {{value}} from {b}", injects={a: 1.0, b: -1.0})  # fmt: skip
+        yield OpenSite(
+            name,
+            "heat_transfer",
+            a,
+            tables,
+            {f"{name}.gain": 1.0},
+            "W",
+            20.0,
+            -2000.0,
+            2000.0,
+            heat,
+            None,
+            f"receives {{value}} from {b}",
+            injects={a: 1.0, b: -1.0},
+        )
 
 
 def adopted(network: Network, candidate: Candidate, size: float) -> Network:

@@ -257,7 +257,7 @@ def _with_probes(network: Network, columns: tuple[str, ...]) -> tuple[Network, t
             status: Status = "tunable" if spec.name == "gain" else "fixed"
             parameters[key] = Parameter(
                 key, element.name, spec.name, 0.0, spec.unit, spec.lower, spec.upper, status, "a question"
-            )  # fmt: skip
+            )
         gains.append(f"{element.name}.gain")
     # Every node gets a reading of its own without lag or bias, behind those that the network has.
     reads = []
@@ -270,11 +270,14 @@ def _with_probes(network: Network, columns: tuple[str, ...]) -> tuple[Network, t
             value = spec.default if spec.default is not None else 0.0
             parameters[key] = Parameter(
                 key, sensor.name, spec.name, value, spec.unit, spec.lower, spec.upper, "fixed", spec.source
-            )  # fmt: skip
+            )
     probed = replace(
-        network, elements=tuple(elements), parameters=MappingProxyType(parameters), inputs=MappingProxyType(inputs),
+        network,
+        elements=tuple(elements),
+        parameters=MappingProxyType(parameters),
+        inputs=MappingProxyType(inputs),
         digest="",
-    )  # fmt: skip
+    )
     return probed, tuple(gains), reads
 
 

@@ -61,7 +61,7 @@ class SharedKernel:
                 status: Status = "tunable" if spec.name == "gain" else "fixed"
                 parameters[key] = Parameter(
                     key, name, spec.name, 0.0, spec.unit, spec.lower, spec.upper, status, "an open law"
-                )  # fmt: skip
+                )
         bigger = replace(bigger, elements=tuple(elements), parameters=MappingProxyType(parameters), digest="")
         gains = (f"{injection(slot, node)}.gain" for slot, node in places)
         return SharedKernel(bigger, Kernel(bigger, (*self.kernel.lane_ids, *gains), whole_memory=True))

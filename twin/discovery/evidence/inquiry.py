@@ -200,11 +200,21 @@ def finding_of(found: Found, part: Part) -> Finding:
     claimed = claimed and together is None
     ranked = _ranked(found, best) if claimed and best is not None else ()
     finding = Finding(
-        entries=(), fit=None, retuned=plainly(part, found.retuned), ranked=ranked, scanned=tuple(found.scanned),
-        start=contest.misfit, count=contest.count, ladder=ladder_of(part, best if claimed else None, found.scanned),
-        contest=contest, state=part.state, claim=claim,
-        odds=max((h.odds for h in found.hypotheses), default=-math.inf), unlisted=found.unlisted, together=together,
-    )  # fmt: skip
+        entries=(),
+        fit=None,
+        retuned=plainly(part, found.retuned),
+        ranked=ranked,
+        scanned=tuple(found.scanned),
+        start=contest.misfit,
+        count=contest.count,
+        ladder=ladder_of(part, best if claimed else None, found.scanned),
+        contest=contest,
+        state=part.state,
+        claim=claim,
+        odds=max((h.odds for h in found.hypotheses), default=-math.inf),
+        unlisted=found.unlisted,
+        together=together,
+    )
     if not claimed:
         return finding
     assert best is not None and best.fit is not None

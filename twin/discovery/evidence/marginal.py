@@ -46,9 +46,7 @@ def log_mass(low: Array, high: Array) -> Array:
     return found
 
 
-def log_bayes_of_sizes(
-    candidates: Candidate | Sequence[Candidate], top: Array, bottom: Array
-) -> tuple[Array, Array]:  # fmt: skip
+def log_bayes_of_sizes(candidates: Candidate | Sequence[Candidate], top: Array, bottom: Array) -> tuple[Array, Array]:
     """Return log B of single effects with scores `top` and squares `bottom`, and their sizes.
 
     The prior of a size is a Gaussian within its candidate's bounds.

@@ -32,9 +32,17 @@ weakest true effect to 15; the plants of `hil bench zoo` have not been used to s
 SURE = 0.85
 """Share of the posterior that one class must have to be named alone."""
 KINDS = {
-    "heat_source": 1.0, "heat_loss": 1.0, "heat_rejection": 1.0, "flow": 0.7, "thermal_mass": 0.7, "sensor": 0.7,
-    "coupling": 0.4, "delay": 0.5, "actuator": 0.3, "heat_transfer": 0.3,
-}  # fmt: skip
+    "heat_source": 1.0,
+    "heat_loss": 1.0,
+    "heat_rejection": 1.0,
+    "flow": 0.7,
+    "thermal_mass": 0.7,
+    "sensor": 0.7,
+    "coupling": 0.4,
+    "delay": 0.5,
+    "actuator": 0.3,
+    "heat_transfer": 0.3,
+}
 """Probability of a kind of fault at a place where it may be, relative to hidden heat. Judgements; heat transfer is
 rated like an actuator."""
 DRIVERS = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}

@@ -29,9 +29,7 @@ TOGETHER = 32
 _TINY = 1e-12
 
 
-def scan(
-    contest: Contest, laws: Sequence[Law], beside: Joint | None = None, *, timed: bool = True
-) -> list[Entry]:  # fmt: skip
+def scan(contest: Contest, laws: Sequence[Law], beside: Joint | None = None, *, timed: bool = True) -> list[Entry]:
     """Return the likeliest onset of each law in each of its shapes, by falling evidence.
 
     `Entry.log_bayes` is averaged over the times of its course by their prior; `Entry.log_occam` is the logarithm of
@@ -138,9 +136,14 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
         else:
             reach *= 0.5
     return replace(
-        entry, shape=shape, vector=blocks * course, size=size, sd=bottom**-0.5, gain=size**2 * bottom,
+        entry,
+        shape=shape,
+        vector=blocks * course,
+        size=size,
+        sd=bottom**-0.5,
+        gain=size**2 * bottom,
         log_bayes=entry.log_bayes + best - start,
-    )  # fmt: skip
+    )
 
 
 def _of_laws(scanned: _Scanned, laws: Sequence[Law], family: str, turns: bool) -> list[Entry]:
@@ -189,9 +192,7 @@ def _of_laws(scanned: _Scanned, laws: Sequence[Law], family: str, turns: bool) -
     return out
 
 
-def _spells(
-    contest: Contest, law: Law, blocks: Array, score: Array, gram: Array, rest: float
-) -> list[Entry]:  # fmt: skip
+def _spells(contest: Contest, law: Law, blocks: Array, score: Array, gram: Array, rest: float) -> list[Entry]:
     """Return the likeliest spell of a law, of two blocks or more, that is over two blocks before the record is."""
     b = contest.b
     sums, tops = np.zeros((b + 1, b + 1)), np.concatenate([[0.0], np.cumsum(score)])
@@ -209,8 +210,18 @@ def _spells(
     shape = Shape("spell", first[k] * block_s, (last[k] - first[k]) * block_s)
     vector = blocks * shape.block_means(contest.edges * contest.grid.step_s)
     gain = float(size[k] ** 2 * bottom[k])
-    return [Entry(law, shape, vector, float(size[k]), float(bottom[k]) ** -0.5, gain, log_bayes=total,
-                  log_occam=total - float(odds[k]))]  # fmt: skip
+    return [
+        Entry(
+            law,
+            shape,
+            vector,
+            float(size[k]),
+            float(bottom[k]) ** -0.5,
+            gain,
+            log_bayes=total,
+            log_occam=total - float(odds[k]),
+        )
+    ]
 
 
 def logsumexp(values: Array) -> float:
@@ -220,9 +231,15 @@ def logsumexp(values: Array) -> float:
 
 
 def _best(
-    laws: Sequence[Law], squares: Sequence[Squares], shapes: Sequence[Shape], columns: Array, weighted: Array,
-    odds: Array, size: Array, bottom: Array,
-) -> list[Entry]:  # fmt: skip
+    laws: Sequence[Law],
+    squares: Sequence[Squares],
+    shapes: Sequence[Shape],
+    columns: Array,
+    weighted: Array,
+    odds: Array,
+    size: Array,
+    bottom: Array,
+) -> list[Entry]:
     """Return each law's likeliest course of those in `columns` (b, i); the other arrays are (laws, i)."""
     rows, best = np.arange(len(laws)), np.argmax(weighted, axis=1)
     most, sizes, squared = (values[rows, best] for values in (weighted, size, bottom))
@@ -230,11 +247,17 @@ def _best(
         total = most + np.log(np.exp(weighted - most[:, None]).sum(axis=1))
     return [
         Entry(
-            law, shapes[k], q.blocks * columns[:, k], float(s), float(square) ** -0.5, float(s**2 * square),
-            log_bayes=float(mean), log_occam=float(mean - alone),
+            law,
+            shapes[k],
+            q.blocks * columns[:, k],
+            float(s),
+            float(square) ** -0.5,
+            float(s**2 * square),
+            log_bayes=float(mean),
+            log_occam=float(mean - alone),
         )
         for law, q, k, s, square, mean, alone in zip(
             laws, squares, best, sizes, squared, total, odds[rows, best], strict=True
         )
         if math.isfinite(mean)
-    ]  # fmt: skip
+    ]

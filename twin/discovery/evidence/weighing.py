@@ -35,10 +35,12 @@ def weighed(finding: Finding, first: Part, later: Sequence[Part]) -> tuple[Findi
     each = weigh(finding.ranked, later, finding.contest.grid.span_s)
     for part in later:
         part.reset()
-    odds = np.array([
-        math.log(max(r.weight, 1e-300)) - 0.5 * (w.fit.total - r.fit.total)
-        for r, w in zip(finding.ranked, each, strict=True)
-    ])  # fmt: skip
+    odds = np.array(
+        [
+            math.log(max(r.weight, 1e-300)) - 0.5 * (w.fit.total - r.fit.total)
+            for r, w in zip(finding.ranked, each, strict=True)
+        ]
+    )
     shares = np.exp(odds - odds.max())
     shares /= shares.sum()
     order = np.argsort(-odds)

@@ -42,14 +42,22 @@ def apart(network: Network, sites: Sites) -> tuple[Candidate, ...]:
     taken = {e.name for e in network.elements}
     return tuple(
         Candidate(
-            "heat_loss", sites.places[node], "temperature_difference", "new", {f"{name}.hA": 1.0}, "W/K", 1.0, 0.0,
-            60.0, "loses {value} more to the room than what is built like it",
+            "heat_loss",
+            sites.places[node],
+            "temperature_difference",
+            "new",
+            {f"{name}.hA": 1.0},
+            "W/K",
+            1.0,
+            0.0,
+            60.0,
+            "loses {value} more to the room than what is built like it",
             adds={name: {"kind": AmbientLoss.kind, "node": node, "ambient": loss.ambient}},
         )
         for loss in losses
         for node in loss.nodes()
         if (name := f"further_loss_of_{node}") not in taken
-    )  # fmt: skip
+    )
 
 
 def _one_for_all(place: str, members: tuple[Candidate, ...]) -> Candidate:

@@ -174,14 +174,24 @@ class _Answer:
                 elsewhere[label[:2]] = max(elsewhere[label[:2]], math.exp(-0.5 * max(dearer, 0.0) / temper))
         score = a.needed + a.elsewhere
         return Effect(
-            kind=a.kind, where=a.where, driver=a.driver, change=a.entry.change, value=a.value, unit=a.unit,
-            interval90=a.interval90, onset_s=self.start, onset_interval90_s=(self.start, self.start), shape="step",
-            confidence=1.0 / (1.0 + sum(elsewhere.values())), z=math.sqrt(max(score, 0.0)),
+            kind=a.kind,
+            where=a.where,
+            driver=a.driver,
+            change=a.entry.change,
+            value=a.value,
+            unit=a.unit,
+            interval90=a.interval90,
+            onset_s=self.start,
+            onset_interval90_s=(self.start, self.start),
+            shape="step",
+            confidence=1.0 / (1.0 + sum(elsewhere.values())),
+            z=math.sqrt(max(score, 0.0)),
             evidence=f"{self._said(a)}; without it the record would be less likely by {score:.0f} "
             f"in -2 log likelihood, and {a.folds} of {EVERY} hidden parts of it are foretold no worse with it",
-            says=self._said(a), family_wise=a.by_chance,
+            says=self._said(a),
+            family_wise=a.by_chance,
             noise_z=math.sqrt(max(a.limit, 0.0)),
-        )  # fmt: skip
+        )
 
     def _said(self, a: Added) -> str:
         return said(a.entry.candidate, a.value, record_s=self.growth.problem.samples.span_s)
@@ -239,11 +249,16 @@ class _Answer:
         far = [(scaling.to_z(v) - scaling.to_z(was)) / sd for v in values]
         return tuple(
             Moved(
-                name, float(was[i]), float(values[0][i]), float(values[1][i]), self.network.parameters[name].unit,
-                float(far[0][i]), float(far[1][i]),
+                name,
+                float(was[i]),
+                float(values[0][i]),
+                float(values[1][i]),
+                self.network.parameters[name].unit,
+                float(far[0][i]),
+                float(far[1][i]),
             )
             for i, name in enumerate(scaling.ids)
-        )  # fmt: skip
+        )
 
     def _summary(self, verdict: Verdict, effects: tuple[Effect, ...], errors: dict[str, SensorError]) -> str:
         if verdict == "adequate":

@@ -231,9 +231,10 @@ def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[Rung, ...]:
             name for e in now.fit.entries for name in e.candidate.adds
         }
         free = [
-            e for e in left.values()
+            e
+            for e in left.values()
             if all((n := name.rsplit(".", 1)[0]) in stands or n in e.candidate.adds for name in e.candidate.changes)
-        ]  # fmt: skip
+        ]
         new = min((beam.extended(now, e) for e in free), key=by_score)
         entry = next(e for e in best.fit.entries if name_of(e.candidate) in new.ids - now.ids)
         without = beam.reduced(best, entry)
@@ -242,10 +243,21 @@ def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[Rung, ...]:
         needed, chance = without.fit.cost - best.fit.cost, merit.chance(without)
         c = entry.candidate
         added = Added(
-            *entry.label, entry.size, interval(entry.size, SE90 * entry.sd, (c.lower, c.upper)), c.unit, c.says,
-            now.fit.cost - new.fit.cost, needed, elsewhere, better, share,
-            _others(beam, merit, best, without), chance.of(needed + elsewhere), chance.limit, entry,
-        )  # fmt: skip
+            *entry.label,
+            entry.size,
+            interval(entry.size, SE90 * entry.sd, (c.lower, c.upper)),
+            c.unit,
+            c.says,
+            now.fit.cost - new.fit.cost,
+            needed,
+            elsewhere,
+            better,
+            share,
+            _others(beam, merit, best, without),
+            chance.of(needed + elsewhere),
+            chance.limit,
+            entry,
+        )
         rungs.append(_rung(beam, new, added))
         del left[name_of(entry.candidate)]
         now = new

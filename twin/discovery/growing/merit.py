@@ -84,9 +84,10 @@ class Merit:
             return best
         limit = width(self._beam.levels[0][0].score - best.score)
         alike = [
-            s for s in list(self._beam.known.values())
+            s
+            for s in list(self._beam.known.values())
             if len(s.ids) == len(best.ids) and abs(s.score - best.score) < limit and self._weakest(s) is None
-        ]  # fmt: skip
+        ]
         self._more, told = more, self.elsewhere
         best = min((*alike, best), key=lambda s: s.score + told(s))
         while (weakest := self._weakest(best)) is not None:

@@ -108,14 +108,20 @@ class Problem:
         self.state0 = network.initial_state(samples.measured[: min(max(still, 3), 10)])[: self.k]
         self.present = np.isfinite(samples.measured)
         self.scales = np.array([max(abs(x.size), 1e-12) for x in entries])
-        self.low = np.concatenate([
-            self.scaling.to_z(self.scaling.lower) - self.z0, np.full(self.k, -20.0),
-            [x.candidate.lower / s for x, s in zip(entries, self.scales, strict=True)],
-        ])  # fmt: skip
-        self.high = np.concatenate([
-            self.scaling.to_z(self.scaling.upper) - self.z0, np.full(self.k, 20.0),
-            [x.candidate.upper / s for x, s in zip(entries, self.scales, strict=True)],
-        ])  # fmt: skip
+        self.low = np.concatenate(
+            [
+                self.scaling.to_z(self.scaling.lower) - self.z0,
+                np.full(self.k, -20.0),
+                [x.candidate.lower / s for x, s in zip(entries, self.scales, strict=True)],
+            ]
+        )
+        self.high = np.concatenate(
+            [
+                self.scaling.to_z(self.scaling.upper) - self.z0,
+                np.full(self.k, 20.0),
+                [x.candidate.upper / s for x, s in zip(entries, self.scales, strict=True)],
+            ]
+        )
         sd = np.concatenate([self.scaling.prior_sd(), np.full(self.k, STATE_SD_K)])
         self.precision = np.diag(np.concatenate([sd**-2.0, np.zeros(self.e)]))
         self.reach = np.concatenate(

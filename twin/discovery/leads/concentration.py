@@ -215,8 +215,10 @@ def _scan(total: Array, count: Array) -> tuple[Array, np.ndarray, np.ndarray]:
         value = found[np.arange(d), at]
         better = value > score
         score, first, last = (
-            np.where(better, value, score), np.where(better, a, first), np.where(better, a + at + 1, last)
-        )  # fmt: skip
+            np.where(better, value, score),
+            np.where(better, a, first),
+            np.where(better, a + at + 1, last),
+        )
     return score, first, last
 
 

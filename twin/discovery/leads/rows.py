@@ -113,8 +113,12 @@ def suspicious_states(left: Array, sigma: Array) -> tuple[Suspicious, ...]:
     The scale of a reading is the median deviation of all states, the declared noise (m,) at least, so that a twin which
     fits none of them names none. The threshold is simulated for as many states.
     """
-    scale = np.array([max(MAD * float(np.median(np.abs(x))) if (x := c[np.isfinite(c)]).size else 0.0, s)
-                      for c, s in zip(left.T, sigma, strict=True)])  # fmt: skip
+    scale = np.array(
+        [
+            max(MAD * float(np.median(np.abs(x))) if (x := c[np.isfinite(c)]).size else 0.0, s)
+            for c, s in zip(left.T, sigma, strict=True)
+        ]
+    )
     times = np.abs(left) / scale
     known = np.isfinite(left)
     draws = np.where(known, np.random.default_rng(0).standard_normal((DRAWS, *left.shape)), np.nan)
@@ -125,11 +129,13 @@ def suspicious_states(left: Array, sigma: Array) -> tuple[Suspicious, ...]:
     rows = np.flatnonzero((np.where(known, times, 0.0) > limit).any(axis=1))
     found = [
         Suspicious(
-            int(r), tuple(int(j) for j in np.flatnonzero(times[r] > limit)),
-            tuple(float(x) for x in left[r][times[r] > limit]), float(np.nanmax(times[r])),
+            int(r),
+            tuple(int(j) for j in np.flatnonzero(times[r] > limit)),
+            tuple(float(x) for x in left[r][times[r] > limit]),
+            float(np.nanmax(times[r])),
         )
         for r in rows
-    ]  # fmt: skip
+    ]
     return tuple(sorted(found, key=lambda s: -s.times))
 
 

@@ -51,10 +51,12 @@ class Empirical:
     def document(self) -> dict[str, Any]:
         """For `diagnosis.json`."""
         return {
-            "where": self.node, "follows": self.variable, "says": self.says,
+            "where": self.node,
+            "follows": self.variable,
+            "says": self.says,
             "curve": [[float(f"{x:.5g}"), float(f"{q:.4g}")] for x, q in zip(self.knots, self.heats, strict=True)],
             "held_out_K": {n: {"before": round(b, 4), "after": round(a, 4)} for n, (b, a) in self.errors.items()},
-        }  # fmt: skip
+        }
 
 
 def offer(

@@ -21,8 +21,10 @@ from twin.network import Array, Network
 Signature = Literal["energy", "transport", "sensor"]
 SIGNATURES: tuple[Signature, ...] = ("energy", "transport", "sensor")
 SPOKEN = {
-    "energy": "heat that enters or leaves", "transport": "water that flows otherwise", "sensor": "a reading in error",
-}  # fmt: skip
+    "energy": "heat that enters or leaves",
+    "transport": "water that flows otherwise",
+    "sensor": "a reading in error",
+}
 TYPICAL_W, TYPICAL_K = 20.0, 0.2
 ROOM = 0.95
 """An error of the room's thermometer, free from block to block, does nearly all that a radiator can do in a way that no
@@ -120,15 +122,21 @@ def unknown(found: tuple[Course, ...], description: dict[str, Any], start: float
     second = found[1].log_evidence if len(found) > 1 else best.log_evidence - 100.0
     return (
         Effect(
-            kind="unknown", where=best.where or best.site, driver=str(description["driver"]), change="new",
-            value=float(description["mean"]), unit=best.unit, interval90=(float(low), float(high)),
+            kind="unknown",
+            where=best.where or best.site,
+            driver=str(description["driver"]),
+            change="new",
+            value=float(description["mean"]),
+            unit=best.unit,
+            interval90=(float(low), float(high)),
             onset_s=start + float(description["onset_s"]),
-            onset_interval90_s=(start + float(description["onset_s"]),) * 2, shape="unknown",
+            onset_interval90_s=(start + float(description["onset_s"]),) * 2,
+            shape="unknown",
             confidence=float(1.0 / (1.0 + math.exp(min(max(second - best.log_evidence, -50.0), 50.0) / 10.0))),
             z=float(np.sqrt(max(best.log_evidence, 0.0) * 2.0)),
             evidence=f"an unknown at {best.site} explains the record better than at any other place",
         ),
-    )  # fmt: skip
+    )
 
 
 def _at(where: str) -> str:

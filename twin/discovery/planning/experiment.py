@@ -133,12 +133,18 @@ def plan(
     )
     alike_still = [g for g in left if len(g) > 1]
     return {
-        "possible": True, "name": f"steps in {_listed(driven)}", "why": why, "causes": names,
-        "expected_difference": least, "needed_difference": need, "hottest_C": best.hottest_C, "hours": hours,
+        "possible": True,
+        "name": f"steps in {_listed(driven)}",
+        "why": why,
+        "causes": names,
+        "expected_difference": least,
+        "needed_difference": need,
+        "hottest_C": best.hottest_C,
+        "hours": hours,
         "steps": _steps(best, designer.segment_s),
         "stay_alike": [_listed([names[i] for i in g]) for g in alike_still],
         "measure": _measures([causes[i] for g in alike_still for i in g]),
-    }  # fmt: skip
+    }
 
 
 def _designer(
@@ -216,9 +222,11 @@ def _impossible(causes: tuple[Ranked, ...], why: str) -> dict[str, Any]:
     names = [said(r.entries[-1]) for r in causes]
     measures = _measures(list(causes))
     return {
-        "possible": False, "why": f"{why}: {_listed(names)}; {_listed(measures, 'or')} would", "causes": names,
+        "possible": False,
+        "why": f"{why}: {_listed(names)}; {_listed(measures, 'or')} would",
+        "causes": names,
         "measure": measures,
-    }  # fmt: skip
+    }
 
 
 _MEASURE = {

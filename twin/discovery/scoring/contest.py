@@ -101,9 +101,16 @@ class Contest:
     """
 
     def __init__(
-        self, probe: Probe, grid: Grid, state: Array, run: Run, noise: Noise, prior: GaussianPrior,
-        structure: Structure | None = None, laws: Sequence[Law] = (),
-    ) -> None:  # fmt: skip
+        self,
+        probe: Probe,
+        grid: Grid,
+        state: Array,
+        run: Run,
+        noise: Noise,
+        prior: GaussianPrior,
+        structure: Structure | None = None,
+        laws: Sequence[Law] = (),
+    ) -> None:
         self.probe, self.grid, self.prior = probe, grid, repeated(prior, probe.q, len(grid.begins))
         self.noise = noise.where_moved(run.readings, grid.step_s)
         self.edges = block_edges(len(grid.time))

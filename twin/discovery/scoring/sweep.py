@@ -169,9 +169,11 @@ def _timed(onsets: Array, edges_s: Array) -> list[Shape]:
     """Periodic shapes and pulses that a record of these blocks may tell; `refined` looks between them."""
     span, block = float(edges_s[-1]), float(edges_s[1] - edges_s[0])
     found = [
-        Shape("pulse", float(t), decay) for decay in FADING_S if block < 8.0 * decay and decay < 0.5 * span
+        Shape("pulse", float(t), decay)
+        for decay in FADING_S
+        if block < 8.0 * decay and decay < 0.5 * span
         for t in onsets[1:]
-    ]  # fmt: skip
+    ]
     long_enough = span > LEAST_TURNS * LEAST_BLOCKS * block
     periods = np.geomspace(LEAST_BLOCKS * block, span / LEAST_TURNS, PERIODS) if long_enough else np.empty(0)
     for period in periods:

@@ -152,12 +152,15 @@ def _together(errors: tuple[Effect, ...], same: tuple[Alternative, ...], left: D
     but = f"; but this record cannot tell that from {_either(same, *errors)}" if same else ""
     rest = f"Beside that: {left.summary}" if found else f"Without that the twin is adequate: {_leaves(left)}."
     return replace(
-        left, verdict=verdict, effects=(*errors, *left.effects),
+        left,
+        verdict=verdict,
+        effects=(*errors, *left.effects),
         summary=f"{'. '.join(e.says for e in errors)}{but}. {rest}",
         network=left.network if verdict == "effect found" else None,
         next_experiment=left.next_experiment if found else None,
-        indistinguishable=(*same, *left.indistinguishable), empirical=None,
-    )  # fmt: skip
+        indistinguishable=(*same, *left.indistinguishable),
+        empirical=None,
+    )
 
 
 def placed(
@@ -237,14 +240,22 @@ def _late(one: Members, odd: Odd, start: float) -> Effect:
     onset, spread = start + odd.shape.onset_s, SE90 * odd.sd
     window_s = LATE_WINDOW_S if odd.shape.onset_s > 0.0 else 0.0
     return Effect(
-        kind="sensor", where=odd.column, driver="rate_of_change", change="new", value=odd.size, unit="s",
-        interval90=(odd.size - spread, odd.size + spread), onset_s=onset,
-        onset_interval90_s=(max(onset - window_s, start), onset + window_s), shape="step",
-        confidence=odd.share, z=odd.z,
+        kind="sensor",
+        where=odd.column,
+        driver="rate_of_change",
+        change="new",
+        value=odd.size,
+        unit="s",
+        interval90=(odd.size - spread, odd.size + spread),
+        onset_s=onset,
+        onset_interval90_s=(max(onset - window_s, start), onset + window_s),
+        shape="step",
+        confidence=odd.share,
+        z=odd.z,
         evidence=f"it explains {100.0 * odd.share:.0f} % of what {odd.column} differs from the others by",
         says=f"{odd.column} follows the other thermometers of {one.sensor} late, by {amount(odd.size, 's', spread)} "
-             f"{when(odd.shape, start)}",
-    )  # fmt: skip
+        f"{when(odd.shape, start)}",
+    )
 
 
 def _fault(one: Members, odd: Odd, likely: tuple[Nature, ...], start: float) -> Effect:
@@ -262,24 +273,42 @@ def _fault(one: Members, odd: Odd, likely: tuple[Nature, ...], start: float) -> 
         reads = f"reads {off} too {'high' if odd.final > 0.0 else 'low'}"
         says = f"{odd.column} " + (f"drifts and {reads} at the record's end," if drifts else reads)
     return Effect(
-        kind=told.kind, where=odd.place if told.local else odd.column, driver=told.driver,
-        change="new", value=odd.final, unit="K", interval90=(odd.final - spread, odd.final + spread),
-        onset_s=start + odd.shape.onset_s, onset_interval90_s=(start + low, start + high), shape=odd.shape.name,
-        confidence=min(odd.share, told.share), z=odd.z,
+        kind=told.kind,
+        where=odd.place if told.local else odd.column,
+        driver=told.driver,
+        change="new",
+        value=odd.final,
+        unit="K",
+        interval90=(odd.final - spread, odd.final + spread),
+        onset_s=start + odd.shape.onset_s,
+        onset_interval90_s=(start + low, start + high),
+        shape=odd.shape.name,
+        confidence=min(odd.share, told.share),
+        z=odd.z,
         evidence=f"it carries {100.0 * odd.share:.0f} % of what differs among the thermometers of {one.sensor}",
         says=f"{says} {when(odd.shape, start)}",
-    )  # fmt: skip
+    )
 
 
 def _restless(one: Members, odd: Odd, start: float) -> Effect:
     onset = start + odd.shape.onset_s
     return Effect(
-        kind="unknown", where=odd.column, driver="history", change="new", value=odd.size, unit="K",
-        interval90=(-odd.size, odd.size), onset_s=onset, onset_interval90_s=(onset, onset), shape="spell",
-        confidence=1.0, z=odd.z, evidence=f"the other thermometers of {one.sensor} agree with one another",
+        kind="unknown",
+        where=odd.column,
+        driver="history",
+        change="new",
+        value=odd.size,
+        unit="K",
+        interval90=(-odd.size, odd.size),
+        onset_s=onset,
+        onset_interval90_s=(onset, onset),
+        shape="spell",
+        confidence=1.0,
+        z=odd.z,
+        evidence=f"the other thermometers of {one.sensor} agree with one another",
         says=f"{odd.column} is off by up to {amount(odd.size, 'K')} now and then, in {100.0 * odd.share:.0f} % of the "
-             f"record, for the first time at {clock(onset)}",
-    )  # fmt: skip
+        f"record, for the first time at {clock(onset)}",
+    )
 
 
 def _strange(one: Members, odd: Odd, start: float) -> Effect:
@@ -288,12 +317,22 @@ def _strange(one: Members, odd: Odd, start: float) -> Effect:
     off = one.by_itself(one.columns.index(odd.column), one.residual[good])
     most, onset = float(np.abs(off).max()), start + odd.shape.onset_s
     return Effect(
-        kind="unknown", where=odd.column, driver="history", change="new", value=most, unit="K",
-        interval90=(-most, most), onset_s=onset, onset_interval90_s=(onset, onset), shape=odd.shape.name,
-        confidence=odd.share, z=odd.z, evidence=f"the other thermometers of {one.sensor} agree with one another",
+        kind="unknown",
+        where=odd.column,
+        driver="history",
+        change="new",
+        value=most,
+        unit="K",
+        interval90=(-most, most),
+        onset_s=onset,
+        onset_interval90_s=(onset, onset),
+        shape=odd.shape.name,
+        confidence=odd.share,
+        z=odd.z,
+        evidence=f"the other thermometers of {one.sensor} agree with one another",
         says=f"{odd.column} differs from its neighbours by up to {amount(most, 'K')} {when(odd.shape, start)}, in no "
-             "way that is known of a thermometer or of its place",
-    )  # fmt: skip
+        "way that is known of a thermometer or of its place",
+    )
 
 
 def standing(still: tuple[Stuck, ...]) -> tuple[Effect, ...]:
@@ -310,8 +349,18 @@ def _standing(spans: tuple[Stuck, ...]) -> Effect:
         still_s = sum(span.last_s - span.first_s for span in spans)
         says += f", and {len(spans) - 1} more until {clock(last.last_s)}, for {clock(still_s)} in all"
     return Effect(
-        kind="sensor", where=first.column, driver="constant", change="new", value=first.value, unit="degC",
-        interval90=(first.value, first.value), onset_s=first.first_s, onset_interval90_s=(first.first_s, first.first_s),
-        shape="stuck", confidence=1.0, z=100.0, says=says,
+        kind="sensor",
+        where=first.column,
+        driver="constant",
+        change="new",
+        value=first.value,
+        unit="degC",
+        interval90=(first.value, first.value),
+        onset_s=first.first_s,
+        onset_interval90_s=(first.first_s, first.first_s),
+        shape="stuck",
+        confidence=1.0,
+        z=100.0,
+        says=says,
         evidence="a noisy reading does not repeat itself for so long",
-    )  # fmt: skip
+    )

@@ -98,9 +98,13 @@ class Members:
             return kept - kept.mean(axis=1, keepdims=True)
 
         return replace(
-            self, columns=tuple(self.columns[i] for i in keep), residual=rest(self.residual), sd=self.sd[keep],
-            fine=rest(self.fine), late_s=rest(self.late_s),
-        )  # fmt: skip
+            self,
+            columns=tuple(self.columns[i] for i in keep),
+            residual=rest(self.residual),
+            sd=self.sd[keep],
+            fine=rest(self.fine),
+            late_s=rest(self.late_s),
+        )
 
     def less(self, column: str, size: float, shape: Shape) -> Members:
         """Return the same without an effect of `size` K at one column."""
@@ -183,9 +187,17 @@ def members(
         bin_mean, fine = _finely(network, grid, record[sensor.name][:, there], law)
         in_health = lateness(*_finely(network, healthy_grid, healthy[sensor.name][:, there], law), healthy_grid.step_s)
         here = Members(
-            sensor.name, columns, residual, sd, edges * grid.step_s, fine=fine, mean=bin_mean, step_s=grid.step_s,
-            late_s=in_health, follows=_follows(network, grid, mean, edges),
-        )  # fmt: skip
+            sensor.name,
+            columns,
+            residual,
+            sd,
+            edges * grid.step_s,
+            fine=fine,
+            mean=bin_mean,
+            step_s=grid.step_s,
+            late_s=in_health,
+            follows=_follows(network, grid, mean, edges),
+        )
         most = max(float(np.abs(here.by_itself(i, left)).max()) for i in range(left.shape[1]))
         found.append(replace(here, most=most))
     return tuple(found)

@@ -71,9 +71,7 @@ def natures(found: Members, odd: Odd) -> tuple[Nature, ...]:
     most = min(costs.values())
     weights = {key: float(np.exp(-0.5 * (cost - most))) for key, cost in costs.items()}
     total = sum(weights.values())
-    return tuple(
-        Nature(*key, weight / total) for key, weight in sorted(weights.items(), key=lambda item: -item[1])
-    )  # fmt: skip
+    return tuple(Nature(*key, weight / total) for key, weight in sorted(weights.items(), key=lambda item: -item[1]))
 
 
 def came_slowly(found: Members, odd: Odd) -> bool:

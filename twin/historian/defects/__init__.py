@@ -68,8 +68,10 @@ def find_and_repair(
     found += repeated_stamps(raw)
     doubled = {
         name: repeated_hours(defect.start_s, defect.end_s, shift.zone)
-        for defect, shift in clocks if shift.zone is not None for name in defect.tags
-    }  # fmt: skip
+        for defect, shift in clocks
+        if shift.zone is not None
+        for name in defect.tags
+    }
     gaps = communication_gaps(usable, groups, doubled)
     found += gaps
     series = _without(usable, gaps)

@@ -27,8 +27,17 @@ JUMP = 3.0
 """Times the usual step between samples, from which a value is another one."""
 SURE = 12.0
 """Expected samples above which a single silence is improbable by itself: exp(-12)."""
-WEATHER = frozenset({"dry_bulb_temperature", "relative_humidity", "relative_humidity_redundant", "wet_bulb_temperature",
-                     "barometric_pressure", "wind_speed", "wind_direction"})  # fmt: skip
+WEATHER = frozenset(
+    {
+        "dry_bulb_temperature",
+        "relative_humidity",
+        "relative_humidity_redundant",
+        "wet_bulb_temperature",
+        "barometric_pressure",
+        "wind_speed",
+        "wind_direction",
+    }
+)
 
 
 @dataclass(frozen=True)

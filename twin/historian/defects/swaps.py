@@ -97,10 +97,12 @@ def _pair(panel: Panel, j: int, k: int, events: Sequence[Event]) -> list[Defect]
     """Return the swaps of a pair."""
     first, second = panel.series[j].tag, panel.series[k].tag
     drivers = [
-        i for i, one in enumerate(panel.series)
-        if i not in (j, k) and one.tag.cell in (None, first.cell, second.cell)
+        i
+        for i, one in enumerate(panel.series)
+        if i not in (j, k)
+        and one.tag.cell in (None, first.cell, second.cell)
         and unit_of(one.tag.unit).dimension not in ("angle", "state")
-    ]  # fmt: skip
+    ]
     matrix = design_matrix(panel.values[drivers])
     difference = panel.values[j] - panel.values[k]
     if np.isfinite(difference).sum() < 200:

@@ -136,9 +136,10 @@ def _levels(x: Array, width: int) -> tuple[Array, Array]:
 def _best(panel: Panel, k: int, series: Series, own: Unit, candidates: list[tuple[str, Unit, int]]) -> Switch | None:
     """Return the most probable switch of a tag, or None."""
     drivers = [
-        j for j, one in enumerate(panel.series)
+        j
+        for j, one in enumerate(panel.series)
         if j != k and one.tag.cell in (None, series.tag.cell) and unit_of(one.tag.unit).dimension != "angle"
-    ]  # fmt: skip
+    ]
     matrix = design_matrix(panel.values[drivers])
     x = panel.values[k]
     best: tuple[float, float, str, Unit, int, int] | None = None

@@ -124,11 +124,14 @@ def gradient_boosting(case: Case) -> Array:
 
 
 BASELINES: dict[str, Baseline] = {
-    "commissioned": commissioned, "persistence": persistence, "monthly least squares": monthly_least_squares,
-    "Gauss-Newton MAP": gauss_newton, "Gauss-Newton MAP with discrepancy": with_discrepancy,
+    "commissioned": commissioned,
+    "persistence": persistence,
+    "monthly least squares": monthly_least_squares,
+    "Gauss-Newton MAP": gauss_newton,
+    "Gauss-Newton MAP with discrepancy": with_discrepancy,
     "random forest": random_forest,
     "gradient boosting": gradient_boosting,
-}  # fmt: skip
+}
 
 
 def without_discrepancy(priors: Priors) -> Priors:
@@ -168,9 +171,13 @@ def _reference(case: Case, posterior: Estimate | None) -> tuple[Array, Array]:
 
 
 def _linear(
-    case: Case, reference: tuple[Array, Array], context_s: float, prior_sd: Array | None, every_s: float,
+    case: Case,
+    reference: tuple[Array, Array],
+    context_s: float,
+    prior_sd: Array | None,
+    every_s: float,
     sigma: float = BLOCK_SIGMA,
-) -> Array:  # fmt: skip
+) -> Array:
     """Predict by deviations that the context before each window gives; `prior_sd` None is least squares."""
     base, slopes = reference
     error = case.blocks.outlet - base
@@ -197,10 +204,23 @@ def _learned(case: Case, make: Callable[[], Any]) -> Array:
     error = case.blocks.outlet - clean
     o, u = case.blocks.operation, case.blocks.operation.inputs
     features = np.stack(
-        [u.t_in, u.m_w, u.speed, u.dry, u.wet, u.pressure, o.wind, np.sin(np.radians(o.wind_deg)),
-        np.cos(np.radians(o.wind_deg)),
-         o.neighbours, o.bypass, clean, _before_window(case.blocks, error)], axis=1,
-    )  # fmt: skip
+        [
+            u.t_in,
+            u.m_w,
+            u.speed,
+            u.dry,
+            u.wet,
+            u.pressure,
+            o.wind,
+            np.sin(np.radians(o.wind_deg)),
+            np.cos(np.radians(o.wind_deg)),
+            o.neighbours,
+            o.bypass,
+            clean,
+            _before_window(case.blocks, error),
+        ],
+        axis=1,
+    )
     model = make()
     usable = case.train & np.isfinite(error)
     model.fit(np.nan_to_num(features[usable]), error[usable])

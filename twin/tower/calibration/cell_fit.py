@@ -69,9 +69,14 @@ class Fitted:
 
 
 def fit_cell(
-    model: CellModel, minutes: Minutes, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening],
-    edges_s: Array | None = None, start: Estimate | None = None,
-) -> Fitted:  # fmt: skip
+    model: CellModel,
+    minutes: Minutes,
+    priors: Priors,
+    labels: Sequence[Label],
+    openings: Sequence[Opening],
+    edges_s: Array | None = None,
+    start: Estimate | None = None,
+) -> Fitted:
     """Fit the deviations of a cell to its steady blocks, from the estimate `start` on the same time grid if given.
 
     Raises:

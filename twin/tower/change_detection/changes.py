@@ -34,9 +34,13 @@ ROUNDS = 4
 
 
 def undeclared_changes(
-    model: CellModel, blocks: Blocks, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening],
+    model: CellModel,
+    blocks: Blocks,
+    priors: Priors,
+    labels: Sequence[Label],
+    openings: Sequence[Opening],
     start: Estimate,
-) -> tuple[Opening, ...]:  # fmt: skip
+) -> tuple[Opening, ...]:
     """Return the jumps that the record shows and no event announces, in the order of time.
 
     Parameters:

@@ -18,15 +18,25 @@ def effects_of(network: Network) -> tuple[Effect, ...]:
     for one in network.elements:
         if not isinstance(one, TowerEffect):
             continue
-        v = {name: value_of(network, f"{one.name}.{name}") for name in
-             ("size", "sd", "form", "centre", "spread", "onset_s")}  # fmt: skip
+        v = {
+            name: value_of(network, f"{one.name}.{name}")
+            for name in ("size", "sd", "form", "centre", "spread", "onset_s")
+        }
         has_form = one.driver in ("wind_direction", "solar", "low_flow")
         found.append(
             Effect(
-                one.effect, one.path, one.driver, v["form"] if has_form else None, one.column, v["centre"],
-                v["spread"], v["onset_s"] or None, v["size"], v["sd"],
+                one.effect,
+                one.path,
+                one.driver,
+                v["form"] if has_form else None,
+                one.column,
+                v["centre"],
+                v["spread"],
+                v["onset_s"] or None,
+                v["size"],
+                v["sd"],
             )
-        )  # fmt: skip
+        )
     return tuple(found)
 
 
@@ -44,17 +54,24 @@ def adopted(network: Network, effects: Sequence[Effect], revision: Revision) -> 
         taken.add(name)
         source = f"hil diagnose; {UNITS[one.path]} where the driver is 1"
         table: dict[str, Any] = {
-            "kind": TowerEffect.kind, "node": "flume", "effect": one.kind, "path": one.path, "driver": one.driver,
-            "size": _fixed(one.size, source), "sd": _fixed(one.sd, source),
-        }  # fmt: skip
+            "kind": TowerEffect.kind,
+            "node": "flume",
+            "effect": one.kind,
+            "path": one.path,
+            "driver": one.driver,
+            "size": _fixed(one.size, source),
+            "sd": _fixed(one.sd, source),
+        }
         if one.form is not None:
             table["form"] = _fixed(one.form, source)
         if one.onset_s is not None:
             table["onset_s"] = {"value": float(round(one.onset_s)), "status": "fixed", "source": source}
         if one.column:
             table |= {
-                "column": one.column, "centre": _fixed(one.centre, source), "spread": _fixed(one.spread, source),
-            }  # fmt: skip
+                "column": one.column,
+                "centre": _fixed(one.centre, source),
+                "spread": _fixed(one.spread, source),
+            }
             if one.column not in network.inputs:
                 low, high = one.centre - 100.0 * one.spread, one.centre + 100.0 * one.spread
                 inputs[one.column] = {"nominal": one.centre, "lower": low, "upper": high, "unit": "1"}

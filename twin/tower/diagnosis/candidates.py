@@ -33,10 +33,31 @@ FEWEST_VALUES = 0.5
 """Share of minutes in which a column must be known to drive anything."""
 FOLLOWS = "follows"
 ENDOGENOUS = (
-    "t_out_C", "basin_C", "supply_C", "return_C", "check", "disturbed", "regime", "closure_K", "in_service",
-    "fan_fault", "wind_deg", "level_pct", "fan_speed_pct", "fan_command_pct", "m_w_kg_s", "wet_C", "wet_rh_C", "t_in_C",
-    "header_kPa", "riser_valve_pct", "fan_power_kW", "pump_kW", "makeup_kg_s", "blowdown_kg_s",
-)  # fmt: skip
+    "t_out_C",
+    "basin_C",
+    "supply_C",
+    "return_C",
+    "check",
+    "disturbed",
+    "regime",
+    "closure_K",
+    "in_service",
+    "fan_fault",
+    "wind_deg",
+    "level_pct",
+    "fan_speed_pct",
+    "fan_command_pct",
+    "m_w_kg_s",
+    "wet_C",
+    "wet_rh_C",
+    "t_in_C",
+    "header_kPa",
+    "riser_valve_pct",
+    "fan_power_kW",
+    "pump_kW",
+    "makeup_kg_s",
+    "blowdown_kg_s",
+)
 """Columns that drive nothing free: those that the outlet itself moves, marks of the alignment, an angle, whose values
 have no order, and the cell's operating point with what follows from it, powers and evaporation: an error that follows
 these is the twin's own (`evidence.structural_error`)."""
@@ -91,9 +112,12 @@ def candidates(columns: Mapping[str, Array], time_s: Array, timezone: str | None
     hours = noons(timezone, time_s)
     add("sun on the water", "K under a sun overhead", [Effect("solar", "outlet", "solar", h) for h in hours], 0.5)
     add(
-        "sun on the wet bulb's thermometer", "K under a sun overhead",
-        [Effect("solar", "wet_bulb", "solar", h) for h in hours], 0.5, -1,
-    )  # fmt: skip
+        "sun on the wet bulb's thermometer",
+        "K under a sun overhead",
+        [Effect("solar", "wet_bulb", "solar", h) for h in hours],
+        0.5,
+        -1,
+    )
     if usable(columns, "m_w_kg_s"):
         forms = [Effect("underwetting", "wetted", "low_flow", low) for low in THRESHOLDS]
         add("loss of wetting below a flow", "share of the plan that dries for a share of the flow", forms, 0.5)
@@ -138,9 +162,8 @@ def noons(timezone: str | None, time_s: Array) -> tuple[float, ...]:
 def decoys(columns: Mapping[str, Array], seed: int) -> dict[str, Array]:
     """Return the decoys of the columns that are usable."""
     return {
-        name: surrogate(columns[of], seed + k)
-        for k, (name, of) in enumerate(DECOYS.items()) if usable(columns, of)
-    }  # fmt: skip
+        name: surrogate(columns[of], seed + k) for k, (name, of) in enumerate(DECOYS.items()) if usable(columns, of)
+    }
 
 
 def surrogate(values: Array, seed: int) -> Array:

@@ -64,9 +64,10 @@ class CellCase:
         every = (*self.model.effects, *effects)
         drivers = patterns(every, self.minutes.time_s, self.columns, self.model.design.m_w0)
         minutes = replace(
-            self.minutes, operation=replace(self.minutes.operation, patterns=drivers),
+            self.minutes,
+            operation=replace(self.minutes.operation, patterns=drivers),
             outlet=np.where(held, np.nan, self.minutes.outlet),
-        )  # fmt: skip
+        )
         model = CellModel(self.model.design, self.model.site, every)
         return fit_cell(model, minutes, self.priors, self.labels, self.openings, self.edges_s)
 
@@ -115,10 +116,11 @@ class TowerDiagnosis:
 
 
 def search(
-    cases: Sequence[CellCase], timezone: str | None,
+    cases: Sequence[CellCase],
+    timezone: str | None,
     steps: Callable[[int, Fitted], tuple[Opening, ...]] = lambda cell, fitted: (),
     say: Callable[[str], None] = lambda text: None,
-) -> TowerDiagnosis:  # fmt: skip
+) -> TowerDiagnosis:
     """Return the undeclared effects of the cells of one station.
 
     Parameters:
@@ -168,14 +170,18 @@ def search(
 
 
 def scan(
-    cases: Sequence[CellCase], evidence: Mapping[int, Evidence], timezone: str | None,
+    cases: Sequence[CellCase],
+    evidence: Mapping[int, Evidence],
+    timezone: str | None,
     known: Mapping[int, tuple[Effect, ...]],
-) -> list[Hypothesis]:  # fmt: skip
+) -> list[Hypothesis]:
     """Return the classes at every cell and at each alone, by their posterior log odds, highest first."""
     time_s = cases[0].minutes.time_s
     onsets = onset_grid(float(time_s[0]), float(time_s[-1]))
-    classes = {c.cell: {one.name: one for one in candidates(evidence[c.cell].columns, c.minutes.time_s, timezone)}
-               for c in cases}  # fmt: skip
+    classes = {
+        c.cell: {one.name: one for one in candidates(evidence[c.cell].columns, c.minutes.time_s, timezone)}
+        for c in cases
+    }
     names = list(dict.fromkeys(name for of in classes.values() for name in of))
     found: list[Hypothesis] = []
     for name in names:
@@ -214,9 +220,13 @@ def _table(evidence: Evidence, candidate: Candidate, onsets: Sequence[float]) ->
 
 
 def _hypotheses(
-    candidate: Candidate, site: tuple[int, ...], table: Array, sizes: Mapping[int, Array], onsets: Sequence[float],
+    candidate: Candidate,
+    site: tuple[int, ...],
+    table: Array,
+    sizes: Mapping[int, Array],
+    onsets: Sequence[float],
     prior: float,
-) -> list[Hypothesis]:  # fmt: skip
+) -> list[Hypothesis]:
     """Return a class at some cells, its forms and onsets marginalised; decoys of a free class apart."""
     weight = np.full(table.shape, -np.log(table.shape[1]))
     weight[0] += np.log(0.5)
@@ -237,10 +247,16 @@ def _hypotheses(
 
 
 def _checked(
-    cases: Sequence[CellCase], parts: Parts, held: Mapping[int, NDArray[np.bool_]], fits: Mapping[int, Fitted],
-    errors: Mapping[int, HeldOut], known: Mapping[int, tuple[Effect, ...]], evidence: Mapping[int, Evidence],
-    one: Hypothesis, ranked: Sequence[Hypothesis],
-) -> tuple[Finding | None, str, dict[int, Fitted], dict[int, HeldOut]]:  # fmt: skip
+    cases: Sequence[CellCase],
+    parts: Parts,
+    held: Mapping[int, NDArray[np.bool_]],
+    fits: Mapping[int, Fitted],
+    errors: Mapping[int, HeldOut],
+    known: Mapping[int, tuple[Effect, ...]],
+    evidence: Mapping[int, Evidence],
+    one: Hypothesis,
+    ranked: Sequence[Hypothesis],
+) -> tuple[Finding | None, str, dict[int, Fitted], dict[int, HeldOut]]:
     """Return the finding, or None and the reason, with fits and errors that include it."""
     new_fits, new_errors = dict(fits), dict(errors)
     if _is_decoy(one):
@@ -265,15 +281,16 @@ def _checked(
         return None, f"circular shifts of its driver reach its evidence, p = {p:.3f}", dict(fits), dict(errors)
     before, after = ({cell: e[cell] for cell in refitted} for e in (errors, new_errors))
     rivals = tuple(
-        r for r in ranked
+        r
+        for r in ranked
         if r.log_odds > one.log_odds - RIVAL and r.candidate.name != one.candidate.name and not _is_decoy(r)
-    )  # fmt: skip
+    )
     return Finding(one, refitted, p, gained, before, after, rivals), "", new_fits, new_errors
 
 
 def _refit(
     case: CellCase, known: tuple[Effect, ...], one: Hypothesis, held: NDArray[np.bool_]
-) -> tuple[Effect, Fitted]:  # fmt: skip
+) -> tuple[Effect, Fitted]:
     """Return an effect refitted as part of the cell's own physics: Gauss-Newton on size and form, all else
     marginalised."""
     effect = one.effects[case.cell]

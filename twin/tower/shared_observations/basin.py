@@ -66,9 +66,13 @@ class _Rows:
 
 
 def with_basin(
-    posteriors: Sequence[Estimate], drains: Sequence[Drain], time_s: Array, makeup: Array, volume_m3: float,
+    posteriors: Sequence[Estimate],
+    drains: Sequence[Drain],
+    time_s: Array,
+    makeup: Array,
+    volume_m3: float,
     changes_s: Sequence[float] = (),
-) -> list[Estimate]:  # fmt: skip
+) -> list[Estimate]:
     """Return the posteriors of a compartment's cells updated by its basin thermometers.
 
     Parameters:
@@ -128,9 +132,11 @@ def _rows(
         return None
     keys = list(found)
     return _Rows(
-        np.array([k[0] for k in keys], dtype=np.intp), np.array([found[k][0] for k in keys]),
-        np.array([found[k][1] for k in keys]), [(k[1], k[2], k[3]) for k in keys],
-    )  # fmt: skip
+        np.array([k[0] for k in keys], dtype=np.intp),
+        np.array([found[k][0] for k in keys]),
+        np.array([found[k][1] for k in keys]),
+        [(k[1], k[2], k[3]) for k in keys],
+    )
 
 
 def _mixture(drains: Sequence[Drain], makeup: Array, volume_m3: float) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -30,11 +30,30 @@ Leaving = tuple[float, float, float, float, float, float, float]
 """Water degC and kg/s, air kg/s, its temperature and ratio, power of the fan kW, water lost kg/s."""
 
 CELL = (
-    "m_w0", "m_a0", "fill", "fill_water", "fill_air", "fill_hot", "spray", "rain", "starving", "dry_air", "fan_shut",
+    "m_w0",
+    "m_a0",
+    "fill",
+    "fill_water",
+    "fill_air",
+    "fill_hot",
+    "spray",
+    "rain",
+    "starving",
+    "dry_air",
+    "fan_shut",
     "fan_slope",
-    "fan_bend", "load_drag", "wind_drag", "draft", "power", "drive_loss", "density0", "t_hot0", "recirculation",
-    "recirculation_wind", "windmill",
-)  # fmt: skip
+    "fan_bend",
+    "load_drag",
+    "wind_drag",
+    "draft",
+    "power",
+    "drive_loss",
+    "density0",
+    "t_hot0",
+    "recirculation",
+    "recirculation_wind",
+    "windmill",
+)
 """Numbers of a cell: design flows kg/s; Merkel number of the fill at design and its exponents of wetted water and air
 loading and of hot-water temperature; Merkel numbers of spray and rain; exponent of starving nozzles; air through a dry
 plan over that through a wet one; fan curve (shut-off, slope, bend); resistance by water load, by wind (per (m/s)^2),
@@ -45,10 +64,30 @@ STATE = ("fill", "uniformity", "slip", "pitch", "blockage")
 pitch; relative rise of the resistance."""
 
 (
-    M_W0, M_A0, FILL, FILL_WATER, FILL_AIR, FILL_HOT, SPRAY, RAIN, STARVING, DRY_AIR, FAN_SHUT, FAN_SLOPE, FAN_BEND,
+    M_W0,
+    M_A0,
+    FILL,
+    FILL_WATER,
+    FILL_AIR,
+    FILL_HOT,
+    SPRAY,
+    RAIN,
+    STARVING,
+    DRY_AIR,
+    FAN_SHUT,
+    FAN_SLOPE,
+    FAN_BEND,
     LOAD_DRAG,
-    WIND_DRAG, DRAFT, POWER, DRIVE_LOSS, DENSITY0, T_HOT0, RECIRCULATION, RECIRCULATION_WIND, WINDMILL,
-) = range(len(CELL))  # fmt: skip
+    WIND_DRAG,
+    DRAFT,
+    POWER,
+    DRIVE_LOSS,
+    DENSITY0,
+    T_HOT0,
+    RECIRCULATION,
+    RECIRCULATION_WIND,
+    WINDMILL,
+) = range(len(CELL))
 S_FILL, S_UNIFORMITY, S_SLIP, S_PITCH, S_BLOCKAGE = range(len(STATE))
 LEAST_AIR, GUST_AIR = 0.03, 0.003
 """Share of the design air that passes a cell whose draft the wind stalls, and per m/s of wind through the louvres."""

@@ -15,15 +15,37 @@ from drivers.virtual.tower.physics.moist_air import CP_WATER, wet_bulb
 
 Array = NDArray[Any]
 OF_CELL = (
-    "t_in", "t_out", "t_rtd", "t_basin", "m_w", "m_a", "valve", "command", "speed", "power", "fault", "on", "bypass",
+    "t_in",
+    "t_out",
+    "t_rtd",
+    "t_basin",
+    "m_w",
+    "m_a",
+    "valve",
+    "command",
+    "speed",
+    "power",
+    "fault",
+    "on",
+    "bypass",
     "evaporation",
     "wet_in",
-)  # fmt: skip
+)
 OF_STATION = ("t_return", "t_supply", "header", "pump_power", "makeup", "blowdown", "level", "load")
 NUMBERS = (
-    "load_of_cell", "setpoint", "header_volume", "basin_volume", "cells_per_pump", "variable_speed", "bypass_share",
-    "first_cells", "least_speed", "film_s", "flume_s", "makeup_C",
-)  # fmt: skip
+    "load_of_cell",
+    "setpoint",
+    "header_volume",
+    "basin_volume",
+    "cells_per_pump",
+    "variable_speed",
+    "bypass_share",
+    "first_cells",
+    "least_speed",
+    "film_s",
+    "flume_s",
+    "makeup_C",
+)
 """Numbers of a station: design heat of a cell kW, set-point degC, volumes m3, cells that a pump serves, 1 for pumps of
 variable speed, hot share that an open bypass leads past the fill, cells of the first compartment, least fan speed, time
 constants of film and flume at design flow s, temperature of the makeup degC."""
@@ -31,13 +53,36 @@ HIDDEN = ("recirculation", "direction", "leak", "leaking_cell", "sun", "neighbou
 """Undeclared effects: exhaust that comes back per m/s of wind from a direction deg; hot share past the fill of one cell
 (numbered from 0); heat of the sun kW per W/m2 and cell; exhaust of the neighbours at full speed."""
 (
-    LOAD_OF_CELL, SETPOINT, HEADER_VOLUME, BASIN_VOLUME, CELLS_PER_PUMP, VARIABLE_SPEED, BYPASS_SHARE, FIRST_CELLS,
+    LOAD_OF_CELL,
+    SETPOINT,
+    HEADER_VOLUME,
+    BASIN_VOLUME,
+    CELLS_PER_PUMP,
+    VARIABLE_SPEED,
+    BYPASS_SHARE,
+    FIRST_CELLS,
     LEAST_SPEED,
-    FILM_S, FLUME_S, MAKEUP_C,
-) = range(len(NUMBERS))  # fmt: skip
+    FILM_S,
+    FLUME_S,
+    MAKEUP_C,
+) = range(len(NUMBERS))
 (
-    T_IN, T_OUT, T_RTD, T_BASIN, WATER, AIR, VALVE, COMMAND, SPEED, POWER, FAULT, ON, BYPASS, EVAPORATION, WET_IN,
-) = range(len(OF_CELL))  # fmt: skip
+    T_IN,
+    T_OUT,
+    T_RTD,
+    T_BASIN,
+    WATER,
+    AIR,
+    VALVE,
+    COMMAND,
+    SPEED,
+    POWER,
+    FAULT,
+    ON,
+    BYPASS,
+    EVAPORATION,
+    WET_IN,
+) = range(len(OF_CELL))
 
 DT = 60.0
 RAMP = 0.25

@@ -45,9 +45,14 @@ def _source(course: Course, drivers: tuple[str, ...], where: str = "water") -> C
         b = s.some_part("metal", "read") if where == "wall" else s.some_part("read")
         first = SOURCE_SHARE * s.power_w
         return Injection(
-            "W", first, MOST_SHARE * s.power_w, (Answer("heat_source", b.part.node, drivers),), b.part.node, s.onset_s,
+            "W",
+            first,
+            MOST_SHARE * s.power_w,
+            (Answer("heat_source", b.part.node, drivers),),
+            b.part.node,
+            s.onset_s,
             _spread(_cells(b, where), HEAT, course(s)),
-        )  # fmt: skip
+        )
 
     return build
 
@@ -73,9 +78,14 @@ def _switched(law: int) -> Callable[[Scene], Injection]:
         high, low = s.quantile(cell, float(s.rng.uniform(0.5, 0.7))), s.quantile(cell, float(s.rng.uniform(0.25, 0.45)))
         size = SOURCE_SHARE * s.power_w / (1.0 if law == LATCH else max(s.quantile(cell, 0.9) - high, 0.5))
         return Injection(
-            "W" if law == LATCH else "W/K", size, 20.0 * size, (Answer("heat_source", b.part.node),), b.part.node,
-            s.onset_s, _spread(b.water, HEAT, s.step, law=law, sense=cell, p0=high, p1=low),
-        )  # fmt: skip
+            "W" if law == LATCH else "W/K",
+            size,
+            20.0 * size,
+            (Answer("heat_source", b.part.node),),
+            b.part.node,
+            s.onset_s,
+            _spread(b.water, HEAT, s.step, law=law, sense=cell, p0=high, p1=low),
+        )
 
     return build
 
@@ -119,9 +129,12 @@ def _transfer(course: Course, law: int = ALWAYS, element: bool = False) -> Calla
         size = SOURCE_SHARE * s.power_w
         kind = "coupling" if element else "heat_transfer"
         answers = (
-            Answer(kind, a.part.node), Answer(kind, b.part.node), Answer("coupling", a.part.node),
-            Answer("coupling", b.part.node), Answer("heat_transfer", a.part.node),
-        )  # fmt: skip
+            Answer(kind, a.part.node),
+            Answer(kind, b.part.node),
+            Answer("coupling", a.part.node),
+            Answer("coupling", b.part.node),
+            Answer("heat_transfer", a.part.node),
+        )
         if law == POWER:
             mods: tuple[Modifier, ...] = (
                 Modifier(TRANSFER, b.water[0], course(s), POWER, a.water[-1], b.water[0], 1.0, index2=a.water[-1]),

@@ -193,19 +193,34 @@ READING_EFFECTS: tuple[EffectType, ...] = (
     EffectType("thermometer: gain about 25 degC", "reading", True, _reading(_gain(25.0), "1", 0.02, 0.5)),
     EffectType("thermometer: square error", "reading", False, _reading(_square, "K", 0.1, 4.0), True),
     EffectType("thermometer: lag", "reading", True, _reading(_lag, "s", 60.0, 1800.0)),
-    EffectType("thermometer: follows heater power", "reading", False,
-               _reading(_plus(lambda s: s.step * s.load), "K", BIAS_K, MOST_BIAS_K)),
-    EffectType("thermometer: follows a speed", "reading", False,
-               _reading(_plus(_with_speed), "K", BIAS_K, MOST_BIAS_K)),
+    EffectType(
+        "thermometer: follows heater power",
+        "reading",
+        False,
+        _reading(_plus(lambda s: s.step * s.load), "K", BIAS_K, MOST_BIAS_K),
+    ),
+    EffectType(
+        "thermometer: follows a speed", "reading", False, _reading(_plus(_with_speed), "K", BIAS_K, MOST_BIAS_K)
+    ),
     EffectType("thermometer: cross-talk", "reading", True, _reading(_cross_talk, "1", 0.05, 0.9)),
     EffectType("thermometer: sees the room", "reading", False, _reading(_toward_room, "1", 0.02, 0.6)),
     EffectType("thermometer: stuck", "reading", False, _reading(_stuck, "1", 0.3, 1.0)),
-    EffectType("thermometer: bias in one interval", "reading", False,
-               _reading(_plus(lambda s: s.interval), "K", BIAS_K, MOST_BIAS_K)),
-    EffectType("thermometer: bias in pulses", "reading", False,
-               _reading(_plus(lambda s: s.pulses), "K", BIAS_K, MOST_BIAS_K), True),
-    EffectType("thermometer: bias by the hour", "reading", False,
-               _reading(_plus(lambda s: s.lamp), "K", BIAS_K, MOST_BIAS_K)),
+    EffectType(
+        "thermometer: bias in one interval",
+        "reading",
+        False,
+        _reading(_plus(lambda s: s.interval), "K", BIAS_K, MOST_BIAS_K),
+    ),
+    EffectType(
+        "thermometer: bias in pulses",
+        "reading",
+        False,
+        _reading(_plus(lambda s: s.pulses), "K", BIAS_K, MOST_BIAS_K),
+        True,
+    ),
+    EffectType(
+        "thermometer: bias by the hour", "reading", False, _reading(_plus(lambda s: s.lamp), "K", BIAS_K, MOST_BIAS_K)
+    ),
     EffectType("thermometer: wanders", "reading", False, _reading(_plus(lambda s: s.erratic), "K", 0.2, MOST_BIAS_K)),
     EffectType("thermometer: coarse steps", "reading", False, _reading(_steps_of, "K", 1.0, 8.0), True),
     EffectType("room: bias", "room", True, _room(_added(lambda s: s.step), 0.5, 10.0)),
@@ -221,4 +236,4 @@ READING_EFFECTS: tuple[EffectType, ...] = (
     EffectType("heater: mains by the hour", "actuator", False, _command(HEATER, _mains, "1", 0.03, 0.5), True),
     EffectType("fan: gain", "actuator", True, _command(FAN_COLUMN, _scaled, "1", 0.05, 0.7)),
     EffectType("pump: lag", "actuator", True, _command("pump_speed_pct", _lagging, "s", 120.0, 1800.0), True),
-)  # fmt: skip
+)

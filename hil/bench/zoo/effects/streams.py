@@ -54,8 +54,10 @@ def _fouling(course: Course, law: int = 0) -> Callable[[Scene], Injection]:
         b = s.some_part("fan")
         cell = b.water[0]
         answers = (
-            Answer("heat_rejection", b.part.node), Answer("actuator", "fan_speed"), Answer("heat_loss", b.part.node),
-        )  # fmt: skip
+            Answer("heat_rejection", b.part.node),
+            Answer("actuator", "fan_speed"),
+            Answer("heat_loss", b.part.node),
+        )
         p0, first, most = s.quantile(cell, 0.6), 0.08, 0.85
         if law == POWER:
             p0, gap = 1.0, float(np.mean(s.calm[:, cell] - s.drive.room))
@@ -113,12 +115,21 @@ STREAM_EFFECTS: tuple[EffectType, ...] = (
     EffectType("radiator: switched by a temperature", "conductance", False, _fouling(lambda s: s.step, LATCH)),
     EffectType("radiator: covered in one interval", "conductance", False, _fouling(lambda s: s.interval)),
     EffectType("radiator: follows the difference", "conductance", False, _fouling(lambda s: s.step, POWER)),
-    EffectType("radiator: draws in its own exhaust", "conductance", True,
-               _fouling(_fan_law(lambda s: s.step * s.drive.fan**0.6))),
-    EffectType("radiator: other power of the fan", "conductance", True,
-               _fouling(_fan_law(lambda s: -s.step * np.log(np.maximum(s.drive.fan, 0.05))))),
+    EffectType(
+        "radiator: draws in its own exhaust",
+        "conductance",
+        True,
+        _fouling(_fan_law(lambda s: s.step * s.drive.fan**0.6)),
+    ),
+    EffectType(
+        "radiator: other power of the fan",
+        "conductance",
+        True,
+        _fouling(_fan_law(lambda s: -s.step * np.log(np.maximum(s.drive.fan, 0.05)))),
+    ),
     EffectType("wall: contact worse", "conductance", False, _film(lambda s: s.step)),
     EffectType("wall: contact worsens", "conductance", False, _film(lambda s: s.ramp)),
-    EffectType("radiator: wanders", "conductance", False,
-               _fouling(lambda s: 0.5 * np.clip(s.erratic, -2.0, 2.0)), True),
-)  # fmt: skip
+    EffectType(
+        "radiator: wanders", "conductance", False, _fouling(lambda s: 0.5 * np.clip(s.erratic, -2.0, 2.0)), True
+    ),
+)

@@ -192,9 +192,18 @@ def simulate(
     inputs = (drive.pump, drive.fan, drive.heat, drive.room, drive.humidity, drive.flow_noise, drive.fan_noise)
     kernel: Any = _integrate
     stored, put_in, lost = kernel(
-        *network.arrays(), network.groups, *inputs, period_s, substeps, start, len(modifiers), amplitudes, whole,
-        limits, trace,
-    )  # fmt: skip
+        *network.arrays(),
+        network.groups,
+        *inputs,
+        period_s,
+        substeps,
+        start,
+        len(modifiers),
+        amplitudes,
+        whole,
+        limits,
+        trace,
+    )
     return Motion(trace, stored, put_in, lost)
 
 
@@ -206,13 +215,51 @@ def _pressure(celsius: float) -> float:
 
 @numba.njit(cache=True)
 def _integrate(
-    capacity: Any, curvature: Any, s_loop: Any, s_from: Any, s_to: Any, s_share: Any, s_gate: Any, s_skips: Any,
-    l_a: Any, l_b: Any, l_G: Any, l_group: Any, l_flow: Any, l_flow_exp: Any, l_fan_exp: Any, l_warmth: Any,
-    l_natural: Any, l_layer: Any, q_kg: Any, q_cp: Any, q_cell: Any, q_exp: Any, q_density: Any, q_viscosity: Any,
-    gate0: Any, h_cell: Any, h_column: Any, h_share: Any, groups: Any, pump: Any, fan: Any, heat: Any, room: Any,
-    humidity: Any, flow_noise: Any, fan_noise: Any, period: Any, substeps: Any, start: Any, count: Any,
-    amplitudes: Any, whole: Any, limits: Any, trace: Any,
-) -> tuple[float, float, float]:  # fmt: skip
+    capacity: Any,
+    curvature: Any,
+    s_loop: Any,
+    s_from: Any,
+    s_to: Any,
+    s_share: Any,
+    s_gate: Any,
+    s_skips: Any,
+    l_a: Any,
+    l_b: Any,
+    l_G: Any,
+    l_group: Any,
+    l_flow: Any,
+    l_flow_exp: Any,
+    l_fan_exp: Any,
+    l_warmth: Any,
+    l_natural: Any,
+    l_layer: Any,
+    q_kg: Any,
+    q_cp: Any,
+    q_cell: Any,
+    q_exp: Any,
+    q_density: Any,
+    q_viscosity: Any,
+    gate0: Any,
+    h_cell: Any,
+    h_column: Any,
+    h_share: Any,
+    groups: Any,
+    pump: Any,
+    fan: Any,
+    heat: Any,
+    room: Any,
+    humidity: Any,
+    flow_noise: Any,
+    fan_noise: Any,
+    period: Any,
+    substeps: Any,
+    start: Any,
+    count: Any,
+    amplitudes: Any,
+    whole: Any,
+    limits: Any,
+    trace: Any,
+) -> tuple[float, float, float]:
     n, rows = len(capacity), len(room)
     dt = period / substeps
     t = start.copy()

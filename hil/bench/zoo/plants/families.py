@@ -29,17 +29,31 @@ def _spread(rng: np.random.Generator, value: float, factor: float = 1.4) -> floa
 
 def _heater(rng: np.random.Generator, s: float, **more: Any) -> Part:
     base = Part(
-        "heater", "heater", _spread(rng, 0.6 * s), 4, _spread(rng, 900.0 * s), _spread(rng, 120.0 * s),
-        _spread(rng, 1.2 * s**0.7), heat="heater_power_W", reads="water",
-    )  # fmt: skip
+        "heater",
+        "heater",
+        _spread(rng, 0.6 * s),
+        4,
+        _spread(rng, 900.0 * s),
+        _spread(rng, 120.0 * s),
+        _spread(rng, 1.2 * s**0.7),
+        heat="heater_power_W",
+        reads="water",
+    )
     return replace(base, **more)
 
 
 def _radiator(rng: np.random.Generator, s: float, **more: Any) -> Part:
     base = Part(
-        "radiator", "radiator", _spread(rng, 0.5 * s), 5, _spread(rng, 400.0 * s), _spread(rng, 300.0 * s),
-        _spread(rng, 1.0 * s**0.7), fan=_spread(rng, 50.0 * s), reads="water",
-    )  # fmt: skip
+        "radiator",
+        "radiator",
+        _spread(rng, 0.5 * s),
+        5,
+        _spread(rng, 400.0 * s),
+        _spread(rng, 300.0 * s),
+        _spread(rng, 1.0 * s**0.7),
+        fan=_spread(rng, 50.0 * s),
+        reads="water",
+    )
     return replace(base, **more)
 
 
@@ -50,9 +64,15 @@ def _tank(rng: np.random.Generator, s: float, **more: Any) -> Part:
 
 def _cell(rng: np.random.Generator, s: float, k: int, **more: Any) -> Part:
     base = Part(
-        f"cell{k}", f"cell{k}", _spread(rng, 0.12 * s), 2, _spread(rng, 500.0 * s), _spread(rng, 45.0 * s),
-        _spread(rng, 0.4 * s**0.7), reads="metal",
-    )  # fmt: skip
+        f"cell{k}",
+        f"cell{k}",
+        _spread(rng, 0.12 * s),
+        2,
+        _spread(rng, 500.0 * s),
+        _spread(rng, 45.0 * s),
+        _spread(rng, 0.4 * s**0.7),
+        reads="metal",
+    )
     return replace(base, **more)
 
 
@@ -60,12 +80,18 @@ def _loop(
     rng: np.random.Generator, s: float, stations: Sequence[tuple[Part, ...]], pump: str = "pump_speed_pct", **more: Any
 ) -> Loop:
     base = Loop(
-        pump, _spread(rng, 4.0 * s) / 60.0, tuple(stations),
-        tuple(_spread(rng, 0.15 * s) for _ in stations), pipe_loss=_spread(rng, 0.3),
+        pump,
+        _spread(rng, 4.0 * s) / 60.0,
+        tuple(stations),
+        tuple(_spread(rng, 0.15 * s) for _ in stations),
+        pipe_loss=_spread(rng, 0.3),
         shares=(lambda a: (a, 1.0 - a))(float(rng.uniform(0.35, 0.65))),
-        cp=_spread(rng, 4000.0, 1.05), curvature=float(rng.uniform(1e-4, 1e-3)), density=float(rng.uniform(2e-4, 6e-4)),
-        viscosity=float(rng.uniform(0.0, 1.5e-3)), pump_exponent=float(rng.uniform(1.0, 1.08)),
-    )  # fmt: skip
+        cp=_spread(rng, 4000.0, 1.05),
+        curvature=float(rng.uniform(1e-4, 1e-3)),
+        density=float(rng.uniform(2e-4, 6e-4)),
+        viscosity=float(rng.uniform(0.0, 1.5e-3)),
+        pump_exponent=float(rng.uniform(1.0, 1.08)),
+    )
     return replace(base, **more)
 
 
@@ -216,18 +242,32 @@ def draw_plant(family: str, seed: int) -> Plant:
     )
     sigma = float(np.exp(rng.uniform(np.log(0.01), np.log(0.2))))
     return Plant(
-        family=family, seed=seed, network=network, parts=built, thermometers=thermometers, sigma_K=sigma,
-        heat_columns=columns, full_w=full, pumps=tuple(loop.pump for loop in loops),
-        sheet=_sheet(family, loops, exchanger, built, thermometers, sigma, full, columns, rng), ballast=body,
+        family=family,
+        seed=seed,
+        network=network,
+        parts=built,
+        thermometers=thermometers,
+        sigma_K=sigma,
+        heat_columns=columns,
+        full_w=full,
+        pumps=tuple(loop.pump for loop in loops),
+        sheet=_sheet(family, loops, exchanger, built, thermometers, sigma, full, columns, rng),
+        ballast=body,
         ballast_group=group,
-    )  # fmt: skip
+    )
 
 
 def _sheet(
-    family: str, loops: Sequence[Loop], exchanger: tuple[str, str, float] | None, built: Sequence[Built],
-    thermometers: Sequence[Thermometer], sigma: float, full: np.ndarray, columns: Sequence[str],
+    family: str,
+    loops: Sequence[Loop],
+    exchanger: tuple[str, str, float] | None,
+    built: Sequence[Built],
+    thermometers: Sequence[Thermometer],
+    sigma: float,
+    full: np.ndarray,
+    columns: Sequence[str],
     rng: np.random.Generator,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Return the data sheet: what a maker knows of the rig, each number off by some per cent."""
 
     def nominal(value: float) -> float:
@@ -253,14 +293,19 @@ def _sheet(
             for name, litres in pipes.items():
                 nodes[name]["J_per_K"] += nominal(litres * loop.cp)
             pipes = {}
-        paths.append({
-            "pump": loop.pump, "L_per_min": nominal(loop.kg_s * 60.0), "path": path, "cp": loop.cp, "pipes_L": pipes,
-        })  # fmt: skip
+        paths.append(
+            {
+                "pump": loop.pump,
+                "L_per_min": nominal(loop.kg_s * 60.0),
+                "path": path,
+                "cp": loop.cp,
+                "pipes_L": pipes,
+            }
+        )
     link = None
     if exchanger is not None:
         hot = next(b.part for b in built if b.part.name == exchanger[0])
-        link = {"hot": exchanger[0], "cold": exchanger[1],
-                "K_per_W": nominal(1.0 / hot.film + 1.0 / exchanger[2])}  # fmt: skip
+        link = {"hot": exchanger[0], "cold": exchanger[1], "K_per_W": nominal(1.0 / hot.film + 1.0 / exchanger[2])}
     return {
         "nodes": nodes,
         "loops": paths,

@@ -99,9 +99,19 @@ class Assembly:
         return self.groups - 1
 
     def link(
-        self, a: int, b: int, conductance: float, group: int, *, loop: int = -1, flow: float = 0.0, fan: float = 0.0,
-        warmth: float = 0.0, natural: bool = False, layer: int = 0,
-    ) -> None:  # fmt: skip
+        self,
+        a: int,
+        b: int,
+        conductance: float,
+        group: int,
+        *,
+        loop: int = -1,
+        flow: float = 0.0,
+        fan: float = 0.0,
+        warmth: float = 0.0,
+        natural: bool = False,
+        layer: int = 0,
+    ) -> None:
         """Add a link."""
         self.links.append((a, b, conductance, group, loop, flow, fan, warmth, int(natural), layer))
 

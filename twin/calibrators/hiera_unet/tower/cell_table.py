@@ -112,10 +112,20 @@ class CellTable:
 
 
 def cell_table(
-    name: str, sheet: Mapping[str, Any], columns: Mapping[str, NDArray[Any]], minutes: Minutes, design: Design,
-    clean: Array, log_clean: Array, beliefs: Recursion, events: Sequence[Event], openings: Sequence[Opening],
-    healthy_end_s: float, true_water: Array, true: Array,
-) -> CellTable:  # fmt: skip
+    name: str,
+    sheet: Mapping[str, Any],
+    columns: Mapping[str, NDArray[Any]],
+    minutes: Minutes,
+    design: Design,
+    clean: Array,
+    log_clean: Array,
+    beliefs: Recursion,
+    events: Sequence[Event],
+    openings: Sequence[Opening],
+    healthy_end_s: float,
+    true_water: Array,
+    true: Array,
+) -> CellTable:
     """Return the table of a cell.
 
     Parameters:
@@ -140,21 +150,37 @@ def cell_table(
     known = (minutes.known & np.isfinite(beliefs.water))[inside].mean(axis=1)
     middle = np.minimum(start + span // 2, len(t) - 1)
     return CellTable(
-        name=name, x=x, m=m, regime=minutes.regime, clock=clock_of(t), outlet=minutes.outlet.astype(np.float32),
+        name=name,
+        x=x,
+        m=m,
+        regime=minutes.regime,
+        clock=clock_of(t),
+        outlet=minutes.outlet.astype(np.float32),
         reading=reading_of(columns, len(t)).astype(np.float32),
-        water=beliefs.water.astype(np.float32), slopes=np.nan_to_num(beliefs.slopes).astype(np.float32),
-        chunk=beliefs.chunk.astype(np.int32), reference=beliefs.reference.astype(np.float32),
-        commissioned=clean.astype(np.float32), true_water=true_water.astype(np.float32),
-        point=np.clip(point, -6.0, 6.0).astype(np.float16), start=start.astype(np.int64),
-        mean=beliefs.mean.astype(np.float32), sd=beliefs.sd.astype(np.float32), fit=beliefs.fit.astype(np.float32),
-        fit_sd=beliefs.fit_sd.astype(np.float32), true=true[middle].astype(np.float32),
-        condition=beliefs.condition.astype(np.float32), age_h=(beliefs.age_s / 3600.0).astype(np.float32),
-        seen=beliefs.seen.astype(np.float32), kind=_kinds(point, x, inside, beliefs.start_s, events),
-        valid=whole & (known >= LEAST_KNOWN) & (beliefs.seen >= LEAST_SEEN), jumped=_jumped(true, inside),
+        water=beliefs.water.astype(np.float32),
+        slopes=np.nan_to_num(beliefs.slopes).astype(np.float32),
+        chunk=beliefs.chunk.astype(np.int32),
+        reference=beliefs.reference.astype(np.float32),
+        commissioned=clean.astype(np.float32),
+        true_water=true_water.astype(np.float32),
+        point=np.clip(point, -6.0, 6.0).astype(np.float16),
+        start=start.astype(np.int64),
+        mean=beliefs.mean.astype(np.float32),
+        sd=beliefs.sd.astype(np.float32),
+        fit=beliefs.fit.astype(np.float32),
+        fit_sd=beliefs.fit_sd.astype(np.float32),
+        true=true[middle].astype(np.float32),
+        condition=beliefs.condition.astype(np.float32),
+        age_h=(beliefs.age_s / 3600.0).astype(np.float32),
+        seen=beliefs.seen.astype(np.float32),
+        kind=_kinds(point, x, inside, beliefs.start_s, events),
+        valid=whole & (known >= LEAST_KNOWN) & (beliefs.seen >= LEAST_SEEN),
+        jumped=_jumped(true, inside),
         statics=statics_of(sheet, design).astype(np.float32),
         design=np.array([fall, float(sizes["water_outlet_C"]) - wet0], dtype=np.float32),
-        memory=memory_of(minutes, clean, design.m_w0, fall, wet0, slice(0, healthy_end)), healthy_end=healthy_end,
-    )  # fmt: skip
+        memory=memory_of(minutes, clean, design.m_w0, fall, wet0, slice(0, healthy_end)),
+        healthy_end=healthy_end,
+    )
 
 
 def _kinds(

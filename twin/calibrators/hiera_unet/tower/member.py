@@ -155,11 +155,21 @@ class MemberTraining:
         """Return the model card as plain data."""
         trainer = self.trainer
         return {
-            "subject": SUBJECT.name, "gate": gate.document(), "refused": gate.code, "seed": trainer.plan.seed,
-            "plan": trainer.plan.document(), "steps_done": trainer.done, "seconds": round(self.seconds, 1),
-            "device": _device(self.fleet.device), "windows": len(self.fleet), "cells": len(self.fleet.names),
-            "held_out_cells": len(self.held_out.names), "data": trainer.digest, "curves": self.curves, **more,
-        }  # fmt: skip
+            "subject": SUBJECT.name,
+            "gate": gate.document(),
+            "refused": gate.code,
+            "seed": trainer.plan.seed,
+            "plan": trainer.plan.document(),
+            "steps_done": trainer.done,
+            "seconds": round(self.seconds, 1),
+            "device": _device(self.fleet.device),
+            "windows": len(self.fleet),
+            "cells": len(self.fleet.names),
+            "held_out_cells": len(self.held_out.names),
+            "data": trainer.digest,
+            "curves": self.curves,
+            **more,
+        }
 
     def write(self, path: Path, gate: Blindness, more: dict[str, Any]) -> Path:
         """Write the averaged weights to `path` and the card beside it; return the card's path."""
@@ -180,9 +190,14 @@ class MemberTraining:
 
 
 def adapt(
-    network: HieraUNet, family: Fleet, own: Fleet, plan: TowerPlan, until: float, first: float = 0.0,
+    network: HieraUNet,
+    family: Fleet,
+    own: Fleet,
+    plan: TowerPlan,
+    until: float,
+    first: float = 0.0,
     last: float = 9.0 / 14.0,
-) -> tuple[HieraUNet, int]:  # fmt: skip
+) -> tuple[HieraUNet, int]:
     """Return a network adapted to readings of the station itself, and the steps that it took.
 
     Half of the steps see windows of the family with their truth, half those of the station with its readings alone.
@@ -204,9 +219,11 @@ def adapt(
 def identity() -> checkpoint.Identity:
     """Return what weights of a tower belong to."""
     return checkpoint.Identity(
-        "tower_cell", SUBJECT.digest(), tuple(one.name for one in SUBJECT.deviations),
+        "tower_cell",
+        SUBJECT.digest(),
+        tuple(one.name for one in SUBJECT.deviations),
         tuple(one.name for one in SUBJECT.outputs),
-    )  # fmt: skip
+    )
 
 
 def load_member(path: Path, *, blind_too: bool = False) -> checkpoint.Member:

@@ -14,9 +14,11 @@ from twin.tower.identify import TOLERANCE
 from twin.tower.minutes import Minutes
 
 EDGES = {
-    "load": (0.0, 0.35, 0.55, 0.75, 0.95, 2.0), "flow": (0.2, 0.8, 0.95, 1.05, 2.0),
-    "fan": (-0.01, 0.15, 0.4, 0.6, 0.8, 1.3), "wet": (-3.0, -1.5, -1.0, -0.5, -0.2, 0.1, 1.0),
-}  # fmt: skip
+    "load": (0.0, 0.35, 0.55, 0.75, 0.95, 2.0),
+    "flow": (0.2, 0.8, 0.95, 1.05, 2.0),
+    "fan": (-0.01, 0.15, 0.4, 0.6, 0.8, 1.3),
+    "wet": (-3.0, -1.5, -1.0, -0.5, -0.2, 0.1, 1.0),
+}
 """Edges of the bins: heat and flow over their design values, fan speed, wet bulb from design in tens of kelvins."""
 TOKENS = sum(len(edges) - 1 for edges in EDGES.values())
 
@@ -33,9 +35,11 @@ def memory_of(
     u = minutes.operation.inputs
     residual = ((minutes.outlet - clean) / TOLERANCE["outlet"])[healthy]
     points = {
-        "load": (u.m_w * (u.t_in - clean) / (m_w0 * fall))[healthy], "flow": (u.m_w / m_w0)[healthy],
-        "fan": u.speed[healthy], "wet": ((u.wet - wet0) / 10.0)[healthy],
-    }  # fmt: skip
+        "load": (u.m_w * (u.t_in - clean) / (m_w0 * fall))[healthy],
+        "flow": (u.m_w / m_w0)[healthy],
+        "fan": u.speed[healthy],
+        "wet": ((u.wet - wet0) / 10.0)[healthy],
+    }
     there = np.isfinite(residual) & minutes.steady[healthy]
     tokens = []
     for kind, (name, edges) in enumerate(EDGES.items()):

@@ -46,9 +46,14 @@ def answer(network: HieraUNet, batch: Batch, causal: bool, half: bool) -> Predic
 
 
 def predict(
-    network: HieraUNet, fleet: Fleet, rows: NDArray[np.int64], size: int = 64, causal: bool = True, half: bool = False,
+    network: HieraUNet,
+    fleet: Fleet,
+    rows: NDArray[np.int64],
+    size: int = 64,
+    causal: bool = True,
+    half: bool = False,
     lost: float = 0.0,
-) -> Predicted:  # fmt: skip
+) -> Predicted:
     """Return the predictions of cycles `rows` (K,).
 
     Parameters:
@@ -87,9 +92,12 @@ class Blindness:
     def document(self) -> dict[str, Any]:
         """Return plain data for a card."""
         return {
-            "parameters_worse": list(self.parameters), "outputs_worse": list(self.outputs), "windows": self.windows,
-            "least": LEAST_WORSE, "code": self.code or "none",
-        }  # fmt: skip
+            "parameters_worse": list(self.parameters),
+            "outputs_worse": list(self.outputs),
+            "windows": self.windows,
+            "least": LEAST_WORSE,
+            "code": self.code or "none",
+        }
 
 
 NOT_TESTED = Blindness((float("nan"),) * 3, (float("nan"),) * 3, 0)

@@ -81,13 +81,26 @@ def targets_of(fleet: Fleet, rows: NDArray[np.int64], size: int = 256) -> Target
         step[:, 5:] = (speed[:, 5:] - speed[:, :-5]).abs() > 2.0 * CHANGED
         changed = torch.nn.functional.max_pool1d(step.float()[:, None], AFTER_CHANGE_MIN, 1)[:, 0]
         lead = torch.arange(TARGET, device=fleet.device).float()[None, :, None].expand(len(chosen), -1, 1) / TARGET
-        parts.append({k: v.float().cpu().numpy() for k, v in {
-            "cell": fleet.cell[chosen], "mean": batch.mean, "sd": batch.sd, "true": batch.true, "water": batch.water,
-            "slopes": batch.slopes, "true_water": batch.true_water, "reading": batch.reading,
-            "commissioned": fleet.arrays["commissioned"][index][:, -TARGET:], "changed": changed[:, -TARGET:],
-            "recent": torch.nan_to_num(recent), "features": batch.meta,
-            "minutely": torch.cat([point[:, -TARGET:], lead], -1),
-        }.items()})  # fmt: skip
+        parts.append(
+            {
+                k: v.float().cpu().numpy()
+                for k, v in {
+                    "cell": fleet.cell[chosen],
+                    "mean": batch.mean,
+                    "sd": batch.sd,
+                    "true": batch.true,
+                    "water": batch.water,
+                    "slopes": batch.slopes,
+                    "true_water": batch.true_water,
+                    "reading": batch.reading,
+                    "commissioned": fleet.arrays["commissioned"][index][:, -TARGET:],
+                    "changed": changed[:, -TARGET:],
+                    "recent": torch.nan_to_num(recent),
+                    "features": batch.meta,
+                    "minutely": torch.cat([point[:, -TARGET:], lead], -1),
+                }.items()
+            }
+        )
     joined = {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
     return Targets(rows=rows, **joined)
 
@@ -211,12 +224,16 @@ def scores(t: Targets, found: Answer, rival: Answer | None = None, seed: int = 0
     window = _window_mean(size)
     after = t.changed > 0.5
     out: dict[str, Any] = {
-        "windows": len(t.rows), "water_mae_K": _mean(size), "water_rmse_K": float(np.sqrt(_mean(error**2))),
-        "water_median_K": _quantile(error, 0.5), "water_p90_K": _quantile(size, 0.9),
+        "windows": len(t.rows),
+        "water_mae_K": _mean(size),
+        "water_rmse_K": float(np.sqrt(_mean(error**2))),
+        "water_median_K": _quantile(error, 0.5),
+        "water_p90_K": _quantile(size, 0.9),
         "water_p99_K": _quantile(size, 0.99),
-        "water_mae_after_fan_change_K": _mean(np.where(after, size, np.nan)), "reading_mae_K": _mean(blind),
+        "water_mae_after_fan_change_K": _mean(np.where(after, size, np.nan)),
+        "reading_mae_K": _mean(blind),
         "deviation_mae": {n: _mean(np.abs(found.theta - t.true)[:, j]) for j, n in enumerate(DEVIATIONS)},
-    }  # fmt: skip
+    }
     if found.theta_half is not None:
         inside = np.abs(found.theta - t.true) <= found.theta_half
         out["deviation_inside_90"] = {n: float(inside[:, j].mean()) for j, n in enumerate(DEVIATIONS)}

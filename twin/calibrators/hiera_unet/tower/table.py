@@ -46,31 +46,69 @@ def _group(group: str, *names: str, told: Sequence[str] = (), windowed: Sequence
 CHANNELS = (
     *_group("ambient", "dry", "humidity", "wet", "wet_redundant", "pressure", "wind"),
     *_group(
-        "hydraulic", "flow", "header", "pump_power", "valve", "bypass", "makeup", "blowdown", "r_evaporation",
+        "hydraulic",
+        "flow",
+        "header",
+        "pump_power",
+        "valve",
+        "bypass",
+        "makeup",
+        "blowdown",
+        "r_evaporation",
         "r_energy",
     ),
     *_group(
-        "thermal", "t_in", "t_out", "basin", "approach", "range", "effectiveness", "heat", "load", "r_outlet",
+        "thermal",
+        "t_in",
+        "t_out",
+        "basin",
+        "approach",
+        "range",
+        "effectiveness",
+        "heat",
+        "load",
+        "r_outlet",
         "r_commissioned",
         told=("t_out", "basin", "approach", "range", "effectiveness", "heat", "r_outlet", "r_commissioned"),
         windowed=("r_outlet",),
     ),
     *_group("electrical", "fan_command", "fan_speed", "fan_power", "available", "neighbours", "r_fan"),
     *_group(
-        "quality", "age_t_in", "age_t_out", "age_flow", "age_wet", "linked_t_in", "linked_t_out", "linked_flow",
-        "linked_wet", "closure", "fast", "beyond", "redundancy",
+        "quality",
+        "age_t_in",
+        "age_t_out",
+        "age_flow",
+        "age_wet",
+        "linked_t_in",
+        "linked_t_out",
+        "linked_flow",
+        "linked_wet",
+        "closure",
+        "fast",
+        "beyond",
+        "redundancy",
         told=("age_t_out", "linked_t_out", "fast", "beyond", "redundancy"),
     ),
     *_group(
-        "event", "fan_trip", "makeup_on", "certificate", "cleaning", "bypass_open", "overflow", "load_step",
-        "configuration", "since_maintenance",
+        "event",
+        "fan_trip",
+        "makeup_on",
+        "certificate",
+        "cleaning",
+        "bypass_open",
+        "overflow",
+        "load_step",
+        "configuration",
+        "since_maintenance",
     ),
     *_group(
-        "evidence", *(f"score_{n}" for n in DEVIATIONS), *(f"rate_{n}" for n in DEVIATIONS),
+        "evidence",
+        *(f"score_{n}" for n in DEVIATIONS),
+        *(f"rate_{n}" for n in DEVIATIONS),
         told=tuple(f"score_{n}" for n in DEVIATIONS),
         windowed=(*(f"score_{n}" for n in DEVIATIONS), *(f"rate_{n}" for n in DEVIATIONS)),
     ),
-)  # fmt: skip
+)
 """Six groups of the paper (6, 9, 10, 6, 12, 9), then score and information rate of each deviation."""
 
 STATICS = 16
@@ -96,9 +134,15 @@ Columns = Mapping[str, NDArray[Any]]
 
 
 def channels_of(
-    columns: Columns, minutes: Minutes, design: Design, sheet: Mapping[str, Any], clean: Array, log_clean: Array,
-    events: Sequence[Event], healthy: slice,
-) -> tuple[NDArray[np.float16], NDArray[np.bool_]]:  # fmt: skip
+    columns: Columns,
+    minutes: Minutes,
+    design: Design,
+    sheet: Mapping[str, Any],
+    clean: Array,
+    log_clean: Array,
+    events: Sequence[Event],
+    healthy: slice,
+) -> tuple[NDArray[np.float16], NDArray[np.bool_]]:
     """Return the channels (n, 60) of a record and where they are there; windowed ones are empty.
 
     Parameters:
@@ -132,42 +176,56 @@ def channels_of(
     values: dict[str, NDArray[Any]] = {
         "dry": (column("dry_C") - wet0) / 10.0,
         "humidity": _either(column("rh_pct"), column("rh2_pct")) / 50.0 - 1.0,
-        "wet": (column("wet_C") - wet0) / 10.0, "wet_redundant": (column("wet_rh_C") - wet0) / 10.0,
+        "wet": (column("wet_C") - wet0) / 10.0,
+        "wet_redundant": (column("wet_rh_C") - wet0) / 10.0,
         "pressure": 20.0 * (column("pressure_kPa") / float(sizes["pressure_kPa"]) - 1.0),
         "wind": column("wind_m_s") / 5.0 - 1.0,
-        "flow": 2.0 * (flow - 1.0), "valve": column("riser_valve_pct") / 100.0, "bypass": column("bypass_pct") / 100.0,
-        "t_in": (u.t_in - hot) / 10.0, "t_out": (t_out - cold) / 10.0, "basin": (basin - cold) / 10.0,
-        "approach": (t_out - u.wet) / approach - 1.0, "range": span / fall - 1.0,
+        "flow": 2.0 * (flow - 1.0),
+        "valve": column("riser_valve_pct") / 100.0,
+        "bypass": column("bypass_pct") / 100.0,
+        "t_in": (u.t_in - hot) / 10.0,
+        "t_out": (t_out - cold) / 10.0,
+        "basin": (basin - cold) / 10.0,
+        "approach": (t_out - u.wet) / approach - 1.0,
+        "range": span / fall - 1.0,
         "effectiveness": 4.0 * effectiveness - 2.0,
-        "heat": u.m_w * CP_WATER * span / heat0 - 1.0, "load": 1e3 * load / (heat0 * cells) - 0.6,
+        "heat": u.m_w * CP_WATER * span / heat0 - 1.0,
+        "load": 1e3 * load / (heat0 * cells) - 0.6,
         "r_commissioned": (t_out - clean) / TOLERANCE["outlet"],
-        "fan_command": column("fan_command_pct") / 50.0 - 1.0, "fan_speed": 2.0 * u.speed - 1.0,
+        "fan_command": column("fan_command_pct") / 50.0 - 1.0,
+        "fan_speed": 2.0 * u.speed - 1.0,
         "fan_power": column("fan_power_kW") / float(sheet["fan"]["power_at_design_kW"]) - 0.5,
         "available": np.where(
             np.isfinite(column("in_service")), (column("in_service") > 0.5) & ~(column("fan_fault") > 0.5), np.nan
         ),
-        "neighbours": column("neighbours_speed_pct") / 50.0 - 1.0, "r_fan": 10.0 * (log_power - log_clean),
+        "neighbours": column("neighbours_speed_pct") / 50.0 - 1.0,
+        "r_fan": 10.0 * (log_power - log_clean),
         "closure": column("closure_K") / 0.35,
-        "fast": np.where(shown, _fast(t_out), np.nan), "beyond": np.where(shown, (check & 12) > 0, np.nan),
+        "fast": np.where(shown, _fast(t_out), np.nan),
+        "beyond": np.where(shown, (check & 12) > 0, np.nan),
         "redundancy": np.where(shown, (check & 3) > 0, np.nan),
         "fan_trip": column("fan_fault"),
         "makeup_on": column("makeup_kg_s") > 0.2 * EVAPORATED * fall * design.m_w0 * cells,
-        "bypass_open": column("bypass_pct") > 5.0, "overflow": column("level_pct") > 95.0,
+        "bypass_open": column("bypass_pct") > 5.0,
+        "overflow": column("level_pct") > 95.0,
         "load_step": _stepped(1e3 * load / (heat0 * cells)),
         "certificate": _trace(events, CERTIFICATES, minutes.time_s),
         "cleaning": _trace(events, CLEANINGS, minutes.time_s),
         "configuration": _trace(events, CHANGES, minutes.time_s),
         "since_maintenance": _since((*CLEANINGS, *CHANGES), events, minutes.time_s),
-    }  # fmt: skip
+    }
     for name, source in (("t_in", "t_in_C"), ("t_out", "t_out_C"), ("flow", "m_w_kg_s"), ("wet", "wet_C")):
         age, how = column(f"{source}_age_min"), column(f"{source}_how")
         values[f"age_{name}"] = np.log1p(np.clip(age, 0.0, 1e4)) / 3.0
         values[f"linked_{name}"] = np.where(np.isfinite(how), how >= 2, np.nan)
     scaled = {
-        "header": column("header_kPa"), "pump_power": column("pump_kW"), "makeup": column("makeup_kg_s"),
-        "blowdown": column("blowdown_kg_s"), "r_evaporation": lost - EVAPORATED * around,
+        "header": column("header_kPa"),
+        "pump_power": column("pump_kW"),
+        "makeup": column("makeup_kg_s"),
+        "blowdown": column("blowdown_kg_s"),
+        "r_evaporation": lost - EVAPORATED * around,
         "r_energy": 1e3 * load / (heat0 * cells) - around / fall,
-    }  # fmt: skip
+    }
     values |= {name: _scaled(v, healthy) for name, v in scaled.items()}
     x = np.zeros((n, len(CHANNELS)), dtype=np.float16)
     there = np.zeros((n, len(CHANNELS)), dtype=bool)
@@ -197,11 +255,16 @@ def statics_of(sheet: Mapping[str, Any], design: Design) -> Array:
     """Return the static numbers of a cell (6,): design flow, fan power, fill length, width and height, approach."""
     sizes, fill = sheet["design"], sheet["fill"]
     approach = float(sizes["water_outlet_C"]) - float(sizes["wet_bulb_C"])
-    return np.array([
-        np.log(design.m_w0 / 200.0), np.log(float(sheet["fan"]["rated_power_kW"]) / 40.0),
-        float(fill["length_m"]) / 10.0 - 1.0, float(fill["width_m"]) / 10.0 - 1.0, float(fill["height_m"]) / 1.5 - 1.0,
-        approach / 4.0 - 1.0,
-    ])  # fmt: skip
+    return np.array(
+        [
+            np.log(design.m_w0 / 200.0),
+            np.log(float(sheet["fan"]["rated_power_kW"]) / 40.0),
+            float(fill["length_m"]) / 10.0 - 1.0,
+            float(fill["width_m"]) / 10.0 - 1.0,
+            float(fill["height_m"]) / 1.5 - 1.0,
+            approach / 4.0 - 1.0,
+        ]
+    )
 
 
 def clock_of(time_s: Array) -> NDArray[np.float16]:

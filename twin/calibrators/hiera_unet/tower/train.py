@@ -40,9 +40,16 @@ class TowerTrainer:
     """
 
     def __init__(
-        self, config: Config, fleet: Fleet, plan: TowerPlan, digest: str = "", own: Fleet | None = None,
-        own_rows: Tensor | None = None, share: float = 0.5, start: Mapping[str, Tensor] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        config: Config,
+        fleet: Fleet,
+        plan: TowerPlan,
+        digest: str = "",
+        own: Fleet | None = None,
+        own_rows: Tensor | None = None,
+        share: float = 0.5,
+        start: Mapping[str, Tensor] | None = None,
+    ) -> None:
         self.config, self.fleet, self.plan, self.digest = config, fleet, plan, digest
         self.own, self.own_rows, self.share = own, own_rows, share
         self.device = fleet.device
@@ -215,8 +222,9 @@ class TowerTrainer:
         shared = self.network.encoder.merges[-1].proj.weight
         sizes = [
             float(torch.autograd.grad(loss, shared, retain_graph=True, allow_unused=True)[0].norm())
-            for loss in (parameters, outputs) if loss.requires_grad
-        ]  # fmt: skip
+            for loss in (parameters, outputs)
+            if loss.requires_grad
+        ]
         if len(sizes) == 2 and min(sizes) > 0.0:
             wanted = min(max(sizes[1] / sizes[0], 1.0 / MOST_EVEN), MOST_EVEN)
             self.even = math.exp(0.8 * math.log(self.even) + 0.2 * math.log(wanted))
@@ -224,10 +232,14 @@ class TowerTrainer:
     def state(self) -> dict[str, Any]:
         """Return everything needed to go on: tensors and plain data."""
         return {
-            "identity": self.identity(), "done": self.done, "even": self.even, "network": self.network.state_dict(),
-            "average": self.average.state_dict(), "optimiser": self.optimiser.state_dict(),
+            "identity": self.identity(),
+            "done": self.done,
+            "even": self.even,
+            "network": self.network.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
             "generator": self.generator.get_state(),
-        }  # fmt: skip
+        }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what `state` gave.

@@ -158,10 +158,22 @@ class Fleet:
         sampled = torch.where(torch.isfinite(a["outlet"]), reading, torch.full_like(reading, float("nan")))
         resolved = (1.0 - (c["sd"] / self.prior) ** 2).clamp(0.0, 1.0)
         return Batch(
-            x, m, a["regime"], a["clock"].float(), self._meta(c, mean, cell, a["point"].float(), resolved),
-            self.memory[cell], water[:, -TARGET:], a["slopes"][:, -TARGET:], sampled[:, -TARGET:],
-            true_water[:, -TARGET:], mean, c["sd"], true, resolved, ~c["jumped"],
-        )  # fmt: skip
+            x,
+            m,
+            a["regime"],
+            a["clock"].float(),
+            self._meta(c, mean, cell, a["point"].float(), resolved),
+            self.memory[cell],
+            water[:, -TARGET:],
+            a["slopes"][:, -TARGET:],
+            sampled[:, -TARGET:],
+            true_water[:, -TARGET:],
+            mean,
+            c["sd"],
+            true,
+            resolved,
+            ~c["jumped"],
+        )
 
     @staticmethod
     def _hidden(sampled: Tensor) -> Tensor:
@@ -190,10 +202,13 @@ class Fleet:
         drive = torch.nan_to_num(10.0 * (point[..., 1] + 1.0), nan=10.0).clamp(min=1.0)
         flow = torch.nan_to_num(0.5 * point[..., 3] + 1.0, nan=1.0)
         for name, change in (
-            ("t_out", moved / 10.0), ("approach", moved / approach), ("range", -moved / fall),
-            ("effectiveness", -4.0 * moved / drive), ("heat", -flow * moved / fall),
+            ("t_out", moved / 10.0),
+            ("approach", moved / approach),
+            ("range", -moved / fall),
+            ("effectiveness", -4.0 * moved / drive),
+            ("heat", -flow * moved / fall),
             ("r_commissioned", moved / TOLERANCE),
-        ):  # fmt: skip
+        ):
             x[..., SUBJECT.index(name)] += change
 
     def _meta(self, c: dict[str, Tensor], mean: Tensor, cell: Tensor, point: Tensor, resolved: Tensor) -> Tensor:
