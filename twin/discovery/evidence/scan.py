@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin.discovery.effects.laws import Law
-from twin.discovery.effects.shapes import TIMED, Shape
+from twin.discovery.effects.shapes import EARLY_S, TIMED, Shape
 from twin.discovery.evidence.marginal import Joint, log_bayes_of_sizes
 from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE
 from twin.discovery.scoring.contest import Contest
@@ -128,7 +128,9 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
         tried = [
             s.going_on(float(edges_s[-1]))
             for s in tried
-            if 0.0 <= s.onset_s <= LAST_SHARE * edges_s[-1] and (s.name not in TIMED or s.growth_s > NEAREST_S)
+            if 0.0 <= s.onset_s <= LAST_SHARE * edges_s[-1]
+            and (s.name not in TIMED or s.growth_s > NEAREST_S)
+            and (s.name != "pulse" or s.onset_s > EARLY_S)
         ]
         found = at(tried) if tried else None
         if found is not None and found[0] > best:

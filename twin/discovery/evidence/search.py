@@ -313,11 +313,22 @@ def _late(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> l
 
 
 def _retimed(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses with the leading one that is slow fitted with other time constants and onsets."""
-    slow = [h for h in found if h.fit is not None and any(e.candidate.slower for e in h.entries)]
-    if not slow or slow[0].odds < found[0].odds - AMBIGUOUS - LEADS * abs(found[0].odds):
-        return found
-    best, tried = slow[0], list(found)
+    """Return the hypotheses with the leading slow ones of different claims fitted with other time constants and
+    onsets."""
+    near = found[0].odds - AMBIGUOUS - LEADS * abs(found[0].odds)
+    slow = [h for h in found if h.fit is not None and h.odds > near and any(e.candidate.slower for e in h.entries)]
+    first: dict[object, Hypothesis] = {}
+    for h in slow:
+        first.setdefault(h.labels, h)
+    tried = list(found)
+    for h in [*first.values()][:NEXT]:
+        tried += _of_other_times(part, h, prior, misfit)
+    return _settled_fits(part, sorted(tried, key=lambda h: -h.odds), misfit) if first else found
+
+
+def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -> list[Hypothesis]:
+    """Return fits of a hypothesis with other time constants and onsets of what is slow in it."""
+    tried: list[Hypothesis] = []
 
     def fit_each(i: int, entries: list[Entry]) -> None:
         nonlocal best, tried
@@ -341,7 +352,7 @@ def _retimed(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -
         last_s = LAST_SHARE * part.grid.span_s
         shapes = [replace(now.shape, onset_s=t) for t in moved if reach_s and 0.0 < t < last_s]
         fit_each(i, [replace(now, shape=shape).refreshed(part.contest) for shape in shapes])
-    return _settled_fits(part, sorted(tried, key=lambda h: -h.odds), misfit)
+    return tried
 
 
 def _unlisted(part: Part) -> float:

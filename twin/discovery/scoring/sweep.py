@@ -172,7 +172,8 @@ def _timed(onsets: Array, edges_s: Array) -> list[Shape]:
         Shape("pulse", float(t), decay)
         for decay in FADING_S
         if block < 8.0 * decay and decay < 0.5 * span
-        for t in onsets[1:]
+        for t in onsets
+        if t > EARLY_S  # what fades from the beginning on is a state that was not at rest
     ]
     long_enough = span > LEAST_TURNS * LEAST_BLOCKS * block
     periods = np.geomspace(LEAST_BLOCKS * block, span / LEAST_TURNS, PERIODS) if long_enough else np.empty(0)
