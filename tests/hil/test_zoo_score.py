@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +113,14 @@ def test_tables_hold_every_case_and_count_it_once() -> None:
     assert sum(row[1] for row in found["group"].rows if isinstance(row[1], int)) == len(CASES)
     over = next(r for r in found["numbers"].rows if r[0] == "held out, with the effects, over the healthy floor")
     assert over[1] == pytest.approx(2.0)
+
+
+def test_a_case_without_an_answer_has_a_row_of_its_own() -> None:
+    a, g, _ = CASES[0]
+    done = [score.judge("case_0", truth(a), g, healthy_K=0.1)]
+    unanswered = replace(done[0], case="case_1", score=math.nan, outcome="no answer")
+    found = {t.key: t for t in tables([*done, unanswered], "dev")}
+    assert [row[0] for row in found["score"].rows][-1] == "-"
 
 
 def test_plans_of_the_two_halves_share_neither_family_nor_seed() -> None:

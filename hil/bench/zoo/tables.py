@@ -12,6 +12,8 @@ from hil.bench.zoo.score import ABSTAINED, ALIKE, CRASHED, FALSE_ALARM, MISSED, 
 EDGES = (0.0, 3.0, 10.0, 30.0, 100.0, 300.0, math.inf)
 SEEN = 10.0
 """True score from which an effect counts as one that a record shows."""
+UNKNOWN = "-"
+"""Band of a case without an answer, whose true score is not known."""
 OUTCOMES = (RIGHT, ALIKE, ABSTAINED, MISSED, WRONG, CRASHED)
 
 
@@ -87,13 +89,13 @@ def _band(s: ZooScore) -> str:
     for low, high in zip(EDGES[:-1], EDGES[1:], strict=True):
         if low <= s.score < high:
             return f"{low:g} to {high:g}" if high < math.inf else f"above {low:g}"
-    return "-"
+    return UNKNOWN
 
 
 def _by(key: str, title: str, hidden: Sequence[ZooScore], of: Callable[[ZooScore], str], name: str) -> ReportTable:
     names = sorted({of(s) for s in hidden})
     if key == "score":
-        names.sort(key=lambda n: float(n.removeprefix("above ").split(" ")[0]))
+        names.sort(key=lambda n: math.inf if n == UNKNOWN else float(n.removeprefix("above ").split(" ")[0]))
     rows: list[tuple[Cell, ...]] = []
     for each in names:
         found = [s for s in hidden if of(s) == each]
