@@ -119,6 +119,7 @@ def beside(alone: Alone, left: Diagnosis, network: Network, start: float, still:
     if left.odds <= SMEARED * left.claim and all(e.where in (node, group.sensor) for e in left.effects):
         left = replace(left, verdict="adequate", effects=(), indistinguishable=(), network=None)
     effects, same, group = placed(left.effects, group, node, start)
+    belongs = effects != left.effects
     left = replace(left, effects=effects, indistinguishable=(*left.indistinguishable, *same))
     errors: list[Effect] = []
     others: list[Alternative] = []
@@ -134,7 +135,7 @@ def beside(alone: Alone, left: Diagnosis, network: Network, start: float, still:
             others += _instead(odd, told)
         elif restless is not None and restless.column == column:
             errors.append(_restless(each, restless, start))
-        elif odd is not None and odd.column == column and effects == left.effects and not errors:
+        elif odd is not None and odd.column == column and not belongs:
             errors.append(_strange(each, odd, start))
     return _together((*stood, *errors), tuple(others), left)
 
