@@ -63,7 +63,7 @@ def test_formulas_of_a_form_are_those_of_arrays(form: str, data: st.DataObject) 
     time = np.cumsum(data.draw(st.lists(st.floats(0.5, 600.0), min_size=x.size, max_size=x.size)))
     values = law_values(form, "always", p, x, time)
     whole = max(1.0, abs(values).max(), abs(p.get("gain", 0.0)) * np.ptp(x))
-    assert by_text(form, "always", p, x, time) == pytest.approx(values, rel=1e-9, abs=1e-9 * whole)
+    assert by_text(form, "always", p, x, time) == pytest.approx(values, rel=1e-9, abs=1e-8 * whole)
 
 
 @pytest.mark.parametrize("course", COURSES)
