@@ -104,6 +104,18 @@ def test_an_error_and_heat_at_the_same_place_are_two(bench: Bench, healthy: Colu
     assert told["sensor", "T_pm3_C"].onset_s == pytest.approx(10.0 * 3600.0, abs=900.0)
 
 
+def test_heat_at_one_place_is_told_there_in_words_too(bench: Bench, healthy: Columns) -> None:
+    """The thermometer beside it differs for no reason of its own."""
+    heated = bench.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 60.0})
+    record = bench.record(14.0, changed=heated, onset_h=4.0)
+    warmer = slowly(np.where(record.time_s > 4.0 * 3600.0, 1.0, 0.0), 40.0)
+    found = diagnosed(bench, healthy, record, warmer)
+    assert found.verdict == "effect found"
+    (heat,) = found.effects
+    assert (heat.kind, heat.where) == ("heat_source", "pm3")
+    assert "pm3 alone" in heat.says and heat.says in found.summary
+
+
 def test_one_that_leans_on_a_wall_now_and_then_errs_in_no_known_way(bench: Bench, healthy: Columns) -> None:
     record = bench.record(16.0)
     leans = slowly(excess(bench, record), 1800.0) > np.median(excess(bench, record))

@@ -96,7 +96,7 @@ def summarise(
         u = next((e for e in effects if e.kind == "unknown"), effects[0])
         beside = "".join(f"{e.says}. " for e in effects if e is not u and e.says)
         if u.shape == "spell":
-            return f"{beside}{u.says}.{spoken(description)} No effect of the catalogue ends, so nothing is adopted."
+            return f"{beside}{u.says}.{spoken(description)} No known effect explains it, so nothing is adopted."
         since = u.onset_s if description.get("onset_s") else None
         entered = disturbance_statement(u.where, u.value, u.unit, u.interval90, since, average=True)
         return (

@@ -160,7 +160,7 @@ def _of_laws(scanned: _Scanned, laws: Sequence[Law], family: str, turns: bool) -
     rest = math.log((1.0 - AT_ONCE) / (4.0 if may_end(candidates[0]) else 2.0)) if grows else 0.0
     out: list[Entry] = []
 
-    def add(shapes: Sequence[Shape], columns: Array, bottom: Array, prior: float | Array) -> None:
+    def add(shapes: Sequence[Shape], columns: Array, bottom: Array, prior: float) -> None:
         odds, size = log_bayes_of_sizes(candidates, scores @ columns, bottom)
         out.extend(_best(laws, squares, shapes, columns, odds + prior, odds, size, bottom))
 

@@ -120,7 +120,10 @@ def beside(alone: Alone, left: Diagnosis, network: Network, start: float, still:
         left = replace(left, verdict="adequate", effects=(), indistinguishable=(), network=None)
     effects, same, group = placed(left.effects, group, node, start)
     belongs = effects != left.effects
-    left = replace(left, effects=effects, indistinguishable=(*left.indistinguishable, *same))
+    said = left.summary
+    for before, after in zip(left.effects, effects, strict=True):
+        said = said.replace(before.says, after.says) if before.says else said
+    left = replace(left, effects=effects, summary=said, indistinguishable=(*left.indistinguishable, *same))
     errors: list[Effect] = []
     others: list[Alternative] = []
     for column in alone.columns:
