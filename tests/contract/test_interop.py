@@ -8,11 +8,9 @@ import os
 import pty
 import select
 import shutil
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -221,6 +219,11 @@ async def test_pymodbus_on_the_virtual_rigs_serial_line():
 
 async def test_the_logger_of_python_can_on_our_hub(tmp_path):
     log = tmp_path / "frames.asc"
+
+    def logged() -> list[int]:
+        text = log.read_text(encoding="utf-8") if log.exists() else ""
+        return [text.count(f" {identifier} ") for identifier in ("181", "281", "381")]
+
     async with await start_virtual_rig(period_s=0.1) as rig:
         arguments = ["-i", "socketcand", "-c", "vcan0", "--bus-kwargs", "host=127.0.0.1", f"port={rig.can_port}"]
         process = await asyncio.create_subprocess_exec(
@@ -233,28 +236,12 @@ async def test_the_logger_of_python_can_on_our_hub(tmp_path):
             stdout=asyncio.subprocess.DEVNULL,
             stderr=asyncio.subprocess.DEVNULL,
         )
-        await _interrupted(process, when=lambda: log.exists(), after_s=3.0)
-    text = log.read_text(encoding="utf-8")
-    for identifier in ("181", "281", "381"):
-        assert sum(f" {identifier} " in line for line in text.splitlines()) >= 5
-
-
-async def _interrupted(process: asyncio.subprocess.Process, when: Callable[[], bool], after_s: float) -> None:
-    """Press Ctrl-C some time after a condition holds, again while the process goes on, and end it after a minute.
-
-    Somebody else's program may lose one interrupt, for instance in a callback that cannot raise.
-    """
-    try:
-        async with asyncio.timeout(60.0):
-            while not when():
-                await asyncio.sleep(0.1)
-            await asyncio.sleep(after_s)
-            while process.returncode is None:
-                process.send_signal(signal.SIGINT)
-                with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(process.wait(), 2.0)
-    finally:
-        if process.returncode is None:
+        # Its end is not ours to test: what it writes out while it runs is enough, and it is killed then.
+        try:
+            async with asyncio.timeout(60.0):
+                while min(logged()) < 5:
+                    await asyncio.sleep(0.2)
+        finally:
             process.kill()
             await process.wait()
 
