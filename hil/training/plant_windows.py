@@ -16,7 +16,16 @@ from typing import Any
 import numpy as np
 
 from drivers.rig_file import load_rig
-from drivers.virtual.plant import CHANNELS, MODULES, Cells, Effect, Plant, ThermocoupleModule, build_cells, load_effects
+from drivers.virtual.plant import (
+    CHANNELS,
+    MODULES,
+    Cells,
+    Plant,
+    PlantEffect,
+    ThermocoupleModule,
+    build_cells,
+    load_effects,
+)
 from hil.synthetic.hidden_effects import LOADS, Setting, Truth, effects_text, profile, truth
 from hil.synthetic.plant_record import direct_run
 from twin.calibrators.hiera_unet.campaigns import AMISS, Campaign
@@ -97,7 +106,11 @@ def _load(rng: np.random.Generator) -> str:
 
 
 def recorded(
-    features: Features, case: Setting, specimen: Specimen, effects: tuple[Effect, ...], start_C: float | None = None
+    features: Features,
+    case: Setting,
+    specimen: Specimen,
+    effects: tuple[PlantEffect, ...],
+    start_C: float | None = None,
 ) -> tuple[Series, Array]:
     """Return a record on the network's own steps, and fault-free sensor readings there (n, Y)."""
     columns, junctions, time = run(case, specimen, effects, start_C)
@@ -109,7 +122,7 @@ def recorded(
 
 
 def run(
-    case: Setting, specimen: Specimen, effects: tuple[Effect, ...], start_C: float | None = None
+    case: Setting, specimen: Specimen, effects: tuple[PlantEffect, ...], start_C: float | None = None
 ) -> tuple[dict[str, Array], Array, Array]:
     """Return columns, true junctions and stamps of a record."""
     rig = load_rig(RIG)
@@ -162,14 +175,16 @@ def scattered(rng: np.random.Generator) -> Cells:
     return built._replace(**changed)
 
 
-def _loaded(text: str) -> tuple[Effect, ...]:
+def _loaded(text: str) -> tuple[PlantEffect, ...]:
     with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as file:
         file.write(text)
         file.flush()
         return load_effects(Path(file.name))
 
 
-def equivalent_deviations(features: Features, effects: tuple[Effect, ...], time: Array) -> tuple[Array, np.ndarray]:
+def equivalent_deviations(
+    features: Features, effects: tuple[PlantEffect, ...], time: Array
+) -> tuple[Array, np.ndarray]:
     """Return deviations (n, P) equivalent to the effects, NaN for approximate ones, and the presence of a fault."""
     deviations = features.deviations
     theta: Array = np.zeros((len(time), len(deviations)))
@@ -189,7 +204,7 @@ def equivalent_deviations(features: Features, effects: tuple[Effect, ...], time:
     return theta, amiss
 
 
-def _law(effect: Effect, time: Array) -> Array:
+def _law(effect: PlantEffect, time: Array) -> Array:
     """Return a heat source's course (n,) without its envelope; NaN if it follows an unknown variable."""
     if effect.driver == "constant":
         return np.ones(len(time))
@@ -199,7 +214,7 @@ def _law(effect: Effect, time: Array) -> Array:
     return np.full(len(time), np.nan)
 
 
-def _stands_in(effect: Effect, where: str, parameter: str) -> bool:
+def _stands_in(effect: PlantEffect, where: str, parameter: str) -> bool:
     """Return True if an effect acts as this parameter of the twin, though not exactly."""
     if effect.kind == "heat_rejection" or (effect.kind == "flow" and where == "radiator"):
         return parameter == "UA_100"
