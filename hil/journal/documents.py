@@ -22,7 +22,7 @@ class _Shape(BaseModel):
     model_config = ConfigDict(extra="allow", strict=True)
 
 
-class _Calibration(_Shape):
+class _CalibrationDocument(_Shape):
     kind: str = "window"
     rmse_K: float | None = None
     rmse_before_K: float | None = None
@@ -31,25 +31,29 @@ class _Calibration(_Shape):
     flags: list[str] = []
 
 
-class _Doubt(_Shape):
+class _DoubtDocument(_Shape):
     sensor: str
     off_K: float
 
 
-class _Proposal(_Shape):
+class _ProposalDocument(_Shape):
     values: dict[str, float]
     standard_errors: dict[str, float]
     held: dict[str, str]
     reasons: list[str]
-    doubted: list[_Doubt] = []
+    doubted: list[_DoubtDocument] = []
 
 
-class _Band(_Shape):
+class _BandDocument(_Shape):
     mean_K: Numbers
     half_width_K: Numbers
 
 
-_SHAPES: dict[str, type[_Shape]] = {"CalibrationRow": _Calibration, "ProposalRow": _Proposal, "BandRow": _Band}
+_SHAPES: dict[str, type[_Shape]] = {
+    "CalibrationRow": _CalibrationDocument,
+    "ProposalRow": _ProposalDocument,
+    "BandRow": _BandDocument,
+}
 
 
 def require_document(row: str, document: dict[str, Any]) -> None:
@@ -61,7 +65,10 @@ def require_document(row: str, document: dict[str, Any]) -> None:
         found = shape.model_validate(document)
     except ValidationError as error:
         raise ShapeError(f"{row}: {wrong_place(error)}") from None
-    if isinstance(found, _Band) and found.mean_K.keys() != found.half_width_K.keys():
+    if isinstance(found, _BandDocument) and found.mean_K.keys() != found.half_width_K.keys():
         raise ShapeError("BandRow: its tables are of different sensors")
-    if isinstance(found, _Proposal) and not found.held.keys() <= found.values.keys() == found.standard_errors.keys():
+    if (
+        isinstance(found, _ProposalDocument)
+        and not found.held.keys() <= found.values.keys() == found.standard_errors.keys()
+    ):
         raise ShapeError("ProposalRow: its tables are of different parameters")

@@ -21,7 +21,7 @@ class _Shape(BaseModel):
     model_config = ConfigDict(extra="allow", strict=True)
 
 
-class _File(_Shape):
+class _ManifestFile(_Shape):
     path: str
     sha256: str
 
@@ -57,7 +57,7 @@ class _Errors(_Shape):
     noise_K: dict[str, float | None]
 
 
-class _Adoption(_Shape):
+class _ManifestAdoption(_Shape):
     sentence: str
 
 
@@ -69,7 +69,7 @@ class _Manifest(_Shape):
     reason: str = ""
     host: str = ""
     versions: dict[str, str] = {}
-    files: dict[str, _File] = {}
+    files: dict[str, _ManifestFile] = {}
     settings: _Settings = Field(default_factory=_Settings)
     segments: list[_Segment] = []
     problems: list[str] = []
@@ -84,7 +84,7 @@ class _Manifest(_Shape):
     errors_K: _Errors | None = None
     bands: dict[str, dict[str, tuple[float | None, float | None]]] | None = None
     parameters: dict[str, dict[str, tuple[float, float | None, bool]]] | None = None
-    adoption: _Adoption | None = None
+    adoption: _ManifestAdoption | None = None
 
 
 _LONGEST_SHOWN = 40

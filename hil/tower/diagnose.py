@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
-from hil.tower.calibration import Prepared, prepare_cells, step_openings, thermometer_steps
+from hil.tower.calibration import PreparedCell, prepare_cells, step_openings, thermometer_steps
 from hil.tower.station import TowerOutputError, iso
 from twin.network import Revision
 from twin.revisions import save_revision
@@ -31,7 +31,7 @@ class StationDiagnosis:
     """Diagnosis of the cells of a station, and the cells as they were read."""
 
     record: Path
-    cells: tuple[Prepared, ...]
+    cells: tuple[PreparedCell, ...]
     found: TowerDiagnosis
 
 

@@ -21,7 +21,7 @@ FEWEST_BLOCKS = 36
 
 
 @dataclass(frozen=True)
-class Plan:
+class StepTestPlan:
     """Step tests for a cell, best first, and what the day they start from tells without one."""
 
     cell: int
@@ -30,7 +30,7 @@ class Plan:
     tests: Sequence[StepTest]
 
 
-def plan(record: Path, twin: Path, warmer: float) -> Plan:
+def plan(record: Path, twin: Path, warmer: float) -> StepTestPlan:
     """Return the step tests of a cell, from the last day of the record on which it ran steadily for six hours.
 
     Raises:
@@ -54,4 +54,4 @@ def plan(record: Path, twin: Path, warmer: float) -> Plan:
     if "basin_C" in read.columns and np.isfinite(read.columns["basin_C"]).any():
         sensors.append("basin")
     without, tests = plan_tests(design, blocks.operation.inputs.take(rows), at, sensors, warmer)
-    return Plan(cell, iso(float(there[-1]) * 86400.0)[:10], without, tests)
+    return StepTestPlan(cell, iso(float(there[-1]) * 86400.0)[:10], without, tests)

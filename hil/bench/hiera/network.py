@@ -30,11 +30,11 @@ def contestants(card: Path, features: Features) -> dict[str, Contestant]:
         HieraError: there is none, or it belongs to another twin or channel table.
     """
     parts = (features.network, features.table, features.deviations)
-    net = _Network(load_ensemble(card, identity_of(*parts)), physics_of(*parts))
+    net = _NetworkContestant(load_ensemble(card, identity_of(*parts)), physics_of(*parts))
     return {"network": net.alone, "network, fit": net.then_fit}
 
 
-class _Network:
+class _NetworkContestant:
     """Ensemble with one evaluation for each case."""
 
     def __init__(self, ensemble: Ensemble, physics: Physics) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.tower.calibration import CellResult, site_of
-from hil.tower.governance.gates import Evidence, Verdict, judge
+from hil.tower.governance.gates import GateEvidence, Verdict, judge
 from hil.tower.governance.records import (
     EVERY_S,
     QUEUE,
@@ -111,7 +111,7 @@ def _judged(result: CellResult, notes: StationNotes) -> tuple[list[Window], list
         if e.get("kind") in INSPECTIONS and int(e.get("cell", 0)) in (0, result.cell)
     ]
     unexplained = [s.start_s for s in result.steps if s.lasting and s.kind == "water"]
-    evidence = Evidence(result.labels, inspections, unexplained, result.second, balance)
+    evidence = GateEvidence(result.labels, inspections, unexplained, result.second, balance)
     return windows, judge(windows, distance, dropped, bypass, evidence), balance
 
 
