@@ -17,7 +17,7 @@ from hil.record import Parts, ReadingOptions, Record, read_record
 from hil.record.times import span
 from hil.record.values import beyond_declared
 from twin import STAMP, InputSpec, Network, TwinFileError, chain
-from twin.discovery.healthy.basis import Columns, Commissioned
+from twin.discovery.healthy.basis import Columns, CommissionedRecord
 from twin.discovery.records.grid import require_enough
 
 CLOCK = "time_of_day_h"
@@ -134,14 +134,14 @@ def read_columns(
 
 def read_healthy(
     network: Network, twin: Path, path: Path, hour_at_0: float | None, choice: ReadingOptions | None = None
-) -> Commissioned:
+) -> CommissionedRecord:
     """Return the healthy record of a twin, which may have gained effects since then; see `read_columns`."""
     columns, _ = read_columns(network, path, hour_at_0, choice=choice)
     ancestors = [with_clock(entry.network) if CLOCK in network.inputs else entry.network for entry in chain(twin)[1:]]
     compatible = tuple(
         n for n in ancestors if n.input_columns == network.input_columns and n.sensor_names == network.sensor_names
     )
-    return Commissioned(columns.time_s, columns.inputs, columns.measured, columns.members, compatible)
+    return CommissionedRecord(columns.time_s, columns.inputs, columns.measured, columns.members, compatible)
 
 
 def choice_for(path: Path, choice: ReadingOptions | None) -> ReadingOptions | None:

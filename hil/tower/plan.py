@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.record.raw import RecordError
 from hil.tower.station import iso, read_cell
-from twin.tower.cell import Deviations
+from twin.tower.cell import CellDeviations
 from twin.tower.identify import Identifiability
 from twin.tower.minutes import blocks_of, minutes_of
 from twin.tower.planning import StepTest, plan_tests
@@ -47,7 +47,7 @@ def plan(record: Path, twin: Path, warmer: float) -> StepTestPlan:
     if not there:
         raise RecordError(f"{read.path}: has no day with six steady hours; give a record in which the cell runs")
     rows = np.flatnonzero(days == there[-1])
-    at = Deviations(*(value_of(network, IDS[name]) for name in ("fill", "air", "uniformity", "bias")))
+    at = CellDeviations(*(value_of(network, IDS[name]) for name in ("fill", "air", "uniformity", "bias")))
     sensors = ["outlet"]
     if np.isfinite(blocks.log_power[rows]).any() and design.power > 0.0:
         sensors.append("fan")

@@ -28,11 +28,11 @@ from drivers.virtual.plant import (
 )
 from hil.synthetic.hidden_effects import LOADS, Setting, Truth, effects_text, profile, truth
 from hil.synthetic.plant_record import direct_run
-from twin.calibrators.hiera_unet.campaigns import AMISS, Campaign
+from twin.calibrators.hiera_unet.campaigns import AMISS, LabelledRecord
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.gaps import damaged
 from twin.calibrators.hiera_unet.parameters import LOSS, SUM
-from twin.calibrators.hiera_unet.series import Series, series
+from twin.calibrators.hiera_unet.series import ResampledSeries, series
 from twin.commissioning import CommissionOptions, commission
 from twin.network import Array, Network, TwinFileError
 from twin.twinfile import load
@@ -64,7 +64,7 @@ class Specimen:
     nominal: Array
 
 
-def campaign(features: Features, seed: int, number: int) -> Campaign:
+def campaign(features: Features, seed: int, number: int) -> LabelledRecord:
     """Return campaign `number` of a seed."""
     rng = np.random.default_rng([seed, number, 7])
     specimen = specimen_of(features, seed, number // PER_RIG)
@@ -76,10 +76,12 @@ def campaign(features: Features, seed: int, number: int) -> Campaign:
     made, clean = recorded(features, case, specimen, effects, start_C=float(rng.uniform(*WARM_C)))
     inputs, measured, gaps = damaged(rng, made.inputs, made.measured)
     extra = made.extra if rng.uniform() < 0.6 else {}
-    kept = Series(made.time, inputs, measured, made.spread, extra, made.hour if rng.uniform() < 0.7 else float("nan"))
+    kept = ResampledSeries(
+        made.time, inputs, measured, made.spread, extra, made.hour if rng.uniform() < 0.7 else float("nan")
+    )
     theta, amiss = equivalent_deviations(features, effects, made.time)
     words = () if not hidden.effects else (hidden.what,)
-    return Campaign(kept, clean, theta, amiss, specimen.nominal, "plant", (*words, *gaps))
+    return LabelledRecord(kept, clean, theta, amiss, specimen.nominal, "plant", (*words, *gaps))
 
 
 def _tracked(rng: np.random.Generator) -> Truth:
@@ -111,7 +113,7 @@ def recorded(
     specimen: Specimen,
     effects: tuple[PlantEffect, ...],
     start_C: float | None = None,
-) -> tuple[Series, Array]:
+) -> tuple[ResampledSeries, Array]:
     """Return a record on the network's own steps, and fault-free sensor readings there (n, Y)."""
     columns, junctions, time = run(case, specimen, effects, start_C)
     made = series(features.network, time, columns, extra=features.table.extra, hour=START_HOUR)

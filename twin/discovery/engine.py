@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.discovery.answer.case import Case
+from twin.discovery.answer.case import AssessedFinding
 from twin.discovery.answer.leads import with_leads
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis
@@ -102,7 +102,7 @@ def diagnose(
         unseen = unseen_kinds(whole.contest, whole.laws, known.book.candidates)
         notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []
     say("judging")
-    case = Case(
+    case = AssessedFinding(
         finding=finding,
         known=known,
         whole=whole.contest,

@@ -34,7 +34,7 @@ from twin.tower.change_detection.changes import undeclared_changes
 from twin.tower.change_detection.steps import Step, find_steps
 from twin.tower.diagnosis.adoption import effects_of
 from twin.tower.minutes import MEASURED, Minutes, minutes_of
-from twin.tower.model import DEVIATIONS, CellModel, Site
+from twin.tower.model import DEVIATIONS, CellModel, DesignPoint
 from twin.tower.shared_observations.basin import Drain, with_basin
 from twin.tower.shared_observations.evaporation import Balance, with_evaporation
 from twin.tower.smoother import Opening, Priors, time_grid
@@ -370,10 +370,10 @@ def priors_of(network: Network) -> Priors:
     return Priors(bounds, replaced)
 
 
-def site_of(notes: StationNotes, bypass_share: float) -> Site:
+def site_of(notes: StationNotes, bypass_share: float) -> DesignPoint:
     """Return the design point of a datasheet; the usual rating where it gives none."""
-    design, usual = notes.datasheet.get("design", {}), Site()
-    return Site(
+    design, usual = notes.datasheet.get("design", {}), DesignPoint()
+    return DesignPoint(
         float(design.get("water_inlet_C", usual.inlet)),
         float(design.get("wet_bulb_C", usual.wet)),
         float(design.get("range_K", usual.fall)),

@@ -26,7 +26,7 @@ from twin.tower.air import Array
 from twin.tower.calibration import fit_cell
 from twin.tower.cell import Inputs
 from twin.tower.cell_observations.evidence import Label
-from twin.tower.clean_cell.commissioning import Commissioned, TestPoints, fit_clean_cell
+from twin.tower.clean_cell.commissioning import CommissionedCell, TestPoints, fit_clean_cell
 from twin.tower.minutes import Minutes, blocks_of, minutes_of
 from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel
 from twin.tower.model import StationDesign as DesignPoint
@@ -73,7 +73,7 @@ class CellData:
     sheet: dict[str, Any]
     columns: dict[str, NDArray[Any]]
     minutes: Minutes
-    commissioned: Commissioned
+    commissioned: CommissionedCell
     clean: Array
     log_clean: Array
     recursion: Recursion

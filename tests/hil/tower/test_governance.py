@@ -8,7 +8,7 @@ import pytest
 from hil.tower.governance import Indicators, drift_alarms
 from hil.tower.governance.gates import GateEvidence, judge
 from twin.tower.identify import Identifiability
-from twin.tower.windows import Window
+from twin.tower.windows import TargetWindow
 
 
 def indicators(hours: int = 100, **beyond: slice) -> Indicators:
@@ -37,9 +37,9 @@ def test_two_indicators_for_a_day_raise_one_alarm_that_names_them() -> None:
 
 def window(
     k: int, excited: bool = True, half: float = 0.3, frozen: tuple[str, ...] = (), hidden: float = 0.0
-) -> Window:
+) -> TargetWindow:
     told = Identifiability(200.0 if frozen else 20.0, {}, {}, frozen, 20.0, hidden)
-    return Window(7200.0 * k, 7200.0 * (k + 1), told, excited, np.ones(4), 1.0, half)
+    return TargetWindow(7200.0 * k, 7200.0 * (k + 1), told, excited, np.ones(4), 1.0, half)
 
 
 @pytest.mark.parametrize(
