@@ -28,8 +28,7 @@ from twin.tower.cell import Inputs
 from twin.tower.cell_observations.evidence import Label
 from twin.tower.clean_cell.commissioning import CommissionedCell, TestPoints, fit_clean_cell
 from twin.tower.minutes import Minutes, blocks_of, minutes_of
-from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel
-from twin.tower.model import StationDesign as DesignPoint
+from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel, DesignPoint
 from twin.tower.recursive import Recursion, recursion
 from twin.tower.smoother import Opening, Priors
 from twin.tower.twin_file import BOUNDS

@@ -108,7 +108,7 @@ def attention(q: Tensor, k: Tensor, v: Tensor, score: Tensor) -> Tensor:
 
 
 class Local(nn.Module):
-    """The first block of all: a `AttentionBlock` with one head for each channel group, which sees nothing of the others."""
+    """First block of all: an `AttentionBlock` with one head for each channel group, which sees no other group."""
 
     def __init__(self, groups: int, dim: int, knots: int, window: int) -> None:
         super().__init__()

@@ -94,8 +94,11 @@ def tokens(count: int) -> int:
 
 
 def tokens_of(kept: Array, deviations: Deviations) -> Array:
-    """(2 + 5 P + 1,) out of `ContextFit.kept`: log chi, log share; deltas and standard errors of the fit; means, standard
-    deviations and chances if few parameters have moved; log10 condition."""
+    """Return tokens (2 + 5 P + 1,) of `ContextFit.kept`.
+
+    Log chi, log share; deltas and standard errors of the fit; means, standard deviations and probabilities if few
+    parameters have moved; log10 condition.
+    """
     count = len(deviations)
     few = believed(kept, deviations)
     fit, condition = kept[: 2 + 2 * count], kept[2 + 2 * count]
@@ -103,7 +106,7 @@ def tokens_of(kept: Array, deviations: Deviations) -> Array:
 
 
 def believed(kept: Array, deviations: Deviations) -> Posterior:
-    """What `ContextFit.kept` says of deviations if few of them have moved."""
+    """Return the posterior of `ContextFit.kept` if few of the deviations have moved."""
     count = len(deviations)
     widened = float(np.exp(kept[3 + 2 * count]))
     data = Likelihood.of_plain(kept[4 + 2 * count :], count)
@@ -120,13 +123,13 @@ def usual(deviations: Deviations) -> Usual:
 
 
 def fitted_by(kept: Array, count: int) -> tuple[Array, int]:
-    """theta (P,) and the steps that were fitted, out of `ContextFit.kept`."""
+    """Return theta (P,) and the steps that were fitted, from `ContextFit.kept`."""
     return kept[2 : 2 + count], round(float(np.exp(kept[1])) * (CONTEXT - TARGET))
 
 
 @dataclass(frozen=True)
 class ParameterPrior:
-    """What is believed of theta (P,) beforehand: a Gaussian with independent parts."""
+    """Prior of theta (P,): a Gaussian with independent parts."""
 
     mean: Array
     sd: Array

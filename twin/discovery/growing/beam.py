@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.discovery.effects.lint import EffectLabel
 from twin.discovery.evidence.priors import plausibility
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.masses import kin
@@ -27,7 +28,6 @@ COARSE = 2
 NEARER = (3.0**0.5, 3.0**0.25, 3.0**0.125)
 """Factors by which the time constants of the best set are then varied, as long as that does better."""
 
-Label = tuple[str, str, str]
 Starts = list[tuple[GrowthProblem, Array]]
 
 
@@ -177,7 +177,7 @@ def _finalists(found: Sequence[Scored]) -> list[Scored]:
     """The best candidates of each label: what re-tuning can nearly imitate shows its worth in the fit alone."""
     kept: dict[str, Scored] = {}
     for order in (lambda s: -s.squares, lambda s: -s.likely):
-        seen: Counter[tuple[Label, str, frozenset[str]]] = Counter()
+        seen: Counter[tuple[EffectLabel, str, frozenset[str]]] = Counter()
         for scored in sorted(found, key=order):
             form = scored.entry.label, scored.entry.candidate.unit, frozenset(scored.entry.candidate.changes)
             seen[form] += 1

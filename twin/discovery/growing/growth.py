@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.discovery.diagnosis import Fold
+from twin.discovery.effects.lint import EffectLabel
 from twin.discovery.effects.phrases import interval
-from twin.discovery.growing.beam import BEAM, Beam, FittedSet, Label, by_score
+from twin.discovery.growing.beam import BEAM, Beam, FittedSet, by_score
 from twin.discovery.growing.merit import LEFT, Merit, RejectedEffect
 from twin.discovery.growing.unaided import GrowthFit, GrowthProblem, SampledRecord
 from twin.discovery.growing.wardrobe import Wardrobe, name_of
@@ -65,7 +66,7 @@ class Added:
     elsewhere: float
     folds: int
     foretold: float
-    others: dict[Label, float]
+    others: dict[EffectLabel, float]
     by_chance: float
     limit: float
     entry: Entry
@@ -266,10 +267,10 @@ def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[GrowthRung, ...]
     return tuple(rungs)
 
 
-def _others(beam: Beam, merit: Merit, best: FittedSet, without: FittedSet) -> dict[Label, float]:
+def _others(beam: Beam, merit: Merit, best: FittedSet, without: FittedSet) -> dict[EffectLabel, float]:
     """What could stand in the place of the one effect that `best` has and `without` has not, and how much worse."""
     named = {e.label for e in best.fit.entries}
-    found: dict[Label, float] = {}
+    found: dict[EffectLabel, float] = {}
     near = best.score + width(without.score - best.score)
     for key, other in beam.known.items():
         if not without.ids < key or len(key) != len(best.ids) or other.score > near:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.discovery.effects.lint import EffectLabel
 from twin.discovery.effects.phrases import said
-from twin.discovery.growing.beam import Beam, FittedSet, Label, by_score, likeliest
+from twin.discovery.growing.beam import Beam, FittedSet, by_score, likeliest
 from twin.discovery.growing.calibration import Chance, by_chance
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.likelihood import cosines, judged
@@ -108,7 +109,7 @@ class Merit:
 
     def refused(self, best: FittedSet) -> tuple[RejectedEffect, ...]:
         """The effects that would take most of what is left, and why they were not added."""
-        found: dict[Label, RejectedEffect] = {}
+        found: dict[EffectLabel, RejectedEffect] = {}
         for one in sorted(likeliest(self._beam.known.values()), key=by_score):
             if not best.ids < one.ids or len(one.ids) != len(best.ids) + 1 or len(found) == REFUSED:
                 continue

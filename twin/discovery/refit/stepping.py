@@ -29,7 +29,7 @@ LEAST_DAMPED, FIRST_DAMPED, MOST_DAMPED = 1.0e-6, 1.0e-3, 1.0e6
 
 @dataclass(frozen=True)
 class LeastSquaresProblem:
-    """What is to be made small over v (c,): |residual|^2 + v' precision v.
+    """Least-squares problem over v (c,): |residual|^2 + v' precision v is to be made small.
 
     Attributes:
         look: residuals (P, rows) at v (P, c), and what was seen of each (P, ...).
