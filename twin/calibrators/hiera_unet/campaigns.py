@@ -64,7 +64,7 @@ class LabelledRecord:
 
 @dataclass(frozen=True)
 class WindowLabel:
-    """What is known of a window, and its evidence: theta (P,), known (P,), changed, fit (`ContextFit.kept`)."""
+    """Label of a window, and its fit: theta (P,), known (P,), changed, fit (`ContextFit.kept`)."""
 
     end: int
     theta: Array
