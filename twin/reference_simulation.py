@@ -116,7 +116,7 @@ def simulate_fine_steps(
     rest = [evaluate_formula(text, at_rest) for text in system.rest_values]
     x[len(network.nodes) :] = rest[: len(x) - len(network.nodes)]
     lagged = np.array(rest[len(x) - len(network.nodes) :])
-    pipes = [_Pipe(evaluate_formula(d.start, at_rest)) for d in system.delays]
+    pipes = [_PipeWater(evaluate_formula(d.start, at_rest)) for d in system.delays]
     out = [scope["read"](x.tolist(), lagged.tolist(), u[0].tolist(), p, float(t[0]))]
     for i in range(t.size - 1):
         now, h = u[i].tolist(), float(t[i + 1] - t[i]) / pieces
@@ -141,7 +141,7 @@ def simulate_fine_steps(
     return np.array(out)
 
 
-class _Pipe:
+class _PipeWater:
     """All water that ever entered a pipe, at volumes counted from the beginning."""
 
     def __init__(self, water: float) -> None:

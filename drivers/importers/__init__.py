@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from drivers.importers.described import (
         CAN,
         PLACE_SYNTAX,
-        Actuator,
         Described,
-        Place,
+        DescribedActuator,
+        SignalPlace,
         actuator_of,
         draft_of_description,
         heartbeat_of,
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from drivers.importers.vendor_table import import_csv
 
 _HOME = {
-    "Actuator": "drivers.importers.described",
+    "DescribedActuator": "drivers.importers.described",
     "CAN": "drivers.importers.described",
     "Collector": "drivers.importers.draft",
     "Described": "drivers.importers.described",
@@ -37,7 +37,7 @@ _HOME = {
     "DraftPoint": "drivers.importers.draft",
     "ImportFileError": "drivers.importers.draft",
     "PLACE_SYNTAX": "drivers.importers.described",
-    "Place": "drivers.importers.described",
+    "SignalPlace": "drivers.importers.described",
     "actuator_of": "drivers.importers.described",
     "draft_of_description": "drivers.importers.described",
     "heartbeat_of": "drivers.importers.described",
@@ -53,14 +53,14 @@ _HOME = {
 __all__ = [
     "CAN",
     "PLACE_SYNTAX",
-    "Actuator",
     "Collector",
     "Described",
+    "DescribedActuator",
     "Draft",
     "DraftBus",
     "DraftPoint",
     "ImportFileError",
-    "Place",
+    "SignalPlace",
     "actuator_of",
     "draft_of_description",
     "heartbeat_of",

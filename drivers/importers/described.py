@@ -27,7 +27,7 @@ class DescriptionError(ConfigurationError):
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class SignalPlace:
     """Place of a value: `keys` as a rig file has them, on bus `plc` or `can`."""
 
     bus: str
@@ -35,12 +35,12 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Actuator:
+class DescribedActuator:
     """Heater, pump or fan: places of set-point and read-back, and the largest set-point, in W or %."""
 
     kind: Literal["heater", "pump", "fan"]
-    written: Place
-    read: Place | None
+    written: SignalPlace
+    read: SignalPlace | None
     most: float
 
 
@@ -52,15 +52,15 @@ class Described:
     period_s: float = 1.0
     modbus: dict[str, Any] | None = None
     can: dict[str, Any] | None = None
-    actuators: list[Actuator] = field(default_factory=list)
-    thermocouples: dict[str, Place] = field(default_factory=dict)
-    flow: Place | None = None
-    heartbeat: dict[str, Place] = field(default_factory=dict)
+    actuators: list[DescribedActuator] = field(default_factory=list)
+    thermocouples: dict[str, SignalPlace] = field(default_factory=dict)
+    flow: SignalPlace | None = None
+    heartbeat: dict[str, SignalPlace] = field(default_factory=dict)
     """`point`, and perhaps `counter`, `arm` and `watchdog`."""
     trip_C: float = 75.0
 
 
-def place_of(text: str) -> Place:
+def place_of(text: str) -> SignalPlace:
     """Return the place of a text like `holding:0*0.1` (zero-based), `40001:float32:CDAB` (Modicon), `MESSAGE.SIGNAL`.
 
     Raises DescriptionError.
@@ -68,7 +68,7 @@ def place_of(text: str) -> Place:
     text = text.strip()
     on_can = _CAN_PLACE.fullmatch(text)
     if on_can is not None:
-        return Place(CAN, {"message": on_can["message"], "signal": on_can["signal"]})
+        return SignalPlace(CAN, {"message": on_can["message"], "signal": on_can["signal"]})
     found = _MODBUS_PLACE.fullmatch(text)
     if found is None:
         raise DescriptionError(f"{text!r} is no place of a value; write it like {PLACE_SYNTAX}")
@@ -89,7 +89,7 @@ def place_of(text: str) -> Place:
             keys["scale"] = float(found["scale"])
         except ValueError:
             raise DescriptionError(f"{text!r}: {found['scale']!r} is no number; *0.1 is a tenth a count") from None
-    return Place(MODBUS, keys)
+    return SignalPlace(MODBUS, keys)
 
 
 def words_of(text: str, known: tuple[str, ...]) -> dict[str, str]:
@@ -105,7 +105,7 @@ def words_of(text: str, known: tuple[str, ...]) -> dict[str, str]:
     return found
 
 
-def actuator_of(kind: Literal["heater", "pump", "fan"], text: str) -> Actuator:
+def actuator_of(kind: Literal["heater", "pump", "fan"], text: str) -> DescribedActuator:
     """Return the heater, pump or fan of `set=PLACE,read=PLACE,max=NUMBER`; raise DescriptionError."""
     words = words_of(text, ("set", "read", "max"))
     if "set" not in words:
@@ -117,10 +117,10 @@ def actuator_of(kind: Literal["heater", "pump", "fan"], text: str) -> Actuator:
         raise DescriptionError(f"max={words['max']} in {text!r} is no number") from None
     if not 0.0 < most < float("inf"):
         raise DescriptionError(f"max={most:g} in {text!r} must be above 0")
-    return Actuator(kind, place_of(words["set"]), read, most)
+    return DescribedActuator(kind, place_of(words["set"]), read, most)
 
 
-def heartbeat_of(text: str) -> dict[str, Place]:
+def heartbeat_of(text: str) -> dict[str, SignalPlace]:
     """Return the places of `point=PLACE,counter=PLACE,arm=PLACE,watchdog=PLACE`; raise DescriptionError."""
     words = words_of(text, ("point", "counter", "arm", "watchdog"))
     if "point" not in words:
@@ -128,10 +128,10 @@ def heartbeat_of(text: str) -> dict[str, Place]:
     return {key: place_of(value) for key, value in words.items()}
 
 
-def temperatures_of(dbc: Path, encoding: str | None = None) -> dict[str, Place]:
+def temperatures_of(dbc: Path, encoding: str | None = None) -> dict[str, SignalPlace]:
     """Return the places of a DBC's signals in degC, by name; raise DescriptionError where there are none."""
     found = {
-        signal.name: Place(CAN, {"message": signal.message, "signal": signal.name})
+        signal.name: SignalPlace(CAN, {"message": signal.message, "signal": signal.name})
         for signal in describe_dbc(dbc, encoding)
         if _unit(signal) == "degC"
     }
@@ -202,7 +202,7 @@ def draft_of_description(rig: Described, out: Path) -> Draft:
     return Draft(out, drafts, head=_HEAD.format(name=rig.name), rig=given, sections=sections)
 
 
-def _driven(one: Actuator, name: str, first: bool, period_s: float) -> list[tuple[str, DraftPoint]]:
+def _driven(one: DescribedActuator, name: str, first: bool, period_s: float) -> list[tuple[str, DraftPoint]]:
     """Return the set-point of an actuator and its read-back, each with its bus."""
     unit = _UNIT[one.kind]
     safe, order, why = _SAFE[one.kind]
@@ -232,7 +232,7 @@ def _driven(one: Actuator, name: str, first: bool, period_s: float) -> list[tupl
     ]
 
 
-def _point(name: str, place: Place, keys: dict[str, Any], remarks: dict[str, str]) -> DraftPoint:
+def _point(name: str, place: SignalPlace, keys: dict[str, Any], remarks: dict[str, str]) -> DraftPoint:
     return DraftPoint(name, 0, {"bus": place.bus, **place.keys, **keys}, remarks=remarks)
 
 

@@ -65,10 +65,10 @@ def draft_of(path: Path, document: Placed) -> Draft:
         hubs = Placed([hubs], hubs.line)
     if not isinstance(hubs.value, list) or not any(hub.get("type") for hub in hubs.value):
         raise ImportFileError(path, hubs.line, "has no modbus: section with hubs; give the file that holds it")
-    importing = _Import(path)
+    importing = _HomeAssistantImport(path)
     for hub in hubs.value:
         with importing.collector.item(hub.line, f"hub {hub.plain('name', '')}".strip()):
-            importing.hub(_Entry(path, hub))
+            importing.hub(_YamlTable(path, hub))
     for key in ("sensor", "binary_sensor", "switch", "climate", "cover"):
         importing.old_style(document.get(key), key)
     buses = importing.buses.with_points()
@@ -78,7 +78,7 @@ def draft_of(path: Path, document: Placed) -> Draft:
     return Draft(path, buses, importing.collector.notes)
 
 
-class _Entry:
+class _YamlTable:
     """Table of the YAML file that remembers its used keys."""
 
     def __init__(self, path: Path, placed: Placed) -> None:
@@ -117,13 +117,13 @@ class _Entry:
         return self.line if found is None else found.line
 
 
-class _Import:
+class _HomeAssistantImport:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.collector = Collector(path)
         self.buses = Sections()
 
-    def hub(self, hub: _Entry) -> None:
+    def hub(self, hub: _YamlTable) -> None:
         """Take in the points of one hub; raise ImportFileError where none of them can be reached."""
         kind, method = hub.plain("type"), hub.plain("method", "rtu")
         if kind not in ("tcp", "rtuovertcp", "serial") or method != "rtu":
@@ -135,7 +135,7 @@ class _Import:
             for item in self._items(hub, section):
                 name = item.plain("name")
                 with self.collector.item(item.line, name if isinstance(name, str) else f"an entry of {section}"):
-                    self._item(hub, _Entry(self.path, item), section, default)
+                    self._item(hub, _YamlTable(self.path, item), section, default)
         for section in _LEFT_OUT:
             for item in self._items(hub, section):
                 said = f"{section[:-1]} {item.plain('name', '')} was left out: a rig has points only; declare its "
@@ -150,7 +150,7 @@ class _Import:
                     item.line, f"{key} of platform modbus is left out; write its entries as {key}s of a hub"
                 )
 
-    def _items(self, hub: _Entry, section: str) -> list[Placed]:
+    def _items(self, hub: _YamlTable, section: str) -> list[Placed]:
         found = hub.get(section)
         if found is None or (found.value is None and not found.tag):
             return []
@@ -164,13 +164,13 @@ class _Import:
             return found.value
         return []
 
-    def _unused(self, entry: _Entry, harmless: set[str], noted: dict[str, str], who: str) -> None:
+    def _unused(self, entry: _YamlTable, harmless: set[str], noted: dict[str, str], who: str) -> None:
         for key, value in entry.placed.value.items():
             if key not in entry.used and key not in harmless:
                 remedy = noted.get(key, "see if it changes a value")
                 self.collector.note(value.line, f"key {key} of {who} was not used; {remedy}")
 
-    def _item(self, hub: _Entry, item: _Entry, section: str, default: str) -> None:
+    def _item(self, hub: _YamlTable, item: _YamlTable, section: str, default: str) -> None:
         line, name = item.line, item.plain("name")
         if not isinstance(name, str) or not name:
             raise ImportFileError(self.path, line, f"an entry of {section} has no name; add one")
@@ -205,7 +205,7 @@ class _Import:
                 bus.points.append(self.collector.point(bus.name, f"{name} state", line, more))
         self._unused(item, _ITEM_HARMLESS, _ITEM_NOTED, name)
 
-    def _table(self, item: _Entry, key: str, default: str) -> str:
+    def _table(self, item: _YamlTable, key: str, default: str) -> str:
         wanted = item.plain(key, default)
         table = _TABLES.get(wanted) if isinstance(wanted, str) else None
         if table is None:
@@ -213,7 +213,7 @@ class _Import:
             raise ImportFileError(self.path, item.line_of(key), said)
         return table
 
-    def _count(self, item: _Entry, section: str, table: str) -> int:
+    def _count(self, item: _YamlTable, section: str, table: str) -> int:
         """Return the number of entities of an entry: those that `virtual_count` adds follow the first."""
         given = [(key, item.plain(key)) for key in ("virtual_count", "slave_count")]
         counts = [whole(self.path, item.line_of(k), k, v, 0, _MOST_VIRTUAL) for k, v in given if v is not None]
@@ -229,7 +229,7 @@ class _Import:
             raise ImportFileError(self.path, item.line, said)
         return more + 1
 
-    def _switch(self, item: _Entry, keys: dict[str, Any]) -> dict[str, Any] | None:
+    def _switch(self, item: _YamlTable, keys: dict[str, Any]) -> dict[str, Any] | None:
         """Add to `keys` what a switch is written with; return keys of the place that says whether it is on, if any."""
         on, off = (
             whole(self.path, item.line_of(key), key, item.plain(key, default), 0, 65535)
@@ -240,7 +240,7 @@ class _Import:
         found = item.get("verify")
         if found is None or (found.value is None and not found.tag):
             return None
-        verify = _Entry(self.path, found)
+        verify = _YamlTable(self.path, found)
         address = whole(
             self.path,
             verify.line_of("address"),
@@ -261,7 +261,7 @@ class _Import:
         more: dict[str, Any] = {"table": table, "address": address, "kind": "status"}
         return more if table in ("coil", "discrete") else more | {"labels": labels}
 
-    def _states(self, verify: _Entry, key: str, default: int) -> list[int]:
+    def _states(self, verify: _YamlTable, key: str, default: int) -> list[int]:
         given = verify.get(key)
         if given is not None and isinstance(given.value, list) and not given.tag:
             items = [item.value for item in given.value]
@@ -269,7 +269,7 @@ class _Import:
             items = [verify.plain(key, default)]
         return [whole(self.path, verify.line_of(key), key, item, 0, 65535) for item in items]
 
-    def _bus(self, hub: _Entry, item: _Entry) -> DraftBus:
+    def _bus(self, hub: _YamlTable, item: _YamlTable) -> DraftBus:
         given = {key: item.plain(key) for key in ("slave", "device_address")}
         said = {key: value for key, value in given.items() if value is not None}
         devices = {key: whole(self.path, item.line_of(key), key, value, 0, 255) for key, value in said.items()}
@@ -277,7 +277,7 @@ class _Import:
             raise ImportFileError(self.path, item.line, "slave and device_address differ; take one of them out")
         return self.buses.of(self.path, item.line, self._bus_keys(hub, next(iter(devices.values()), 1)))
 
-    def _bus_keys(self, hub: _Entry, device: int) -> dict[str, Any]:
+    def _bus_keys(self, hub: _YamlTable, device: int) -> dict[str, Any]:
         kind = hub.plain("type")
         if kind == "serial":
             given = {ours: hub.plain(theirs) for ours, theirs in _SERIAL.items()}

@@ -107,12 +107,12 @@ def import_telegraf(path: Path) -> Draft:
     sections = inputs.get("modbus") if isinstance(inputs, dict) else None
     if not isinstance(sections, list) or not sections or not all(isinstance(item, dict) for item in sections):
         raise ImportFileError(path, None, "has no [[inputs.modbus]]; is this a Telegraf configuration?")
-    importing = _Import(path, text)
+    importing = _TelegrafImport(path, text)
     importing.other_tables(document)
     return importing.draft(sections)
 
 
-class _Import:
+class _TelegrafImport:
     def __init__(self, path: Path, text: str) -> None:
         self.path = path
         self.text = text

@@ -24,7 +24,7 @@ MAX_WRITE_BITS = 1968
 _BITS_PER_REGISTER = 16
 
 
-class Hole(Protocol):
+class AddressHole(Protocol):
     """Addresses `first` to `last` of `table` that the device lacks: it refuses a request that touches one."""
 
     @property
@@ -82,7 +82,7 @@ def plan_reads(
     max_read: int = MAX_READ,
     max_gap: int = 8,
     max_read_bits: int = MAX_READ_BITS,
-    holes: Sequence[Hole] = (),
+    holes: Sequence[AddressHole] = (),
 ) -> list[Block]:
     """Return the fewest read requests for `points`, with at most `max_gap` unused registers (16 bits each) in a gap."""
     return _plan(points, max_read, max_read_bits, max_gap, holes)
@@ -103,7 +103,9 @@ def _end(point: Point) -> int:
     return _start(point) + point.width
 
 
-def _plan(points: Iterable[Point], registers: int, bits: int, max_gap: int, holes: Sequence[Hole]) -> list[Block]:
+def _plan(
+    points: Iterable[Point], registers: int, bits: int, max_gap: int, holes: Sequence[AddressHole]
+) -> list[Block]:
     placed = [point for point in points if point.table is not None and point.address is not None]
     placed.sort(key=lambda point: (str(point.table), _start(point), point.width))
     blocks: list[Block] = []

@@ -56,7 +56,7 @@ class PointState:
         return None
 
 
-class _Registers(ModbusBus):
+class _WatchedModbusBus(ModbusBus):
     """Modbus bus that keeps the words of its replies: (table, address) -> register or bit, and its time."""
 
     def __init__(self, *arguments: Any) -> None:
@@ -115,9 +115,9 @@ class BusWatch:
         delay_s = 0.0 if isinstance(config, CanBus) else config.connect_delay_s
         self._connect_within_s = CONNECT_WITHIN_S + 2.0 * delay_s
         self._period_s = min(max(rig.period_s, FASTEST_S), SLOWEST_S)
-        kind = _Frames if isinstance(config, CanBus) else _Registers
-        self._bus: _Frames | _Registers = kind(name, config, self.points, time.monotonic)
-        self._held = tuple(p.name for p in self.points if p.access == "rw" and isinstance(self._bus, _Registers))
+        kind = _Frames if isinstance(config, CanBus) else _WatchedModbusBus
+        self._bus: _Frames | _WatchedModbusBus = kind(name, config, self.points, time.monotonic)
+        self._held = tuple(p.name for p in self.points if p.access == "rw" and isinstance(self._bus, _WatchedModbusBus))
         self._of_frames = {p.name: p for p in self.points} if isinstance(self._bus, _Frames) else {}
         self._came: dict[str, tuple[str, float]] = {}
         self._known: dict[str, tuple[float, int]] = {}
@@ -164,7 +164,7 @@ class BusWatch:
             self._known |= {point.name: (value, quality) for point, value, quality in rows}
             self._fault = await self._hold() or readings.fault
             self._came |= {p.name: self._bus.came(p) for p in self.points if p.name not in self._of_frames}
-            if isinstance(self._bus, _Registers) or Quality.LINK_FAULT not in readings.quality:
+            if isinstance(self._bus, _WatchedModbusBus) or Quality.LINK_FAULT not in readings.quality:
                 self.looked.set()
             period_s = self._period_s if self.looked.is_set() else FASTEST_S
             await asyncio.sleep(max(0.0, began + period_s - time.monotonic()))
@@ -197,7 +197,7 @@ class BusWatch:
     def _seen(self, point: Point) -> PointState:
         raw, came = self._came.get(point.name, ("", -math.inf))
         age_s = time.monotonic() - came
-        texts = self._bus.texts if isinstance(self._bus, _Registers) else {}
+        texts = self._bus.texts if isinstance(self._bus, _WatchedModbusBus) else {}
         if point.type == "string":
             text = texts.get(point.name, "")
             return PointState(point, raw, math.nan, text, Quality.GOOD if text else Quality.LINK_FAULT, age_s)

@@ -41,7 +41,7 @@ class PortInUseError(VirtualRigError, OSError):
     """Error of a port of the virtual rig that cannot be opened."""
 
 
-class _Child:
+class _RigProcess:
     """Process of the rig and the JSON lines of its standard output."""
 
     def __init__(self, name: str, process: asyncio.subprocess.Process) -> None:
@@ -93,7 +93,9 @@ class _Child:
 class VirtualRig:
     """Running virtual rig. It ends with `stop`, at the end of `async with`, and whenever this process dies."""
 
-    def __init__(self, host: str, mode: Mode, period_s: float, children: list[_Child], ports: dict[str, Any]) -> None:
+    def __init__(
+        self, host: str, mode: Mode, period_s: float, children: list[_RigProcess], ports: dict[str, Any]
+    ) -> None:
         self.host, self.mode, self.period_s = host, mode, period_s
         self.modbus_port = ports["modbus_port"]
         self.can_port = ports["can_port"]
@@ -272,7 +274,7 @@ async def start_virtual_rig(options: VirtualRigOptions | None = None, **changes:
         load_effects(options.effects)
     common = options.common_arguments()
     near, far = socket.socketpair()
-    children: list[_Child] = []
+    children: list[_RigProcess] = []
     try:
         with near, far:
             children.append(await _spawn("plc", [*common, *options.plc_arguments()], near))
@@ -297,7 +299,7 @@ async def start_virtual_rig(options: VirtualRigOptions | None = None, **changes:
     return VirtualRig(options.host, options.mode, options.period_s, children, ports)
 
 
-async def _spawn(name: str, arguments: list[str], link: socket.socket) -> _Child:
+async def _spawn(name: str, arguments: list[str], link: socket.socket) -> _RigProcess:
     """Start one process of the rig, out of reach of the terminal's Ctrl-C: the parent decides how it ends."""
     process = await asyncio.create_subprocess_exec(
         sys.executable,
@@ -311,7 +313,7 @@ async def _spawn(name: str, arguments: list[str], link: socket.socket) -> _Child
         pass_fds=(link.fileno(),),
         start_new_session=True,
     )
-    return _Child(name, process)
+    return _RigProcess(name, process)
 
 
 def serve(*, say: Callable[[str], None] = print, **options: Any) -> int:

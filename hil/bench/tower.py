@@ -20,7 +20,7 @@ from twin.tower import (
     BASELINES,
     DAY_S,
     DEVIATIONS,
-    Case,
+    CellDataset,
     CellModel,
     design_of,
     estimate,
@@ -59,7 +59,7 @@ def compare(
         model = CellModel(design_of(result.network), site_of(notes, share))
         blocks = result.calibrated.blocks
         train, test = split(blocks)
-        case = Case(model, blocks, result.priors, result.labels, openings_of(notes, result.cell), train, test)
+        case = CellDataset(model, blocks, result.priors, result.labels, openings_of(notes, result.cell), train, test)
         rows = []
         for name, baseline in BASELINES.items():
             began = time.process_time()

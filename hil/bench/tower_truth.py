@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.bench.measure import Cell, ReportTable
-from hil.tower import CellResult, Columns, StationNotes, govern, read_truth, withheld
+from hil.tower import CellResult, StationNotes, TruthColumns, govern, read_truth, withheld
 from twin.tower import DAY_S, DEVIATIONS, NORMAL, QUANTILE, WET_C, Array
 
 OUTLET = ("cell", "part", "minutes", "commissioned K", "calibrated K", "p90 K", "within 90 %", "width K", "score K")
@@ -53,7 +53,7 @@ class Outlet:
         )
 
 
-def outlet_of(result: CellResult, truth: Columns) -> Outlet:
+def outlet_of(result: CellResult, truth: TruthColumns) -> Outlet:
     """Return the outlet of a cell beside its truth."""
     c, m = result.calibrated, result.minutes
     times = truth["time"].astype("datetime64[ms]").astype(np.float64) / 1e3
@@ -117,7 +117,7 @@ def _outlet_rows(cell: int, o: Outlet) -> list[tuple[Cell, ...]]:
     return [(str(cell), name, *o.figures(rows)) for name, rows in parts if rows.sum() >= FEWEST]
 
 
-def _deviation_rows(result: CellResult, truth: Columns) -> list[tuple[Cell, ...]]:
+def _deviation_rows(result: CellResult, truth: TruthColumns) -> list[tuple[Cell, ...]]:
     times = truth["time"].astype("datetime64[ms]").astype(np.float64) / 1e3
     rows = np.flatnonzero(np.diff(np.floor(result.minutes.time_s / DAY_S), prepend=-1.0) > 0.0)
     found: list[tuple[Cell, ...]] = []

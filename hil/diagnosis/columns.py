@@ -13,11 +13,11 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.record import Parts, Reading, Record, read_record
+from hil.record import Parts, ReadingOptions, Record, read_record
 from hil.record.times import span
 from hil.record.values import beyond_declared
 from twin import STAMP, InputSpec, Network, TwinFileError, chain
-from twin.discovery.healthy.basis import Columns, Commissioned
+from twin.discovery.healthy.basis import Columns, CommissionedRecord
 from twin.discovery.records.grid import require_enough
 
 CLOCK = "time_of_day_h"
@@ -104,7 +104,12 @@ def in_segments(record: Record) -> Record:
 
 
 def read_columns(
-    network: Network, path: Path, hour_at_0: float | None, *, at_rest: bool = False, choice: Reading | None = None
+    network: Network,
+    path: Path,
+    hour_at_0: float | None,
+    *,
+    at_rest: bool = False,
+    choice: ReadingOptions | None = None,
 ) -> tuple[Columns, tuple[str, ...]]:
     """Return the columns of a record file, or of steady states, and the notes of its reader.
 
@@ -128,24 +133,24 @@ def read_columns(
 
 
 def read_healthy(
-    network: Network, twin: Path, path: Path, hour_at_0: float | None, choice: Reading | None = None
-) -> Commissioned:
+    network: Network, twin: Path, path: Path, hour_at_0: float | None, choice: ReadingOptions | None = None
+) -> CommissionedRecord:
     """Return the healthy record of a twin, which may have gained effects since then; see `read_columns`."""
     columns, _ = read_columns(network, path, hour_at_0, choice=choice)
     ancestors = [with_clock(entry.network) if CLOCK in network.inputs else entry.network for entry in chain(twin)[1:]]
     compatible = tuple(
         n for n in ancestors if n.input_columns == network.input_columns and n.sensor_names == network.sensor_names
     )
-    return Commissioned(columns.time_s, columns.inputs, columns.measured, columns.members, compatible)
+    return CommissionedRecord(columns.time_s, columns.inputs, columns.measured, columns.members, compatible)
 
 
-def choice_for(path: Path, choice: Reading | None) -> Reading | None:
+def choice_for(path: Path, choice: ReadingOptions | None) -> ReadingOptions | None:
     """Return how a later record is read: as the first one, but a run's own record states its time and signs itself."""
     return None if (path.parent / "run.json").is_file() else choice
 
 
 def further_columns(
-    network: Network, paths: Sequence[Path], hour_at_0: float | None, choice: Reading | None = None
+    network: Network, paths: Sequence[Path], hour_at_0: float | None, choice: ReadingOptions | None = None
 ) -> dict[str, Columns]:
     """Return further records by a distinct name: that of the file, or its path if several files share it.
 

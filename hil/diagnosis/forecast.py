@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from twin import Network
-    from twin.discovery.effects.lint import Label
+    from twin.discovery.effects.lint import EffectLabel
     from twin.discovery.healthy.basis import Columns
     from twin.discovery.planning.forecast import Forecast
 
@@ -132,7 +132,7 @@ def _show(to: Console, found: Forecast, source: str) -> None:
     for label in dict.fromkeys((c.kind, c.where, c.driver) for c in found.unseen):
         if label not in shown:
             to.print(f"not detectable: {spoken(label)}")
-    pairs: dict[tuple[Label, Label], float] = {}
+    pairs: dict[tuple[EffectLabel, EffectLabel], float] = {}
     for a, b, rho in found.confused:
         pairs.setdefault(((a.kind, a.where, a.driver), (b.kind, b.where, b.driver)), rho)
     for (one, other), rho in list(pairs.items())[:_MOST_PAIRS]:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers.signals import ConfigurationError, Quality
-from hil.journal import JournalReader, JournalWriter, Samples
+from hil.journal import JournalReader, JournalSamples, JournalWriter
 from hil.record import Parts
 from hil.tracking import Child
 
@@ -165,7 +165,7 @@ def refusal(diagnosis: Diagnosis) -> str | None:
     return None
 
 
-class _Worker:
+class _DiagnosisWorker:
     """Work of the other process: read new rows of the journal and diagnose all of them."""
 
     def __init__(self, config: LiveConfig) -> None:
@@ -178,7 +178,7 @@ class _Worker:
         self._healthy = read_healthy(self._network, config.twin, config.healthy, None) if config.healthy else None
         rig = rig_of(config.journal.parent)
         self._limits = limits_of(rig) if rig is not None else None
-        self._blocks: list[Samples] = []
+        self._blocks: list[JournalSamples] = []
         self._adopted: InterimFinding | None = None
         self._revision: Path | None = None
 
@@ -259,7 +259,7 @@ def _serve(connection: Connection, config: LiveConfig) -> None:
     with contextlib.suppress(OSError):
         os.nice(_LOWEST_PRIORITY)
     try:
-        worker = _Worker(config)
+        worker = _DiagnosisWorker(config)
         connection.send(Reply())
         while (asked := connection.recv()) is not None:
             connection.send(worker.look(asked or None))

@@ -20,7 +20,7 @@ from hil.diagnosis.experiment_file import limits_of, write_experiment
 from hil.diagnosis.healthy_record import HealthyRecord, commissioned_on
 from hil.diagnosis.results import provenance, write
 from hil.diagnosis.revision import revise, write_proposal
-from hil.record import Reading
+from hil.record import ReadingOptions
 from twin import Network, TwinFileError, load
 from twin.discovery import Diagnosis, diagnose
 from twin.discovery.answer.unused import with_unused
@@ -66,11 +66,11 @@ class DiagnosisRequest:
     at_rest: bool = False
     rig: Path | None = None
     clock: str | None = None
-    choice: Reading | None = None
+    choice: ReadingOptions | None = None
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedDiagnosis:
     """Files of a request, read: the twin with the time of day as an input, the healthy record and its source."""
 
     request: DiagnosisRequest
@@ -97,7 +97,7 @@ class Written:
     proposal: Path | None = None
 
 
-def prepare(request: DiagnosisRequest) -> Prepared:
+def prepare(request: DiagnosisRequest) -> PreparedDiagnosis:
     """Read twin and healthy record.
 
     Raises
@@ -113,10 +113,10 @@ def prepare(request: DiagnosisRequest) -> Prepared:
     network = with_clock(twin) if hour is not None and not request.at_rest else twin
     choice = request.choice if request.healthy else None
     columns = read_healthy(network, request.twin, healthy, hour, choice) if healthy else None
-    return Prepared(request, network, twin, hour, columns, stored)
+    return PreparedDiagnosis(request, network, twin, hour, columns, stored)
 
 
-def diagnose_files(ready: Prepared, say: Callable[[str], None], note: Callable[[str], None]) -> Diagnosis:
+def diagnose_files(ready: PreparedDiagnosis, say: Callable[[str], None], note: Callable[[str], None]) -> Diagnosis:
     """Diagnose the record of a request.
 
     Parameters
@@ -160,7 +160,7 @@ def diagnose_files(ready: Prepared, say: Callable[[str], None], note: Callable[[
 
 
 def write_results(
-    ready: Prepared, found: Diagnosis, folder: Path, *, empirical: bool, began: float
+    ready: PreparedDiagnosis, found: Diagnosis, folder: Path, *, empirical: bool, began: float
 ) -> tuple[Written, dict[str, object]]:
     """Save the revision and write document, page, proposal and next experiment; return them and the document's extra.
 
@@ -183,7 +183,7 @@ def write_results(
     return Written(page, revision, write_experiment(found, folder, request.rig), proposal), extra
 
 
-def described(ready: Prepared, revision: Path | None, began: float) -> dict[str, object]:
+def described(ready: PreparedDiagnosis, revision: Path | None, began: float) -> dict[str, object]:
     """Return the files of a diagnosis and its duration, for its document."""
     healthy = ready.healthy_file
     return {

@@ -42,7 +42,7 @@ class Unknown:
 
 
 @dataclass(frozen=True)
-class Curves:
+class ResidualCurves:
     """Block means at `time_s` (b,): residuals (b,) in K by sensor, and unknown inputs, the likeliest first.
 
     residual: measured minus the baseline twin. after: with the answer. band: sd of a healthy one, K.
@@ -60,12 +60,12 @@ class Findings:
     """Content of a results folder: the document of `diagnosis.json` and its curves."""
 
     document: dict[str, Any]
-    curves: Curves
+    curves: ResidualCurves
 
 
-def curves_of(diagnosis: Diagnosis, sensors: tuple[str, ...]) -> Curves:
+def curves_of(diagnosis: Diagnosis, sensors: tuple[str, ...]) -> ResidualCurves:
     """Return the curves of a diagnosis; `sensors` are the twin's, in their order."""
-    return Curves(
+    return ResidualCurves(
         time_s=np.asarray(diagnosis.hours, dtype=np.float64) * 3600.0,
         residual={name: diagnosis.residual[:, j] for j, name in enumerate(sensors)},
         after={name: diagnosis.residual_after[:, j] for j, name in enumerate(sensors)},
@@ -74,7 +74,7 @@ def curves_of(diagnosis: Diagnosis, sensors: tuple[str, ...]) -> Curves:
     )
 
 
-def write_curves(curves: Curves, path: Path) -> None:
+def write_curves(curves: ResidualCurves, path: Path) -> None:
     """Write the curves as Parquet."""
     columns: dict[str, Floats] = {"time_s": curves.time_s}
     columns |= {f"residual.{name}": values for name, values in curves.residual.items()}
@@ -90,7 +90,7 @@ def write_curves(curves: Curves, path: Path) -> None:
         pq.write_table(table.replace_schema_metadata({_KEY: json.dumps(about).encode()}), file)
 
 
-def read_curves(path: Path) -> Curves:
+def read_curves(path: Path) -> ResidualCurves:
     """Read the curves of `write_curves`; raise DiagnosisFolderError."""
     try:
         require_size(path, DiagnosisFolderError, 1)
@@ -106,10 +106,10 @@ def read_curves(path: Path) -> Curves:
         raise DiagnosisFolderError(f"{path} holds no curves of a diagnosis ({error}); diagnose again") from error
 
 
-def _curves_of(table: pa.Table, about: Any) -> Curves:
+def _curves_of(table: pa.Table, about: Any) -> ResidualCurves:
     columns = {name: table.column(name).to_numpy().astype(np.float64) for name in table.column_names}
     band = {name: float(value) for name, value in about["band_K"].items()}
-    return Curves(
+    return ResidualCurves(
         time_s=columns["time_s"],
         residual={name: columns[f"residual.{name}"] for name in band},
         after={name: columns[f"after.{name}"] for name in band},

@@ -10,7 +10,7 @@ from typing import Any
 
 from drivers.rig_file import file_sha256, load_rig
 from drivers.signals import split_column
-from hil.explain.explanation import Experiment, File
+from hil.explain.explanation import Experiment, HashedFile
 from hil.run.session import RunRequest
 from hil.run_folder import RunFolder, RunFolderError
 
@@ -50,7 +50,7 @@ def planned(plan: Mapping[str, Any] | None, profile: Path | None, rig: Path | No
     """Return the next experiment of a `diagnosis.json` within the limits of `rig`; None if nothing is open."""
     if not plan:
         return None
-    limits = File.of(rig) if rig is not None else None
+    limits = HashedFile.of(rig) if rig is not None else None
     steps = [dict(step) for step in plan.get("steps", ())]
     if not plan.get("possible") or profile is None:
         return Experiment(possible=False, why=str(plan.get("why", "")), rig=limits)

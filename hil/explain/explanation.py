@@ -27,23 +27,23 @@ class ExplanationError(ValueError):
     """Error of a folder whose explanation cannot be continued; the message states the remedy."""
 
 
-class _Shape(BaseModel):
+class _ExplanationPart(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class File(_Shape):
+class HashedFile(_ExplanationPart):
     """File that an explanation is about; its hash finds a change."""
 
     path: str
     sha256: str
 
     @classmethod
-    def of(cls, path: Path) -> File:
+    def of(cls, path: Path) -> HashedFile:
         """Return the file with its hash; raises OSError."""
         return cls(path=str(path.absolute()), sha256=file_sha256(path))
 
 
-class Belief(_Shape):
+class Belief(_ExplanationPart):
     """Explanation by kind and place, with its drivers: `share` is its posterior probability, None where none is
     given; `size` is that of the answer with its unit, "" of the others."""
 
@@ -53,7 +53,7 @@ class Belief(_Shape):
     size: str = ""
 
 
-class SensorErrors(_Shape):
+class SensorErrors(_ExplanationPart):
     """RMSE in K of free runs: baseline twin, re-tuned, with the answer; and the sensor's noise."""
 
     baseline: float | None
@@ -62,7 +62,7 @@ class SensorErrors(_Shape):
     noise: float | None
 
 
-class Experiment(_Shape):
+class Experiment(_ExplanationPart):
     """Planned experiment: its load profile, one sentence on its inputs, the reason, and its steps.
 
     `possible` is False where no input separates the causes; `why` then names a measurement. `rig` is the rig file
@@ -76,10 +76,10 @@ class Experiment(_Shape):
     hours: float = 0.0
     hottest_C: float | None = None
     steps: list[dict[str, float]] = []
-    rig: File | None = None
+    rig: HashedFile | None = None
 
 
-class Round(_Shape):
+class Round(_ExplanationPart):
     """Diagnosis with `records` beside the first one; `ran` is the experiment before it, `next` the planned one.
 
     `after` names the twin of the errors with the answer; `further` holds the errors over each later record.
@@ -87,7 +87,7 @@ class Round(_Shape):
 
     number: int
     made: datetime.datetime
-    records: list[File]
+    records: list[HashedFile]
     ran: Experiment | None
     verdict: Verdict
     summary: str
@@ -101,12 +101,12 @@ class Round(_Shape):
     next: Experiment | None
 
 
-class Explanation(_Shape):
+class Explanation(_ExplanationPart):
     """All rounds about one record, and their end: `end` in a word, `reason` in a sentence."""
 
-    record: File
-    twin: File
-    healthy: File | None
+    record: HashedFile
+    twin: HashedFile
+    healthy: HashedFile | None
     rounds: list[Round] = []
     end: End = ""
     reason: str = ""

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-from hil.diagnosis import DiagnosisRequest, Prepared, Written, after_label, choice_for, prepare, write_results
+from hil.diagnosis import DiagnosisRequest, PreparedDiagnosis, Written, after_label, choice_for, prepare, write_results
 from hil.explain.experiment import RigChoice, is_record_of, planned, run_request, runs_of
 from hil.explain.explanation import (
     DOCUMENT,
     Experiment,
     Explanation,
     ExplanationError,
-    File,
+    HashedFile,
     Round,
     beliefs_of,
     errors_of,
@@ -27,7 +27,7 @@ from hil.explain.explanation import (
     write_explanation,
 )
 from hil.explain.page import write_page
-from hil.record import Reading, read_record
+from hil.record import ReadingOptions, read_record
 from hil.run.session import RunRequest, RunResult, check_session
 from hil.run_folder import RunFolder
 from twin.discovery import Diagnosis
@@ -58,10 +58,10 @@ class ExplainRequest:
 class Operator(Protocol):
     """Person at the terminal, and the work that is shown there."""
 
-    def diagnose(self, ready: Prepared, number: int) -> Diagnosis:
+    def diagnose(self, ready: PreparedDiagnosis, number: int) -> Diagnosis:
         """Diagnose with a progress bar. Errors are those of `diagnose_files`."""
 
-    def show(self, ready: Prepared, found: Diagnosis, written: Written, one: Round) -> None:
+    def show(self, ready: PreparedDiagnosis, found: Diagnosis, written: Written, one: Round) -> None:
         """Print the diagnosis of a round."""
 
     def approve(self, experiment: Experiment, run: RunRequest, notes: Sequence[str]) -> bool:
@@ -117,7 +117,9 @@ def _opened(request: ExplainRequest) -> Explanation:
     ready = prepare(asked)
     healthy = ready.healthy_file
     new = Explanation(
-        record=File.of(asked.record), twin=File.of(asked.twin), healthy=File.of(healthy) if healthy else None
+        record=HashedFile.of(asked.record),
+        twin=HashedFile.of(asked.twin),
+        healthy=HashedFile.of(healthy) if healthy else None,
     )
     try:
         request.folder.mkdir(parents=True, exist_ok=True)
@@ -147,14 +149,14 @@ def _opened(request: ExplainRequest) -> Explanation:
 def _new_records(state: Explanation, given: Sequence[Path]) -> tuple[Path, ...]:
     """Return the records that the last round did not have."""
     known = {one.sha256 for one in state.last.records} if state.rounds else set()
-    return tuple(path for path in given if File.of(path).sha256 not in known)
+    return tuple(path for path in given if HashedFile.of(path).sha256 not in known)
 
 
 def _has_other_limits(request: ExplainRequest, last: Round) -> bool:
     """Return True if the next experiment was designed without the rig of this request, or within other limits."""
     if request.rig is None or last.verdict != "ambiguous" or last.next is None:
         return False
-    return last.next.rig is None or last.next.rig.sha256 != File.of(request.rig.rig).sha256
+    return last.next.rig is None or last.next.rig.sha256 != HashedFile.of(request.rig.rig).sha256
 
 
 def _end(request: ExplainRequest, state: Explanation) -> Explanation | None:
@@ -235,7 +237,7 @@ def _diagnosed(
     one = Round(
         number=number,
         made=datetime.datetime.now(datetime.UTC),
-        records=[File.of(path) for path in records],
+        records=[HashedFile.of(path) for path in records],
         ran=ran,
         verdict=found.verdict,
         summary=found.summary,
@@ -259,7 +261,7 @@ def _written(request: ExplainRequest, state: Explanation) -> Explanation:
     return state
 
 
-def _duration_s(record: Path, choice: Reading | None) -> float:
+def _duration_s(record: Path, choice: ReadingOptions | None) -> float:
     time_s = read_record(record, choice=choice_for(record, choice)).time_s
     return float(time_s[-1] - time_s[0])
 

@@ -38,16 +38,16 @@ class Html:
         return bool(self._markup)
 
 
-Part = Html | str
+HtmlPart = Html | str
 """Part of a page: markup from this module, or any text, which is escaped."""
 
 
-def joined(parts: Iterable[Part]) -> Html:
+def joined(parts: Iterable[HtmlPart]) -> Html:
     """Return parts one after the other, text escaped."""
     return Html("".join(_markup(part) for part in parts), _SECRET)
 
 
-def element(name: str, *content: Part, **attributes: str) -> Html:
+def element(name: str, *content: HtmlPart, **attributes: str) -> Html:
     """Return an element with its content and attributes, all text escaped.
 
     Parameters
@@ -80,14 +80,14 @@ def image(kind: str, data: bytes, alt: str = "", id: str = "") -> Html:
     return Html(f'<img{head}{_attribute("alt", alt)} src="{source}">', _SECRET)
 
 
-def table(head: Iterable[Part], rows: Iterable[Iterable[Part]], **attributes: str) -> Html:
+def table(head: Iterable[HtmlPart], rows: Iterable[Iterable[HtmlPart]], **attributes: str) -> Html:
     """Return a table of one header row and further rows of cells."""
     top = element("tr", *(element("th", cell) for cell in head))
     lines = (element("tr", *(element("td", cell) for cell in row)) for row in rows)
     return element("table", top, *lines, **attributes)
 
 
-def document(title: str, style: str, body: Iterable[Part]) -> str:
+def document(title: str, style: str, body: Iterable[HtmlPart]) -> str:
     """Return a whole page.
 
     Parameters
@@ -116,7 +116,7 @@ def _attribute(name: str, value: str) -> str:
     return f' {name}="{_escaped(value)}"'
 
 
-def _markup(part: Part) -> str:
+def _markup(part: HtmlPart) -> str:
     return part._markup if isinstance(part, Html) else _escaped(part)
 
 

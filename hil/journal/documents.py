@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import Field, ValidationError
 
-from hil.run_folder import wrong_place
+from hil.run_folder import DocumentShape, wrong_place
 
 Numbers = dict[str, float | None]
 
@@ -18,38 +18,38 @@ class ShapeError(ValueError):
     """Value of a journal that its writer does not make; the message names the value in one line."""
 
 
-class _Shape(BaseModel):
-    model_config = ConfigDict(extra="allow", strict=True)
-
-
-class _Calibration(_Shape):
+class _CalibrationDocument(DocumentShape):
     kind: str = "window"
     rmse_K: float | None = None
     rmse_before_K: float | None = None
-    parameters: Numbers = {}
+    parameters: Numbers = Field(default_factory=dict)
     standard_errors: Numbers | None = None
-    flags: list[str] = []
+    flags: list[str] = Field(default_factory=list)
 
 
-class _Doubt(_Shape):
+class _DoubtDocument(DocumentShape):
     sensor: str
     off_K: float
 
 
-class _Proposal(_Shape):
+class _ProposalDocument(DocumentShape):
     values: dict[str, float]
     standard_errors: dict[str, float]
     held: dict[str, str]
     reasons: list[str]
-    doubted: list[_Doubt] = []
+    doubted: list[_DoubtDocument] = Field(default_factory=list)
 
 
-class _Band(_Shape):
+class _BandDocument(DocumentShape):
     mean_K: Numbers
     half_width_K: Numbers
 
 
-_SHAPES: dict[str, type[_Shape]] = {"CalibrationRow": _Calibration, "ProposalRow": _Proposal, "BandRow": _Band}
+_SHAPES: dict[str, type[DocumentShape]] = {
+    "CalibrationRow": _CalibrationDocument,
+    "ProposalRow": _ProposalDocument,
+    "BandRow": _BandDocument,
+}
 
 
 def require_document(row: str, document: dict[str, Any]) -> None:
@@ -61,7 +61,10 @@ def require_document(row: str, document: dict[str, Any]) -> None:
         found = shape.model_validate(document)
     except ValidationError as error:
         raise ShapeError(f"{row}: {wrong_place(error)}") from None
-    if isinstance(found, _Band) and found.mean_K.keys() != found.half_width_K.keys():
+    if isinstance(found, _BandDocument) and found.mean_K.keys() != found.half_width_K.keys():
         raise ShapeError("BandRow: its tables are of different sensors")
-    if isinstance(found, _Proposal) and not found.held.keys() <= found.values.keys() == found.standard_errors.keys():
+    if (
+        isinstance(found, _ProposalDocument)
+        and not found.held.keys() <= found.values.keys() == found.standard_errors.keys()
+    ):
         raise ShapeError("ProposalRow: its tables are of different parameters")

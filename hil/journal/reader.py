@@ -22,14 +22,14 @@ from hil.journal.rows import (
     EventRow,
     Header,
     JournalError,
+    JournalSamples,
     ProposalRow,
-    Samples,
     SegmentRow,
     StateRow,
     TwinOutput,
     WriteRow,
 )
-from hil.journal.states import Event, State
+from hil.journal.states import RunEvent, State
 
 SCHEMA_VERSION = 1
 
@@ -47,7 +47,7 @@ def _with_present_names(row: StateRow) -> StateRow:
     except ValueError:
         raise ShapeError(f"{str(row.target)[:40]!r} is no state of a run") from None
     source = State.RESTORING if row.source == "soaking" else row.source
-    event = Event.RESTORE if row.event == "soak" else row.event
+    event = RunEvent.RESTORE if row.event == "soak" else row.event
     return replace(row, target=target.value, source=str(source), event=str(event))
 
 
@@ -99,13 +99,13 @@ class JournalReader:
         row = self._database.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
         return None if row is None else json.loads(row[0])
 
-    def samples(self, after_tick: int = -1, limit: int = -1) -> Samples:
+    def samples(self, after_tick: int = -1, limit: int = -1) -> JournalSamples:
         """Return the ticks later than `after_tick`, at most `limit` (-1: all)."""
         k = len(self.header.signals)
         rows = self._database.execute(
             "SELECT * FROM samples WHERE tick > ? ORDER BY tick LIMIT ?", (after_tick, limit)
         ).fetchall()
-        return Samples(
+        return JournalSamples(
             tick=np.array([row[0] for row in rows], dtype=np.int64),
             time_s=np.array([row[1] for row in rows], dtype=np.float64),
             values=np.array([row[4 : 4 + k] for row in rows], dtype=np.float64).reshape(len(rows), k),

@@ -32,7 +32,7 @@ class Header:
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
+class JournalSamples:
     """Block of ticks: `tick (n,)`, `time_s (n,)`, `values (n, k)`, `quality (n, k)`, `source_time_s (n, k)`.
 
     Times are in s of rig time, values in the units of their signals.

@@ -44,7 +44,7 @@ class State(enum.StrEnum):
         return cls.RESTORING if value == "soaking" else None
 
 
-class Event(enum.StrEnum):
+class RunEvent(enum.StrEnum):
     """Cause of a transition: an operator's verb, or an event of the run."""
 
     VALIDATE = "validate"
@@ -62,9 +62,9 @@ class Event(enum.StrEnum):
     COMPLETE = "complete"
 
 
-_S, _E = State, Event
+_S, _E = State, RunEvent
 
-TABLE: dict[tuple[State, Event], State] = {
+TABLE: dict[tuple[State, RunEvent], State] = {
     (_S.IDLE, _E.VALIDATE): _S.VALIDATING,
     (_S.VALIDATING, _E.CONNECT): _S.CONNECTING,
     (_S.CONNECTING, _E.RESTORE): _S.RESTORING,
@@ -120,21 +120,21 @@ class Transition:
     """Transition of the table, with its reason."""
 
     source: State
-    event: Event
+    event: RunEvent
     target: State
     reason: str
 
 
-def next_state(state: State, event: Event) -> State | None:
+def next_state(state: State, event: RunEvent) -> State | None:
     """Return the state after `event` in `state`; None where the table has no such transition."""
     return TABLE.get((state, event))
 
 
 def event_level(step: Transition) -> str:
     """Return the level of the event of a transition: INFO, WARN or ERROR."""
-    if step.event is Event.FAIL or step.event is Event.TRIP:
+    if step.event is RunEvent.FAIL or step.event is RunEvent.TRIP:
         return "ERROR"
-    return "WARN" if step.event in (Event.WARN, Event.ABORT) else "INFO"
+    return "WARN" if step.event in (RunEvent.WARN, RunEvent.ABORT) else "INFO"
 
 
 class StateMachine:
@@ -145,7 +145,7 @@ class StateMachine:
         self.reason = ""
         self._on_transition = on_transition
 
-    def take(self, event: Event, reason: str) -> State:
+    def take(self, event: RunEvent, reason: str) -> State:
         """Make the transition of `event` and return the new state; raises TransitionError where there is none."""
         target = next_state(self.state, event)
         if target is None:

@@ -42,7 +42,7 @@ CREATE TABLE IF NOT EXISTS segments (id INTEGER PRIMARY KEY, tick INTEGER NOT NU
 EVENT = "INSERT INTO events (tick, time_s, wall_s, level, text) VALUES (?, ?, ?, ?, ?)"
 
 Row = tuple[Any, ...]
-Entry = tuple[Literal["sample", "twin"] | str, Row]
+JournalEntry = tuple[Literal["sample", "twin"] | str, Row]
 """Row to write: a sample, a twin's outputs, or any other SQL statement, and its values."""
 
 
@@ -85,7 +85,7 @@ class JournalStore:
         self._insert_twin = (
             f"INSERT INTO twins (twin, tick, time_s{', ' + sensors if sensors else ''}) VALUES ({twin_marks})"
         )
-        first: list[Entry] = [_meta("exit_status", None)]
+        first: list[JournalEntry] = [_meta("exit_status", None)]
         if not again:
             first = [_meta("schema_version", SCHEMA_VERSION), _meta("header", asdict(header))]
         self._transact(first, one_by_one=False)
@@ -100,7 +100,7 @@ class JournalStore:
             return f"{self._path.parent} has become read-only while the run goes on"
         return None
 
-    def write(self, batch: list[Entry]) -> list[str]:
+    def write(self, batch: list[JournalEntry]) -> list[str]:
         """Write `batch` in one transaction; returns the reasons of rows that no database can hold and were dropped.
 
         Raises LockedError where another program holds the file, JournalError on a full or broken disk; nothing of the
@@ -129,7 +129,7 @@ class JournalStore:
                 f"{self._path} cannot be written ({error}); free the disk or move the run folder"
             ) from error
 
-    def _transact(self, batch: list[Entry], *, one_by_one: bool) -> list[str]:
+    def _transact(self, batch: list[JournalEntry], *, one_by_one: bool) -> list[str]:
         dropped: list[str] = []
         execute = self._database.execute
         try:
@@ -186,11 +186,11 @@ def _quoted(names: Iterable[str]) -> str:
     return ", ".join('"' + name.replace('"', '""') + '"' for name in names)
 
 
-def _meta(key: str, value: Any) -> Entry:
+def _meta(key: str, value: Any) -> JournalEntry:
     return "INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, json.dumps(value))
 
 
-def _named(entry: Entry) -> str:
+def _named(entry: JournalEntry) -> str:
     """Return what a row is, for a person."""
     kind, row = entry
     if kind == "sample":

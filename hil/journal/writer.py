@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from hil.files import plain
 from hil.journal.reader import SCHEMA_VERSION, JournalReader
 from hil.journal.rows import Header, JournalError, SegmentRow
-from hil.journal.store import EVENT, Entry, JournalStore, LockedError, Row
+from hil.journal.store import EVENT, JournalEntry, JournalStore, LockedError, Row
 
 __all__ = ["SCHEMA_VERSION", "Header", "JournalError", "JournalReader", "JournalWriter"]
 
@@ -49,7 +49,7 @@ class JournalWriter:
     def __init__(self, path: Path, header: Header, *, again: bool = False) -> None:
         self._store = JournalStore(path, header, again=again)
         self._path = path
-        self._queue: deque[Entry] = deque()
+        self._queue: deque[JournalEntry] = deque()
         self._changed = threading.Condition()
         self._put_count = self._done_count = 0
         self._urgent = self._ending = False
@@ -186,7 +186,7 @@ class JournalWriter:
     # The thread --------------------------------------------------------------------------------
 
     def _work(self) -> None:
-        batch: list[Entry] = []
+        batch: list[JournalEntry] = []
         while True:
             with self._changed:
                 if not self._ending:
@@ -206,7 +206,7 @@ class JournalWriter:
             if not written:
                 time.sleep(0.05)
 
-    def _written(self, batch: list[Entry]) -> bool:
+    def _written(self, batch: list[JournalEntry]) -> bool:
         """Return whether `batch` is durable now; what keeps it from that is `failure`, or a lock that may go."""
         try:
             lost = self._store.lost()

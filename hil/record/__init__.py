@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from hil.record.public import (
         PIPE_TESTS,
         WATER_DENSITY,
-        Columns,
+        PublicRecord,
         dry_cooler,
         heated_pipe,
         held_steady,
         tclab,
         wet_tower,
     )
-    from hil.record.raw import Reading, RecordError
+    from hil.record.raw import ReadingOptions, RecordError
     from hil.record.reader import Record, read_record, require_record_suffix, write_record
     from hil.record.segments import Parts
     from hil.record.units import name_and_unit
@@ -31,10 +31,10 @@ __all__ = [
     "PIPE_TESTS",
     "VALUES",
     "WATER_DENSITY",
-    "Columns",
     "DialectError",
     "Parts",
-    "Reading",
+    "PublicRecord",
+    "ReadingOptions",
     "Record",
     "RecordError",
     "beginning_of",
@@ -63,7 +63,7 @@ __getattr__, __dir__ = lazy_names(
         "units.headings": ("name_and_unit",),
         "long_format": ("VALUES",),
         "public": (
-            "Columns",
+            "PublicRecord",
             "PIPE_TESTS",
             "WATER_DENSITY",
             "dry_cooler",
@@ -73,7 +73,7 @@ __getattr__, __dir__ = lazy_names(
             "wet_tower",
         ),
         "raw": (
-            "Reading",
+            "ReadingOptions",
             "RecordError",
         ),
         "reader": (

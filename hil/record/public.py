@@ -1,6 +1,6 @@
 """Public records of other rigs as columns that a twin file can name.
 
-Each reader takes the folder `real` of the development data and returns `Columns`. What a source leaves to its text
+Each reader takes the folder `real` of the development data and returns `PublicRecord`. What a source leaves to its text
 (an ambient temperature, which sample an input belongs to) is put in here, with a message.
 
 `tclab`: two small heaters with thermistors (Park, Martin, Kelly, Hedengren, Comput. Chem. Eng. 135 (2020) 106736).
@@ -39,7 +39,7 @@ class PublicRecordError(ValueError):
 
 
 @dataclass(frozen=True)
-class Columns:
+class PublicRecord:
     """Record: `time_s` (n,) s and `columns` by name, each (n,), NaN if missing; `messages` a sentence each."""
 
     name: str
@@ -48,7 +48,7 @@ class Columns:
     messages: tuple[str, ...] = ()
 
 
-def tclab(real: Path, part: str) -> Columns:
+def tclab(real: Path, part: str) -> PublicRecord:
     """Return one of `mimo_train`, `mimo_validation`, `siso_train`, `siso_validation`.
 
     The source's own model takes a row's heater values as in force during the second that ends at the row; a twin
@@ -62,10 +62,10 @@ def tclab(real: Path, part: str) -> Columns:
         f"ambient temperature not measured, taken as {TCLAB_AMBIENT_C:g} degC as published",
         "heater values act during the second that ends at their row, as in the published model",
     )
-    return Columns(part, table["Time"] - table["Time"][0], columns, messages)
+    return PublicRecord(part, table["Time"] - table["Time"][0], columns, messages)
 
 
-def heated_pipe(real: Path, test: str) -> Columns:
+def heated_pipe(real: Path, test: str) -> PublicRecord:
     """Return one of `PIPE_TESTS`: `flow_pct` in per cent of 100 L/min, without channels that never move."""
     names = ("time_s", "m_flow_kg_s", "T_pipe_out_C", "T_water_out_C", "T_pipe_in_C", "T_water_in_C")
     table = _read(real / "heated_pipe" / f"{test}.csv", names)
@@ -78,10 +78,10 @@ def heated_pipe(real: Path, test: str) -> Columns:
             messages.append(f"{name} shows {column[0]:g} degC from beginning to end; dead channel, left out")
             column = np.full(column.size, np.nan)
         columns[name] = column
-    return Columns(test, table["time_s"], columns, tuple(messages))
+    return PublicRecord(test, table["time_s"], columns, tuple(messages))
 
 
-def dry_cooler(real: Path, experiment: str) -> Columns:
+def dry_cooler(real: Path, experiment: str) -> PublicRecord:
     """Return steady states of `dc_exp1` or `dc_exp3`, one row each; `time_s` only counts them."""
     table = _read(real / "psa_cooling" / f"{experiment}_exp.csv", ("Tamb", "Tin", "w_fan", "q", "Tout"))
     columns = {
@@ -91,10 +91,10 @@ def dry_cooler(real: Path, experiment: str) -> Columns:
         "flow_pct": table["q"] * 1000.0 / 60.0 / DRY_COOLER_FULL_L_MIN * 100.0,
         "T_out_C": table["Tout"],
     }
-    return Columns(experiment, np.arange(table["Tin"].size, dtype=np.float64), columns)
+    return PublicRecord(experiment, np.arange(table["Tin"].size, dtype=np.float64), columns)
 
 
-def wet_tower(real: Path, experiment: str) -> Columns:
+def wet_tower(real: Path, experiment: str) -> PublicRecord:
     """Return steady states of `wct_exp1` or `wct_exp3`, one row each; `time_s` only counts them."""
     table = _read(real / "psa_cooling" / f"{experiment}_exp.csv", ("Tamb", "HR", "Tin", "w_fan", "q", "Tout"))
     columns = {
@@ -105,10 +105,10 @@ def wet_tower(real: Path, experiment: str) -> Columns:
         "flow_pct": table["q"] * 1000.0 / 60.0 / TOWER_FULL_L_MIN * 100.0,
         "T_out_C": table["Tout"],
     }
-    return Columns(experiment, np.arange(table["Tin"].size, dtype=np.float64), columns)
+    return PublicRecord(experiment, np.arange(table["Tin"].size, dtype=np.float64), columns)
 
 
-def held_steady(states: Columns, measured: tuple[str, ...], hold_s: float = HOLD_S) -> Columns:
+def held_steady(states: PublicRecord, measured: tuple[str, ...], hold_s: float = HOLD_S) -> PublicRecord:
     """Return steady states as a record that can be simulated and fitted.
 
     Each state is held for `hold_s`; the columns named in `measured` appear at the end of its hold only, when the
@@ -121,7 +121,7 @@ def held_steady(states: Columns, measured: tuple[str, ...], hold_s: float = HOLD
     for name in measured:
         columns[name] = np.where(last, columns[name], np.nan)
     time_s = np.arange(rows.size, dtype=np.float64) * (hold_s / HOLD_ROWS)
-    return Columns(states.name, time_s, columns, states.messages)
+    return PublicRecord(states.name, time_s, columns, states.messages)
 
 
 def _read(path: Path, names: tuple[str, ...]) -> dict[str, Array]:

@@ -49,7 +49,7 @@ class RawRecord:
 
 
 @dataclass(frozen=True)
-class Reading:
+class ReadingOptions:
     """Choices of the user for properties that the record does not show itself.
 
     Attributes

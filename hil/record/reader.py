@@ -28,7 +28,7 @@ from hil.record.file import read_raw
 from hil.record.order import describe_steps, order
 from hil.record.plausibility import SENTINELS, without_implausible
 from hil.record.quality import codes_of_words, reasons, valued_by
-from hil.record.raw import RawRecord, Reading, RecordError
+from hil.record.raw import RawRecord, ReadingOptions, RecordError
 from hil.record.times import numbered, read_time, span
 from hil.record.units import without_cell_units
 from hil.record.values import (
@@ -47,7 +47,7 @@ from twin import column_hint
 __all__ = [
     "SENTINELS",
     "ExportedRecord",
-    "Reading",
+    "ReadingOptions",
     "Record",
     "RecordError",
     "export_record",
@@ -109,7 +109,7 @@ class Record:
             )
 
 
-def read_record(path: Path, *, at_rest: bool = False, choice: Reading | None = None) -> Record:
+def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | None = None) -> Record:
     """Return the record in the Parquet or CSV file at `path`, cleaned.
 
     With `at_rest` each row is a steady state of its own: all are kept in the order of the file, and their times, if
@@ -125,7 +125,7 @@ def read_record(path: Path, *, at_rest: bool = False, choice: Reading | None = N
         Nothing can be read, something can be read in two ways, or reading would drop more than
         `record_numbers.may_be_lost` of the rows or of a column.
     """
-    choice = choice or Reading()
+    choice = choice or ReadingOptions()
     raw = without_cell_units(read_raw(path))
     messages = list(raw.messages)
     try:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.files import Html, element, image, joined
-from hil.journal import Header, Samples
+from hil.journal import Header, JournalSamples
 from hil.report.actuators import pair_actuators
 from hil.report.statistics import TimeUnit, good_values, symbol
 
@@ -45,20 +45,20 @@ class _Plot:
 
 
 @dataclass(frozen=True, slots=True)
-class Curves:
+class RunCurves:
     """Data of the figures: samples of a run, `measured` by twin sensor (n,), `twins` by name (n, m), and the first rows
     after each interruption.
     """
 
     header: Header
-    samples: Samples
+    samples: JournalSamples
     measured: Mapping[str, Floats]
     twins: Mapping[str, Floats]
     cuts: NDArray[np.int64]
     unit: TimeUnit
 
 
-def pictures(drawn: Curves) -> Html:
+def pictures(drawn: RunCurves) -> Html:
     """Return headings and figures as HTML; nothing for a run of fewer than two ticks, no plot without a value."""
     if len(drawn.samples.tick) < 2:
         return joined([])
@@ -68,7 +68,7 @@ def pictures(drawn: Curves) -> Html:
         return joined(_pictures(drawn))
 
 
-def _pictures(drawn: Curves) -> Iterator[Html]:
+def _pictures(drawn: RunCurves) -> Iterator[Html]:
     if drawn.measured:
         yield _picture("Measured against twin", _against_twin(drawn), drawn)
         residuals, width_s = _residuals(drawn)
@@ -84,7 +84,7 @@ def twin_colours(names: Sequence[str]) -> dict[str, str]:
     return {"static": STATIC} | {name: TRACKED[k % len(TRACKED)] for k, name in enumerate(tracked)}
 
 
-def _against_twin(drawn: Curves) -> Iterator[_Plot]:
+def _against_twin(drawn: RunCurves) -> Iterator[_Plot]:
     colours = twin_colours(tuple(drawn.twins))
     for position, (sensor, values) in enumerate(drawn.measured.items()):
         # The measured curve is thin and on top, so that those below it are seen beside it.
@@ -96,7 +96,7 @@ def _against_twin(drawn: Curves) -> Iterator[_Plot]:
         yield _Plot(f"{sensor.removesuffix('_C')} / °C", tuple(curves), 2.6, own_legend=False)
 
 
-def _residuals(drawn: Curves) -> tuple[tuple[Floats, list[_Plot]], float]:
+def _residuals(drawn: RunCurves) -> tuple[tuple[Floats, list[_Plot]], float]:
     """Return the time (b,) and plots of mean residuals, and their averaging time in s."""
     time_s, period_s = drawn.samples.time_s, drawn.header.period_s
     width_s = min(_MEAN_OVER_S, period_s * max(1.0, np.ceil((time_s[-1] - time_s[0]) / 20.0 / period_s)))
@@ -121,7 +121,7 @@ def _residuals(drawn: Curves) -> tuple[tuple[Floats, list[_Plot]], float]:
     return (np.insert(middle, breaks, middle[breaks] - width_s), plots), float(width_s)
 
 
-def _others(drawn: Curves) -> Iterator[_Plot]:
+def _others(drawn: RunCurves) -> Iterator[_Plot]:
     """Yield measured signals without a twin or a set-point of their own, a plot for each unit."""
     values = good_values(drawn.samples)
     told = {column for columns in drawn.header.twin_sensors.values() for column in columns} if drawn.measured else set()
@@ -135,7 +135,7 @@ def _others(drawn: Curves) -> Iterator[_Plot]:
         yield _Plot(symbol(unit), tuple(curves), 2.6 if len(curves) > 4 else 2.0)
 
 
-def _actuators(drawn: Curves) -> Iterator[_Plot]:
+def _actuators(drawn: RunCurves) -> Iterator[_Plot]:
     """Yield every set-point with its read-back, a plot for each."""
     values = good_values(drawn.samples)
     index = {signal.name: k for k, signal in enumerate(drawn.header.signals)}
@@ -147,7 +147,7 @@ def _actuators(drawn: Curves) -> Iterator[_Plot]:
         yield _Plot(f"{stem} / {unit}" if unit else stem, tuple(curves), 1.6)
 
 
-def _picture(heading: str, plots: Any, drawn: Curves, time_s: Floats | None = None) -> Html:
+def _picture(heading: str, plots: Any, drawn: RunCurves, time_s: Floats | None = None) -> Html:
     """Return stacked plots with one time axis, as HTML; nothing if none has a value."""
     known = []
     for plot in plots:
@@ -189,7 +189,7 @@ def _picture(heading: str, plots: Any, drawn: Curves, time_s: Floats | None = No
     return joined([element("h2", heading), _embedded(figure)])
 
 
-def _thinned(drawn: Curves, values: Floats) -> tuple[Floats, Floats]:
+def _thinned(drawn: RunCurves, values: Floats) -> tuple[Floats, Floats]:
     """Return time (p,) s and values (p,), thinned to the resolution of a figure, with a break at each interruption."""
     step = max(1, len(values) // _MOST_POINTS)
     kept = np.arange(0, len(values), step)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from drivers.signals import Quality
 from hil.files import Html, document, element, joined, replacing, table
-from hil.journal import JournalReader, Samples, TwinOutput
-from hil.report.figures import Curves, pictures
+from hil.journal import JournalReader, JournalSamples, TwinOutput
+from hil.report.figures import RunCurves, pictures
 from hil.report.statistics import (
     NONE,
     SETTLED_AFTER_S,
@@ -36,7 +36,7 @@ p.note { color: #5b636b; font-size: .9rem }
 """
 
 
-def measured_sensors(reader: JournalReader, samples: Samples) -> dict[str, NDArray[np.float64]]:
+def measured_sensors(reader: JournalReader, samples: JournalSamples) -> dict[str, NDArray[np.float64]]:
     """Return each twin sensor's measured value in degC, shape (n,): mean of its good columns, NaN if none is good."""
     index = {signal.column: position for position, signal in enumerate(reader.header.signals)}
     good = np.where(samples.quality == Quality.GOOD, samples.values, np.nan)
@@ -171,15 +171,15 @@ def _gates(reader: JournalReader, unit: TimeUnit) -> Html:
     return _part("Parameters accepted by the network's gates", table(head, rows), _note(closed_gates(proposals)))
 
 
-def _pictures(reader: JournalReader, samples: Samples, unit: TimeUnit) -> Html:
+def _pictures(reader: JournalReader, samples: JournalSamples, unit: TimeUnit) -> Html:
     cuts = np.searchsorted(samples.tick, [row.tick for row in reader.segments()])
     measured = measured_sensors(reader, samples)
     twins = {name: _at_ticks(reader.twin_outputs(name), samples) for name in reader.header.twin_names}
     twins = {name: values for name, values in twins.items() if np.isfinite(values).any()}
-    return pictures(Curves(reader.header, samples, measured if twins else {}, twins, cuts, unit))
+    return pictures(RunCurves(reader.header, samples, measured if twins else {}, twins, cuts, unit))
 
 
-def _at_ticks(output: TwinOutput, samples: Samples) -> NDArray[np.float64]:
+def _at_ticks(output: TwinOutput, samples: JournalSamples) -> NDArray[np.float64]:
     """Return a twin's predictions (n, m) at the ticks of `samples`, NaN for those after the tick."""
     found = np.full((len(samples.tick), output.values.shape[1]), np.nan)
     known = np.isin(output.tick, samples.tick)
@@ -187,7 +187,7 @@ def _at_ticks(output: TwinOutput, samples: Samples) -> NDArray[np.float64]:
     return found
 
 
-def _signals(reader: JournalReader, samples: Samples) -> Html:
+def _signals(reader: JournalReader, samples: JournalSamples) -> Html:
     rows = [
         [s.name, s.unit, number(s.least), number(s.mean), number(s.greatest), f"{s.good:.1%}"]
         for s in signal_statistics(reader.header, samples)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.journal import Header, Samples
+from hil.journal import Header, JournalSamples
 from hil.report.actuators import pair_actuators
 
 NONE = "-"
@@ -77,12 +77,12 @@ class SetAgainstRead:
     settled_greatest: float
 
 
-def good_values(samples: Samples) -> NDArray[np.float64]:
+def good_values(samples: JournalSamples) -> NDArray[np.float64]:
     """Return the values (n, k), NaN if the quality is not GOOD."""
     return np.where(samples.quality == Quality.GOOD, samples.values, np.nan)
 
 
-def signal_statistics(header: Header, samples: Samples) -> list[SignalStatistics]:
+def signal_statistics(header: Header, samples: JournalSamples) -> list[SignalStatistics]:
     """Return the statistics of every signal, measured ones first, in the rig's order."""
     values = good_values(samples)
     kinds = {"measured": 0, "setpoint": 1, "status": 2}
@@ -97,7 +97,7 @@ def signal_statistics(header: Header, samples: Samples) -> list[SignalStatistics
     return found
 
 
-def set_against_read(header: Header, samples: Samples) -> list[SetAgainstRead]:
+def set_against_read(header: Header, samples: JournalSamples) -> list[SetAgainstRead]:
     """Return the comparison of every set-point that has a read-back."""
     values = good_values(samples)
     index = {signal.name: k for k, signal in enumerate(header.signals)}

@@ -29,8 +29,8 @@ from hil.diagnosis import (
     short,
 )
 from hil.journal import Header
-from hil.review.batches import Batch, Estimates, Rows, States, Texts
-from hil.review.plan import FAINT, GREEN, NEUTRAL, ORANGE, TRACKED, Colour, Lane, Lines, Panel, Plan, Stack, path
+from hil.review.batches import Estimates, ReviewBatch, Rows, States, Texts
+from hil.review.plan import FAINT, GREEN, NEUTRAL, ORANGE, TRACKED, Colour, Lane, Lines, Panel, ReviewPlan, Stack, path
 
 VERDICT, ERRORS = "/diagnosis/verdict", "/diagnosis/errors"
 _MOST_BESIDE = 4
@@ -44,14 +44,14 @@ def findings_of_run(journal: Path) -> Findings | None:
     return read_findings(folder) if has_diagnosis(folder) else None
 
 
-def plan_of_findings(findings: Findings, name: str) -> Plan:
+def plan_of_findings(findings: Findings, name: str) -> ReviewPlan:
     """Return the plan of a diagnosis of a record without a run."""
     end_s = float(findings.curves.time_s[-1])
     header = Header((), {}, (), name, end_s, 1.0, {})
-    return with_findings(Plan(header, (), (), ()), findings)
+    return with_findings(ReviewPlan(header, (), (), ()), findings)
 
 
-def with_findings(plan: Plan, findings: Findings) -> Plan:
+def with_findings(plan: ReviewPlan, findings: Findings) -> ReviewPlan:
     """Return the plan with a tab for the diagnosis after the overview."""
     tabs = (*plan.tabs[:1], _tab(findings), *plan.tabs[1:])
     colours = plan.colours | {path("diagnosis", "unknown", u.site): _colour(findings, u.site) for u in _shown(findings)}
@@ -84,7 +84,7 @@ def notes(findings: Findings) -> dict[str, str]:
     return {VERDICT: "\n\n".join(parts) + "\n", ERRORS: "\n".join([head, *rows]) + "\n"}
 
 
-def batches(findings: Findings) -> Iterator[Batch]:
+def batches(findings: Findings) -> Iterator[ReviewBatch]:
     """Yield everything that is drawn over time."""
     curves = findings.curves
     time_s = curves.time_s
@@ -100,7 +100,7 @@ def batches(findings: Findings) -> Iterator[Batch]:
     yield from _onsets(findings)
 
 
-def _onsets(findings: Findings) -> Iterator[Batch]:
+def _onsets(findings: Findings) -> Iterator[ReviewBatch]:
     begin = float(findings.curves.time_s[0])
     times, states, said = [begin], [_HEALTHY], []
     for e in sorted(findings.document["effects"], key=lambda effect: effect["onset_s"]):

@@ -13,9 +13,9 @@ from urllib.parse import urlsplit
 from hil.diagnosis import Findings, read_findings
 from hil.files import replacing, utf8_path
 from hil.journal import JournalError, JournalReader
-from hil.review.batches import GROUP, Batch, Collector, Rows, merged, needed_rows
+from hil.review.batches import GROUP, BatchCollector, ReviewBatch, Rows, merged, needed_rows
 from hil.review.diagnosis_tab import batches, findings_of_run, notes, plan_of_findings, with_findings
-from hil.review.plan import Plan
+from hil.review.plan import ReviewPlan
 from hil.review.rerun_io import Recording
 from hil.review.viewer import listens
 
@@ -28,15 +28,15 @@ _JOURNAL_TIMEOUT_S = 10.0
 _log = logging.getLogger(__name__)
 
 
-class _File:
+class _ReviewFile:
     """File of the review: collects batches so that a slow run does not make a large file."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
-        self._pending: dict[str, list[Batch]] = {}
+        self._pending: dict[str, list[ReviewBatch]] = {}
         self._rows: dict[str, int] = {}
 
-    def send(self, batch: Batch) -> None:
+    def send(self, batch: ReviewBatch) -> None:
         self._pending.setdefault(batch.entity, []).append(batch)
         self._rows[batch.entity] = self._rows.get(batch.entity, 0) + len(batch.time_s)
         if self._rows[batch.entity] >= FILE_ROWS:
@@ -68,7 +68,7 @@ def _thinned(rows: Rows, last: bool) -> tuple[Rows, Rows | None]:
 class _Screen:
     """Viewer of the review: sends everything at once, until the viewer is gone."""
 
-    def __init__(self, collector: Collector, name: str, url: str) -> None:
+    def __init__(self, collector: BatchCollector, name: str, url: str) -> None:
         self._recording: Recording | None = None
         port = urlsplit(url.removeprefix("rerun+")).port
         # A connection to no server would block for seconds.
@@ -77,11 +77,11 @@ class _Screen:
             return
         self._recording = Recording(collector.plan, name, url=url)
 
-    def send(self, batch: Batch) -> None:
+    def send(self, batch: ReviewBatch) -> None:
         if self._recording is not None:
             self._recording.send(batch)
 
-    def settle(self, collector: Collector) -> None:
+    def settle(self, collector: BatchCollector) -> None:
         """Update the layout; return True while the viewer takes data."""
         if self._recording is None:
             return
@@ -138,7 +138,7 @@ def write_findings_review(folder: Path, rrd: Path) -> None:
         recording.close()
 
 
-def _send_findings(recording: Recording, found: Findings, plan: Plan) -> None:
+def _send_findings(recording: Recording, found: Findings, plan: ReviewPlan) -> None:
     recording.extend(plan)
     for entity, markdown in notes(found).items():
         recording.note(entity, markdown)
@@ -161,11 +161,11 @@ def follow(
     """
     with contextlib.ExitStack() as stack:
         reader = stack.enter_context(_reader(journal, stop))
-        collector = Collector(reader)
+        collector = BatchCollector(reader)
         name = journal.resolve().parent.name
         path = None if rrd is None else stack.enter_context(utf8_path(stack.enter_context(replacing(rrd))))
         recording = None if path is None else Recording(collector.plan, name, path=path)
-        file = None if recording is None else _File(recording)
+        file = None if recording is None else _ReviewFile(recording)
         screen = None if viewer is None else _Screen(collector, name, viewer)
         try:
             while True:

@@ -16,8 +16,8 @@ from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from hil.files import printable, utf8_path
-from hil.review.batches import Batch, Estimates, Rows, States, Texts
-from hil.review.plan import NEUTRAL, Colour, Panel, Plan, Stack, symbol, twin_colours
+from hil.review.batches import Estimates, ReviewBatch, Rows, States, Texts
+from hil.review.plan import NEUTRAL, Colour, Panel, ReviewPlan, Stack, symbol, twin_colours
 
 TIMELINE = "test_time"
 _SETTLED = 3
@@ -27,7 +27,7 @@ _AFTER_TIME = "  "
 class Recording:
     """Stream of a run to Rerun: to a file (`path`) or to a viewer (`url`), each with its own batches."""
 
-    def __init__(self, plan: Plan, name: str, *, path: Path | None = None, url: str | None = None) -> None:
+    def __init__(self, plan: ReviewPlan, name: str, *, path: Path | None = None, url: str | None = None) -> None:
         # A unique id: a viewer of the live stream must not merge the file into it.
         self._stream = rr.RecordingStream(printable(f"hil {plan.header.profile}"), recording_id=str(uuid.uuid4()))
         if path is not None:
@@ -39,20 +39,20 @@ class Recording:
         self._live = url is not None
         self._colours: dict[str, Colour] = {}
         self._send_styles(plan)
-        self._plan: Plan | None = None
+        self._plan: ReviewPlan | None = None
         self._units: set[str] = set()
 
-    def layout(self, plan: Plan, end_s: float) -> None:
+    def layout(self, plan: ReviewPlan, end_s: float) -> None:
         """Send the blueprint, time axes from 0 to `end_s`, s."""
         self._plan = plan
         self._stream.send_blueprint(_blueprint(plan, end_s, self._live))
 
     @property
-    def plan(self) -> Plan | None:
+    def plan(self) -> ReviewPlan | None:
         """Return the plan whose layout was sent last."""
         return self._plan
 
-    def extend(self, plan: Plan) -> None:
+    def extend(self, plan: ReviewPlan) -> None:
         """Add the styles of new entities of a plan; `layout` shows them."""
         self._send_styles(plan)
 
@@ -60,7 +60,7 @@ class Recording:
         """Send a text that holds at all times."""
         self._stream.log(entity, rr.TextDocument(printable(markdown), media_type=rr.MediaType.MARKDOWN), static=True)
 
-    def _send_styles(self, plan: Plan) -> None:
+    def _send_styles(self, plan: ReviewPlan) -> None:
         self._colours |= plan.colours
         for lines in plan.lines:
             style = rr.SeriesLines(
@@ -78,7 +78,7 @@ class Recording:
             colours = rr.StateConfiguration(values=states, labels=states, colors=list(lane.colours.values()))
             self._stream.log(lane.entity, colours, static=True)
 
-    def send(self, batch: Batch) -> None:
+    def send(self, batch: ReviewBatch) -> None:
         """Send one batch as one chunk."""
         times = [rr.TimeColumn(TIMELINE, duration=_nanoseconds(batch.time_s))]
         match batch:
@@ -133,7 +133,7 @@ def _text_columns() -> rrb.TextLogColumns:
     return rrb.TextLogColumns(timeline_columns=hidden, text_log_columns=shown)
 
 
-def _blueprint(plan: Plan, end_s: float, live: bool) -> rrb.Blueprint:
+def _blueprint(plan: ReviewPlan, end_s: float, live: bool) -> rrb.Blueprint:
     def view(panel: Panel, around: float) -> Any:
         margin = max(around, panel.margin)
         start = rrb.TimeRangeBoundary.absolute(seconds=-margin * end_s)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hil.files import replacing, utf8_path
 from hil.journal import Header
 from hil.review.batches import Rows
-from hil.review.plan import FAINT, NEUTRAL, ORANGE, TRACKED, Lines, Panel, Plan, Stack
+from hil.review.plan import FAINT, NEUTRAL, ORANGE, TRACKED, Lines, Panel, ReviewPlan, Stack
 from hil.review.rerun_io import Recording
 
 EVERY = 10
@@ -28,7 +28,7 @@ DEVIATIONS = {
     "bias": "bias of the outlet thermometer [K]",
 }
 BLUE = TRACKED["blue"]
-Columns = dict[str, NDArray[np.float64]]
+TableColumns = dict[str, NDArray[np.float64]]
 
 
 def write_tower_review(table: Path, rrd: Path, name: str) -> None:
@@ -54,13 +54,13 @@ def write_tower_review(table: Path, rrd: Path, name: str) -> None:
         recording.close()
 
 
-def _cells(table: Path) -> dict[int, Columns]:
+def _cells(table: Path) -> dict[int, TableColumns]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
         data = pq.read_table(table)
-        found: dict[int, Columns] = {}
+        found: dict[int, TableColumns] = {}
         number = np.asarray(data["cell"].to_numpy())
         time_s = data["time"].cast(pa.int64()).to_numpy().astype(np.float64) / 1e3
         for cell in np.unique(number):
@@ -90,7 +90,7 @@ def _thinned(values: NDArray[Any]) -> NDArray[np.float64]:
     return np.where(there.any(axis=1), total / np.maximum(there.sum(axis=1), 1), np.nan)
 
 
-def _curves(cell: int, c: Columns) -> list[tuple[str, NDArray[np.float64]]]:
+def _curves(cell: int, c: TableColumns) -> list[tuple[str, NDArray[np.float64]]]:
     base = f"/tower/cell{cell}"
     measured = c.get("t_out_measured", np.full(len(c["time_s"]), np.nan))
     twin = np.stack([c["t_out"], c["t_out_lo"], c["t_out_hi"], c["t_out_commissioned"]], axis=1)
@@ -102,7 +102,7 @@ def _curves(cell: int, c: Columns) -> list[tuple[str, NDArray[np.float64]]]:
     return found
 
 
-def _plan(cells: dict[int, Columns], name: str, end_s: float) -> Plan:
+def _plan(cells: dict[int, TableColumns], name: str, end_s: float) -> ReviewPlan:
     lines: list[Lines] = []
     tabs = []
     for cell in cells:
@@ -117,4 +117,4 @@ def _plan(cells: dict[int, Columns], name: str, end_s: float) -> Plan:
         error = Panel("lines", "reading minus twin [K]", (f"{base}/error",))
         panels = tuple(Panel("lines", title, (f"{base}/{d}",)) for d, title in DEVIATIONS.items())
         tabs.append(Stack("rows", (outlet, error, *panels), title=f"Cell {cell}"))
-    return Plan(Header((), {}, (), name, end_s, 1.0, {}), tuple(lines), (), tuple(tabs))
+    return ReviewPlan(Header((), {}, (), name, end_s, 1.0, {}), tuple(lines), (), tuple(tabs))

@@ -18,9 +18,10 @@ if TYPE_CHECKING:
         new_manifest,
         require_room,
     )
-    from hil.run_folder.manifest_check import require_settings, wrong_place
+    from hil.run_folder.manifest_check import DocumentShape, require_settings, wrong_place
 
 __all__ = [
+    "DocumentShape",
     "FolderLostError",
     "RunFolder",
     "RunFolderError",
@@ -43,6 +44,7 @@ __getattr__, __dir__ = lazy_names(
             "require_room",
         ),
         "manifest_check": (
+            "DocumentShape",
             "require_settings",
             "wrong_place",
         ),

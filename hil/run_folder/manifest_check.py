@@ -17,16 +17,18 @@ NetworkMode = Literal["shadow", "advisory", "controlled"]
 _REQUIRED = ("virtual", "mode", "speed", "seed", "calibrators", "network_mode")
 
 
-class _Shape(BaseModel):
+class DocumentShape(BaseModel):
+    """Base of the shapes of JSON documents: values of the declared types exactly, other keys with any value."""
+
     model_config = ConfigDict(extra="allow", strict=True)
 
 
-class _File(_Shape):
+class _ManifestFile(DocumentShape):
     path: str
     sha256: str
 
 
-class _Settings(_Shape):
+class _Settings(DocumentShape):
     mode: Mode = "real"
     speed: float = 1.0
     virtual: bool = False
@@ -39,7 +41,7 @@ class _Settings(_Shape):
     adopt: bool = False
 
 
-class _Segment(_Shape):
+class _Segment(DocumentShape):
     number: int
     from_s: float
     gap_s: float
@@ -51,17 +53,17 @@ class _Segment(_Shape):
     reason: str = ""
 
 
-class _Errors(_Shape):
+class _Errors(DocumentShape):
     columns: list[str]
     rows: dict[str, list[float | None]]
     noise_K: dict[str, float | None]
 
 
-class _Adoption(_Shape):
+class _ManifestAdoption(DocumentShape):
     sentence: str
 
 
-class _Manifest(_Shape):
+class _Manifest(DocumentShape):
     uid: str = ""
     started: str = ""
     ended: str | None = None
@@ -69,7 +71,7 @@ class _Manifest(_Shape):
     reason: str = ""
     host: str = ""
     versions: dict[str, str] = {}
-    files: dict[str, _File] = {}
+    files: dict[str, _ManifestFile] = {}
     settings: _Settings = Field(default_factory=_Settings)
     segments: list[_Segment] = []
     problems: list[str] = []
@@ -84,7 +86,7 @@ class _Manifest(_Shape):
     errors_K: _Errors | None = None
     bands: dict[str, dict[str, tuple[float | None, float | None]]] | None = None
     parameters: dict[str, dict[str, tuple[float, float | None, bool]]] | None = None
-    adoption: _Adoption | None = None
+    adoption: _ManifestAdoption | None = None
 
 
 _LONGEST_SHOWN = 40
@@ -145,4 +147,4 @@ def _as_tuples(document: Any) -> Any:
     return found
 
 
-__all__ = ["checked_manifest", "require_settings"]
+__all__ = ["DocumentShape", "checked_manifest", "require_settings"]

@@ -15,9 +15,9 @@ from drivers.virtual.plant import (
     FRAME_IDS,
     OPEN_CIRCUIT,
     Array,
-    Effect,
     Instruments,
     Plant,
+    PlantEffect,
     ThermocoupleModule,
 )
 from hil.profile import Profile
@@ -33,7 +33,7 @@ _START = (0.0, 1.0, 1.0)
 """Heater W, pump and fans before the first tick: the state in which a run leaves the rig."""
 
 
-def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: tuple[Effect, ...] = ()) -> Record:
+def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: tuple[PlantEffect, ...] = ()) -> Record:
     """Replay `profile` on the virtual rig's parts; one row a second, columns as `hil run` records them.
 
     Parameters
@@ -46,7 +46,7 @@ def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: 
 
 
 def direct_run(
-    profile: Profile, rig: Rig, plant: Plant, *, seed: int, unit: int, effects: tuple[Effect, ...] = ()
+    profile: Profile, rig: Rig, plant: Plant, *, seed: int, unit: int, effects: tuple[PlantEffect, ...] = ()
 ) -> tuple[Record, Array]:
     """Replay as `direct_record` on a given plant; return also the true temperatures of its junctions, (n, 9) degC,
     ordered as `CHANNELS`.

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         write_table,
     )
     from hil.tower.calibration.station_fit import calibrate as calibrate_station
-    from hil.tower.calibration.truth import Columns, compare, read_minutes, read_truth
+    from hil.tower.calibration.truth import TruthColumns, compare, read_minutes, read_truth
     from hil.tower.diagnose import adopt, diagnose_station, document, write_document
     from hil.tower.governance.records import RECORDS, check_records
     from hil.tower.governance.report_page import REPORT
@@ -51,8 +51,8 @@ __all__ = [
     "CellRecord",
     "CellResult",
     "Collected",
-    "Columns",
     "StationNotes",
+    "TruthColumns",
     "adopt",
     "align_station",
     "calibrate_station",
@@ -152,7 +152,7 @@ __getattr__, __dir__ = lazy_names(
         ),
         "station.description": ("read_station",),
         "calibration.truth": (
-            "Columns",
+            "TruthColumns",
             "compare",
             "read_minutes",
             "read_truth",

@@ -12,15 +12,15 @@ import numpy as np
 
 from hil.files.atomic import replacing
 from hil.record.raw import RecordError
-from hil.tower.calibration import Prepared, prepare_cells, step_openings, thermometer_steps
+from hil.tower.calibration import PreparedCell, prepare_cells, step_openings, thermometer_steps
 from hil.tower.station import TowerOutputError, iso
 from twin.network import Revision
 from twin.revisions import save_revision
 from twin.tower.calibration import CalibrationError, Fitted
 from twin.tower.diagnosis.adoption import adopted
-from twin.tower.diagnosis.search import CellCase, Finding, Hypothesis, TowerDiagnosis, search
-from twin.tower.diagnosis.validation import HeldOut
-from twin.tower.effects import UNITS, Effect
+from twin.tower.diagnosis.search import CellCase, CellHypothesis, ClaimedEffect, TowerDiagnosis, search
+from twin.tower.diagnosis.validation import HeldOutBlocks
+from twin.tower.effects import UNITS, CellEffect
 from twin.tower.smoother import Opening
 
 DOCUMENT = "diagnosis.json"
@@ -31,7 +31,7 @@ class StationDiagnosis:
     """Diagnosis of the cells of a station, and the cells as they were read."""
 
     record: Path
-    cells: tuple[Prepared, ...]
+    cells: tuple[PreparedCell, ...]
     found: TowerDiagnosis
 
 
@@ -90,7 +90,7 @@ def document(diagnosis: StationDiagnosis, revisions: Sequence[Path] = ()) -> dic
     }
 
 
-def _effect(finding: Finding, cell: int, effect: Effect) -> dict[str, Any]:
+def _effect(finding: ClaimedEffect, cell: int, effect: CellEffect) -> dict[str, Any]:
     entry: dict[str, Any] = {
         "kind": effect.kind,
         "driver": effect.named_driver(),
@@ -114,7 +114,7 @@ def _effect(finding: Finding, cell: int, effect: Effect) -> dict[str, Any]:
     return entry
 
 
-def _errors(before: HeldOut, after: HeldOut) -> dict[str, float | None]:
+def _errors(before: HeldOutBlocks, after: HeldOutBlocks) -> dict[str, float | None]:
     """Return mean absolute errors of the held-out weeks, and those about the median of each week, K."""
     return {
         "before": _number(before.mean_absolute()),
@@ -137,7 +137,7 @@ def says(entry: dict[str, Any]) -> str:
     )
 
 
-def _leading(one: Hypothesis) -> dict[str, Any]:
+def _leading(one: CellHypothesis) -> dict[str, Any]:
     effect = next(iter(one.effects.values()))
     return {
         "mechanism": one.candidate.name,

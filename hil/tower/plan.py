@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.record.raw import RecordError
 from hil.tower.station import iso, read_cell
-from twin.tower.cell import Deviations
+from twin.tower.cell import CellDeviations
 from twin.tower.identify import Identifiability
 from twin.tower.minutes import blocks_of, minutes_of
 from twin.tower.planning import StepTest, plan_tests
@@ -21,7 +21,7 @@ FEWEST_BLOCKS = 36
 
 
 @dataclass(frozen=True)
-class Plan:
+class StepTestPlan:
     """Step tests for a cell, best first, and what the day they start from tells without one."""
 
     cell: int
@@ -30,7 +30,7 @@ class Plan:
     tests: Sequence[StepTest]
 
 
-def plan(record: Path, twin: Path, warmer: float) -> Plan:
+def plan(record: Path, twin: Path, warmer: float) -> StepTestPlan:
     """Return the step tests of a cell, from the last day of the record on which it ran steadily for six hours.
 
     Raises:
@@ -47,11 +47,11 @@ def plan(record: Path, twin: Path, warmer: float) -> Plan:
     if not there:
         raise RecordError(f"{read.path}: has no day with six steady hours; give a record in which the cell runs")
     rows = np.flatnonzero(days == there[-1])
-    at = Deviations(*(value_of(network, IDS[name]) for name in ("fill", "air", "uniformity", "bias")))
+    at = CellDeviations(*(value_of(network, IDS[name]) for name in ("fill", "air", "uniformity", "bias")))
     sensors = ["outlet"]
     if np.isfinite(blocks.log_power[rows]).any() and design.power > 0.0:
         sensors.append("fan")
     if "basin_C" in read.columns and np.isfinite(read.columns["basin_C"]).any():
         sensors.append("basin")
     without, tests = plan_tests(design, blocks.operation.inputs.take(rows), at, sensors, warmer)
-    return Plan(cell, iso(float(there[-1]) * 86400.0)[:10], without, tests)
+    return StepTestPlan(cell, iso(float(there[-1]) * 86400.0)[:10], without, tests)

@@ -21,7 +21,7 @@ import numpy as np
 
 from hil.tracking.child_process import Child, Sender
 from hil.tracking.results import Results
-from hil.tracking.twins import Block, Comparison, Proposed, TrackingConfig, Twins, disturbance
+from hil.tracking.twins import Comparison, PredictionBlock, Proposed, TrackingConfig, Twins, disturbance
 
 MOST_OUTSTANDING = 4
 START_TIMEOUT_S = 120.0
@@ -52,10 +52,10 @@ class _Ready:
 
 
 @dataclass(frozen=True, slots=True)
-class _Reply:
+class _BlockReply:
     ticks: list[int]
     time_s: list[float]
-    block: Block
+    block: PredictionBlock
 
 
 def _serve(connection: Connection, config: TrackingConfig) -> None:
@@ -71,7 +71,7 @@ def _serve(connection: Connection, config: TrackingConfig) -> None:
             numbers, time_s, rows = ticks
             table = np.asarray(rows, dtype=np.float64)
             columns = {name: table[:, index] for index, name in enumerate(config.columns)}
-            connection.send(_Reply(numbers, time_s, twins.push(np.asarray(time_s), columns)))
+            connection.send(_BlockReply(numbers, time_s, twins.push(np.asarray(time_s), columns)))
         connection.send(twins.comparison())
     except (EOFError, BrokenPipeError):
         return
@@ -235,7 +235,7 @@ class TrackingProcess:
         except (EOFError, OSError):
             self._fail("the process ended")
             return
-        if isinstance(message, _Reply):
+        if isinstance(message, _BlockReply):
             self._outstanding -= 1
             self._write(message)
             self._pump()
@@ -245,7 +245,7 @@ class TrackingProcess:
             self._fail(f"{type(message).__name__}: {message}")
         self._room.set()
 
-    def _write(self, reply: _Reply) -> None:
+    def _write(self, reply: _BlockReply) -> None:
         assert self._journal is not None
         journal, block = self._journal, reply.block
         self.off_K = block.off_K

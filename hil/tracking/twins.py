@@ -43,7 +43,7 @@ class TrackingConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class Finished:
+class FinishedWindow:
     """Finished window of a calibrator; `document` as of `calibration_document`, and `outdone` if the static twin is
     better.
     """
@@ -64,14 +64,14 @@ class Proposed:
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class PredictionBlock:
     """Result of a block of n samples: predictions (n, m) degC by twin, and everything that was finished in it.
 
     `off_K`: (twin, sensor) -> mean of measured minus predicted, where anything was measured.
     """
 
     outputs: dict[str, NDArray[np.float64]]
-    calibrations: tuple[Finished, ...]
+    calibrations: tuple[FinishedWindow, ...]
     proposals: tuple[Proposed, ...]
     bands: tuple[Band, ...]
     off_K: dict[tuple[str, str], float] = field(default_factory=dict)
@@ -187,10 +187,10 @@ class Twins:
         """Return the calibrators that are not left out."""
         return tuple(self._trackers)
 
-    def push(self, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]) -> Block:
+    def push(self, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]) -> PredictionBlock:
         """Process a block of samples, time (n,) s and columns (n,), with every twin."""
         outputs: dict[str, NDArray[np.float64]] = {}
-        calibrations: list[Finished] = []
+        calibrations: list[FinishedWindow] = []
         proposals: list[Proposed] = []
         inputs, measured = self.network.select(columns)
         for name, tracker in self._trackers.items():
@@ -202,10 +202,10 @@ class Twins:
             for c, missed in zip(update.calibrations, update.window_errors, strict=True):
                 outdone = c.kind != "skipped" and self._prediction_errors[name].add(*missed)
                 document = calibration_document(c) | {"outdone": outdone}
-                calibrations.append(Finished(name, c.start_s, c.end_s, document))
+                calibrations.append(FinishedWindow(name, c.start_s, c.end_s, document))
         self._last |= {done.calibrator: done.document for done in calibrations if done.document["kind"] != "skipped"}
         bands = self._bands.push(time_s, measured, outputs)
-        return Block(outputs, tuple(calibrations), tuple(proposals), bands, self._off(measured, outputs))
+        return PredictionBlock(outputs, tuple(calibrations), tuple(proposals), bands, self._off(measured, outputs))
 
     def _off(
         self, measured: NDArray[np.float64], outputs: dict[str, NDArray[np.float64]]
@@ -225,7 +225,7 @@ class Twins:
 
     def over(
         self, time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]], rows: int
-    ) -> Iterator[tuple[int, Block]]:
+    ) -> Iterator[tuple[int, PredictionBlock]]:
         """Process a whole record in blocks of this many rows; yield the number of samples done and the result of each
         block.
 

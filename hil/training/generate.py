@@ -20,7 +20,7 @@ import numpy as np
 from hil.run.session.terminal import ProgressBar
 from hil.training.plant_windows import campaign as plant_campaign
 from hil.training.stopping import Stop
-from twin.calibrators.hiera_unet.campaigns import WINDOWS, Campaign, ends, label, simulated
+from twin.calibrators.hiera_unet.campaigns import WINDOWS, LabelledRecord, ends, label, simulated
 from twin.calibrators.hiera_unet.channels import table
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.parameters import Deviations
@@ -75,7 +75,7 @@ def generate(
     """
     features = features_of()
     family = Family(features.network, features.deviations)
-    makers: dict[str, tuple[int, Callable[[int, int], Campaign]]] = {
+    makers: dict[str, tuple[int, Callable[[int, int], LabelledRecord]]] = {
         "twin": (WINDOWS, lambda s, n: simulated(family, s, n)),
         "plant": (PLANT_WINDOWS, lambda s, n: plant_campaign(features, s, n)),
     }
@@ -172,7 +172,7 @@ def _shard(
     numbers: range,
     features: Features,
     seed: int,
-    make: Callable[[int, int], Campaign],
+    make: Callable[[int, int], LabelledRecord],
     each: int,
     step: Callable[[int], bool],
 ) -> dict[str, Any] | None:

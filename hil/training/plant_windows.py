@@ -16,14 +16,23 @@ from typing import Any
 import numpy as np
 
 from drivers.rig_file import load_rig
-from drivers.virtual.plant import CHANNELS, MODULES, Cells, Effect, Plant, ThermocoupleModule, build_cells, load_effects
+from drivers.virtual.plant import (
+    CHANNELS,
+    MODULES,
+    Cells,
+    Plant,
+    PlantEffect,
+    ThermocoupleModule,
+    build_cells,
+    load_effects,
+)
 from hil.synthetic.hidden_effects import LOADS, Setting, Truth, effects_text, profile, truth
 from hil.synthetic.plant_record import direct_run
-from twin.calibrators.hiera_unet.campaigns import AMISS, Campaign
+from twin.calibrators.hiera_unet.campaigns import AMISS, LabelledRecord
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.gaps import damaged
 from twin.calibrators.hiera_unet.parameters import LOSS, SUM
-from twin.calibrators.hiera_unet.series import Series, series
+from twin.calibrators.hiera_unet.series import ResampledSeries, series
 from twin.commissioning import CommissionOptions, commission
 from twin.network import Array, Network, TwinFileError
 from twin.twinfile import load
@@ -55,7 +64,7 @@ class Specimen:
     nominal: Array
 
 
-def campaign(features: Features, seed: int, number: int) -> Campaign:
+def campaign(features: Features, seed: int, number: int) -> LabelledRecord:
     """Return campaign `number` of a seed."""
     rng = np.random.default_rng([seed, number, 7])
     specimen = specimen_of(features, seed, number // PER_RIG)
@@ -67,10 +76,12 @@ def campaign(features: Features, seed: int, number: int) -> Campaign:
     made, clean = recorded(features, case, specimen, effects, start_C=float(rng.uniform(*WARM_C)))
     inputs, measured, gaps = damaged(rng, made.inputs, made.measured)
     extra = made.extra if rng.uniform() < 0.6 else {}
-    kept = Series(made.time, inputs, measured, made.spread, extra, made.hour if rng.uniform() < 0.7 else float("nan"))
+    kept = ResampledSeries(
+        made.time, inputs, measured, made.spread, extra, made.hour if rng.uniform() < 0.7 else float("nan")
+    )
     theta, amiss = equivalent_deviations(features, effects, made.time)
     words = () if not hidden.effects else (hidden.what,)
-    return Campaign(kept, clean, theta, amiss, specimen.nominal, "plant", (*words, *gaps))
+    return LabelledRecord(kept, clean, theta, amiss, specimen.nominal, "plant", (*words, *gaps))
 
 
 def _tracked(rng: np.random.Generator) -> Truth:
@@ -97,8 +108,12 @@ def _load(rng: np.random.Generator) -> str:
 
 
 def recorded(
-    features: Features, case: Setting, specimen: Specimen, effects: tuple[Effect, ...], start_C: float | None = None
-) -> tuple[Series, Array]:
+    features: Features,
+    case: Setting,
+    specimen: Specimen,
+    effects: tuple[PlantEffect, ...],
+    start_C: float | None = None,
+) -> tuple[ResampledSeries, Array]:
     """Return a record on the network's own steps, and fault-free sensor readings there (n, Y)."""
     columns, junctions, time = run(case, specimen, effects, start_C)
     made = series(features.network, time, columns, extra=features.table.extra, hour=START_HOUR)
@@ -109,7 +124,7 @@ def recorded(
 
 
 def run(
-    case: Setting, specimen: Specimen, effects: tuple[Effect, ...], start_C: float | None = None
+    case: Setting, specimen: Specimen, effects: tuple[PlantEffect, ...], start_C: float | None = None
 ) -> tuple[dict[str, Array], Array, Array]:
     """Return columns, true junctions and stamps of a record."""
     rig = load_rig(RIG)
@@ -162,14 +177,16 @@ def scattered(rng: np.random.Generator) -> Cells:
     return built._replace(**changed)
 
 
-def _loaded(text: str) -> tuple[Effect, ...]:
+def _loaded(text: str) -> tuple[PlantEffect, ...]:
     with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as file:
         file.write(text)
         file.flush()
         return load_effects(Path(file.name))
 
 
-def equivalent_deviations(features: Features, effects: tuple[Effect, ...], time: Array) -> tuple[Array, np.ndarray]:
+def equivalent_deviations(
+    features: Features, effects: tuple[PlantEffect, ...], time: Array
+) -> tuple[Array, np.ndarray]:
     """Return deviations (n, P) equivalent to the effects, NaN for approximate ones, and the presence of a fault."""
     deviations = features.deviations
     theta: Array = np.zeros((len(time), len(deviations)))
@@ -189,7 +206,7 @@ def equivalent_deviations(features: Features, effects: tuple[Effect, ...], time:
     return theta, amiss
 
 
-def _law(effect: Effect, time: Array) -> Array:
+def _law(effect: PlantEffect, time: Array) -> Array:
     """Return a heat source's course (n,) without its envelope; NaN if it follows an unknown variable."""
     if effect.driver == "constant":
         return np.ones(len(time))
@@ -199,7 +216,7 @@ def _law(effect: Effect, time: Array) -> Array:
     return np.full(len(time), np.nan)
 
 
-def _stands_in(effect: Effect, where: str, parameter: str) -> bool:
+def _stands_in(effect: PlantEffect, where: str, parameter: str) -> bool:
     """Return True if an effect acts as this parameter of the twin, though not exactly."""
     if effect.kind == "heat_rejection" or (effect.kind == "flow" and where == "radiator"):
         return parameter == "UA_100"

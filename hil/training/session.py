@@ -69,7 +69,7 @@ def train(
     """Continue the training in `folder` until it is stopped, or to its end; then write the network to `out`.
 
     Args:
-        name: of the configuration. plan: `twin.calibrators.hiera_unet.plan.Plan`. out: the weights' path.
+        name: of the configuration. plan: `twin.calibrators.hiera_unet.plan.TrainingPlan`. out: the weights' path.
         stop: ends the work in order. command: that makes this training again, for the card.
         without: pieces to leave out, see `hil.training.ablation`.
 

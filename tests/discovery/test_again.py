@@ -10,7 +10,7 @@ from tests.discovery.conftest import Bench
 from tests.twin.conftest import LOOP
 from twin.discovery.effects.catalogue import catalogue, extended, sized
 from twin.discovery.engine import diagnose
-from twin.discovery.healthy.basis import Commissioned
+from twin.discovery.healthy.basis import CommissionedRecord
 from twin.discovery.healthy.health import NotHealthyError
 from twin.elements.base import Candidate
 from twin.network import Network
@@ -72,7 +72,7 @@ def test_a_healthy_record_from_before_an_adoption_is_read_by_the_twin_of_then(be
     good, later = bench.record(10.0, seed=7), Bench(own).record(16.0)
     with pytest.raises(NotHealthyError, match="does not fit the twin"):
         diagnose(own, later, good)
-    before = Commissioned(good.time_s, good.inputs, good.measured, before=(bench.network,))
+    before = CommissionedRecord(good.time_s, good.inputs, good.measured, before=(bench.network,))
     answer = diagnose(own, later, before)
     assert answer.verdict == "adequate"
     (note,) = (note for note in answer.notes if "before the twin's last changes" in note)

@@ -19,7 +19,7 @@ from twin.discovery.effects.statement import disturbance_statement
 from twin.discovery.engine import diagnose
 from twin.discovery.growing.answer import diagnose_grown
 from twin.discovery.healthy.basis import Columns
-from twin.discovery.leads.concentration import Squares, input_ranges, segments
+from twin.discovery.leads.concentration import ResidualSquares, input_ranges, segments
 from twin.discovery.leads.rows import suspicious_inputs, suspicious_readings, suspicious_states
 from twin.discovery.leads.words import place_leads
 from twin.network import Array
@@ -34,9 +34,9 @@ def _white(seed: int) -> Array:
     return np.random.default_rng(seed).standard_normal((BLOCKS, SENSORS))
 
 
-def _squares(white: Array) -> Squares:
+def _squares(white: Array) -> ResidualSquares:
     known = np.isfinite(white)
-    return Squares((np.where(known, white, 0.0) ** 2).sum(axis=1), known.sum(axis=1))
+    return ResidualSquares((np.where(known, white, 0.0) ** 2).sum(axis=1), known.sum(axis=1))
 
 
 def _inputs(seed: int) -> Array:

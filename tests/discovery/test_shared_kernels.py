@@ -7,7 +7,7 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from twin.discovery.effects.catalogue import catalogue
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.probe import Probe
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.healthy.basis import Columns
@@ -39,7 +39,14 @@ def test_a_set_of_effects_reads_the_same_in_the_shared_kernel_and_alone(
         for kind in kinds
     ]
     entries = tuple(
-        Entry(Law(c, None, None), shape if "ramp" in c.shapes else Shape("step", 7200.0), np.empty(0), 1.0, 0.0, 0.0)
+        Entry(
+            CandidateLaw(c, None, None),
+            shape if "ramp" in c.shapes else Shape("step", 7200.0),
+            np.empty(0),
+            1.0,
+            0.0,
+            0.0,
+        )
         for c, shape in zip(chosen, SHAPES, strict=False)
     )
     assert probe.kernels.holding(tuple(chosen)) is not None

@@ -13,11 +13,11 @@ from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
 from twin.discovery.refit.fitting import fit
 from twin.discovery.refit.model import Model
-from twin.discovery.refit.stepping import LEAST, Squares, bounded, minimise
+from twin.discovery.refit.stepping import LEAST, LeastSquaresProblem, bounded, minimise
 from twin.discovery.scoring.search import Entry
 
 
-def smooth(wanted: np.ndarray, reach: float = np.inf, unit: float = 1.0) -> Squares:
+def smooth(wanted: np.ndarray, reach: float = np.inf, unit: float = 1.0) -> LeastSquaresProblem:
     """Decays a exp(-b t) + c t against what they are at `wanted`; a in a `unit` of its own."""
     t = np.linspace(0.0, 4.0, 30)
 
@@ -34,7 +34,7 @@ def smooth(wanted: np.ndarray, reach: float = np.inf, unit: float = 1.0) -> Squa
     scale = np.array([1.0 / unit, 1.0, 1.0])
     low, high = np.array([-5.0, 0.05, -1.0]) * scale, np.array([5.0, 3.0, 1.0]) * scale
     precision = 0.01 * np.diag(scale**-2)
-    return Squares(look, slopes, precision, low, high, reach * scale, np.arange(0), 1.0, scale)
+    return LeastSquaresProblem(look, slopes, precision, low, high, reach * scale, np.arange(0), 1.0, scale)
 
 
 @settings(max_examples=40, deadline=None)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.diagnosis.session import DiagnosisRequest, Prepared, Written
+from hil.diagnosis.session import DiagnosisRequest, PreparedDiagnosis, Written
 from hil.explain.experiment import RigChoice
 from hil.explain.explanation import Experiment, Round
 from hil.explain.session import ExplainRequest
@@ -82,11 +82,11 @@ class Scripted:
         self.asked: list[str] = []
         self.notes: list[str] = []
 
-    def diagnose(self, ready: Prepared, number: int) -> Diagnosis:
+    def diagnose(self, ready: PreparedDiagnosis, number: int) -> Diagnosis:
         self.given.append(len(ready.request.more))
         return self._diagnoses.pop(0)
 
-    def show(self, ready: Prepared, found: Diagnosis, written: Written, one: Round) -> None:
+    def show(self, ready: PreparedDiagnosis, found: Diagnosis, written: Written, one: Round) -> None:
         pass
 
     def approve(self, experiment: Experiment, run: RunRequest, notes: Sequence[str]) -> bool:

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from hil.run.outputs.deviations import Deviations
+from hil.run.outputs.deviations import ReadbackDeviations
 from tests.hil.engine_bench import EngineBench
 from tests.hil.simulated_rig import SHIPPED, rig_with
 
@@ -15,7 +15,7 @@ HOUR = 3600
 
 def run(reading_of, asked_of=lambda tick: 700.0, ticks: int = HOUR) -> list[str]:
     """What deviates after `ticks` seconds; `reading_of(tick, asked)` is what the power meter shows."""
-    deviations = Deviations(SHIPPED)
+    deviations = ReadbackDeviations(SHIPPED)
     for tick in range(ticks):
         asked = {"heater_power_set": asked_of(tick), "pump_speed_set": 90.0, "fan_speed_set": 70.0}
         readings = {"heater_power": reading_of(tick, asked["heater_power_set"]), "pump_speed": 90.0, "fan_speed": 70.0}

@@ -19,9 +19,9 @@ from drivers.virtual.plant.effects import (
     READINGS,
     SHAPES,
     SWITCHES,
-    Effect,
     EffectFileError,
     Form,
+    PlantEffect,
     bounds_of,
     load_effects,
     needs_ramp,
@@ -101,7 +101,7 @@ def test_there_is_a_heading_for_every_kind_and_no_other():
 def test_every_common_key_is_named_with_its_default_and_no_other():
     rows = PAGE.keys("[[effect]]")
     assert tuple(rows) == COMMON
-    for field in dataclasses.fields(Effect):
+    for field in dataclasses.fields(PlantEffect):
         if field.name.endswith("_s"):
             shown = "none" if field.default == inf else f"`{field.default:g}`"
             assert rows[field.name]["Default"] == shown, field.name
@@ -172,7 +172,7 @@ def test_what_must_be_given_is_missed_and_nothing_else(tmp_path, table):
 @pytest.mark.parametrize(
     "effect",
     [
-        Effect(
+        PlantEffect(
             "heat_loss",
             "pipe_to_modules",
             "temperature_difference",
@@ -180,7 +180,7 @@ def test_what_must_be_given_is_missed_and_nothing_else(tmp_path, table):
             60.0,
             shape={"exponent": SHAPES["exponent"][1]},
         ),
-        Effect(
+        PlantEffect(
             "thermal_mass",
             "tank",
             "history",

@@ -16,7 +16,7 @@ import pytest
 from hil.diagnosis.experiment_file import write_experiment
 from hil.diagnosis.session import Written
 from hil.explain import session
-from hil.explain.explanation import DOCUMENT, PAGE, File
+from hil.explain.explanation import DOCUMENT, PAGE, HashedFile
 from hil.run.session.interrupted_run import request_of as request_of_run
 from hil.run_folder.folder import RunFolder, new_manifest
 from tests.hil.command_line import typed
@@ -173,7 +173,7 @@ def test_a_trip_in_an_experiment_ends_it_safe_and_is_named(tmp_path: Path, open_
     path = tmp_path / "out" / DOCUMENT
     document = json.loads(path.read_text(encoding="utf-8"))
     # The plan counts as made for this rig, so that it is run as it is.
-    document["rounds"][0]["next"]["rig"] = File.of(tmp_path / "cool.toml").model_dump()
+    document["rounds"][0]["next"]["rig"] = HashedFile.of(tmp_path / "cool.toml").model_dump()
     path.write_text(json.dumps(document), encoding="utf-8")
     done = typed(*asked_of(tmp_path, open_case, "--virtual", "--lockstep", "--yes", "--rig", tmp_path / "cool.toml"))
     assert done.returncode == 1, done.stderr

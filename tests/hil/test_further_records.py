@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from hil.diagnosis.columns import further_columns
-from hil.record import Reading
+from hil.record import ReadingOptions
 from tests.discovery.conftest import Bench
 from tests.hil.made_diagnosis import made
 from tests.hil.made_record import written
@@ -80,6 +80,6 @@ def test_options_for_a_foreign_record_do_not_change_the_record_of_a_run(tmp_path
         written(bench.network, made_record, folder / f"{name}.parquet")
         for folder, name in ((tmp_path, "foreign"), (tmp_path / "run", "record"))
     ]
-    foreign, run = further_columns(bench.network, paths, None, Reading(time_scale=60.0)).values()
+    foreign, run = further_columns(bench.network, paths, None, ReadingOptions(time_scale=60.0)).values()
     assert foreign.time_s[-1] == 60.0 * made_record.time_s[-1]
     assert run.time_s[-1] == made_record.time_s[-1]

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from drivers.signals.units import PLAUSIBLE, SUFFIX_OF_UNIT, column_name
-from hil.record.reader import Reading, Record, RecordError, read_record
+from hil.record.reader import ReadingOptions, Record, RecordError, read_record
 from hil.record.values.numbers import readings
 
 POWERS = [480 + 37 * k for k in range(30)]
@@ -21,7 +21,7 @@ POWERS = [480 + 37 * k for k in range(30)]
 def _read(tmp_path: Path, text: str, **choice: object) -> Record:
     path = tmp_path / "numbers.csv"
     path.write_text(text, encoding="utf-8")
-    return read_record(path, choice=Reading(**choice))  # type: ignore[arg-type]
+    return read_record(path, choice=ReadingOptions(**choice))  # type: ignore[arg-type]
 
 
 def _table(heading: str, row: Callable[[int], str], rows: int = 30) -> str:

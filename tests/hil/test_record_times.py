@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from hil.record.reader import Reading, Record, RecordError, read_record
+from hil.record.reader import ReadingOptions, Record, RecordError, read_record
 
 BEGIN = datetime.datetime(2026, 3, 4, 23, 40, tzinfo=datetime.UTC)
 STEP = datetime.timedelta(minutes=2)
@@ -24,7 +24,7 @@ def _read(tmp_path: Path, heading: str, stamps: list[str], **choice: object) -> 
     between = ";" if ";" in heading else ","
     rows = "".join(f"{stamp}{between}{20 + k}\n" for k, stamp in enumerate(stamps))
     path.write_text(f"{heading}\n{rows}", encoding="utf-8")
-    return read_record(path, choice=Reading(**choice))  # type: ignore[arg-type]
+    return read_record(path, choice=ReadingOptions(**choice))  # type: ignore[arg-type]
 
 
 def _written(pattern: str) -> list[str]:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from drivers.signals.points import Quality, Signal
-from hil.journal.rows import Samples
+from hil.journal.rows import JournalSamples
 from hil.journal.writer import Header, JournalWriter
-from hil.report.figures import MEASURED, Curves, pictures
+from hil.report.figures import MEASURED, RunCurves, pictures
 from hil.report.page import write_report
 from hil.report.statistics import NONE, number, set_against_read, signal_statistics, time_unit
 from hil.run_folder.folder import RunFolder, new_manifest
@@ -28,7 +28,7 @@ SIGNALS = (
 )
 
 
-def samples(ticks: int = 200, period_s: float = 1.0) -> Samples:
+def samples(ticks: int = 200, period_s: float = 1.0) -> JournalSamples:
     """A heater that reads 2 W less than its set-point, which is raised half way, and a thermometer without a value."""
     time_s = np.arange(ticks) * period_s
     wanted = np.where(time_s < time_s[-1] / 2, 100.0, 300.0)
@@ -38,7 +38,7 @@ def samples(ticks: int = 200, period_s: float = 1.0) -> Samples:
     quality = np.zeros(values.shape, dtype=np.uint8)
     quality[:, 5] = Quality.SENSOR_FAULT
     values[3:4, 4], quality[3:4, 4] = 900.0, Quality.OUT_OF_RANGE
-    return Samples(np.arange(ticks), time_s, values, quality, np.zeros(values.shape))
+    return JournalSamples(np.arange(ticks), time_s, values, quality, np.zeros(values.shape))
 
 
 def header(period_s: float = 1.0) -> Header:
@@ -86,7 +86,7 @@ def test_a_number_that_is_not_known_is_a_dash():
     assert [number(value) for value in (None, float("nan"), float("inf"), 1.25)] == [NONE, NONE, NONE, "1.25"]
 
 
-def made(path, told: Samples, about: Header) -> RunFolder:
+def made(path, told: JournalSamples, about: Header) -> RunFolder:
     """A run without a twin, of these samples."""
     path.mkdir()
     folder = RunFolder(path)
@@ -118,7 +118,7 @@ def test_a_run_without_a_twin_shows_every_signal_in_numbers_and_pictures(tmp_pat
 def test_the_shortest_runs_are_reported(tmp_path, ticks):
     told = samples(max(ticks, 1))
     if not ticks:
-        told = Samples(told.tick[:0], told.time_s[:0], told.values[:0], told.quality[:0], told.source_time_s[:0])
+        told = JournalSamples(told.tick[:0], told.time_s[:0], told.values[:0], told.quality[:0], told.source_time_s[:0])
     page = page_of(made(tmp_path / "run", told, header()))
     assert "nan" not in re.sub(r"base64,[^\"]*|Provenance", "", page)
 
@@ -151,14 +151,14 @@ class Drawn:
         return ""
 
 
-def curves(ticks: int = 300, **changes: object) -> Curves:
+def curves(ticks: int = 300, **changes: object) -> RunCurves:
     truth = make(ticks)
-    told = Samples(np.arange(ticks), truth.time_s, truth.values, truth.quality, np.zeros(truth.values.shape))
+    told = JournalSamples(np.arange(ticks), truth.time_s, truth.values, truth.quality, np.zeros(truth.values.shape))
     columns = [signal.column for signal in truth.header.signals]
     measured = {"T_tank_C": truth.values[:, columns.index("T_tank_C")]}
     twins = {name: values[:, 3:] for name, values in truth.twins.items()}
     return replace(
-        Curves(truth.header, told, measured, twins, np.zeros(0, dtype=np.int64), time_unit(ticks)), **changes
+        RunCurves(truth.header, told, measured, twins, np.zeros(0, dtype=np.int64), time_unit(ticks)), **changes
     )
 
 

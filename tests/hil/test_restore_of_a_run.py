@@ -10,7 +10,7 @@ import pytest
 from drivers.signals.points import Quality
 from hil.journal.profile_clock import profile_times
 from hil.journal.rows import StateRow
-from hil.journal.states import Event, State
+from hil.journal.states import RunEvent, State
 from hil.run.engine.operator import RefusedError, Verb
 from hil.run.engine.supervisor import Supervisor
 from hil.run.restore.thermal_restore import SETTLE_S
@@ -240,12 +240,12 @@ async def test_what_is_asked_while_a_run_is_armed_is_obeyed_before_anything_move
     supervisor = Supervisor(rig, points, log=lambda step: None, note=lambda level, text: None)
     with pytest.raises(RefusedError, match="a run that is idle can only be aborted"):
         await supervisor.ask(Verb.PAUSE, "too early")
-    for event in (Event.VALIDATE, Event.CONNECT, Event.RESTORE):
+    for event in (RunEvent.VALIDATE, RunEvent.CONNECT, RunEvent.RESTORE):
         supervisor.machine.take(event, "")
     asked = asyncio.create_task(supervisor.ask(Verb.PAUSE, "the tank is open"))
     await asyncio.sleep(0)
     assert not asked.done()
-    supervisor.machine.take(Event.START, "armed")
+    supervisor.machine.take(RunEvent.START, "armed")
     assert supervisor.step(await SimulatedRig(rig).read(), 0.0, {}, {}) is None
     assert (supervisor.state, supervisor.machine.reason) == (State.PAUSED, "the tank is open")
     supervisor.answer("paused")

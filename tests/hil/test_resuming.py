@@ -10,7 +10,7 @@ import pytest
 
 from drivers.rig.connection import RigConnection
 from drivers.signals.points import Quality
-from hil.journal.states import Event, State, next_state
+from hil.journal.states import RunEvent, State, next_state
 from hil.journal.writer import Header, JournalError, JournalWriter
 from hil.run.session.interrupted_run import position_of
 from hil.run_folder.folder import BYTES_PER_TICK, RunFolder, RunFolderError, require_room
@@ -30,7 +30,7 @@ class Story:
         self._journal = JournalWriter(self.folder.journal, Header(SIGNALS, {}, (), "load", 9000.0, period_s, {}))
         self._state, self._tick, self._profile_s = State.RESTORING, 0, 0.0
 
-    def then(self, event: Event, ticks: int, temperature_C: float, bad: tuple[str, ...] = ()) -> Story:
+    def then(self, event: RunEvent, ticks: int, temperature_C: float, bad: tuple[str, ...] = ()) -> Story:
         """Take `event`, then `ticks` at a temperature; `bad` sensors have no good value."""
         target = next_state(self._state, event)
         assert target is not None
@@ -60,19 +60,19 @@ class Story:
 @pytest.mark.parametrize(
     ("first", "then"),
     [
-        (Event.ABORT, ()),  # SIGTERM, SIGINT, `hil ctl abort`
-        (Event.FAIL, ()),  # a trip, a lost link, a full disk, a defect
-        (Event.PAUSE, ()),  # killed while somebody topped up the tank
-        (Event.PAUSE, (Event.ABORT,)),
-        (Event.WARN, ()),
-        (Event.WARN, (Event.PAUSE, Event.FAIL)),
-        (Event.TRIP, (Event.FAIL,)),  # nobody acknowledged it
+        (RunEvent.ABORT, ()),  # SIGTERM, SIGINT, `hil ctl abort`
+        (RunEvent.FAIL, ()),  # a trip, a lost link, a full disk, a defect
+        (RunEvent.PAUSE, ()),  # killed while somebody topped up the tank
+        (RunEvent.PAUSE, (RunEvent.ABORT,)),
+        (RunEvent.WARN, ()),
+        (RunEvent.WARN, (RunEvent.PAUSE, RunEvent.FAIL)),
+        (RunEvent.TRIP, (RunEvent.FAIL,)),  # nobody acknowledged it
     ],
 )
 def test_a_rig_is_restored_to_where_the_profile_left_it_not_to_where_it_cooled_since(tmp_path, first, then):
-    story = Story(tmp_path).then(Event.START, 300, HOT_C)
+    story = Story(tmp_path).then(RunEvent.START, 300, HOT_C)
     for event in (first, *then):
-        story.then(event, 200 if event is not Event.FAIL else 0, COOL_C)
+        story.then(event, 200 if event is not RunEvent.FAIL else 0, COOL_C)
     found = position_of(story.end())
     assert set(found.aim.values()) == {HOT_C}
     assert len(found.aim) == sum(signal.unit == "degC" and signal.role != "T_ambient" for signal in SIGNALS)
@@ -80,7 +80,12 @@ def test_a_rig_is_restored_to_where_the_profile_left_it_not_to_where_it_cooled_s
 
 
 def test_what_was_held_is_restored_to_where_the_hold_had_brought_it(tmp_path):
-    story = Story(tmp_path).then(Event.START, 300, COOL_C).then(Event.HOLD, 200, HOT_C).then(Event.PAUSE, 100, COOL_C)
+    story = (
+        Story(tmp_path)
+        .then(RunEvent.START, 300, COOL_C)
+        .then(RunEvent.HOLD, 200, HOT_C)
+        .then(RunEvent.PAUSE, 100, COOL_C)
+    )
     found = position_of(story.end())
     assert set(found.aim.values()) == {HOT_C}
     assert found.profile_s == pytest.approx(300.0, abs=1.0)
@@ -89,14 +94,14 @@ def test_what_was_held_is_restored_to_where_the_hold_had_brought_it(tmp_path):
 @pytest.mark.parametrize("period_s", [0.1, 1.0])
 def test_a_sensor_whose_loss_ended_the_run_is_still_restored_to_its_last_good_values(tmp_path, period_s):
     ticks = round(6.0 / period_s)
-    story = Story(tmp_path, period_s).then(Event.START, 900, HOT_C)
-    story.then(Event.HOLD, 0, HOT_C).then(Event.RESUME, ticks, HOT_C, bad=("T_pm2", "T_tank"))
-    found = position_of(story.then(Event.FAIL, 0, COOL_C).end())
+    story = Story(tmp_path, period_s).then(RunEvent.START, 900, HOT_C)
+    story.then(RunEvent.HOLD, 0, HOT_C).then(RunEvent.RESUME, ticks, HOT_C, bad=("T_pm2", "T_tank"))
+    found = position_of(story.then(RunEvent.FAIL, 0, COOL_C).end())
     assert found.aim["T_pm2"] == found.aim["T_tank"] == found.aim["T_heater"] == HOT_C
 
 
 def test_a_sensor_that_was_lost_for_long_is_not_restored_to_what_it_said_long_ago(tmp_path):
-    story = Story(tmp_path).then(Event.START, 300, COOL_C).then(Event.HOLD, 120, HOT_C, bad=("T_pm2",))
+    story = Story(tmp_path).then(RunEvent.START, 300, COOL_C).then(RunEvent.HOLD, 120, HOT_C, bad=("T_pm2",))
     found = position_of(story.end())
     assert "T_pm2" not in found.aim
     assert found.aim["T_heater"] == HOT_C
@@ -107,7 +112,7 @@ def test_a_run_that_never_had_a_sample_says_so(tmp_path):
     with pytest.raises(RunFolderError, match=sentence):
         position_of(RunFolder(tmp_path))
     with pytest.raises(RunFolderError, match=sentence):
-        position_of(Story(tmp_path / "a").then(Event.FAIL, 0, COOL_C).end())
+        position_of(Story(tmp_path / "a").then(RunEvent.FAIL, 0, COOL_C).end())
 
 
 def test_a_journal_that_was_cut_while_it_was_made_says_so(tmp_path):

@@ -17,7 +17,7 @@ from hypothesis.stateful import (
 )
 
 from drivers.signals.points import Quality
-from hil.journal.states import ENDED, LIVE, TABLE, UNTOUCHED, Event, State, StateMachine, Transition, TransitionError
+from hil.journal.states import ENDED, LIVE, TABLE, UNTOUCHED, RunEvent, State, StateMachine, Transition, TransitionError
 from hil.run.engine.operator import Verb
 from tests.hil.engine_bench import EngineBench, cut_at
 from tests.hil.simulated_rig import rig_with
@@ -34,18 +34,18 @@ def test_from_every_state_there_is_a_way_to_an_end_and_none_leads_out_of_one():
         if state in ENDED:
             assert not ways
             continue
-        assert {Event.ABORT, Event.FAIL} <= set(ways), state
+        assert {RunEvent.ABORT, RunEvent.FAIL} <= set(ways), state
         if state in LIVE | {State.RESTORING}:
-            assert ways[Event.ABORT] is ways[Event.FAIL] is State.FINISHING
+            assert ways[RunEvent.ABORT] is ways[RunEvent.FAIL] is State.FINISHING
         if state in UNTOUCHED:
-            assert ways[Event.FAIL] is State.FAULTED
+            assert ways[RunEvent.FAIL] is State.FAULTED
 
 
 def test_a_way_that_is_not_in_the_table_is_refused_and_changes_nothing():
     told: list[Transition] = []
     machine = StateMachine(told.append)
     with pytest.raises(TransitionError, match="idle knows no resume"):
-        machine.take(Event.RESUME, "why not")
+        machine.take(RunEvent.RESUME, "why not")
     assert machine.state is State.IDLE
     assert not told
 
@@ -206,10 +206,10 @@ def test_whatever_happens_the_heater_is_safe_within_a_second_unless_it_runs_is_h
         run_state_machine_as_test(kind, settings=checked)
     assert set(VISITED) >= {state.value for state in State if state is not State.IDLE}
     restoring = {key for key in TABLE if State.RESTORING in (key[0], TABLE[key]) and key[0] not in UNTOUCHED}
-    of_operators = {key for key in restoring if key[1] in (Event.HOLD, Event.PAUSE, Event.RESTORE)}
+    of_operators = {key for key in restoring if key[1] in (RunEvent.HOLD, RunEvent.PAUSE, RunEvent.RESTORE)}
     assert len(of_operators) == 5
     assert of_operators <= set(TAKEN)
-    reachable = {key for key in TABLE if key[0] not in UNTOUCHED and key != (State.RESTORING, Event.ABORT)}
+    reachable = {key for key in TABLE if key[0] not in UNTOUCHED and key != (State.RESTORING, RunEvent.ABORT)}
     missing = {(s.value, e.value) for s, e in reachable} - set(TAKEN)
     print(f"{sum(TAKEN.values())} transitions in {VISITED['restoring']} runs; not taken: {sorted(missing)}")
     assert len(missing) <= 12  # which ones chance leaves out depends on what else hypothesis has seen

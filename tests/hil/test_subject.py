@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.cli.options.subject import Subject, SubjectError, subject_of
+from hil.cli.options.subject import RecordAndTwin, SubjectError, subject_of
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def run(tmp_path: Path) -> Path:
 
 
 def test_a_run_brings_its_twin_and_takes_another(run: Path, tmp_path: Path) -> None:
-    assert subject_of(run, None) == Subject(run / "record.parquet", run / "twin.toml", run)
+    assert subject_of(run, None) == RecordAndTwin(run / "record.parquet", run / "twin.toml", run)
     other = tmp_path / "other.toml"
     other.write_bytes(b"")
     assert subject_of(run, other).twin == other

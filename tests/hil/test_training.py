@@ -33,7 +33,7 @@ from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
 from twin.calibrators.hiera_unet.device import ready  # noqa: E402
 from twin.calibrators.hiera_unet.hiding import hide  # noqa: E402
 from twin.calibrators.hiera_unet.network import HieraUNet  # noqa: E402
-from twin.calibrators.hiera_unet.plan import Plan  # noqa: E402
+from twin.calibrators.hiera_unet.plan import TrainingPlan  # noqa: E402
 from twin.calibrators.hiera_unet.train import Physics  # noqa: E402
 from twin.network import TwinFileError  # noqa: E402
 
@@ -60,7 +60,7 @@ def trained(
     say: Callable[[int, Stop], None] | None = None,
 ) -> session.TrainingProgress:
     stop = Stop(minutes)
-    plan = Plan(steps=4, batch=5, pairs=1, seed=seed)
+    plan = TrainingPlan(steps=4, batch=5, pairs=1, seed=seed)
     return session.train(
         data,
         "small",
@@ -149,7 +149,7 @@ def test_minutes_are_of_simulating_too_and_the_command_goes_on(tmp_path: Path, m
 
 
 def test_the_command_of_a_card_simulates_and_trains_the_same_again(tmp_path: Path) -> None:
-    plan = Plan(steps=2500, batch=9, seed=3)
+    plan = TrainingPlan(steps=2500, batch=9, seed=3)
     line = again("full", plan, "cpu", 1, ("gates",), anywhere(tmp_path / "my data"), 1, 8000)
     assert str(tmp_path) not in line and anywhere(Path("training/loop")) == "training/loop"
     words = shlex.split(line)
@@ -178,7 +178,7 @@ def test_members_of_other_data_and_leaking_ones_are_left_out(data: TrainingData,
 
 def test_what_is_left_out_is_gone_and_the_rest_is_not() -> None:
     features = features_of()
-    config, plan = binding.config_for("small", features.network, features.table, features.deviations), Plan()
+    config, plan = binding.config_for("small", features.network, features.table, features.deviations), TrainingPlan()
     rng = np.random.default_rng(0)
     n = len(features.table)
     base = fake.windows(2)
@@ -206,7 +206,7 @@ def test_what_is_left_out_is_gone_and_the_rest_is_not() -> None:
 
 
 def test_without_the_hierarchy_everything_is_at_the_steps_of_the_record_and_still_causal(data: TrainingData) -> None:
-    config, _, _ = without(("hierarchy",), fake.config(), Plan(), data)
+    config, _, _ = without(("hierarchy",), fake.config(), TrainingPlan(), data)
     torch.manual_seed(0)
     network = HieraUNet(config).eval()
     torch.nn.init.normal_(network.output_head.out.weight)

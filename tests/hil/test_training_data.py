@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.virtual.plant.effects import Effect
+from drivers.virtual.plant.effects import PlantEffect
 from drivers.virtual.plant.geometry import build_cells
 from hil.training import generate as data
 from hil.training import plant_windows
@@ -18,7 +18,7 @@ FEATURES = data.features_of()
 IDS = FEATURES.deviations.ids
 
 
-def told(*effects: Effect) -> tuple[np.ndarray, np.ndarray]:
+def told(*effects: PlantEffect) -> tuple[np.ndarray, np.ndarray]:
     return plant_windows.equivalent_deviations(FEATURES, effects, np.arange(0.0, 7200.0, 5.0))
 
 
@@ -32,7 +32,7 @@ def test_a_campaign_is_the_same_again_and_its_twin_nearly_right():
 
 
 def test_heat_in_the_modules_is_a_known_deviation_from_its_onset_on():
-    theta, amiss = told(Effect("heat_source", "modules", "constant", "power_W", 140.0, onset_s=3600.0))
+    theta, amiss = told(PlantEffect("heat_source", "modules", "constant", "power_W", 140.0, onset_s=3600.0))
     k = IDS.index("modules_power.power")
     assert (theta[:720] == 0.0).all() and not amiss[:720].any()
     assert theta[721:, k] == pytest.approx(140.0 / FEATURES.deviations.scale[k])
@@ -42,7 +42,9 @@ def test_heat_in_the_modules_is_a_known_deviation_from_its_onset_on():
 def test_a_lost_insulation_is_a_known_deviation():
     shape = {"exponent": 1.0}
     theta, _ = told(
-        Effect("heat_loss", "tank", "temperature_difference", "conductance_W_per_K", 7.0, ramp_s=3600.0, shape=shape)
+        PlantEffect(
+            "heat_loss", "tank", "temperature_difference", "conductance_W_per_K", 7.0, ramp_s=3600.0, shape=shape
+        )
     )
     k = IDS.index("tank_loss.hA")
     assert theta[-1, k] == pytest.approx(7.0 / FEATURES.deviations.scale[k])
@@ -50,7 +52,7 @@ def test_a_lost_insulation_is_a_known_deviation():
 
 
 def test_what_only_stands_in_for_a_parameter_leaves_it_unknown_and_the_others_as_they_were():
-    theta, amiss = told(Effect("heat_rejection", "radiator", "constant", "lost_fraction", 0.2))
+    theta, amiss = told(PlantEffect("heat_rejection", "radiator", "constant", "lost_fraction", 0.2))
     k = IDS.index("fins.UA_100")
     assert np.isnan(theta[:, k]).all() and amiss.all()
     assert not np.delete(theta, k, axis=1).any()

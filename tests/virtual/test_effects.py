@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.virtual.plant.effects import FORMS, Effect, EffectFileError, Form, _parse, _Place, load_effects
+from drivers.virtual.plant.effects import FORMS, EffectFileError, Form, PlantEffect, _EffectPlace, _parse, load_effects
 from drivers.virtual.plant.geometry import CHANNELS
 from drivers.virtual.plant.instruments import Instruments
 from drivers.virtual.plant.plant import Plant
@@ -40,7 +40,7 @@ SHAPES = {
 }
 
 
-def history(effects: tuple[Effect, ...], seconds: int = 900, start_C: float = 36.0) -> np.ndarray:
+def history(effects: tuple[PlantEffect, ...], seconds: int = 900, start_C: float = 36.0) -> np.ndarray:
     """Junction temperatures and read-backs, (seconds, 14), with load and speeds that move."""
     plant = Plant(seed=4, start_C=start_C, effects=effects)
     instruments = Instruments(4, 1.0, effects)
@@ -56,9 +56,9 @@ def healthy() -> np.ndarray:
     return history(())
 
 
-def effect_of(form: Form, where: str) -> Effect:
+def effect_of(form: Form, where: str) -> PlantEffect:
     shape = {name: SHAPES[name] for name, _ in form.shape}
-    return Effect(form.kind, where, form.driver, form.magnitude, VALUES[form.magnitude], ONSET_S, shape=shape)
+    return PlantEffect(form.kind, where, form.driver, form.magnitude, VALUES[form.magnitude], ONSET_S, shape=shape)
 
 
 PLANT_FORMS = [form for form in FORMS if form.kind != "sensor"]
@@ -73,12 +73,15 @@ def test_every_form_acts_everywhere_it_may_stand_and_only_after_its_onset(form: 
 
 
 def test_modules_heat_warms_the_modules_by_its_power(healthy: np.ndarray) -> None:
-    rows = history((Effect("heat_source", "modules", "constant", "power_W", 180.0, ONSET_S),))
+    rows = history((PlantEffect("heat_source", "modules", "constant", "power_W", 180.0, ONSET_S),))
     change = (rows - healthy)[-1]
     assert change[1:7].min() > 0.5
     assert change[0] > 0.0
     # What entered stays: nothing leaves but by temperature.
-    plain, heated = Plant(seed=0), Plant(seed=0, effects=(Effect("heat_source", "pm3", "constant", "power_W", 90.0),))
+    plain, heated = (
+        Plant(seed=0),
+        Plant(seed=0, effects=(PlantEffect("heat_source", "pm3", "constant", "power_W", 90.0),)),
+    )
     for plant in (plain, heated):
         for _ in range(100):
             plant.step(0.0, 1.0, 0.0)
@@ -87,42 +90,44 @@ def test_modules_heat_warms_the_modules_by_its_power(healthy: np.ndarray) -> Non
 
 @pytest.mark.parametrize(("where", "sensor"), [("heater", 0), ("pm4", 4), ("tank", 8), ("radiator", 7)])
 def test_a_source_is_seen_first_where_it_stands(where: str, sensor: int, healthy: np.ndarray) -> None:
-    rows = history((Effect("heat_source", where, "constant", "power_W", 400.0, ONSET_S),), 200)
+    rows = history((PlantEffect("heat_source", where, "constant", "power_W", 400.0, ONSET_S),), 200)
     early = np.abs(rows[:, :9] - healthy[:200, :9])[108]
     assert early.argmax() == sensor or (where, early.argmax()) == ("tank", 0)
 
 
 def test_tank_insulation_cools_the_loop() -> None:
-    loss = Effect("heat_loss", "tank", "temperature_difference", "conductance_W_per_K", 6.0, shape={"exponent": 1.0})
+    loss = PlantEffect(
+        "heat_loss", "tank", "temperature_difference", "conductance_W_per_K", 6.0, shape={"exponent": 1.0}
+    )
     assert (history((loss,))[-1, :9] < history(())[-1, :9] - 0.1).all()
 
 
 def test_fouling_grows_with_time() -> None:
-    foul = Effect("heat_rejection", "radiator", "elapsed_time", "lost_fraction", 0.5, ONSET_S, ramp_s=600.0)
+    foul = PlantEffect("heat_rejection", "radiator", "elapsed_time", "lost_fraction", 0.5, ONSET_S, ramp_s=600.0)
     change = (history((foul,)) - history(()))[:, 7]
     assert 0.0 < change[250] < change[450] < change[800]
 
 
 def test_flow_step_shows_in_the_flow_meter(healthy: np.ndarray) -> None:
-    rows = history((Effect("flow", "loop", "constant", "lost_fraction", 0.25, ONSET_S),))
+    rows = history((PlantEffect("flow", "loop", "constant", "lost_fraction", 0.25, ONSET_S),))
     assert rows[150:, 11].mean() == pytest.approx(0.75 * healthy[150:, 11].mean(), rel=0.02)
     assert rows[150:, 12].mean() == pytest.approx(healthy[150:, 12].mean(), rel=1e-3)
 
 
 def test_heater_gain_is_invisible_to_the_power_meter(healthy: np.ndarray) -> None:
-    rows = history((Effect("actuator", "heater_power", "constant", "gain", 0.8, ONSET_S),))
+    rows = history((PlantEffect("actuator", "heater_power", "constant", "gain", 0.8, ONSET_S),))
     assert np.array_equal(rows[:, 10], healthy[:, 10])
     assert rows[-1, 0] < healthy[-1, 0] - 0.5
 
 
 def test_a_dead_pump_stops_the_flow() -> None:
-    rows = history((Effect("actuator", "pump_speed", "constant", "gain", 0.0, ONSET_S),), 200)
+    rows = history((PlantEffect("actuator", "pump_speed", "constant", "gain", 0.0, ONSET_S),), 200)
     assert rows[90, 11] > 3.0
     assert rows[-1, 11] == 0.0
 
 
 def test_an_effect_ends() -> None:
-    pulse = Effect("heat_source", "tank", "constant", "power_W", 500.0, 100.0, 0.0, 200.0)
+    pulse = PlantEffect("heat_source", "tank", "constant", "power_W", 500.0, 100.0, 0.0, 200.0)
     plain, heated = Plant(seed=0), Plant(seed=0, effects=(pulse,))
     for plant in (plain, heated):
         for _ in range(400):
@@ -131,22 +136,24 @@ def test_an_effect_ends() -> None:
 
 
 def test_periodic_and_ramp_and_time_of_day_shapes() -> None:
-    def energy(effect: Effect, seconds: int) -> float:
+    def energy(effect: PlantEffect, seconds: int) -> float:
         plant = Plant(seed=0, effects=(effect,))
         for _ in range(seconds):
             plant.step(0.0, 1.0, 0.0)
         return plant.heat_in_J()
 
-    duty = Effect("heat_source", "tank", "periodic", "power_W", 100.0, shape={"period_s": 100.0, "duty": 0.3})
+    duty = PlantEffect("heat_source", "tank", "periodic", "power_W", 100.0, shape={"period_s": 100.0, "duty": 0.3})
     assert energy(duty, 1000) == pytest.approx(30_000.0)
-    ramp = Effect("heat_source", "tank", "constant", "power_W", 100.0, 0.0, 1000.0)
+    ramp = PlantEffect("heat_source", "tank", "constant", "power_W", 100.0, 0.0, 1000.0)
     assert energy(ramp, 1000) == pytest.approx(50_000.0, rel=0.01)
-    noon = Effect("heat_source", "tank", "time_of_day", "power_W", 100.0, shape={"peak_hour": 12.0, "width_h": 4.0})
+    noon = PlantEffect(
+        "heat_source", "tank", "time_of_day", "power_W", 100.0, shape={"peak_hour": 12.0, "width_h": 4.0}
+    )
     assert energy(noon, 7000) == 0.0
     assert energy(noon, 8 * 3600) == pytest.approx(100.0 * 4 * 3600 * 2 / np.pi, rel=0.01)
 
 
-def sampled(effects: tuple[Effect, ...], seconds: int = 300) -> np.ndarray:
+def sampled(effects: tuple[PlantEffect, ...], seconds: int = 300) -> np.ndarray:
     """Raw counts, (seconds, 9), of a module whose junctions rise by 0.1 K/s."""
     module = ThermocoupleModule(9, effects)
     rows = []
@@ -166,7 +173,7 @@ def sampled(effects: tuple[Effect, ...], seconds: int = 300) -> np.ndarray:
     ],
 )
 def test_sensor_faults_touch_one_channel_after_onset(magnitude: str, value: float, expected: object) -> None:
-    rows = sampled((Effect("sensor", "T_tank_C", "any", magnitude, value, ONSET_S),))
+    rows = sampled((PlantEffect("sensor", "T_tank_C", "any", magnitude, value, ONSET_S),))
     plain = sampled(())
     assert np.array_equal(rows[:, :8], plain[:, :8])
     assert np.array_equal(rows[:99], plain[:99])
@@ -177,7 +184,7 @@ def test_sensor_faults_touch_one_channel_after_onset(magnitude: str, value: floa
 
 
 def test_open_circuit_is_flagged_and_full_scale() -> None:
-    module = ThermocoupleModule(0, (Effect("sensor", "T_pm2_C", "constant", "open_circuit", 1.0, 2.0),))
+    module = ThermocoupleModule(0, (PlantEffect("sensor", "T_pm2_C", "constant", "open_circuit", 1.0, 2.0),))
     before = module.sample(1.0, [30.0] * 9)
     after = module.sample(2.0, [30.0] * 9)
     assert before[2][2:4] == b"\x00\x00"
@@ -186,7 +193,7 @@ def test_open_circuit_is_flagged_and_full_scale() -> None:
 
 
 def test_meter_faults_touch_one_meter(healthy: np.ndarray) -> None:
-    rows = history((Effect("sensor", "flow_L_per_min", "constant", "bias", 0.5, ONSET_S),))
+    rows = history((PlantEffect("sensor", "flow_L_per_min", "constant", "bias", 0.5, ONSET_S),))
     assert (rows - healthy)[150:, 11] == pytest.approx(0.5, abs=0.01)
     rows[:, 11] = healthy[:, 11]
     assert np.array_equal(rows, healthy)
@@ -263,7 +270,7 @@ def test_any_table_is_an_effect_or_a_plain_refusal(table: dict[str, object], for
     good = {"kind": form.kind, "where": form.places[0], "driver": form.driver, form.magnitude: 1.0}
     for candidate in (table, {**good, **table}):
         try:
-            effect = _parse(candidate, _Place(Path("file"), 1))
+            effect = _parse(candidate, _EffectPlace(Path("file"), 1))
         except EffectFileError as error:
             assert str(error).startswith("file: effect 1: ")
         else:

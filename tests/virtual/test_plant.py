@@ -5,24 +5,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.virtual.plant.effects import Effect
+from drivers.virtual.plant.effects import PlantEffect
 from drivers.virtual.plant.plant import Plant
 from drivers.virtual.plant.water import density_of, enthalpy_of, temperature_of, viscosity_of
 
 HEATER, PM1, PM6, RADIATOR, TANK = 0, 1, 6, 7, 8
 
 EFFECTS = (
-    Effect("heat_source", "modules", "constant", "power_W", 180.0, onset_s=20.0),
-    Effect("heat_source", "tank", "pump_speed", "power_W", 70.0, shape={"exponent": 3.0}),
-    Effect("heat_loss", "tank", "temperature_difference", "conductance_W_per_K", 6.0, shape={"exponent": 1.25}),
-    Effect(
+    PlantEffect("heat_source", "modules", "constant", "power_W", 180.0, onset_s=20.0),
+    PlantEffect("heat_source", "tank", "pump_speed", "power_W", 70.0, shape={"exponent": 3.0}),
+    PlantEffect("heat_loss", "tank", "temperature_difference", "conductance_W_per_K", 6.0, shape={"exponent": 1.25}),
+    PlantEffect(
         "heat_loss", "pipe_to_radiator", "temperature_difference", "conductance_W_per_K", 2.0, shape={"exponent": 1}
     ),
-    Effect("heat_rejection", "radiator", "rejected_heat", "recirculated_fraction", 0.3, onset_s=10.0),
-    Effect("heat_rejection", "radiator", "elapsed_time", "lost_fraction", 0.4, ramp_s=60.0),
-    Effect("flow", "radiator", "constant", "bypass_fraction", 0.4, onset_s=5.0),
-    Effect("thermal_mass", "tank", "history", "capacity_J_per_K", 3e4, 15.0, 0.0, 80.0, {"conductance_W_per_K": 40.0}),
-    Effect("actuator", "heater_power", "constant", "gain", 0.9),
+    PlantEffect("heat_rejection", "radiator", "rejected_heat", "recirculated_fraction", 0.3, onset_s=10.0),
+    PlantEffect("heat_rejection", "radiator", "elapsed_time", "lost_fraction", 0.4, ramp_s=60.0),
+    PlantEffect("flow", "radiator", "constant", "bypass_fraction", 0.4, onset_s=5.0),
+    PlantEffect(
+        "thermal_mass", "tank", "history", "capacity_J_per_K", 3e4, 15.0, 0.0, 80.0, {"conductance_W_per_K": 40.0}
+    ),
+    PlantEffect("actuator", "heater_power", "constant", "gain", 0.9),
 )
 
 SETTINGS = st.tuples(st.floats(0, 1000), st.floats(0, 1), st.floats(0, 1), st.integers(1, 60))

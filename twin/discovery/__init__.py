@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from twin.discovery.effects.statement import disturbance_statement
     from twin.discovery.engine import diagnose, foresee, foresee_plan
     from twin.discovery.growing.answer import diagnose_grown
-    from twin.discovery.healthy.basis import Columns, Commissioned
+    from twin.discovery.healthy.basis import Columns, CommissionedRecord
     from twin.discovery.healthy.health import NotHealthyError
     from twin.discovery.planning.experiment import Limits
     from twin.discovery.records.grid import TooShortError
 
 _HOME = {
     "Columns": "twin.discovery.healthy.basis",
-    "Commissioned": "twin.discovery.healthy.basis",
+    "CommissionedRecord": "twin.discovery.healthy.basis",
     "Diagnosis": "twin.discovery.diagnosis",
     "Limits": "twin.discovery.planning.experiment",
     "NotHealthyError": "twin.discovery.healthy.health",
@@ -35,7 +35,7 @@ _HOME = {
 
 __all__ = [
     "Columns",
-    "Commissioned",
+    "CommissionedRecord",
     "Diagnosis",
     "Limits",
     "NotHealthyError",

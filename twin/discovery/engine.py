@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.discovery.answer.case import Case
+from twin.discovery.answer.case import AssessedFinding
 from twin.discovery.answer.leads import with_leads
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis
@@ -46,8 +46,8 @@ def diagnose(
     """Trace the residual of a record to an effect that the twin lacks, or say that there is none, or that none fits.
 
     Args:
-        network: the commissioned twin. healthy: the record that it was commissioned on, as `Commissioned` where the
-            twin may have taken up effects since.
+        network: the commissioned twin. healthy: the record that it was commissioned on, as `CommissionedRecord` where
+            the twin may have taken up effects since.
         more: records made later on the same rig, by which causes that this record cannot tell apart are weighed.
         say: called with what is being done. held_out: share of the record, at its end, that no fit sees.
         limits: of the rig, for the next experiment; by default it stays within what the record has seen.
@@ -102,7 +102,7 @@ def diagnose(
         unseen = unseen_kinds(whole.contest, whole.laws, known.book.candidates)
         notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []
     say("judging")
-    case = Case(
+    case = AssessedFinding(
         finding=finding,
         known=known,
         whole=whole.contest,

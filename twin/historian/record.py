@@ -24,7 +24,7 @@ CLOSURE_MIN = 30
 NEEDED = ("t_in_C", "t_out_C", "m_w_kg_s", "fan_speed_pct", "dry_C")
 """Columns without which a minute says nothing of the cell; besides, one of the wet bulbs."""
 
-Columns = dict[str, NDArray[np.generic]]
+AlignedColumns = dict[str, NDArray[np.generic]]
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class SharedMinutes:
     """Columns of the station, and the speed of every fan by cell."""
 
     minute_s: Array
-    columns: Columns
+    columns: AlignedColumns
     fans: Mapping[int, Array]
 
 
@@ -41,7 +41,7 @@ class CellMinutes:
     """Minutes of a cell: beginning of each, columns, share of complete minutes, and remarks."""
 
     minute_s: Array
-    columns: Columns
+    columns: AlignedColumns
     complete: float
     remarks: tuple[str, ...] = field(default=())
 
@@ -51,7 +51,7 @@ def shared_minutes(
 ) -> SharedMinutes:
     """Return the station's columns from the minute of `start_s` to that of `end_s`."""
     edges = minute_edges(start_s, end_s)
-    columns: Columns = {}
+    columns: AlignedColumns = {}
     for role, column in OF_STATION.items():
         columns |= _columns(_of(series, role, None), column, edges, full_speed)
     columns |= _wet_bulbs(columns, pressure_kPa)
@@ -87,7 +87,7 @@ def cell_minutes(
         Columns (n,) by name, in the units of their suffixes.
     """
     edges = np.append(shared.minute_s, shared.minute_s[-1] + 60.0)
-    columns: Columns = {}
+    columns: AlignedColumns = {}
     for role, column in OF_CELL.items():
         columns |= _columns(_of(series, role, cell), column, edges, full_speed)
     others = [speed for number, speed in shared.fans.items() if number != cell]
@@ -119,7 +119,7 @@ def _of(series: Sequence[Series], role: str, cell: int | None) -> Series | None:
     return next((one for one in series if one.tag.role == role and (cell is None or one.tag.cell == cell)), None)
 
 
-def _columns(series: Series | None, column: Column, edges: Array, full_speed: str) -> Columns:
+def _columns(series: Series | None, column: Column, edges: Array, full_speed: str) -> AlignedColumns:
     """Return the column of a tag with its origin and staleness; missing throughout without a tag."""
     n = len(edges) - 1
     if series is None:
@@ -179,7 +179,7 @@ def _mean(parts: Sequence[Array], n: int) -> Array:
     return np.asarray(np.where(count > 0, np.where(known, stack, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan))
 
 
-def _wet_bulbs(columns: Columns, pressure_kPa: float) -> Columns:
+def _wet_bulbs(columns: AlignedColumns, pressure_kPa: float) -> AlignedColumns:
     """Return wet bulb of dry bulb and humidity, the closure, and the measured wet bulb where it closes."""
     dry, measured = _wide(columns["dry_C"]), _wide(columns["wet_C"])
     pressure = _wide(columns["pressure_kPa"])

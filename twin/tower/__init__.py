@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.tower.air import Array, wet_bulb
-    from twin.tower.calibration.baselines import BASELINES, Case, split, without_discrepancy
+    from twin.tower.calibration.baselines import BASELINES, CellDataset, split, without_discrepancy
     from twin.tower.calibration.cell_fit import (
         NORMAL,
         QUANTILE,
@@ -25,28 +25,28 @@ if TYPE_CHECKING:
         fit_cell,
         predict_cell,
     )
-    from twin.tower.cell import Deviations, Inputs
+    from twin.tower.cell import CellDeviations, Inputs
     from twin.tower.cell_observations.evidence import Label
     from twin.tower.change_detection.changes import undeclared_changes
     from twin.tower.change_detection.steps import Step, find_steps
-    from twin.tower.clean_cell.commissioning import Commissioned, CommissioningError, TestPoints, fit_clean_cell
+    from twin.tower.clean_cell.commissioning import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
     from twin.tower.diagnosis.adoption import adopted, effects_of
-    from twin.tower.effects import UNITS, Effect
+    from twin.tower.effects import UNITS, CellEffect
     from twin.tower.identify import MOST_CONDITION, MOST_HIDDEN, Identifiability
     from twin.tower.minutes import MEASURED, Minutes, blocks_of, minutes_of
-    from twin.tower.model import DEVIATIONS, NAMES, CellModel, Site
+    from twin.tower.model import DEVIATIONS, NAMES, CellModel, DesignPoint
     from twin.tower.planning import StepTest, plan_tests
     from twin.tower.shared_observations.basin import Drain, with_basin
     from twin.tower.shared_observations.evaporation import Balance, with_evaporation
     from twin.tower.smoother import DAY_S, Opening, Priors, estimate, time_grid
     from twin.tower.twin_file import BOUNDS, IDS, cell_network, cell_of, design_of, station_of_twin, value_of
-    from twin.tower.windows import Window, distances, windows_of
+    from twin.tower.windows import TargetWindow, distances, windows_of
 
 _MODULES = {
     "calibration.baselines": (
         "without_discrepancy",
         "split",
-        "Case",
+        "CellDataset",
         "BASELINES",
     ),
     "diagnosis.adoption": (
@@ -73,18 +73,18 @@ _MODULES = {
         "predict_cell",
     ),
     "cell": (
-        "Deviations",
+        "CellDeviations",
         "Inputs",
     ),
     "change_detection.changes": ("undeclared_changes",),
     "clean_cell.commissioning": (
-        "Commissioned",
+        "CommissionedCell",
         "CommissioningError",
         "TestPoints",
         "fit_clean_cell",
     ),
     "effects": (
-        "Effect",
+        "CellEffect",
         "UNITS",
     ),
     "shared_observations.evaporation": (
@@ -107,7 +107,7 @@ _MODULES = {
         "CellModel",
         "DEVIATIONS",
         "NAMES",
-        "Site",
+        "DesignPoint",
     ),
     "planning": (
         "StepTest",
@@ -134,7 +134,7 @@ _MODULES = {
         "value_of",
     ),
     "windows": (
-        "Window",
+        "TargetWindow",
         "distances",
         "windows_of",
     ),
@@ -160,13 +160,14 @@ __all__ = [
     "Balance",
     "Calibrated",
     "CalibrationError",
-    "Case",
+    "CellDataset",
+    "CellDeviations",
+    "CellEffect",
     "CellModel",
-    "Commissioned",
+    "CommissionedCell",
     "CommissioningError",
-    "Deviations",
+    "DesignPoint",
     "Drain",
-    "Effect",
     "Fitted",
     "Identifiability",
     "Inputs",
@@ -174,11 +175,10 @@ __all__ = [
     "Minutes",
     "Opening",
     "Priors",
-    "Site",
     "Step",
     "StepTest",
+    "TargetWindow",
     "TestPoints",
-    "Window",
     "adopted",
     "blocks_of",
     "cell_network",

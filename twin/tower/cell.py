@@ -67,7 +67,7 @@ class Design:
 
 
 @dataclass(frozen=True)
-class Deviations:
+class CellDeviations:
     """Deviations of a cell from the clean one: multipliers, and the bias of the outlet thermometer, K."""
 
     fill: float | Array = 1.0
@@ -77,7 +77,7 @@ class Deviations:
 
 
 @dataclass(frozen=True)
-class Outputs:
+class CellOutputs:
     """Water leaving the fill degC, heat W, evaporation kg/s, fan power kW, air flow kg/s, arrays (n,)."""
 
     t_out: Array
@@ -88,8 +88,8 @@ class Outputs:
 
 
 def solve(
-    u: Inputs, design: Design, deviations: Deviations = Deviations(), *, with_evaporation: bool = True
-) -> Outputs:
+    u: Inputs, design: Design, deviations: CellDeviations = CellDeviations(), *, with_evaporation: bool = True
+) -> CellOutputs:
     """Return what the cell does at rest at each operating point; without water its outlet is its inlet.
 
     Parameters:
@@ -120,7 +120,7 @@ def solve(
         lost = design.evaporation * _evaporation(ntu, wet_air, h_in, heat, ratio_in, u.pressure)
     shaft = design.power * speed**design.speed_exponent * rho / design.density
     power = design.idle + shaft * (1.0 + design.kappa * (1.0 - deviations.air))
-    return Outputs(t_out, heat, lost, power, m_a)
+    return CellOutputs(t_out, heat, lost, power, m_a)
 
 
 def _effectiveness(ntu: Array, ratio: Array) -> Array:

@@ -45,7 +45,7 @@ HOUR_S, DAY_S, YEAR_S = 3600.0, 86400.0, 365.25 * 86400.0
 
 
 @dataclass(frozen=True)
-class Effect:
+class CellEffect:
     """An effect on a cell.
 
     Attributes:
@@ -73,7 +73,7 @@ class Effect:
         return self.column if self.driver == "column" else names.get(self.driver, self.driver)
 
 
-def pattern(effect: Effect, time_s: Array, columns: Mapping[str, Array], m_w0: float) -> Array:
+def pattern(effect: CellEffect, time_s: Array, columns: Mapping[str, Array], m_w0: float) -> Array:
     """Return the driver of an effect by minute (n,), 1 where it acts with its full size; gaps are bridged.
 
     Parameters:
@@ -126,13 +126,13 @@ def sun_height(time_s: Array, noon_h: float) -> Array:
     return np.maximum(np.sin(phi) * np.sin(declination) + np.cos(phi) * np.cos(declination) * np.cos(hour), 0.0)
 
 
-def patterns(effects: Sequence[Effect], time_s: Array, columns: Mapping[str, Array], m_w0: float) -> Array:
+def patterns(effects: Sequence[CellEffect], time_s: Array, columns: Mapping[str, Array], m_w0: float) -> Array:
     """Return the drivers of effects by minute (n, k)."""
     found = [pattern(one, time_s, columns, m_w0) for one in effects]
     return np.stack(found, axis=1) if found else np.zeros((len(time_s), 0))
 
 
-def before_fill(effects: Sequence[Effect], o: Operation, slow: Array, rise: float) -> tuple[Operation, Array]:
+def before_fill(effects: Sequence[CellEffect], o: Operation, slow: Array, rise: float) -> tuple[Operation, Array]:
     """Return operating points and slow deviations (n, 5) as the effects change them.
 
     Parameters:
@@ -158,7 +158,7 @@ def before_fill(effects: Sequence[Effect], o: Operation, slow: Array, rise: floa
     return o, slow
 
 
-def after_fill(effects: Sequence[Effect], o: Operation, t_in: Array, t_out: Array) -> Array:
+def after_fill(effects: Sequence[CellEffect], o: Operation, t_in: Array, t_out: Array) -> Array:
     """Return the outlet's temperature as the effects between fill and thermometer change it, degC (n,)."""
     for k, one in enumerate(effects):
         x = one.size * o.patterns[:, k]

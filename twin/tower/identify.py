@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.tower.air import Array
-from twin.tower.cell import Design, Deviations, Inputs, solve
+from twin.tower.cell import CellDeviations, Design, Inputs, solve
 from twin.tower.model import DEVIATIONS
 from twin.tower.twin_file import BOUNDS
 
@@ -32,7 +32,7 @@ CORRELATION_MIN = 30.0
 EXCITATION = {"flow": 0.12, "fan": 0.15, "wet_bulb": 2.5}
 """Ranges within a window from which it is looked at at all: shares of design flow and of full speed, K."""
 _STEP = 0.01
-CLEAN = Deviations()
+CLEAN = CellDeviations()
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def excited(u: Inputs, design: Design) -> bool:
 
 
 def cell_sensitivities(
-    design: Design, u: Inputs, sensors: Sequence[str], at: Deviations = CLEAN, kappa: float = -1.0
+    design: Design, u: Inputs, sensors: Sequence[str], at: CellDeviations = CLEAN, kappa: float = -1.0
 ) -> Array:
     """Return the scaled sensitivities of a clean cell's observations (n * sensors, 4), row blocks in the order of
     `sensors`.
@@ -101,11 +101,11 @@ def cell_sensitivities(
 
 
 def _observed(
-    design: Design, u: Inputs, sensors: Sequence[str], at: Deviations, name: str, step: float, kappa: float
+    design: Design, u: Inputs, sensors: Sequence[str], at: CellDeviations, name: str, step: float, kappa: float
 ) -> Array:
     values = {n: float(getattr(at, n)) for n in DEVIATIONS}
     values[name] += step
-    out = solve(u, design, Deviations(**values))
+    out = solve(u, design, CellDeviations(**values))
     rows = {
         "outlet": (out.t_out + values["bias"]) / TOLERANCE["outlet"],
         "basin": out.t_out / TOLERANCE["basin"],

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from twin.tower.air import Array
 from twin.tower.cell import Inputs
-from twin.tower.effects import Effect, patterns
+from twin.tower.effects import CellEffect, patterns
 from twin.tower.model import Operation
 from twin.tower.smoother import BLOCK_S, Blocks
 
@@ -52,7 +52,7 @@ def minutes_of(
     origin: Mapping[str, NDArray[np.uint8]],
     m_w0: float,
     bypass_share: float,
-    effects: Sequence[Effect] = (),
+    effects: Sequence[CellEffect] = (),
 ) -> Minutes:
     """Return the minutes of an aligned record's columns.
 

@@ -23,9 +23,9 @@ import numpy as np
 
 from twin.tower import air as moist
 from twin.tower.air import Array
-from twin.tower.cell import STARVING, WETTED, Design, Deviations, Inputs, Rows, solve
+from twin.tower.cell import STARVING, WETTED, CellDeviations, Design, Inputs, Rows, solve
 from twin.tower.clean_cell import discrepancy
-from twin.tower.effects import Effect, after_fill, before_fill
+from twin.tower.effects import CellEffect, after_fill, before_fill
 
 SLOW = ("fill", "air", "uniformity", "bias", "flow_meter")
 """Slow deviations; the last is a nuisance that is never reported: a drifting flow meter is seen in the pumps, not
@@ -119,7 +119,7 @@ NAMES = tuple(one.name for one in GLOBALS)
 
 
 @dataclass(frozen=True)
-class Site:
+class DesignPoint:
     """Design point that the discrepancy is measured from: degC, K, kg/s."""
 
     inlet: float = INLET_C
@@ -158,7 +158,7 @@ class CellModel:
     The constants are the global quantities (24,), or these and the weights of the discrepancy's features after them.
     """
 
-    def __init__(self, design: Design, site: Site, effects: Sequence[Effect] = ()) -> None:
+    def __init__(self, design: Design, site: DesignPoint, effects: Sequence[CellEffect] = ()) -> None:
         self.design, self.site, self.effects = design, site, tuple(effects)
 
     def outlet(self, o: Operation, slow: Array, g: Array) -> Array:
@@ -190,7 +190,7 @@ class CellModel:
         )
         fill = (1.0 + q["fill_share"] * slow[:, 0]) * np.exp(law)
         points = Inputs(t_in, m_w, speed, dry, inside, u.pressure)
-        out = solve(points, d, Deviations(fill, 1.0 + slow[:, 1], uniformity), with_evaporation=False).t_out
+        out = solve(points, d, CellDeviations(fill, 1.0 + slow[:, 1], uniformity), with_evaporation=False).t_out
         out = out + self._discrepancy(o, q, t_in - out)
         if len(g) > len(NAMES):
             out = out + self.features(o) @ g[len(NAMES) :]

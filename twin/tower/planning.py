@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.tower.cell import Design, Deviations, Inputs, solve
+from twin.tower.cell import CellDeviations, Design, Inputs, solve
 from twin.tower.identify import Identifiability, cell_sensitivities, identifiability
 
 STEPS, STEP_MIN = 7, 75.0
@@ -44,7 +44,7 @@ class StepTest:
 def plan_tests(
     design: Design,
     day: Inputs,
-    at: Deviations,
+    at: CellDeviations,
     sensors: Sequence[str],
     most_warmer: float = MOST_WARMER_K,
     kappa: float = -1.3,
@@ -88,7 +88,7 @@ def plan_tests(
     return without, sorted(found, key=lambda one: one.told.condition)
 
 
-def _test(design: Design, middle: Inputs, at: Deviations, fan: float, flow: float) -> Inputs:
+def _test(design: Design, middle: Inputs, at: CellDeviations, fan: float, flow: float) -> Inputs:
     """Return the operating points of a test about the middle of a day, the load held."""
     repeat = int(STEP_MIN / BLOCK_MIN)
     centre = (

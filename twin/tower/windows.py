@@ -21,7 +21,7 @@ BLOCK_MIN = 10.0
 
 
 @dataclass(frozen=True)
-class Window:
+class TargetWindow:
     """A target interval and the day up to its end.
 
     Attributes:
@@ -41,7 +41,7 @@ class Window:
 
 def windows_of(
     model: CellModel, minutes: Minutes, calibrated: Calibrated, hidden: Array, second: bool, makeup: bool = False
-) -> list[Window]:
+) -> list[TargetWindow]:
     """Return the windows of a record in the order of time.
 
     Parameters:
@@ -62,7 +62,7 @@ def windows_of(
         told = identifiability(slopes[:, rows].reshape(-1, len(DEVIATIONS)), BLOCK_MIN, float(np.mean(hidden[within])))
         half = 0.5 * (calibrated.high[within] - calibrated.low[within])
         found.append(
-            Window(
+            TargetWindow(
                 float(start),
                 float(end),
                 told,

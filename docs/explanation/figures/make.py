@@ -189,7 +189,7 @@ def scores() -> plt.Figure:
     from twin.discovery.evidence.inquiry import Inquiry
     from twin.discovery.healthy.basis import basis
     from twin.discovery.records.grid import on_grid
-    from twin.discovery.scoring.sweep import Courses, Squares
+    from twin.discovery.scoring.sweep import Courses, LawSquares
 
     network, record, healthy = _virtual("tank_insulation.toml")
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
@@ -204,7 +204,7 @@ def scores() -> plt.Figure:
     axes[0].set(ylabel="residual, K", title="measured minus commissioned twin")
     courses, best = Courses.of(whole.contest), {}
     for law in whole.laws:
-        squares = Squares.of(whole.contest, law)
+        squares = LawSquares.of(whole.contest, law)
         top = whole.contest.scored(squares.blocks) @ courses.steps
         size = top / np.maximum(squares.steps, 1e-30)
         c = law.candidate
@@ -371,7 +371,7 @@ def trial() -> plt.Figure:
 
 def tower() -> plt.Figure:
     """Draw the rise of a cell's outlet for a loss of 10 % of each deviation, over the water flow and the fan speed."""
-    from twin.tower.cell import Design, Deviations, Inputs, solve
+    from twin.tower.cell import CellDeviations, Design, Inputs, solve
 
     design = Design(250.0, 200.0, 1.5, 0.6, 45.0, 1.13)
     figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.2), sharey=True)
@@ -385,9 +385,9 @@ def tower() -> plt.Figure:
         u = Inputs(36.0 * one, 250.0 * flow, fan, 30.0 * one, 24.0 * one, 99.0 * one)
         clean = solve(u, design).t_out
         for lost, colour, name in (
-            (Deviations(fill=0.9), BLUE, "fill"),
-            (Deviations(air=0.9), ORANGE, "air"),
-            (Deviations(uniformity=0.9), GREEN, "uniformity"),
+            (CellDeviations(fill=0.9), BLUE, "fill"),
+            (CellDeviations(air=0.9), ORANGE, "air"),
+            (CellDeviations(uniformity=0.9), GREEN, "uniformity"),
         ):
             dashes = (4, 3) if name == "uniformity" else (None, None)
             axis.plot(x, solve(u, design, lost).t_out - clean, color=colour, label=name, dashes=dashes)

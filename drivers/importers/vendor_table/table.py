@@ -53,7 +53,7 @@ _REMEDY = "rename it scale (value = raw x scale) or divisor (value = raw / divis
 
 
 @dataclass(slots=True)
-class _Columns:
+class _VendorColumns:
     """Columns of a table by key; `inside` are the words in brackets behind their headings."""
 
     at: dict[str, int] = field(default_factory=dict)
@@ -92,7 +92,7 @@ def import_csv(
         collector.note(head_line, f"columns that were not used: {', '.join(columns.unused)}")
     _number_base(path, head_line, columns, rows[1:], addressing, collector)
     _decimal_signs(columns, rows[1:])
-    table = _Table(path, columns, addressing, order, collector)
+    table = _VendorTable(path, columns, addressing, order, collector)
     for line, row in rows[1:]:
         cells = {key: row[index].strip() if index < len(row) else "" for key, index in columns.at.items()}
         with collector.item(line, cells["name"] or "a line"):
@@ -168,8 +168,8 @@ def _parse_error(path: Path, text: str, delimiter: str) -> ImportFileError | Non
     return None
 
 
-def _columns(path: Path, line: int, head: list[str], rows: list[tuple[int, list[str]]]) -> _Columns:
-    found = _Columns()
+def _columns(path: Path, line: int, head: list[str], rows: list[tuple[int, list[str]]]) -> _VendorColumns:
+    found = _VendorColumns()
     for index, cell in enumerate(head):
         key, inside = heading_key(cell)
         called = " ".join(cell.split())
@@ -215,7 +215,7 @@ def _note_entity_numbers(draft: Draft, collector: Collector) -> None:
             collector.note(point.line, f"{point.name}: {said}")
 
 
-def _cells_of(columns: _Columns, key: str, rows: list[tuple[int, list[str]]]) -> list[str]:
+def _cells_of(columns: _VendorColumns, key: str, rows: list[tuple[int, list[str]]]) -> list[str]:
     index = columns.at[key]
     return [row[index].strip() for _, row in rows if index < len(row)]
 
@@ -223,7 +223,7 @@ def _cells_of(columns: _Columns, key: str, rows: list[tuple[int, list[str]]]) ->
 def _number_base(
     path: Path,
     line: int,
-    columns: _Columns,
+    columns: _VendorColumns,
     rows: list[tuple[int, list[str]]],
     addressing: Addressing,
     collector: Collector,
@@ -241,7 +241,7 @@ def _number_base(
         collector.note(line, "addresses hold the letters A to F: all of them were read as hexadecimal")
 
 
-def _decimal_signs(columns: _Columns, rows: list[tuple[int, list[str]]]) -> None:
+def _decimal_signs(columns: _VendorColumns, rows: list[tuple[int, list[str]]]) -> None:
     """Set the columns whose numbers have a decimal comma: by their own cells, or else by those of the other columns."""
     numeric = [key for key in ("scale", "divisor", "offset", "min", "max") if key in columns.at]
     own = {key for key in numeric if has_decimal_comma(_cells_of(columns, key, rows))}
@@ -250,9 +250,9 @@ def _decimal_signs(columns: _Columns, rows: list[tuple[int, list[str]]]) -> None
 
 
 @dataclass(slots=True)
-class _Table:
+class _VendorTable:
     path: Path
-    columns: _Columns
+    columns: _VendorColumns
     addressing: Addressing
     order: str
     collector: Collector

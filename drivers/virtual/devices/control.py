@@ -11,7 +11,7 @@ from typing import Protocol
 _LONGEST_LINE = 1024
 
 
-class Rig(Protocol):
+class ControlledRig(Protocol):
     """Interface of the PLC for the control port."""
 
     controller: "ControlConnection | None"
@@ -32,7 +32,7 @@ class Rig(Protocol):
 class ControlConnection(asyncio.Protocol):
     """Connection of one client of the control port."""
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: ControlledRig) -> None:
         self._rig = rig
         self._rest = b""
         self._transport: asyncio.Transport

@@ -20,7 +20,7 @@ _PDU_LIMIT = 253
 _FUNCTIONS = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
 
 
-class Refused(Exception):
+class RefusedRequest(Exception):
     """Error of a request that gets an exception response."""
 
     def __init__(self, code: int) -> None:
@@ -32,15 +32,15 @@ def answer(registers: Registers, pdu: bytes) -> bytes:
     function = pdu[0]
     try:
         return _serve(registers, function, pdu)
-    except Refused as refused:
+    except RefusedRequest as refused:
         return bytes((function | 0x80, refused.code))
 
 
 def _serve(registers: Registers, function: int, pdu: bytes) -> bytes:
     if function not in _FUNCTIONS:
-        raise Refused(ILLEGAL_FUNCTION)
+        raise RefusedRequest(ILLEGAL_FUNCTION)
     if len(pdu) < 5:
-        raise Refused(ILLEGAL_VALUE)
+        raise RefusedRequest(ILLEGAL_VALUE)
     first, count = _TWO.unpack_from(pdu, 1)
     if function == 4:
         _fixed(pdu, 5)
@@ -64,13 +64,13 @@ def _serve(registers: Registers, function: int, pdu: bytes) -> bytes:
     if function == 5:
         _fixed(pdu, 5)
         if count not in (0x0000, 0xFF00):
-            raise Refused(ILLEGAL_VALUE)
+            raise RefusedRequest(ILLEGAL_VALUE)
         _check(first, 1, 1, COIL_COUNT)
         _write(registers, ARM, (1 if count else 0,))
         return pdu
     if function == 15:
         if len(pdu) < 6 or pdu[5] != (count + 7) // 8 or len(pdu) != 6 + pdu[5]:
-            raise Refused(ILLEGAL_VALUE)
+            raise RefusedRequest(ILLEGAL_VALUE)
         _check(first, count, 1968, COIL_COUNT)
         _write(registers, ARM, (pdu[6] & 1,))
         return pdu[:5]
@@ -85,7 +85,7 @@ def _serve(registers: Registers, function: int, pdu: bytes) -> bytes:
 
 def _write_many(registers: Registers, pdu: bytes, first: int, count: int) -> bytes:
     if len(pdu) < 6 or pdu[5] != 2 * count or len(pdu) != 6 + 2 * count:
-        raise Refused(ILLEGAL_VALUE)
+        raise RefusedRequest(ILLEGAL_VALUE)
     _check(first, count, 123, HOLDING_COUNT)
     _write(registers, first, struct.unpack_from(f">{count}H", pdu, 6))
     return pdu[:5]
@@ -93,10 +93,10 @@ def _write_many(registers: Registers, pdu: bytes, first: int, count: int) -> byt
 
 def _read_write_many(registers: Registers, pdu: bytes, first: int, count: int) -> bytes:
     if len(pdu) < 10:
-        raise Refused(ILLEGAL_VALUE)
+        raise RefusedRequest(ILLEGAL_VALUE)
     to, number = _TWO.unpack_from(pdu, 5)
     if pdu[9] != 2 * number or len(pdu) != 10 + 2 * number:
-        raise Refused(ILLEGAL_VALUE)
+        raise RefusedRequest(ILLEGAL_VALUE)
     _check(first, count, 125, HOLDING_COUNT)
     _check(to, number, 121, HOLDING_COUNT)
     _write(registers, to, struct.unpack_from(f">{number}H", pdu, 10))
@@ -110,20 +110,20 @@ def _read_holding(registers: Registers, first: int, count: int) -> bytes:
 
 def _fixed(pdu: bytes, length: int) -> None:
     if len(pdu) != length:
-        raise Refused(ILLEGAL_VALUE)
+        raise RefusedRequest(ILLEGAL_VALUE)
 
 
 def _check(first: int, count: int, limit: int, size: int) -> None:
     """Refuse a wrong quantity, then a wrong address: the order of the specification's state diagrams."""
     if not 1 <= count <= limit:
-        raise Refused(ILLEGAL_VALUE)
+        raise RefusedRequest(ILLEGAL_VALUE)
     if first + count > size:
-        raise Refused(ILLEGAL_ADDRESS)
+        raise RefusedRequest(ILLEGAL_ADDRESS)
 
 
 def _write(registers: Registers, first: int, values: tuple[int, ...]) -> None:
     if not registers.write(first, values):
-        raise Refused(ILLEGAL_VALUE)
+        raise RefusedRequest(ILLEGAL_VALUE)
 
 
 class Connection(asyncio.Protocol):

@@ -21,7 +21,7 @@ from drivers.virtual.devices.modbus_server import ModbusServer, tls_context
 from drivers.virtual.devices.registers import Registers
 from drivers.virtual.devices.supervision import end_with_parent, listen, port_of, say
 from drivers.virtual.devices.truth import TruthLog
-from drivers.virtual.plant import Effect, Instruments, Plant, load_effects
+from drivers.virtual.plant import Instruments, Plant, PlantEffect, load_effects
 
 if TYPE_CHECKING:
     from drivers.virtual.devices.pymodbus_server import PymodbusServer
@@ -42,7 +42,7 @@ class Plc:
         period_s: float,
         speed: float,
         seed: int,
-        effects: tuple[Effect, ...],
+        effects: tuple[PlantEffect, ...],
         unit: int | None = None,
         start_s: float = 0.0,
     ) -> None:

@@ -53,7 +53,7 @@ def request_size(start: bytes) -> int | None:
     return rest + start[at] if len(start) > at else None
 
 
-class RtuFrames:
+class RtuServer:
     """Server of one line: bytes of requests in, bytes of answers out."""
 
     def __init__(self, registers: Registers) -> None:
@@ -87,7 +87,7 @@ class RtuConnection(Connection):
 
     def __init__(self, registers: Registers, connections: set[RtuConnection]) -> None:
         super().__init__(connections)
-        self._frames = RtuFrames(registers)
+        self._frames = RtuServer(registers)
 
     def data_received(self, data: bytes) -> None:
         """Answer every whole request."""
@@ -100,7 +100,7 @@ class PseudoLine:
     """Pseudo-terminal as a serial line: a client opens `path`. `powered` is False while the PLC reboots."""
 
     def __init__(self, registers: Registers) -> None:
-        self._frames = RtuFrames(registers)
+        self._frames = RtuServer(registers)
         self._ours, self._theirs = os.openpty()  # theirs stays open here, or the line would end with its first client
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)

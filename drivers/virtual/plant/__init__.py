@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from drivers.virtual.plant.compiled_cache import may_cache
-    from drivers.virtual.plant.effects import FORMS, Effect, EffectFileError, Form, load_effects
+    from drivers.virtual.plant.effects import FORMS, EffectFileError, Form, PlantEffect, load_effects
     from drivers.virtual.plant.geometry import CHANNELS, MODULES, PLACES, Array, Cells, build_cells
     from drivers.virtual.plant.instruments import Instruments
     from drivers.virtual.plant.plant import Plant
@@ -20,7 +20,7 @@ _HOME = {
     "Array": "drivers.virtual.plant.geometry",
     "CHANNELS": "drivers.virtual.plant.geometry",
     "Cells": "drivers.virtual.plant.geometry",
-    "Effect": "drivers.virtual.plant.effects",
+    "PlantEffect": "drivers.virtual.plant.effects",
     "EffectFileError": "drivers.virtual.plant.effects",
     "FORMS": "drivers.virtual.plant.effects",
     "FRAME_IDS": "drivers.virtual.plant.thermocouple_module",
@@ -45,11 +45,11 @@ __all__ = [
     "PLACES",
     "Array",
     "Cells",
-    "Effect",
     "EffectFileError",
     "Form",
     "Instruments",
     "Plant",
+    "PlantEffect",
     "ThermocoupleModule",
     "build_cells",
     "load_effects",

@@ -6,7 +6,7 @@ import numpy as np
 
 from drivers.virtual.plant import kernel as k
 from drivers.virtual.plant.ambient import hour_of_day
-from drivers.virtual.plant.effects import Effect
+from drivers.virtual.plant.effects import PlantEffect
 from drivers.virtual.plant.geometry import (
     MAX_HEATER_W,
     MODULES,
@@ -18,10 +18,10 @@ from drivers.virtual.plant.geometry import (
 _IN_SOLID = ("modules", "radiator", *MODULES)
 """Places at which heat enters the solid; elsewhere it enters the water (an immersed source)."""
 
-Shape = Callable[[float], float]
+EffectEnvelope = Callable[[float], float]
 
 
-def _state_free(effect: Effect) -> Shape | None:
+def _state_free(effect: PlantEffect) -> EffectEnvelope | None:
     """Return the size relative to `value` over rig time, for drivers that do not depend on the plant's state."""
     shape = effect.shape
     if effect.driver == "time_of_day":
@@ -42,7 +42,7 @@ def _state_free(effect: Effect) -> Shape | None:
 class EffectPhysics:
     """Application of plant effects to the kernel's inputs once per period; does nothing while nothing changes."""
 
-    def __init__(self, effects: tuple[Effect, ...], cells: Cells) -> None:
+    def __init__(self, effects: tuple[PlantEffect, ...], cells: Cells) -> None:
         self.effects = tuple(effect for effect in effects if effect.kind != "sensor")
         size = cells.water_kg.size
         self.power_water, self.power_solid = np.zeros(size), np.zeros(size)
@@ -96,7 +96,7 @@ class EffectPhysics:
             return 1.0 + effect.envelope(time_s) * (effect.value - 1.0)
         return size
 
-    def _add(self, effect: Effect, size: float, inputs: Array) -> None:
+    def _add(self, effect: PlantEffect, size: float, inputs: Array) -> None:
         if effect.kind == "heat_source":
             cells = section_cells(effect.where)
             target = self.power_solid if effect.where in _IN_SOLID else self.power_water

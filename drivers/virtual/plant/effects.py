@@ -88,7 +88,7 @@ _ALONE = ("bypass_fraction", "recirculated_fraction", "capacity_J_per_K")
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
+class PlantEffect:
     """Validated effect. `value` is in the unit that ends the magnitude's name."""
 
     kind: str
@@ -111,7 +111,7 @@ class Effect:
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class _EffectPlace:
     """Place of effect `number` (from 1) in a file; `text` is the file's, empty where its lines are not known."""
 
     path: Path
@@ -126,7 +126,7 @@ class _Place:
         return EffectFileError(f"{self.path}{line}: effect {self.number}: {what}.")
 
 
-def load_effects(path: Path) -> tuple[Effect, ...]:
+def load_effects(path: Path) -> tuple[PlantEffect, ...]:
     """Return the effects of a file, in its order; raise EffectFileError."""
     # Here, because the package's models take a quarter of a second that each process of a rig without effects saves.
     from drivers.rig_file import line_of, read_regular, tables_of
@@ -154,7 +154,7 @@ def load_effects(path: Path) -> tuple[Effect, ...]:
         raise EffectFileError(f"{path}, line {line}: [effect] is one table; write [[effect]], with two brackets.")
     if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
         raise EffectFileError(f"{path}: key 'effect' holds no list of tables; write at least one [[effect]].")
-    places = [_Place(path, n, text) for n in range(1, len(tables) + 1)]
+    places = [_EffectPlace(path, n, text) for n in range(1, len(tables) + 1)]
     effects = tuple(_parse(table, place) for table, place in zip(tables, places, strict=True))
     for number, effect in enumerate(effects):
         for before in range(number):
@@ -166,7 +166,7 @@ def load_effects(path: Path) -> tuple[Effect, ...]:
     return effects
 
 
-def _clash(first: Effect, second: Effect) -> tuple[str, str] | None:
+def _clash(first: PlantEffect, second: PlantEffect) -> tuple[str, str] | None:
     """Return the key and the cause where the plant cannot have both effects at once, else None."""
     if first.onset_s >= second.end_s or second.onset_s >= first.end_s:
         return None
@@ -179,7 +179,7 @@ def _clash(first: Effect, second: Effect) -> tuple[str, str] | None:
     return None
 
 
-def _parse(table: dict[str, Any], place: _Place) -> Effect:
+def _parse(table: dict[str, Any], place: _EffectPlace) -> PlantEffect:
     form = _find_form(table, place)
     value = _magnitude(table, form, place)
     known = (*COMMON, form.magnitude, *(name for name, _ in form.shape))
@@ -204,7 +204,7 @@ def _parse(table: dict[str, Any], place: _Place) -> Effect:
         )
     if end <= onset:
         raise place.mistake("end_s", f"key 'end_s' is {end:g}; give a time after onset_s = {onset:g}")
-    return Effect(
+    return PlantEffect(
         kind=form.kind,
         where=table["where"],
         driver=form.driver,
@@ -222,7 +222,7 @@ def needs_ramp(form: Form) -> bool:
     return form.driver == "elapsed_time" and form.magnitude == "lost_fraction"
 
 
-def _find_form(table: dict[str, Any], place: _Place) -> Form:
+def _find_form(table: dict[str, Any], place: _EffectPlace) -> Form:
     """Return the form that the table's kind, where, driver and magnitude select; raise EffectFileError."""
     forms = list(FORMS)
     for key, of in (
@@ -252,7 +252,7 @@ def _choice(names: Iterable[str]) -> str:
     return different[0] if len(different) == 1 else f"one of {', '.join(different)}"
 
 
-def _magnitude(table: dict[str, Any], form: Form, place: _Place) -> float:
+def _magnitude(table: dict[str, Any], form: Form, place: _EffectPlace) -> float:
     key = form.magnitude
     if key in SWITCHES:
         if table[key] is not True:
@@ -264,7 +264,7 @@ def _magnitude(table: dict[str, Any], form: Form, place: _Place) -> float:
     return value
 
 
-def _shape(table: dict[str, Any], key: str, default: float | None, place: _Place) -> float:
+def _shape(table: dict[str, Any], key: str, default: float | None, place: _EffectPlace) -> float:
     if key not in table and default is None:
         raise place.mistake(key, f"key '{key}' is missing; give it as a number")
     value = _number(table, key, place, default or 0.0)
@@ -282,7 +282,7 @@ def bounds_of(key: str) -> str:
     return "" if lowest == -inf else "above 0" + (f", at most {highest:g}" if highest < inf else "")
 
 
-def _number(table: dict[str, Any], key: str, place: _Place, default: float) -> float:
+def _number(table: dict[str, Any], key: str, place: _EffectPlace, default: float) -> float:
     value = table.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float):
         shown = repr(value) if isinstance(value, str) else value

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class Section(NamedTuple):
+class RingSection(NamedTuple):
     """Section of the ring: `cells` equal water cells and the solid along them (totals of the section)."""
 
     name: str
@@ -35,14 +35,14 @@ class Section(NamedTuple):
 
 
 SECTIONS = (
-    Section("pipe_to_heater", 16, 0.40, 560.0, 28.0, 0.0, 28.0, 0.40),
-    Section("heater", 4, 0.50, 640.0, 150.0, 0.5, 20.0, 0.55),
-    Section("pipe_to_modules", 11, 0.28, 390.0, 20.0, 0.0, 20.0, 0.30),
-    Section("modules", 6, 0.30, 4900.0, 270.0, 0.65, 18.0, 1.50),
-    Section("pipe_to_radiator", 14, 0.34, 475.0, 24.0, 0.0, 24.0, 0.36),
-    Section("radiator", 8, 0.42, 1300.0, 230.0, 0.70, 16.0, 0.0),
-    Section("pipe_to_tank", 20, 0.50, 700.0, 35.0, 0.0, 35.0, 0.50),
-    Section("tank", 2, 37.85, 8200.0, 160.0, 0.2, 90.0, 2.10),
+    RingSection("pipe_to_heater", 16, 0.40, 560.0, 28.0, 0.0, 28.0, 0.40),
+    RingSection("heater", 4, 0.50, 640.0, 150.0, 0.5, 20.0, 0.55),
+    RingSection("pipe_to_modules", 11, 0.28, 390.0, 20.0, 0.0, 20.0, 0.30),
+    RingSection("modules", 6, 0.30, 4900.0, 270.0, 0.65, 18.0, 1.50),
+    RingSection("pipe_to_radiator", 14, 0.34, 475.0, 24.0, 0.0, 24.0, 0.36),
+    RingSection("radiator", 8, 0.42, 1300.0, 230.0, 0.70, 16.0, 0.0),
+    RingSection("pipe_to_tank", 20, 0.50, 700.0, 35.0, 0.0, 35.0, 0.50),
+    RingSection("tank", 2, 37.85, 8200.0, 160.0, 0.2, 90.0, 2.10),
 )
 """Hose films are governed by half the hose wall, hence independent of flow."""
 

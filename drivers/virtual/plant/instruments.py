@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drivers.virtual.plant.effects import READINGS, Effect
+from drivers.virtual.plant.effects import READINGS, PlantEffect
 from drivers.virtual.plant.plant import Plant
 from drivers.virtual.plant.sensor_faults import SensorFaults
 
@@ -21,7 +21,7 @@ class Instruments:
     `unit` is the specimen, whose room sensor has its own offset; by default another one for every seed.
     """
 
-    def __init__(self, seed: int, period_s: float, effects: tuple[Effect, ...], unit: int | None = None) -> None:
+    def __init__(self, seed: int, period_s: float, effects: tuple[PlantEffect, ...], unit: int | None = None) -> None:
         self._random = np.random.default_rng([seed, 2])
         offset = float(self._random.uniform(-LARGEST_OFFSET_K, LARGEST_OFFSET_K))
         if unit is not None:

@@ -5,7 +5,7 @@ import numpy as np
 from drivers.virtual.plant import kernel as k
 from drivers.virtual.plant.ambient import Room
 from drivers.virtual.plant.effect_physics import EffectPhysics, neutral_inputs
-from drivers.virtual.plant.effects import Effect
+from drivers.virtual.plant.effects import PlantEffect
 from drivers.virtual.plant.geometry import CELLS, JUNCTION_LAG_S, Array, Cells, build_cells, section_cells
 from drivers.virtual.plant.water import enthalpy_of, temperature_of
 
@@ -21,7 +21,7 @@ class Plant:
         *,
         seed: int = 0,
         period_s: float = 1.0,
-        effects: tuple[Effect, ...] = (),
+        effects: tuple[PlantEffect, ...] = (),
         start_C: float | None = None,
         start_s: float = 0.0,
         cells: Cells | None = None,

@@ -3,13 +3,13 @@
 import math
 from collections.abc import Sequence
 
-from drivers.virtual.plant.effects import Effect
+from drivers.virtual.plant.effects import PlantEffect
 
 
 class SensorFaults:
     """Application of the sensor effects that concern `columns`, in place, once per period."""
 
-    def __init__(self, effects: tuple[Effect, ...], columns: Sequence[str]) -> None:
+    def __init__(self, effects: tuple[PlantEffect, ...], columns: Sequence[str]) -> None:
         self._entries = [
             (columns.index(effect.where), effect)
             for effect in effects

@@ -9,7 +9,7 @@ import struct
 
 import numpy as np
 
-from drivers.virtual.plant.effects import Effect
+from drivers.virtual.plant.effects import PlantEffect
 from drivers.virtual.plant.geometry import CHANNELS
 from drivers.virtual.plant.sensor_faults import SensorFaults
 
@@ -28,7 +28,7 @@ class ThermocoupleModule:
     `unit` is the specimen, whose channels have their own offsets; by default another one for every seed.
     """
 
-    def __init__(self, seed: int, effects: tuple[Effect, ...] = (), unit: int | None = None) -> None:
+    def __init__(self, seed: int, effects: tuple[PlantEffect, ...] = (), unit: int | None = None) -> None:
         self._random = np.random.default_rng([seed, 3])
         self.offsets_K = self._random.uniform(-LARGEST_OFFSET_K, LARGEST_OFFSET_K, len(CHANNELS))
         if unit is not None:

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from drivers.virtual.tower.device import Replay, load_station, rig_text, serve_station, write_dictionary
     from drivers.virtual.tower.export import key_of, write_station
     from drivers.virtual.tower.sites import SITES
-    from drivers.virtual.tower.station import Plan, simulate
+    from drivers.virtual.tower.station import SimulationPlan, simulate
 
 _HOME = {
-    "Plan": "drivers.virtual.tower.station",
+    "SimulationPlan": "drivers.virtual.tower.station",
     "Replay": "drivers.virtual.tower.device",
     "SITES": "drivers.virtual.tower.sites",
     "key_of": "drivers.virtual.tower.export",
@@ -32,8 +32,8 @@ _HOME = {
 
 __all__ = [
     "SITES",
-    "Plan",
     "Replay",
+    "SimulationPlan",
     "key_of",
     "load_station",
     "rig_text",

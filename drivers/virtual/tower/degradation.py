@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.virtual.tower.physics import S_BLOCKAGE, S_FILL, S_PITCH, S_SLIP, S_UNIFORMITY, STATE
-from drivers.virtual.tower.records import Happening, Label
-from drivers.virtual.tower.sites import Built
+from drivers.virtual.tower.records import Happening, InspectionLabel
+from drivers.virtual.tower.sites import BuiltStation
 
 Array = NDArray[np.float64]
 MINUTES_A_DAY = 1440
@@ -39,10 +39,10 @@ class Life:
     bias: Array
     flow_gain: Array
     happenings: tuple[Happening, ...]
-    labels: tuple[Label, ...]
+    labels: tuple[InspectionLabel, ...]
 
 
-def live(built: Built, days: int, rng: np.random.Generator, outlet_tag: Callable[[int], str]) -> Life:
+def live(built: BuiltStation, days: int, rng: np.random.Generator, outlet_tag: Callable[[int], str]) -> Life:
     """Return `days` days of degradation (two more rows than days), drawn by `rng`; `outlet_tag` names a thermometer."""
     cells, rows = built.site.cells, days + 2
     states, bias, gain = np.zeros((rows, cells, len(STATE))), np.zeros((rows, cells)), np.ones((rows, cells))
@@ -122,8 +122,8 @@ def _thermometer(rows: int, cell: int, rng: np.random.Generator, tag: str) -> tu
 
 
 def _found(
-    built: Built, states: Array, bias: Array, days: int, rng: np.random.Generator
-) -> tuple[list[Label], list[Happening]]:
+    built: BuiltStation, states: Array, bias: Array, days: int, rng: np.random.Generator
+) -> tuple[list[InspectionLabel], list[Happening]]:
     """Return what inspections, traverses and reference thermometers find, and their entries."""
     labels, found = [], []
     for cell in range(built.site.cells):
@@ -145,12 +145,14 @@ def _found(
                 elif event == "airflow_traverse":
                     text = f"Cell {cell + 1}: portable air-flow traverse"
                     value = round(built.air_multiplier(cell, state[cell]) * (1.0 + rng.normal(0.0, 0.02)), 3)
-                    labels.append(Label(minute, cell + 1, "air", "portable traverse", value, 0.02))
+                    labels.append(InspectionLabel(minute, cell + 1, "air", "portable traverse", value, 0.02))
                 else:
                     text = f"Cell {cell + 1}: calibrated reference thermometer beside the outlet RTD for two days"
                     value = round(float(bias[day : day + 2, cell].mean() + rng.normal(0.0, 0.04)), 2)
                     labels.append(
-                        Label(minute, cell + 1, "bias", "reference thermometer, mean of two days", value, 0.05)
+                        InspectionLabel(
+                            minute, cell + 1, "bias", "reference thermometer, mean of two days", value, 0.05
+                        )
                     )
                 found.append(Happening(minute, cell + 1, "CMMS", event, text))
     return labels, found
@@ -158,11 +160,11 @@ def _found(
 
 def _interval(
     minute: int, cell: int, name: str, true: float, half: float, source: str, rng: np.random.Generator
-) -> Label:
+) -> InspectionLabel:
     """Return an interval that holds the true value in nine of ten cases."""
     middle = (
         true
         + (rng.uniform(-0.7, 0.7) if rng.random() < 0.9 else rng.choice([-1.0, 1.0]) * rng.uniform(1.0, 1.3)) * half
     )
     width = half * rng.uniform(0.85, 1.15)
-    return Label(minute, cell + 1, name, source, low=round(middle - width, 3), high=round(middle + width, 3))
+    return InspectionLabel(minute, cell + 1, name, source, low=round(middle - width, 3), high=round(middle + width, 3))

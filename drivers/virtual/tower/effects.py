@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.virtual.tower.physics import HIDDEN
-from drivers.virtual.tower.sites import Site
+from drivers.virtual.tower.sites import StationDesign
 
 EFFECTS = {
     "recirculation": "exhaust comes back with the wind from one direction",
@@ -19,7 +19,7 @@ EFFECTS = {
 
 
 def hidden_effects(
-    names: Sequence[str], site: Site, recorded: int, rng: np.random.Generator
+    names: Sequence[str], site: StationDesign, recorded: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], dict[str, object]]:
     """Return the plant's row of undeclared effects, drawn by `rng`, and the answer for scoring.
 

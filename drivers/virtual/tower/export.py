@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 
 from drivers.virtual.tower.degradation import WRITTEN
 from drivers.virtual.tower.physics import ratios, wet_bulb
-from drivers.virtual.tower.sites import Site
+from drivers.virtual.tower.sites import StationDesign
 from drivers.virtual.tower.station import Simulated, state_by_minute
 
 TESTS = (
@@ -105,7 +105,7 @@ def _raw(made: Simulated, path: Path) -> Path:
     return path
 
 
-def datasheet(site: Site, recorded: int) -> dict[str, Any]:
+def datasheet(site: StationDesign, recorded: int) -> dict[str, Any]:
     """Return the datasheet of a station: what its maker states."""
     return {
         "station": site.station,

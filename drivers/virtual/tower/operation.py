@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.virtual.tower.records import Happening
-from drivers.virtual.tower.sites import Site
+from drivers.virtual.tower.sites import StationDesign
 
 Array = NDArray[np.float64]
 MINUTES_A_DAY = 1440
@@ -21,7 +21,7 @@ TRIP_EVERY_D, OUTAGE_EVERY_D, TEST_EVERY_D = 14.0, 45.0, 30.0
 
 
 @dataclass(frozen=True)
-class Operation:
+class StationOperation:
     """Demands on the plant by minute: load kW, outage, trips and tests by cell (NaN: none), cell that starts
     first."""
 
@@ -34,7 +34,7 @@ class Operation:
     happenings: tuple[Happening, ...]
 
 
-def operate(site: Site, start: datetime.datetime, n: int, rng: np.random.Generator) -> Operation:
+def operate(site: StationDesign, start: datetime.datetime, n: int, rng: np.random.Generator) -> StationOperation:
     """Return `n` minutes of operation from `start` (UTC), drawn by `rng`."""
     cells, happenings = site.cells, []
     outage, trips = np.zeros(n, dtype=bool), np.zeros((n, cells), dtype=bool)
@@ -75,7 +75,7 @@ def operate(site: Site, start: datetime.datetime, n: int, rng: np.random.Generat
             happenings.append(Happening(minute, cell + 1, "DCS", "fan_trip", text))
     week = (np.arange(n) // (7 * MINUTES_A_DAY)).astype(np.int64)
     lead = (week + int(rng.integers(cells))) % cells
-    return Operation(_load(site, start, n, rng), outage, trips, speed, flow, lead, tuple(happenings))
+    return StationOperation(_load(site, start, n, rng), outage, trips, speed, flow, lead, tuple(happenings))
 
 
 def _weekday(start: datetime.datetime, minute: int) -> int:
@@ -90,7 +90,7 @@ def _poisson(rng: np.random.Generator, n: int, every: float) -> list[int]:
     return times
 
 
-def _load(site: Site, start: datetime.datetime, n: int, rng: np.random.Generator) -> Array:
+def _load(site: StationDesign, start: datetime.datetime, n: int, rng: np.random.Generator) -> Array:
     """Return the heat load, kW: a base with shifts and slow changes, or batches; both with steps."""
     design = site.cell_load * site.cells
     hour = (start.hour + start.minute / 60.0 + np.arange(n) / 60.0 + site.climate.zone_h) % 24.0

@@ -18,7 +18,7 @@ class Happening:
 
 
 @dataclass(frozen=True)
-class Label:
+class InspectionLabel:
     """A parameter found by people: a point with its standard deviation, or an interval."""
 
     minute: int

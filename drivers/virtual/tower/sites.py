@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Site:
+class StationDesign:
     """Design of a station by its datasheet: flows kg/s, temperatures degC, kPa, kW, m, m3, and names."""
 
     station: str
@@ -52,7 +52,7 @@ class Site:
         return self.water * 4.182 * (self.hot - self.cold)
 
 
-CHICAGO_SITE = Site(
+CHICAGO_SITE = StationDesign(
     "A",
     "Chicago",
     "America/Chicago",
@@ -78,7 +78,7 @@ CHICAGO_SITE = Site(
     False,
     "loops",
 )
-MIAMI_SITE = Site(
+MIAMI_SITE = StationDesign(
     "B",
     "Miami",
     "America/New_York",
@@ -108,10 +108,10 @@ SITES = (CHICAGO_SITE, MIAMI_SITE)
 
 
 @dataclass(frozen=True)
-class Built:
+class BuiltStation:
     """The clean station as built: rows of cells, shares of sectors, numbers of the station, thermometers' lags s."""
 
-    site: Site
+    site: StationDesign
     cells: Array
     shares: Array
     numbers: Array
@@ -166,7 +166,7 @@ class Built:
         return leaving
 
 
-def build(site: Site, rng: np.random.Generator) -> Built:
+def build(site: StationDesign, rng: np.random.Generator) -> BuiltStation:
     """Return a station as built for a site, drawn by `rng`: five to eight sectors, each cell a little off its
     design."""
     sectors = int(rng.integers(5, 9))
@@ -188,13 +188,13 @@ def build(site: Site, rng: np.random.Generator) -> Built:
             site.climate.mean + 2.0,
         ]
     )
-    built = Built(site, cells, shares, numbers, rng.uniform(20.0, 60.0, site.cells))
+    built = BuiltStation(site, cells, shares, numbers, rng.uniform(20.0, 60.0, site.cells))
     for c in range(site.cells):
         _size_fill(built, c, site.cold + rng.normal(0.0, 0.25))
     return built
 
 
-def _cell(site: Site, rng: np.random.Generator) -> Array:
+def _cell(site: StationDesign, rng: np.random.Generator) -> Array:
     exhaust = dry_air_density(site.hot - 3.0, 0.0345, site.pressure)
     slope, bend = rng.uniform(0.0, 0.3), rng.uniform(0.35, 0.7)
     values = {
@@ -234,7 +234,7 @@ def _shares(sectors: int, rng: np.random.Generator) -> Array:
     return np.stack([water / water.sum(), air / air.sum(), clean, plugged])
 
 
-def _size_fill(built: Built, cell: int, cold: float) -> None:
+def _size_fill(built: BuiltStation, cell: int, cold: float) -> None:
     """Give a cell the fill that cools its design water to `cold` at the design's entering air, by bisection."""
     site = built.site
     dry, ratio = design_air(site)
@@ -246,7 +246,7 @@ def _size_fill(built: Built, cell: int, cold: float) -> None:
         low, high = (middle, high) if out > cold else (low, middle)
 
 
-def design_air(site: Site) -> tuple[float, float]:
+def design_air(site: StationDesign) -> tuple[float, float]:
     """Return dry bulb and humidity ratio of the design's entering air: its wet bulb at a depression of 5 K."""
     dry = site.wet + 5.0
     low, high = 0.0, 0.04

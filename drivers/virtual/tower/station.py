@@ -19,9 +19,9 @@ from drivers.virtual.tower.effects import hidden_effects
 from drivers.virtual.tower.physics import S_FILL, STATE, compiled
 from drivers.virtual.tower.recording import (
     Instrument,
-    Samples,
     Seeding,
-    Truth,
+    StationTruth,
+    TagSamples,
     archived,
     instruments,
     scan_times,
@@ -30,7 +30,7 @@ from drivers.virtual.tower.recording import (
     seed_scans,
     tag_name,
 )
-from drivers.virtual.tower.sites import SITES, Built, Site, build
+from drivers.virtual.tower.sites import SITES, BuiltStation, StationDesign, build
 
 MINUTES_A_DAY = 1440
 DAYS_A_MONTH = 30.4375
@@ -49,7 +49,7 @@ STREAMS = (
 
 
 @dataclass(frozen=True)
-class Plan:
+class SimulationPlan:
     """Plan of a simulation: months, cells that are recorded, seed, beginning (UTC), effects to hide, defects, weather's
     folder."""
 
@@ -76,25 +76,27 @@ class Plan:
 class Simulated:
     """A simulated station: as built, its truth, operation, instruments, raw samples by tag, and what was seeded."""
 
-    plan: Plan
-    built: Built
+    plan: SimulationPlan
+    built: BuiltStation
     recorded: int
-    truth: Truth
-    operation: operation.Operation
+    truth: StationTruth
+    operation: operation.StationOperation
     instruments: tuple[Instrument, ...]
-    samples: dict[str, Samples]
+    samples: dict[str, TagSamples]
     seeded: Seeding
     weather_source: str
     answer: dict[str, object]
     streams: dict[str, np.random.Generator]
 
     @property
-    def site(self) -> Site:
+    def site(self) -> StationDesign:
         """Site of the station."""
         return self.built.site
 
 
-def simulate(site: Site, recorded: int, plan: Plan, note: Callable[[str], None] = lambda _: None) -> Simulated:
+def simulate(
+    site: StationDesign, recorded: int, plan: SimulationPlan, note: Callable[[str], None] = lambda _: None
+) -> Simulated:
     """Return a station with `recorded` cells simulated by the plan.
 
     Raises
@@ -132,7 +134,7 @@ def simulate(site: Site, recorded: int, plan: Plan, note: Callable[[str], None] 
         done.test_flow,
         done.lead,
     )
-    truth = Truth(cells, station, air, air.wet_bulb(), air.humidity(), life)
+    truth = StationTruth(cells, station, air, air.wet_bulb(), air.humidity(), life)
     tags = instruments(site, recorded, streams["instruments"])
     seeding = Seeding.draw(tags, days, site.timezone, truth, streams["defects"]) if plan.defects else Seeding()
     samples = _historian(tags, truth, plan, seeding, streams)
@@ -140,14 +142,18 @@ def simulate(site: Site, recorded: int, plan: Plan, note: Callable[[str], None] 
 
 
 def _historian(
-    tags: Sequence[Instrument], truth: Truth, plan: Plan, seeding: Seeding, streams: dict[str, np.random.Generator]
-) -> dict[str, Samples]:
+    tags: Sequence[Instrument],
+    truth: StationTruth,
+    plan: SimulationPlan,
+    seeding: Seeding,
+    streams: dict[str, np.random.Generator],
+) -> dict[str, TagSamples]:
     """Return what the archive holds of each tag."""
     end_s = plan.days * 86400.0
     scans = {}
     for one in tags:
         time_s = scan_times(0.0, end_s, one.scan_s, streams["scans"])
-        scans[one.tag] = Samples(time_s, scanned(one, truth, time_s, streams["scans"]))
+        scans[one.tag] = TagSamples(time_s, scanned(one, truth, time_s, streams["scans"]))
     seed_scans(scans, tags, seeding)
     kept = {}
     for one in tags:

@@ -63,7 +63,7 @@ class Year:
 
 
 @dataclass(frozen=True)
-class Minutes:
+class WeatherMinutes:
     """Weather by the minute, arrays (n,): dry bulb degC, humidity ratio, pressure kPa, wind m/s and deg, sun W/m2."""
 
     dry: Array
@@ -179,7 +179,7 @@ def _autoregression(noise: Array, first: float, second: float) -> Array:
     return np.asarray(lfilter([1.0], [1.0, -first, -second], noise, zi=start)[0])
 
 
-def minutes(year: Year, start: datetime.datetime, n: int, rng: np.random.Generator) -> Minutes:
+def minutes(year: Year, start: datetime.datetime, n: int, rng: np.random.Generator) -> WeatherMinutes:
     """Return `n` minutes of weather from `start` (UTC), of the typical year by its day and hour, with noise and
     anomalies."""
     first = datetime.datetime(start.year, 1, 1, tzinfo=datetime.UTC)
@@ -200,7 +200,7 @@ def minutes(year: Year, start: datetime.datetime, n: int, rng: np.random.Generat
     gusts = 0.14 * _within_hour(rng, n)
     wind = np.maximum(of(year.wind) * (1.0 + gusts) + 0.2 * rng.normal(size=n), 0.0)
     ratio = ratios(dew, np.ones(n), pressure)
-    return Minutes(
+    return WeatherMinutes(
         dry, ratio, pressure, wind, direction, np.maximum(of(year.sun) * (1.0 + 0.2 * _within_hour(rng, n)), 0.0)
     )
 

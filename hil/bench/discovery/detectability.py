@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.bench.discovery.score import family, same_driver
 from twin import Array, Network
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.scoring.contest import Contest
 
 _UNITS = {"bias": "K", "drift_per_h": "K", "lag_s": "s"}
@@ -44,12 +44,16 @@ def visible(contest: Contest, signatures: Sequence[Array]) -> tuple[list[float],
 
 
 def true_size(
-    found: Sequence[Law], network: Network, table: Mapping[str, Any], label: tuple[str, str, str], span_s: float
+    found: Sequence[CandidateLaw],
+    network: Network,
+    table: Mapping[str, Any],
+    label: tuple[str, str, str],
+    span_s: float,
 ) -> tuple[float, str] | None:
     """Return size and unit of a true effect at the end of a record of `span_s`, as of its candidate; None if it has
     none.
     """
-    laws_of: list[Law] = []
+    laws_of: list[CandidateLaw] = []
     for where in dict.fromkeys((label[1], family(label[1]))):
         laws_of = laws_of or [w for w in found if (w.candidate.kind, w.candidate.where) == (label[0], where)]
     # A growing effect is the steady law in a growing shape.
@@ -78,7 +82,7 @@ def course_of(table: Mapping[str, Any], edges_s: Array) -> Array:
     return np.asarray(course, dtype=np.float64)
 
 
-def catalogue_size(table: Mapping[str, Any], law: Law, network: Network) -> float | None:
+def catalogue_size(table: Mapping[str, Any], law: CandidateLaw, network: Network) -> float | None:
     """Return the size of an effect in the unit of its candidate; None if the two measure different quantities.
 
     So it is with the radiator's conductance and the fan's exponent, of the fins in the rig and of the whole way from

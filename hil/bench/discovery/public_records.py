@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hil.bench.experiments import FITTED_TEST, TWINS
 from hil.bench.measure import Cell, ReportTable, number
-from hil.record import PIPE_TESTS, Columns, dry_cooler, heated_pipe, tclab, wet_tower
+from hil.record import PIPE_TESTS, PublicRecord, dry_cooler, heated_pipe, tclab, wet_tower
 from hil.run.session import ProgressBar
 from twin import Network, load, simulate, steady_readings
 from twin.discovery.growing.growth import Added, Growth, grow, grow_at_rest
@@ -78,7 +78,7 @@ def _tclab(real: Path, say: Say) -> tuple[Growth, ReportTable]:
         say=say,
     )
 
-    def summed(record: Columns) -> Callable[[Network], float]:
+    def summed(record: PublicRecord) -> Callable[[Network], float]:
         return lambda net: float(np.nansum(np.abs(_free_run(net, record))))
 
     judged = (
@@ -102,7 +102,7 @@ def _heated_pipe(real: Path, say: Say) -> tuple[Growth, ReportTable]:
     others = tuple((t.time_s, *network.select(t.columns)) for name, t in tests.items() if name != FITTED_TEST)
     growth = grow(network, own.time_s, *network.select(own.columns), more=others, say=say)
 
-    def rmse(record: Columns) -> Callable[[Network], float]:
+    def rmse(record: PublicRecord) -> Callable[[Network], float]:
         return lambda net: float(np.sqrt(np.nanmean(_free_run(net, record) ** 2)))
 
     judged = tuple(EvaluationRecord(name.removeprefix("ulg_"), rmse(test)) for name, test in tests.items())
@@ -184,14 +184,14 @@ def _name(added: Added) -> str:
     return f"{added.kind.replace('_', ' ')}, {added.where}"
 
 
-def _free_run(network: Network, record: Columns) -> Array:
+def _free_run(network: Network, record: PublicRecord) -> Array:
     """Return simulated less measured (n, m), K."""
     inputs, measured = network.select(record.columns)
     difference: Array = simulate(network, record.time_s, inputs, network.initial_state(measured[:1])) - measured
     return difference
 
 
-def _at_rest(states: Columns) -> Callable[[Network], float]:
+def _at_rest(states: PublicRecord) -> Callable[[Network], float]:
     def error(network: Network) -> float:
         inputs, measured = network.select(states.columns)
         return float(np.sqrt(np.nanmean((steady_readings(network, inputs) - measured) ** 2)))

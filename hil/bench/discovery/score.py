@@ -8,11 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-Label = tuple[str, str]
+KindAndPlace = tuple[str, str]
 """Kind and place."""
 
 NAMED = ("effect found", "ambiguous")
-CLASSES: tuple[frozenset[Label], ...] = (
+CLASSES: tuple[frozenset[KindAndPlace], ...] = (
     # All temperatures follow heat over flow: scaling one down equals scaling the other up.
     frozenset({("flow", "loop"), ("actuator", "pump_speed"), ("actuator", "heater_power")}),
     # All change the conductance from radiator to room.
@@ -199,7 +199,7 @@ def spoken(effect: Mapping[str, Any]) -> str:
     return f"{effect['kind']} at {effect['where']} ({effect['driver']}) {size} {effect['shape']} since {since}"
 
 
-def alike(said: Label, truth: Label, others: Sequence[Label]) -> bool:
+def alike(said: KindAndPlace, truth: KindAndPlace, others: Sequence[KindAndPlace]) -> bool:
     """Return True if it was named, named as indistinguishable, or is of the same class."""
     if said == truth or truth in others:
         return True

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.record import PIPE_TESTS, WATER_DENSITY, Columns, dry_cooler, heated_pipe, held_steady, tclab
+from hil.record import PIPE_TESTS, WATER_DENSITY, PublicRecord, dry_cooler, heated_pipe, held_steady, tclab
 from twin import (
     CommissionOptions,
     CommissionResult,
@@ -195,7 +195,7 @@ PARTS: dict[str, Callable[[Path, Path, int], _Part]] = {
 }
 
 
-def _fitted(network: Network, record: Columns, seed: int, initial_sd: float = INITIAL_SD_K) -> CommissionResult:
+def _fitted(network: Network, record: PublicRecord, seed: int, initial_sd: float = INITIAL_SD_K) -> CommissionResult:
     inputs, measured = network.select(record.columns)
     return commission(
         network,
@@ -206,7 +206,7 @@ def _fitted(network: Network, record: Columns, seed: int, initial_sd: float = IN
     )
 
 
-def band(fit: CommissionResult, record: Columns) -> tuple[float, float]:
+def band(fit: CommissionResult, record: PublicRecord) -> tuple[float, float]:
     """Return the middle 90 % of sum |error| on `record` over parameters that the fit does not distinguish from its best
     ones.
     """
@@ -218,7 +218,7 @@ def band(fit: CommissionResult, record: Columns) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _residual(network: Network, record: Columns) -> Array:
+def _residual(network: Network, record: PublicRecord) -> Array:
     """Return simulated less measured (n, m), free run from the first reading; NaN without a measurement."""
     inputs, measured = network.select(record.columns)
     readings = simulate(network, record.time_s, inputs, network.initial_state(measured[:1]))
@@ -226,7 +226,7 @@ def _residual(network: Network, record: Columns) -> Array:
     return difference
 
 
-def _from_linear_profile(network: Network, record: Columns) -> Array:
+def _from_linear_profile(network: Network, record: PublicRecord) -> Array:
     """Return `_residual` for a pipe whose water falls evenly from the first inlet to the outlet reading.
 
     A pipe holds what entered before the record. The profile is made by letting the inlet go from the one reading to
@@ -243,7 +243,7 @@ def _from_linear_profile(network: Network, record: Columns) -> Array:
     return difference
 
 
-def _transit_s(network: Network, record: Columns) -> float:
+def _transit_s(network: Network, record: PublicRecord) -> float:
     """Return the transport delay from inlet to outlet, s: water and wall pass at the record's first flow."""
     volume, wall = (network.parameters[f"pipe.{name}"].value for name in ("volume", "wall_capacity"))
     cp = network.parameters["supply.cp"].value
@@ -254,7 +254,7 @@ def _rmse(residual: Array) -> float:
     return float(np.sqrt(np.nanmean(residual**2)))
 
 
-def _implicit_euler(network: Network, record: Columns) -> Array:
+def _implicit_euler(network: Network, record: PublicRecord) -> Array:
     """Return `_residual` with one implicit Euler step between samples; sensors follow with their lag."""
     inputs, measured = network.select(record.columns)
     rhs, values = right_hand_side(network), network.values

@@ -18,7 +18,7 @@ Ending = Literal["stops", "rides", "either", "killed"]
 """
 
 
-class Stage(Protocol):
+class FaultTargets(Protocol):
     """Targets of a fault."""
 
     generator: random.Random
@@ -35,7 +35,7 @@ class Stage(Protocol):
     def kill_child(self, words: str) -> None: ...
 
 
-Act = Callable[[Stage], Awaitable[None]]
+Act = Callable[[FaultTargets], Awaitable[None]]
 
 MENDED_AFTER_S = 15.0
 """Time after which a failed sensor, pump or fan is repaired, s: many times as long as the run may take to end."""
@@ -62,7 +62,7 @@ class FaultKind:
 def _lasting(change: Callable[[random.Random], replies.Change], wire: str = "plc") -> Act:
     """Change every frame from now on."""
 
-    async def act(stage: Stage) -> None:
+    async def act(stage: FaultTargets) -> None:
         link = stage.plc if wire == "plc" else stage.can
         link.change = change(stage.generator)
 
@@ -72,7 +72,7 @@ def _lasting(change: Callable[[random.Random], replies.Change], wire: str = "plc
 def _brief(change: Callable[[random.Random], replies.Change], wire: str = "plc") -> Act:
     """Change frames for 0.1 to 0.5 s."""
 
-    async def act(stage: Stage) -> None:
+    async def act(stage: FaultTargets) -> None:
         link = stage.plc if wire == "plc" else stage.can
         link.change = change(stage.generator)
         await asyncio.sleep(stage.generator.uniform(0.1, 0.5))
@@ -81,71 +81,71 @@ def _brief(change: Callable[[random.Random], replies.Change], wire: str = "plc")
     return act
 
 
-async def _drop(stage: Stage) -> None:
+async def _drop(stage: FaultTargets) -> None:
     stage.plc.drop()
 
 
-async def _drop_briefly(stage: Stage) -> None:
+async def _drop_briefly(stage: FaultTargets) -> None:
     stage.plc.drop()
     await asyncio.sleep(stage.generator.uniform(0.05, 0.3))
     await stage.plc.restore()
 
 
-async def _half_open(stage: Stage) -> None:
+async def _half_open(stage: FaultTargets) -> None:
     stage.plc.mute()
 
 
-async def _server_restart(stage: Stage) -> None:
+async def _server_restart(stage: FaultTargets) -> None:
     """Restart the Modbus server of the gateway; the PLC behind it goes on."""
     stage.plc.drop()
     await asyncio.sleep(stage.generator.uniform(0.3, 4.0))
     await stage.plc.restore()
 
 
-async def _can_drop(stage: Stage) -> None:
+async def _can_drop(stage: FaultTargets) -> None:
     stage.can.drop()
 
 
-async def _can_drop_briefly(stage: Stage) -> None:
+async def _can_drop_briefly(stage: FaultTargets) -> None:
     stage.can.reset()
 
 
-async def _can_silent(stage: Stage) -> None:
+async def _can_silent(stage: FaultTargets) -> None:
     stage.can.mute()
 
 
-async def _bus_off(stage: Stage) -> None:
+async def _bus_off(stage: FaultTargets) -> None:
     stage.can.say(b"< error 20000040 1.000000 >")
     stage.can.mute()
 
 
-async def _error_frames(stage: Stage) -> None:
+async def _error_frames(stage: FaultTargets) -> None:
     """Insert error frames among good ones: a disturbed bus that still works."""
     for _ in range(stage.generator.randint(3, 12)):
         stage.can.say(f"< error 200000{stage.generator.choice(('04', '08', '80'))} 1.000000 >".encode())
         await asyncio.sleep(stage.generator.uniform(0.0, 0.1))
 
 
-async def _reboot(stage: Stage) -> None:
+async def _reboot(stage: FaultTargets) -> None:
     await stage.reboot(round(stage.generator.choice((0.0, stage.generator.uniform(0.05, 3.0))), 3))
 
 
-async def _disk_full(stage: Stage) -> None:
+async def _disk_full(stage: FaultTargets) -> None:
     stage.fill_disk()
 
 
 def _sent(number: signal.Signals) -> Act:
-    async def act(stage: Stage) -> None:
+    async def act(stage: FaultTargets) -> None:
         os.kill(stage.pid, number)
 
     return act
 
 
-async def _calibrator_crash(stage: Stage) -> None:
+async def _calibrator_crash(stage: FaultTargets) -> None:
     stage.kill_child("multiprocessing.spawn")
 
 
-async def _viewer_killed(stage: Stage) -> None:
+async def _viewer_killed(stage: FaultTargets) -> None:
     stage.kill_child("hil.review")
 
 

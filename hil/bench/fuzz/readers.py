@@ -64,7 +64,7 @@ class FuzzedReader:
 def readers(folder: Path) -> dict[str, FuzzedReader]:
     """Return every reader by the kind of its files; `folder` holds the journal that is copied."""
     from hil.bench.fuzz.journal import damaged, read_all, sound_journal
-    from hil.diagnosis import CURVES, Curves, Unknown, write_curves
+    from hil.diagnosis import CURVES, ResidualCurves, Unknown, write_curves
     from hil.profile import read_scenario
     from twin import load as load_twin
 
@@ -75,7 +75,8 @@ def readers(folder: Path) -> dict[str, FuzzedReader]:
     load = (PROJECT / "profiles" / "loads" / "commissioning.toml").read_text()
     line = np.zeros(3)
     write_curves(
-        Curves(line, {"T": line}, {"T": line}, {"T": 0.1}, (Unknown("tank", "W", line, line, 0.0),)), folder / CURVES
+        ResidualCurves(line, {"T": line}, {"T": line}, {"T": 0.1}, (Unknown("tank", "W", line, line, 0.0),)),
+        folder / CURVES,
     )
     (folder / "bus.dbc").write_text(fuzz_texts.DBC, encoding="utf-8")
     return {

@@ -68,7 +68,7 @@ def measure(
 
 def trial(data: TrainingData, name: str, seed: int, budget_s: float, less: tuple[str, ...]) -> TrainedVariant:
     """Train a variant without the parts `less` for this CPU time and score it on the test windows."""
-    from twin.calibrators.hiera_unet import Plan, Trainer
+    from twin.calibrators.hiera_unet import Trainer, TrainingPlan
     from twin.calibrators.hiera_unet.binding import config_for, physics_of
     from twin.calibrators.hiera_unet.score import MOVED, NINETY, outcome
 
@@ -76,7 +76,7 @@ def trial(data: TrainingData, name: str, seed: int, budget_s: float, less: tuple
     physics = physics_of(*parts)
 
     def trainer(steps: int) -> tuple[Any, TrainingData]:
-        config, plan, own = without(less, config_for(name, *parts), Plan(steps=steps, seed=seed), data)
+        config, plan, own = without(less, config_for(name, *parts), TrainingPlan(steps=steps, seed=seed), data)
         return Trainer(config, own.train, physics, plan, digest=data.digest), own
 
     # Half of the probe belongs to the structure and half does not: its mean step is slightly cheaper than the rest.

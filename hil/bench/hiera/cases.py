@@ -20,7 +20,7 @@ from hil.record import read_record
 from hil.synthetic import Setting
 from hil.training import PROFILES, equivalent_deviations, recorded, specimen_of
 from twin import Array, commission, from_datasheet
-from twin.calibrators.hiera_unet import Campaign, Family, Features, changes
+from twin.calibrators.hiera_unet import Family, Features, LabelledRecord, changes
 from twin.calibrators.hiera_unet.campaigns import recorded as logged
 from twin.calibrators.hiera_unet.campaigns import rig_of
 from twin.calibrators.hiera_unet.loads import drive
@@ -56,7 +56,7 @@ class HieraCase:
     rig: str
     kind: str
     seed: int
-    campaign: Campaign
+    campaign: LabelledRecord
     targets: tuple[int, ...]
     onset: int
 
@@ -129,7 +129,7 @@ def virtual(features: Features, seed: int, count: int) -> Iterator[HieraCase]:
         moved = tuple(replace(e, onset_s=5.0 * onset, ramp_s=min(e.ramp_s, 1.0)) for e in known)
         made, clean = recorded(features, setting, specimen, moved, start_C=float(rng.uniform(24.0, 32.0)))
         theta, amiss = equivalent_deviations(features, moved, made.time)
-        campaign = Campaign(made, clean, theta, amiss, specimen.nominal, "plant", (effect,) if effect else ())
+        campaign = LabelledRecord(made, clean, theta, amiss, specimen.nominal, "plant", (effect,) if effect else ())
         kind = "healthy" if not effect else "tracked" if effect in EFFECTS[:2] else "other"
         yield HieraCase(effect.replace("_", " ") or "healthy", "virtual", kind, seed, campaign, _targets(), onset)
 
@@ -155,7 +155,7 @@ def strangers(features: Features, data: Path, names: tuple[str, ...] = STRANGERS
         onset = len(made) if quiet else round(onset_s / 5.0)
         start = max(FIRST, 0 if quiet else onset // TARGET - BEFORE)
         unknown = np.full((len(made), len(features.deviations)), np.nan)
-        campaign = Campaign(
+        campaign = LabelledRecord(
             made,
             np.full(made.measured.shape, np.nan),
             unknown,

@@ -16,8 +16,8 @@ import numpy as np
 from hil.bench.hiera.cases import HieraCase
 from twin import Array, Network, TwinTracker
 from twin.calibrators import CALIBRATOR_NAMES, Calibration, Calibrator, make_calibrator
-from twin.calibrators.hiera_unet import Evidence, Features, Frame
-from twin.calibrators.hiera_unet.campaigns import Label
+from twin.calibrators.hiera_unet import ContextFit, Features, Frame
+from twin.calibrators.hiera_unet.campaigns import WindowLabel
 from twin.calibrators.hiera_unet.evidence import estimate, identifiable, least_error, step_noise
 from twin.calibrators.hiera_unet.series import STEP_S
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
@@ -40,11 +40,11 @@ class CaseInputs:
 
     case: HieraCase
     frames: tuple[Frame, ...]
-    evidence: tuple[Evidence, ...]
+    evidence: tuple[ContextFit, ...]
     known: np.ndarray
     floor: Array
     theta: Array
-    labels: tuple[Label, ...]
+    labels: tuple[WindowLabel, ...]
     cpu_s: tuple[float, float]
 
 
@@ -81,7 +81,7 @@ def sheet(features: Features, case: HieraCase) -> CaseInputs:
     rows = [_labelled(features, case, frame, end) for frame, end in zip(frames, ends, strict=True)]
     theta, known, floor = (np.stack([row[k] for row in rows]) for k in range(3))
     labels = tuple(
-        Label(end, t, k, bool(case.campaign.amiss[end - TARGET : end].any()), e.kept())
+        WindowLabel(end, t, k, bool(case.campaign.amiss[end - TARGET : end].any()), e.kept())
         for end, t, k, e in zip(ends, theta, known, evidence, strict=True)
     )
     n = max(len(frames), 1)
@@ -115,7 +115,7 @@ def fitted(features: Features, given: CaseInputs) -> BlindPredictions:
     return refit(features, given, given.evidence, sum(given.cpu_s))
 
 
-def refit(features: Features, given: CaseInputs, found: tuple[Evidence, ...], cpu_s: float) -> BlindPredictions:
+def refit(features: Features, given: CaseInputs, found: tuple[ContextFit, ...], cpu_s: float) -> BlindPredictions:
     """Return the predictions of fits of every target's context."""
     readings = np.stack([free_run(features, given, i, e.theta, e.state) for i, e in enumerate(found)])
     noise = float(np.sqrt(np.mean(step_noise(features) ** 2)))

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.hiera.contestants import BlindPredictions, CaseInputs, Contestant, refit
-from twin.calibrators.hiera_unet import Belief, Ensemble, Features, Windows, load_ensemble
+from twin.calibrators.hiera_unet import Ensemble, Features, ParameterPrior, Windows, load_ensemble
 from twin.calibrators.hiera_unet.binding import identity_of, physics_of
 from twin.calibrators.hiera_unet.ensemble import together
 from twin.calibrators.hiera_unet.evidence import estimate
 from twin.calibrators.hiera_unet.holding import NARROWEST
-from twin.calibrators.hiera_unet.score import NINETY, Outcome, outcome
+from twin.calibrators.hiera_unet.score import NINETY, ScoredWindows, outcome
 from twin.calibrators.hiera_unet.series import STEP_S
 from twin.calibrators.hiera_unet.service import one
 from twin.calibrators.hiera_unet.train import Physics
@@ -30,18 +30,18 @@ def contestants(card: Path, features: Features) -> dict[str, Contestant]:
         HieraError: there is none, or it belongs to another twin or channel table.
     """
     parts = (features.network, features.table, features.deviations)
-    net = _Network(load_ensemble(card, identity_of(*parts)), physics_of(*parts))
+    net = _NetworkContestant(load_ensemble(card, identity_of(*parts)), physics_of(*parts))
     return {"network": net.alone, "network, fit": net.then_fit}
 
 
-class _Network:
+class _NetworkContestant:
     """Ensemble with one evaluation for each case."""
 
     def __init__(self, ensemble: Ensemble, physics: Physics) -> None:
         self._ensemble, self._physics = ensemble, physics
-        self._latest: tuple[CaseInputs, Outcome, float] | None = None
+        self._latest: tuple[CaseInputs, ScoredWindows, float] | None = None
 
-    def _ask(self, features: Features, given: CaseInputs) -> tuple[Outcome, float]:
+    def _ask(self, features: Features, given: CaseInputs) -> tuple[ScoredWindows, float]:
         if self._latest is None or self._latest[0] is not given:
             windows = _windows(features, given)
             began = time.process_time()
@@ -73,7 +73,7 @@ class _Network:
         least = NARROWEST * features.deviations.prior_sd
         began = time.process_time()
         found = tuple(
-            estimate(features, frame, given.case.campaign.nominal, belief=Belief(theta, np.maximum(sd, least)))
+            estimate(features, frame, given.case.campaign.nominal, belief=ParameterPrior(theta, np.maximum(sd, least)))
             for frame, theta, sd in zip(given.frames, said.theta, said.theta_sd, strict=True)
         )
         spent += (time.process_time() - began) / max(len(found), 1)

@@ -47,14 +47,14 @@ def pymoo_pso(problem: Problem, seed: int) -> Array:
     except ImportError:
         raise Absent("pymoo: not installed (pip install -e '.[bench]')") from None
 
-    class Fit(Base):
+    class PymooFit(Base):
         def __init__(self) -> None:
             super().__init__(n_var=len(problem.ids), n_obj=1, xl=0.0, xu=1.0)
 
         def _evaluate(self, x: Array, out: dict[str, Array], *args: object, **kwargs: object) -> None:
             out["F"] = problem.rmse(x)[:, None]
 
-    done = minimize(Fit(), PSO(pop_size=PARTICLES), ("n_gen", ITERATIONS), seed=seed, verbose=False)
+    done = minimize(PymooFit(), PSO(pop_size=PARTICLES), ("n_gen", ITERATIONS), seed=seed, verbose=False)
     return np.asarray(done.X)
 
 

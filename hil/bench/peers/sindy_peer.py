@@ -16,7 +16,7 @@ import pysindy
 from twin import Array, Network
 from twin.discovery.effects.formulas import Formulas
 from twin.discovery.effects.laws import temperatures
-from twin.discovery.effects.probe import Run
+from twin.discovery.effects.probe import FreeRun
 from twin.discovery.records.grid import Grid
 
 MEAN_S = 300.0
@@ -31,7 +31,7 @@ _KINDS = {
 }
 
 
-def contributions(network: Network, grid: Grid, run: Run) -> list[dict[str, Any]]:
+def contributions(network: Network, grid: Grid, run: FreeRun) -> list[dict[str, Any]]:
     """Return terms by falling contribution, W: `kind`, `where`, `driver`, and `z`, which is the contribution itself."""
     every = max(round(MEAN_S / grid.step_s), 1)
     known = temperatures(network, grid, run)

@@ -25,8 +25,8 @@ from hil.bench.zoo.plants import (
     START_H,
     Array,
     Drive,
-    Plant,
     Schedule,
+    ZooPlant,
     draw_drive,
     draw_plant,
 )
@@ -56,7 +56,7 @@ class SealedFamilyError(PermissionError):
 
 
 @dataclass(frozen=True)
-class Case:
+class ZooCase:
     """A case in memory.
 
     Attributes
@@ -86,7 +86,7 @@ class Case:
 
 def make_case(
     family: str, seed: int, effect: str | None = "", *, open_sealed: bool = False, size: float | None = None
-) -> Case:
+) -> ZooCase:
     """Make the case of a family and a seed.
 
     Parameters
@@ -180,7 +180,7 @@ def make_case(
     truth |= {"schedule": asdict(schedule), "rows": len(t), "sigma_K": plant.sigma_K, "volumes": len(network.nodes)}
     record = noisy(plant, t, shown, inputs, np.random.default_rng([seed, 3]))
     clocked = with_clock(fit.network)
-    return Case(
+    return ZooCase(
         f"{family}_{seed}",
         clocked,
         columns_of(clocked, record, START_H),
@@ -214,7 +214,7 @@ def _chosen(scene: Scene, effect: str | None, sealed: bool) -> tuple[EffectType 
 
 
 def inject(
-    plant: Plant,
+    plant: ZooPlant,
     drive: Drive,
     schedule: Schedule,
     injection: Injection,
@@ -236,7 +236,7 @@ def inject(
     return shown, inputs
 
 
-def _delivered(plant: Plant, drive: Drive, injection: Injection, size: float) -> Drive:
+def _delivered(plant: ZooPlant, drive: Drive, injection: Injection, size: float) -> Drive:
     heat, pump, fan = drive.heat.copy(), drive.pump.copy(), drive.fan.copy()
     for column, form in injection.commands.items():
         if column in plant.heat_columns:
@@ -251,7 +251,7 @@ def _delivered(plant: Plant, drive: Drive, injection: Injection, size: float) ->
 
 
 def noisy(
-    plant: Plant, t: Array, shown: Mapping[str, Array], inputs: Mapping[str, Array], rng: np.random.Generator
+    plant: ZooPlant, t: Array, shown: Mapping[str, Array], inputs: Mapping[str, Array], rng: np.random.Generator
 ) -> Record:
     """Return the record: readings and room with white noise, the other inputs as they are."""
     columns = {c: y + plant.sigma_K * rng.normal(size=len(t)) for c, y in shown.items()}
@@ -260,7 +260,7 @@ def noisy(
     return Record(t, found)
 
 
-def _healthy(plant: Plant, schedule: Schedule, drive: Drive, rng: np.random.Generator) -> Record:
+def _healthy(plant: ZooPlant, schedule: Schedule, drive: Drive, rng: np.random.Generator) -> Record:
     t = schedule.times
     shown = plant.readings(plant.run(drive, schedule.period_s), schedule.period_s)
     return noisy(plant, t, shown, plant.columns(drive), rng)
@@ -271,4 +271,4 @@ def _of(network: Network, shown: Mapping[str, Array], inputs: Mapping[str, Array
     return network.select({**shown, **inputs})
 
 
-__all__ = ["Case", "NoSuchPlaceError", "SealedFamilyError", "make_case"]
+__all__ = ["NoSuchPlaceError", "SealedFamilyError", "ZooCase", "make_case"]

@@ -23,7 +23,7 @@ SHARE_ON_METAL = 0.8
 
 
 def sheet_twin(sheet: Mapping[str, Any], *, fan_varies: bool, pump_varies: bool) -> Network:
-    """Return the lumped twin of a data sheet (`Plant.sheet`), not commissioned.
+    """Return the lumped twin of a data sheet (`ZooPlant.sheet`), not commissioned.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from drivers.importers import PLACE_SYNTAX, Actuator, Described, Place, place_of, temperatures_of
+from drivers.importers import PLACE_SYNTAX, Described, DescribedActuator, SignalPlace, place_of, temperatures_of
 from drivers.signals import ConfigurationError
 
 _KINDS = (("heater", "W", 1000.0), ("pump", "%", 100.0), ("fan", "%", 100.0))
@@ -39,7 +39,7 @@ def ask(name: str, period_s: float) -> Described:
             highest = click.prompt(
                 f"  {which}: upper limit, {unit_of}", default=most, type=click.FloatRange(0, min_open=True)
             )
-            rig.actuators.append(Actuator(kind, written, read, highest))  # type: ignore[arg-type]
+            rig.actuators.append(DescribedActuator(kind, written, read, highest))  # type: ignore[arg-type]
     rig.flow = _place("Flow, L/min, is read from (- for nowhere)", optional=True)
     if rig.can is not None and click.confirm("Take every temperature of the DBC as a thermocouple?", default=True):
         rig.thermocouples = _checked(temperatures_of)(rig.can["dbc"])
@@ -65,13 +65,13 @@ def ask(name: str, period_s: float) -> Described:
     return rig
 
 
-def _place(question: str, *, optional: bool = False) -> Place | None:
+def _place(question: str, *, optional: bool = False) -> SignalPlace | None:
     read = _checked(place_of)
 
-    def value(text: str) -> Place | None:
+    def value(text: str) -> SignalPlace | None:
         return None if optional and text == "-" else read(text)
 
-    found: Place | None = click.prompt(question, default="-" if optional else None, value_proc=value)
+    found: SignalPlace | None = click.prompt(question, default="-" if optional else None, value_proc=value)
     return found
 
 

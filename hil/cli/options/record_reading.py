@@ -29,15 +29,15 @@ _OPTIONS = (
 
 
 def reading(command: Command) -> Command:
-    """Add the options to `command`, as one argument `choice`, a `hil.record.raw.Reading`."""
+    """Add the options to `command`, as one argument `choice`, a `hil.record.raw.ReadingOptions`."""
 
     @wraps(command)
     def with_choice(
         *given: Any, decimal: Any, dates: Any, time_column: str | None, time_scale: float, **named: Any
     ) -> Any:
-        from hil.record import Reading
+        from hil.record import ReadingOptions
 
-        return command(*given, choice=Reading(decimal, dates, time_column, time_scale), **named)
+        return command(*given, choice=ReadingOptions(decimal, dates, time_column, time_scale), **named)
 
     for option in reversed(_OPTIONS):
         with_choice = option(with_choice)

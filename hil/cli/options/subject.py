@@ -14,7 +14,7 @@ class SubjectError(ValueError):
 
 
 @dataclass(frozen=True)
-class Subject:
+class RecordAndTwin:
     """Files of a record and its twin, and the folder of their run or None."""
 
     record: Path
@@ -47,7 +47,7 @@ def record_of(target: Path) -> Path:
     return folder.record
 
 
-def subject_of(target: Path, twin: Path | None) -> Subject:
+def subject_of(target: Path, twin: Path | None) -> RecordAndTwin:
     """Resolve a record file or a run folder; `twin` replaces the run's own.
 
     Raises
@@ -58,12 +58,12 @@ def subject_of(target: Path, twin: Path | None) -> Subject:
     if not target.is_dir():
         if twin is None:
             raise SubjectError(f"{target} is a record and names no twin; name it with --twin")
-        return Subject(target, twin, None)
+        return RecordAndTwin(target, twin, None)
     folder, record = RunFolder(target), record_of(target)
     chosen = twin or folder.twin
     if not chosen.is_file():
         raise SubjectError(f"{target} holds no twin.toml; name the twin with --twin")
-    return Subject(record, chosen, target)
+    return RecordAndTwin(record, chosen, target)
 
 
 def _make_record(folder: RunFolder) -> None:

@@ -17,7 +17,7 @@ from hil.cli.options import INPUT_FILE, INPUT_PATH, VIRTUAL_RIG, reading
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hil.record import Reading
+    from hil.record import ReadingOptions
 
 
 @click.command()
@@ -53,7 +53,7 @@ def command(
     online: bool,
     seconds: float | None,
     picture: Path | None,
-    choice: Reading,
+    choice: ReadingOptions,
 ) -> None:
     """Check FILE: a rig file, twin, load profile, scenario, effects file or record. Nothing is moved or written.
 
@@ -73,7 +73,7 @@ def command(
       hil check runs/<a run>
       hil check --kinds
     """
-    from hil.record import Reading
+    from hil.record import ReadingOptions
     from hil.run.session import console
 
     if kinds:
@@ -113,7 +113,7 @@ def command(
             return
         if checker is _record:
             _record(file, choice, console())
-        elif choice != Reading():
+        elif choice != ReadingOptions():
             raise click.UsageError(
                 f"--decimal, --dates, --time-column and --time-scale describe a record; {file} is no record"
             )
@@ -311,12 +311,12 @@ def _profile(file: Path, rig: Path, out: Console) -> None:
     out.print(f"{file}: {profile.duration_s / 3600:.2f} h, runs on {target.name}", style="green")
 
 
-def _record(file: Path, choice: Reading | Path, out: Console) -> None:
+def _record(file: Path, choice: ReadingOptions | Path, out: Console) -> None:
     import numpy as np
 
-    from hil.record import Reading, read_record
+    from hil.record import ReadingOptions, read_record
 
-    record = read_record(file, choice=choice if isinstance(choice, Reading) else None)
+    record = read_record(file, choice=choice if isinstance(choice, ReadingOptions) else None)
     for message in record.messages:
         out.print(f"  {message}", markup=False, soft_wrap=True)
     for name, values in record.columns.items():

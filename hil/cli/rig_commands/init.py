@@ -12,7 +12,7 @@ import click
 from hil.cli.options import INPUT_FILE
 
 if TYPE_CHECKING:
-    from drivers.importers import Draft, Place
+    from drivers.importers import Draft, SignalPlace
     from drivers.rig_file import Rig
 
 
@@ -171,11 +171,11 @@ def _imported(
     raise click.UsageError(f"{source}: is no .csv, .toml, .yaml or .dbc file; give a file of one of these types")
 
 
-def _thermocouples(said: tuple[str, ...], dbc: Path | None, encoding: str | None) -> dict[str, Place]:
+def _thermocouples(said: tuple[str, ...], dbc: Path | None, encoding: str | None) -> dict[str, SignalPlace]:
     """Return the named thermocouples, and where none of them is on CAN every temperature of the DBC."""
     from drivers.importers import CAN, place_of, temperatures_of
 
-    found: dict[str, Place] = {}
+    found: dict[str, SignalPlace] = {}
     for text in said:
         name, _, where = text.partition("=")
         if not where or name in found:

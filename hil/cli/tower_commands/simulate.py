@@ -59,13 +59,15 @@ def command(
       hil tower simulate --out station --months 1 --cells 2
       hil tower simulate --out station --hide recirculation --defects --score
     """
-    from drivers.virtual.tower import SITES, Plan, key_of, simulate, write_station
+    from drivers.virtual.tower import SITES, SimulationPlan, key_of, simulate, write_station
     from hil.record import RecordError
     from hil.run.session import console
 
     say = console(stderr=True)
     folder = weather or (Path(os.environ["HIL_DATA"]) / "weather" if os.environ.get("HIL_DATA") else None)
-    plan = Plan(months, cells, seed, start.replace(tzinfo=datetime.UTC), tuple(dict.fromkeys(hide)), defects, folder)
+    plan = SimulationPlan(
+        months, cells, seed, start.replace(tzinfo=datetime.UTC), tuple(dict.fromkeys(hide)), defects, folder
+    )
     key = {}
     try:
         out.mkdir(parents=True, exist_ok=True)

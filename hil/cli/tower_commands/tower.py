@@ -22,7 +22,7 @@ VERBS = {
 """Verb and its summary; its command is in `hil.cli.tower_commands.<verb>`."""
 
 
-class _Verbs(click.Group):
+class _TowerVerbs(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)
 
@@ -37,7 +37,7 @@ class _Verbs(click.Group):
             formatter.write_dl(list(VERBS.items()))
 
 
-@click.group(cls=_Verbs)
+@click.group(cls=_TowerVerbs)
 def command() -> None:
     """Cooling towers: from a plant historian to a calibrated twin.
 

@@ -13,7 +13,7 @@ import click
 from hil.cli.options import INPUT_FILE, INPUT_PATH, reading
 
 if TYPE_CHECKING:
-    from hil.record import Reading
+    from hil.record import ReadingOptions
     from twin import CommissionResult
 
 
@@ -45,7 +45,7 @@ def command(
     seed: int,
     initial_sd: float,
     as_json: bool,
-    choice: Reading,
+    choice: ReadingOptions,
 ) -> None:
     """Fit the tunables of a twin to a healthy RUN or RECORD, and write them as a new revision.
 

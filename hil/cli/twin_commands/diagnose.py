@@ -18,8 +18,8 @@ from hil.errors import FOUND
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hil.diagnosis import Prepared, Written
-    from hil.record import Reading
+    from hil.diagnosis import PreparedDiagnosis, Written
+    from hil.record import ReadingOptions
     from twin import Network
     from twin.discovery import Diagnosis
     from twin.discovery.healthy.basis import Columns
@@ -85,7 +85,7 @@ def command(
     forecast: bool,
     bootstrap: int | None,
     as_json: bool,
-    choice: Reading,
+    choice: ReadingOptions,
 ) -> None:
     """Find the residual of RUN or RECORD, trace it to an effect that the twin lacks, and add that effect.
 
@@ -192,7 +192,7 @@ def _folder(run: Path | None, target: Path) -> Path:
     return run / "diagnosis" if run else Path(f"diagnosis-{target.absolute().parent.name}-{target.stem}")
 
 
-def _diagnosed(ready: Prepared, diagnose: Callable[..., Diagnosis], *, quiet: bool) -> Diagnosis:
+def _diagnosed(ready: PreparedDiagnosis, diagnose: Callable[..., Diagnosis], *, quiet: bool) -> Diagnosis:
     """Diagnose, and print a line for each stage."""
     from hil.run.session import ProgressBar
 
@@ -207,7 +207,7 @@ def _diagnosed(ready: Prepared, diagnose: Callable[..., Diagnosis], *, quiet: bo
         return diagnose(ready, say, steps.print_line)
 
 
-def _report(to: Console, ready: Prepared, found: Diagnosis, written: Written | None, target: Path) -> None:
+def _report(to: Console, ready: PreparedDiagnosis, found: Diagnosis, written: Written | None, target: Path) -> None:
     """Print the diagnosis, its files and the next commands."""
     from hil.diagnosis import print_diagnosis
     from hil.run.session import invocation

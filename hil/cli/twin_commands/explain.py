@@ -15,9 +15,9 @@ from hil.cli.options import INPUT_FILE, INPUT_PATH, PROJECT, VIRTUAL_RIG, readin
 from hil.errors import FOUND
 
 if TYPE_CHECKING:
-    from hil.diagnosis import Prepared, Written
+    from hil.diagnosis import PreparedDiagnosis, Written
     from hil.explain import Experiment, RigChoice, Round
-    from hil.record import Reading
+    from hil.record import ReadingOptions
     from hil.run.session import RunRequest, RunResult
     from twin.discovery import Diagnosis
 
@@ -81,7 +81,7 @@ def command(
     no_lock: bool,
     viewer: bool | None,
     as_json: bool,
-    choice: Reading,
+    choice: ReadingOptions,
 ) -> None:
     """Diagnose RUN or RECORD; if the cause is ambiguous, run experiments on the rig until it is settled.
 
@@ -152,7 +152,7 @@ def command(
     given = sys.argv[2:] if owns_process() else [str(target)]
     again = f"{invocation()} {shlex.join(['explain', *given])}"
     try:
-        found = explain(request, _Terminal(as_json, yes))
+        found = explain(request, _OperatorTerminal(as_json, yes))
     except KeyboardInterrupt:
         click.echo(f"interrupted; finished rounds are kept in {folder}. To go on: {again}", err=True)
         sys.exit(FOUND)
@@ -185,7 +185,7 @@ def _folder_name(target: Path) -> str:
 
 
 def _rig(
-    target: Path, record: Path, rig: Path | None, effects: Path | None, options: dict[str, Any], choice: Reading
+    target: Path, record: Path, rig: Path | None, effects: Path | None, options: dict[str, Any], choice: ReadingOptions
 ) -> RigChoice:
     """Return the rig of the experiments; a virtual one as RUN left it: with its effects, seed and age.
 
@@ -237,14 +237,14 @@ def _unchanged(path: Path, digest: str, failure: type[Exception], run: Path) -> 
     return path
 
 
-class _Terminal:
+class _OperatorTerminal:
     """Operator at the terminal; with `quiet`, progress and reports are left out."""
 
     def __init__(self, quiet: bool, yes: bool) -> None:
         self._quiet = quiet
         self._yes = yes
 
-    def diagnose(self, ready: Prepared, number: int) -> Diagnosis:
+    def diagnose(self, ready: PreparedDiagnosis, number: int) -> Diagnosis:
         """Diagnose, with a line for each stage."""
         from hil.diagnosis import diagnose_files
         from hil.run.session import ProgressBar
@@ -259,7 +259,7 @@ class _Terminal:
 
             return diagnose_files(ready, say, steps.print_line)
 
-    def show(self, ready: Prepared, found: Diagnosis, written: Written, one: Round) -> None:
+    def show(self, ready: PreparedDiagnosis, found: Diagnosis, written: Written, one: Round) -> None:
         """Print verdict and summary of a round; its page has the rest."""
         self.note(f"round {one.number}: {one.verdict}: {one.summary}")
         for warning in found.warnings:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hil.record import Reading, Record
+    from hil.record import ReadingOptions, Record
     from hil.tracking import Adoption, NetworkMode, Proposed
 
 BLOCK_ROWS = 1200
@@ -42,7 +42,7 @@ def command(
     seed: int,
     out: Path | None,
     as_json: bool,
-    choice: Reading,
+    choice: ReadingOptions,
 ) -> None:
     """Replay RUN or RECORD (Parquet or CSV) past a static twin and tracked ones, and print their errors per sensor.
 

@@ -14,7 +14,7 @@ import click
 from hil.cli.tower_commands import tower_command
 
 if TYPE_CHECKING:
-    from twin.calibrators.hiera_unet import Plan
+    from twin.calibrators.hiera_unet import TrainingPlan
 
 WINDOWS = 3000
 INTERRUPTED = 130
@@ -116,11 +116,11 @@ def loop_command(
         train,
         training_begun,
     )
-    from twin.calibrators.hiera_unet import Plan
+    from twin.calibrators.hiera_unet import TrainingPlan
     from twin.calibrators.hiera_unet.device import ready
 
     ready(device, threads)
-    plan = Plan(steps=steps, batch=batch, seed=seed, half=device != "cpu" if half is None else half)
+    plan = TrainingPlan(steps=steps, batch=batch, seed=seed, half=device != "cpu" if half is None else half)
     less = tuple(dict.fromkeys(without))
     stem = "_".join(("loop", name, *(("without", *less) if less else ()), str(seed)))
     data_seed, count = wanted(data, data_seed, count)
@@ -184,7 +184,14 @@ def anywhere(data: Path) -> str:
 
 
 def again(
-    name: str, plan: Plan, device: str, threads: int, less: tuple[str, ...], data: str, data_seed: int, count: int
+    name: str,
+    plan: TrainingPlan,
+    device: str,
+    threads: int,
+    less: tuple[str, ...],
+    data: str,
+    data_seed: int,
+    count: int,
 ) -> str:
     """Return the command that simulates the same windows into `data` and trains the same network on them."""
     words = ["hil", "train", "loop", "--config", name, "--seed", str(plan.seed)]

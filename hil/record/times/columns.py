@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.record.raw import RawRecord, Reading, RecordError
+from hil.record.raw import RawRecord, ReadingOptions, RecordError
 from hil.record.times.names import SECONDS_PER, is_time_name, names_days, names_unit, seconds_per_unit
 from hil.record.times.numbers import day_count
 from hil.record.times.text import is_date, is_moment, is_time_of_day
@@ -29,7 +29,7 @@ def has_unit(raw: RawRecord, column: str) -> bool:
     return names_unit(column) or (raw.units or {}).get(column, "").lower() in SECONDS_PER
 
 
-def find_columns(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> tuple[str, ...]:
+def find_columns(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions) -> tuple[str, ...]:
     """Return the column of times, or that of dates and that of times of day."""
     if choice.time_column is not None:
         wanted = (choice.time_column,) if choice.time_column in raw.names else tuple(choice.time_column.split(","))

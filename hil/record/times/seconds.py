@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.record.raw import RawRecord, Reading
+from hil.record.raw import RawRecord, ReadingOptions
 from hil.record.times.columns import has_unit, scale_of
 from hil.record.times.full_clock import require_full_clock
 from hil.record.times.names import names_days
@@ -40,7 +40,9 @@ class Seconds:
     zoneless: bool = False
 
 
-def read_seconds(raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign], choice: Reading) -> Seconds | None:
+def read_seconds(
+    raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign], choice: ReadingOptions
+) -> Seconds | None:
     if len(columns) == 2:
         return _pair(raw, columns, signs, choice)
     name = columns[0]
@@ -48,7 +50,7 @@ def read_seconds(raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign
     return _seconds(name, cells, signs.get(name, "."), scale_of(raw, name), choice, has_unit(raw, name))
 
 
-def _pair(raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign], choice: Reading) -> Seconds | None:
+def _pair(raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign], choice: ReadingOptions) -> Seconds | None:
     """Return the times of a column of dates and one of times of day, as text or as spreadsheet numbers."""
     dates, times = (raw.cells[raw.names.index(name)] for name in columns)
     numbers = [parse(cells, signs.get(name, ".")) for name, cells in zip(columns, (dates, times), strict=True)]
@@ -108,7 +110,9 @@ def _moment_text(micros: float) -> str:
     return f"{_moment(micros * 1e-6):%Y-%m-%d %H:%M:%S}"
 
 
-def _seconds(name: str, cells: Any, sign: Sign, scale: float, choice: Reading, unit_given: bool) -> Seconds | None:
+def _seconds(
+    name: str, cells: Any, sign: Sign, scale: float, choice: ReadingOptions, unit_given: bool
+) -> Seconds | None:
     import pyarrow as pa
 
     kind = cells.type

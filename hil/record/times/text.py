@@ -77,7 +77,7 @@ class Stamps:
 
 
 @dataclass(frozen=True, slots=True)
-class _Parts:
+class _DateParts:
     """Date as three numbers in the order of the cell, and the time after midnight UTC in microseconds."""
 
     numbers: tuple[int, int, int] | None
@@ -226,28 +226,28 @@ def _has_zone(cell: str) -> bool:
     return "Z" in cell or "+" in cell or cell.count("-") > 2
 
 
-def _parts(cell: str) -> _Parts | None:
+def _parts(cell: str) -> _DateParts | None:
     match = _STAMP.fullmatch(cell)
     if match is None:
         return None
     if match["long"]:
         clock = match["clock"]
         seconds = int(clock[:2]) * 3600 + int(clock[2:4]) * 60 + int(clock[4:])
-        return _Parts(None, _whole(match["long"]), seconds * 1_000_000, "", False)
+        return _DateParts(None, _whole(match["long"]), seconds * 1_000_000, "", False)
     if match["hour"] and int(match["hour"]) > 24:
         return None
     micros = _micros_of_day(match) if match["hour"] else 0
     zoned = bool(match["zone"])
     if match["compact"]:
-        return _Parts(None, _whole(match["compact"]), micros, "", zoned)
+        return _DateParts(None, _whole(match["compact"]), micros, "", zoned)
     if match["a"]:
         a, b, c = match["a"], match["b"], match["c"]
-        return _Parts((int(a), int(b), int(c)), None, micros, match["sep"], zoned, (len(a), len(c)))
+        return _DateParts((int(a), int(b), int(c)), None, micros, match["sep"], zoned, (len(a), len(c)))
     name = (match["month"] or match["month2"])[:3].lower()
     if name not in _MONTHS:
         return None
     year = int(match["year"] or match["year2"])
-    return _Parts(None, (_full(year), _MONTHS[name], int(match["day"] or match["day2"])), micros, "", zoned)
+    return _DateParts(None, (_full(year), _MONTHS[name], int(match["day"] or match["day2"])), micros, "", zoned)
 
 
 def _whole(text: str) -> tuple[int, int, int]:
@@ -277,7 +277,7 @@ def _full(year: int) -> int:
     return year if year > 99 else year + (2000 if year < 69 else 1900)
 
 
-def _orders(parts: Sequence[_Parts]) -> list[Order]:
+def _orders(parts: Sequence[_DateParts]) -> list[Order]:
     """Return the possible orders of day, month and year."""
     first = parts[0]
     if first.lengths[0] == 4:
@@ -287,7 +287,7 @@ def _orders(parts: Sequence[_Parts]) -> list[Order]:
     return ["dmy"] if first.sep == "." else ["dmy", "mdy", "ymd"]
 
 
-def _moment(part: _Parts | None, order: Order) -> int | None:
+def _moment(part: _DateParts | None, order: Order) -> int | None:
     if part is None:
         return None
     if part.fixed is not None:

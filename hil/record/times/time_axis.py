@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.record.raw import RawRecord, Reading, RecordError
+from hil.record.raw import RawRecord, ReadingOptions, RecordError
 from hil.record.times.columns import all_cells, find_columns, has_unit, scale_of
 from hil.record.times.daylight_saving import unfolded
 from hil.record.times.names import is_time_name, zone_of
@@ -51,7 +51,7 @@ def span(seconds: float) -> str:
     return f"{sign}{minutes // 60} h" + (f" {minutes % 60} min" if minutes % 60 else "")
 
 
-def read_time(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> TimeAxis:
+def read_time(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions) -> TimeAxis:
     """Find and read the time of `raw`, whose numbers have the decimal `signs`.
 
     Raises
@@ -99,7 +99,7 @@ def read_time(raw: RawRecord, signs: dict[str, Sign], choice: Reading) -> TimeAx
 
 
 def _checked(
-    raw: RawRecord, columns: tuple[str, ...], read: Seconds, choice: Reading
+    raw: RawRecord, columns: tuple[str, ...], read: Seconds, choice: ReadingOptions
 ) -> tuple[tuple[str, ...], Seconds, list[str]]:
     """Return the times, or those of a column of dates that runs at another rate than a column without a unit.
 

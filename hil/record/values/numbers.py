@@ -96,7 +96,7 @@ class Numbers:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class DecimalSignEvidence:
     """Cells of a column that are readable with one decimal sign only, and those that differ by the sign.
 
     `point`, `comma` and `either` are the row and the text of the first such cell, None where there is none; the counts
@@ -152,7 +152,7 @@ def trimmed(cells: Any) -> pa.ChunkedArray | None:
     return pc.if_else(empty, pa.scalar(None, kind), text)
 
 
-def evidence_of(cells: Any) -> Evidence | None:
+def evidence_of(cells: Any) -> DecimalSignEvidence | None:
     """Return the evidence of text `cells` on their decimal sign; None for cells that are stored as numbers."""
     import pyarrow as pa
     import pyarrow.compute as pc
@@ -167,7 +167,7 @@ def evidence_of(cells: Any) -> Evidence | None:
         return _by_cell(text.to_pylist(), present)
     undecided = pc.match_substring_regex(text, _UNDECIDED)
     points = pc.and_(pc.match_substring(text, "."), pc.invert(undecided))
-    return Evidence(
+    return DecimalSignEvidence(
         present,
         present,
         points=pc.sum(points).as_py() or 0,
@@ -184,7 +184,7 @@ def _first(text: Any, where: Any) -> tuple[int, str] | None:
     return None if row < 0 else (row, text[row].as_py())
 
 
-def _by_cell(cells: list[str | None], present: int) -> Evidence:
+def _by_cell(cells: list[str | None], present: int) -> DecimalSignEvidence:
     numbers = points = commas = undecided = 0
     point = comma = either = None
     for row, cell in enumerate(cells):
@@ -203,7 +203,7 @@ def _by_cell(cells: list[str | None], present: int) -> Evidence:
         elif with_point != with_comma:
             undecided += 1
             either = either or (row, cell)
-    return Evidence(present, numbers, points, commas, undecided, point, comma, either)
+    return DecimalSignEvidence(present, numbers, points, commas, undecided, point, comma, either)
 
 
 class DecimalSignError(ValueError):
@@ -258,7 +258,9 @@ def decimal_signs(
     return {name: signs.get(name, ".") for name in found}
 
 
-def _require_thousands(name: str, cells: Any, seen: Evidence, sign: Sign, place: Callable[[int], str]) -> None:
+def _require_thousands(
+    name: str, cells: Any, seen: DecimalSignEvidence, sign: Sign, place: Callable[[int], str]
+) -> None:
     """Raise DecimalSignError for marks between thousands, by the other columns alone, in a unit that has no thousands.
 
     A number from 100 to 999 without a mark shows that the column's marks stand between thousands.
@@ -294,7 +296,7 @@ def _by_unit(name: str, cells: Any) -> Sign | None:
     return possible[0] if len(possible) == 1 else None
 
 
-def _mixed(name: str, seen: Evidence, place: Callable[[int], str]) -> str:
+def _mixed(name: str, seen: DecimalSignEvidence, place: Callable[[int], str]) -> str:
     (point_row, point), (comma_row, comma) = seen.point or (0, ""), seen.comma or (0, "")
     return (
         f"column '{name}' has decimal points ({place(point_row)}, '{point}') and decimal commas ({place(comma_row)}, "
@@ -302,7 +304,7 @@ def _mixed(name: str, seen: Evidence, place: Callable[[int], str]) -> str:
     )
 
 
-def _undecided(name: str, seen: Evidence, place: Callable[[int], str]) -> str:
+def _undecided(name: str, seen: DecimalSignEvidence, place: Callable[[int], str]) -> str:
     row, cell = seen.either or (0, "")
     with_point, with_comma = readings(cell)
     return (

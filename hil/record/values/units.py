@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twin import Network, celsius_conversion
 
-Columns = Mapping[str, NDArray[np.float64]]
+ValueColumns = Mapping[str, NDArray[np.float64]]
 
 SHARE = 0.01
 """Share of its declared range below which an active input may be in another unit."""
@@ -27,12 +27,12 @@ def of_a_room(name: str) -> bool:
     return any(word.startswith(("amb", "room", "outdoor")) for word in name.lower().split("_"))
 
 
-def remarks(columns: Columns) -> list[str]:
+def remarks(columns: ValueColumns) -> list[str]:
     """Return questions about the units of a record that need no twin."""
     return [*_by_name(columns), *_fractions(columns), *_at_first(columns)]
 
 
-def beyond_declared(network: Network, columns: Columns) -> list[str]:
+def beyond_declared(network: Network, columns: ValueColumns) -> list[str]:
     """Return questions about inputs that use almost none of the range that their twin declares."""
     said = []
     for column, spec in network.inputs.items():
@@ -49,7 +49,7 @@ def beyond_declared(network: Network, columns: Columns) -> list[str]:
     return said
 
 
-def _by_name(columns: Columns) -> list[str]:
+def _by_name(columns: ValueColumns) -> list[str]:
     said = []
     for name, values in columns.items():
         known = celsius_conversion(name)
@@ -66,7 +66,7 @@ def _by_name(columns: Columns) -> list[str]:
     return said
 
 
-def _fractions(columns: Columns) -> list[str]:
+def _fractions(columns: ValueColumns) -> list[str]:
     return [
         f"{name} is {values.min():.4g} to {values.max():.4g}: is it a fraction of 1?"
         for name, column in columns.items()
@@ -78,7 +78,7 @@ def _fraction(name: str, values: NDArray[np.float64]) -> bool:
     return name.endswith("_pct") and bool(values.size) and values.min() >= 0.0 and 0.0 < values.max() <= 1.0
 
 
-def _at_first(columns: Columns) -> list[str]:
+def _at_first(columns: ValueColumns) -> list[str]:
     """Return questions about the unit of first readings that do not fit the temperature of the room."""
     first = {name: float(known[0]) for name, values in columns.items() if (known := _finite(values)).size}
     room = next((value for name, value in first.items() if name.endswith("_C") and of_a_room(name)), None)

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.review.batches.collector import Collector
-    from hil.review.batches.columns import Batch, Estimates, Rows, States, Texts, merged
+    from hil.review.batches.collector import BatchCollector
+    from hil.review.batches.columns import Estimates, ReviewBatch, Rows, States, Texts, merged
     from hil.review.batches.thinning import GROUP, needed_rows
 
-__all__ = ["GROUP", "Batch", "Collector", "Estimates", "Rows", "States", "Texts", "merged", "needed_rows"]
+__all__ = ["GROUP", "BatchCollector", "Estimates", "ReviewBatch", "Rows", "States", "Texts", "merged", "needed_rows"]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "collector": ("Collector",),
+        "collector": ("BatchCollector",),
         "columns": (
-            "Batch",
+            "ReviewBatch",
             "Estimates",
             "Rows",
             "States",

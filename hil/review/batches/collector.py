@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.journal import CalibrationRow, JournalReader, Samples, TwinOutput
-from hil.review.batches.columns import Batch, Estimates, Rows, States, Texts
+from hil.journal import CalibrationRow, JournalReader, JournalSamples, TwinOutput
+from hil.review.batches.columns import Estimates, ReviewBatch, Rows, States, Texts
 from hil.review.batches.residuals import Residuals
 from hil.review.batches.twin_bands import Proposals, band_batches
-from hil.review.plan import QUALITY_NAMES, Plan, make_plan, path, worst_state
+from hil.review.plan import QUALITY_NAMES, ReviewPlan, make_plan, path, worst_state
 from hil.tracking import NORMAL90
 
 PAGE_TICKS = 36_000
@@ -57,7 +57,7 @@ class _Ticks:
         return means
 
 
-class Collector:
+class BatchCollector:
     """Reader of new rows of a journal. Not thread-safe."""
 
     def __init__(self, reader: JournalReader) -> None:
@@ -65,7 +65,7 @@ class Collector:
         header = reader.header
         self._columns = {signal.column: i for i, signal in enumerate(header.signals)}
         self._watched = [i for i, signal in enumerate(header.signals) if signal.kind != "status"]
-        self.plan: Plan = make_plan(header)
+        self.plan: ReviewPlan = make_plan(header)
         self._ticks = _Ticks(len(header.twin_sensors))
         self._twin_tick = dict.fromkeys(header.twin_names, -1)
         self._residuals = Residuals(header.twin_names, len(header.twin_sensors))
@@ -83,7 +83,7 @@ class Collector:
         """Return True if the run has ended. Call it before `poll`; then `poll` reads the rest until it is empty."""
         return self._reader.meta("exit_status") is not None
 
-    def poll(self, *, last: bool = False) -> Iterator[Batch]:
+    def poll(self, *, last: bool = False) -> Iterator[ReviewBatch]:
         """Return all rows committed since the last call, at most `PAGE_TICKS` ticks of a table.
 
         Residuals wait for the twins that answer late, unless this is the `last` call.
@@ -112,7 +112,7 @@ class Collector:
         yield from self._calibrations(calibrations)
         yield from self._texts()
 
-    def _bands_and_proposals(self) -> Iterator[Batch]:
+    def _bands_and_proposals(self) -> Iterator[ReviewBatch]:
         bands = self._reader.bands(self._ids["bands"])
         if bands:
             self._ids["bands"] = bands[-1].id
@@ -125,7 +125,7 @@ class Collector:
             if self._proposals.calibrators != known:
                 self._plan_again()
 
-    def _noise(self, time_s: NDArray[np.float64]) -> Iterator[Batch]:
+    def _noise(self, time_s: NDArray[np.float64]) -> Iterator[ReviewBatch]:
         """Return zero and noise lines up to the present; otherwise a live view would follow them to the planned end."""
         header = self._reader.header
         marks = np.floor(time_s * (_NOISE_POINTS / header.duration_s)).astype(np.int64)
@@ -139,7 +139,7 @@ class Collector:
             levels = [0.0] if sigma is None else [0.0, 2 * sigma, -2 * sigma]
             yield Rows(path("sensors", sensor, "noise"), ends, np.tile(levels, (len(ends), 1)))
 
-    def _samples(self, samples: Samples) -> Iterator[Batch]:
+    def _samples(self, samples: JournalSamples) -> Iterator[ReviewBatch]:
         good = np.where(samples.quality == Quality.GOOD, samples.values, np.nan)
         for entity, columns in self.plan.columns_of.items():
             yield self._rows(entity, samples.time_s, good[:, [self._columns[column] for column in columns]])
@@ -181,7 +181,7 @@ class Collector:
         time_s: NDArray[np.float64],
         rows: NDArray[np.uint8],
         name: Callable[[NDArray[np.uint8]], str],
-    ) -> Iterator[Batch]:
+    ) -> Iterator[ReviewBatch]:
         """Return changes of state along `rows (n, k)`, distinguished by value and named by `name`."""
         changed = np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1)) + 1
         times, states = [], []
@@ -196,7 +196,7 @@ class Collector:
             self._states[entity] = states[-1]
             yield States(entity, np.array(times), list(states))
 
-    def _twin(self, output: TwinOutput, count: int) -> Iterator[Batch]:
+    def _twin(self, output: TwinOutput, count: int) -> Iterator[ReviewBatch]:
         time_s, values = output.time_s[:count], output.values[:count]
         self._residuals.add(output.twin, output.tick[:count], time_s, self._ticks.at(output.tick[:count]) - values)
         header = self._reader.header
@@ -205,7 +205,7 @@ class Collector:
             yield replace(rows, tolerance=header.noise_K.get(sensor, 0.0) / _CURVE_OF_NOISE)
         self._twin_tick[output.twin] = int(output.tick[count - 1])
 
-    def _residual(self, last: bool) -> Iterator[Batch]:
+    def _residual(self, last: bool) -> Iterator[ReviewBatch]:
         """Return measured minus predicted of all twins: for each sensor as many rows as for one twin."""
         time_s, residual = self._residuals.take(last=last)
         if not len(time_s):
@@ -217,7 +217,7 @@ class Collector:
             values = np.round(residual[:, :, k] / step) * step if step else residual[:, :, k]
             yield self._rows(path("sensors", sensor, "residual"), time_s, values)
 
-    def _calibrations(self, windows: list[CalibrationRow]) -> Iterator[Batch]:
+    def _calibrations(self, windows: list[CalibrationRow]) -> Iterator[ReviewBatch]:
         if not windows:
             return
         self._ids["calibrations"] = windows[-1].id
@@ -233,7 +233,7 @@ class Collector:
             yield Rows(path("fit", calibrator), end_s, np.array(errors))
             yield from self._parameters(calibrator, mine)
 
-    def _spans(self, entity: str, windows: list[CalibrationRow], states: list[str]) -> Iterator[Batch]:
+    def _spans(self, entity: str, windows: list[CalibrationRow], states: list[str]) -> Iterator[ReviewBatch]:
         """Return a lane of windows: equal neighbours are one span, time between windows is empty."""
         times: list[float] = []
         changes: list[str | None] = []
@@ -265,7 +265,7 @@ class Collector:
     def _plan_again(self) -> None:
         self.plan = make_plan(self._reader.header, self._units, bool(self._commissioned), self._proposals.calibrators)
 
-    def _parameters(self, calibrator: str, windows: list[CalibrationRow]) -> Iterator[Batch]:
+    def _parameters(self, calibrator: str, windows: list[CalibrationRow]) -> Iterator[ReviewBatch]:
         for name, unit in self._units.items():
             with_it = [window for window in windows if name in window.document.get("parameters", {})]
             if not with_it:
@@ -283,7 +283,7 @@ class Collector:
                 relative = 100.0 * (values / commissioned - 1.0)
                 yield Rows(path("relative", calibrator, name), end_s, relative[:, None])
 
-    def _texts(self) -> Iterator[Batch]:
+    def _texts(self) -> Iterator[ReviewBatch]:
         states = self._reader.states(self._ids["states"])
         if states:
             self._ids["states"] = states[-1].id

@@ -52,10 +52,10 @@ class Texts:
     levels: list[str]
 
 
-Batch = Rows | Estimates | States | Texts
+ReviewBatch = Rows | Estimates | States | Texts
 
 
-def merged(batches: list[Batch]) -> Batch:
+def merged(batches: list[ReviewBatch]) -> ReviewBatch:
     """Return one batch of several batches of the same entity, in order."""
     first = batches[0]
     if len(batches) == 1:

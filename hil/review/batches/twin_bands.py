@@ -7,14 +7,14 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from hil.journal import BandRow, ProposalRow
-from hil.review.batches.columns import Batch, Estimates, Rows, States, Texts
+from hil.review.batches.columns import Estimates, ReviewBatch, Rows, States, Texts
 from hil.review.plan import path
 from hil.tracking import NORMAL90, Proposed, accepted, offset_text
 
 OPEN, SOME = "open", "some held"
 
 
-def band_batches(bands: list[BandRow]) -> Iterator[Batch]:
+def band_batches(bands: list[BandRow]) -> Iterator[ReviewBatch]:
     """Yield the mean error (n, 1) of ten minutes, and its predicted band (n, 2), by sensor and twin."""
     for twin in dict.fromkeys(band.twin for band in bands):
         mine = [band for band in bands if band.twin == twin]
@@ -70,7 +70,7 @@ class Proposals:
         """Return the calibrators with proposals so far."""
         return tuple(self._told)
 
-    def batches(self, proposals: list[ProposalRow], units: Mapping[str, str]) -> Iterator[Batch]:
+    def batches(self, proposals: list[ProposalRow], units: Mapping[str, str]) -> Iterator[ReviewBatch]:
         """Yield the batches; `units` are those of the parameters so far."""
         for calibrator in dict.fromkeys(row.calibrator for row in proposals):
             mine = [row for row in proposals if row.calibrator == calibrator]

@@ -47,7 +47,7 @@ from hil.review.plan.styles import (
     Colour,
     Lane,
     Lines,
-    Plan,
+    ReviewPlan,
     Stack,
     colour_key,
     estimates_key,
@@ -113,7 +113,7 @@ def make_plan(
     units: dict[str, str] | None = None,
     commissioned: bool = False,
     proposers: tuple[str, ...] = (),
-) -> Plan:
+) -> ReviewPlan:
     """Return styles and layout. `units` are those of the parameters so far, `commissioned` their values if known,
     `proposers` the calibrators with proposals so far.
     """
@@ -173,7 +173,7 @@ def make_plan(
     if units:
         notes |= {PARAMETERS_KEY: with_colours(units), ESTIMATES_KEY: estimates_key(header.twin_names, proposers)}
     roomy = tuple(with_room_for_legends(tab, labels) for tab in tabs)
-    return Plan(header, tuple(lines), tuple(lanes), roomy, columns_of, notes=notes)
+    return ReviewPlan(header, tuple(lines), tuple(lanes), roomy, columns_of, notes=notes)
 
 
 def _quality_colours() -> dict[str, Colour]:

@@ -125,7 +125,7 @@ class Stack:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class ReviewPlan:
     """Styles and tabs of a review.
 
     `columns_of` maps entities to columns of a sample row, `colours` are those of estimates without a twin, `notes` are

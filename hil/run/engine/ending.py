@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.journal import ENDED, HEATED, UNTOUCHED, Event, State, TransitionError
+from hil.journal import ENDED, HEATED, UNTOUCHED, RunEvent, State, TransitionError
 from hil.run.engine.components import Components
 from hil.run.engine.status import Outcome
 from hil.run.engine.tick import TickWork
@@ -30,7 +30,7 @@ class Ending:
         hot = still_hot(parts.rig, parts.limits, parts.heater_meters.of(self._work.snapshot))
         return hot or ("" if parts.outputs.safe_held else "the safe values are not read back yet")
 
-    async def safely(self, event: Event, reason: str, outcome: Outcome) -> BaseException | None:
+    async def safely(self, event: RunEvent, reason: str, outcome: Outcome) -> BaseException | None:
         """Make the rig safe whatever interrupts that, and take the state along; return what interrupted it.
 
         A cancelled task, a signal or a lack of memory may hit any line here: making safe is begun again until it has
@@ -51,7 +51,7 @@ class Ending:
                 outcome.safe = await self._make_safe(outcome)
                 machine.take(event, reason)
             except TransitionError as error:
-                event, reason, interrupted = Event.FAIL, str(error), interrupted or error
+                event, reason, interrupted = RunEvent.FAIL, str(error), interrupted or error
             except BaseException as error:
                 interrupted = interrupted or error
             if machine.state in ENDED:

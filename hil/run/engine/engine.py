@@ -14,7 +14,7 @@ import time
 
 from drivers.rig import RigConnection
 from drivers.signals import DriverError, Snapshot
-from hil.journal import ENDED, UNTOUCHED, Event, JournalError, JournalWriter, State
+from hil.journal import ENDED, UNTOUCHED, JournalError, JournalWriter, RunEvent, State
 from hil.profile import Profile
 from hil.run.engine.attended import Cut, attended
 from hil.run.engine.clock import Clock
@@ -100,7 +100,7 @@ class Engine:
     async def run(self) -> Outcome:
         """Run to the end; whatever happens, the rig is made safe before this returns."""
         outcome = Outcome("faulted", "")
-        event, reason = Event.FAIL, ""
+        event, reason = RunEvent.FAIL, ""
         fatal: BaseException | None = None
         try:
             event, reason = await self._drive()
@@ -117,7 +117,7 @@ class Engine:
             self._machine.take(event, reason)
         if self._machine.state in ENDED:
             outcome.status = self._machine.state.value  # type: ignore[assignment]
-        outcome.reason = "" if event is Event.COMPLETE else reason
+        outcome.reason = "" if event is RunEvent.COMPLETE else reason
         outcome.ticks, outcome.overruns = self._at.tick, self._clock.overruns
         outcome.restore_s, outcome.restarts = self._work.restore_s, self._interlocks.restarts
         outcome.trips = self._interlocks.standing().trips
@@ -139,8 +139,8 @@ class Engine:
     async def _drive(self) -> End:
         """Start, arm and tick; return how the run ends."""
         machine, rig, resumption = self._machine, self._parts.rig, self._options.resumption
-        machine.take(Event.VALIDATE, f"{self._profile.name} on {rig.name}")
-        machine.take(Event.CONNECT, ", ".join(rig.bus))
+        machine.take(RunEvent.VALIDATE, f"{self._profile.name} on {rig.name}")
+        machine.take(RunEvent.CONNECT, ", ".join(rig.bus))
         await self._connection.connect()
         await self._guard.start()
         if resumption is not None:
@@ -154,17 +154,17 @@ class Engine:
         snapshot = self._work.snapshot = await self._ask_guard() or snapshot
         refusals = self._interlocks.refusals(snapshot, rearm=self._options.rearm)
         if refusals:
-            return Event.FAIL, f"not started: {'; '.join(refusals)}"
+            return RunEvent.FAIL, f"not started: {'; '.join(refusals)}"
         if self._supervisor.stop is not None:
             return self._supervisor.stop
         self._guard.watch()
-        machine.take(Event.RESTORE, "safe set-points, heartbeat, arming")
+        machine.take(RunEvent.RESTORE, "safe set-points, heartbeat, arming")
         armed = self._outputs.arm(self._parts.advance, self._interlocks.rig_trip)
         cut = await attended(armed, self._supervisor.stopping, self._parts.trouble)
         if isinstance(cut, Cut):
-            return (Event.FAIL, cut.trouble) if cut.trouble else self._supervisor.stop or (Event.ABORT, "stopped")
+            return (RunEvent.FAIL, cut.trouble) if cut.trouble else self._supervisor.stop or (RunEvent.ABORT, "stopped")
         if resumption is None:
-            machine.take(Event.START, f"running {self._profile.name} on {rig.name}")
+            machine.take(RunEvent.START, f"running {self._profile.name} on {rig.name}")
         await self._clock.start()
         ended = None if resumption is None else self._go_on(resumption)
         tick = self._work.one if self._options.lockstep or self._parts.is_quick else self._work.interruptible
@@ -198,8 +198,8 @@ class Engine:
         gap_s = self._at.time_s - was.time_s
         self._recorder.segment(was.number, gap_s, was.aim_tick, resumption.reason)
         if self._at.profile_s >= self._profile.duration_s:
-            self._machine.take(Event.START, "nothing is left of the profile")
-            return Event.COMPLETE, "the profile was over"
+            self._machine.take(RunEvent.START, "nothing is left of the profile")
+            return RunEvent.COMPLETE, "the profile was over"
         points, rig = self._connection.points, self._parts.rig
         self._work.restore = ThermalRestore(rig, points, self._profile, self._at.profile_s, was.aim, resumption.rule)
         self._supervisor.restoring = True

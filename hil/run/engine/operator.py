@@ -7,7 +7,7 @@ import enum
 from collections import deque
 from dataclasses import dataclass
 
-from hil.journal import LIVE, UNTOUCHED, Event, State, next_state
+from hil.journal import LIVE, UNTOUCHED, RunEvent, State, next_state
 
 
 class Verb(enum.StrEnum):
@@ -22,7 +22,7 @@ class Verb(enum.StrEnum):
 
 URGENT = (Verb.PAUSE,)
 """Verbs that make the outputs safe: they are not kept waiting for the next tick. Abort ends the run by itself."""
-_EVENTS = {Verb.HOLD: Event.HOLD, Verb.PAUSE: Event.PAUSE, Verb.RESUME: Event.RESUME}
+_EVENTS = {Verb.HOLD: RunEvent.HOLD, Verb.PAUSE: RunEvent.PAUSE, Verb.RESUME: RunEvent.RESUME}
 _ALREADY = {
     Verb.HOLD: {State.HELD},
     Verb.PAUSE: {State.PAUSED},
@@ -77,9 +77,9 @@ class Desk:
         return [self._asked.popleft() for _ in range(last)]
 
 
-def event_of(verb: Verb, *, restoring: bool) -> Event:
+def event_of(verb: Verb, *, restoring: bool) -> RunEvent:
     """Return the event of `verb` in the state table; a run in thermal restore (`restoring`) resumes that."""
-    return Event.RESTORE if restoring and verb is Verb.RESUME else _EVENTS[verb]
+    return RunEvent.RESTORE if restoring and verb is Verb.RESUME else _EVENTS[verb]
 
 
 def unheard(state: State) -> str | None:

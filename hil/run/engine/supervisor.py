@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 
 from drivers.rig_file import Point, Rig
 from drivers.signals import Snapshot
-from hil.journal import HEATED, Event, State, StateMachine, Transition, next_state
+from hil.journal import HEATED, RunEvent, State, StateMachine, Transition, next_state
 from hil.run.engine.operator import URGENT, Desk, RefusedError, Request, Verb, event_of, refusal, unheard
 from hil.run.interlocks import Interlocks, InterlockStatus, Residuals
 from hil.run.outputs import ARMING_TICKS
@@ -23,7 +23,7 @@ SECOND_REQUEST_S = 1.0
 """A stop request that follows another within this time is its echo, s. A key that is held down repeats after at most
 0.7 s, and a terminal and a supervisor may both pass on the same Ctrl-C."""
 
-End = tuple[Event, str]
+End = tuple[RunEvent, str]
 """COMPLETE, ABORT or FAIL, and why."""
 
 
@@ -70,7 +70,7 @@ class Supervisor:
     @property
     def stop(self) -> End | None:
         """Return the end that was asked for, where one was."""
-        return None if self._stop_reason is None else (Event.ABORT, self._stop_reason)
+        return None if self._stop_reason is None else (RunEvent.ABORT, self._stop_reason)
 
     def request_stop(self, reason: str) -> None:
         """End the run at the next tick. A second request shortens the waits of making safe, and skips nothing.
@@ -184,23 +184,23 @@ class Supervisor:
         if self._suspends_s <= 0 or now_s - self._suspended_s <= self._suspends_s:
             return None
         why = "; ".join(self.interlocks.standing().warnings) or self.machine.reason
-        return Event.FAIL, f"{why}; suspended for longer than {self._suspends_s:g} s"
+        return RunEvent.FAIL, f"{why}; suspended for longer than {self._suspends_s:g} s"
 
     def _protect(self, judgement: InterlockStatus, now_s: float) -> End | None:
         trips = judgement.trips
         if trips:
             said = trips[0] + (f" (and {len(trips) - 1} more)" if len(trips) > 1 else "")
             if self._waits_s <= 0 or self.restoring:
-                return Event.FAIL, said
+                return RunEvent.FAIL, said
             if not self._trips:
                 self._tripped_s = now_s
             if set(trips) - set(self._trips):
-                self.machine.take(Event.TRIP, f"tripped: {said}")
+                self.machine.take(RunEvent.TRIP, f"tripped: {said}")
             self._trips = trips
             if now_s - self._tripped_s > self._waits_s:
-                return Event.FAIL, f"{said}; not acknowledged within {self._waits_s:g} s"
+                return RunEvent.FAIL, f"{said}; not acknowledged within {self._waits_s:g} s"
         elif judgement.warnings and self.state in HEATED:
-            self.machine.take(Event.WARN, "; ".join(judgement.warnings))
+            self.machine.take(RunEvent.WARN, "; ".join(judgement.warnings))
         elif not judgement.warnings and self.state is State.SUSPENDED:
-            self.machine.take(Event.RESTORE if self.restoring else Event.CLEAR, "all warnings are gone")
+            self.machine.take(RunEvent.RESTORE if self.restoring else RunEvent.CLEAR, "all warnings are gone")
         return None

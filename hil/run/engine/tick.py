@@ -8,11 +8,11 @@ from collections.abc import Callable
 
 from drivers.rig_file import Point
 from drivers.signals import DeviceExceptionError, DriverError, Quality, Snapshot
-from hil.journal import HEATED, WAITING, Event, State
+from hil.journal import HEATED, WAITING, RunEvent, State
 from hil.run.engine.attended import Finished, attended
 from hil.run.engine.components import Components
 from hil.run.engine.supervisor import End
-from hil.run.outputs import Descent, Deviations, GoodReadings, bind, still_hot
+from hil.run.outputs import Descent, GoodReadings, ReadbackDeviations, bind, still_hot
 from hil.run.restore import ThermalRestore
 
 FIRST_SAMPLE_TIMEOUT_S = 10.0
@@ -35,7 +35,7 @@ class TickWork:
         self.snapshot: Snapshot | None = None
         self.restore: ThermalRestore | None = None
         self.restore_s = 0.0
-        self.deviations = Deviations(parts.rig)
+        self.deviations = ReadbackDeviations(parts.rig)
         self._parts = parts
         self._show = show
         self._connection, self._clock, self._profile = parts.connection, parts.clock, parts.profile
@@ -56,7 +56,7 @@ class TickWork:
         if isinstance(done, Finished):
             return done.result
         if done.trouble is not None:
-            return Event.FAIL, done.trouble
+            return RunEvent.FAIL, done.trouble
         if self._supervisor.stop is None:
             await self._obey_now()
         return self._supervisor.stop
@@ -93,7 +93,7 @@ class TickWork:
         # A machine without descriptors cannot open the link again: waiting for it would only heat on.
         why = self._guard.failure() or (self._connection.exhausted if snapshot.faults else None)
         if why is not None:
-            return Event.FAIL, why
+            return RunEvent.FAIL, why
         await self._readback.look(snapshot, self._outputs.values, now)
         ended = self._supervisor.step(snapshot, now, self._outputs.values, self._residuals())
         if ended is None and self.restore is not None:
@@ -106,7 +106,7 @@ class TickWork:
             await self._put_out(clock.period_s)
             if self._supervisor.owes_answers:
                 self._supervisor.answer(await self._obeyed())
-            ended = (Event.COMPLETE, "the profile is over") if over else None
+            ended = (RunEvent.COMPLETE, "the profile is over") if over else None
             if ended is None:
                 clock.release()
         self._recorder.sample(snapshot, self._outputs.values, now, wall_s, began)
@@ -132,9 +132,9 @@ class TickWork:
         if restore.reached and self._machine.state is State.RESTORING:
             self.restore, self._supervisor.restoring = None, False
             self._machine.take(
-                Event.START, f"the rig is back where it was, after {self.restore_s:.0f} s of thermal restore"
+                RunEvent.START, f"the rig is back where it was, after {self.restore_s:.0f} s of thermal restore"
             )
-        return None if restore.failure is None else (Event.FAIL, restore.failure)
+        return None if restore.failure is None else (RunEvent.FAIL, restore.failure)
 
     async def _obeyed(self) -> str:
         """Return the answer to an operator: the state, and outside `HEATED` what the rig holds and its meters read."""

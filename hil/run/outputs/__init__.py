@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.run.outputs.deviations import Deviations
+    from hil.run.outputs.deviations import ReadbackDeviations
     from hil.run.outputs.heaters import DEAD_TIME_S, Descent, GoodReadings, safe_limit, safe_limits, still_hot
     from hil.run.outputs.outputs import ARMING_TICKS, Outputs
     from hil.run.outputs.readback import SetpointReadback
@@ -24,10 +24,10 @@ __all__ = [
     "SAFE_WITHIN_S",
     "SILENCE_S",
     "Descent",
-    "Deviations",
     "GoodReadings",
     "Meanwhile",
     "Outputs",
+    "ReadbackDeviations",
     "Safed",
     "SetpointReadback",
     "Setpoints",
@@ -45,7 +45,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "deviations": ("Deviations",),
+        "deviations": ("ReadbackDeviations",),
         "heaters": (
             "DEAD_TIME_S",
             "Descent",

@@ -10,7 +10,7 @@ from drivers.rig_file import Rig
 
 
 @dataclass(slots=True)
-class _Sums:
+class _ReadbackSums:
     asked: float = 0.0
     measured: float = 0.0
     moved: float = 0.0
@@ -19,7 +19,7 @@ class _Sums:
     unknown: int = 0
 
 
-class Deviations:
+class ReadbackDeviations:
     """Sums of what was asked and measured of every set-point with a `readback`, tick by tick while the run runs.
 
     A meter that follows with a lag of first order, and settles within `readback_within_s`, misses a
@@ -30,7 +30,7 @@ class Deviations:
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         moved = [(point.name, point.readback) for point in rig.setpoints if point.readback is not None]
-        self._sums = {name: _Sums() for name, _ in moved}
+        self._sums = {name: _ReadbackSums() for name, _ in moved}
         self._moved = tuple((name, meter, self._sums[name]) for name, meter in moved)
         self.meters = frozenset(meter for _, meter in moved)
         """Points that `tick` needs the readings of."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
         DRIVEN,
         TABLE,
         CellResult,
-        Prepared,
+        PreparedCell,
         calibrate,
         fit_with_steps,
         load_all,
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
         withheld,
         write_table,
     )
-    from hil.tower.calibration.truth import Columns, compare, read_minutes, read_truth
+    from hil.tower.calibration.truth import TruthColumns, compare, read_minutes, read_truth
 
 __all__ = [
     "DRIVEN",
     "TABLE",
     "CellResult",
-    "Columns",
-    "Prepared",
+    "PreparedCell",
+    "TruthColumns",
     "calibrate",
     "commission_cell",
     "compare",
@@ -76,7 +76,7 @@ __getattr__, __dir__ = lazy_names(
         "station_fit": (
             "CellResult",
             "DRIVEN",
-            "Prepared",
+            "PreparedCell",
             "TABLE",
             "calibrate",
             "fit_with_steps",
@@ -91,7 +91,7 @@ __getattr__, __dir__ = lazy_names(
             "write_table",
         ),
         "truth": (
-            "Columns",
+            "TruthColumns",
             "compare",
             "read_minutes",
             "read_truth",

@@ -15,7 +15,7 @@ from hil.tower.station import read_cell, read_notes, read_object, read_rows
 from twin.network import Network, Revision, digest
 from twin.tower.calibration import CalibrationError, fit_cell
 from twin.tower.cell import Inputs
-from twin.tower.clean_cell.commissioning import Commissioned, CommissioningError, TestPoints, fit_clean_cell
+from twin.tower.clean_cell.commissioning import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
 from twin.tower.minutes import minutes_of
 from twin.tower.model import CellModel
 from twin.tower.twin_file import cell_network, cell_of, design_of, value_of
@@ -89,7 +89,7 @@ def read_points(path: Path, cell: int, site_kPa: float = 101.325) -> Commissioni
     return CommissioningPoints(points, tuple(names))
 
 
-def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, Commissioned, CommissioningPoints]:
+def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, CommissionedCell, CommissioningPoints]:
     """Return the twin of a clean cell, its fit and the test points.
 
     Raises:

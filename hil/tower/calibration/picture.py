@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.files.atomic import replacing
-from hil.tower.calibration.truth import Columns
+from hil.tower.calibration.truth import TruthColumns
 from twin.historian.events import Event, influence_of
 
 TITLES = {
@@ -30,11 +30,11 @@ POINTS = 600
 
 
 def draw_cell(
-    calibrated: Columns,
+    calibrated: TruthColumns,
     path: Path,
     *,
     cell: int,
-    truth: Columns | None = None,
+    truth: TruthColumns | None = None,
     labels: Path | None = None,
     events: tuple[Event, ...] = (),
 ) -> None:
@@ -83,7 +83,7 @@ def draw_cell(
         figure.savefig(unfinished, dpi=100, format=path.suffix.lstrip(".") or "png")
 
 
-def _outlet(axis: Any, calibrated: Columns, truth: Columns | None) -> None:
+def _outlet(axis: Any, calibrated: TruthColumns, truth: TruthColumns | None) -> None:
     """Draw the errors of the outlet against the truth; without one the correction that was made."""
     if truth is None:
         correction = calibrated["t_out"] - calibrated["t_out_commissioned"]

@@ -34,7 +34,7 @@ from twin.tower.change_detection.changes import undeclared_changes
 from twin.tower.change_detection.steps import Step, find_steps
 from twin.tower.diagnosis.adoption import effects_of
 from twin.tower.minutes import MEASURED, Minutes, minutes_of
-from twin.tower.model import DEVIATIONS, CellModel, Site
+from twin.tower.model import DEVIATIONS, CellModel, DesignPoint
 from twin.tower.shared_observations.basin import Drain, with_basin
 from twin.tower.shared_observations.evaporation import Balance, with_evaporation
 from twin.tower.smoother import Opening, Priors, time_grid
@@ -101,7 +101,7 @@ def calibrate(
 
 def fitted_drafts(
     record: Path, twins: Sequence[Path], labels: Path | None, events: Path | None = None
-) -> tuple[list[Draft], StationNotes]:
+) -> tuple[list[SeparateCellFit], StationNotes]:
     """Fit the cells of these twins one by one; raises as `calibrate`."""
     ready, notes = prepare_cells(record, twins, labels, events)
     return [_fit(one) for one in ready], notes
@@ -109,7 +109,7 @@ def fitted_drafts(
 
 def prepare_cells(
     record: Path, twins: Sequence[Path], labels: Path | None, events: Path | None = None
-) -> tuple[list[Prepared], StationNotes]:
+) -> tuple[list[PreparedCell], StationNotes]:
     """Read the cells of these twins, each with what its calibration is made of; raises as `calibrate`."""
     loaded = load_all(twins, record)
     notes = read_notes(record)
@@ -123,7 +123,7 @@ def prepare_cells(
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedCell:
     """A cell with what its calibration is made of."""
 
     twin: Path
@@ -138,7 +138,7 @@ class Prepared:
 
 
 @dataclass(frozen=True)
-class Draft:
+class SeparateCellFit:
     """A cell's fit before the basin's thermometers join it to the others."""
 
     twin: Path
@@ -281,7 +281,7 @@ def load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Netwo
 
 def _prepare(
     record: Path, cell: int, path: Path, network: Network, notes: StationNotes, labels: tuple[Label, ...]
-) -> Prepared:
+) -> PreparedCell:
     minutes_read = read_cell(record, cell)
     design, share = design_of(network), value_of(network, "cell.bypass_share")
     effects = effects_of(network)
@@ -303,19 +303,19 @@ def _prepare(
     priors, stated = known_by(healthy, priors_of(network), minutes, cell)
     edges = time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1]))
     model = CellModel(design, site_of(notes, share), effects)
-    return Prepared(
+    return PreparedCell(
         path, network, minutes_read, model, minutes, priors, (*labels, *stated), tuple(openings_of(notes, cell)), edges
     )
 
 
-def _fit(one: Prepared) -> Draft:
+def _fit(one: PreparedCell) -> SeparateCellFit:
     try:
         fitted, steps, changes = fit_with_steps(
             one.model, one.minutes, one.record, one.priors, one.labels, one.openings
         )
     except CalibrationError as error:
         raise RecordError(f"{one.record.path}: {error}") from error
-    return Draft(one.twin, one.network, one.record, fitted, one.priors, one.labels, steps, changes)
+    return SeparateCellFit(one.twin, one.network, one.record, fitted, one.priors, one.labels, steps, changes)
 
 
 def step_openings(steps: Sequence[Step]) -> tuple[Opening, ...]:
@@ -370,10 +370,10 @@ def priors_of(network: Network) -> Priors:
     return Priors(bounds, replaced)
 
 
-def site_of(notes: StationNotes, bypass_share: float) -> Site:
+def site_of(notes: StationNotes, bypass_share: float) -> DesignPoint:
     """Return the design point of a datasheet; the usual rating where it gives none."""
-    design, usual = notes.datasheet.get("design", {}), Site()
-    return Site(
+    design, usual = notes.datasheet.get("design", {}), DesignPoint()
+    return DesignPoint(
         float(design.get("water_inlet_C", usual.inlet)),
         float(design.get("wet_bulb_C", usual.wet)),
         float(design.get("range_K", usual.fall)),

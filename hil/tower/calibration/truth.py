@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from hil.record.raw import RecordError
 
 PARAMETERS = ("fill", "air", "uniformity", "bias")
-Columns = dict[str, NDArray[Any]]
+TruthColumns = dict[str, NDArray[Any]]
 
 
-def read_minutes(path: Path, needed: tuple[str, ...], remedy: str) -> dict[int, Columns]:
+def read_minutes(path: Path, needed: tuple[str, ...], remedy: str) -> dict[int, TruthColumns]:
     """Return the columns of a table of minutes by cell; `time` as datetime64[ms].
 
     Raises:
@@ -43,7 +43,7 @@ def read_minutes(path: Path, needed: tuple[str, ...], remedy: str) -> dict[int, 
     }
 
 
-def read_truth(path: Path) -> dict[int, Columns]:
+def read_truth(path: Path) -> dict[int, TruthColumns]:
     """Return the truth by cell.
 
     Raises:
@@ -52,7 +52,7 @@ def read_truth(path: Path) -> dict[int, Columns]:
     return read_minutes(path, ("running", "t_out", *PARAMETERS), "use truth.parquet of hil tower simulate --score")
 
 
-def compare(calibrated: Mapping[int, Columns], truth: Mapping[int, Columns]) -> list[str]:
+def compare(calibrated: Mapping[int, TruthColumns], truth: Mapping[int, TruthColumns]) -> list[str]:
     """Return a Markdown table of the mean absolute errors against the truth: outlet by minute, parameters by day."""
     head = "| cell | outlet as commissioned K | calibrated K | within 90 % | fill % | air % | uniformity % | bias K |"
     rows = [head, "|---|---|---|---|---|---|---|---|"]

@@ -29,7 +29,7 @@ from twin.tower.air import Array
 from twin.tower.cell_observations.evidence import Label
 from twin.tower.identify import MOST_HIDDEN
 from twin.tower.model import DEVIATIONS
-from twin.tower.windows import Window
+from twin.tower.windows import TargetWindow
 
 MOST_HALF_K = 0.8
 MOST_DROPPED = 0.25
@@ -58,7 +58,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class GateEvidence:
     """Evidence beside the record: labels of the cell, inspections by event s, steps and jumps that nothing explains
     s, and whether a basin thermometer is in use. `balance`: reason for which the water balance is not used, or
     nothing."""
@@ -71,7 +71,7 @@ class Evidence:
 
 
 def judge(
-    windows: Sequence[Window], distance: Array, dropped: Array, bypass: Array, evidence: Evidence
+    windows: Sequence[TargetWindow], distance: Array, dropped: Array, bypass: Array, evidence: GateEvidence
 ) -> list[Verdict]:
     """Return the verdict on each window.
 
@@ -103,7 +103,7 @@ def judge(
     return verdicts
 
 
-def _of_each(window: Window, excited: int, evidence: Evidence) -> dict[str, tuple[str, ...]]:
+def _of_each(window: TargetWindow, excited: int, evidence: GateEvidence) -> dict[str, tuple[str, ...]]:
     def labelled(name: str, days: float) -> bool:
         return any(
             one.parameter == name and abs(window.end_s - one.time_s) <= 86400.0 * days for one in evidence.labels

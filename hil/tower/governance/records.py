@@ -30,7 +30,7 @@ from hil.record.raw import RecordError
 from hil.tower.governance.gates import Verdict
 from hil.tower.station import iso
 from twin.tower.air import Array
-from twin.tower.windows import Window
+from twin.tower.windows import TargetWindow
 
 RECORDS, QUEUE = "records.jsonl", "review_queue.json"
 STATES = ("shadow", "advisory", "controlled")
@@ -96,7 +96,7 @@ class CellLines:
     half: Array
     regime: NDArray[np.uint8]
     window: NDArray[np.intp]
-    windows: Sequence[Window]
+    windows: Sequence[TargetWindow]
     verdicts: Sequence[Verdict]
     source: str
     twin: str

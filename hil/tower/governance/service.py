@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.tower.calibration import CellResult, site_of
-from hil.tower.governance.gates import Evidence, Verdict, judge
+from hil.tower.governance.gates import GateEvidence, Verdict, judge
 from hil.tower.governance.records import (
     EVERY_S,
     QUEUE,
@@ -32,7 +32,7 @@ from twin.tower.calibration import WINDOW_S
 from twin.tower.identify import MOST_CONDITION
 from twin.tower.model import DEVIATIONS, CellModel
 from twin.tower.twin_file import IDS, design_of, value_of
-from twin.tower.windows import Window, distances, windows_of
+from twin.tower.windows import TargetWindow, distances, windows_of
 
 REQUIRED = ("t_in_C", "t_out_C", "m_w_kg_s", "fan_speed_pct", "fan_power_kW", "dry_C", "pressure_kPa")
 """Channels that a calibration needs, beside a wet bulb."""
@@ -44,7 +44,7 @@ class CellGovernance:
     """Windows, verdicts and alarms of a cell, and the revision of its twin where one was saved."""
 
     result: CellResult
-    windows: Sequence[Window]
+    windows: Sequence[TargetWindow]
     verdicts: Sequence[Verdict]
     alarms: Sequence[tuple[float, tuple[str, ...]]]
     revision: Path | None
@@ -94,7 +94,7 @@ def govern(results: Sequence[CellResult], notes: StationNotes, out: Path, state:
     return found
 
 
-def _judged(result: CellResult, notes: StationNotes) -> tuple[list[Window], list[Verdict], str]:
+def _judged(result: CellResult, notes: StationNotes) -> tuple[list[TargetWindow], list[Verdict], str]:
     design = design_of(result.network)
     model = CellModel(design, site_of(notes, value_of(result.network, "cell.bypass_share")))
     columns, n = result.record.columns, len(result.record.time_s)
@@ -111,16 +111,16 @@ def _judged(result: CellResult, notes: StationNotes) -> tuple[list[Window], list
         if e.get("kind") in INSPECTIONS and int(e.get("cell", 0)) in (0, result.cell)
     ]
     unexplained = [s.start_s for s in result.steps if s.lasting and s.kind == "water"]
-    evidence = Evidence(result.labels, inspections, unexplained, result.second, balance)
+    evidence = GateEvidence(result.labels, inspections, unexplained, result.second, balance)
     return windows, judge(windows, distance, dropped, bypass, evidence), balance
 
 
-def _shares(result: CellResult, windows: Sequence[Window], rows: NDArray[np.bool_]) -> Array:
+def _shares(result: CellResult, windows: Sequence[TargetWindow], rows: NDArray[np.bool_]) -> Array:
     edges = np.searchsorted(result.minutes.time_s, [w.start_s for w in windows] + [windows[-1].end_s])
     return np.array([float(np.mean(rows[a:b])) if b > a else 0.0 for a, b in zip(edges[:-1], edges[1:], strict=True)])
 
 
-def _lines(result: CellResult, windows: Sequence[Window], verdicts: Sequence[Verdict]) -> CellLines:
+def _lines(result: CellResult, windows: Sequence[TargetWindow], verdicts: Sequence[Verdict]) -> CellLines:
     m, c = result.minutes, result.calibrated
     rows = np.flatnonzero(np.mod(m.time_s, EVERY_S) < 60.0)
     window = np.clip(((m.time_s[rows] - windows[0].start_s) // WINDOW_S).astype(int), 0, len(windows) - 1)
@@ -143,7 +143,7 @@ def _lines(result: CellResult, windows: Sequence[Window], verdicts: Sequence[Ver
     )
 
 
-def _indicators(result: CellResult, windows: Sequence[Window], verdicts: Sequence[Verdict]) -> Indicators:
+def _indicators(result: CellResult, windows: Sequence[TargetWindow], verdicts: Sequence[Verdict]) -> Indicators:
     m, c = result.minutes, result.calibrated
     hour = (m.time_s // 3600.0).astype(np.int64)
     hour -= hour[0]
@@ -165,7 +165,7 @@ def _indicators(result: CellResult, windows: Sequence[Window], verdicts: Sequenc
 
 def _queue(
     result: CellResult,
-    windows: Sequence[Window],
+    windows: Sequence[TargetWindow],
     verdicts: Sequence[Verdict],
     alarms: Sequence[tuple[float, tuple[str, ...]]],
     state: str,
@@ -208,12 +208,12 @@ def _queue(
     return entries
 
 
-def _latest(windows: Sequence[Window]) -> int | None:
+def _latest(windows: Sequence[TargetWindow]) -> int | None:
     running = [k for k, w in enumerate(windows) if w.share_known > 0.5]
     return running[-1] if running else None
 
 
-def _proposals(result: CellResult, window: Window) -> list[tuple[str, float, float]]:
+def _proposals(result: CellResult, window: TargetWindow) -> list[tuple[str, float, float]]:
     row = int(np.clip(np.searchsorted(result.minutes.time_s, window.end_s) - 1, 0, len(result.minutes.time_s) - 1))
     c = result.calibrated
     return [

@@ -57,7 +57,7 @@ def evaluate(
     }
     figures = _read(boosted, rows) if boosted is not None else boost(folder, test, rows, note)
     if figures is not None:
-        answers[BOOSTED] = score.Answer(*figures)
+        answers[BOOSTED] = score.MethodPrediction(*figures)
     loaded = {name: load_member(path, blind_too=True) for name, path in members.items()}
     for member in loaded.values():
         member.network.to(test.device)
@@ -70,7 +70,7 @@ def evaluate(
     for name, some in groups.items():
         if not some:
             continue
-        limits = score.Factors.of(v, *score.mixed(v, [known[n] for n in some]))
+        limits = score.IntervalFactors.of(v, *score.mixed(v, [known[n] for n in some]))
         answers[name] = limits.applied(*score.mixed(t, [predicted[n] for n in some]))
         factors[name] = {"theta": limits.theta.tolist(), "water": limits.water}
     document: dict[str, Any] = {

@@ -104,10 +104,10 @@ def _in_parallel(
 ) -> None:
     from drivers.virtual.tower.export import commissioning_rows
     from drivers.virtual.tower.sites import MIAMI_SITE
-    from drivers.virtual.tower.station import Plan, simulate
+    from drivers.virtual.tower.station import SimulationPlan, simulate
 
     # Compiled once, before the processes part.
-    commissioning_rows(simulate(MIAMI_SITE, 1, Plan(months=0.06, cells=1)))
+    commissioning_rows(simulate(MIAMI_SITE, 1, SimulationPlan(months=0.06, cells=1)))
     context = multiprocessing.get_context("fork")
     began = context.Value("d", 0.0)  # mean seconds of a station of the family
     with context.Pool(workers, initializer=_share, initargs=(began, until)) as pool:

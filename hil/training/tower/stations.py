@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from drivers.virtual.tower.effects import EFFECTS
 from drivers.virtual.tower.export import COMMISSIONING, commissioning_rows, datasheet, event_rows
-from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, Site
-from drivers.virtual.tower.station import Plan, Simulated, simulate, state_by_minute
+from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, StationDesign
+from drivers.virtual.tower.station import Simulated, SimulationPlan, simulate, state_by_minute
 from twin.calibrators.hiera_unet.tower.cell_table import CellTable, cell_table
 from twin.historian.events import Event, disturbed, influence_of
 from twin.historian.record import CellMinutes, cell_minutes, shared_minutes
@@ -26,10 +26,9 @@ from twin.tower.air import Array
 from twin.tower.calibration import fit_cell
 from twin.tower.cell import Inputs
 from twin.tower.cell_observations.evidence import Label
-from twin.tower.clean_cell.commissioning import Commissioned, TestPoints, fit_clean_cell
+from twin.tower.clean_cell.commissioning import CommissionedCell, TestPoints, fit_clean_cell
 from twin.tower.minutes import Minutes, blocks_of, minutes_of
-from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel
-from twin.tower.model import Site as DesignPoint
+from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel, DesignPoint
 from twin.tower.recursive import Recursion, recursion
 from twin.tower.smoother import Opening, Priors
 from twin.tower.twin_file import BOUNDS
@@ -73,7 +72,7 @@ class CellData:
     sheet: dict[str, Any]
     columns: dict[str, NDArray[Any]]
     minutes: Minutes
-    commissioned: Commissioned
+    commissioned: CommissionedCell
     clean: Array
     log_clean: Array
     recursion: Recursion
@@ -84,7 +83,7 @@ class CellData:
     truth: Array
 
 
-def drawn_site(seed: int) -> tuple[Site, tuple[str, ...]]:
+def drawn_site(seed: int) -> tuple[StationDesign, tuple[str, ...]]:
     """Return a site of the family and the effect that its twin lacks, if any."""
     rng = np.random.default_rng([seed, 7])
     share, weather = rng.uniform(-0.1, 1.1), rng.uniform(-0.1, 1.1)
@@ -92,7 +91,10 @@ def drawn_site(seed: int) -> tuple[Site, tuple[str, ...]]:
     def between(a: Any, b: Any, at: float) -> Any:
         return a + at * (b - a) if isinstance(a, float) else a
 
-    changes = {f.name: between(getattr(CHICAGO_SITE, f.name), getattr(MIAMI_SITE, f.name), share) for f in fields(Site)}
+    changes = {
+        f.name: between(getattr(CHICAGO_SITE, f.name), getattr(MIAMI_SITE, f.name), share)
+        for f in fields(StationDesign)
+    }
     cold, warm = CHICAGO_SITE.climate, MIAMI_SITE.climate
     climate = replace(
         cold, **{f.name: between(getattr(cold, f.name), getattr(warm, f.name), weather) for f in fields(cold)}
@@ -121,7 +123,7 @@ def drawn_site(seed: int) -> tuple[Site, tuple[str, ...]]:
         "style": "loops" if first else "words",
     }
     hide = (str(rng.choice(list(EFFECTS))),) if rng.random() < HIDDEN_SHARE else ()
-    return Site(**changes), hide
+    return StationDesign(**changes), hide
 
 
 def station_cells(plan: StationPlan) -> list[CellData]:
@@ -133,7 +135,7 @@ def station_cells(plan: StationPlan) -> list[CellData]:
     site, hide = drawn_site(plan.seed) if plan.site == "F" else (CHICAGO_SITE if plan.site == OF_A else MIAMI_SITE, ())
     start = datetime.datetime(2022, 1 + plan.seed % 12, 1, tzinfo=datetime.UTC)
     made = simulate(
-        site, plan.cells, Plan(months=plan.months, cells=plan.cells, seed=plan.seed, start=start, hide=hide)
+        site, plan.cells, SimulationPlan(months=plan.months, cells=plan.cells, seed=plan.seed, start=start, hide=hide)
     )
     zero = start.timestamp()
     sheet = datasheet(site, plan.cells)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hil.tower.governance import Indicators, drift_alarms
-from hil.tower.governance.gates import Evidence, judge
+from hil.tower.governance.gates import GateEvidence, judge
 from twin.tower.identify import Identifiability
-from twin.tower.windows import Window
+from twin.tower.windows import TargetWindow
 
 
 def indicators(hours: int = 100, **beyond: slice) -> Indicators:
@@ -37,9 +37,9 @@ def test_two_indicators_for_a_day_raise_one_alarm_that_names_them() -> None:
 
 def window(
     k: int, excited: bool = True, half: float = 0.3, frozen: tuple[str, ...] = (), hidden: float = 0.0
-) -> Window:
+) -> TargetWindow:
     told = Identifiability(200.0 if frozen else 20.0, {}, {}, frozen, 20.0, hidden)
-    return Window(7200.0 * k, 7200.0 * (k + 1), told, excited, np.ones(4), 1.0, half)
+    return TargetWindow(7200.0 * k, 7200.0 * (k + 1), told, excited, np.ones(4), 1.0, half)
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def window(
     ],
 )
 def test_each_gate_holds_back_with_its_code(change: dict[str, float], code: str) -> None:
-    nothing = Evidence((), (), (), False)
+    nothing = GateEvidence((), (), (), False)
     zero = np.zeros(1)
     assert code in judge([window(0, **change)], zero, zero, zero, nothing)[0].codes  # type: ignore[arg-type]
 
@@ -59,9 +59,9 @@ def test_each_gate_holds_back_with_its_code(change: dict[str, float], code: str)
 def test_fill_needs_three_excited_windows_and_an_inspection_and_bias_a_second_thermometer() -> None:
     zero = np.zeros(4)
     windows = [window(k) for k in range(4)]
-    bare = judge(windows, zero, zero, zero, Evidence((), (), (), False))
+    bare = judge(windows, zero, zero, zero, GateEvidence((), (), (), False))
     assert [v.accepts("fill") for v in bare] == [False] * 4 and not bare[3].accepts("bias") and bare[3].accepts("air")
-    full = judge(windows, zero, zero, zero, Evidence((), (0.0,), (), True, "NO_MAKEUP"))
+    full = judge(windows, zero, zero, zero, GateEvidence((), (0.0,), (), True, "NO_MAKEUP"))
     assert [v.accepts("fill") for v in full] == [False, False, True, True] and full[0].accepts("bias")
     assert full[0].notes == ("BALANCE_OFF:NO_MAKEUP",)
 
@@ -69,11 +69,11 @@ def test_fill_needs_three_excited_windows_and_an_inspection_and_bias_a_second_th
 def test_a_frozen_deviation_is_held_back_and_the_others_pass() -> None:
     zero = np.zeros(4)
     windows = [*(window(k) for k in range(3)), window(3, frozen=("fill",))]
-    last = judge(windows, zero, zero, zero, Evidence((), (0.0,), (), True))[3]
+    last = judge(windows, zero, zero, zero, GateEvidence((), (0.0,), (), True))[3]
     assert last.of["fill"] == ("LOW_SENSITIVITY:fill",) and last.accepts("uniformity")
 
 
 def test_an_unexplained_step_of_the_water_holds_everything_back_for_a_day() -> None:
     zero = np.zeros(20)
-    found = judge([window(k) for k in range(20)], zero, zero, zero, Evidence((), (0.0,), (7200.0 * 2 + 10,), True))
+    found = judge([window(k) for k in range(20)], zero, zero, zero, GateEvidence((), (0.0,), (7200.0 * 2 + 10,), True))
     assert [bool(v.codes) for v in found] == [False] * 2 + [True] * 13 + [False] * 5

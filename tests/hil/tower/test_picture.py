@@ -11,16 +11,16 @@ import pytest
 
 from hil.record.raw import RecordError
 from hil.tower.calibration.picture import draw_cell
-from hil.tower.calibration.truth import Columns, compare, read_truth
+from hil.tower.calibration.truth import TruthColumns, compare, read_truth
 from twin.historian.events import Event
 
 N = 3 * 1440
 TIME = np.datetime64("2023-06-01", "ms") + np.arange(N).astype("timedelta64[m]")
 
 
-def calibrated(error: float) -> Columns:
+def calibrated(error: float) -> TruthColumns:
     """Return a calibration whose outlet is off by `error` K, and its fill by 2 %."""
-    columns: Columns = {"time": TIME, "t_out": np.full(N, 25.0 + error), "t_out_commissioned": np.full(N, 26.0)}
+    columns: TruthColumns = {"time": TIME, "t_out": np.full(N, 25.0 + error), "t_out_commissioned": np.full(N, 26.0)}
     columns |= {"t_out_lo": columns["t_out"] - 0.2, "t_out_hi": columns["t_out"] + 0.2}
     for name, value in (("fill", 0.92), ("air", 1.0), ("uniformity", 1.0), ("bias", 0.1)):
         columns |= {
@@ -31,7 +31,7 @@ def calibrated(error: float) -> Columns:
     return columns
 
 
-def truth(running: bool = True) -> Columns:
+def truth(running: bool = True) -> TruthColumns:
     """Return the truth: outlet 25 degC, fill 0.9, the rest clean; the outlet means nothing while the cell is off."""
     runs = np.full(N, running)
     runs[:100] = False

@@ -9,7 +9,7 @@ import numpy as np
 from twin.calibrators.hiera_unet.channels import table
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.parameters import Deviations
-from twin.calibrators.hiera_unet.series import STEP_S, Series
+from twin.calibrators.hiera_unet.series import STEP_S, ResampledSeries
 from twin.kernel import Kernel
 from twin.steady import steady_state
 from twin.twinfile import load
@@ -33,7 +33,7 @@ def operated(n: int, seed: int = 0) -> np.ndarray:
     return u
 
 
-def made(n: int, theta: np.ndarray | None = None, onset: int = 0, seed: int = 0) -> Series:
+def made(n: int, theta: np.ndarray | None = None, onset: int = 0, seed: int = 0) -> ResampledSeries:
     """A record of the loop whose parameters deviate by `theta` from step `onset` on, with a little noise."""
     deviations = Deviations.of(NETWORK)
     u, kernel = operated(n, seed), Kernel(NETWORK, deviations.ids)
@@ -46,7 +46,7 @@ def made(n: int, theta: np.ndarray | None = None, onset: int = 0, seed: int = 0)
         out[: onset + 1], state = rows[0], end[0]
     out[onset:] = kernel.trace(changed, state, time[onset:], u[onset:])[0][0]
     noise = SIGMA_K * np.random.default_rng(seed + 1).standard_normal(out.shape)
-    return Series(time, u, out + noise, np.full(out.shape, np.nan))
+    return ResampledSeries(time, u, out + noise, np.full(out.shape, np.nan))
 
 
 def deviation(**values: float) -> np.ndarray:

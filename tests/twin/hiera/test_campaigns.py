@@ -11,7 +11,7 @@ import pytest
 
 from tests.twin.hiera.records import NETWORK, features
 from twin.calibrators.hiera_unet import changes
-from twin.calibrators.hiera_unet.campaigns import STEPS, Campaign, ends, label, simulated
+from twin.calibrators.hiera_unet.campaigns import STEPS, LabelledRecord, ends, label, simulated
 from twin.calibrators.hiera_unet.gaps import damaged, logged
 from twin.calibrators.hiera_unet.plants import Family
 from twin.calibrators.hiera_unet.store import Kept, Store, windows_of, write_manifest, write_shard
@@ -27,11 +27,11 @@ def family() -> Family:
 
 
 @lru_cache(maxsize=1)
-def campaigns() -> tuple[Campaign, ...]:
+def campaigns() -> tuple[LabelledRecord, ...]:
     return tuple(simulated(family(), SEED, k) for k in range(12))
 
 
-def kept(campaign: Campaign, seed: int = 0) -> Kept:
+def kept(campaign: LabelledRecord, seed: int = 0) -> Kept:
     rng = np.random.default_rng(seed)
     return Kept(campaign, tuple(label(features(), campaign, end) for end in ends(campaign, rng, 2)))
 

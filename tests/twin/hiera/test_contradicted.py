@@ -13,7 +13,7 @@ from twin.calibrators.hiera_unet.channels import table
 from twin.calibrators.hiera_unet.contradicted import Doubt, reviewed, trusted, without
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.parameters import Deviations
-from twin.calibrators.hiera_unet.series import STEP_S, Series
+from twin.calibrators.hiera_unet.series import STEP_S, ResampledSeries
 from twin.kernel import simulate
 from twin.twinfile import load
 
@@ -24,7 +24,9 @@ ONSET = 1200
 """Step at which something happens: an hour and forty minutes into the record."""
 
 
-def record(steps: int = 1560, seed: int = 0, change: dict[str, float] | None = None, slow_K: float = 0.01) -> Series:
+def record(
+    steps: int = 1560, seed: int = 0, change: dict[str, float] | None = None, slow_K: float = 0.01
+) -> ResampledSeries:
     """The loop under a changing load, `change` from ONSET on; readings with noise and an error that lasts."""
     rng = np.random.default_rng(seed)
     level = lambda low, high, every: np.repeat(rng.uniform(low, high, steps // every + 1), every)[:steps]  # noqa: E731
@@ -36,17 +38,17 @@ def record(steps: int = 1560, seed: int = 0, change: dict[str, float] | None = N
         clean[ONSET:] = simulate(after, time[ONSET:], inputs[ONSET:], LOOP.initial_state(clean[ONSET]))
     slow = slow_K * np.sin(time[:, None] / 900.0 + np.arange(len(LOOP.sensors)))
     measured = clean + slow + 0.02 * rng.standard_normal(clean.shape)
-    return Series(time, inputs, measured, np.full(measured.shape, np.nan))
+    return ResampledSeries(time, inputs, measured, np.full(measured.shape, np.nan))
 
 
-def off(series: Series, sensor: int, by: Any, first: int = ONSET, last: int | None = None) -> Series:
+def off(series: ResampledSeries, sensor: int, by: Any, first: int = ONSET, last: int | None = None) -> ResampledSeries:
     """The same with a thermometer that reads off."""
     measured = series.measured.copy()
     measured[first:last, sensor] += by
-    return Series(series.time, series.inputs, measured, series.spread)
+    return ResampledSeries(series.time, series.inputs, measured, series.spread)
 
 
-def follow(series: Series, since: int = 600, every: int = 60) -> list[tuple[int, tuple[Doubt, ...]]]:
+def follow(series: ResampledSeries, since: int = 600, every: int = 60) -> list[tuple[int, tuple[Doubt, ...]]]:
     """What is doubted at the end of every cycle."""
     doubts: tuple[Doubt, ...] = ()
     found = []
@@ -139,7 +141,7 @@ def test_the_gain_of_a_response_is_that_of_least_squares() -> None:
     residual = rng.normal(size=(80, 3))
     residual[10:20, 1] = np.nan
     noise, shape = np.array([0.5, 1.0, 2.0]), rng.normal(size=(80, 3))
-    squares = contradicted._Squares(residual, noise)
+    squares = contradicted._CentredResiduals(residual, noise)
     times, gained = squares.explained(shape, -np.inf, np.inf)
     good = np.isfinite(residual)
     each = [np.flatnonzero(good[:, j]) for j in range(3)]

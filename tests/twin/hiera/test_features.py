@@ -12,7 +12,7 @@ from twin.calibrators.hiera_unet.channels import table
 from twin.calibrators.hiera_unet.evidence import estimate
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.parameters import Deviations
-from twin.calibrators.hiera_unet.series import STEP_S, Series, series
+from twin.calibrators.hiera_unet.series import STEP_S, ResampledSeries, series
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.network import TwinFileError
 from twin.steady import steady_state
@@ -199,7 +199,7 @@ def test_another_loop_with_a_volume_that_nothing_reads_gets_windows_of_its_own()
     values = deviations.full(np.array([-0.3, 0.0, 0.0]), network.values)
     clean = own.kernel.trace(values, steady_state(network, inputs[0], values), time, inputs)[0][0]
     readings = clean + SIGMA_K * rng.standard_normal(clean.shape)
-    found = own.frame(Series(time, inputs, readings, np.full(readings.shape, np.nan)), n, network.values)
+    found = own.frame(ResampledSeries(time, inputs, readings, np.full(readings.shape, np.nan)), n, network.values)
     assert found.x.shape == (CONTEXT, len(own.table)) and found.base.shape == (TARGET, 2)
     assert not found.m[:, list(own.table.names).index("balance_cooler")].any()
     assert 0.2 < np.abs(found.x[:, list(own.table.names).index("reading_T_out_C")]).mean() < 5.0

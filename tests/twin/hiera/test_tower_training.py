@@ -26,7 +26,7 @@ from twin.calibrators.hiera_unet.tower.predict import (  # noqa: E402
     interval,
     predict,
 )
-from twin.calibrators.hiera_unet.tower.score import Factors, believed, mixed, scores, targets_of  # noqa: E402
+from twin.calibrators.hiera_unet.tower.score import IntervalFactors, believed, mixed, scores, targets_of  # noqa: E402
 from twin.calibrators.hiera_unet.tower.table import SUBJECT  # noqa: E402
 from twin.calibrators.hiera_unet.tower.train import TowerTrainer  # noqa: E402
 from twin.calibrators.hiera_unet.tower.windows import Fleet  # noqa: E402
@@ -162,7 +162,7 @@ def test_scores_count_hidden_truth_and_intervals_hold_their_share(fleet: Fleet) 
     assert found["deviation_mae"]["bias"] == pytest.approx(BIAS - 0.05, abs=1e-3)
     assert found["deviation_mae"]["fill"] == pytest.approx(0.01, abs=1e-4)
     sd, water_sd = np.full_like(t.sd, 0.5), np.full_like(t.water, 0.5)
-    limited = Factors.of(t, belief, sd, water_sd).applied(belief, sd, water_sd)
+    limited = IntervalFactors.of(t, belief, sd, water_sd).applied(belief, sd, water_sd)
     assert 0.8 <= scores(t, limited)["water_inside_90"] <= 1.0
 
 

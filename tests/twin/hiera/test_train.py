@@ -16,7 +16,7 @@ from tests.twin.hiera import fake  # noqa: E402
 from twin.calibrators.hiera_unet import losses  # noqa: E402
 from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
 from twin.calibrators.hiera_unet.hiding import blind, hide  # noqa: E402
-from twin.calibrators.hiera_unet.plan import Hiding, Plan  # noqa: E402
+from twin.calibrators.hiera_unet.plan import Hiding, TrainingPlan  # noqa: E402
 from twin.calibrators.hiera_unet.sampling import Sampler, neighbours  # noqa: E402
 from twin.calibrators.hiera_unet.score import outcome  # noqa: E402
 from twin.calibrators.hiera_unet.train import Physics, Trainer  # noqa: E402
@@ -34,7 +34,7 @@ def _one_thread() -> Iterator[None]:
 
 def test_eight_windows_are_learned_by_heart() -> None:
     windows = fake.windows(8)
-    plan = Plan(
+    plan = TrainingPlan(
         steps=120,
         batch=8,
         rate=4e-3,
@@ -55,7 +55,7 @@ def test_eight_windows_are_learned_by_heart() -> None:
 
 
 def test_a_training_that_was_cut_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
-    windows, plan = fake.windows(10), Plan(steps=6, batch=4, pairs=1, structure=0.4, sure=0.3)
+    windows, plan = fake.windows(10), TrainingPlan(steps=6, batch=4, pairs=1, structure=0.4, sure=0.3)
 
     def fresh() -> Trainer:
         return Trainer(fake.config(), windows, PHYSICS, plan)
@@ -77,13 +77,13 @@ def test_a_training_that_was_cut_goes_on_as_if_it_had_not_been(tmp_path: Path) -
 
 def test_windows_of_another_table_are_refused() -> None:
     with pytest.raises(HieraError, match="do not fit configuration"):
-        Trainer(fake.config(groups=(2, 4)), fake.windows(4), PHYSICS, Plan())
+        Trainer(fake.config(groups=(2, 4)), fake.windows(4), PHYSICS, TrainingPlan())
 
 
 def test_the_structure_is_learned_on_healthy_windows_only() -> None:
     windows = fake.windows(12)
     windows.changed[:3] = True
-    sampler = Sampler(windows, fake.config(), Plan(batch=50))
+    sampler = Sampler(windows, fake.config(), TrainingPlan(batch=50))
     rows, pairs = sampler.draw(structural=True)
     assert not windows.changed[rows].any() and (windows.theta[rows] == 0).all() and len(pairs) == 0
 
@@ -95,7 +95,7 @@ def test_pairs_are_windows_of_one_rig_in_one_condition() -> None:
     for i, j in found:
         assert windows.nominal[i, 0] == windows.nominal[j, 0]
         assert np.abs(windows.theta[i] - windows.theta[j]).max() < 1e-2
-    rows, pairs = Sampler(windows, fake.config(), Plan()).draw(structural=False)
+    rows, pairs = Sampler(windows, fake.config(), TrainingPlan()).draw(structural=False)
     assert len(rows) == 12
     assert all(tuple(rows[p]) in {tuple(f) for f in found} for p in pairs.numpy())
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin.historian.defects.panel import STEP_S, Panel
+from twin.historian.defects.panel import STEP_S, TagPanel
 from twin.historian.defects.swaps import swapped
 from twin.historian.events import Event
 from twin.historian.tags import Array, Series, Tag
@@ -14,7 +14,7 @@ DAY = 96
 """Rows of a day."""
 
 
-def _panel(rng: np.random.Generator, days: int, drift_K: float) -> Panel:
+def _panel(rng: np.random.Generator, days: int, drift_K: float) -> TagPanel:
     """Return two cells whose outlets follow their fans; the second outlet's reading drifts from a third of the span."""
     n = DAY * days
     hours = np.arange(n) / 4.0
@@ -34,14 +34,14 @@ def _panel(rng: np.random.Generator, days: int, drift_K: float) -> Panel:
         Series(Tag(name, unit, role, cell, 120.0), grid, row, np.full(n, 192, dtype=np.int16))
         for (name, unit, role, cell), row in zip(names, values, strict=True)
     )
-    return Panel(series, grid, values)
+    return TagPanel(series, grid, values)
 
 
 def _rough(rng: np.random.Generator, n: int, size: float) -> Array:
     return size * np.convolve(rng.standard_normal(n + 7), np.ones(8) / np.sqrt(8.0), "valid")
 
 
-def _entry(panel: Panel, row: int) -> Event:
+def _entry(panel: TagPanel, row: int) -> Event:
     time_s = float(panel.grid_s[row])
     return Event(time_s - 86400.0, True, 0, "instrument_work", "CMMS", "Transmitters of T1 and T2 exchanged")
 

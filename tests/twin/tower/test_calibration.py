@@ -12,11 +12,11 @@ from twin.tower.cell import Inputs
 from twin.tower.cell_observations.evidence import Label, interval_as_gaussian
 from twin.tower.clean_cell.commissioning import CommissioningError, TestPoints, fit_clean_cell
 from twin.tower.minutes import Minutes, minutes_of
-from twin.tower.model import CellModel, Site
+from twin.tower.model import CellModel, DesignPoint
 from twin.tower.smoother import Opening, Priors
 from twin.tower.twin_file import BOUNDS
 
-SITE = Site(34.0, 24.0, 6.0)
+SITE = DesignPoint(34.0, 24.0, 6.0)
 
 
 def clean(**changes: float) -> TestPoints:

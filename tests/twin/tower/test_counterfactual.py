@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.tower.cell import Design, Inputs
-from twin.tower.model import GLOBALS, CellModel, Operation, Site
+from twin.tower.model import GLOBALS, CellModel, DesignPoint, Operation
 from twin.tower.twin_file import BOUNDS
 
-MODEL = CellModel(Design(250.0, 205.0, 1.47, 0.6, 45.0, 1.15), Site())
+MODEL = CellModel(Design(250.0, 205.0, 1.47, 0.6, 45.0, 1.15), DesignPoint())
 POINTS = 50
 LEAST_FALL_K = 1.0
 """Water that hardly cools has no sign to get wrong."""

@@ -17,13 +17,13 @@ from twin.tower.diagnosis.candidates import candidates, decoys, noons
 from twin.tower.diagnosis.evidence import gain
 from twin.tower.diagnosis.search import CellCase, search
 from twin.tower.diagnosis.validation import held_out_parts
-from twin.tower.effects import Effect, pattern, sun_height
+from twin.tower.effects import CellEffect, pattern, sun_height
 from twin.tower.minutes import minutes_of
 from twin.tower.model import CellModel
 from twin.tower.smoother import Priors, time_grid
 from twin.tower.twin_file import BOUNDS, cell_network
 
-WEST = Effect("recirculation", "exhaust", "wind_direction", 270.0, size=0.1, sd=0.01)
+WEST = CellEffect("recirculation", "exhaust", "wind_direction", 270.0, size=0.1, sd=0.01)
 
 
 def design():  # type: ignore[no-untyped-def]
@@ -42,7 +42,7 @@ def test_element_and_physics_have_the_same_paths_and_drivers() -> None:
 
 def test_wind_drives_from_its_direction_alone_and_from_the_onset_on() -> None:
     columns = {"wind_m_s": np.full(4, 10.0), "wind_deg": np.array([270.0, 90.0, 330.0, 270.0])}
-    late = Effect("recirculation", "exhaust", "wind_direction", 270.0, onset_s=180.0)
+    late = CellEffect("recirculation", "exhaust", "wind_direction", 270.0, onset_s=180.0)
     assert pattern(WEST, np.arange(4) * 60.0, columns, 1.0) == pytest.approx([2.0, 0.0, 1.0, 2.0])
     assert pattern(late, np.arange(4) * 60.0, columns, 1.0) == pytest.approx([0.0, 0.0, 0.0, 2.0])
 
@@ -60,7 +60,7 @@ def test_sun_stands_highest_at_noon_and_is_away_at_night() -> None:
 )
 def test_an_effect_of_positive_size_warms_the_outlet(path: str, warmer: bool) -> None:
     made = weathered(1.0, 3)
-    one = Effect("follows", path, "neighbours_speed", size=0.1)
+    one = CellEffect("follows", path, "neighbours_speed", size=0.1)
     with_it, without = (case(made, e) for e in ((one,), ()))
     slow, g = np.zeros((len(made.time_s), 5)), Priors(BOUNDS).constant()[0]
     change = with_it.model.outlet(with_it.minutes.operation, slow, g) - without.model.outlet(
@@ -73,8 +73,8 @@ def test_an_effect_of_positive_size_warms_the_outlet(path: str, warmer: bool) ->
 
 def test_an_adopted_effect_is_read_back_from_the_twin_file() -> None:
     network = cell_network(1, "Z", design(), 0.0, 0.1, (0.02, 0.1), Revision())
-    column = Effect("follows", "inlet", "column", column="dry_C", centre=20.0, spread=5.0, size=0.3, sd=0.02)
-    since = Effect("bypass_leak", "past_fill", "always", onset_s=1.66e9, size=0.04, sd=0.01)
+    column = CellEffect("follows", "inlet", "column", column="dry_C", centre=20.0, spread=5.0, size=0.3, sd=0.02)
+    since = CellEffect("bypass_leak", "past_fill", "always", onset_s=1.66e9, size=0.04, sd=0.01)
     grown = adopted(network, [WEST, column, since], Revision())
     assert effects_of(grown) == (WEST, column, since)
     twice = adopted(grown, [WEST], Revision())

@@ -6,12 +6,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.tower.cell import Design, Deviations, Inputs, solve
+from twin.tower.cell import CellDeviations, Design, Inputs, solve
 from twin.tower.identify import cell_sensitivities, excited, identifiability
 from twin.tower.planning import plan_tests
 
 CELL = Design(250.0, 205.0, 1.47, 0.6, 45.0, 1.15)
-AT = Deviations(0.92, 0.95, 0.96, 0.0)
+AT = CellDeviations(0.92, 0.95, 0.96, 0.0)
 SENSORS = {"T": "outlet", "F": "fan", "E": "evaporation", "B": "basin"}
 KAPPA = 0.6
 

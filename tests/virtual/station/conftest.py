@@ -8,7 +8,7 @@ import pytest
 
 from drivers.virtual.tower.export import write_station
 from drivers.virtual.tower.sites import CHICAGO_SITE
-from drivers.virtual.tower.station import Plan, Simulated, simulate
+from drivers.virtual.tower.station import Simulated, SimulationPlan, simulate
 
 DAYS_4 = 4 / 30.4375
 
@@ -16,13 +16,13 @@ DAYS_4 = 4 / 30.4375
 @pytest.fixture(scope="session")
 def made() -> Simulated:
     """Return four days of station A with one recorded cell and defects."""
-    return simulate(CHICAGO_SITE, 1, Plan(months=DAYS_4, cells=1, seed=11, defects=True))
+    return simulate(CHICAGO_SITE, 1, SimulationPlan(months=DAYS_4, cells=1, seed=11, defects=True))
 
 
 @pytest.fixture(scope="session")
 def clean() -> Simulated:
     """Return the same station without defects."""
-    return simulate(CHICAGO_SITE, 1, Plan(months=DAYS_4, cells=1, seed=11))
+    return simulate(CHICAGO_SITE, 1, SimulationPlan(months=DAYS_4, cells=1, seed=11))
 
 
 @pytest.fixture(scope="session")

@@ -8,18 +8,18 @@ from scipy.optimize import least_squares
 
 from drivers.virtual.tower.physics import cell as physics
 from drivers.virtual.tower.physics.moist_air import CP_WATER, enthalpy, saturation, wet_bulb
-from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, Built, build, design_air
+from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, BuiltStation, build, design_air
 from twin.tower import air as other_air
 from twin.tower.cell import Design, Inputs, solve
 
 
 @pytest.fixture(scope="module")
-def built() -> Built:
+def built() -> BuiltStation:
     """Return the Chicago station of one seed."""
     return build(CHICAGO_SITE, np.random.default_rng(5))
 
 
-def at_design(built: Built, state: list[float], speed: float = 1.0, wind: float = 0.0) -> physics.Leaving:
+def at_design(built: BuiltStation, state: list[float], speed: float = 1.0, wind: float = 0.0) -> physics.Leaving:
     """Return what leaves the first cell at design conditions."""
     site = built.site
     dry, ratio = design_air(site)
@@ -38,7 +38,7 @@ def test_a_cell_as_built_cools_its_design_water_about_as_its_datasheet_says(site
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.5, 0.0])
-def test_a_cell_closes_its_balances_of_water_and_heat(built: Built, speed: float) -> None:
+def test_a_cell_closes_its_balances_of_water_and_heat(built: BuiltStation, speed: float) -> None:
     site = built.site
     dry, ratio = design_air(site)
     t_out, m_out, m_a, t_exit, w_exit, _, lost = at_design(built, CLEAN, speed)
@@ -51,7 +51,7 @@ def test_a_cell_closes_its_balances_of_water_and_heat(built: Built, speed: float
     assert m_a * (exit_enthalpy - enthalpy(dry, ratio)) == pytest.approx(given, rel=3e-3)
 
 
-def test_each_degradation_warms_the_outlet_as_such_towers_do(built: Built) -> None:
+def test_each_degradation_warms_the_outlet_as_such_towers_do(built: BuiltStation) -> None:
     clean = at_design(built, CLEAN)[0]
     rise = {
         "fill": at_design(built, [0.85, 1.0, 0.0, 0.0, 0.0])[0] - clean,
@@ -62,13 +62,13 @@ def test_each_degradation_warms_the_outlet_as_such_towers_do(built: Built) -> No
     assert all(0.1 < value < 0.9 for value in rise.values()), rise
 
 
-def test_a_slipping_belt_takes_power_and_a_blocked_eliminator_does_not(built: Built) -> None:
+def test_a_slipping_belt_takes_power_and_a_blocked_eliminator_does_not(built: BuiltStation) -> None:
     power = at_design(built, CLEAN)[5]
     assert at_design(built, [1.0, 1.0, 0.1, 0.0, 0.0])[5] < 0.8 * power
     assert at_design(built, [1.0, 1.0, 0.0, 0.0, 0.2])[5] > 0.97 * power
 
 
-def test_air_follows_wind_speed_and_draft(built: Built) -> None:
+def test_air_follows_wind_speed_and_draft(built: BuiltStation) -> None:
     still, windy = at_design(built, CLEAN)[2], at_design(built, CLEAN, wind=8.0)[2]
     assert 0.9 * still < windy < still
     flows = [at_design(built, CLEAN, speed)[2] for speed in (0.0, 0.3, 0.6, 1.0)]
@@ -76,7 +76,7 @@ def test_air_follows_wind_speed_and_draft(built: Built) -> None:
     assert 0.01 * still < flows[0] < 0.2 * still
 
 
-def test_multipliers_of_the_truth_are_those_of_the_physics(built: Built) -> None:
+def test_multipliers_of_the_truth_are_those_of_the_physics(built: BuiltStation) -> None:
     state = np.array([1.0, 0.95, 0.02, 0.05, 0.1])
     assert built.air_multiplier(0, state) == pytest.approx(
         at_design(built, list(state))[2] / at_design(built, CLEAN)[2], rel=0.02
@@ -93,7 +93,7 @@ def test_moist_air_agrees_with_that_of_the_twin_to_a_thousandth() -> None:
         assert wet_bulb(dry, ratio, 100.0) == pytest.approx(float(other_air.wet_bulb(dry, humidity, 100.0)), abs=0.1)
 
 
-def test_a_fitted_merkel_twin_keeps_a_gap_to_the_plant(built: Built) -> None:
+def test_a_fitted_merkel_twin_keeps_a_gap_to_the_plant(built: BuiltStation) -> None:
     rng = np.random.default_rng(0)
     site, n = built.site, 160
     t_in, m_w, speed = rng.uniform(24.0, 40.0, n), site.water * rng.uniform(0.7, 1.1, n), rng.uniform(0.3, 1.0, n)

@@ -14,7 +14,7 @@ from drivers.virtual.tower.effects import EFFECTS, hidden_effects
 from drivers.virtual.tower.export import key_of, write_station
 from drivers.virtual.tower.physics.plant import OF_STATION
 from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE
-from drivers.virtual.tower.station import Plan, Simulated, simulate
+from drivers.virtual.tower.station import Simulated, SimulationPlan, simulate
 from hil.tower.station import read_station
 
 DAYS_4 = 4 / 30.4375
@@ -31,8 +31,8 @@ def same(one: Simulated, other: Simulated) -> bool:
 
 
 def test_a_seed_makes_the_same_station_again_and_another_seed_another(clean: Simulated) -> None:
-    assert same(clean, simulate(CHICAGO_SITE, 1, Plan(months=DAYS_4, cells=1, seed=11)))
-    assert not same(clean, simulate(CHICAGO_SITE, 1, Plan(months=DAYS_4, cells=1, seed=12)))
+    assert same(clean, simulate(CHICAGO_SITE, 1, SimulationPlan(months=DAYS_4, cells=1, seed=11)))
+    assert not same(clean, simulate(CHICAGO_SITE, 1, SimulationPlan(months=DAYS_4, cells=1, seed=12)))
 
 
 def test_defects_change_the_record_and_not_the_plant(made: Simulated, clean: Simulated) -> None:
@@ -52,7 +52,7 @@ def test_a_seeded_swap_gap_and_clock_are_in_the_samples(made: Simulated, clean: 
 
 def test_an_undeclared_effect_warms_the_water_under_the_same_weather_and_load(clean: Simulated) -> None:
     for name in EFFECTS:
-        other = simulate(CHICAGO_SITE, 1, Plan(months=DAYS_4, cells=1, seed=11, hide=(name,)))
+        other = simulate(CHICAGO_SITE, 1, SimulationPlan(months=DAYS_4, cells=1, seed=11, hide=(name,)))
         assert np.array_equal(other.truth.wet, clean.truth.wet)
         # The control answers with its fans: more power for the same water, or warmer water.
         warmer = float((other.truth.cell("t_out", 1) - clean.truth.cell("t_out", 1)).mean())
@@ -120,7 +120,7 @@ def test_the_outlet_tag_is_the_flume_with_lag_and_bias(clean: Simulated) -> None
 
 
 def test_recorded_cells_are_shared_among_the_stations() -> None:
-    assert Plan(cells=1).recorded() == {"A": 1, "B": 0}
-    assert Plan(cells=2).recorded() == {"A": 2, "B": 0}
-    assert Plan(cells=3).recorded() == {"A": 2, "B": 1}
-    assert Plan(cells=6).recorded() == {"A": 4, "B": 2}
+    assert SimulationPlan(cells=1).recorded() == {"A": 1, "B": 0}
+    assert SimulationPlan(cells=2).recorded() == {"A": 2, "B": 0}
+    assert SimulationPlan(cells=3).recorded() == {"A": 2, "B": 1}
+    assert SimulationPlan(cells=6).recorded() == {"A": 4, "B": 2}

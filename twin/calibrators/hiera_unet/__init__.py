@@ -10,34 +10,34 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twin.calibrators.hiera_unet.campaigns import Campaign
+    from twin.calibrators.hiera_unet.campaigns import LabelledRecord
     from twin.calibrators.hiera_unet.checkpoint import Identity, Member
     from twin.calibrators.hiera_unet.config import HieraError
-    from twin.calibrators.hiera_unet.evidence import Belief, Evidence
+    from twin.calibrators.hiera_unet.evidence import ContextFit, ParameterPrior
     from twin.calibrators.hiera_unet.features import Features, Frame
     from twin.calibrators.hiera_unet.members import Ensemble, load_ensemble
     from twin.calibrators.hiera_unet.parameters import Deviations
-    from twin.calibrators.hiera_unet.plan import Plan
+    from twin.calibrators.hiera_unet.plan import TrainingPlan
     from twin.calibrators.hiera_unet.plants import Family
     from twin.calibrators.hiera_unet.refined import RefinedCalibrator
-    from twin.calibrators.hiera_unet.series import Series
+    from twin.calibrators.hiera_unet.series import ResampledSeries
     from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
     from twin.calibrators.hiera_unet.store import Store
     from twin.calibrators.hiera_unet.train import Trainer
     from twin.calibrators.hiera_unet.windows import Windows
 
 _MODULES = {
-    "campaigns": ("Campaign",),
+    "campaigns": ("LabelledRecord",),
     "checkpoint": ("Identity", "Member"),
     "config": ("HieraError",),
-    "evidence": ("Belief", "Evidence"),
+    "evidence": ("ParameterPrior", "ContextFit"),
     "features": ("Features", "Frame"),
     "members": ("Ensemble", "load_ensemble"),
     "parameters": ("Deviations",),
-    "plan": ("Plan",),
+    "plan": ("TrainingPlan",),
     "plants": ("Family",),
     "refined": ("RefinedCalibrator",),
-    "series": ("Series",),
+    "series": ("ResampledSeries",),
     "service": ("HieraUNetCalibrator",),
     "store": ("Store",),
     "train": ("Trainer",),
@@ -46,23 +46,23 @@ _MODULES = {
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [
-    "Belief",
-    "Campaign",
+    "ContextFit",
     "Deviations",
     "Ensemble",
-    "Evidence",
     "Family",
     "Features",
     "Frame",
     "HieraError",
     "HieraUNetCalibrator",
     "Identity",
+    "LabelledRecord",
     "Member",
-    "Plan",
+    "ParameterPrior",
     "RefinedCalibrator",
-    "Series",
+    "ResampledSeries",
     "Store",
     "Trainer",
+    "TrainingPlan",
     "Windows",
     "load_ensemble",
 ]

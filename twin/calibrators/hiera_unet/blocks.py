@@ -64,7 +64,7 @@ def masking(valid: Tensor, causal: bool) -> Tensor:
     return score
 
 
-class Block(nn.Module):
+class AttentionBlock(nn.Module):
     """Attention in windows, then a two-layer perceptron, each on normalised tokens and added to what was there."""
 
     def __init__(self, dim: int, heads: int, ratio: int = 4) -> None:
@@ -108,12 +108,12 @@ def attention(q: Tensor, k: Tensor, v: Tensor, score: Tensor) -> Tensor:
 
 
 class Local(nn.Module):
-    """The first block of all: a `Block` with one head for each channel group, which sees nothing of the others."""
+    """First block of all: an `AttentionBlock` with one head for each channel group, which sees no other group."""
 
     def __init__(self, groups: int, dim: int, knots: int, window: int) -> None:
         super().__init__()
         self.window = window
-        self.blocks = nn.ModuleList(Block(dim, 1) for _ in range(groups))
+        self.blocks = nn.ModuleList(AttentionBlock(dim, 1) for _ in range(groups))
         self.bias = LagBias(groups, knots, window, 1)
 
     def forward(self, tokens: Sequence[Tensor], valid: Tensor, causal: bool) -> list[Tensor]:

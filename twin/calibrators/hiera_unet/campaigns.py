@@ -15,8 +15,8 @@ from twin.calibrators.hiera_unet.evidence import estimate, identifiable
 from twin.calibrators.hiera_unet.features import Features
 from twin.calibrators.hiera_unet.gaps import damaged, logged
 from twin.calibrators.hiera_unet.loads import drive, wander
-from twin.calibrators.hiera_unet.plants import Family, Rig
-from twin.calibrators.hiera_unet.series import STEP_S, Series
+from twin.calibrators.hiera_unet.plants import Family, TrainingRig
+from twin.calibrators.hiera_unet.series import STEP_S, ResampledSeries
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.network import Array
 
@@ -39,7 +39,7 @@ INPUT_WANDER = {"_W": 0.0, "_pct": 0.0, "_C": 0.04}
 
 
 @dataclass(frozen=True)
-class Campaign:
+class LabelledRecord:
     """A record with its truth, over n steps.
 
     Attributes:
@@ -48,7 +48,7 @@ class Campaign:
         nominal: (p,) of the commissioned twin. source: who made it. what: the changes, in words.
     """
 
-    series: Series
+    series: ResampledSeries
     truth: Array
     theta: Array
     amiss: np.ndarray
@@ -63,8 +63,8 @@ class Campaign:
 
 
 @dataclass(frozen=True)
-class Label:
-    """What is known of a window, and its evidence: theta (P,), known (P,), changed, fit (`Evidence.kept`)."""
+class WindowLabel:
+    """Label of a window, and its fit: theta (P,), known (P,), changed, fit (`ContextFit.kept`)."""
 
     end: int
     theta: Array
@@ -73,7 +73,7 @@ class Label:
     fit: Array
 
 
-def simulated(family: Family, seed: int, number: int) -> Campaign:
+def simulated(family: Family, seed: int, number: int) -> LabelledRecord:
     """Campaign `number` of a seed: a rig of the family, operated at random, healthy or not."""
     rng = np.random.default_rng([seed, number, 3])
     rig = rig_of(family, seed, number // PER_RIG)
@@ -85,14 +85,14 @@ def simulated(family: Family, seed: int, number: int) -> Campaign:
 
 def recorded(
     family: Family,
-    rig: Rig,
+    rig: TrainingRig,
     rng: np.random.Generator,
     inputs: Array,
     hour: float,
     changes: tuple[undeclared.Change, ...],
     *,
     gaps: bool = True,
-) -> Campaign:
+) -> LabelledRecord:
     """What a logger keeps of a rig that is driven with `inputs` (n, c) from `hour` o'clock on and changes so.
 
     Args:
@@ -116,7 +116,7 @@ def recorded(
     if gaps:
         told, measured, said = damaged(rng, told, measured)
     known_time = rng.uniform() < 0.7
-    series = Series(
+    series = ResampledSeries(
         np.arange(n, dtype=np.float64) * STEP_S,
         told,
         measured,
@@ -125,10 +125,12 @@ def recorded(
         day=float(rng.uniform(0.0, 365.0)) if known_time else float("nan"),
     )
     label = theta + undeclared.equivalent(heat, family)
-    return Campaign(series, truth, label, amiss, rig.nominal, "twin", (*(c.what for c in changes), *said))
+    return LabelledRecord(series, truth, label, amiss, rig.nominal, "twin", (*(c.what for c in changes), *said))
 
 
-def _logged(family: Family, rig: Rig, rng: np.random.Generator, inputs: Array, read: Array) -> tuple[Array, Array]:
+def _logged(
+    family: Family, rig: TrainingRig, rng: np.random.Generator, inputs: Array, read: Array
+) -> tuple[Array, Array]:
     """What the logger writes of inputs and readings."""
     told = inputs.copy()
     for j, column in enumerate(family.network.input_columns):
@@ -139,7 +141,9 @@ def _logged(family: Family, rig: Rig, rng: np.random.Generator, inputs: Array, r
     return told, logged(rng, read, rig.sigma)
 
 
-def _vectors(family: Family, rig: Rig, theta: Array, changes: tuple[undeclared.Change, ...]) -> list[tuple[int, Array]]:
+def _vectors(
+    family: Family, rig: TrainingRig, theta: Array, changes: tuple[undeclared.Change, ...]
+) -> list[tuple[int, Array]]:
     """The plant's vector wherever it changes, slow changes in steps of five minutes."""
     rows = [theta] + [c.course[:, None] for c in changes if c.added]
     course = np.hstack(rows)
@@ -160,16 +164,16 @@ def _vectors(family: Family, rig: Rig, theta: Array, changes: tuple[undeclared.C
 
 
 @lru_cache(maxsize=4)
-def _rig_of(family: Family, seed: int) -> Rig:
+def _rig_of(family: Family, seed: int) -> TrainingRig:
     return family.rig(seed)
 
 
-def rig_of(family: Family, seed: int, number: int) -> Rig:
+def rig_of(family: Family, seed: int, number: int) -> TrainingRig:
     """Rig `number` of a seed."""
     return _rig_of(family, int(np.random.default_rng([seed, number, 5]).integers(1, 2**31)))
 
 
-def ends(campaign: Campaign, rng: np.random.Generator, count: int = WINDOWS) -> list[int]:
+def ends(campaign: LabelledRecord, rng: np.random.Generator, count: int = WINDOWS) -> list[int]:
     """Last steps (exclusive) of windows: after the change rather than before it, where there is one."""
     n = len(campaign.series)
     reach = APART * (count - 1)
@@ -180,7 +184,7 @@ def ends(campaign: Campaign, rng: np.random.Generator, count: int = WINDOWS) -> 
     return [min(last + APART * k, n) for k in range(count)]
 
 
-def label(features: Features, campaign: Campaign, end: int) -> Label:
+def label(features: Features, campaign: LabelledRecord, end: int) -> WindowLabel:
     """Truth and evidence of the window that ends before step `end`."""
     frame = features.frame(campaign.series, end, campaign.nominal)
     rows = campaign.theta[end - TARGET : end]
@@ -193,4 +197,4 @@ def label(features: Features, campaign: Campaign, end: int) -> Label:
     known &= np.isfinite(theta) & (np.ptp(rows, axis=0) < STEADY)
     evidence = estimate(features, frame, campaign.nominal)
     changed = bool(campaign.amiss[end - TARGET : end].any())
-    return Label(end, theta, known, changed, evidence.kept())
+    return WindowLabel(end, theta, known, changed, evidence.kept())

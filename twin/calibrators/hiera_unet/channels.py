@@ -26,7 +26,7 @@ ROLES: tuple[Role, ...] = ("u", "y", "r", "q", "e")
 
 
 @dataclass(frozen=True)
-class Channel:
+class RigChannel:
     """One column of the network's input.
 
     Attributes:
@@ -50,7 +50,7 @@ class ChannelTable:
     """Channels in the order of their groups. `figures`: names of the rig's own numbers in the static tokens."""
 
     name: str
-    channels: tuple[Channel, ...]
+    channels: tuple[RigChannel, ...]
     figures: tuple[tuple[str, ...], ...] = ()
     extra: tuple[str, ...] = ()
 
@@ -93,10 +93,10 @@ def loop(network: Network) -> ChannelTable:
     sensors = network.sensor_names
     read = {s.node: s.name for s in reversed(network.sensors)}
     path = [read[node] for node in flow.path if node in read]
-    found: list[Channel] = []
+    found: list[RigChannel] = []
 
     def add(group: str, role: Role, unit: str, kind: Kind, tolerance: float, formula: str, *of: str) -> None:
-        found.append(Channel("_".join((formula, *of)), group, unit, kind, role, tolerance, formula, of))
+        found.append(RigChannel("_".join((formula, *of)), group, unit, kind, role, tolerance, formula, of))
 
     add("ambient", "u", "K", "level", 0.02, "level", room)
     add("ambient", "u", "K", "level", 0.02, "quick", room, "300")

@@ -17,7 +17,7 @@ import numpy as np
 
 from twin.calibrators.hiera_unet.evidence import CORRELATED_STEPS, step_noise
 from twin.calibrators.hiera_unet.features import Features
-from twin.calibrators.hiera_unet.series import STEP_S, Series
+from twin.calibrators.hiera_unet.series import STEP_S, ResampledSeries
 from twin.calibrators.hiera_unet.windows import CONTEXT
 from twin.kernel import Kernel
 from twin.network import Array, Network
@@ -78,12 +78,14 @@ def without(time: Array, measured: Array, doubts: Sequence[Doubt]) -> Array:
     return left
 
 
-def trusted(series: Series, doubts: Sequence[Doubt]) -> Series:
+def trusted(series: ResampledSeries, doubts: Sequence[Doubt]) -> ResampledSeries:
     """The record without what is doubted."""
     return replace(series, measured=without(series.time, series.measured, doubts)) if doubts else series
 
 
-def reviewed(features: Features, series: Series, twins: Sequence[Array], doubts: Sequence[Doubt]) -> tuple[Doubt, ...]:
+def reviewed(
+    features: Features, series: ResampledSeries, twins: Sequence[Array], doubts: Sequence[Doubt]
+) -> tuple[Doubt, ...]:
     """Those of `doubts` that stand, and the thermometer that has come to be doubted since.
 
     Never more than half of the thermometers: the others would contradict nothing any more.
@@ -106,7 +108,7 @@ def reviewed(features: Features, series: Series, twins: Sequence[Array], doubts:
     return standing
 
 
-class _Run(NamedTuple):
+class _TwinRun(NamedTuple):
     """The live twin over the last steps: times (n,) s, inputs (n, c), state at the first, readings (n, Y) and what was
     measured (n, Y), degC."""
 
@@ -117,7 +119,7 @@ class _Run(NamedTuple):
     measured: Array
 
 
-def _free_runs(features: Features, series: Series, twins: Sequence[Array]) -> list[_Run]:
+def _free_runs(features: Features, series: ResampledSeries, twins: Sequence[Array]) -> list[_TwinRun]:
     """One of each twin; none where the record is too short to tell."""
     nominal = features.network.values
     frame = features.frame(series, len(series), nominal)
@@ -126,17 +128,17 @@ def _free_runs(features: Features, series: Series, twins: Sequence[Array]) -> li
         return []
     state, time, held = features.state_at(frame, first, nominal), frame.time[first:], frame.held[first:]
     readings = (features.kernel.trace(twin, state, time, held)[0][0] for twin in twins)
-    return [_Run(time, held, state, own, frame.measured[first:]) for own in readings]
+    return [_TwinRun(time, held, state, own, frame.measured[first:]) for own in readings]
 
 
-def _agrees(run: _Run, series: Series, doubt: Doubt) -> bool:
+def _agrees(run: _TwinRun, series: ResampledSeries, doubt: Doubt) -> bool:
     measured = series.measured[-AGREEING:, doubt.sensor]
     off = measured - run.readings[-len(measured) :, doubt.sensor]
     off = off[np.isfinite(off)]
     return off.size >= AGREEING // 2 and abs(float(off.mean())) < BACK_K
 
 
-class _Squares:
+class _CentredResiduals:
     """Residuals (n, Y) without each thermometer's mean, in noises; so many steps as are alike count as one."""
 
     def __init__(self, residual: Array, noise: Array) -> None:
@@ -160,10 +162,10 @@ class _Squares:
         return times, 2.0 * times * pull - times**2 * power
 
 
-def _stepped(features: Features, run: _Run, live: Array) -> Doubt | None:
+def _stepped(features: Features, run: _TwinRun, live: Array) -> Doubt | None:
     """The thermometer that has stepped away alone."""
     residual = run.measured - run.readings
-    squares = _Squares(residual, step_noise(features))
+    squares = _CentredResiduals(residual, step_noise(features))
     n, sensors = residual.shape
     moments = np.arange(max(n - LATEST, LEAST), n - LEAST + 1, EVERY)
     steps = np.zeros((sensors, len(moments), n, sensors))
@@ -196,7 +198,7 @@ def _moved(residual: Array, since: int) -> Array:
     return np.where(there, np.abs(after - before), 0.0)
 
 
-def _responses(network: Network, run: _Run, live: Array, moments: np.ndarray) -> Array:
+def _responses(network: Network, run: _TwinRun, live: Array, moments: np.ndarray) -> Array:
     """What changes of the twin's parameters do to its readings (r, n, Y), each from every moment on and all along."""
     # Its code is kept by what it does: compiled once, at the first step that needs it.
     kernel, rows = Kernel(network, _of_the_rig(network)), _changed(network, live)

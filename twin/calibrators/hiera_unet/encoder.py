@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from twin.calibrators.hiera_unet.blocks import Block, LagBias, Local, masking
+from twin.calibrators.hiera_unet.blocks import AttentionBlock, LagBias, Local, masking
 from twin.calibrators.hiera_unet.config import Config
 
 
@@ -84,14 +84,14 @@ class Merge(nn.Module):
         return y + self.validity(mean) + self.link(raw), mean[..., 0]
 
 
-class Stage(nn.Module):
+class EncoderStage(nn.Module):
     """Blocks of one width; the bias B_tau is shared by them."""
 
     def __init__(self, config: Config, index: int) -> None:
         super().__init__()
         dim, self.window = config.dims[index], config.windows[index]
         heads = dim // config.head_dim
-        self.blocks = nn.ModuleList(Block(dim, heads) for _ in range(config.depths[index]))
+        self.blocks = nn.ModuleList(AttentionBlock(dim, heads) for _ in range(config.depths[index]))
         self.bias = LagBias(heads, config.knots, self.window, config.strides[index])
         self.norm = nn.LayerNorm(dim)
 
@@ -119,7 +119,7 @@ class Encoder(nn.Module):
         self.fuse = nn.Linear(count * dim, config.dims[0])
         self.regime = nn.Embedding(config.regimes, config.dims[0])
         self.clock = nn.Linear(config.clock, config.dims[0])
-        self.stages = nn.ModuleList(Stage(config, i) for i in range(len(config.dims)))
+        self.stages = nn.ModuleList(EncoderStage(config, i) for i in range(len(config.dims)))
         pairs = zip(config.merges, config.dims[:-1], config.dims[1:], strict=True)
         self.merges = nn.ModuleList(Merge(factor, dim, out, config.channels) for factor, dim, out in pairs)
         self.meta = nn.Linear(config.meta, config.meta_tokens * config.dims[-1])

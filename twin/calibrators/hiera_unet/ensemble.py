@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.calibrators.hiera_unet.score import Outcome
+from twin.calibrators.hiera_unet.score import ScoredWindows
 from twin.network import Array
 
 
@@ -16,7 +16,7 @@ def mixed(means: Sequence[Array], variances: Sequence[Array]) -> tuple[Array, Ar
     return m.mean(axis=0), v.mean(axis=0) + m.var(axis=0)
 
 
-def together(members: Sequence[Outcome]) -> Outcome:
+def together(members: Sequence[ScoredWindows]) -> ScoredWindows:
     """What an ensemble says of the windows that each member has been asked about.
 
     `scale` is that of the Laplace law with the mixture's variance.
@@ -24,7 +24,7 @@ def together(members: Sequence[Outcome]) -> Outcome:
     first = members[0]
     error, variance = mixed([o.error for o in members], [2.0 * o.scale**2 for o in members])
     theta, spread = mixed([o.theta for o in members], [o.theta_sd**2 for o in members])
-    return Outcome(
+    return ScoredWindows(
         error=error,
         scale=np.sqrt(variance / 2.0),
         before=first.before,

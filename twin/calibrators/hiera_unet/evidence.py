@@ -50,7 +50,7 @@ MOVED, SLAB, SPIKE = (0.04, 0.05, 0.1), 0.3, 0.01
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ContextFit:
     """A fit over the context.
 
     Attributes:
@@ -94,8 +94,11 @@ def tokens(count: int) -> int:
 
 
 def tokens_of(kept: Array, deviations: Deviations) -> Array:
-    """(2 + 5 P + 1,) out of `Evidence.kept`: log chi, log share; deltas and standard errors of the fit; means, standard
-    deviations and chances if few parameters have moved; log10 condition."""
+    """Return tokens (2 + 5 P + 1,) of `ContextFit.kept`.
+
+    Log chi, log share; deltas and standard errors of the fit; means, standard deviations and probabilities if few
+    parameters have moved; log10 condition.
+    """
     count = len(deviations)
     few = believed(kept, deviations)
     fit, condition = kept[: 2 + 2 * count], kept[2 + 2 * count]
@@ -103,7 +106,7 @@ def tokens_of(kept: Array, deviations: Deviations) -> Array:
 
 
 def believed(kept: Array, deviations: Deviations) -> Posterior:
-    """What `Evidence.kept` says of deviations if few of them have moved."""
+    """Return the posterior of `ContextFit.kept` if few of the deviations have moved."""
     count = len(deviations)
     widened = float(np.exp(kept[3 + 2 * count]))
     data = Likelihood.of_plain(kept[4 + 2 * count :], count)
@@ -120,13 +123,13 @@ def usual(deviations: Deviations) -> Usual:
 
 
 def fitted_by(kept: Array, count: int) -> tuple[Array, int]:
-    """theta (P,) and the steps that were fitted, out of `Evidence.kept`."""
+    """Return theta (P,) and the steps that were fitted, from `ContextFit.kept`."""
     return kept[2 : 2 + count], round(float(np.exp(kept[1])) * (CONTEXT - TARGET))
 
 
 @dataclass(frozen=True)
-class Belief:
-    """What is believed of theta (P,) beforehand: a Gaussian with independent parts."""
+class ParameterPrior:
+    """Prior of theta (P,): a Gaussian with independent parts."""
 
     mean: Array
     sd: Array
@@ -137,8 +140,8 @@ def estimate(
     frame: Frame,
     values: Array,
     horizons: tuple[int, ...] = HORIZONS,
-    belief: Belief | None = None,
-) -> Evidence:
+    belief: ParameterPrior | None = None,
+) -> ContextFit:
     """Fit the context of a window.
 
     Args:
@@ -163,14 +166,14 @@ def estimate(
     return _conclude(features, frame, values, before, *best, evaluations)
 
 
-def _commissioned(features: Features) -> Belief:
-    return Belief(np.zeros(len(features.deviations)), features.deviations.prior_sd)
+def _commissioned(features: Features) -> ParameterPrior:
+    return ParameterPrior(np.zeros(len(features.deviations)), features.deviations.prior_sd)
 
 
-def nothing(features: Features, frame: Frame, belief: Belief) -> Evidence:
+def nothing(features: Features, frame: Frame, belief: ParameterPrior) -> ContextFit:
     """What is known without any data: the prior."""
     none = np.zeros(len(belief.sd), dtype=bool)
-    return Evidence(
+    return ContextFit(
         belief.mean,
         belief.sd,
         1e16,
@@ -204,7 +207,7 @@ def step_noise(features: Features) -> Array:
 
 
 def _fit(
-    features: Features, frame: Frame, values: Array, steps: int, belief: Belief
+    features: Features, frame: Frame, values: Array, steps: int, belief: ParameterPrior
 ) -> tuple[GaussNewtonFit, float] | None:
     last = CONTEXT - TARGET
     first = max(last - steps, frame.begin)
@@ -221,7 +224,7 @@ def _fit(
 
 
 def _problem(
-    features: Features, frame: Frame, values: Array, first: int, data: FitData, belief: Belief
+    features: Features, frame: Frame, values: Array, first: int, data: FitData, belief: ParameterPrior
 ) -> tuple[FitProblem, GaussianPrior]:
     """Squares over theta and the state at step `first`, and the prior of both."""
     nodes = len(features.network.nodes)
@@ -237,12 +240,12 @@ def _conclude(
     features: Features,
     frame: Frame,
     values: Array,
-    belief: Belief,
+    belief: ParameterPrior,
     fit: GaussNewtonFit,
     chi: float,
     steps: int,
     evaluations: int,
-) -> Evidence:
+) -> ContextFit:
     count = len(features.deviations)
     scaling = features.deviations.scaling(values)
     first = max(CONTEXT - TARGET - steps, frame.begin)
@@ -255,7 +258,7 @@ def _conclude(
     told, number = tell(fit.normal, scaling.prior_sd(), widened)
     sd = np.minimum(np.sqrt(np.diag(covariance)), belief.sd)
     likely = _likelihood(fit, features.state_at(frame, first, values)[:nodes], count, widened)
-    return Evidence(
+    return ContextFit(
         fit.v[:count].copy(), sd, number, told, chi, steps, fit.state, fit.data.end.copy(), likely, widened, evaluations
     )
 

@@ -15,7 +15,7 @@ from twin.calibrators.hiera_unet.channels import ChannelTable
 from twin.calibrators.hiera_unet.figures import Figures
 from twin.calibrators.hiera_unet.parameters import Deviations, kernel_of
 from twin.calibrators.hiera_unet.regimes import regimes
-from twin.calibrators.hiera_unet.series import STEP_S, Series, filled_forward
+from twin.calibrators.hiera_unet.series import STEP_S, ResampledSeries, filled_forward
 from twin.calibrators.hiera_unet.signals import FORMULAS, Stretch, stuck
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.discovery.effects.formulas import Formulas
@@ -65,9 +65,9 @@ class Features:
         self.kernel = kernel_of(network, deviations.ids)
         self._formulas = Formulas(network)
         self._node_of = [network.nodes.index(s.node) for s in network.sensors]
-        self._last: tuple[Series, int, Array, Frame] | None = None
+        self._last: tuple[ResampledSeries, int, Array, Frame] | None = None
 
-    def frame(self, series: Series, end: int, values: Array) -> Frame:
+    def frame(self, series: ResampledSeries, end: int, values: Array) -> Frame:
         """The window whose last step is `end` - 1.
 
         Args:
@@ -80,7 +80,7 @@ class Features:
         self._last = series, end, values, made
         return made
 
-    def _made(self, series: Series, end: int, values: Array) -> Frame:
+    def _made(self, series: ResampledSeries, end: int, values: Array) -> Frame:
         network, part = self.network, series.part(end - CONTEXT, end)
         held = filled_forward(part.inputs, network.nominal_inputs, part.earlier)
         begun = np.isfinite(part.measured).any(axis=1) | np.isfinite(part.inputs).any(axis=1)
@@ -178,7 +178,7 @@ class Features:
         known = found[np.isfinite(found)]
         return np.where(np.isfinite(found), found, known.mean() if known.size else 0.0)
 
-    def _heats(self, part: Series, held: Array, values: Array, figures: Figures) -> Array:
+    def _heats(self, part: ResampledSeries, held: Array, values: Array, figures: Figures) -> Array:
         sensor_of = np.array(figures.sensor_of)
         temperatures = np.where(sensor_of >= 0, part.measured[:, np.maximum(sensor_of, 0)], np.nan)
         with np.errstate(invalid="ignore"):
@@ -205,7 +205,7 @@ def _ahead(residual: Array) -> float:
     return float(residual[last].mean()) if last.size else float("nan")
 
 
-def clock(part: Series) -> Array:
+def clock(part: ResampledSeries) -> Array:
     """Two harmonics of the day and one of the year (n, 6); zeros where the record does not tell the time."""
     out = np.zeros((len(part), CLOCK))
     if np.isfinite(part.hour):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from twin.calibrators.base import from_json, to_json
-from twin.calibrators.hiera_unet.series import STEP_S, Series, binned, filled_forward, lasting, latest
+from twin.calibrators.hiera_unet.series import STEP_S, ResampledSeries, binned, filled_forward, lasting, latest
 from twin.calibrators.hiera_unet.windows import CONTEXT
 from twin.network import Array
 
@@ -57,14 +57,14 @@ class History:
         self._earlier = latest(self._inputs[~keep], self._earlier)
         self._time, self._inputs, self._measured = self._time[keep], self._inputs[keep], self._measured[keep]
 
-    def series(self) -> Series:
+    def series(self) -> ResampledSeries:
         """The steps up to the latest sample."""
         assert self._origin is not None
         place = (self._time - self._origin) / STEP_S
         before, near = np.floor(place + 1e-9).astype(np.intp), np.floor(place + 0.5 - 1e-9).astype(np.intp)
         first, n = int(before[0]), int(before[-1] - before[0]) + 1
         measured = binned(self._measured, np.clip(near - first, 0, n - 1), n)
-        return Series(
+        return ResampledSeries(
             time=np.asarray(self._origin + STEP_S * np.arange(first, first + n), dtype=np.float64),
             inputs=self._given(binned(self._inputs, before - first, n)),
             measured=measured,

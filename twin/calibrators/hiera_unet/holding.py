@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.calibrators.hiera_unet.evidence import Belief, estimate
+from twin.calibrators.hiera_unet.evidence import ParameterPrior, estimate
 from twin.calibrators.hiera_unet.features import Features, Frame
 from twin.network import Array
 
@@ -42,5 +42,5 @@ def taken(
         return Taken(now)
     wide = features.deviations.prior_sd
     spread = np.where(held, HELD * wide, np.clip(sd, NARROWEST * wide, wide))
-    found = estimate(features, frame, values, belief=Belief(np.where(held, now, said), spread))
+    found = estimate(features, frame, values, belief=ParameterPrior(np.where(held, now, said), spread))
     return Taken(np.where(held, now, found.theta), found.evaluations)

@@ -44,7 +44,7 @@ class LossWeights:
 
 
 @dataclass(frozen=True)
-class Plan:
+class TrainingPlan:
     """How a network is trained.
 
     Attributes:

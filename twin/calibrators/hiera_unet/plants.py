@@ -31,10 +31,10 @@ COMMISSION_H = 8.0
 OFFSET_K = 0.03
 SPIN_UP_STEPS = 240
 
-Law = tuple[str, float, float]
+ParameterLaw = tuple[str, float, float]
 """`log` and the sd of a logarithm and its shift; `uniform` from, to; `wide` log-uniform from, to."""
 
-OWN: Mapping[tuple[str, str], Law] = {
+OWN: Mapping[tuple[str, str], ParameterLaw] = {
     ("node", "capacitance"): ("log", 0.3, 0.1),
     ("flow", "factor"): ("uniform", 0.85, 1.15),
     ("flow", "nominal"): ("log", 0.2, 0.0),
@@ -52,9 +52,9 @@ OWN: Mapping[tuple[str, str], Law] = {
 WITH_POWER = (("radiator", "UA_100"), ("flow", "nominal"))
 """What a rig made for more power has more of."""
 ON_THE_SHEET = (("node", "capacitance"), ("flow", "nominal"))
-FITTED: Mapping[tuple[str, str], Law] = {("flow", "effectiveness"): ("uniform", 0.5, 1.0)}
+FITTED: Mapping[tuple[str, str], ParameterLaw] = {("flow", "effectiveness"): ("uniform", 0.5, 1.0)}
 """The same for those that commissioning or tracking adjusts, where it is more."""
-ADDED: Mapping[tuple[str, str], Law] = {
+ADDED: Mapping[tuple[str, str], ParameterLaw] = {
     ("natural_convection", "coefficient"): ("wide", 0.01, 0.5),
     ("radiation", "area"): ("wide", 0.005, 0.2),
     ("hidden_mass", "capacity"): ("wide", 100.0, 5000.0),
@@ -67,7 +67,7 @@ ADDED: Mapping[tuple[str, str], Law] = {
 
 
 @dataclass(frozen=True)
-class Rig:
+class TrainingRig:
     """One rig: what is really there, and what its operator believes.
 
     Attributes:
@@ -164,7 +164,7 @@ class Family:
             out[first : last + 1], state = rows[0], end[0]
         return out
 
-    def rig(self, seed: int) -> Rig:
+    def rig(self, seed: int) -> TrainingRig:
         """A rig, commissioned on a healthy record of its own; now and then a narrow one.
 
         Raises:
@@ -178,7 +178,7 @@ class Family:
                 continue
         raise TwinFileError(f"no rig around twin {self.network.name!r} could be commissioned with seed {seed}")
 
-    def _commissioned(self, rng: np.random.Generator) -> Rig:
+    def _commissioned(self, rng: np.random.Generator) -> TrainingRig:
         power = float(np.exp(rng.normal(0.0, 0.25)))
         plant = self.draw(rng, power)
         n = int(COMMISSION_H * 3600.0 / STEP_S)
@@ -190,7 +190,7 @@ class Family:
         measured = clean + offsets + rng.standard_normal(clean.shape) * sigma / np.sqrt(STEP_S)
         time = np.arange(n, dtype=np.float64) * STEP_S
         done = commission(self.sheet(plant, rng), time[::2], inputs[::2], measured[::2], CommissionOptions(starts=1))
-        return Rig(plant, done.network.values.copy(), offsets, sigma, power)
+        return TrainingRig(plant, done.network.values.copy(), offsets, sigma, power)
 
 
 def surrounded(network: Network) -> Network:
@@ -231,7 +231,7 @@ def _column(node: str) -> str:
     return f"inject_{node}_W"
 
 
-def _drawn(rng: np.random.Generator, law: Law, value: float) -> float:
+def _drawn(rng: np.random.Generator, law: ParameterLaw, value: float) -> float:
     name, a, b = law
     if name == "log":
         return value * float(np.exp(rng.normal(b, a)))

@@ -18,7 +18,7 @@ import numpy as np
 
 from twin.calibrators.base import Calibration, Window, from_json, to_json
 from twin.calibrators.hiera_unet import gates
-from twin.calibrators.hiera_unet.evidence import HORIZONS, LEAST_CHI, Belief, Evidence, estimate, step_noise
+from twin.calibrators.hiera_unet.evidence import HORIZONS, LEAST_CHI, ContextFit, ParameterPrior, estimate, step_noise
 from twin.calibrators.hiera_unet.features import Frame
 from twin.calibrators.hiera_unet.holding import NARROWEST
 from twin.calibrators.hiera_unet.proposal import Proposal
@@ -36,7 +36,7 @@ LATEST_S = HORIZONS[-1] * STEP_S
 
 
 @dataclass(frozen=True)
-class _Left:
+class _LeastSquaresState:
     """Where least squares alone left its twin: time s, inputs (c,), state, full parameters (p,)."""
 
     time: float
@@ -58,14 +58,14 @@ class RefinedCalibrator(LeastSquares):
     def __init__(self, network: Network, network_calibrator: HieraUNetCalibrator, tunables: str = "nine") -> None:
         super().__init__(network, tunables)
         self.proposing = network_calibrator
-        self._left: _Left | None = None
+        self._left: _LeastSquaresState | None = None
 
     def calibrate(self, window: Window) -> Calibration:
         before = self._scaling.to_values(self._mean)
         proposal = self.proposing.propose(window)
         window = self.proposing.trusted(window)
         alone = super().calibrate(self._apart(window))
-        self._left = _Left(float(window.time[-1]), window.inputs[-1].copy(), alone.end, self._full(alone))
+        self._left = _LeastSquaresState(float(window.time[-1]), window.inputs[-1].copy(), alone.end, self._full(alone))
         if any(r.code in gates.UNREADABLE for r in proposal.reasons):
             return self._said(alone, window, proposal, "on its own: the network's gates are closed")
         led = self._led(window, self._belief(proposal, before), alone)
@@ -105,7 +105,7 @@ class RefinedCalibrator(LeastSquares):
         )
         return replace(found, kind=window.kind)
 
-    def _led(self, window: Window, belief: Belief, alone: Calibration) -> Calibration:
+    def _led(self, window: Window, belief: ParameterPrior, alone: Calibration) -> Calibration:
         """The fit from a belief; before the stretch that it is of, readings are those of `alone`."""
         features, nominal = self.proposing.features, self.proposing.network.values
         values, readings, end, found = self._fit(window, belief)
@@ -121,7 +121,7 @@ class RefinedCalibrator(LeastSquares):
         report = CalibrationReport(np.diag((found.sd * slope) ** 2), tuple(flags), condition=found.condition)
         return fitted_calibration(self.network, window, self.ids, fit, report)
 
-    def _fit(self, window: Window, belief: Belief) -> tuple[Array, Array, Array, Evidence]:
+    def _fit(self, window: Window, belief: ParameterPrior) -> tuple[Array, Array, Array, ContextFit]:
         """Values (q,), readings (n', m) at the last samples of the window, state at the last, and the fit itself."""
         features, nominal = self.proposing.features, self.proposing.network.values
         series = self.proposing.series().ahead(TARGET)
@@ -129,15 +129,15 @@ class RefinedCalibrator(LeastSquares):
         found = estimate(features, frame, nominal, belief=belief)
         return features.deviations.values(found.theta, nominal), *self._traced(window, frame, found), found
 
-    def _belief(self, proposal: Proposal, before: Array) -> Belief:
+    def _belief(self, proposal: Proposal, before: Array) -> ParameterPrior:
         """What the network says where its gates are open; elsewhere, loosely, the values (q,) of before the window."""
         deviations, nominal = self.proposing.features.deviations, self.proposing.network.values
         sd = proposal.sd / np.abs(deviations.scaling(nominal).slope(proposal.said))
         wide = deviations.prior_sd
         mean = deviations.theta(np.where(proposal.closed, before, proposal.said), nominal)
-        return Belief(mean, np.where(proposal.closed, wide, np.clip(sd, NARROWEST * wide, wide)))
+        return ParameterPrior(mean, np.where(proposal.closed, wide, np.clip(sd, NARROWEST * wide, wide)))
 
-    def _traced(self, window: Window, frame: Frame, found: Evidence) -> tuple[Array, Array]:
+    def _traced(self, window: Window, frame: Frame, found: ContextFit) -> tuple[Array, Array]:
         """Readings (n', m) at the last samples of the window, those that the fit is of, and the state at the last."""
         features, nominal = self.proposing.features, self.proposing.network.values
         first = max(CONTEXT - TARGET - found.steps, frame.begin)
@@ -187,7 +187,9 @@ class RefinedCalibrator(LeastSquares):
         super().restore(state)
         self.proposing.restore(state["network"])
         left = state["left"]
-        self._left = None if left is None else _Left(left["time"], *(from_json(left[name]) for name in _ARRAYS))
+        self._left = (
+            None if left is None else _LeastSquaresState(left["time"], *(from_json(left[name]) for name in _ARRAYS))
+        )
 
 
 def _over(readings: Array, latest: Array) -> Array:

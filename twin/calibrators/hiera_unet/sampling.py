@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from twin.calibrators.hiera_unet.config import Config
-from twin.calibrators.hiera_unet.plan import Plan
+from twin.calibrators.hiera_unet.plan import TrainingPlan
 from twin.calibrators.hiera_unet.windows import Windows
 
 
@@ -22,7 +22,7 @@ class Sampler:
         neighbours: (Q, 2) rows that follow each other on one rig while its parameters stay.
     """
 
-    def __init__(self, windows: Windows, config: Config, plan: Plan) -> None:
+    def __init__(self, windows: Windows, config: Config, plan: TrainingPlan) -> None:
         self.plan, self.count = plan, len(windows)
         deviation = np.abs(np.where(np.isfinite(windows.theta), windows.theta, 0.0)) / np.array(config.bounds)
         self.healthy = np.flatnonzero(~windows.changed & (deviation.max(1) <= plan.healthy))

@@ -23,7 +23,7 @@ MOVED = 0.05
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ScoredWindows:
     """Predictions of N windows beside what they are to meet; NaN where nothing is known.
 
     Attributes:
@@ -76,7 +76,7 @@ def outcome(
     causal: bool = False,
     hidden: bool = True,
     batch: int = 24,
-) -> Outcome:
+) -> ScoredWindows:
     """Predictions for windows.
 
     Args:
@@ -87,7 +87,7 @@ def outcome(
     answer = torch.from_numpy(told).to(device)
     bounds = np.array(config.bounds)
     tolerances = torch.tensor(config.tolerances, device=device)
-    parts: dict[str, list[Any]] = {name: [] for name in Outcome.__dataclass_fields__}
+    parts: dict[str, list[Any]] = {name: [] for name in ScoredWindows.__dataclass_fields__}
     with torch.inference_mode():
         for first in range(0, len(windows), batch):
             b = Batch.of(windows.take(slice(first, first + batch)), device)
@@ -115,7 +115,7 @@ def outcome(
             parts["theta_error"].append(theta - true)
             parts["evidence_error"].append(own.double().cpu().numpy() - true)
             parts["changed"].append(b.rows.changed)
-    return Outcome(**{name: np.concatenate(values) for name, values in parts.items()})
+    return ScoredWindows(**{name: np.concatenate(values) for name, values in parts.items()})
 
 
 def missed(simulate: Simulate, theta: Array, windows: Windows) -> Array:

@@ -21,7 +21,7 @@ MOST_STEPS = 6_307_200
 
 
 @dataclass(frozen=True)
-class Series:
+class ResampledSeries:
     """A stretch of a record in n even steps.
 
     Attributes:
@@ -44,7 +44,7 @@ class Series:
     def __len__(self) -> int:
         return len(self.time)
 
-    def part(self, first: int, last: int) -> Series:
+    def part(self, first: int, last: int) -> ResampledSeries:
         """Steps `first` to `last`, the latter left out; steps before the beginning are made up, without any data."""
         lead = max(-first, 0)
         rows = slice(max(first, 0), last)
@@ -54,7 +54,7 @@ class Series:
 
         time = self.time[0] + STEP_S * np.arange(first, last) if lead else self.time[rows]
         extra = {name: cut(a) for name, a in self.extra.items()}
-        return Series(
+        return ResampledSeries(
             time,
             cut(self.inputs),
             cut(self.measured),
@@ -65,7 +65,7 @@ class Series:
             latest(self.inputs[: max(first, 0)], self.earlier),
         )
 
-    def ahead(self, count: int) -> Series:
+    def ahead(self, count: int) -> ResampledSeries:
         """The same with as many steps to come, of which nothing is known."""
 
         def longer(a: Array) -> Array:
@@ -73,7 +73,7 @@ class Series:
 
         time = np.concatenate([self.time, self.time[-1] + STEP_S * np.arange(1, count + 1)])
         extra = {name: longer(a) for name, a in self.extra.items()}
-        return Series(
+        return ResampledSeries(
             time,
             longer(self.inputs),
             longer(self.measured),
@@ -93,7 +93,7 @@ def series(
     extra: tuple[str, ...] = (),
     hour: float = float("nan"),
     day: float = float("nan"),
-) -> Series:
+) -> ResampledSeries:
     """Bring a record's columns (N,) onto even steps.
 
     Args:
@@ -129,7 +129,7 @@ def series(
         for name in extra
         if name in columns
     }
-    return Series(
+    return ResampledSeries(
         t[0] + STEP_S * np.arange(n), binned(inputs, before, n), binned(measured, near, n), spread, taken, hour, day
     )
 

@@ -20,7 +20,7 @@ from twin.calibrators.hiera_unet import agreement, contradicted, gates
 from twin.calibrators.hiera_unet.agreement import Spoken
 from twin.calibrators.hiera_unet.channels import table
 from twin.calibrators.hiera_unet.contradicted import Doubt
-from twin.calibrators.hiera_unet.evidence import Evidence, estimate, step_noise
+from twin.calibrators.hiera_unet.evidence import ContextFit, estimate, step_noise
 from twin.calibrators.hiera_unet.features import Features, Frame
 from twin.calibrators.hiera_unet.gates import Evidently, Reason
 from twin.calibrators.hiera_unet.history import History
@@ -28,7 +28,7 @@ from twin.calibrators.hiera_unet.holding import NARROWEST, taken
 from twin.calibrators.hiera_unet.members import NORMAL90, Ensemble, Said
 from twin.calibrators.hiera_unet.parameters import Deviations
 from twin.calibrators.hiera_unet.proposal import Proposal
-from twin.calibrators.hiera_unet.series import STEP_S, Series
+from twin.calibrators.hiera_unet.series import STEP_S, ResampledSeries
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows, joined
 from twin.calibrators.posterior import STATE_SD, window_data
 from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
@@ -51,11 +51,11 @@ are made of these, or of a meter that a rig need not have."""
 TRAINED = Path(__file__).resolve().parents[3] / "profiles" / "trained"
 
 
-class _Reading(NamedTuple):
+class _WindowReading(NamedTuple):
     """A window as the network reads it, and what it says."""
 
     frame: Frame
-    evidence: Evidence
+    evidence: ContextFit
     row: Windows
     said: Said
 
@@ -144,7 +144,7 @@ class HieraUNetCalibrator:
         )
         return replace(found, kind=window.kind) if found.kind == "skipped" else found
 
-    def series(self) -> Series:
+    def series(self) -> ResampledSeries:
         """The record so far, without thermometers that the latest proposal left aside."""
         return contradicted.trusted(self.history.series(), self._aside)
 
@@ -204,7 +204,7 @@ class HieraUNetCalibrator:
         self._untold.append(self.records[-1])
         return proposal
 
-    def _adrift(self, ahead: _Reading, live: Array) -> bool:
+    def _adrift(self, ahead: _WindowReading, live: Array) -> bool:
         """Whether the twin with deviations `live` (P,) is far off the latest minutes that the latest fit explains."""
         noise, squares = step_noise(self.features), []
         for theta in (live, ahead.evidence.theta):
@@ -223,7 +223,7 @@ class HieraUNetCalibrator:
         self._spoken = (*before, now)
         return agreement.doubts(before, now, live, self.ids)
 
-    def _read(self, series: Series) -> tuple[_Reading, _Reading]:
+    def _read(self, series: ResampledSeries) -> tuple[_WindowReading, _WindowReading]:
         """Return what a fit and the members say of the window that ends with a series, and of the one that ends a
         target later, of which nobody is asked for corrections."""
         nominal, found = self.network.values, []
@@ -234,10 +234,10 @@ class HieraUNetCalibrator:
             found.append((frame, evidence, one(self.features, frame, evidence, nominal)))
         # Both at once: half of what a member costs does not depend on how many windows it is asked about.
         said = self.ensemble.ask(joined([row for _, _, row in found]), corrected=1)
-        past, ahead = (_Reading(*read, told) for read, told in zip(found, said, strict=True))
+        past, ahead = (_WindowReading(*read, told) for read, told in zip(found, said, strict=True))
         return past, ahead
 
-    def _evidently(self, past: _Reading, ahead: _Reading) -> Evidently:
+    def _evidently(self, past: _WindowReading, ahead: _WindowReading) -> Evidently:
         """What the gates look at: of the record and of what was foretold in the past, of parameters what is ahead.
 
         What nobody could foretell contradicts only where no fit explains it since.
@@ -272,11 +272,11 @@ class HieraUNetCalibrator:
         inputs = [(k, c.of[0]) for k, c in enumerate(self.features.table.channels) if c.formula == DRIVEN]
         return tuple(column for k, column in inputs if frame.m[-TARGET:, k].mean() < 0.5)
 
-    def _left(self, ahead: _Reading) -> Array:
+    def _left(self, ahead: _WindowReading) -> Array:
         """What a fit of the latest stretch leaves of it (Y,), root mean square, K; of ten minutes at most."""
         return _rms(self._misses(ahead, ahead.evidence.theta)[-TARGET:])
 
-    def _misses(self, ahead: _Reading, theta: Array) -> Array:
+    def _misses(self, ahead: _WindowReading, theta: Array) -> Array:
         """Measured less what deviations (P,) make of the latest stretch that was fitted (n, Y), K."""
         frame, found, last = ahead.frame, ahead.evidence, CONTEXT - TARGET
         rows = slice(max(last - found.steps, frame.begin), last)
@@ -337,7 +337,7 @@ def _rms(left: Array) -> Array:
     return np.where(count > 0, np.sqrt(squares.sum(axis=0) / np.maximum(count, 1)), np.nan)
 
 
-def one(features: Features, frame: Frame, evidence: Evidence, nominal: Array) -> Windows:
+def one(features: Features, frame: Frame, evidence: ContextFit, nominal: Array) -> Windows:
     """A window as a batch of one; truth, labels and what is not known of it are NaN."""
     count, sensors = len(evidence.theta), frame.target.shape[1]
     single = np.float32

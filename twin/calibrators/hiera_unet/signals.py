@@ -12,7 +12,7 @@ import numpy as np
 
 from twin.calibrators.hiera_unet.figures import Figures
 from twin.calibrators.hiera_unet.regimes import since_last
-from twin.calibrators.hiera_unet.series import STEP_S, Series
+from twin.calibrators.hiera_unet.series import STEP_S, ResampledSeries
 from twin.elements.flow import Flow
 from twin.network import Array, Network
 
@@ -40,7 +40,7 @@ class Stretch:
 
     network: Network
     figures: Figures
-    series: Series
+    series: ResampledSeries
     inputs: Array
     free: Array
     heats: Array

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from twin.calibrators.hiera_unet.campaigns import Campaign, Label
+from twin.calibrators.hiera_unet.campaigns import LabelledRecord, WindowLabel
 from twin.calibrators.hiera_unet.evidence import fitted_by, tokens_of
 from twin.calibrators.hiera_unet.features import Features
-from twin.calibrators.hiera_unet.series import Series
+from twin.calibrators.hiera_unet.series import ResampledSeries
 from twin.calibrators.hiera_unet.windows import TARGET, Windows
 from twin.network import Array, Network, TwinFileError
 from twin.regular_file import refuse_irregular
@@ -35,8 +35,8 @@ SPLITS = ("train", "conformal", "test")
 class Kept:
     """A campaign with the labels of its windows."""
 
-    campaign: Campaign
-    labels: tuple[Label, ...]
+    campaign: LabelledRecord
+    labels: tuple[WindowLabel, ...]
 
 
 def write_shard(path: Path, kept: Sequence[Kept]) -> str:
@@ -102,15 +102,15 @@ def read_shard(path: Path) -> list[Kept]:
         extra = {name: a[f"extra_{name}"][rows].astype(np.float64) for name in names}
         extra = {name: values for name, values in extra.items() if np.isfinite(values).any()}
         wide = {name: a[name][rows].astype(np.float64) for name in ("inputs", "measured", "spread", "truth", "theta")}
-        series = Series(
+        series = ResampledSeries(
             time, wide["inputs"], wide["measured"], wide["spread"], extra, float(a["hour"][k]), float(a["day"][k])
         )
         what = tuple(str(a["what"][k]).split("; ")) if str(a["what"][k]) else ()
-        campaign = Campaign(
+        campaign = LabelledRecord(
             series, wide["truth"], wide["theta"], a["amiss"][rows], a["nominal"][k], str(a["source"][k]), what
         )
         labels = tuple(
-            Label(
+            WindowLabel(
                 int(a["end"][i]),
                 a["label_theta"][i],
                 a["label_known"][i],
@@ -137,7 +137,7 @@ def windows_of(features: Features, kept: Iterable[Kept]) -> Windows:
     return Windows(**stacked)
 
 
-def _row(features: Features, campaign: Campaign, label: Label) -> Mapping[str, np.ndarray]:
+def _row(features: Features, campaign: LabelledRecord, label: WindowLabel) -> Mapping[str, np.ndarray]:
     theta, steps = fitted_by(label.fit, len(features.deviations))
     bare = features.frame(campaign.series, label.end, campaign.nominal)
     frame = features.explained(bare, campaign.nominal, theta, steps)

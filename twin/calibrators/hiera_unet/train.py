@@ -23,7 +23,7 @@ from twin.calibrators.hiera_unet.config import Config, HieraError
 from twin.calibrators.hiera_unet.heads import evidence_of
 from twin.calibrators.hiera_unet.hiding import hide
 from twin.calibrators.hiera_unet.network import HieraUNet, Prediction, decayed
-from twin.calibrators.hiera_unet.plan import Plan
+from twin.calibrators.hiera_unet.plan import TrainingPlan
 from twin.calibrators.hiera_unet.sampling import Sampler
 from twin.calibrators.hiera_unet.windows import Windows
 
@@ -58,7 +58,7 @@ class Trainer:
         config: Config,
         windows: Windows,
         physics: Physics,
-        plan: Plan,
+        plan: TrainingPlan,
         device: torch.device | str = "cpu",
         digest: str = "",
     ) -> None:

@@ -30,7 +30,7 @@ class TwinLayer(torch.nn.Module):
 
     def __init__(self, kernel: Kernel, deviations: Deviations, step_s: float = STEP_S) -> None:
         super().__init__()
-        self.run = Run(kernel, deviations, step_s)
+        self.run = WindowSimulation(kernel, deviations, step_s)
 
     def forward(
         self, theta: torch.Tensor, state: torch.Tensor, inputs: torch.Tensor, nominal: torch.Tensor | None = None
@@ -45,7 +45,7 @@ class TwinLayer(torch.nn.Module):
         return _TwinFunction.apply(theta, state, inputs, own.expand(len(theta), -1), self.run)
 
 
-class Run:
+class WindowSimulation:
     """Readings and derivatives of single windows, in numpy."""
 
     def __init__(self, kernel: Kernel, deviations: Deviations, step_s: float) -> None:
@@ -75,7 +75,12 @@ class Run:
 class _TwinFunction(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, theta: torch.Tensor, state: torch.Tensor, inputs: torch.Tensor, nominal: torch.Tensor, run: Run
+        ctx: Any,
+        theta: torch.Tensor,
+        state: torch.Tensor,
+        inputs: torch.Tensor,
+        nominal: torch.Tensor,
+        run: WindowSimulation,
     ) -> torch.Tensor:
         t, s, u, v = (np.ascontiguousarray(a.detach().cpu().double().numpy()) for a in (theta, state, inputs, nominal))
         wanted = ctx.needs_input_grad[0] or ctx.needs_input_grad[1]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.discovery.diagnosis import Alternative
-from twin.discovery.effects.lint import ALIKE, Label, Lint
+from twin.discovery.effects.lint import ALIKE, EffectLabel, Lint
 from twin.discovery.scoring.search import Entry
 
 if TYPE_CHECKING:
@@ -61,12 +61,12 @@ def alike_here(finding: Finding) -> tuple[str, ...]:
     return tuple(dict.fromkeys(out))[:MOST]
 
 
-def _own(entry: Entry) -> Label:
+def _own(entry: Entry) -> EffectLabel:
     c = entry.candidate
     return c.kind, c.where, c.driver
 
 
-def spoken(label: Label) -> str:
+def spoken(label: EffectLabel) -> str:
     """An entry as it is said."""
     kind, where, driver = label
     return f"{kind.replace('_', ' ')} at {where} ({driver.replace('_', ' ')})"

@@ -16,7 +16,7 @@ from twin.discovery.thermometers.members import Members
 
 
 @dataclass(frozen=True)
-class Case:
+class AssessedFinding:
     """A finding with everything that speaks for it or against it.
 
     Attributes:

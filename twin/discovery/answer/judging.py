@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 
-from twin.discovery.answer.case import Case
+from twin.discovery.answer.case import AssessedFinding
 from twin.discovery.evidence.held_out import contradicted
 
 
-def good(case: Case) -> bool:
+def good(case: AssessedFinding) -> bool:
     """Return True where effects are claimed and the part that no fit saw does not contradict them."""
     return case.finding.fit is not None and not contradicted(case.errors, case.known.probe.network)
 
 
-def adequate(case: Case) -> bool:
+def adequate(case: AssessedFinding) -> bool:
     """Return True where nothing asks for an effect: the odds of any are too low, or the twin is as good as always.
 
     Effects that the part that no fit saw contradicts are refuted; what remains is nothing, or an unlisted effect.

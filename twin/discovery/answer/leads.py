@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.fft import idct
 
-from twin.discovery.answer.case import Case
+from twin.discovery.answer.case import AssessedFinding
 from twin.discovery.diagnosis import Diagnosis, Lead
 from twin.discovery.healthy.basis import Columns
-from twin.discovery.leads.concentration import NOTED, Squares
+from twin.discovery.leads.concentration import NOTED, ResidualSquares
 from twin.discovery.leads.words import outside_leads, place_leads, range_leads, record_rows, segment_leads
 from twin.discovery.refit.fitting import look_at
 from twin.discovery.refit.model import Model
@@ -19,7 +19,7 @@ from twin.discovery.scoring.contest import Contest
 from twin.network import Array
 
 
-def with_leads(found: Diagnosis, case: Case, record: Columns, healthy: Columns | None) -> Diagnosis:
+def with_leads(found: Diagnosis, case: AssessedFinding, record: Columns, healthy: Columns | None) -> Diagnosis:
     """Return a diagnosis with its leads: none where the twin is adequate.
 
     Where effects were found, only what they leave beyond noise gives leads. Where nothing explains the record, there is
@@ -50,16 +50,16 @@ def with_leads(found: Diagnosis, case: Case, record: Columns, healthy: Columns |
     return replace(found, leads=tuple(leads))
 
 
-def squares_of(contest: Contest) -> Squares:
+def squares_of(contest: Contest) -> ResidualSquares:
     """Return the squares, by blocks with readings, of what a record leaves of a twin re-tuned as far as commissioning
     lets it. The residual is whitened by the noise that is expected and put back in time."""
     white = contest.residual - contest.slopes @ contest.moved(np.empty((0, 0)), np.empty(0))
     left = idct(white.reshape(contest.b, contest.m), type=2, norm="ortho", axis=0)
     known = contest.known
-    return Squares(np.where(known, left**2, 0.0).sum(axis=1), known.sum(axis=1))
+    return ResidualSquares(np.where(known, left**2, 0.0).sum(axis=1), known.sum(axis=1))
 
 
-def _after(case: Case) -> Contest:
+def _after(case: AssessedFinding) -> Contest:
     """Return the contest of all of the record, looking at what the effects leave."""
     contest, fit = copy.copy(case.whole), case.finding.fit
     if fit is not None:
@@ -71,7 +71,7 @@ def _after(case: Case) -> Contest:
     return contest
 
 
-def _simulated(case: Case, record: Columns) -> Array:
+def _simulated(case: AssessedFinding, record: Columns) -> Array:
     """Return what the twin as commissioned gives at the record's stamps (N, m), degC."""
     grid, probe = case.grid, case.known.probe
     readings = probe.run(grid, probe.first_state(grid)).readings

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from twin.discovery.answer.blind_spots import alike_here, always_alike, twins_of
-from twin.discovery.answer.case import Case
+from twin.discovery.answer.case import AssessedFinding
 from twin.discovery.answer.judging import adequate, good
 from twin.discovery.answer.switches import switched
 from twin.discovery.answer.telling import grown_by_end, near_misses, rivals, told
@@ -18,7 +18,7 @@ from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Verd
 from twin.discovery.effects.lint import lint
 from twin.discovery.effects.open_laws import adopted
 from twin.discovery.effects.phrases import clock
-from twin.discovery.effects.probe import Run
+from twin.discovery.effects.probe import FreeRun
 from twin.discovery.effects.shapes import TIMED
 from twin.discovery.evidence.commissioned import nothing, retuned_alone
 from twin.discovery.evidence.finding import Finding
@@ -55,7 +55,7 @@ class Answer:
     notes: tuple[str, ...] = ()
 
 
-def conclude(case: Case, notes: tuple[str, ...]) -> Diagnosis:
+def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
     """The verdict with everything that supports it; `notes` are what is to be said beside it."""
     finding, known, grid, whole = case.finding, case.known, case.grid, case.whole
     network, start = known.probe.network, float(grid.time[0])
@@ -105,12 +105,12 @@ def conclude(case: Case, notes: tuple[str, ...]) -> Diagnosis:
     )
 
 
-def _fine(case: Case) -> Answer:
+def _fine(case: AssessedFinding) -> Answer:
     loud = case.usual and max(case.finding.odds, case.finding.unlisted) >= case.finding.claim
     return Answer("adequate", notes=(_USUAL,) if loud else ())
 
 
-def _unknown(case: Case) -> Answer:
+def _unknown(case: AssessedFinding) -> Answer:
     free, whole = case.free, case.whole
     # Noise that a healthy record told does not let slow error pass.
     if case.known.plain is None and misled(case.errors, case.known.probe.network):
@@ -129,7 +129,7 @@ def _unknown(case: Case) -> Answer:
     )
 
 
-def _at_one_moment(case: Case) -> tuple[str, ...]:
+def _at_one_moment(case: AssessedFinding) -> tuple[str, ...]:
     """Return what is to say of two effects that would explain the record and begin at one moment."""
     if case.finding.together is None:
         return ()
@@ -141,7 +141,7 @@ def _at_one_moment(case: Case) -> tuple[str, ...]:
     )
 
 
-def _one_curve(case: Case) -> Empirical | None:
+def _one_curve(case: AssessedFinding) -> Empirical | None:
     """Return the curve of one input at one place that does instead of several effects which all follow that input.
 
     Independent faults hardly follow the same input; what no fit saw has to contradict the one cause.
@@ -158,11 +158,11 @@ def _one_curve(case: Case) -> Empirical | None:
     return None if contradicted(errors, case.known.probe.network) else curve
 
 
-def _offered(case: Case) -> Empirical | None:
+def _offered(case: AssessedFinding) -> Empirical | None:
     return offer(case.finding, case.known, case.grid, case.split, case.free, case.errors)
 
 
-def _named(case: Case) -> Answer:
+def _named(case: AssessedFinding) -> Answer:
     finding, grid, network = case.finding, case.grid, case.known.probe.network
     assert finding.fit is not None
     verdict, effects = told(finding, grid)
@@ -183,7 +183,7 @@ def _named(case: Case) -> Answer:
     )
 
 
-def _with_thermometers(answer: Answer, case: Case) -> Answer:
+def _with_thermometers(answer: Answer, case: AssessedFinding) -> Answer:
     """Return the answer with the one of several thermometers that an effect is of, and with those that stand still."""
     network, start = case.known.probe.network, float(case.grid.time[0])
     verdict, effects, others = answer.verdict, answer.effects, answer.others
@@ -200,7 +200,7 @@ def _with_thermometers(answer: Answer, case: Case) -> Answer:
     return replace(answer, verdict=verdict, effects=(*stood, *effects), others=others)
 
 
-def _stale(known: Basis, grid: Grid) -> Run:
+def _stale(known: Basis, grid: Grid) -> FreeRun:
     return known.probe.run(grid, known.probe.first_state(grid))
 
 

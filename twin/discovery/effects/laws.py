@@ -13,7 +13,7 @@ import numpy as np
 
 from twin.discovery.effects.catalogue import catalogue, extended, sized
 from twin.discovery.effects.formulas import Formulas, follow
-from twin.discovery.effects.probe import Run
+from twin.discovery.effects.probe import FreeRun
 from twin.discovery.records.grid import Grid, filled
 from twin.elements.base import Candidate
 from twin.elements.flow import Flow
@@ -24,7 +24,7 @@ SMOOTH_S = 3600.0
 
 
 @dataclass(frozen=True, eq=False)
-class Law:
+class CandidateLaw:
     """A candidate at size 1: `heat` (n, k) W into nodes and `reading` (n, m) K onto sensors; None where it is none."""
 
     candidate: Candidate
@@ -32,7 +32,7 @@ class Law:
     reading: Array | None
 
 
-def temperatures(network: Network, grid: Grid, run: Run) -> Array:
+def temperatures(network: Network, grid: Grid, run: FreeRun) -> Array:
     """Node temperatures (n, k), degC: measured where a sensor is, with gaps closed; the twin's elsewhere."""
     from scipy.ndimage import uniform_filter1d
 
@@ -85,7 +85,7 @@ class Book:
             self._made[key] = Formulas(changed)
         return self._made[key]
 
-    def laws(self, grid: Grid, run: Run, only: tuple[Candidate, ...] | None = None) -> list[Law]:
+    def laws(self, grid: Grid, run: FreeRun, only: tuple[Candidate, ...] | None = None) -> list[CandidateLaw]:
         """The laws of the candidates that do anything on this record; `only` of some of them."""
         network = self.network
         known = temperatures(network, grid, run)
@@ -93,18 +93,18 @@ class Book:
         found = []
         for candidate in self.candidates if only is None else map(self._as_told, only):
             if candidate.kind == "sensor" and not candidate.adds:
-                law = Law(candidate, None, _reading(network, candidate, grid, run))
+                law = CandidateLaw(candidate, None, _reading(network, candidate, grid, run))
             elif candidate.begins:
-                law = Law(candidate, _put_in(network, candidate, grid, known), None)
+                law = CandidateLaw(candidate, _put_in(network, candidate, grid, known), None)
             elif candidate.kind == "delay":
-                law = Law(candidate, _delay(network, self._base, candidate, grid, known, base), None)
+                law = CandidateLaw(candidate, _delay(network, self._base, candidate, grid, known, base), None)
             else:
                 bigger = extended(network, candidate)
                 changed = bigger.with_values(sized(bigger, candidate, candidate.typical))
                 formulas = self._formulas(candidate, changed)
                 heat = formulas.heats(known, grid.inputs, changed.values, grid.step_s)
                 heat -= _taken_up(bigger, changed, known, grid.step_s)
-                law = Law(candidate, (heat - base) / candidate.typical, None)
+                law = CandidateLaw(candidate, (heat - base) / candidate.typical, None)
             size = law.heat if law.heat is not None else law.reading
             if size is not None and np.isfinite(size).all() and float(np.abs(size).max()) * candidate.typical > LEAST_W:
                 found.append(law)
@@ -134,7 +134,7 @@ def _put_in(network: Network, candidate: Candidate, grid: Grid, known: Array) ->
     return heat
 
 
-def _reading(network: Network, candidate: Candidate, grid: Grid, run: Run) -> Array:
+def _reading(network: Network, candidate: Candidate, grid: Grid, run: FreeRun) -> Array:
     """Change of the readings (n, m) for a unit of a parameter of one sensor, or of several that are alike."""
     out = np.zeros((len(grid.time), len(network.sensors)))
     for name, weight in candidate.changes.items():

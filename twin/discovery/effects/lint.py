@@ -32,7 +32,7 @@ VISIBLE = 5.0
 LARGE = 5.0
 """Typical sizes that an effect of which nothing can be seen would have to exceed."""
 
-Label = tuple[str, str, str]
+EffectLabel = tuple[str, str, str]
 """Kind, place and driver."""
 
 
@@ -40,10 +40,10 @@ Label = tuple[str, str, str]
 class Lint:
     """`groups` of labels that no input separates; `unseen` ones that a large effect would not show either."""
 
-    groups: tuple[tuple[Label, ...], ...]
-    unseen: tuple[Label, ...]
+    groups: tuple[tuple[EffectLabel, ...], ...]
+    unseen: tuple[EffectLabel, ...]
 
-    def beside(self, label: Label) -> tuple[Label, ...]:
+    def beside(self, label: EffectLabel) -> tuple[EffectLabel, ...]:
         """What no record of the rig tells from an entry."""
         return tuple(dict.fromkeys(x for g in self.groups if label in g for x in g if x != label))
 

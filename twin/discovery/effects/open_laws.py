@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.records.grid import Grid
 from twin.elements import KINDS
 from twin.elements.base import STAMP, Candidate
@@ -96,7 +96,7 @@ class Values:
         return law_values(self.form, "always", self.parameters, x, time_s)
 
 
-class OpenLaw(Law):
+class OpenLaw(CandidateLaw):
     """A law at a site; its response is made when it is asked for, as there are hundreds of them."""
 
     site: OpenSite
@@ -117,7 +117,7 @@ class OpenLaw(Law):
         return None if self.site.reading is None else self.site.reading * self.values[:, None]
 
 
-def open_laws(network: Network, grid: Grid, named: Sequence[Law]) -> list[OpenLaw]:
+def open_laws(network: Network, grid: Grid, named: Sequence[CandidateLaw]) -> list[OpenLaw]:
     """Return the laws of any input at every site that are not among the named ones."""
     known = {(law.candidate.kind, law.candidate.where, law.candidate.driver) for law in named}
     every = [(v, v.at(grid.time, grid.inputs)) for v in values_of(network, grid)]
@@ -228,7 +228,7 @@ def _levels(x: Array) -> list[float]:
     return [float(v) for v in np.unique(np.quantile(x, (0.25, 0.5, 0.75)))]
 
 
-def sites_of(network: Network, named: Sequence[Law]) -> list[OpenSite]:
+def sites_of(network: Network, named: Sequence[CandidateLaw]) -> list[OpenSite]:
     """Return the sites of a network, with the responses of the named laws there."""
     found: dict[str, OpenSite] = {}
     for law in named:
@@ -255,7 +255,7 @@ def _plain(text: str) -> str:
     return "".join(ch if ch.isalnum() else "_" for ch in text)
 
 
-def _heat_site(network: Network, law: Law) -> OpenSite:
+def _heat_site(network: Network, law: CandidateLaw) -> OpenSite:
     assert law.heat is not None
     c = law.candidate
     weight = np.abs(law.heat).max(axis=0)
@@ -284,7 +284,7 @@ def _heat_site(network: Network, law: Law) -> OpenSite:
     )
 
 
-def _reading_site(network: Network, law: Law) -> OpenSite | None:
+def _reading_site(network: Network, law: CandidateLaw) -> OpenSite | None:
     c = law.candidate
     names = [key.split(".")[0] for key in c.changes]
     if any(n not in network.sensor_names for n in names):
@@ -311,7 +311,7 @@ def _reading_site(network: Network, law: Law) -> OpenSite | None:
     )
 
 
-def _flow_site(network: Network, law: Law) -> OpenSite | None:
+def _flow_site(network: Network, law: CandidateLaw) -> OpenSite | None:
     c = law.candidate
     (key, *others) = c.changes
     element, parameter = key.split(".")
@@ -336,7 +336,7 @@ def _flow_site(network: Network, law: Law) -> OpenSite | None:
     )
 
 
-def _loss_site(network: Network, law: Law) -> OpenSite | None:
+def _loss_site(network: Network, law: CandidateLaw) -> OpenSite | None:
     c = law.candidate
     room = next((col for col in network.input_columns if col.startswith("T_amb")), "")
     if law.heat is None or not room:
@@ -406,7 +406,7 @@ def _solids(network: Network, sites: Sequence[OpenSite]) -> Iterator[OpenSite]:
             )
 
 
-def _transfers(network: Network, named: Sequence[Law]) -> Iterator[OpenSite]:
+def _transfers(network: Network, named: Sequence[CandidateLaw]) -> Iterator[OpenSite]:
     """Yield heat that is taken from one node that is read and given to another."""
     count = next((len(law.heat) for law in named if law.heat is not None), 0)
     read = list(dict.fromkeys(s.node for s in network.sensors))

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.records.grid import Grid
 from twin.elements.flow import Flow
 from twin.elements.radiator import Radiator
@@ -25,7 +25,7 @@ MOST = 32
 """Points that are told apart, those at which the rig stays longest."""
 
 
-def offsets(network: Network, laws: list[Law], grid: Grid) -> list[Law]:
+def offsets(network: Network, laws: list[CandidateLaw], grid: Grid) -> list[CandidateLaw]:
     """Heat rejection at each pair of fan and pump speeds, and flow at each pump speed, of laws of one record."""
     speeds: dict[str, tuple[str, ...]] = {}
     for element in network.elements:
@@ -41,7 +41,7 @@ def offsets(network: Network, laws: list[Law], grid: Grid) -> list[Law]:
     return found
 
 
-def _each(law: Law, grid: Grid, columns: list[tuple[str, int]]) -> list[Law]:
+def _each(law: CandidateLaw, grid: Grid, columns: list[tuple[str, int]]) -> list[CandidateLaw]:
     """A law at each point by itself."""
     assert law.heat is not None
     (name,) = law.candidate.changes
@@ -51,5 +51,5 @@ def _each(law: Law, grid: Grid, columns: list[tuple[str, int]]) -> list[Law]:
     for p in np.argsort(-stays)[:MOST]:
         at = " and ".join(f"{c} {WIDTH * level:.0f}" for (c, _), level in zip(columns, levels[p], strict=True))
         own = replace(law.candidate, changes={f"{name} at {at}": 1.0}, says=f"{law.candidate.says} at {at}", near=None)
-        found.append(Law(own, law.heat * (which.ravel() == p)[:, None], None))
+        found.append(CandidateLaw(own, law.heat * (which.ravel() == p)[:, None], None))
     return found

@@ -35,7 +35,7 @@ _LEAST_WAY = 1.0e-9
 
 
 @dataclass(frozen=True)
-class Run:
+class FreeRun:
     """Free run: `readings` (n, m) of the network's sensors and `temperatures` (n, k) of its nodes, degC."""
 
     readings: Array
@@ -93,11 +93,11 @@ class Probe:
         firsts = [slice(r.start, min(r.start + FIRST_BINS, r.stop)) for r in grid.stretches]
         return np.concatenate([self.network.initial_state(grid.measured[rows]) for rows in firsts])
 
-    def run(self, grid: Grid, state: Array, values: Array | None = None, injected: Array | None = None) -> Run:
+    def run(self, grid: Grid, state: Array, values: Array | None = None, injected: Array | None = None) -> FreeRun:
         """Free run from `state` (s * k,), with heat `injected` (n, k) W on top of the network's own."""
         readings = self._traced(self.values(values)[None, :], state[None, :], grid, self._inputs(grid, injected))
         means = centred(readings[0])
-        return Run(means[:, : self.m], means[:, self._reads])
+        return FreeRun(means[:, : self.m], means[:, self._reads])
 
     def _traced(self, rows: Array, states: Array, grid: Grid, inputs: Array) -> Array:
         """Readings (P, n, m) with parameters `rows` (P, p), from `states` (P, s * k)."""
@@ -159,7 +159,7 @@ class Probe:
         centre[self._gain] = 0.0
         gained = np.tile(centre, (self.k, 1))
         gained[:, self._gain] += np.eye(self.k)
-        left = _Left(state[: self.k])
+        left = _RemainingHeat(state[: self.k])
         for b, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
             until = min(last + 1, len(grid.time))
             # Row 0 is the undisturbed run, the k after it are this block's, the rest what earlier blocks left behind.
@@ -190,7 +190,7 @@ class Probe:
         return (np.concatenate([*readings, own], axis=1) if readings else own), states
 
 
-class _Left:
+class _RemainingHeat:
     """What earlier blocks' heat has left behind: `shares` (b * k, r) of a few ways `basis` (r, size) in which a full
     state can differ.
 
@@ -208,7 +208,7 @@ class _Left:
         found: Array = self._shares @ change / _STATE_STEP
         return found
 
-    def after(self, states: Array, k: int) -> _Left:
+    def after(self, states: Array, k: int) -> _RemainingHeat:
         """What is left after a block, from full states (1 + k + r, size) at its end."""
         change = states[1:] - states[0]
         own, carried = change[:k], change[k:] / _STATE_STEP
@@ -220,7 +220,9 @@ class _Left:
         u, singular, ways = np.linalg.svd(np.vstack([carried, own]) * weight[:, None], full_matrices=False)
         kept = singular > _LEAST_WAY * singular[0]
         size = np.abs(ways[kept]).max(axis=1)
-        return _Left(states[:1], (shares / weight) @ (u * singular)[:, kept] * size, ways[kept] / size[:, None])
+        return _RemainingHeat(
+            states[:1], (shares / weight) @ (u * singular)[:, kept] * size, ways[kept] / size[:, None]
+        )
 
 
 def posterior(
@@ -281,7 +283,7 @@ def _with_probes(network: Network, columns: tuple[str, ...]) -> tuple[Network, t
     return probed, tuple(gains), reads
 
 
-def free_run(probe: Probe, grid: Grid) -> tuple[Array, Run, Array, np.ndarray]:
+def free_run(probe: Probe, grid: Grid) -> tuple[Array, FreeRun, Array, np.ndarray]:
     """First state (s * k,), the run from it, its residual (n, m) in K, gaps closed, and where (n, m) one was read."""
     state = probe.first_state(grid)
     run = probe.run(grid, state)

@@ -50,7 +50,7 @@ def misled(found: Mapping[str, SensorError], network: Network) -> bool:
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutRecord:
     """A record of which the fit of a finding saw no more than the beginning.
 
     Attributes:

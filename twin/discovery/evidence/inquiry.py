@@ -12,9 +12,9 @@ from functools import cached_property
 import numpy as np
 
 from twin.discovery.diagnosis import SensorError
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.evidence.finding import Finding, Ranked
-from twin.discovery.evidence.held_out import HeldOut
+from twin.discovery.evidence.held_out import HeldOutRecord
 from twin.discovery.evidence.marginal import joint
 from twin.discovery.evidence.part import Part, fitted, plainly
 from twin.discovery.evidence.priors import CLAIM, FAULT, SURE, UNLISTED
@@ -41,7 +41,7 @@ LATE = 0.85
 
 
 @dataclass(frozen=True)
-class Answer:
+class SplitFinding:
     """The finding in `train`, the record up to bin `split`."""
 
     finding: Finding
@@ -83,10 +83,10 @@ class Inquiry:
         return self._held_out.errors(finding, split)
 
     @cached_property
-    def _held_out(self) -> HeldOut:
-        return HeldOut(self.network, self.record, self.grid, self.known.plain)
+    def _held_out(self) -> HeldOutRecord:
+        return HeldOutRecord(self.network, self.record, self.grid, self.known.plain)
 
-    def answer(self, held_out: float) -> Answer:
+    def answer(self, held_out: float) -> SplitFinding:
         """Return the effects that are told, and what was kept out of their fit.
 
         Args:
@@ -150,7 +150,7 @@ class Inquiry:
         best = max(found, key=lambda e: e.log_bayes + prior.of(e), default=None)
         return best if best is not None and best.log_bayes + prior.of(best) > claim else None
 
-    def _left(self, answer: Answer, split: int | None = None) -> float:
+    def _left(self, answer: SplitFinding, split: int | None = None) -> float:
         return self._held_out.left(answer.finding, answer.split if split is None else split)
 
     def _hours(self, split: int) -> str:
@@ -161,10 +161,10 @@ class Inquiry:
         bins, onset = len(self.grid.time), entry.shape.onset_s / self.grid.step_s
         return min(max((int(onset) + bins) // 2, int(onset / WELL_SEEN)), bins - KEPT)
 
-    def _searched(self, split: int) -> Answer:
+    def _searched(self, split: int) -> SplitFinding:
         whole = split >= len(self.grid.time)
         train = self.whole if whole else self.part(self.grid.part(0, split))
-        return Answer(finding_of(searched(train, self.say), train), train, split)
+        return SplitFinding(finding_of(searched(train, self.say), train), train, split)
 
 
 def _nearer(part: Part) -> tuple[Candidate, ...]:
@@ -178,7 +178,7 @@ def _nearer(part: Part) -> tuple[Candidate, ...]:
     for first in best.values():
         entry = first
         while entry.candidate.near is not None:
-            laws: Sequence[Law] = part.basis.book.laws(part.grid, part.run, entry.candidate.near())
+            laws: Sequence[CandidateLaw] = part.basis.book.laws(part.grid, part.run, entry.candidate.near())
             nearer = scan(part.contest, laws, timed=False)
             if not nearer or nearer[0].log_bayes <= entry.log_bayes:
                 break

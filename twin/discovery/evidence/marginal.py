@@ -99,7 +99,7 @@ class Joint:
         sizes: (e,) of the effects.
     """
 
-    parts: tuple[_Columns, ...]
+    parts: tuple[_EffectColumns, ...]
     scale: Array
     root: Array
     form_error: float
@@ -121,7 +121,7 @@ class Joint:
 
 
 @dataclass(frozen=True, eq=False)
-class _Columns:
+class _EffectColumns:
     """One effect at size 1 and its errors of form: `every` (1 + c, sites * b), `onto` (sites * b, 1 + c) of the Gram
     matrix; `vector` is held so that its identity stays its own."""
 
@@ -135,15 +135,15 @@ def _in_order(parts: list[Array]) -> Array:
     return np.concatenate([*(p[:1] for p in parts), *(p[1:] for p in parts)])
 
 
-def _columns(contest: Contest, entry: Entry) -> _Columns:
+def _columns(contest: Contest, entry: Entry) -> _EffectColumns:
     """Return an effect's columns, which are the same in all the sets that it is tried in."""
-    known: OrderedDict[int, _Columns] = contest.memo.setdefault("columns", OrderedDict())
+    known: OrderedDict[int, _EffectColumns] = contest.memo.setdefault("columns", OrderedDict())
     key = id(entry.vector)
     if key in known:
         known.move_to_end(key)
         return known[key]
     every = np.concatenate([entry.vector.reshape(1, -1), _form_errors(contest, entry.vector[None])])
-    made = known[key] = _Columns(entry.vector, every, _onto(contest, every))
+    made = known[key] = _EffectColumns(entry.vector, every, _onto(contest, every))
     while len(known) > max(KEPT_BYTES // (2 * every.nbytes), 2 * MOST_TOGETHER):
         known.popitem(last=False)
     return made

@@ -13,9 +13,9 @@ import numpy as np
 
 from twin.discovery.diagnosis import Course
 from twin.discovery.effects.catalogue import LATE
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.open_laws import OpenLaw, open_laws
-from twin.discovery.effects.probe import Run, free_run
+from twin.discovery.effects.probe import FreeRun, free_run
 from twin.discovery.effects.shapes import EARLY_S, Shape
 from twin.discovery.evidence.scan import scan
 from twin.discovery.healthy.basis import Basis
@@ -42,9 +42,9 @@ class Part:
     basis: Basis
     grid: Grid
     state: Array
-    run: Run
+    run: FreeRun
     contest: Contest
-    laws: list[Law]
+    laws: list[CandidateLaw]
     fits: dict[tuple[object, ...], Fit] = field(default_factory=dict, repr=False)
     """What was fitted before, with and without what the twin knows of its structure: searches ask again."""
 

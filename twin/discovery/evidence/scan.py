@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import EARLY_S, TIMED, Shape
 from twin.discovery.evidence.marginal import Joint, log_bayes_of_sizes
 from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
-from twin.discovery.scoring.sweep import LAST_SHARE, Courses, Squares, returning, rows_by_name
+from twin.discovery.scoring.sweep import LAST_SHARE, Courses, LawSquares, returning, rows_by_name
 from twin.elements.base import Candidate
 from twin.network import Array
 
@@ -29,7 +29,9 @@ TOGETHER = 32
 _TINY = 1e-12
 
 
-def scan(contest: Contest, laws: Sequence[Law], beside: Joint | None = None, *, timed: bool = True) -> list[Entry]:
+def scan(
+    contest: Contest, laws: Sequence[CandidateLaw], beside: Joint | None = None, *, timed: bool = True
+) -> list[Entry]:
     """Return the likeliest onset of each law in each of its shapes, by falling evidence.
 
     `Entry.log_bayes` is averaged over the times of its course by their prior; `Entry.log_occam` is the logarithm of
@@ -40,7 +42,7 @@ def scan(contest: Contest, laws: Sequence[Law], beside: Joint | None = None, *, 
     """
     courses = Courses.of(contest)
     scanned = _Scanned(contest, courses, beside)
-    alike: dict[tuple[str, float, bool], list[Law]] = {}
+    alike: dict[tuple[str, float, bool], list[CandidateLaw]] = {}
     for law in laws:
         c = law.candidate
         alike.setdefault((family_of(c), c.slow_s if c.begins else 0.0, may_end(c)), []).append(law)
@@ -62,12 +64,12 @@ class _Scanned:
         onto = np.empty((contest.sites * contest.b, 0)) if beside is None else beside.onto
         self._onto = onto.reshape(contest.sites, contest.b, -1)
 
-    def score(self, squares: Squares) -> Array:
+    def score(self, squares: LawSquares) -> Array:
         """Return the score (b,) of a law's blocks."""
         found: Array = (self._score[squares.sites] * squares.blocks[squares.sites]).sum(axis=0)
         return found
 
-    def taken(self, squares: Squares) -> Array:
+    def taken(self, squares: LawSquares) -> Array:
         """Return the part (b, c) of a law's blocks that effects beside it stand for; its square leaves the Gram
         matrix."""
         found: Array = (self._onto[squares.sites] * squares.blocks[squares.sites][:, :, None]).sum(axis=0)
@@ -89,7 +91,7 @@ def may_end(candidate: Candidate) -> bool:
 def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entry:
     """Return an entry with its onset (and growth) moved to where its evidence is greatest, between the blocks too."""
     edges_s = contest.edges * contest.grid.step_s
-    squares = Squares.of(contest, entry.law)
+    squares = LawSquares.of(contest, entry.law)
     blocks, scanned = squares.blocks, _Scanned(contest, Courses.of(contest), beside)
     own, taken = scanned.score(squares), scanned.taken(squares)
     gram = contest.small(blocks)[0] - taken @ taken.T
@@ -148,11 +150,11 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
     )
 
 
-def _of_laws(scanned: _Scanned, laws: Sequence[Law], family: str, turns: bool) -> list[Entry]:
+def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns: bool) -> list[Entry]:
     """Return the likeliest course of each shape of laws of one family."""
     contest, courses = scanned.contest, scanned.courses
     candidates = [law.candidate for law in laws]
-    squares = [Squares.of(contest, law) for law in laws]
+    squares = [LawSquares.of(contest, law) for law in laws]
     scores = np.stack([scanned.score(q) for q in squares])
     taken = np.stack([scanned.taken(q) for q in squares])
     least = _TINY * np.maximum([[float(q.steps.max())] for q in squares], _TINY)
@@ -194,7 +196,7 @@ def _of_laws(scanned: _Scanned, laws: Sequence[Law], family: str, turns: bool) -
     return out
 
 
-def _spells(contest: Contest, law: Law, blocks: Array, score: Array, gram: Array, rest: float) -> list[Entry]:
+def _spells(contest: Contest, law: CandidateLaw, blocks: Array, score: Array, gram: Array, rest: float) -> list[Entry]:
     """Return the likeliest spell of a law, of two blocks or more, that is over two blocks before the record is."""
     b = contest.b
     sums, tops = np.zeros((b + 1, b + 1)), np.concatenate([[0.0], np.cumsum(score)])
@@ -233,8 +235,8 @@ def logsumexp(values: Array) -> float:
 
 
 def _best(
-    laws: Sequence[Law],
-    squares: Sequence[Squares],
+    laws: Sequence[CandidateLaw],
+    squares: Sequence[LawSquares],
     shapes: Sequence[Shape],
     columns: Array,
     weighted: Array,

@@ -12,7 +12,7 @@ import numpy as np
 
 from twin.discovery.diagnosis import Rung
 from twin.discovery.effects.catalogue import LATE
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.evidence.marginal import form_quadratic, joint
 from twin.discovery.evidence.part import Part, continued, fitted, slower
 from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, SPREAD, UNLISTED
@@ -103,7 +103,7 @@ def class_of(entry: Entry) -> Class:
 class Prior:
     """Prior of single effects: a fault, its class, its law in the class; named laws have most of a class."""
 
-    def __init__(self, named: Iterable[Law], opened: Iterable[Law] = ()) -> None:
+    def __init__(self, named: Iterable[CandidateLaw], opened: Iterable[CandidateLaw] = ()) -> None:
         self._each: tuple[dict[Class, float], dict[Class, float]] = ({}, {})
         for weights, laws in zip(self._each, (named, opened), strict=True):
             for law in laws:
@@ -124,7 +124,7 @@ class Prior:
 def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
     """Return the hypotheses of a part of a record with their posterior odds."""
     contest = part.contest
-    laws: list[Law] = [*part.laws, *part.opened]
+    laws: list[CandidateLaw] = [*part.laws, *part.opened]
     prior = Prior(part.laws, part.opened)
     part.reset()
     say("re-tuning")
@@ -185,7 +185,7 @@ def _set(part: Part, entries: tuple[Entry, ...], prior: Prior) -> Hypothesis:
     return Hypothesis(sized, log_prior, log_bayes, together.quadratic, together.form_error)
 
 
-def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[Law]) -> list[Hypothesis]:
+def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[CandidateLaw]) -> list[Hypothesis]:
     """Return the sets of one more effect that the leading ones may be part of, by falling odds."""
     grown: dict[object, Hypothesis] = {}
     for rank, one in enumerate(known[: LEADING if len(known[0].entries) == 1 else FITTED]):

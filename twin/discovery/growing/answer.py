@@ -20,7 +20,7 @@ from twin.discovery.growing.beam import BEAM
 from twin.discovery.growing.growth import MOST_EFFECTS, Added, Growth, grow_samples, samples_of, states_of
 from twin.discovery.growing.leads import leads_of
 from twin.discovery.growing.merit import LEFT, NEEDED
-from twin.discovery.growing.unaided import Fit, Samples
+from twin.discovery.growing.unaided import GrowthFit, SampledRecord
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.grid import on_grid
 from twin.discovery.scoring.equivalence import width
@@ -84,13 +84,15 @@ def diagnose_grown(
     further = tuple((r.time_s, r.inputs, r.measured) for r in more)
     growth = grow_samples(network, train, further, most=most, beam=beam, say=say)
     say("judging")
-    return _Answer(network, record, growth, whole, hidden).diagnosis()
+    return _GrownDiagnosis(network, record, growth, whole, hidden).diagnosis()
 
 
-class _Answer:
+class _GrownDiagnosis:
     """A growth, and the record it was made on with its `hidden` rows (n,)."""
 
-    def __init__(self, network: Network, record: Columns, growth: Growth, whole: Samples, hidden: np.ndarray) -> None:
+    def __init__(
+        self, network: Network, record: Columns, growth: Growth, whole: SampledRecord, hidden: np.ndarray
+    ) -> None:
         self.network, self.growth, self.whole, self.hidden = network, growth, whole, hidden
         self.start = 1.0 if whole.at_rest else float(record.time_s[0])
         self.added = [r.added for r in growth.rungs if r.added is not None]
@@ -161,7 +163,7 @@ class _Answer:
         names = [n for j, n in enumerate(self.network.sensor_names) if not np.isfinite(self.whole.measured[:, j]).any()]
         return tuple(f"{name} has no reading in this record, so nothing is told by it or of it" for name in names)
 
-    def _residual(self, fit: Fit | None) -> Array:
+    def _residual(self, fit: GrowthFit | None) -> Array:
         """Measured less simulated (n, m) of the whole record: of a fit, or of the twin as its file has it."""
         problem = self.growth.problem.with_entries(fit.entries if fit else (), self.whole)
         return problem.residual(problem.start(fit) if fit else problem.start())

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from twin.discovery.effects.lint import EffectLabel
 from twin.discovery.evidence.priors import plausibility
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.masses import kin
 from twin.discovery.growing.scoring import Scored, scores
-from twin.discovery.growing.unaided import Fit, Problem
+from twin.discovery.growing.unaided import GrowthFit, GrowthProblem
 from twin.discovery.growing.wardrobe import name_of, unsized
 from twin.discovery.scoring.search import Entry
 from twin.elements.base import Candidate
@@ -27,16 +28,15 @@ COARSE = 2
 NEARER = (3.0**0.5, 3.0**0.25, 3.0**0.125)
 """Factors by which the time constants of the best set are then varied, as long as that does better."""
 
-Label = tuple[str, str, str]
-Starts = list[tuple[Problem, Array]]
+Starts = list[tuple[GrowthProblem, Array]]
 
 
 @dataclass(frozen=True)
 class FittedSet:
     """Some effects, fitted. `score`: -2 log likelihood with what effects cost before any data."""
 
-    problem: Problem
-    fit: Fit
+    problem: GrowthProblem
+    fit: GrowthFit
     score: float
 
     @property
@@ -56,7 +56,7 @@ class FittedSet:
 class Beam:
     """All sets of effects that have been fitted: `known`, and by their size `levels`."""
 
-    def __init__(self, empty: Problem, width: int) -> None:
+    def __init__(self, empty: GrowthProblem, width: int) -> None:
         self.empty, self.width = empty, width
         self._price = math.log(max(int(np.isfinite(empty.samples.measured).sum()), 2))
         slow = [c.slow_s for c in empty.wardrobe.candidates if c.slow_s]
@@ -74,7 +74,7 @@ class Beam:
         others = [self._onward(old, replace(entry, size=size)) for size in sizes]
         return [(problem, problem.start()), (problem, problem.start(old.fit)), *others]
 
-    def _onward(self, old: FittedSet, entry: Entry) -> tuple[Problem, Array]:
+    def _onward(self, old: FittedSet, entry: Entry) -> tuple[GrowthProblem, Array]:
         """Where a set with one effect more begins at the smaller set's values."""
         problem = self.empty.with_entries((*old.fit.entries, entry))
         return problem, problem.start(old.fit)
@@ -177,7 +177,7 @@ def _finalists(found: Sequence[Scored]) -> list[Scored]:
     """The best candidates of each label: what re-tuning can nearly imitate shows its worth in the fit alone."""
     kept: dict[str, Scored] = {}
     for order in (lambda s: -s.squares, lambda s: -s.likely):
-        seen: Counter[tuple[Label, str, frozenset[str]]] = Counter()
+        seen: Counter[tuple[EffectLabel, str, frozenset[str]]] = Counter()
         for scored in sorted(found, key=order):
             form = scored.entry.label, scored.entry.candidate.unit, frozenset(scored.entry.candidate.changes)
             seen[form] += 1

@@ -16,7 +16,7 @@ import numpy as np
 
 from twin.discovery.growing.likelihood import Spectrum, table
 from twin.discovery.growing.scoring import answer_of, scores
-from twin.discovery.growing.unaided import Fit, Problem
+from twin.discovery.growing.unaided import GrowthFit, GrowthProblem
 
 DRAWS = 100
 TAIL = 3.14
@@ -41,7 +41,7 @@ class Chance:
         return -math.expm1(-math.exp(min((self.mean - 0.5772 * scale - gain) / scale, 700.0)))
 
 
-def by_chance(problem: Problem, fit: Fit, seed: int = 0) -> Chance:
+def by_chance(problem: GrowthProblem, fit: GrowthFit, seed: int = 0) -> Chance:
     """What the best effect brings by chance on records like this one, in which nothing is missing that `fit` lacks."""
     found = [one.entry for one in scores(problem.wardrobe, problem, fit) if max(one.squares, one.likely) > 0.0]
     if not found:

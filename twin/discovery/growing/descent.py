@@ -12,7 +12,7 @@ from itertools import accumulate
 import numpy as np
 
 from twin.discovery.growing.likelihood import Spectrum
-from twin.discovery.growing.unaided import Problem, readings_of
+from twin.discovery.growing.unaided import GrowthProblem, readings_of
 from twin.kernel import FEW_LANES
 from twin.network import Array
 
@@ -24,7 +24,7 @@ GAINED = 1.0e-4
 """Share of the squares that a step must gain for another one to be worth it."""
 
 
-def descend(starts: Sequence[tuple[Problem, Array]]) -> list[Array]:
+def descend(starts: Sequence[tuple[GrowthProblem, Array]]) -> list[Array]:
     """Where damped Gauss-Newton steps on the squares of the free run and the prior end, for each start.
 
     Args:
@@ -33,7 +33,7 @@ def descend(starts: Sequence[tuple[Problem, Array]]) -> list[Array]:
     return [v for first in range(0, len(starts), AT_ONCE) for v in _together(starts[first : first + AT_ONCE])]
 
 
-def _together(starts: Sequence[tuple[Problem, Array]]) -> list[Array]:
+def _together(starts: Sequence[tuple[GrowthProblem, Array]]) -> list[Array]:
     ways = [_Way(problem, v) for problem, v in starts]
     for way, around in zip(ways, _around([(w, [w.v]) for w in ways]), strict=True):
         way.begin(around[0])
@@ -56,7 +56,7 @@ def _around(asked: Sequence[tuple[_Way, list[Array]]]) -> list[list[Array]]:
 class _Way:
     """One hypothesis on its way down: where it is, `v`, and the steps that it may take from there."""
 
-    def __init__(self, problem: Problem, v: Array) -> None:
+    def __init__(self, problem: GrowthProblem, v: Array) -> None:
         self.problem, self.v, self.rounds = problem, v, 0
         self._white = Spectrum.white(problem.samples.sigma, len(problem.samples.time))
         self._damping = 1e-3

@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.discovery.diagnosis import Fold
+from twin.discovery.effects.lint import EffectLabel
 from twin.discovery.effects.phrases import interval
-from twin.discovery.growing.beam import BEAM, Beam, FittedSet, Label, by_score
-from twin.discovery.growing.merit import LEFT, Merit, Refused
-from twin.discovery.growing.unaided import Fit, Problem, Samples
+from twin.discovery.growing.beam import BEAM, Beam, FittedSet, by_score
+from twin.discovery.growing.merit import LEFT, Merit, RejectedEffect
+from twin.discovery.growing.unaided import GrowthFit, GrowthProblem, SampledRecord
 from twin.discovery.growing.wardrobe import Wardrobe, name_of
 from twin.discovery.records.grid import bridged, on_grid
 from twin.discovery.scoring.equivalence import width
@@ -65,20 +66,20 @@ class Added:
     elsewhere: float
     folds: int
     foretold: float
-    others: dict[Label, float]
+    others: dict[EffectLabel, float]
     by_chance: float
     limit: float
     entry: Entry
 
 
 @dataclass(frozen=True)
-class Rung:
+class GrowthRung:
     """A twin on the way: `network` with its effects, fitted; RMSE per sensor `rms` (m,), K; the first adds nothing."""
 
     network: Network
     added: Added | None
     rms: Array
-    fit: Fit
+    fit: GrowthFit
 
 
 @dataclass(frozen=True)
@@ -89,11 +90,11 @@ class Growth:
     together gain there.
     """
 
-    rungs: tuple[Rung, ...]
+    rungs: tuple[GrowthRung, ...]
     verdict: Literal["adequate", "unexplained"]
     summary: str
-    refused: tuple[Refused, ...]
-    problem: Problem
+    refused: tuple[RejectedEffect, ...]
+    problem: GrowthProblem
     folds: tuple[Fold, ...]
 
     @property
@@ -146,7 +147,7 @@ def grow_at_rest(
 
 def grow_samples(
     network: Network,
-    samples: Samples,
+    samples: SampledRecord,
     more: tuple[tuple[ArrayLike, ArrayLike, ArrayLike], ...] = (),
     *,
     most: int = MOST_EFFECTS,
@@ -159,7 +160,7 @@ def grow_samples(
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
     say("fitting the twin as it is")
     wardrobe = Wardrobe.of(network, ids, float(np.median(np.diff(samples.time))), samples.span_s, samples.at_rest)
-    search = Beam(Problem(wardrobe, samples, ids), beam)
+    search = Beam(GrowthProblem(wardrobe, samples, ids), beam)
     for effects in range(1, most + 1):
         say(f"looking for {effects} effects that are missing")
         if not search.deepen():
@@ -188,7 +189,7 @@ def _folds(beam: Beam, merit: Merit, best: FittedSet) -> tuple[Fold, ...]:
     )
 
 
-def states_of(network: Network, inputs: ArrayLike, measured: ArrayLike) -> Samples:
+def states_of(network: Network, inputs: ArrayLike, measured: ArrayLike) -> SampledRecord:
     """Steady states with a reading, one a row; their time counts them.
 
     Raises:
@@ -198,10 +199,10 @@ def states_of(network: Network, inputs: ArrayLike, measured: ArrayLike) -> Sampl
     good = np.isfinite(y).any(axis=1) & np.isfinite(u).all(axis=1)
     if good.sum() < FEWEST:
         raise TwinFileError(f"{good.sum()} steady states have their readings; at least {FEWEST} are needed")
-    return Samples(np.arange(good.sum(), dtype=np.float64), u[good], y[good], network.sigma, at_rest=True)
+    return SampledRecord(np.arange(good.sum(), dtype=np.float64), u[good], y[good], network.sigma, at_rest=True)
 
 
-def samples_of(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: ArrayLike) -> Samples:
+def samples_of(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: ArrayLike) -> SampledRecord:
     """A record at its own stamps, or as means where it has more than `MOST_SAMPLES`.
 
     Raises:
@@ -216,12 +217,14 @@ def samples_of(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured:
     least = (time[-1] - time[0]) / MOST_SAMPLES if len(time) > MOST_SAMPLES else 0.0
     grid = on_grid(network, time, inputs, measured, least)
     if least:
-        return Samples(grid.time - grid.time[0], grid.inputs, grid.measured, grid.sigma, means=True)
+        return SampledRecord(grid.time - grid.time[0], grid.inputs, grid.measured, grid.sigma, means=True)
     y = np.asarray(measured, dtype=np.float64)
-    return Samples(time - time[0], bridged(network, time, inputs), np.where(np.isfinite(y), y, np.nan), network.sigma)
+    return SampledRecord(
+        time - time[0], bridged(network, time, inputs), np.where(np.isfinite(y), y, np.nan), network.sigma
+    )
 
 
-def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[Rung, ...]:
+def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[GrowthRung, ...]:
     """The set's effects one by one, each the best of those that are left to add."""
     now = beam.known[frozenset()]
     rungs = [_rung(beam, now, None)]
@@ -264,10 +267,10 @@ def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[Rung, ...]:
     return tuple(rungs)
 
 
-def _others(beam: Beam, merit: Merit, best: FittedSet, without: FittedSet) -> dict[Label, float]:
+def _others(beam: Beam, merit: Merit, best: FittedSet, without: FittedSet) -> dict[EffectLabel, float]:
     """What could stand in the place of the one effect that `best` has and `without` has not, and how much worse."""
     named = {e.label for e in best.fit.entries}
-    found: dict[Label, float] = {}
+    found: dict[EffectLabel, float] = {}
     near = best.score + width(without.score - best.score)
     for key, other in beam.known.items():
         if not without.ids < key or len(key) != len(best.ids) or other.score > near:
@@ -279,12 +282,12 @@ def _others(beam: Beam, merit: Merit, best: FittedSet, without: FittedSet) -> di
     return found
 
 
-def _rung(beam: Beam, at: FittedSet, added: Added | None) -> Rung:
+def _rung(beam: Beam, at: FittedSet, added: Added | None) -> GrowthRung:
     network = beam.empty.wardrobe.plain(at.fit.entries, at.fit.values)
-    return Rung(network, added, at.fit.rms, at.fit)
+    return GrowthRung(network, added, at.fit.rms, at.fit)
 
 
-def _summary(network: Network, rungs: tuple[Rung, ...], good: bool) -> str:
+def _summary(network: Network, rungs: tuple[GrowthRung, ...], good: bool) -> str:
     steps = [f"{r.added.kind.replace('_', ' ')} at {r.added.where}" for r in rungs if r.added is not None]
     added = f"added in this order: {', '.join(steps)}" if steps else "nothing is missing that this record could show"
     worst = int(np.nanargmax(rungs[-1].rms / network.sigma))

@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 
 from twin.discovery.diagnosis import Lead, Verdict
-from twin.discovery.growing.unaided import Samples
+from twin.discovery.growing.unaided import SampledRecord
 from twin.discovery.healthy.basis import Columns
-from twin.discovery.leads.concentration import NOTED, Squares
+from twin.discovery.leads.concentration import NOTED, ResidualSquares
 from twin.discovery.leads.rows import suspicious_states
 from twin.discovery.leads.words import range_leads, record_rows, row_leads, segment_leads
 from twin.discovery.scoring.contest import MOST_BLOCKS
@@ -17,7 +17,7 @@ from twin.network import Array, Network
 
 
 def leads_of(
-    network: Network, record: Columns, whole: Samples, left: Array, before: Array, verdict: Verdict
+    network: Network, record: Columns, whole: SampledRecord, left: Array, before: Array, verdict: Verdict
 ) -> tuple[Lead, ...]:
     """Return the leads in residuals of the whole record: none where the twin is adequate.
 
@@ -49,7 +49,9 @@ def leads_of(
     return (*leads, *record_rows(network, record, simulated))
 
 
-def _of_states(network: Network, whole: Samples, left: Array, squares: Squares | None) -> tuple[Lead, ...]:
+def _of_states(
+    network: Network, whole: SampledRecord, left: Array, squares: ResidualSquares | None
+) -> tuple[Lead, ...]:
     """Return the leads of steady states, `squares` None where nothing is to be looked into but single states.
 
     A state in a range of an input that misfits is not suspicious by itself. The order of states matters only where no
@@ -75,14 +77,14 @@ def _of_states(network: Network, whole: Samples, left: Array, squares: Squares |
     return (*order, *ranges, *rows)
 
 
-def _summed(rows: Squares, edges: np.ndarray) -> Squares:
+def _summed(rows: ResidualSquares, edges: np.ndarray) -> ResidualSquares:
     """Return the squares of blocks of rows that begin at `edges`, the last of which is the end."""
-    return Squares(np.add.reduceat(rows.total, edges[:-1]), np.add.reduceat(rows.count, edges[:-1]))
+    return ResidualSquares(np.add.reduceat(rows.total, edges[:-1]), np.add.reduceat(rows.count, edges[:-1]))
 
 
-def _squares(residual: Array, sigma: Array) -> Squares:
+def _squares(residual: Array, sigma: Array) -> ResidualSquares:
     known = np.isfinite(residual)
-    return Squares(np.where(known, residual / sigma, 0.0).__pow__(2).sum(axis=1), known.sum(axis=1))
+    return ResidualSquares(np.where(known, residual / sigma, 0.0).__pow__(2).sum(axis=1), known.sum(axis=1))
 
 
 def _at(time_s: Array, known_s: Array, values: Array) -> Array:

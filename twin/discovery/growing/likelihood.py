@@ -57,7 +57,7 @@ def cosines(values: Array, present: np.ndarray) -> Array:
 
 
 @dataclass(frozen=True)
-class Table:
+class SpectrumTable:
     """Spectra of n cosines that are tried, in units of sigma^2: `shapes` (s, n), by band `inverse`, `log` (s, b)."""
 
     shapes: Array
@@ -78,7 +78,7 @@ class Table:
 
 
 @lru_cache(maxsize=8)
-def table(n: int) -> Table:
+def table(n: int) -> SpectrumTable:
     """Of n cosines."""
     k = np.arange(n)
     starts = np.unique(np.concatenate([[0, 1, 2], np.floor(RATIO ** np.arange(2.0, 60.0))]).astype(int))
@@ -89,7 +89,7 @@ def table(n: int) -> Table:
     rest = WHITE[:, None, None, None] + SLOW[1:, None, None] * fall
     shapes = np.vstack([np.repeat(WHITE[:, None], n, axis=1), rest.reshape(-1, n)])
     inverse = np.add.reduceat(1.0 / shapes, starts, axis=1) / count
-    return Table(shapes, starts, inverse, np.add.reduceat(np.log(shapes), starts, axis=1))
+    return SpectrumTable(shapes, starts, inverse, np.add.reduceat(np.log(shapes), starts, axis=1))
 
 
 def judged(coefficients: Array, sigma: Array) -> tuple[float, Spectrum]:

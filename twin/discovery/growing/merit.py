@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.discovery.effects.lint import EffectLabel
 from twin.discovery.effects.phrases import said
-from twin.discovery.growing.beam import Beam, FittedSet, Label, by_score, likeliest
+from twin.discovery.growing.beam import Beam, FittedSet, by_score, likeliest
 from twin.discovery.growing.calibration import Chance, by_chance
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.likelihood import cosines, judged
-from twin.discovery.growing.unaided import Samples, readings_of
+from twin.discovery.growing.unaided import SampledRecord, readings_of
 from twin.discovery.growing.wardrobe import name_of
 from twin.discovery.scoring.equivalence import width
 from twin.discovery.scoring.search import Entry
@@ -33,7 +34,7 @@ SAME = 0.02
 
 
 @dataclass(frozen=True)
-class Refused:
+class RejectedEffect:
     """An effect that was fitted and not added, and why."""
 
     kind: str
@@ -48,7 +49,7 @@ class Merit:
 
     def __init__(self, beam: Beam) -> None:
         self._beam = beam
-        self._more: tuple[Samples, ...] = ()
+        self._more: tuple[SampledRecord, ...] = ()
         self._told: dict[frozenset[str], float] = {}
         self._chance: dict[frozenset[str], Chance] = {}
         rows = len(beam.empty.samples.time)
@@ -74,7 +75,7 @@ class Merit:
             best = self._beam.reduced(best, weakest)
         return best
 
-    def weighed(self, best: FittedSet, more: tuple[Samples, ...]) -> FittedSet:
+    def weighed(self, best: FittedSet, more: tuple[SampledRecord, ...]) -> FittedSet:
         """The set that foretells further records best, without another fit.
 
         Of sets that do as well as each other it is the one; and an effect that the record nearly carries joins them
@@ -106,9 +107,9 @@ class Merit:
                 return best
             best = joined
 
-    def refused(self, best: FittedSet) -> tuple[Refused, ...]:
+    def refused(self, best: FittedSet) -> tuple[RejectedEffect, ...]:
         """The effects that would take most of what is left, and why they were not added."""
-        found: dict[Label, Refused] = {}
+        found: dict[EffectLabel, RejectedEffect] = {}
         for one in sorted(likeliest(self._beam.known.values()), key=by_score):
             if not best.ids < one.ids or len(one.ids) != len(best.ids) + 1 or len(found) == REFUSED:
                 continue
@@ -120,7 +121,7 @@ class Merit:
                 if entry.label in {e.label for e in best.fit.entries}:
                     span_s = one.problem.samples.span_s
                     why = f"{said(entry.candidate, entry.size, record_s=span_s)}, too: {why}"
-                found[entry.label] = Refused(*entry.label, why, gain)
+                found[entry.label] = RejectedEffect(*entry.label, why, gain)
         return tuple(found.values())
 
     def _why_not_both(self, best: FittedSet, one: FittedSet) -> str:
@@ -211,7 +212,7 @@ def _new(small: FittedSet, large: FittedSet) -> Entry:
     return next(e for e in large.fit.entries if name_of(e.candidate) not in small.ids)
 
 
-def _foretelling(one: FittedSet, samples: Samples) -> float:
+def _foretelling(one: FittedSet, samples: SampledRecord) -> float:
     """-2 log likelihood of another record, everything but its initial state as fitted to the first."""
     problem = one.problem.with_entries(one.fit.entries, samples)
     left = cosines(problem.residual(problem.carried(one.fit)), problem.present)

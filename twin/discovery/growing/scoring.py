@@ -10,7 +10,7 @@ from itertools import islice
 import numpy as np
 
 from twin.discovery.growing.likelihood import Spectrum
-from twin.discovery.growing.unaided import Fit, Problem, readings_of
+from twin.discovery.growing.unaided import GrowthFit, GrowthProblem, readings_of
 from twin.discovery.growing.wardrobe import Wardrobe, unsized
 from twin.discovery.scoring.search import Entry
 from twin.elements.base import Candidate
@@ -40,7 +40,7 @@ class Scored:
     likely: float
 
 
-def scores(wardrobe: Wardrobe, problem: Problem, fit: Fit) -> list[Scored]:
+def scores(wardrobe: Wardrobe, problem: GrowthProblem, fit: GrowthFit) -> list[Scored]:
     """Every candidate that does anything that re-tuning cannot."""
     white = Spectrum.white(problem.samples.sigma, len(problem.samples.time))
     metrics = [_Metric(problem, fit, spectrum) for spectrum in (white, fit.spectrum)]
@@ -61,7 +61,7 @@ def scores(wardrobe: Wardrobe, problem: Problem, fit: Fit) -> list[Scored]:
     return [scored for scored in every if scored is not None]
 
 
-def answer_of(problem: Problem, fit: Fit, entry: Entry) -> Array:
+def answer_of(problem: GrowthProblem, fit: GrowthFit, entry: Entry) -> Array:
     """Change of the readings (n, m) when an effect of the size it has joins a fit."""
     return next(_Answers(problem, fit, [entry.candidate])([(0, entry.size)]))
 
@@ -69,7 +69,7 @@ def answer_of(problem: Problem, fit: Fit, entry: Entry) -> Array:
 class _Answers:
     """Changes of the readings (n, m) when effects of some sizes join a fit, one effect at a time."""
 
-    def __init__(self, problem: Problem, fit: Fit, candidates: Sequence[Candidate]) -> None:
+    def __init__(self, problem: GrowthProblem, fit: GrowthFit, candidates: Sequence[Candidate]) -> None:
         self._ones = [problem.with_entries((*fit.entries, unsized(c, 1.0))) for c in candidates]
         self._starts = [one.start(fit) for one in self._ones]
         self._none = list(self._readings([(i, 0.0) for i in range(len(candidates))]))
@@ -132,7 +132,7 @@ def _sizes(candidate: Candidate, size: float) -> list[float]:
 class _Metric:
     """Squares in units of a spectrum, with the tunables, the state and the effects so far projected out."""
 
-    def __init__(self, problem: Problem, fit: Fit, spectrum: Spectrum) -> None:
+    def __init__(self, problem: GrowthProblem, fit: GrowthFit, spectrum: Spectrum) -> None:
         self._problem, self._spectrum = problem, spectrum
         self._j = problem.whitened(fit.slopes, spectrum)
         self._inverse = np.linalg.pinv(self._j.T @ self._j + fit.precision, rcond=1e-13, hermitian=True)

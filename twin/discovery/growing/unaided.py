@@ -30,7 +30,7 @@ _SIZE_STEP = 1.0e-3
 
 
 @dataclass(frozen=True)
-class Samples:
+class SampledRecord:
     """A record at its own stamps: time (n,) s, inputs (n, c) without gaps, measured (n, m) degC or NaN, sigma (m,).
 
     With `at_rest` each row is a steady state of its own and the time only counts them. `means`: the readings are means
@@ -49,13 +49,13 @@ class Samples:
         """From the first to the last."""
         return float(self.time[-1] - self.time[0])
 
-    def without(self, rows: np.ndarray) -> Samples:
+    def without(self, rows: np.ndarray) -> SampledRecord:
         """The record with the readings of some rows hidden."""
         return replace(self, measured=np.where(rows[:, None], np.nan, self.measured))
 
 
 @dataclass(frozen=True)
-class Fit:
+class GrowthFit:
     """One hypothesis at its best.
 
     Attributes:
@@ -88,7 +88,7 @@ class Fit:
         return np.array([e.size for e in self.entries])
 
 
-class Problem:
+class GrowthProblem:
     """Some effects and a record; `v` is [tunables z - z0 (q,), state - state0 (k,), sizes over scales (e,)].
 
     Args:
@@ -96,7 +96,7 @@ class Problem:
     """
 
     def __init__(
-        self, wardrobe: Wardrobe, samples: Samples, ids: tuple[str, ...], entries: tuple[Entry, ...] = ()
+        self, wardrobe: Wardrobe, samples: SampledRecord, ids: tuple[str, ...], entries: tuple[Entry, ...] = ()
     ) -> None:
         self.wardrobe, self.samples, self.ids, self.entries = wardrobe, samples, ids, entries
         network = self.network = wardrobe.original
@@ -129,11 +129,11 @@ class Problem:
         )
         self.steps = np.concatenate([np.full(self.q, _STEP), np.full(self.k, _STATE_STEP), np.full(self.e, _SIZE_STEP)])
 
-    def with_entries(self, entries: tuple[Entry, ...], samples: Samples | None = None) -> Problem:
+    def with_entries(self, entries: tuple[Entry, ...], samples: SampledRecord | None = None) -> GrowthProblem:
         """Other effects, or another record."""
-        return Problem(self.wardrobe, samples or self.samples, self.ids, entries)
+        return GrowthProblem(self.wardrobe, samples or self.samples, self.ids, entries)
 
-    def start(self, like: Fit | None = None) -> Array:
+    def start(self, like: GrowthFit | None = None) -> Array:
         """Where a fit begins: the network's own values, or those of another fit; effects at the sizes given."""
         v = np.zeros(self.q + self.k + self.e)
         if like is not None:
@@ -142,7 +142,7 @@ class Problem:
         v[self.q + self.k :] = [x.size / s for x, s in zip(self.entries, self.scales, strict=True)]
         return np.clip(v, self.low, self.high)
 
-    def carried(self, fit: Fit) -> Array:
+    def carried(self, fit: GrowthFit) -> Array:
         """Tunables and sizes of a fit to another record; the state is this record's own."""
         v = self.with_entries(fit.entries).start(fit)
         v[self.q : self.q + self.k] = 0.0
@@ -177,7 +177,7 @@ class Problem:
         signed: Array = np.where(v + self.steps > self.high, -self.steps, self.steps)
         return signed
 
-    def fitted(self, v: Array) -> Fit:
+    def fitted(self, v: Array) -> GrowthFit:
         """What v says, where the squares are least."""
         white = Spectrum.white(self.samples.sigma, len(self.samples.time))
         residual, slopes = self.sloped(v, self.readings(self.around(v)))
@@ -200,7 +200,7 @@ class Problem:
         held = (z <= self.low[: self.q] + 1e-9) | (z >= self.high[: self.q] - 1e-9)
         bound = tuple(name for name, hit in zip(self.scaling.ids, held, strict=True) if hit)
         state = self.state0 + v[self.q : first]
-        return Fit(entries, values, state, residual, spectrum, cost, slopes, self.precision, bound)
+        return GrowthFit(entries, values, state, residual, spectrum, cost, slopes, self.precision, bound)
 
     def whitened(self, values: Array, spectrum: Spectrum) -> Array:
         """(n, m, ...) in time to (n * m, ...) cosines over their standard deviations."""
@@ -210,7 +210,7 @@ class Problem:
         return flat
 
 
-def readings_of(asked: Sequence[tuple[Problem, Array]]) -> Array:
+def readings_of(asked: Sequence[tuple[GrowthProblem, Array]]) -> Array:
     """Readings (all P, n, m) of runs of problems of one wardrobe and with the same inputs, each at v (P, count)."""
     points = [problem.point(v) for problem, v in asked]
     full, state = (np.concatenate(rows) for rows in zip(*points, strict=True))

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from twin.discovery.effects.catalogue import LATE, catalogue, extended, sites_of
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.effects.shared_kernels import SharedKernel
 from twin.discovery.growing.alike import apart, together
@@ -95,7 +95,7 @@ class Wardrobe:
 
 def unsized(candidate: Candidate, size: float) -> Entry:
     """An effect that is there from the beginning, at a size that nothing speaks for yet."""
-    return Entry(Law(candidate, None, None), Shape("step"), np.empty(0), size, 0.0, 0.0)
+    return Entry(CandidateLaw(candidate, None, None), Shape("step"), np.empty(0), size, 0.0, 0.0)
 
 
 def name_of(candidate: Candidate) -> str:

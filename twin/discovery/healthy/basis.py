@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.commissioning import weak_prior
-from twin.discovery.effects.laws import Book, Law
+from twin.discovery.effects.laws import Book, CandidateLaw
 from twin.discovery.effects.operating import offsets
-from twin.discovery.effects.probe import Probe, Run, free_run
+from twin.discovery.effects.probe import FreeRun, Probe, free_run
 from twin.discovery.healthy.health import Health
 from twin.discovery.healthy.widening import Bootstrap, kept
 from twin.discovery.records import noise as noises
@@ -53,7 +53,7 @@ class Columns:
 
 
 @dataclass(frozen=True)
-class Commissioned(Columns):
+class CommissionedRecord(Columns):
     """A healthy record, and the twin as it was `before` it took up what that record does not hold, newest first.
 
     Those of `before` have the columns of the twin at hand.
@@ -111,7 +111,7 @@ class Basis:
         }
         return frozenset(node for e in now.elements if e.name in new for node in e.nodes())
 
-    def contest(self, grid: Grid, state: Array, run: Run, laws: list[Law]) -> Contest:
+    def contest(self, grid: Grid, state: Array, run: FreeRun, laws: list[CandidateLaw]) -> Contest:
         """The quadratic form of a record with these laws."""
         structure = self.structure
         if structure is not None:
@@ -163,7 +163,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
 
 def _healthy(network: Network, probe: Probe, book: Book, healthy: Columns) -> tuple[Health, Probe]:
     """What a healthy record says by the twin that it fits best, and the probe of that; the newest of equals."""
-    before = healthy.before if isinstance(healthy, Commissioned) else ()
+    before = healthy.before if isinstance(healthy, CommissionedRecord) else ()
     best, least = probe, np.inf
     for then in (network, *before) if before else ():
         of = (

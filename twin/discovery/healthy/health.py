@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.commissioning import variance_inflation
-from twin.discovery.effects.laws import Book, Law
+from twin.discovery.effects.laws import Book, CandidateLaw
 from twin.discovery.effects.operating import offsets
-from twin.discovery.effects.probe import Probe, Run, free_run, posterior
+from twin.discovery.effects.probe import FreeRun, Probe, free_run, posterior
 from twin.discovery.records import noise as noises
 from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.records.noise import Noise
@@ -116,10 +116,10 @@ def _readings(
     probe: Probe,
     grid: Grid,
     state: Array,
-    run: Run,
+    run: FreeRun,
     noise: Noise,
     prior: GaussianPrior,
-    laws: list[Law],
+    laws: list[CandidateLaw],
 ) -> Array:
     """What a structure, and the tunables with it, amount to in the readings (n, m), K."""
     contest = Contest(probe, grid, state, run, noise, prior, structure, laws)

@@ -40,7 +40,7 @@ GROUPS = 24
 
 
 @dataclass(frozen=True)
-class Squares:
+class ResidualSquares:
     """Squares of a whitened residual: `total` (b,) over `count` (b,) values each, of variance one or less in health."""
 
     total: Array
@@ -82,7 +82,7 @@ class Concentration:
     of_record: float
 
 
-def segments(squares: Squares) -> tuple[Concentration, ...]:
+def segments(squares: ResidualSquares) -> tuple[Concentration, ...]:
     """Return the segments of a record in which squares concentrate, in order of time; none where only noise is left.
 
     The record is cut into pieces of one variance each by the least -2 log likelihood, where each cut costs as much as
@@ -119,7 +119,7 @@ def _cuts(total: Array, count: Array, cost: float) -> list[int]:
     return borders[::-1]
 
 
-def input_ranges(squares: Squares, inputs: Array, memory: int | None) -> tuple[tuple[int, Concentration], ...]:
+def input_ranges(squares: ResidualSquares, inputs: Array, memory: int | None) -> tuple[tuple[int, Concentration], ...]:
     """Return the columns on whose value the squares depend, with the blocks in the range that holds them; best first.
 
     A misfit of some hours meets some value of every input. A column is therefore named only if its range also stands
@@ -184,7 +184,7 @@ def _groups(values: Array) -> np.ndarray:
     return np.unique(found, return_inverse=True)[1]
 
 
-def _concentration(squares: Squares, rows: np.ndarray) -> Concentration:
+def _concentration(squares: ResidualSquares, rows: np.ndarray) -> Concentration:
     measured = squares.count > 0
     of_record = float((rows & measured).sum() / max(int(measured.sum()), 1))
     return Concentration(rows, squares.share(rows), of_record)

@@ -12,7 +12,7 @@ from twin.discovery.effects.phrases import amount, clock, lasting
 from twin.discovery.effects.statement import disturbance_statement
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.healthy.visited import BRIEF, STEADY
-from twin.discovery.leads.concentration import Squares, input_ranges, segments
+from twin.discovery.leads.concentration import ResidualSquares, input_ranges, segments
 from twin.discovery.leads.rows import MOST_ROWS, Suspicious, suspicious_inputs, suspicious_readings
 from twin.network import Array, InputSpec, Network
 from twin.segments import CLOCK_PREFIX
@@ -23,7 +23,7 @@ FOLLOWS = 0.7
 """Correlation from which a course is said to follow an input, as `places.localise.describe` has it."""
 
 
-def segment_leads(squares: Squares, first_s: Array, last_s: Array, at_rest: bool = False) -> tuple[Lead, ...]:
+def segment_leads(squares: ResidualSquares, first_s: Array, last_s: Array, at_rest: bool = False) -> tuple[Lead, ...]:
     """Return the segments in which squares concentrate, or a lead that they are all over the record.
 
     Parameters
@@ -47,7 +47,7 @@ def segment_leads(squares: Squares, first_s: Array, last_s: Array, at_rest: bool
     return tuple(found)
 
 
-def range_leads(network: Network, squares: Squares, inputs: Array, memory: int | None) -> tuple[Lead, ...]:
+def range_leads(network: Network, squares: ResidualSquares, inputs: Array, memory: int | None) -> tuple[Lead, ...]:
     """Return the ranges of inputs (b, c) on which squares depend; `memory` as `input_ranges` takes it."""
     found = []
     for j, one in input_ranges(squares, inputs, memory):
@@ -62,7 +62,7 @@ def range_leads(network: Network, squares: Squares, inputs: Array, memory: int |
     return tuple(found)
 
 
-def outside_leads(network: Network, squares: Squares, inputs: Array, healthy: Columns) -> tuple[Lead, ...]:
+def outside_leads(network: Network, squares: ResidualSquares, inputs: Array, healthy: Columns) -> tuple[Lead, ...]:
     """Return the inputs (b, c) that leave what they ranged over in the healthy record, by more than an input does that
     hardly moves."""
     found = []

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from twin.discovery.diagnosis import Course, Effect
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.contest import Contest
 from twin.network import Array, Network
@@ -47,7 +47,7 @@ class Site:
     counts: float = 1.0
 
 
-def sites_of(network: Network, contest: Contest, laws: list[Law]) -> dict[str, Site]:
+def sites_of(network: Network, contest: Contest, laws: list[CandidateLaw]) -> dict[str, Site]:
     """Every place of an unknown by name; flow, fan and room only where the twin has a law for them."""
     out: dict[str, Site] = {}
     for k, node in enumerate(network.nodes):

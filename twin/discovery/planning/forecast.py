@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.probe import Probe
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.records.grid import Grid
@@ -99,7 +99,7 @@ def forecast(known: Basis, grid: Grid, state: Array | None = None) -> Forecast:
     return Forecast(tuple(seen), tuple(unseen), tuple(confused))
 
 
-def too_little(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
+def too_little(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
     """Kinds that a record that shows nothing could not have shown; none where they are few."""
     share = hidden(contest, found, candidates)
     if sum(share.values()) < MOST_HIDDEN * len(share):
@@ -135,13 +135,13 @@ def either(kinds: tuple[str, ...]) -> str:
     return " or ".join(filter(None, (", ".join(kinds[:-1]), kinds[-1])))
 
 
-def unseen_kinds(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
+def unseen_kinds(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
     """Kinds of effect of which a record could have shown none, however large."""
     share = hidden(contest, found, candidates)
     return tuple(kind.replace("_", " ") for kind, missing in share.items() if missing > 0.99)
 
 
-def hidden(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]) -> dict[str, float]:
+def hidden(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> dict[str, float]:
     """Share of each kind's entries, place by place, that would have to be very large to show from the beginning."""
     found = [law for law in found if not law.candidate.begins]
     visible = {
@@ -155,7 +155,7 @@ def hidden(contest: Contest, found: list[Law], candidates: tuple[Candidate, ...]
     return {kind: 1.0 - sum((kind, w) in visible for w in places) / len(places) for kind, places in every.items()}
 
 
-def _norms(contest: Contest, found: list[Law]) -> Array:
+def _norms(contest: Contest, found: list[CandidateLaw]) -> Array:
     flat = np.stack([contest.vector(law) for law in found]).reshape(len(found), -1)
     norms: Array = np.sqrt(np.maximum(((flat @ contest.gram) * flat).sum(axis=1), 0.0))
     return norms

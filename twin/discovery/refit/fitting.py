@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.discovery.effects.probe import Run
+from twin.discovery.effects.probe import FreeRun
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.refit.model import Model
-from twin.discovery.refit.stepping import Squares, minimise
+from twin.discovery.refit.stepping import LeastSquaresProblem, minimise
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
@@ -138,7 +138,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     v[onsets] = [entries[i].shape.onset_s / 3600.0 for i in timed]
     v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
     v = np.clip(v, low, high)
-    squares = Squares(look, slopes_at, precision, low, high, reach, onsets, contest.step_s / 3600.0, scale)
+    squares = LeastSquaresProblem(look, slopes_at, precision, low, high, reach, onsets, contest.step_s / 3600.0, scale)
     found, slopes, done = minimise(squares, v, rounds)
     v = found.v
     covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)
@@ -157,7 +157,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         for i, x in enumerate(entries)
     )
     fitted = tuple(_going_on(x, grid.span_s) for x in fitted)
-    contest.look_at(Run(found.seen, found.seen), v[: q + k])
+    contest.look_at(FreeRun(found.seen, found.seen), v[: q + k])
     values = probe.network.values.copy()
     values[scaling.index] = scaling.to_values(z0 + v[:q])
     chi = float(found.residual @ found.residual) / max(contest.count, 1)
@@ -171,7 +171,7 @@ def look_at(contest: Contest, model: Model, found: Fit) -> None:
     grid = contest.grid
     run = model.run(grid.time, grid.inputs, found.state[None], found.values[None], sizes, begins=grid.begins)
     readings = _between(run)[0]
-    contest.look_at(Run(readings, readings), found.moved)
+    contest.look_at(FreeRun(readings, readings), found.moved)
 
 
 def _reached(shape: Shape, span_s: float) -> float:

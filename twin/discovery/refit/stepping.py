@@ -28,8 +28,8 @@ LEAST_DAMPED, FIRST_DAMPED, MOST_DAMPED = 1.0e-6, 1.0e-3, 1.0e6
 
 
 @dataclass(frozen=True)
-class Squares:
-    """What is to be made small over v (c,): |residual|^2 + v' precision v.
+class LeastSquaresProblem:
+    """Least-squares problem over v (c,): |residual|^2 + v' precision v is to be made small.
 
     Attributes:
         look: residuals (P, rows) at v (P, c), and what was seen of each (P, ...).
@@ -56,7 +56,7 @@ class Squares:
 
 
 @dataclass(frozen=True)
-class Place:
+class SearchPoint:
     """Where a search is: v (c,), residual (rows,), what was seen there, and the squares."""
 
     v: Array
@@ -66,7 +66,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Step:
+class TrialStep:
     """A step (c,), its damping, how much longer it may be, and the squares that the slopes foretell of it."""
 
     step: Array
@@ -75,11 +75,11 @@ class Step:
     total: float
 
 
-def minimise(squares: Squares, v: Array, rounds: int) -> tuple[Place, Array, bool]:
+def minimise(squares: LeastSquaresProblem, v: Array, rounds: int) -> tuple[SearchPoint, Array, bool]:
     """Where the squares are least near v (c,), as far as some rounds lead, the slopes (rows, c) there, and whether more
     rounds would lead no further."""
     residuals, seen = squares.look(v[None])
-    place = Place(v, residuals[0], seen[0], float(squares.weighed(v[None], residuals)[0]))
+    place = SearchPoint(v, residuals[0], seen[0], float(squares.weighed(v[None], residuals)[0]))
     slopes = squares.slopes(place.v)
     damping, longer, fresh = FIRST_DAMPED, 1.0, True
     for _ in range(rounds):
@@ -111,16 +111,18 @@ def minimise(squares: Squares, v: Array, rounds: int) -> tuple[Place, Array, boo
     return place, slopes[0] if fresh else squares.slopes(place.v)[0], True
 
 
-def _best(squares: Squares, place: Place, tried: list[Step]) -> tuple[Step, Place]:
+def _best(squares: LeastSquaresProblem, place: SearchPoint, tried: list[TrialStep]) -> tuple[TrialStep, SearchPoint]:
     """The step that led to the least squares, and where it led."""
     v = np.clip(place.v + np.stack([s.step for s in tried]), squares.low, squares.high)
     residuals, seen = squares.look(v)
     totals = squares.weighed(v, residuals)
     k = int(np.argmin(totals))
-    return tried[k], Place(v[k], residuals[k], seen[k], float(totals[k]))
+    return tried[k], SearchPoint(v[k], residuals[k], seen[k], float(totals[k]))
 
 
-def _steps(squares: Squares, place: Place, slopes: tuple[Array, Array], damping: float, longest: float) -> list[Step]:
+def _steps(
+    squares: LeastSquaresProblem, place: SearchPoint, slopes: tuple[Array, Array], damping: float, longest: float
+) -> list[TrialStep]:
     """Steps worth trying: with what bends held, moved as its slope says, all of it or each alone, and across its bends.
 
     Of a leap the slopes foretell nothing: it promises no gain.
@@ -133,7 +135,7 @@ def _steps(squares: Squares, place: Place, slopes: tuple[Array, Array], damping:
         hessian: Array = along.T @ along + squares.precision
         return hessian, along.T @ place.residual - squares.precision @ place.v
 
-    def step(down: Array, up: Array, damped: float = 1.0, longer: float = 1.0) -> Step:
+    def step(down: Array, up: Array, damped: float = 1.0, longer: float = 1.0) -> TrialStep:
         """With what bends going down and up (bends,) no further than this."""
         reach = longest * longer * squares.reach
         low, high = np.maximum(squares.low - place.v, -reach), np.minimum(squares.high - place.v, reach)
@@ -144,7 +146,7 @@ def _steps(squares: Squares, place: Place, slopes: tuple[Array, Array], damping:
         stiff = hessian + damping * damped * np.diag(np.maximum(much, 1e-9 * much.max()) / squares.scale**2)
         taken = bounded(stiff, pull, np.where(free, low, 0.0), np.where(free, high, 0.0))
         total = squares.weighed((place.v + taken)[None], (place.residual - along @ taken)[None])
-        return Step(taken, damping * damped, longer, float(total[0]))
+        return TrialStep(taken, damping * damped, longer, float(total[0]))
 
     hessian, pull = form()
     down, up = np.zeros(len(bends)), np.zeros(len(bends))
@@ -165,7 +167,7 @@ def _steps(squares: Squares, place: Place, slopes: tuple[Array, Array], damping:
         for bent in (1.0, FURTHER):
             leap = tried[0].step.copy()
             leap[bends] += bent * squares.leap * (np.sign(up) - np.sign(down))
-            tried.append(Step(leap, damping, 1.0, place.total))
+            tried.append(TrialStep(leap, damping, 1.0, place.total))
     return tried
 
 

@@ -16,7 +16,7 @@ from scipy.fft import idct
 from scipy.linalg import block_diag
 
 from twin.discovery.diagnosis import Fold
-from twin.discovery.effects.probe import Run
+from twin.discovery.effects.probe import FreeRun
 from twin.discovery.records.grid import centred
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.refit.model import Model
@@ -40,7 +40,7 @@ def validate(contest: Contest, model: Model, fitted: Fit) -> tuple[Fold, ...]:
     at = fitted.state[None, :], fitted.values[None, :], sizes[None, :]
     runs = model.run(grid.time, grid.inputs, *at, begins=grid.begins)
     readings = centred(runs[0])
-    contest.look_at(Run(readings, readings), fitted.moved)
+    contest.look_at(FreeRun(readings, readings), fitted.moved)
     b, m = contest.b, contest.m
     signatures = contest.signatures(np.stack([e.placed(contest) for e in fitted.entries]))
     # The initial state is told by the first readings alone: it stays as fitted, whichever block is left out.

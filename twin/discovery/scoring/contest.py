@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from twin.discovery.effects.laws import Law
-from twin.discovery.effects.probe import Probe, Run
+from twin.discovery.effects.laws import CandidateLaw
+from twin.discovery.effects.probe import FreeRun, Probe
 from twin.discovery.records.grid import Grid, filled
 from twin.discovery.records.noise import CAUTION, Noise, bands
 from twin.gauss_newton import GaussianPrior
@@ -63,7 +63,7 @@ def repeated(prior: GaussianPrior, q: int, stretches: int) -> GaussianPrior:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class JointEstimate:
     """Several effects at once.
 
     Attributes:
@@ -105,11 +105,11 @@ class Contest:
         probe: Probe,
         grid: Grid,
         state: Array,
-        run: Run,
+        run: FreeRun,
         noise: Noise,
         prior: GaussianPrior,
         structure: Structure | None = None,
-        laws: Sequence[Law] = (),
+        laws: Sequence[CandidateLaw] = (),
     ) -> None:
         self.probe, self.grid, self.prior = probe, grid, repeated(prior, probe.q, len(grid.begins))
         self.noise = noise.where_moved(run.readings, grid.step_s)
@@ -194,7 +194,9 @@ class Contest:
         left = self.features(np.moveaxis(self._measured - self.seen(readings), 0, 2))
         return np.ascontiguousarray(left.T) - self._less
 
-    def _left_by(self, structure: Structure | None, laws: Sequence[Law]) -> tuple[tuple[Array, Array] | None, Array]:
+    def _left_by(
+        self, structure: Structure | None, laws: Sequence[CandidateLaw]
+    ) -> tuple[tuple[Array, Array] | None, Array]:
         """Orthonormal whitened directions (b * m, r) that a structure leaves open, with the shares (r,) by which they
         count less, and what it amounts to (b * m,), so narrowed."""
         known = {law.candidate.id: law for law in laws}
@@ -213,7 +215,7 @@ class Contest:
     def _narrowed(self, whitened: Array) -> Array:
         return whitened if self._open is None else narrowed(whitened, self._open)
 
-    def look_at(self, run: Run, moved: Array | None = None) -> None:
+    def look_at(self, run: FreeRun, moved: Array | None = None) -> None:
         """Take the residual of a run, whose tunables and state stand `moved` (q + s * k,) off the prior's mean."""
         residual = self.residuals_of(run.readings[None])[0]
         self.residual = residual
@@ -236,7 +238,7 @@ class Contest:
         starts: Array = self.edges[:-1] * self.grid.step_s / 3600.0
         return starts
 
-    def vector(self, law: Law) -> Array:
+    def vector(self, law: CandidateLaw) -> Array:
         """The law at size 1: (sites, b)."""
         p = np.zeros((self.sites, self.b))
         if law.heat is not None:
@@ -274,14 +276,14 @@ class Contest:
         flat = vectors.reshape(len(vectors), -1)
         return flat @ self.gram @ flat.T, flat @ self.score
 
-    def estimate(self, vectors: Array) -> Estimate:
+    def estimate(self, vectors: Array) -> JointEstimate:
         """Sizes of e effects together."""
         if not len(vectors):
-            return Estimate(np.empty(0), np.empty((0, 0)), 0.0)
+            return JointEstimate(np.empty(0), np.empty((0, 0)), 0.0)
         gram, score = self.joint(vectors)
         covariance: Array = np.asarray(np.linalg.pinv(gram, rcond=1e-10, hermitian=True), dtype=np.float64)
         sizes = covariance @ score
-        return Estimate(sizes, covariance, float(sizes @ score))
+        return JointEstimate(sizes, covariance, float(sizes @ score))
 
     def bare(self, flat: Array) -> Array:
         """Squared norms (e,) of signatures `flat` (e, sites * b) before the tunables have taken their part."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.sweep import Courses
 from twin.network import Array
@@ -48,7 +48,7 @@ class Null:
         return float(np.mean(self.best)) - 0.5772 * scale, max(scale, 1e-6)
 
 
-def null_scores(contest: Contest, laws: list[Law], draws: int = DRAWS, seed: int = 0) -> Null:
+def null_scores(contest: Contest, laws: list[CandidateLaw], draws: int = DRAWS, seed: int = 0) -> Null:
     """Best scores of records of noise in this contest, every candidate in all its shapes from every onset."""
     scores = contest.noise_scores(np.random.default_rng(seed), draws)
     known = Courses.of(contest)

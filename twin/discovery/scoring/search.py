@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import Shape
-from twin.discovery.scoring.contest import Contest, Estimate
-from twin.discovery.scoring.sweep import LAST_SHARE, Courses, Given, Squares
+from twin.discovery.scoring.contest import Contest, JointEstimate
+from twin.discovery.scoring.sweep import LAST_SHARE, Courses, Given, LawSquares
 from twin.elements.base import Candidate
 from twin.gauss_newton import SE90
 from twin.network import Array
@@ -33,7 +33,7 @@ class Entry:
     no effect, averaged over onsets by their prior, and `log_occam` the logarithm of that average over its best.
     """
 
-    law: Law
+    law: CandidateLaw
     shape: Shape
     vector: Array
     size: float
@@ -81,7 +81,7 @@ def allowed(candidate: Candidate, size: float) -> bool:
     return candidate.lower <= size <= candidate.upper
 
 
-def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[Entry]:
+def scan(contest: Contest, laws: list[CandidateLaw], given: Array | None = None) -> list[Entry]:
     """Best onset of each law in each of its shapes, by falling gain.
 
     Args:
@@ -116,7 +116,7 @@ def scan(contest: Contest, laws: list[Law], given: Array | None = None) -> list[
     return found
 
 
-def _came_in(law: Law, gain: Array) -> bool:
+def _came_in(law: CandidateLaw, gain: Array) -> bool:
     """Whether gains (i,) by onset say that a law was not there all along; by more, where no size is beyond doubt."""
     more = gain.max() - gain[0]
     return bool(more >= CAME_IN and (law.candidate.lumped < np.inf or more >= CAME_IN_SHARE * gain.max()))
@@ -143,10 +143,10 @@ def able_to_begin(contest: Contest, entry: Entry, given: Array) -> tuple[float, 
     return (float(able.min()), float(able.max())) if len(able) else (entry.shape.onset_s, entry.shape.onset_s)
 
 
-def _beside(contest: Contest, law: Law, beside: Given | None) -> tuple[Array, Array, Array, Array]:
+def _beside(contest: Contest, law: CandidateLaw, beside: Given | None) -> tuple[Array, Array, Array, Array]:
     """A law's blocks (sites, b) and score (b,), and the squares of its steps and of what else it may be, less what
     those beside it stand for."""
-    squares = Squares.of(contest, law)
+    squares = LawSquares.of(contest, law)
     p, score, bottom, growing = squares.blocks, contest.scored(squares.blocks), squares.steps, squares.growths
     if beside is not None:
         share = beside.share(p)
@@ -157,7 +157,7 @@ def _beside(contest: Contest, law: Law, beside: Given | None) -> tuple[Array, Ar
     return p, score, np.maximum(bottom, least), np.maximum(growing, least)
 
 
-def _gains(law: Law, top: Array, bottom: Array) -> tuple[Array, Array]:
+def _gains(law: CandidateLaw, top: Array, bottom: Array) -> tuple[Array, Array]:
     """Sizes and gains of courses with scores `top` and squares `bottom`; none where the size is impossible."""
     size = top / bottom
     inside = (size >= law.candidate.lower) & (size <= law.candidate.upper)
@@ -165,7 +165,7 @@ def _gains(law: Law, top: Array, bottom: Array) -> tuple[Array, Array]:
     return size, gain
 
 
-def _entry(law: Law, shape: Shape, vector: Array, size: float, bottom: float, gain: float) -> Entry:
+def _entry(law: CandidateLaw, shape: Shape, vector: Array, size: float, bottom: float, gain: float) -> Entry:
     return Entry(law, shape, vector, float(size), float(bottom) ** -0.5, float(gain))
 
 
@@ -199,7 +199,7 @@ def _better(contest: Contest, entry: Entry, shape: Shape, p: Array, gram: Array,
     return Entry(entry.law, shape, p * course, top / bottom, bottom**-0.5, top**2 / bottom)
 
 
-def together(contest: Contest, entries: tuple[Entry, ...]) -> tuple[tuple[Entry, ...], Estimate]:
+def together(contest: Contest, entries: tuple[Entry, ...]) -> tuple[tuple[Entry, ...], JointEstimate]:
     """The entries with sizes fitted together, and that fit."""
     if not entries:
         return entries, contest.estimate(np.empty((0, contest.sites, contest.b)))

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.phrases import said
 from twin.discovery.scoring.contest import Contest
 from twin.elements.base import Candidate
@@ -50,7 +50,7 @@ class Structure:
     width: float = 0.0
     evidence: float = -np.inf
 
-    def beyond(self, offsets: Sequence[Law]) -> Structure:
+    def beyond(self, offsets: Sequence[CandidateLaw]) -> Structure:
         """The same with offsets at points of another record that the healthy one could say nothing of."""
         if not self.width:
             return self
@@ -78,7 +78,7 @@ class Structure:
         )
 
 
-def structure_of(contest: Contest, laws: list[Law], offsets: Sequence[Law]) -> Structure:
+def structure_of(contest: Contest, laws: list[CandidateLaw], offsets: Sequence[CandidateLaw]) -> Structure:
     """What each law amounts to in the healthy record that the contest holds, all of them together.
 
     With offsets at operating points where the record speaks for them: a twin that is its rig has none.
@@ -88,7 +88,7 @@ def structure_of(contest: Contest, laws: list[Law], offsets: Sequence[Law]) -> S
     return both if both.evidence > plain.evidence + SPEAKS else replace(plain, width=0.0)
 
 
-def _fitted(contest: Contest, laws: list[Law]) -> Structure:
+def _fitted(contest: Contest, laws: list[CandidateLaw]) -> Structure:
     used = [law for law in laws if belongs(law.candidate, contest)]
     gram, score = contest.joint(np.stack([contest.vector(law) for law in used]))
     # The noise was learned from the same record and holds the structure: it is not taken for more than it is.

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.discovery.effects.laws import Law
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import EARLY_S, Shape, family
 from twin.discovery.scoring.contest import Contest
 from twin.elements.base import Candidate
@@ -83,7 +83,7 @@ class Courses:
 
 
 @dataclass(frozen=True)
-class Squares:
+class LawSquares:
     """Of a law at size 1, nothing else known: `blocks` (sites, b), squares of its steps (i,) and other shapes (j,).
 
     `sites` (a,) are those at which it acts.
@@ -95,8 +95,8 @@ class Squares:
     sites: NDArray[np.intp]
 
     @classmethod
-    def of(cls, contest: Contest, law: Law) -> Squares:
-        known: Squares | None = contest.memo.get(law)
+    def of(cls, contest: Contest, law: CandidateLaw) -> LawSquares:
+        known: LawSquares | None = contest.memo.get(law)
         if known is None:
             courses, blocks = Courses.of(contest), contest.vector(law)
             gram = contest.small(blocks)[0]
@@ -107,7 +107,7 @@ class Squares:
         return known
 
 
-def returning(contest: Contest, law: Law) -> Array:
+def returning(contest: Contest, law: CandidateLaw) -> Array:
     """Return the squares (k,) of a law at size 1 in the courses that come back or fade."""
     known: Array | None = contest.memo.get(("returning", law))
     if known is None:

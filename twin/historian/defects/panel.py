@@ -17,7 +17,7 @@ ROUNDS = 4
 
 
 @dataclass(frozen=True)
-class Panel:
+class TagPanel:
     """Values of tags in the record's units (tags, m) at times `grid_s (m,)`; NaN where unknown."""
 
     series: tuple[Series, ...]
@@ -29,14 +29,14 @@ class Panel:
         return next(k for k, one in enumerate(self.series) if one.tag.name == name)
 
 
-def panel(series: Sequence[Series], step_s: float = STEP_S) -> Panel:
+def panel(series: Sequence[Series], step_s: float = STEP_S) -> TagPanel:
     """Return the tags with at least two samples on a grid over their common span."""
     usable = tuple(one for one in series if len(one.time_s) > 1)
     if not usable:
-        return Panel((), np.zeros(0), np.zeros((0, 0)))
+        return TagPanel((), np.zeros(0), np.zeros((0, 0)))
     start, end = min(one.time_s[0] for one in usable), max(one.time_s[-1] for one in usable)
     grid = np.arange(np.ceil(start / step_s) * step_s, end, step_s)
-    return Panel(usable, grid, np.stack([on_grid(one, grid) for one in usable]))
+    return TagPanel(usable, grid, np.stack([on_grid(one, grid) for one in usable]))
 
 
 def on_grid(series: Series, grid_s: Array) -> Array:

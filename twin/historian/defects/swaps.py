@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.historian.defects.panel import Mask, Panel, design_matrix, largest_sum, moving_mean, robust_prediction
+from twin.historian.defects.panel import Mask, TagPanel, design_matrix, largest_sum, moving_mean, robust_prediction
 from twin.historian.events import Event, naming
 from twin.historian.tags import Array, Defect, Series
 from twin.historian.units import unit_of
@@ -39,7 +39,7 @@ MOST = 3
 """Swaps of a pair in a record."""
 
 
-def swapped(panel: Panel, events: Sequence[Event] = ()) -> list[Defect]:
+def swapped(panel: TagPanel, events: Sequence[Event] = ()) -> list[Defect]:
     """Return the pairs of temperatures or flows that carry each other's values, and from when to when."""
     if len(panel.series) < 3 or len(panel.grid_s) < 200:
         return []
@@ -93,7 +93,7 @@ def _exchangeable(first: Series, second: Series) -> bool:
     return first.tag.role == second.tag.role or first.tag.cell == second.tag.cell
 
 
-def _pair(panel: Panel, j: int, k: int, events: Sequence[Event]) -> list[Defect]:
+def _pair(panel: TagPanel, j: int, k: int, events: Sequence[Event]) -> list[Defect]:
     """Return the swaps of a pair."""
     first, second = panel.series[j].tag, panel.series[k].tag
     drivers = [
@@ -120,7 +120,7 @@ def _pair(panel: Panel, j: int, k: int, events: Sequence[Event]) -> list[Defect]
 
 
 def _judged(
-    panel: Panel, pair: tuple[int, int], sign: Array, matrix: Array, events: Sequence[Event]
+    panel: TagPanel, pair: tuple[int, int], sign: Array, matrix: Array, events: Sequence[Event]
 ) -> tuple[Defect, int, int] | None:
     """Return the first span of a swap that both kinds of evidence support, with its begin and end; None without one.
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from twin.historian.defects.panel import Mask, Panel, design_matrix, largest_sum, robust_prediction
+from twin.historian.defects.panel import Mask, TagPanel, design_matrix, largest_sum, robust_prediction
 from twin.historian.tags import Array, Defect, Series
 from twin.historian.units import Unit, alternatives, unit_of
 
@@ -47,7 +47,7 @@ class Switch:
     unit: Unit
 
 
-def unit_switches(panel: Panel) -> list[Switch]:
+def unit_switches(panel: TagPanel) -> list[Switch]:
     """Return the tags that are in another unit for a time, one switch a tag."""
     found = []
     for k, one in enumerate(panel.series):
@@ -133,7 +133,7 @@ def _levels(x: Array, width: int) -> tuple[Array, Array]:
     return level[: len(x)], level[width : width + len(x)]
 
 
-def _best(panel: Panel, k: int, series: Series, own: Unit, candidates: list[tuple[str, Unit, int]]) -> Switch | None:
+def _best(panel: TagPanel, k: int, series: Series, own: Unit, candidates: list[tuple[str, Unit, int]]) -> Switch | None:
     """Return the most probable switch of a tag, or None."""
     drivers = [
         j

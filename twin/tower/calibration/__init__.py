@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twin.tower.calibration.baselines import BASELINES, Case, split, without_discrepancy
+    from twin.tower.calibration.baselines import BASELINES, CellDataset, split, without_discrepancy
     from twin.tower.calibration.cell_fit import (
         NORMAL,
         QUANTILE,
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "baselines": (
         "BASELINES",
-        "Case",
+        "CellDataset",
         "split",
         "without_discrepancy",
     ),
@@ -51,7 +51,7 @@ __all__ = [
     "WINDOW_S",
     "Calibrated",
     "CalibrationError",
-    "Case",
+    "CellDataset",
     "Fitted",
     "fit_cell",
     "predict_cell",

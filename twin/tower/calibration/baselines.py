@@ -35,7 +35,7 @@ TREES = {"n_estimators": 120, "min_samples_leaf": 5, "n_jobs": 1}
 
 
 @dataclass(frozen=True)
-class Case:
+class CellDataset:
     """A cell's blocks with the model of its clean cell, priors, evidence, and the blocks of training and test."""
 
     model: CellModel
@@ -50,7 +50,7 @@ class Case:
 class Baseline(Protocol):
     """A way to predict readings: returns those of the test blocks, NaN elsewhere (n,)."""
 
-    def __call__(self, case: Case) -> Array: ...
+    def __call__(self, case: CellDataset) -> Array: ...
 
 
 def split(blocks: Blocks) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -61,19 +61,19 @@ def split(blocks: Blocks) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     return train & np.isfinite(blocks.outlet), test & np.isfinite(blocks.outlet)
 
 
-def clean_reading(case: Case) -> Array:
+def clean_reading(case: CellDataset) -> Array:
     """Return the readings by the clean cell."""
     u = case.blocks.operation.inputs
     out = solve(u, case.model.design).t_out
     return np.asarray(out + case.blocks.operation.bypass * (u.t_in - out))
 
 
-def commissioned(case: Case) -> Array:
+def commissioned(case: CellDataset) -> Array:
     """Predict by the clean cell as commissioned."""
     return np.where(case.test, clean_reading(case), np.nan)
 
 
-def persistence(case: Case) -> Array:
+def persistence(case: CellDataset) -> Array:
     """Predict by the clean cell and its error in the last half hour before the window."""
     clean = clean_reading(case)
     error = case.blocks.outlet - clean
@@ -85,19 +85,19 @@ def persistence(case: Case) -> Array:
     return found
 
 
-def monthly_least_squares(case: Case) -> Array:
+def monthly_least_squares(case: CellDataset) -> Array:
     """Predict by deviations that least squares give on the month before each day, without priors."""
     return _linear(case, _reference(case, None), MONTH_S, None, DAY_S)
 
 
-def gauss_newton(case: Case) -> Array:
+def gauss_newton(case: CellDataset) -> Array:
     """Predict by deviations that a MAP estimate gives on the day before, the twin taken as right."""
     return _linear(
         case, _reference(case, None), DAY_S, np.array([case.priors.slow(n)[1] for n in DEVIATIONS]), WINDOW_S
     )
 
 
-def with_discrepancy(case: Case) -> Array:
+def with_discrepancy(case: CellDataset) -> Array:
     """Predict by the same about the training part's posterior, its discrepancy subtracted and its walk as the prior."""
     rows = np.flatnonzero(case.train)
     blocks = _take(case.blocks, rows)
@@ -109,14 +109,14 @@ def with_discrepancy(case: Case) -> Array:
     return _linear(case, _reference(case, posterior), DAY_S, sd, WINDOW_S, sigma=posterior.sigma[0])
 
 
-def random_forest(case: Case) -> Array:
+def random_forest(case: CellDataset) -> Array:
     """Predict the clean cell's error by a random forest of the operating point and the error before the window."""
     from sklearn.ensemble import RandomForestRegressor
 
     return _learned(case, lambda: RandomForestRegressor(random_state=0, **TREES))
 
 
-def gradient_boosting(case: Case) -> Array:
+def gradient_boosting(case: CellDataset) -> Array:
     """Predict the clean cell's error by gradient boosting of the same features."""
     from sklearn.ensemble import HistGradientBoostingRegressor
 
@@ -143,7 +143,7 @@ def without_discrepancy(priors: Priors) -> Priors:
     return Priors(priors.bounds, held, discrepancy=False)
 
 
-def _windows(case: Case, length_s: float = WINDOW_S) -> list[tuple[float, NDArray[np.intp]]]:
+def _windows(case: CellDataset, length_s: float = WINDOW_S) -> list[tuple[float, NDArray[np.intp]]]:
     rows = np.flatnonzero(case.test)
     number = np.floor(case.blocks.time_s[rows] / length_s).astype(np.int64)
     return [(float(k) * length_s, rows[number == k]) for k in np.unique(number)]
@@ -153,7 +153,7 @@ def _take(b: Blocks, rows: NDArray[np.intp]) -> Blocks:
     return Blocks(b.time_s[rows], b.operation.take(rows), b.outlet[rows], b.log_power[rows])
 
 
-def _reference(case: Case, posterior: Estimate | None) -> tuple[Array, Array]:
+def _reference(case: CellDataset, posterior: Estimate | None) -> tuple[Array, Array]:
     """Return readings and their slopes by the deviations (n, 4) about a reference: the clean cell, or a posterior's
     end."""
     if posterior is None:
@@ -171,7 +171,7 @@ def _reference(case: Case, posterior: Estimate | None) -> tuple[Array, Array]:
 
 
 def _linear(
-    case: Case,
+    case: CellDataset,
     reference: tuple[Array, Array],
     context_s: float,
     prior_sd: Array | None,
@@ -198,7 +198,7 @@ def _linear(
     return found
 
 
-def _learned(case: Case, make: Callable[[], Any]) -> Array:
+def _learned(case: CellDataset, make: Callable[[], Any]) -> Array:
     """Predict the clean cell's error by a regression that is trained on windows of the training part."""
     clean = clean_reading(case)
     error = case.blocks.outlet - clean

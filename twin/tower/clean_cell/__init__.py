@@ -9,12 +9,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twin.tower.clean_cell.commissioning import Commissioned, CommissioningError, TestPoints, fit_clean_cell
+    from twin.tower.clean_cell.commissioning import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
     from twin.tower.clean_cell.discrepancy import FEATURES
 
 _MODULES = {
     "commissioning": (
-        "Commissioned",
+        "CommissionedCell",
         "CommissioningError",
         "TestPoints",
         "fit_clean_cell",
@@ -23,7 +23,7 @@ _MODULES = {
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
-__all__ = ["FEATURES", "Commissioned", "CommissioningError", "TestPoints", "fit_clean_cell"]
+__all__ = ["FEATURES", "CommissionedCell", "CommissioningError", "TestPoints", "fit_clean_cell"]
 
 
 def __getattr__(name: str) -> Any:

@@ -50,7 +50,7 @@ class TestPoints:
 
 
 @dataclass(frozen=True)
-class Commissioned:
+class CommissionedCell:
     """Clean cell, the outlet's residuals at the test points K (n,), remarks on constants that were assumed.
 
     `sd`: standard deviations of the Merkel number's logarithm and of the exponent.
@@ -67,7 +67,7 @@ class Commissioned:
         return float(np.sqrt(np.mean(self.residual**2)))
 
 
-def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None = None) -> Commissioned:
+def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None = None) -> CommissionedCell:
     """Fit a clean cell to its test points.
 
     Parameters:
@@ -110,7 +110,7 @@ def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None
         remarks.append("no test point has an evaporation; 1.08 times Merkel's is assumed, as Poppe's method has it")
     _within("evaporation over that of Merkel's method", factor, EVAPORATION)
     design = replace(design, evaporation=factor)
-    result = Commissioned(design, solve(u, design).t_out - points.t_out, tuple(remarks), sd)
+    result = CommissionedCell(design, solve(u, design).t_out - points.t_out, tuple(remarks), sd)
     if result.rmse > LARGEST_ERROR_K:
         worst = int(np.argmax(np.abs(result.residual)))
         raise CommissioningError(

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.tower.diagnosis.adoption import adopted, effects_of
-    from twin.tower.diagnosis.search import CellCase, Finding, Hypothesis, TowerDiagnosis
-    from twin.tower.diagnosis.validation import HeldOut
+    from twin.tower.diagnosis.search import CellCase, CellHypothesis, ClaimedEffect, TowerDiagnosis
+    from twin.tower.diagnosis.validation import HeldOutBlocks
 
 _MODULES = {
     "adoption": (
@@ -20,15 +20,15 @@ _MODULES = {
     ),
     "search": (
         "CellCase",
-        "Finding",
-        "Hypothesis",
+        "ClaimedEffect",
+        "CellHypothesis",
         "TowerDiagnosis",
     ),
-    "validation": ("HeldOut",),
+    "validation": ("HeldOutBlocks",),
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
-__all__ = ["CellCase", "Finding", "HeldOut", "Hypothesis", "TowerDiagnosis", "adopted", "effects_of"]
+__all__ = ["CellCase", "CellHypothesis", "ClaimedEffect", "HeldOutBlocks", "TowerDiagnosis", "adopted", "effects_of"]
 
 
 def __getattr__(name: str) -> Any:

@@ -8,11 +8,11 @@ from typing import Any
 from twin.elements.tower_effect import TowerEffect
 from twin.network import Network, Revision
 from twin.revisions import with_elements
-from twin.tower.effects import UNITS, Effect
+from twin.tower.effects import UNITS, CellEffect
 from twin.tower.twin_file import value_of
 
 
-def effects_of(network: Network) -> tuple[Effect, ...]:
+def effects_of(network: Network) -> tuple[CellEffect, ...]:
     """Return the effects of a cell's twin, in file order."""
     found = []
     for one in network.elements:
@@ -24,7 +24,7 @@ def effects_of(network: Network) -> tuple[Effect, ...]:
         }
         has_form = one.driver in ("wind_direction", "solar", "low_flow")
         found.append(
-            Effect(
+            CellEffect(
                 one.effect,
                 one.path,
                 one.driver,
@@ -40,7 +40,7 @@ def effects_of(network: Network) -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def adopted(network: Network, effects: Sequence[Effect], revision: Revision) -> Network:
+def adopted(network: Network, effects: Sequence[CellEffect], revision: Revision) -> Network:
     """Return a cell's twin with more effects.
 
     Raises:

@@ -20,7 +20,7 @@ from datetime import datetime
 import numpy as np
 
 from twin.tower.air import Array
-from twin.tower.effects import Effect
+from twin.tower.effects import CellEffect
 
 FAULT = 0.05
 FREE = 1e-3
@@ -70,7 +70,7 @@ DECOYS = {"decoy_wind": "wind_m_s", "decoy_air": "dry_C"}
 
 
 @dataclass(frozen=True)
-class Candidate:
+class EffectClass:
     """A class of effects: the forms that compete within it, and the prior of the size of each.
 
     Attributes:
@@ -80,55 +80,55 @@ class Candidate:
 
     name: str
     says: str
-    forms: tuple[Effect, ...]
+    forms: tuple[CellEffect, ...]
     size_sd: Array
     sign: int = 1
 
 
-def candidates(columns: Mapping[str, Array], time_s: Array, timezone: str | None) -> tuple[Candidate, ...]:
+def candidates(columns: Mapping[str, Array], time_s: Array, timezone: str | None) -> tuple[EffectClass, ...]:
     """Return the classes whose drivers the columns hold, the readings that follow a column last.
 
     Parameters:
         columns: of the cell's aligned record, decoys among them. timezone: of the station, for the sun; None tries
         every hour of noon.
     """
-    found: list[Candidate] = []
+    found: list[EffectClass] = []
 
-    def add(name: str, says: str, forms: Sequence[Effect], sd: float, sign: int = 1) -> None:
-        found.append(Candidate(name, says, tuple(forms), np.full(len(forms), sd), sign))
+    def add(name: str, says: str, forms: Sequence[CellEffect], sd: float, sign: int = 1) -> None:
+        found.append(EffectClass(name, says, tuple(forms), np.full(len(forms), sd), sign))
 
     share = "share of the exhaust that comes back"
     if usable(columns, "wind_m_s"):
         if usable(columns, "wind_deg"):
-            forms = [Effect("recirculation", "exhaust", "wind_direction", d) for d in DIRECTIONS]
+            forms = [CellEffect("recirculation", "exhaust", "wind_direction", d) for d in DIRECTIONS]
             add("recirculation with wind from one direction", f"{share}, at 5 m/s from there", forms, 0.1)
-        forms = [Effect("recirculation", "exhaust", "wind_speed")]
+        forms = [CellEffect("recirculation", "exhaust", "wind_speed")]
         add("recirculation with wind from anywhere", f"{share}, at 5 m/s", forms, 0.1)
     if usable(columns, "neighbours_speed_pct"):
-        forms = [Effect("neighbour", "exhaust", "neighbours_speed")]
+        forms = [CellEffect("neighbour", "exhaust", "neighbours_speed")]
         add("plume of the neighbours", f"{share} with their fans at full speed", forms, 0.15)
-    forms = [Effect("bypass_leak", "past_fill", "always")]
+    forms = [CellEffect("bypass_leak", "past_fill", "always")]
     add("water that leaks past the fill", "share of the water", forms, 0.1)
     hours = noons(timezone, time_s)
-    add("sun on the water", "K under a sun overhead", [Effect("solar", "outlet", "solar", h) for h in hours], 0.5)
+    add("sun on the water", "K under a sun overhead", [CellEffect("solar", "outlet", "solar", h) for h in hours], 0.5)
     add(
         "sun on the wet bulb's thermometer",
         "K under a sun overhead",
-        [Effect("solar", "wet_bulb", "solar", h) for h in hours],
+        [CellEffect("solar", "wet_bulb", "solar", h) for h in hours],
         0.5,
         -1,
     )
     if usable(columns, "m_w_kg_s"):
-        forms = [Effect("underwetting", "wetted", "low_flow", low) for low in THRESHOLDS]
+        forms = [CellEffect("underwetting", "wetted", "low_flow", low) for low in THRESHOLDS]
         add("loss of wetting below a flow", "share of the plan that dries for a share of the flow", forms, 0.5)
     free = _followers(columns)
     if free:
         sd = np.array([FREE_SD[one.path] for one in free])
-        found.append(Candidate("reading that follows a column", "K or share for its spread", free, sd, 0))
+        found.append(EffectClass("reading that follows a column", "K or share for its spread", free, sd, 0))
     return tuple(found)
 
 
-def _followers(columns: Mapping[str, Array]) -> tuple[Effect, ...]:
+def _followers(columns: Mapping[str, Array]) -> tuple[CellEffect, ...]:
     """Return the readings that follow a column, each reading with each column."""
     scaled = []
     for name in columns:
@@ -138,7 +138,7 @@ def _followers(columns: Mapping[str, Array]) -> tuple[Effect, ...]:
         if high - low > LEAST_SPREAD:
             scaled.append((name, float(middle), float(high - low)))
     return tuple(
-        Effect(FOLLOWS, path, "column", column=n, centre=c, spread=s) for path in FREE_SD for n, c, s in scaled
+        CellEffect(FOLLOWS, path, "column", column=n, centre=c, spread=s) for path in FREE_SD for n, c, s in scaled
     )
 
 

@@ -22,7 +22,7 @@ from scipy.stats import norm
 from twin.tower.air import Array
 from twin.tower.calibration import Fitted
 from twin.tower.diagnosis.validation import jacobian_of
-from twin.tower.effects import Effect, pattern
+from twin.tower.effects import CellEffect, pattern
 from twin.tower.model import NAMES, SLOW
 
 FORM_ERROR = 0.1
@@ -96,7 +96,7 @@ class Evidence:
         name = {"exhaust": "recirculation", "inlet": "inlet_bias", "wet_bulb": "wet_bulb_bias"}[path]
         return np.asarray(p.jacobian[:, len(SLOW) + NAMES.index(name)])
 
-    def responses(self, forms: Sequence[Effect]) -> Array:
+    def responses(self, forms: Sequence[CellEffect]) -> Array:
         """Return the outlet's response to each form at size 1, by block (n, m)."""
         time_s, m_w0 = self.fitted.minutes.time_s, self.fitted.model.design.m_w0
         slopes = {path: self.sensitivity(path) for path in {one.path for one in forms}}

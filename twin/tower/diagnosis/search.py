@@ -17,10 +17,10 @@ from scipy.special import logsumexp
 from twin.tower.air import Array
 from twin.tower.calibration import Fitted, fit_cell
 from twin.tower.cell_observations import Label
-from twin.tower.diagnosis.candidates import DECOYS, FAULT, FREE, Candidate, candidates, decoys, onset_grid
+from twin.tower.diagnosis.candidates import DECOYS, FAULT, FREE, EffectClass, candidates, decoys, onset_grid
 from twin.tower.diagnosis.evidence import Evidence
-from twin.tower.diagnosis.validation import HeldOut, Parts, held_out, held_out_parts, inside, predictive_gain
-from twin.tower.effects import Effect, pattern, patterns
+from twin.tower.diagnosis.validation import HeldOutBlocks, TimeSpans, held_out, held_out_parts, inside, predictive_gain
+from twin.tower.effects import CellEffect, pattern, patterns
 from twin.tower.minutes import Minutes
 from twin.tower.model import CellModel
 from twin.tower.smoother import Opening, Priors
@@ -59,7 +59,7 @@ class CellCase:
     openings: tuple[Opening, ...]
     edges_s: Array
 
-    def fit(self, effects: Sequence[Effect], held: NDArray[np.bool_]) -> Fitted:
+    def fit(self, effects: Sequence[CellEffect], held: NDArray[np.bool_]) -> Fitted:
         """Return the calibration with more effects, without the outlet readings of the held-out minutes."""
         every = (*self.model.effects, *effects)
         drivers = patterns(every, self.minutes.time_s, self.columns, self.model.design.m_w0)
@@ -73,27 +73,27 @@ class CellCase:
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class CellHypothesis:
     """A class at some cells: posterior log odds against no effect, and its best form with sizes by cell."""
 
-    candidate: Candidate
+    candidate: EffectClass
     cells: tuple[int, ...]
     log_odds: float
-    effects: Mapping[int, Effect]
+    effects: Mapping[int, CellEffect]
 
 
 @dataclass(frozen=True)
-class Finding:
+class ClaimedEffect:
     """A claimed effect: sizes by cell, evidence, p-value (None where the driver cannot be shifted), log predictive
     density that the held-out weeks gain, their errors by cell, and rivals."""
 
-    hypothesis: Hypothesis
-    effects: Mapping[int, Effect]
+    hypothesis: CellHypothesis
+    effects: Mapping[int, CellEffect]
     p_value: float | None
     held_out_gain: float
-    before: Mapping[int, HeldOut]
-    after: Mapping[int, HeldOut]
-    rivals: tuple[Hypothesis, ...]
+    before: Mapping[int, HeldOutBlocks]
+    after: Mapping[int, HeldOutBlocks]
+    rivals: tuple[CellHypothesis, ...]
 
 
 @dataclass(frozen=True)
@@ -106,13 +106,13 @@ class TowerDiagnosis:
         held_s: start and end of each held-out part. before, after: errors of the outlet on them by cell.
     """
 
-    findings: tuple[Finding, ...]
+    findings: tuple[ClaimedEffect, ...]
     rejected: tuple[str, ...]
-    leading: tuple[Hypothesis, ...]
+    leading: tuple[CellHypothesis, ...]
     decoy: float
     held_s: tuple[tuple[float, float], ...]
-    before: Mapping[int, HeldOut]
-    after: Mapping[int, HeldOut]
+    before: Mapping[int, HeldOutBlocks]
+    after: Mapping[int, HeldOutBlocks]
 
 
 def search(
@@ -140,10 +140,10 @@ def search(
     errors = {c.cell: held_out(fits[c.cell], c.minutes.outlet, parts) for c in cases}
     first = errors
     extra = {c.cell: decoys(c.columns, SEED + 10 * c.cell) for c in cases}
-    known: dict[int, tuple[Effect, ...]] = {c.cell: () for c in cases}
-    findings: list[Finding] = []
+    known: dict[int, tuple[CellEffect, ...]] = {c.cell: () for c in cases}
+    findings: list[ClaimedEffect] = []
     rejected: list[str] = []
-    ranked: list[Hypothesis] = []
+    ranked: list[CellHypothesis] = []
     decoy = -np.inf
     while len(findings) < MOST_EFFECTS:
         say("comparing effects")
@@ -173,8 +173,8 @@ def scan(
     cases: Sequence[CellCase],
     evidence: Mapping[int, Evidence],
     timezone: str | None,
-    known: Mapping[int, tuple[Effect, ...]],
-) -> list[Hypothesis]:
+    known: Mapping[int, tuple[CellEffect, ...]],
+) -> list[CellHypothesis]:
     """Return the classes at every cell and at each alone, by their posterior log odds, highest first."""
     time_s = cases[0].minutes.time_s
     onsets = onset_grid(float(time_s[0]), float(time_s[-1]))
@@ -183,7 +183,7 @@ def scan(
         for c in cases
     }
     names = list(dict.fromkeys(name for of in classes.values() for name in of))
-    found: list[Hypothesis] = []
+    found: list[CellHypothesis] = []
     for name in names:
         tables, sizes = {}, {}
         for c in cases:
@@ -207,7 +207,7 @@ def scan(
     return sorted(found, key=lambda one: -one.log_odds)
 
 
-def _table(evidence: Evidence, candidate: Candidate, onsets: Sequence[float]) -> tuple[Array, Array]:
+def _table(evidence: Evidence, candidate: EffectClass, onsets: Sequence[float]) -> tuple[Array, Array]:
     """Return log Bayes factors and sizes of the forms by onset (1 + onsets, m); the first row is all along."""
     h = evidence.responses(candidate.forms)
     rows, sizes = [], []
@@ -220,13 +220,13 @@ def _table(evidence: Evidence, candidate: Candidate, onsets: Sequence[float]) ->
 
 
 def _hypotheses(
-    candidate: Candidate,
+    candidate: EffectClass,
     site: tuple[int, ...],
     table: Array,
     sizes: Mapping[int, Array],
     onsets: Sequence[float],
     prior: float,
-) -> list[Hypothesis]:
+) -> list[CellHypothesis]:
     """Return a class at some cells, its forms and onsets marginalised; decoys of a free class apart."""
     weight = np.full(table.shape, -np.log(table.shape[1]))
     weight[0] += np.log(0.5)
@@ -242,21 +242,21 @@ def _hypotheses(
         effects = {
             cell: replace(candidate.forms[int(m)], onset_s=onset, size=float(sizes[cell][row, m])) for cell in site
         }
-        found.append(Hypothesis(candidate, site, prior + float(logsumexp(joint)), effects))
+        found.append(CellHypothesis(candidate, site, prior + float(logsumexp(joint)), effects))
     return found
 
 
 def _checked(
     cases: Sequence[CellCase],
-    parts: Parts,
+    parts: TimeSpans,
     held: Mapping[int, NDArray[np.bool_]],
     fits: Mapping[int, Fitted],
-    errors: Mapping[int, HeldOut],
-    known: Mapping[int, tuple[Effect, ...]],
+    errors: Mapping[int, HeldOutBlocks],
+    known: Mapping[int, tuple[CellEffect, ...]],
     evidence: Mapping[int, Evidence],
-    one: Hypothesis,
-    ranked: Sequence[Hypothesis],
-) -> tuple[Finding | None, str, dict[int, Fitted], dict[int, HeldOut]]:
+    one: CellHypothesis,
+    ranked: Sequence[CellHypothesis],
+) -> tuple[ClaimedEffect | None, str, dict[int, Fitted], dict[int, HeldOutBlocks]]:
     """Return the finding, or None and the reason, with fits and errors that include it."""
     new_fits, new_errors = dict(fits), dict(errors)
     if _is_decoy(one):
@@ -285,12 +285,12 @@ def _checked(
         for r in ranked
         if r.log_odds > one.log_odds - RIVAL and r.candidate.name != one.candidate.name and not _is_decoy(r)
     )
-    return Finding(one, refitted, p, gained, before, after, rivals), "", new_fits, new_errors
+    return ClaimedEffect(one, refitted, p, gained, before, after, rivals), "", new_fits, new_errors
 
 
 def _refit(
-    case: CellCase, known: tuple[Effect, ...], one: Hypothesis, held: NDArray[np.bool_]
-) -> tuple[Effect, Fitted]:
+    case: CellCase, known: tuple[CellEffect, ...], one: CellHypothesis, held: NDArray[np.bool_]
+) -> tuple[CellEffect, Fitted]:
     """Return an effect refitted as part of the cell's own physics: Gauss-Newton on size and form, all else
     marginalised."""
     effect = one.effects[case.cell]
@@ -308,7 +308,7 @@ def _refit(
     return effect, fitted
 
 
-def _near(effect: Effect, candidate: Candidate, step: int) -> tuple[Effect, ...]:
+def _near(effect: CellEffect, candidate: EffectClass, step: int) -> tuple[CellEffect, ...]:
     """Return forms near an effect's, ever nearer."""
     if effect.form is None or len(candidate.forms) < 2:
         return (effect,)
@@ -320,7 +320,7 @@ def _near(effect: Effect, candidate: Candidate, step: int) -> tuple[Effect, ...]
     return tuple(replace(effect, form=float(effect.form + s)) for s in shifts)
 
 
-def p_value(evidence: Mapping[int, Evidence], one: Hypothesis) -> float | None:
+def p_value(evidence: Mapping[int, Evidence], one: CellHypothesis) -> float | None:
     """Return the share of circular shifts of the driver whose best form reaches the evidence of the class.
 
     A sun is moved to other hours of the day instead, so that 1/18 is its least value. None for what is always there,
@@ -356,18 +356,18 @@ def p_value(evidence: Mapping[int, Evidence], one: Hypothesis) -> float | None:
     return float((1 + np.sum(best[1:] >= best[0])) / (SHIFTS + 1))
 
 
-def _lasts(effect: Effect, sign: int) -> bool:
+def _lasts(effect: CellEffect, sign: int) -> bool:
     """Return True if a refitted size is well away from 0, on the side that physics allows."""
     return (sign == 0 or sign * effect.size > 0.0) and abs(effect.size) > LEAST_Z * effect.sd
 
 
-def _same(form: Effect, known: Effect) -> bool:
+def _same(form: CellEffect, known: CellEffect) -> bool:
     """Return True if a class has the path and the driver of an effect, so that it is another form of it."""
     wind = {"wind_direction", "wind_speed"}
     return form.path == known.path and (form.driver == known.driver or {form.driver, known.driver} <= wind)
 
 
-def _is_decoy(one: Hypothesis) -> bool:
+def _is_decoy(one: CellHypothesis) -> bool:
     return next(iter(one.effects.values())).column in DECOYS
 
 

@@ -25,11 +25,11 @@ from twin.tower.model import SLOW
 from twin.tower.smoother import HUBER, JUMP, Estimate
 
 WEEK_S = 7 * 86400.0
-Parts = tuple[tuple[float, float], ...]
+TimeSpans = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutBlocks:
     """Steady held-out blocks (m,): row of the fit, part, and reading minus prediction K."""
 
     rows: NDArray[np.intp]
@@ -58,7 +58,7 @@ class HeldOut:
         return np.minimum(1.0, HUBER / np.maximum(size, 1e-9)) / (p.sigma[0] ** 2 * p.time_correlation)
 
 
-def held_out_parts(time_s: Array) -> Parts:
+def held_out_parts(time_s: Array) -> TimeSpans:
     """Return the parts of a record that no fit sees: every third week, the second first; thirds if it is short."""
     start, end = float(time_s[0]), float(time_s[-1]) + 60.0
     length = min(WEEK_S, (end - start) / 3.0)
@@ -79,7 +79,7 @@ def part_of(time_s: Array, parts: Sequence[tuple[float, float]]) -> NDArray[np.i
     return found
 
 
-def held_out(fitted: Fitted, outlet: Array, parts: Parts) -> HeldOut:
+def held_out(fitted: Fitted, outlet: Array, parts: TimeSpans) -> HeldOutBlocks:
     """Return the errors of a fit in its held-out parts.
 
     Parameters:
@@ -90,10 +90,10 @@ def held_out(fitted: Fitted, outlet: Array, parts: Parts) -> HeldOut:
     error = blocks.outlet - fitted.model.reading(blocks.operation, p.slow[p.cell], p.constant)
     part = part_of(blocks.time_s, parts)
     rows = np.flatnonzero(np.isfinite(error) & (part >= 0))
-    return HeldOut(rows, part[rows], np.asarray(error[rows]))
+    return HeldOutBlocks(rows, part[rows], np.asarray(error[rows]))
 
 
-def predictive_gain(fitted: Fitted, old: HeldOut, new: HeldOut) -> float:
+def predictive_gain(fitted: Fitted, old: HeldOutBlocks, new: HeldOutBlocks) -> float:
     """Return the log predictive density of the held-out blocks that the errors `new` gain over `old`.
 
     Parameters:

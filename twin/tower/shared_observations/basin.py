@@ -56,7 +56,7 @@ class Drain:
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _BasinRows:
     """Rows of mean differences (r,): grid cell, shares (r, cells), value K, sensor, pattern and epoch of each."""
 
     grid: NDArray[np.intp]
@@ -109,7 +109,7 @@ def _rows(
     makeup: Array,
     volume_m3: float,
     changes_s: Sequence[float],
-) -> _Rows | None:
+) -> _BasinRows | None:
     """Return the mean differences by grid cell, thermometer and pattern; None where there are none."""
     mixed, shares, ready = _mixture(drains, makeup, volume_m3)
     grid = posterior.cells_at(time_s)
@@ -131,7 +131,7 @@ def _rows(
     if not found:
         return None
     keys = list(found)
-    return _Rows(
+    return _BasinRows(
         np.array([k[0] for k in keys], dtype=np.intp),
         np.array([found[k][0] for k in keys]),
         np.array([found[k][1] for k in keys]),

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.calibration import Fitted
-from twin.tower.cell import CP_WATER, Deviations, Inputs, solve
+from twin.tower.cell import CP_WATER, CellDeviations, Inputs, solve
 from twin.tower.model import NAMES, SLOW
 from twin.tower.shared_observations.joint import joint_update
 from twin.tower.smoother import Estimate
@@ -60,7 +60,7 @@ class Balance:
 
 
 @dataclass(frozen=True)
-class _Sums:
+class _EvaporationSums:
     """Evaporation of a cell by sum (r,), kg/s, NaN where unknown; its slopes in the cell's unknowns (r, unknowns)."""
 
     expected: Array
@@ -129,7 +129,7 @@ def _mean(values: Array, number: NDArray[np.int64], count: int) -> Array:
     return np.where(known >= KNOWN * SUM_S / 60.0, mean, np.nan)
 
 
-def _sums(one: Fitted, off: NDArray[np.bool_], number: NDArray[np.int64], count: int) -> _Sums:
+def _sums(one: Fitted, off: NDArray[np.bool_], number: NDArray[np.int64], count: int) -> _EvaporationSums:
     model, posterior, minutes, blocks = one.model, one.posterior, one.minutes, one.blocks
     slow = posterior.slow[posterior.cells_at(minutes.time_s)]
     rows = np.flatnonzero(minutes.known)
@@ -158,10 +158,10 @@ def _sums(one: Fitted, off: NDArray[np.bool_], number: NDArray[np.int64], count:
             cell = int(np.median(posterior.cell[there]))
             slopes[k, cell * s : (cell + 1) * s] = mean[:s]
             slopes[k, posterior.slow.size :] = mean[s:]
-    return _Sums(np.where(few, np.nan, _mean(evaporated, number, count)), slopes)
+    return _EvaporationSums(np.where(few, np.nan, _mean(evaporated, number, count)), slopes)
 
 
 def _per_kelvin(one: Fitted, u: Inputs, slow: Array) -> Array:
     """Return what evaporates for a kelvin of the water's fall, kg/(s K) (n,)."""
-    out = solve(u, one.model.design, Deviations(1.0 + slow[:, 0], 1.0 + slow[:, 1], 1.0 + slow[:, 2]))
+    out = solve(u, one.model.design, CellDeviations(1.0 + slow[:, 0], 1.0 + slow[:, 1], 1.0 + slow[:, 2]))
     return np.asarray(out.evaporation / np.maximum(out.heat, 1.0) * u.m_w * CP_WATER)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from drivers.virtual.tower.recording.archive import archived, scan_times
-    from drivers.virtual.tower.recording.defects import Samples, Seeding, seed_archive, seed_scans
-    from drivers.virtual.tower.recording.instrumentation import Instrument, Truth, instruments, scanned, tag_name
+    from drivers.virtual.tower.recording.defects import Seeding, TagSamples, seed_archive, seed_scans
+    from drivers.virtual.tower.recording.instrumentation import Instrument, StationTruth, instruments, scanned, tag_name
 
 _MODULES = {
     "archive": (
@@ -19,14 +19,14 @@ _MODULES = {
         "scan_times",
     ),
     "defects": (
-        "Samples",
+        "TagSamples",
         "Seeding",
         "seed_archive",
         "seed_scans",
     ),
     "instrumentation": (
         "Instrument",
-        "Truth",
+        "StationTruth",
         "instruments",
         "scanned",
         "tag_name",
@@ -36,9 +36,9 @@ _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for 
 
 __all__ = [
     "Instrument",
-    "Samples",
     "Seeding",
-    "Truth",
+    "StationTruth",
+    "TagSamples",
     "archived",
     "instruments",
     "scan_times",

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.virtual.tower.recording.instrumentation import Instrument, Truth, quantised
+from drivers.virtual.tower.recording.instrumentation import Instrument, StationTruth, quantised
 
 Array = NDArray[np.float64]
 DAY_S, HOUR_S = 86400.0, 3600.0
@@ -34,7 +34,7 @@ OFFSET = {"degF": 32.0, "degC": -32.0 / 1.8}
 
 
 @dataclass
-class Samples:
+class TagSamples:
     """Samples of a tag, arrays (n,): seconds since the beginning, value, OPC quality."""
 
     time_s: Array
@@ -45,9 +45,9 @@ class Samples:
         if len(self.quality) != len(self.time_s):
             self.quality = np.full(len(self.time_s), GOOD, dtype=np.int16)
 
-    def rows(self, chosen: NDArray[Any]) -> Samples:
+    def rows(self, chosen: NDArray[Any]) -> TagSamples:
         """Return the samples of these rows."""
-        return Samples(self.time_s[chosen], self.value[chosen], self.quality[chosen])
+        return TagSamples(self.time_s[chosen], self.value[chosen], self.quality[chosen])
 
     def within(self, span: tuple[float, float]) -> NDArray[np.bool_]:
         """Return the samples of a span (n,)."""
@@ -75,7 +75,9 @@ class Seeding:
         return [one for one in self.defects if one.kind == kind]
 
     @classmethod
-    def draw(cls, tags: Sequence[Instrument], days: int, zone: str, truth: Truth, rng: np.random.Generator) -> Seeding:
+    def draw(
+        cls, tags: Sequence[Instrument], days: int, zone: str, truth: StationTruth, rng: np.random.Generator
+    ) -> Seeding:
         """Return defects drawn for a record of `days`: as many as its length makes likely, one of each lasting kind.
 
         An instrument sticks while its quantity moves: of one that rests, as a stopped fan, nobody sees a defect.
@@ -147,14 +149,14 @@ def _lasting(tags: Sequence[Instrument], end: float, zone: str, span: Any, rng: 
     return found
 
 
-def seed_scans(scans: dict[str, Samples], tags: Sequence[Instrument], seeding: Seeding) -> None:
+def seed_scans(scans: dict[str, TagSamples], tags: Sequence[Instrument], seeding: Seeding) -> None:
     """Change scans as faulty instruments do, in place."""
     by_tag = {one.tag: one for one in tags}
     for one in seeding.of("swap"):
         first, second = one.tags
         for tag, other in ((first, scans[second]), (second, scans[first])):
             rows = scans[tag].within(one.span)
-            scans[tag] = Samples(
+            scans[tag] = TagSamples(
                 scans[tag].time_s,
                 np.where(rows, np.interp(scans[tag].time_s, other.time_s, other.value), scans[tag].value),
             )
@@ -180,7 +182,7 @@ def seed_scans(scans: dict[str, Samples], tags: Sequence[Instrument], seeding: S
 
 
 def seed_archive(
-    kept: dict[str, Samples],
+    kept: dict[str, TagSamples],
     tags: Sequence[Instrument],
     seeding: Seeding,
     start: datetime.datetime,

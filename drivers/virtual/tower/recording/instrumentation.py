@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from drivers.virtual.tower.degradation import Life
 from drivers.virtual.tower.physics import OF_CELL, OF_STATION
-from drivers.virtual.tower.sites import Site
-from drivers.virtual.tower.weather import Minutes
+from drivers.virtual.tower.sites import StationDesign
+from drivers.virtual.tower.weather import WeatherMinutes
 
 Array = NDArray[np.float64]
 MINUTE_S = 60.0
@@ -315,7 +315,7 @@ class Instrument:
         return f"cell {self.cell} {self.kind.description}" if self.cell else self.kind.description
 
 
-def tag_name(site: Site, role: str, cell: int) -> str:
+def tag_name(site: StationDesign, role: str, cell: int) -> str:
     """Return the tag of a role and cell.
 
     Raises
@@ -329,7 +329,7 @@ def tag_name(site: Site, role: str, cell: int) -> str:
     raise KeyError(role)
 
 
-def instruments(site: Site, recorded: int, rng: np.random.Generator) -> tuple[Instrument, ...]:
+def instruments(site: StationDesign, recorded: int, rng: np.random.Generator) -> tuple[Instrument, ...]:
     """Return the instruments of a station whose first `recorded` cells are recorded, in the order of the tag
     dictionary."""
     wanted = []
@@ -345,12 +345,12 @@ def instruments(site: Site, recorded: int, rng: np.random.Generator) -> tuple[In
 
 
 @dataclass(frozen=True)
-class Truth:
+class StationTruth:
     """The simulated station by minute: cells (n, cells, columns), station (n, columns), weather, degradation."""
 
     cells: NDArray[np.float32]
     station: NDArray[np.float32]
-    weather: Minutes
+    weather: WeatherMinutes
     wet: Array
     humidity: Array
     life: Life
@@ -386,7 +386,7 @@ class Truth:
         return of_weather[role]()
 
 
-def scanned(one: Instrument, truth: Truth, scan_s: Array, rng: np.random.Generator) -> Array:
+def scanned(one: Instrument, truth: StationTruth, scan_s: Array, rng: np.random.Generator) -> Array:
     """Return the readings (n,) of an instrument at scans, in its tag's unit, with noise and resolution.
 
     `scan_s` (n,) are seconds since the beginning.

@@ -13,23 +13,23 @@ from hil.bench.zoo.plants import (
     ROOM_COLUMN,
     START_H,
     Array,
-    Built,
+    BuiltPart,
     Drive,
     Modifier,
-    Plant,
     Schedule,
+    ZooPlant,
     wander,
 )
 
-Shape = Callable[[float, Array], Array]
+TimeCourse = Callable[[float, Array], Array]
 """Size and course (n,) -> changed course."""
 Context = Mapping[str, Array]
 """Columns of the record, and noise-free readings."""
-Reading = Callable[[float, Array, Context], Array]
+ReadingEffect = Callable[[float, Array, Context], Array]
 
 
 @dataclass(frozen=True)
-class Answer:
+class AcceptedAnswer:
     """Accepted answer: kind and place in a diagnosis's words; `drivers` () accepts any driver."""
 
     kind: str
@@ -62,13 +62,13 @@ class Injection:
     unit: str
     first: float
     most: float
-    answers: tuple[Answer, ...]
+    answers: tuple[AcceptedAnswer, ...]
     place: str
     onset_s: float = 0.0
     modifiers: tuple[Modifier, ...] = ()
-    commands: Mapping[str, Shape] = field(default_factory=dict)
-    recorded: Mapping[str, Reading] = field(default_factory=dict)
-    readings: Mapping[str, Reading] = field(default_factory=dict)
+    commands: Mapping[str, TimeCourse] = field(default_factory=dict)
+    recorded: Mapping[str, ReadingEffect] = field(default_factory=dict)
+    readings: Mapping[str, ReadingEffect] = field(default_factory=dict)
 
     def sized(self, size: float) -> tuple[Modifier, ...]:
         """Return the disturbances of the plant at a size."""
@@ -79,7 +79,7 @@ class Injection:
 class Scene:
     """A record that an effect is drawn for: plant, inputs, schedule, times (n,) s, onset in s and random numbers."""
 
-    plant: Plant
+    plant: ZooPlant
     drive: Drive
     schedule: Schedule
     time_s: Array
@@ -164,9 +164,9 @@ class Scene:
         """Return the heaters' power as a share of full power, (n,)."""
         return np.asarray(self.drive.heat.sum(axis=1) / self.power_w)
 
-    def some_part(self, *wanted: str) -> Built:
+    def some_part(self, *wanted: str) -> BuiltPart:
         """Draw a part that fulfils all of: "metal", "fan", "read", "metal read", "inner" (not a tank), "tank"."""
-        tests: dict[str, Callable[[Built], bool]] = {
+        tests: dict[str, Callable[[BuiltPart], bool]] = {
             "metal": lambda b: bool(b.metal),
             "fan": lambda b: b.part.fan > 0.0,
             "read": lambda b: bool(b.part.reads),
@@ -179,7 +179,7 @@ class Scene:
             raise NoSuchPlaceError(f"{self.plant.family} has no part that is {' and '.join(wanted)}")
         return found[int(self.rng.integers(len(found)))]
 
-    def two_parts(self) -> tuple[Built, Built]:
+    def two_parts(self) -> tuple[BuiltPart, BuiltPart]:
         """Draw two parts of different nodes."""
         one = self.some_part("read")
         others = [b for b in self.plant.parts if b.part.node != one.part.node and b.part.reads]
@@ -228,4 +228,4 @@ class EffectType:
     reserved: bool = False
 
 
-__all__ = ["FAN_COLUMN", "ROOM_COLUMN", "Answer", "EffectType", "Injection", "NoSuchPlaceError", "Scene"]
+__all__ = ["FAN_COLUMN", "ROOM_COLUMN", "AcceptedAnswer", "EffectType", "Injection", "NoSuchPlaceError", "Scene"]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hil.bench.zoo.effects.effect import Answer, EffectType, Injection, NoSuchPlaceError, Scene
+from hil.bench.zoo.effects.effect import AcceptedAnswer, EffectType, Injection, NoSuchPlaceError, Scene
 from hil.bench.zoo.plants import (
     ABOVE,
     ALWAYS,
@@ -21,7 +21,7 @@ from hil.bench.zoo.plants import (
     ROOM,
     TRANSFER,
     Array,
-    Built,
+    BuiltPart,
     Modifier,
 )
 
@@ -36,7 +36,7 @@ def _spread(cells: Sequence[int], target: int, course: Array, **law: float | int
     return tuple(Modifier(target, c, course / len(cells), **law) for c in cells)  # type: ignore[arg-type]
 
 
-def _cells(b: Built, where: str) -> tuple[int, ...]:
+def _cells(b: BuiltPart, where: str) -> tuple[int, ...]:
     return b.metal if where == "wall" and b.metal else b.water
 
 
@@ -48,7 +48,7 @@ def _source(course: Course, drivers: tuple[str, ...], where: str = "water") -> C
             "W",
             first,
             MOST_SHARE * s.power_w,
-            (Answer("heat_source", b.part.node, drivers),),
+            (AcceptedAnswer("heat_source", b.part.node, drivers),),
             b.part.node,
             s.onset_s,
             _spread(_cells(b, where), HEAT, course(s)),
@@ -81,7 +81,7 @@ def _switched(law: int) -> Callable[[Scene], Injection]:
             "W" if law == LATCH else "W/K",
             size,
             20.0 * size,
-            (Answer("heat_source", b.part.node),),
+            (AcceptedAnswer("heat_source", b.part.node),),
             b.part.node,
             s.onset_s,
             _spread(b.water, HEAT, s.step, law=law, sense=cell, p0=high, p1=low),
@@ -94,7 +94,7 @@ def _with_room(s: Scene) -> Injection:
     b = s.some_part("read")
     course = s.step * (s.drive.room - float(np.mean(s.drive.room)))
     size = SOURCE_SHARE * s.power_w / max(float(np.std(s.drive.room)), 0.3)
-    answers = (Answer("heat_source", b.part.node), Answer("heat_loss", b.part.node))
+    answers = (AcceptedAnswer("heat_source", b.part.node), AcceptedAnswer("heat_loss", b.part.node))
     return Injection("W/K", size, 20.0 * size, answers, b.part.node, s.onset_s, _spread(b.water, HEAT, course))
 
 
@@ -103,9 +103,9 @@ def _loss(exponent: float, course: Course, drivers: tuple[str, ...] = ()) -> Cal
         b = s.some_part("read")
         mods = tuple(Modifier(HEAT, c, -course(s) / len(b.water), POWER, c, ROOM, exponent) for c in b.water)
         size = SOURCE_SHARE * s.power_w / USUAL_RISE_K**exponent
-        answers = [Answer("heat_loss", b.part.node, drivers)]
+        answers = [AcceptedAnswer("heat_loss", b.part.node, drivers)]
         if b.part.fan:
-            answers.append(Answer("heat_rejection", b.part.node))
+            answers.append(AcceptedAnswer("heat_rejection", b.part.node))
         return Injection("W/K^n", size, 15.0 * size, tuple(answers), b.part.node, s.onset_s, mods)
 
     return build
@@ -117,7 +117,9 @@ def _evaporation(s: Scene) -> Injection:
     mods = tuple(Modifier(HEAT, c, -s.step, EVAPORATION, c) for c in b.water[:1])
     # About 4 kPa lie between warm water and the room's air.
     size = SOURCE_SHARE * s.power_w / 4000.0
-    return Injection("W/Pa", size, 10.0 * size, (Answer("heat_loss", b.part.node),), b.part.node, s.onset_s, mods)
+    return Injection(
+        "W/Pa", size, 10.0 * size, (AcceptedAnswer("heat_loss", b.part.node),), b.part.node, s.onset_s, mods
+    )
 
 
 def _transfer(course: Course, law: int = ALWAYS, element: bool = False) -> Callable[[Scene], Injection]:
@@ -129,11 +131,11 @@ def _transfer(course: Course, law: int = ALWAYS, element: bool = False) -> Calla
         size = SOURCE_SHARE * s.power_w
         kind = "coupling" if element else "heat_transfer"
         answers = (
-            Answer(kind, a.part.node),
-            Answer(kind, b.part.node),
-            Answer("coupling", a.part.node),
-            Answer("coupling", b.part.node),
-            Answer("heat_transfer", a.part.node),
+            AcceptedAnswer(kind, a.part.node),
+            AcceptedAnswer(kind, b.part.node),
+            AcceptedAnswer("coupling", a.part.node),
+            AcceptedAnswer("coupling", b.part.node),
+            AcceptedAnswer("heat_transfer", a.part.node),
         )
         if law == POWER:
             mods: tuple[Modifier, ...] = (
@@ -159,7 +161,7 @@ def _refill(hot: bool, repeated: bool) -> Callable[[Scene], Injection]:
         course = ((since % period if repeated else since) < 60.0 * minutes) & (since >= 0.0)
         mods = tuple(Modifier(HEAT, c, -course.astype(np.float64) / len(b.water), LINEAR, c, p0=fresh) for c in b.water)
         most = 4000.0 * b.part.litres / (60.0 * minutes)
-        answers = (Answer("heat_source", b.part.node), Answer("heat_loss", b.part.node))
+        answers = (AcceptedAnswer("heat_source", b.part.node), AcceptedAnswer("heat_loss", b.part.node))
         return Injection("W/K", 0.1 * most, most, answers, b.part.node, s.onset_s, mods)
 
     return build
@@ -172,7 +174,7 @@ def _ballast(s: Scene) -> Injection:
     b = next(b for b in p.parts if water in b.water)
     size = 3.0 * s.power_w / 100.0
     mods = (Modifier(LINK, p.ballast_group, s.step / NOTHING),)
-    answers = (Answer("thermal_mass", b.part.node),)
+    answers = (AcceptedAnswer("thermal_mass", b.part.node),)
     return Injection("W/K", size, 30.0 * size, answers, b.part.node, s.onset_s, mods)
 
 

@@ -7,11 +7,19 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import lfilter, lfiltic
 
-from hil.bench.zoo.effects.effect import Answer, EffectType, Injection, NoSuchPlaceError, Reading, Scene, Shape
+from hil.bench.zoo.effects.effect import (
+    AcceptedAnswer,
+    EffectType,
+    Injection,
+    NoSuchPlaceError,
+    ReadingEffect,
+    Scene,
+    TimeCourse,
+)
 from hil.bench.zoo.plants import FAN_COLUMN, ROOM_COLUMN, Array
 
 BIAS_K, MOST_BIAS_K = 0.3, 8.0
-Form = Callable[[Scene, str], Reading]
+Form = Callable[[Scene, str], ReadingEffect]
 
 
 def _reading(
@@ -19,14 +27,14 @@ def _reading(
 ) -> Callable[[Scene], Injection]:
     def build(s: Scene) -> Injection:
         column = s.some_thermometer()
-        answers = (Answer("sensor", column, drivers), *(Answer(kind, column) for kind in also))
+        answers = (AcceptedAnswer("sensor", column, drivers), *(AcceptedAnswer(kind, column) for kind in also))
         return Injection(unit, first, most, answers, column, s.onset_s, readings={column: form(s, column)})
 
     return build
 
 
 def _plus(course: Callable[[Scene], Array]) -> Form:
-    def form(s: Scene, column: str) -> Reading:
+    def form(s: Scene, column: str) -> ReadingEffect:
         added = course(s)
         return lambda size, shown, _: shown + size * added
 
@@ -34,31 +42,31 @@ def _plus(course: Callable[[Scene], Array]) -> Form:
 
 
 def _gain(about_c: float) -> Form:
-    def form(s: Scene, column: str) -> Reading:
+    def form(s: Scene, column: str) -> ReadingEffect:
         step = s.step
         return lambda size, shown, _: shown + size * step * (shown - about_c)
 
     return form
 
 
-def _square(s: Scene, column: str) -> Reading:
+def _square(s: Scene, column: str) -> ReadingEffect:
     step = s.step
     return lambda size, shown, _: shown + size * step * ((shown - 25.0) / 10.0) ** 2
 
 
-def _toward_room(s: Scene, column: str) -> Reading:
+def _toward_room(s: Scene, column: str) -> ReadingEffect:
     step, room = s.step, s.drive.room
     return lambda size, shown, _: shown + size * step * (room - shown)
 
 
-def _cross_talk(s: Scene, column: str) -> Reading:
+def _cross_talk(s: Scene, column: str) -> ReadingEffect:
     own = next(t.node for t in s.plant.thermometers if t.column == column)
     other = str(s.rng.choice([t.column for t in s.plant.thermometers if t.node != own]))
     step = s.step
     return lambda size, shown, context: shown + size * step * (context[other] - shown)
 
 
-def _lag(s: Scene, column: str) -> Reading:
+def _lag(s: Scene, column: str) -> ReadingEffect:
     step, period = s.step, s.schedule.period_s
     return lambda size, shown, _: shown + step * (_late(shown, period, abs(size)) - shown)
 
@@ -69,7 +77,7 @@ def _late(course: Array, period_s: float, constant_s: float) -> Array:
     return np.asarray(lfilter(b, c, course, zi=lfiltic(b, c, [course[0]]))[0])
 
 
-def _stuck(s: Scene, column: str) -> Reading:
+def _stuck(s: Scene, column: str) -> ReadingEffect:
     """Return a reading that sticks in a share `size` of the record, from the onset on."""
 
     def form(size: float, shown: Array, _: object) -> Array:
@@ -82,7 +90,7 @@ def _stuck(s: Scene, column: str) -> Reading:
     return form
 
 
-def _steps_of(s: Scene, column: str) -> Reading:
+def _steps_of(s: Scene, column: str) -> ReadingEffect:
     step = s.step
     return lambda size, shown, _: (
         shown + step * (np.round(shown / max(abs(size), 1e-9)) * max(abs(size), 1e-9) - shown) if size else shown
@@ -97,59 +105,66 @@ def _with_speed(s: Scene) -> Array:
     raise NoSuchPlaceError("no speed varies")
 
 
-def _room(form: Callable[[Scene], Reading], first: float, most: float) -> Callable[[Scene], Injection]:
+def _room(form: Callable[[Scene], ReadingEffect], first: float, most: float) -> Callable[[Scene], Injection]:
     def build(s: Scene) -> Injection:
-        answers = (Answer("sensor", ROOM_COLUMN),)
+        answers = (AcceptedAnswer("sensor", ROOM_COLUMN),)
         return Injection("K", first, most, answers, ROOM_COLUMN, s.onset_s, recorded={ROOM_COLUMN: form(s)})
 
     return build
 
 
-def _added(course: Callable[[Scene], Array]) -> Callable[[Scene], Reading]:
-    def form(s: Scene) -> Reading:
+def _added(course: Callable[[Scene], Array]) -> Callable[[Scene], ReadingEffect]:
+    def form(s: Scene) -> ReadingEffect:
         added = course(s)
         return lambda size, true, _: true + size * added
 
     return form
 
 
-def _room_late(s: Scene) -> Reading:
+def _room_late(s: Scene) -> ReadingEffect:
     step, period = s.step, s.schedule.period_s
     return lambda size, true, _: true + step * (_late(true, period, abs(size)) - true)
 
 
 def _command(
-    column: str, form: Callable[[Scene], Shape], unit: str, first: float, most: float, drivers: tuple[str, ...] = ()
+    column: str,
+    form: Callable[[Scene], TimeCourse],
+    unit: str,
+    first: float,
+    most: float,
+    drivers: tuple[str, ...] = (),
 ) -> Callable[[Scene], Injection]:
     def build(s: Scene) -> Injection:
         if column != "heater_power_W" and not s.varies(column):
             raise NoSuchPlaceError(f"{column} stands still")
         what = column.rsplit("_", 1)[0]
-        answers = [Answer("actuator", what, drivers)]
+        answers = [AcceptedAnswer("actuator", what, drivers)]
         if column == "pump_speed_pct":
-            answers.append(Answer("flow", "loop"))
+            answers.append(AcceptedAnswer("flow", "loop"))
         if column == "heater_power_W":
             # Heat that follows the heater's power, at the heater, is the same physics.
-            answers += [Answer("heat_source", "heater"), Answer("flow", "loop")] if form is _scaled else []
+            answers += (
+                [AcceptedAnswer("heat_source", "heater"), AcceptedAnswer("flow", "loop")] if form is _scaled else []
+            )
         if column == FAN_COLUMN:
-            answers.append(Answer("heat_rejection", "radiator"))
+            answers.append(AcceptedAnswer("heat_rejection", "radiator"))
         place = {"heater_power_W": "heater", FAN_COLUMN: "radiator"}.get(column, "loop")
         return Injection(unit, first, most, tuple(answers), place, s.onset_s, commands={column: form(s)})
 
     return build
 
 
-def _scaled(s: Scene) -> Shape:
+def _scaled(s: Scene) -> TimeCourse:
     step = s.step
     return lambda size, command: command * (1.0 - size * step)
 
 
-def _drooping(s: Scene) -> Shape:
+def _drooping(s: Scene) -> TimeCourse:
     step = s.step
     return lambda size, command: command * (1.0 - size * step * command / max(float(command.max()), 1e-9))
 
 
-def _limited(s: Scene) -> Shape:
+def _limited(s: Scene) -> TimeCourse:
     step = s.step
 
     def form(size: float, command: Array) -> Array:
@@ -159,12 +174,12 @@ def _limited(s: Scene) -> Shape:
     return form
 
 
-def _lagging(s: Scene) -> Shape:
+def _lagging(s: Scene) -> TimeCourse:
     step, period = s.step, s.schedule.period_s
     return lambda size, command: command + step * (_late(command, period, abs(size)) - command)
 
 
-def _dead_time(s: Scene) -> Shape:
+def _dead_time(s: Scene) -> TimeCourse:
     step, period = s.step, s.schedule.period_s
 
     def form(size: float, command: Array) -> Array:
@@ -175,12 +190,12 @@ def _dead_time(s: Scene) -> Shape:
     return form
 
 
-def _drops_out(s: Scene) -> Shape:
+def _drops_out(s: Scene) -> TimeCourse:
     pulses = s.pulses
     return lambda size, command: command * (1.0 - size * pulses)
 
 
-def _mains(s: Scene) -> Shape:
+def _mains(s: Scene) -> TimeCourse:
     day = s.step * np.sin(2.0 * np.pi * (s.hour - 5.0) / 24.0)
     return lambda size, command: command * (1.0 - size * day)
 

@@ -6,11 +6,24 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.bench.zoo.effects.effect import Answer, EffectType, Injection, NoSuchPlaceError, Scene
-from hil.bench.zoo.plants import ABOVE, FAN_COLUMN, FLOW, GATE, LATCH, LINEAR, LINK, POWER, ROOM, Array, Built, Modifier
+from hil.bench.zoo.effects.effect import AcceptedAnswer, EffectType, Injection, NoSuchPlaceError, Scene
+from hil.bench.zoo.plants import (
+    ABOVE,
+    FAN_COLUMN,
+    FLOW,
+    GATE,
+    LATCH,
+    LINEAR,
+    LINK,
+    POWER,
+    ROOM,
+    Array,
+    BuiltPart,
+    Modifier,
+)
 
 Course = Callable[[Scene], Array]
-FLOW_ANSWERS = (Answer("flow", "loop"), Answer("actuator", "pump_speed"))
+FLOW_ANSWERS = (AcceptedAnswer("flow", "loop"), AcceptedAnswer("actuator", "pump_speed"))
 
 
 def _flow(course: Course, law: int = 0) -> Callable[[Scene], Injection]:
@@ -39,9 +52,9 @@ def _bypass(course: Course, law: int = 0) -> Callable[[Scene], Injection]:
         span = max(s.quantile(cell, 0.98) - high, 0.3)
         first, most = (0.08, 0.85) if law != ABOVE else (0.3 / span, 1.5 / span)
         mods = (Modifier(GATE, b.gate, course(s), law, cell, ROOM, high, s.quantile(cell, 0.4)),)
-        answers: tuple[Answer, ...] = (Answer("flow", b.part.node),)
+        answers: tuple[AcceptedAnswer, ...] = (AcceptedAnswer("flow", b.part.node),)
         if b.part.fan:
-            answers = (*answers, Answer("heat_rejection", b.part.node))
+            answers = (*answers, AcceptedAnswer("heat_rejection", b.part.node))
         return Injection("1" if law != ABOVE else "1/K", first, most, answers, b.part.node, s.onset_s, mods)
 
     return build
@@ -54,9 +67,9 @@ def _fouling(course: Course, law: int = 0) -> Callable[[Scene], Injection]:
         b = s.some_part("fan")
         cell = b.water[0]
         answers = (
-            Answer("heat_rejection", b.part.node),
-            Answer("actuator", "fan_speed"),
-            Answer("heat_loss", b.part.node),
+            AcceptedAnswer("heat_rejection", b.part.node),
+            AcceptedAnswer("actuator", "fan_speed"),
+            AcceptedAnswer("heat_loss", b.part.node),
         )
         p0, first, most = s.quantile(cell, 0.6), 0.08, 0.85
         if law == POWER:
@@ -81,16 +94,16 @@ def _film(course: Course) -> Callable[[Scene], Injection]:
     """Return a builder of a worse contact of a wall that is read on the metal, or of a heat exchanger."""
 
     def build(s: Scene) -> Injection:
-        found: list[Built] = [b for b in s.plant.parts if b.part.reads == "metal" or b.part.name == "hot"]
+        found: list[BuiltPart] = [b for b in s.plant.parts if b.part.reads == "metal" or b.part.name == "hot"]
         if not found:
             raise NoSuchPlaceError("no wall is read and there is no exchanger")
         b = found[int(s.rng.integers(len(found)))]
-        answers: tuple[Answer, ...]
+        answers: tuple[AcceptedAnswer, ...]
         if b.part.name == "hot":
-            answers = (Answer("coupling", "cold"), Answer("coupling", "hot"))
+            answers = (AcceptedAnswer("coupling", "cold"), AcceptedAnswer("coupling", "hot"))
         else:
             # Twins hold a wall and its water as one volume: its share of the exchange is all that may move.
-            answers = (Answer("flow", b.part.node), Answer("coupling", b.part.node))
+            answers = (AcceptedAnswer("flow", b.part.node), AcceptedAnswer("coupling", b.part.node))
         mods = (Modifier(LINK, b.film_group, -course(s)),)
         return Injection("1", 0.15, 0.9, answers, b.part.node, s.onset_s, mods)
 

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
         Modifier,
     )
     from hil.bench.zoo.plants.families import DEVELOPMENT, FAMILIES, SEALED, draw_plant
-    from hil.bench.zoo.plants.parts import NOTHING, Built
-    from hil.bench.zoo.plants.plant import FAN_COLUMN, ROOM_COLUMN, ROOM_SIGMA_K, Plant
+    from hil.bench.zoo.plants.parts import NOTHING, BuiltPart
+    from hil.bench.zoo.plants.plant import FAN_COLUMN, ROOM_COLUMN, ROOM_SIGMA_K, ZooPlant
     from hil.bench.zoo.plants.schedules import HOUR_S, KINDS, START_H, Schedule, draw_drive, wander
 
 __all__ = [
@@ -56,11 +56,11 @@ __all__ = [
     "START_H",
     "TRANSFER",
     "Array",
-    "Built",
+    "BuiltPart",
     "Drive",
     "Modifier",
-    "Plant",
     "Schedule",
+    "ZooPlant",
     "draw_drive",
     "draw_plant",
     "wander",
@@ -93,12 +93,12 @@ __getattr__, __dir__ = lazy_names(
             "draw_plant",
         ),
         "parts": (
-            "Built",
+            "BuiltPart",
             "NOTHING",
         ),
         "plant": (
             "FAN_COLUMN",
-            "Plant",
+            "ZooPlant",
             "ROOM_COLUMN",
             "ROOM_SIGMA_K",
         ),

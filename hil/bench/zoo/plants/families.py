@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.zoo.plants.parts import Built, Loop, Part, assemble
-from hil.bench.zoo.plants.plant import Plant, Thermometer
+from hil.bench.zoo.plants.parts import BuiltPart, Loop, PlantPart, assemble
+from hil.bench.zoo.plants.plant import Thermometer, ZooPlant
 
 Draw = Callable[[np.random.Generator, float], tuple[list[Loop], tuple[str, str, float] | None]]
 
@@ -27,8 +27,8 @@ def _spread(rng: np.random.Generator, value: float, factor: float = 1.4) -> floa
     return float(value * np.exp(rng.uniform(-np.log(factor), np.log(factor))))
 
 
-def _heater(rng: np.random.Generator, s: float, **more: Any) -> Part:
-    base = Part(
+def _heater(rng: np.random.Generator, s: float, **more: Any) -> PlantPart:
+    base = PlantPart(
         "heater",
         "heater",
         _spread(rng, 0.6 * s),
@@ -42,8 +42,8 @@ def _heater(rng: np.random.Generator, s: float, **more: Any) -> Part:
     return replace(base, **more)
 
 
-def _radiator(rng: np.random.Generator, s: float, **more: Any) -> Part:
-    base = Part(
+def _radiator(rng: np.random.Generator, s: float, **more: Any) -> PlantPart:
+    base = PlantPart(
         "radiator",
         "radiator",
         _spread(rng, 0.5 * s),
@@ -57,13 +57,13 @@ def _radiator(rng: np.random.Generator, s: float, **more: Any) -> Part:
     return replace(base, **more)
 
 
-def _tank(rng: np.random.Generator, s: float, **more: Any) -> Part:
-    base = Part("tank", "tank", _spread(rng, 15.0 * s, 2.0), 3, loss=_spread(rng, 2.5 * s**0.7), reads="water")
+def _tank(rng: np.random.Generator, s: float, **more: Any) -> PlantPart:
+    base = PlantPart("tank", "tank", _spread(rng, 15.0 * s, 2.0), 3, loss=_spread(rng, 2.5 * s**0.7), reads="water")
     return replace(base, **more)
 
 
-def _cell(rng: np.random.Generator, s: float, k: int, **more: Any) -> Part:
-    base = Part(
+def _cell(rng: np.random.Generator, s: float, k: int, **more: Any) -> PlantPart:
+    base = PlantPart(
         f"cell{k}",
         f"cell{k}",
         _spread(rng, 0.12 * s),
@@ -77,7 +77,11 @@ def _cell(rng: np.random.Generator, s: float, k: int, **more: Any) -> Part:
 
 
 def _loop(
-    rng: np.random.Generator, s: float, stations: Sequence[tuple[Part, ...]], pump: str = "pump_speed_pct", **more: Any
+    rng: np.random.Generator,
+    s: float,
+    stations: Sequence[tuple[PlantPart, ...]],
+    pump: str = "pump_speed_pct",
+    **more: Any,
 ) -> Loop:
     base = Loop(
         pump,
@@ -127,8 +131,10 @@ def _lumped_cells(rng: np.random.Generator, s: float) -> tuple[list[Loop], None]
 
 
 def _exchanger(rng: np.random.Generator, s: float) -> tuple[list[Loop], tuple[str, str, float]]:
-    hot = Part("hot", "hot", _spread(rng, 0.5 * s), 5, _spread(rng, 500.0 * s), _spread(rng, 200.0 * s), reads="water")
-    cold = Part("cold", "cold", _spread(rng, 0.5 * s), 5, reads="water")
+    hot = PlantPart(
+        "hot", "hot", _spread(rng, 0.5 * s), 5, _spread(rng, 500.0 * s), _spread(rng, 200.0 * s), reads="water"
+    )
+    cold = PlantPart("cold", "cold", _spread(rng, 0.5 * s), 5, reads="water")
     first = _loop(rng, s, [(_heater(rng, s),), (hot,), (_tank(rng, 0.6 * s),)])
     second = _loop(rng, s, [(cold,), (_radiator(rng, s),)], pump="pump2_speed_pct")
     return [first, second], ("hot", "cold", _spread(rng, 200.0 * s))
@@ -205,7 +211,7 @@ def _glycol(rng: np.random.Generator, s: float) -> tuple[list[Loop], None]:
     return [_loop(rng, s, stations, **thick)], None
 
 
-def draw_plant(family: str, seed: int) -> Plant:
+def draw_plant(family: str, seed: int) -> ZooPlant:
     """Return the plant of a family with a seed.
 
     Raises
@@ -241,7 +247,7 @@ def draw_plant(family: str, seed: int) -> Plant:
         if b.part.reads
     )
     sigma = float(np.exp(rng.uniform(np.log(0.01), np.log(0.2))))
-    return Plant(
+    return ZooPlant(
         family=family,
         seed=seed,
         network=network,
@@ -261,7 +267,7 @@ def _sheet(
     family: str,
     loops: Sequence[Loop],
     exchanger: tuple[str, str, float] | None,
-    built: Sequence[Built],
+    built: Sequence[BuiltPart],
     thermometers: Sequence[Thermometer],
     sigma: float,
     full: np.ndarray,

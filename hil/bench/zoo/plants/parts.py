@@ -20,7 +20,7 @@ MIXING = 0.1
 
 
 @dataclass(frozen=True)
-class Part:
+class PlantPart:
     """A part of a plant: `litres` of water in `cells` cells, each with a wall of its own if `metal` (J/K) is above 0.
 
     `film` is W/K between water and wall, `loss` W/K to the room at a difference of 20 K, `fan` W/K by a fan at full
@@ -49,7 +49,7 @@ class Loop:
 
     pump: str
     kg_s: float
-    stations: tuple[tuple[Part, ...], ...]
+    stations: tuple[tuple[PlantPart, ...], ...]
     pipe_litres: tuple[float, ...]
     pipe_metal: float = 0.0
     pipe_loss: float = 0.0
@@ -62,10 +62,10 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class Built:
+class BuiltPart:
     """Cells and groups of one part: indices of water and wall, bypass, and groups of links by name."""
 
-    part: Part
+    part: PlantPart
     loop: int
     water: tuple[int, ...]
     metal: tuple[int, ...]
@@ -118,7 +118,7 @@ class Assembly:
 
 def assemble(
     loops: Sequence[Loop], columns: Sequence[str], exchanger: tuple[str, str, float] | None, ballast: tuple[str, float]
-) -> tuple[CellNetwork, tuple[Built, ...], int, int]:
+) -> tuple[CellNetwork, tuple[BuiltPart, ...], int, int]:
     """Build the network of cells.
 
     Parameters
@@ -136,7 +136,7 @@ def assemble(
         Network, parts, cell of the ballast, group of its link (1 W/K times its factor minus 1).
     """
     a = Assembly()
-    built: list[Built] = []
+    built: list[BuiltPart] = []
     pump_cells: list[int] = []
     mixing = a.group()
     for q, loop in enumerate(loops):
@@ -158,7 +158,7 @@ NOTHING = 1.0e-6
 """Conductance of the ballast in a healthy plant, W/K."""
 
 
-def _loop(a: Assembly, q: int, loop: Loop, built: list[Built], pump_cells: list[int], mixing: int) -> None:
+def _loop(a: Assembly, q: int, loop: Loop, built: list[BuiltPart], pump_cells: list[int], mixing: int) -> None:
     tees: list[list[int]] = []
     for litres in loop.pipe_litres:
         count = max(1, min(8, round(litres / max(loop.kg_s, 1e-6) / 4.0)))
@@ -186,7 +186,7 @@ def _loop(a: Assembly, q: int, loop: Loop, built: list[Built], pump_cells: list[
             a.streams.append((q, before, after, share, made.gate, 1))
 
 
-def _part(a: Assembly, q: int, loop: Loop, part: Part, share: float, mixing: int) -> Built:
+def _part(a: Assembly, q: int, loop: Loop, part: PlantPart, share: float, mixing: int) -> BuiltPart:
     n = part.cells
     water = tuple(a.cell(part.litres / n * loop.cp, loop.curvature) for _ in range(n))
     film, loss, fan = a.group(), a.group(), a.group()
@@ -210,7 +210,7 @@ def _part(a: Assembly, q: int, loop: Loop, part: Part, share: float, mixing: int
         if part.heat:
             a.heats.append((cell, part.heat, 1.0 / n))
     a.gates.append(part.leak)
-    return Built(part, q, water, metal, len(a.gates) - 1, film, loss, fan)
+    return BuiltPart(part, q, water, metal, len(a.gates) - 1, film, loss, fan)
 
 
 def _network(a: Assembly, loops: Sequence[Loop], columns: Sequence[str], pump_cells: list[int]) -> CellNetwork:

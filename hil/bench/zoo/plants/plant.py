@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.zoo.plants.cells import Array, CellNetwork, Drive, Modifier, simulate
-from hil.bench.zoo.plants.parts import Built
+from hil.bench.zoo.plants.parts import BuiltPart
 
 ROOM_COLUMN = "T_ambient_C"
 FAN_COLUMN = "fan_speed_pct"
@@ -29,7 +29,7 @@ class Thermometer:
 
 
 @dataclass(frozen=True)
-class Plant:
+class ZooPlant:
     """A random plant.
 
     Attributes
@@ -53,7 +53,7 @@ class Plant:
     family: str
     seed: int
     network: CellNetwork
-    parts: tuple[Built, ...]
+    parts: tuple[BuiltPart, ...]
     thermometers: tuple[Thermometer, ...]
     sigma_K: float
     heat_columns: tuple[str, ...]
@@ -63,7 +63,7 @@ class Plant:
     ballast: int
     ballast_group: int
 
-    def part(self, name: str) -> Built:
+    def part(self, name: str) -> BuiltPart:
         """Return a part by its name."""
         return next(b for b in self.parts if b.part.name == name)
 

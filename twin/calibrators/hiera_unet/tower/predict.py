@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from twin.calibrators.hiera_unet.network import HieraUNet, Prediction
-from twin.calibrators.hiera_unet.tower.windows import Batch, Fleet
+from twin.calibrators.hiera_unet.tower.windows import CellBatch, Fleet
 from twin.tower.air import Array
 
 LEAST_WORSE = 0.05
@@ -39,7 +39,7 @@ class Predicted:
     attention: Array
 
 
-def answer(network: HieraUNet, batch: Batch, causal: bool, half: bool) -> Prediction:
+def answer(network: HieraUNet, batch: CellBatch, causal: bool, half: bool) -> Prediction:
     """Return what a network says of a batch."""
     with torch.inference_mode(), torch.autocast(batch.x.device.type, torch.bfloat16, enabled=half):
         return network(batch.x, batch.m, batch.regime, batch.clock, batch.meta, causal=causal, memory=batch.memory)
@@ -118,7 +118,7 @@ def blindness(
     for at in range(0, len(rows), size):
         batch = fleet.batch(torch.from_numpy(rows[at : at + size]))
         strange = fleet.batch(torch.from_numpy(other[at : at + size]))
-        mixed = Batch(
+        mixed = CellBatch(
             **{**batch.__dict__, "x": strange.x, "m": strange.m, "regime": strange.regime, "clock": strange.clock}
         )
         columns = []
@@ -134,12 +134,12 @@ def blindness(
     )
 
 
-def _parameter_error(theta: Tensor, batch: Batch, bounds: Tensor) -> Tensor:
+def _parameter_error(theta: Tensor, batch: CellBatch, bounds: Tensor) -> Tensor:
     weight = batch.information.clamp(min=0.05)
     return ((theta - batch.true).abs() / bounds * weight).sum(1) / weight.sum(1)
 
 
-def _output_error(p: Prediction, batch: Batch) -> Tensor:
+def _output_error(p: Prediction, batch: CellBatch) -> Tensor:
     water = batch.water + (batch.slopes * (p.theta - batch.mean)[:, None, :3]).sum(-1) + p.delta[..., 0]
     return torch.nanmean((water - batch.true_water).abs(), 1)
 

@@ -106,7 +106,7 @@ def targets_of(fleet: Fleet, rows: NDArray[np.int64], size: int = 256) -> Target
 
 
 @dataclass(frozen=True)
-class Answer:
+class MethodPrediction:
     """A method's deviations (K, 4) and water (K, 120) degC; half widths of 90 % intervals, or None."""
 
     theta: Array
@@ -115,22 +115,22 @@ class Answer:
     water_half: Array | None = None
 
 
-def believed(t: Targets) -> Answer:
+def believed(t: Targets) -> MethodPrediction:
     """Return recursive Gauss-Newton with the learned discrepancy, with its own intervals of the deviations."""
-    return Answer(t.mean, t.water, 1.6449 * t.sd)
+    return MethodPrediction(t.mean, t.water, 1.6449 * t.sd)
 
 
-def commissioned(t: Targets) -> Answer:
+def commissioned(t: Targets) -> MethodPrediction:
     """Return the commissioned twin."""
-    return Answer(np.zeros_like(t.mean), t.commissioned)
+    return MethodPrediction(np.zeros_like(t.mean), t.commissioned)
 
 
-def persistent(t: Targets) -> Answer:
+def persistent(t: Targets) -> MethodPrediction:
     """Return Gauss-Newton with its mean error of the last half hour, where there were readings."""
-    return Answer(t.mean, t.water + t.recent[:, :1])
+    return MethodPrediction(t.mean, t.water + t.recent[:, :1])
 
 
-def mixed(t: Targets, members: Sequence[Predicted]) -> tuple[Answer, Array, Array]:
+def mixed(t: Targets, members: Sequence[Predicted]) -> tuple[MethodPrediction, Array, Array]:
     """Return the ensemble's answer, and its standard deviations of deviations (K, 4) and of the water (K, 120).
 
     The water is the twin at the belief, moved by the members' deviations along its slopes, plus their corrections.
@@ -142,7 +142,7 @@ def mixed(t: Targets, members: Sequence[Predicted]) -> tuple[Answer, Array, Arra
     waters = [t.water + np.einsum("kij,kj->ki", t.slopes, (p.theta - t.mean)[:, :3]) + p.delta for p in members]
     water = np.mean(waters, axis=0)
     scale = np.mean([2.0 * (np.exp(np.clip(p.log_scale, -6, 6)) * 0.3) ** 2 for p in members], axis=0)
-    return Answer(theta, water), sd, np.sqrt(scale + np.var(waters, axis=0))
+    return MethodPrediction(theta, water), sd, np.sqrt(scale + np.var(waters, axis=0))
 
 
 def _bounds() -> Array:
@@ -152,14 +152,14 @@ def _bounds() -> Array:
 
 
 @dataclass(frozen=True)
-class Factors:
+class IntervalFactors:
     """Factors of standard deviations that hold 90 % of windows that no training saw: deviations (4,), water."""
 
     theta: Array
     water: float
 
     @classmethod
-    def of(cls, t: Targets, found: Answer, sd: Array, water_sd: Array) -> Factors:
+    def of(cls, t: Targets, found: MethodPrediction, sd: Array, water_sd: Array) -> IntervalFactors:
         """Return the factors by split conformal prediction: one score a window, of a minute drawn by a fixed seed."""
         theta = np.nanquantile(np.abs(found.theta - t.true) / sd, LEVEL, axis=0)
         minute = np.random.default_rng(0).integers(0, TARGET, len(t.rows))
@@ -167,9 +167,9 @@ class Factors:
         score = (np.abs(found.water - t.true_water) / water_sd)[k, minute]
         return cls(theta, float(np.nanquantile(score, LEVEL)))
 
-    def applied(self, found: Answer, sd: Array, water_sd: Array) -> Answer:
+    def applied(self, found: MethodPrediction, sd: Array, water_sd: Array) -> MethodPrediction:
         """Return the answer with its intervals."""
-        return Answer(found.theta, found.water, self.theta * sd, self.water * water_sd)
+        return MethodPrediction(found.theta, found.water, self.theta * sd, self.water * water_sd)
 
 
 class Booster:
@@ -204,15 +204,15 @@ class Booster:
         own = np.repeat(cls._windows(t)[:, None], points.shape[1], axis=1)
         return np.concatenate([own, points], axis=2).reshape(-1, own.shape[2] + points.shape[2])
 
-    def __call__(self, t: Targets) -> Answer:
+    def __call__(self, t: Targets) -> MethodPrediction:
         """Return Gauss-Newton's answer, corrected."""
         more = self.water.predict(self._minutes(t)).reshape(len(t.rows), -1).repeat(BLOCK_MIN, axis=1)
         own = self._windows(t)
         theta = t.mean + np.stack([one.predict(own) for one in self.theta], axis=1)
-        return Answer(theta, t.water + more)
+        return MethodPrediction(theta, t.water + more)
 
 
-def scores(t: Targets, found: Answer, rival: Answer | None = None, seed: int = 0) -> dict[str, Any]:
+def scores(t: Targets, found: MethodPrediction, rival: MethodPrediction | None = None, seed: int = 0) -> dict[str, Any]:
     """Return the scores of an answer as plain data.
 
     `worse_than_rival`: water error over the rival's, less one, with its 95 % interval; likewise each deviation's.
@@ -260,7 +260,7 @@ def scores(t: Targets, found: Answer, rival: Answer | None = None, seed: int = 0
     return out
 
 
-def by_cell(t: Targets, names: Sequence[str], answers: Mapping[str, Answer]) -> dict[str, dict[str, float]]:
+def by_cell(t: Targets, names: Sequence[str], answers: Mapping[str, MethodPrediction]) -> dict[str, dict[str, float]]:
     """Return the mean absolute water error, K, of each method by cell."""
     found: dict[str, dict[str, float]] = {}
     for cell in np.unique(t.cell.astype(int)):
@@ -297,9 +297,9 @@ def taken(t: Targets, rows: Array) -> Targets:
     return Targets(**{f.name: getattr(t, f.name)[rows] for f in fields(Targets)})
 
 
-def taken_answer(one: Answer, rows: Array) -> Answer:
+def taken_answer(one: MethodPrediction, rows: Array) -> MethodPrediction:
     """Return an answer to some windows (K,) bool."""
     theta_half = None if one.theta_half is None else one.theta_half[rows]
-    return Answer(
+    return MethodPrediction(
         one.theta[rows], one.water[rows], theta_half, None if one.water_half is None else one.water_half[rows]
     )

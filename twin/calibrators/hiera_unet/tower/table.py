@@ -130,11 +130,11 @@ SUBJECT = Subject(
     residual="r_outlet",
 )
 
-Columns = Mapping[str, NDArray[Any]]
+CellColumns = Mapping[str, NDArray[Any]]
 
 
 def channels_of(
-    columns: Columns,
+    columns: CellColumns,
     minutes: Minutes,
     design: Design,
     sheet: Mapping[str, Any],
@@ -238,7 +238,7 @@ def channels_of(
     return x, there
 
 
-def reading_of(columns: Columns, n: int) -> Array:
+def reading_of(columns: CellColumns, n: int) -> Array:
     """Return the outlet reading, degC (n,), interpolated too; NaN where it contradicts inlet or wet bulb."""
     if "t_out_C" not in columns:
         return np.full(n, np.nan)

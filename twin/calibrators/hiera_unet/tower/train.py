@@ -22,7 +22,7 @@ from twin.calibrators.hiera_unet.config import Config, HieraError
 from twin.calibrators.hiera_unet.network import HieraUNet, Prediction, decayed
 from twin.calibrators.hiera_unet.tower.plan import TowerPlan
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
-from twin.calibrators.hiera_unet.tower.windows import CONTEXT, TARGET, TOLERANCE, Batch, Fleet, Jump
+from twin.calibrators.hiera_unet.tower.windows import CONTEXT, TARGET, TOLERANCE, CellBatch, Fleet, Jump
 
 JUMPS = (0.1, 0.0, 0.08, 0.5)
 """Largest added jump of fill, air, uniformity and bias; none of the air, whose fan power would not move with it."""
@@ -105,7 +105,7 @@ class TowerTrainer:
         minute = (self._uniform(count) * (CONTEXT - TARGET)).long()
         return Jump(torch.where(chance < self.plan.jumped, which, -1), size, minute)
 
-    def _hide(self, batch: Batch) -> Tensor:
+    def _hide(self, batch: CellBatch) -> Tensor:
         """Return the mask less what an archive may lose: channels, and all measurements for a while."""
         b, n, c = batch.m.shape
         lost = (self._uniform(b, 1) < self.plan.dropped) & (self._uniform(b, c) < 0.5 * self._uniform(b, 1))
@@ -155,7 +155,7 @@ class TowerTrainer:
             )
         return found
 
-    def _batch(self) -> tuple[Batch, Tensor, bool]:
+    def _batch(self) -> tuple[CellBatch, Tensor, bool]:
         """Return windows, pairs of rows that follow each other, and True for windows of the station itself."""
         count = self.plan.batch
         if self.own is not None and self.own_rows is not None and self._alternate():
@@ -177,14 +177,14 @@ class TowerTrainer:
         """Return True in every so many steps that the station's own windows have their share."""
         return math.floor((self.done + 1) * self.share) > math.floor(self.done * self.share)
 
-    def _parameter(self, theta: Tensor, batch: Batch) -> Tensor:
+    def _parameter(self, theta: Tensor, batch: CellBatch) -> Tensor:
         """Return the mean of errors in the belief's usual ones (Huber's loss), weighted by information."""
         error = (theta - batch.true) / self.usual
         weight = batch.information.clamp(min=0.05) * torch.isfinite(error)
         size = functional.smooth_l1_loss(torch.nan_to_num(error), torch.zeros_like(error), reduction="none")
         return (weight * size).sum() / weight.sum().clamp(min=1e-6)
 
-    def _errors(self, batch: Batch, theta: Tensor, delta: Tensor) -> tuple[Tensor, Tensor]:
+    def _errors(self, batch: CellBatch, theta: Tensor, delta: Tensor) -> tuple[Tensor, Tensor]:
         """Return errors of the water, and of the reading, in tolerances (B, 120); NaN is not judged."""
         through = self.plan.through * theta + (1.0 - self.plan.through) * theta.detach()
         water = batch.water + (batch.slopes * (through - batch.mean)[:, None, :3]).sum(-1) + delta
@@ -194,7 +194,7 @@ class TowerTrainer:
         error = torch.where(unjudged, nan, water - batch.true_water) / TOLERANCE
         return error, reading
 
-    def _losses(self, p: Prediction, batch: Batch, pairs: Tensor, own: bool) -> tuple[Tensor, Tensor, Tensor]:
+    def _losses(self, p: Prediction, batch: CellBatch, pairs: Tensor, own: bool) -> tuple[Tensor, Tensor, Tensor]:
         delta = p.delta[..., 0].float()
         error, reading = self._errors(batch, p.theta, delta)
         shown = reading if own else torch.cat([error, reading], -1)

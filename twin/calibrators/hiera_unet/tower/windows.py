@@ -29,7 +29,7 @@ CYCLED = ("mean", "sd", "fit", "fit_sd", "true", "condition", "age_h", "seen", "
 
 
 @dataclass(frozen=True)
-class Batch:
+class CellBatch:
     """B windows.
 
     Attributes:
@@ -117,7 +117,7 @@ class Fleet:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def batch(self, rows: Tensor, jump: Jump | None = None, shift: Tensor | None = None) -> Batch:
+    def batch(self, rows: Tensor, jump: Jump | None = None, shift: Tensor | None = None) -> CellBatch:
         """Return the windows of cycles `rows` (B,).
 
         Parameters:
@@ -157,7 +157,7 @@ class Fleet:
         m &= ~(hidden[..., None] & self.told)
         sampled = torch.where(torch.isfinite(a["outlet"]), reading, torch.full_like(reading, float("nan")))
         resolved = (1.0 - (c["sd"] / self.prior) ** 2).clamp(0.0, 1.0)
-        return Batch(
+        return CellBatch(
             x,
             m,
             a["regime"],
