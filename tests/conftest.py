@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,15 @@ async def _no_leaked_tasks(request: pytest.FixtureRequest) -> AsyncIterator[None
     if left:
         await asyncio.gather(*left, return_exceptions=True)
         pytest.fail("tasks left behind: " + ", ".join(task.get_name() for task in left))
+
+
+@pytest.fixture(autouse=True)
+def _signals_as_before() -> Iterator[None]:
+    """Fail any test that leaves Ctrl-C ignored: every process that a later test starts would inherit that."""
+    yield
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        pytest.fail("the test left SIGINT ignored in this process")
 
 
 @pytest.fixture(scope="session")

@@ -81,10 +81,6 @@ def test_block_means_of_what_ends_are_its_average(shape: Shape) -> None:
     assert np.allclose(mean, point.reshape(30, -1).mean(axis=1), atol=1e-6)
 
 
-def test_nothing_is_claimed_of_a_healthy_record(bench: Bench, healthy: Columns) -> None:
-    assert diagnose(bench.network, bench.record(), healthy).verdict == "adequate"
-
-
 @pytest.mark.parametrize("hours", [2.0, 3.0])
 def test_a_record_of_a_few_blocks_has_no_room_for_an_interval(bench: Bench, healthy: Columns, hours: float) -> None:
     """Samples ten minutes apart: two and three blocks of an hour."""
@@ -139,13 +135,6 @@ def test_two_effects_are_named_and_no_third(bench: Bench, healthy: Columns) -> N
     error = later * np.eye(4)[bench.network.sensor_names.index("T_heater_C")]
     found = diagnose(bench.network, replace(record, measured=record.measured + error), healthy)
     assert {(e.kind, e.where) for e in found.effects} == {("heat_loss", "tank"), ("sensor", "T_heater_C")}
-
-
-def test_two_things_at_one_moment_are_one_cause_that_no_law_describes(bench: Bench, healthy: Columns) -> None:
-    both = bench.with_values(modules_power__power=150.0, T_tank_C__bias_K=0.4)
-    found = diagnose(bench.network, bench.record(changed=both, onset_h=3.0), healthy)
-    assert found.verdict == "unexplained" and found.network is None
-    assert any("both begin at 3 h 00 min: one cause" in note for note in found.notes)
 
 
 def test_heat_into_a_solid_that_is_read_is_one_effect(bench: Bench, healthy: Columns) -> None:

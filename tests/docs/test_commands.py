@@ -14,6 +14,7 @@ import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -99,14 +100,20 @@ def background() -> Iterator[Background]:
 
 
 def _hil(arguments: list[str]) -> int:
-    """Run `hil` in this process; return its exit code."""
+    """Run `hil` in this process; return its exit code.
+
+    A command that owns its process leaves the signals of a terminal ignored, and processes inherit that.
+    """
     before, sys.argv = sys.argv, ["hil", *arguments]
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)}
     try:
         main()
     except SystemExit as ended:
         return int(ended.code or 0)
     finally:
         sys.argv = before
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
     return 0
 
 

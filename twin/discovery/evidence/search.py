@@ -305,8 +305,11 @@ def _late(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> l
             promising[class_of(e)] = max(promising.get(class_of(e), 0.0), e.gain)
     near = sorted(promising, key=lambda place: -promising[place])[:MOST_LATE]
     entries = [e for e in part.late(onset) if e.candidate.id not in known and class_of(e) in near]
-    begun = fitted(part, [(e,) for e in entries], BEGUN)
-    gained = [(f, e) for (f, _), e in zip(begun, entries, strict=True) if misfit - f.total > 2.0 * CLAIM]
+    # One round tells which lead of so many; only these are gone on with.
+    first = fitted(part, [(e,) for e in entries], 1)
+    first = sorted(first, key=lambda fit_of: fit_of[0].total)[: 2 * FITTED]
+    begun = continued(part, [fit for fit, _ in first], BEGUN - 1)
+    gained = [(f, e) for f, (_, (e,)) in zip(begun, first, strict=True) if misfit - f.total > 2.0 * CLAIM]
     gained.sort(key=lambda g: g[0].total)
     late = [_with_fit(part, replace(_set(part, (e,), prior), entries=(e,)), fit, misfit) for fit, e in gained[:FITTED]]
     return _settled_fits(part, sorted([*found, *late], key=lambda h: -h.odds), misfit)

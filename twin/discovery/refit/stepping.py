@@ -77,7 +77,7 @@ class TrialStep:
 
 def minimise(squares: LeastSquaresProblem, v: Array, rounds: int) -> tuple[SearchPoint, Array, bool]:
     """Where the squares are least near v (c,), as far as some rounds lead, the slopes (rows, c) there, and whether more
-    rounds would lead no further."""
+    rounds would lead no further; if they would, the slopes are those of the last round."""
     residuals, seen = squares.look(v[None])
     place = SearchPoint(v, residuals[0], seen[0], float(squares.weighed(v[None], residuals)[0]))
     slopes = squares.slopes(place.v)
@@ -107,7 +107,7 @@ def minimise(squares: LeastSquaresProblem, v: Array, rounds: int) -> tuple[Searc
             break
         slopes, fresh = squares.slopes(place.v), True
     else:
-        return place, slopes[0] if fresh else squares.slopes(place.v)[0], False
+        return place, slopes[0], False
     return place, slopes[0] if fresh else squares.slopes(place.v)[0], True
 
 
