@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import signal
 from collections.abc import AsyncIterator, Iterator
@@ -41,12 +42,18 @@ async def _no_leaked_tasks(request: pytest.FixtureRequest) -> AsyncIterator[None
 
 
 @pytest.fixture(autouse=True)
-def _signals_as_before() -> Iterator[None]:
-    """Fail any test that leaves Ctrl-C ignored: every process that a later test starts would inherit that."""
+def _process_as_before() -> Iterator[None]:
+    """Fail any test that leaves this process as a command leaves one that ends with it.
+
+    Every process that a later test starts would inherit an ignored Ctrl-C.
+    """
     yield
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         pytest.fail("the test left SIGINT ignored in this process")
+    if logging.getLogger("asyncio").disabled:
+        logging.getLogger("asyncio").disabled = False
+        pytest.fail("the test left the log of asyncio disabled in this process")
 
 
 @pytest.fixture(scope="session")

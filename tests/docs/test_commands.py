@@ -14,7 +14,6 @@ import os
 import re
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -24,7 +23,8 @@ from pathlib import Path
 import click
 import pytest
 
-from hil.cli import group, main
+from hil.cli import group
+from hil.errors import explained
 from tests.docs.fences import PROJECT, REASONS, Fence, fences, pages
 
 SHORTENED_S = 1200.0
@@ -100,20 +100,12 @@ def background() -> Iterator[Background]:
 
 
 def _hil(arguments: list[str]) -> int:
-    """Run `hil` in this process; return its exit code.
-
-    A command that owns its process leaves the signals of a terminal ignored, and processes inherit that.
-    """
-    before, sys.argv = sys.argv, ["hil", *arguments]
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)}
+    """Run `hil` in this process, which goes on after it; return its exit code."""
     try:
-        main()
+        with explained():
+            group.main(arguments, "hil", standalone_mode=True)
     except SystemExit as ended:
         return int(ended.code or 0)
-    finally:
-        sys.argv = before
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
     return 0
 
 
