@@ -63,12 +63,14 @@ class SimulatedRig:
         self.link = True
         self.counts = True
         self.loses_writes = False
+        self.drops_writes = False
+        self.confirms = True
         self.readings: dict[str, float] = {}
         self.quality: dict[str, Quality] = dict(START_QUALITY)
         self.faults: list[str] = []
         self.water_C = 40.0
         self.watch: Callable[[float], None] = lambda passed_s: None
-        self._power = 0.0
+        self._power = self.registers.heater_W
         self._cycle = 0
         self._address = {point.name: point for point in rig.point if point.access != "r"}
 
@@ -128,9 +130,14 @@ class SimulatedRig:
         if self.loses_writes:
             self.pass_time(0.1)  # whoever tries again waits in between
             return
+        if self.drops_writes:
+            self.pass_time(0.1)
+            raise LinkError("plc: no answer to a write within 0.5 s")
         for name, value in values.items():
             point = self._address[name]
             self.registers.write(point.address, [round(value / point.scale)])
+        if not self.confirms:
+            raise LinkError("plc: no answer to a write within 0.5 s")
 
     async def write_and_read_back(self, values: dict[str, float], names: tuple[str, ...]) -> dict[str, float]:
         await self.write(values)

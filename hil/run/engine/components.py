@@ -15,7 +15,7 @@ from hil.run.engine.recording import Position, Publisher, Recorder
 from hil.run.engine.status import Status
 from hil.run.engine.supervisor import Supervisor
 from hil.run.interlocks import Residuals
-from hil.run.outputs import GoodReadings, Outputs, SetpointReadback, safe_limits
+from hil.run.outputs import GoodReadings, Outputs, SetpointReadback, WriteConfirmation, safe_limits
 from hil.run.restore import Resumption
 
 
@@ -67,6 +67,7 @@ class Components:
         self.outputs = Outputs(connection)
         self.readback = SetpointReadback(connection, self.recorder.event, lockstep=options.lockstep)
         self.interlocks.add_alarm(self.readback)
+        self.interlocks.add_alarm(WriteConfirmation(self.outputs, self.rig.abort_after_s), self.rig.abort_after_s)
         self.limits = safe_limits(self.rig)
         self.heater_meters = GoodReadings(connection.points, (limit.meter for limit in self.limits))
         timeouts_s = sum(bus.timeout_s for bus in self.rig.bus.values() if not isinstance(bus, CanBus))

@@ -84,6 +84,7 @@ class Ending:
                 progress=parts.expect,
                 failed=self._guard_has_made_safe,
                 stays=lambda readings: self._work.descent.stays(readings, parts.clock.now()),
+                contested=lambda: parts.readback.contested,
             ),
         )
         self._made_safe = result

@@ -24,7 +24,7 @@ from hil.run.engine.operator import Verb
 from hil.run.engine.status import Outcome, Status
 from hil.run.engine.supervisor import End
 from hil.run.engine.tick import FIRST_SAMPLE_TIMEOUT_S, TickWork
-from hil.run.outputs import write_safe
+from hil.run.outputs import still_hot, write_safe
 from hil.run.restore import Resumption, ThermalRestore
 
 OBSERVE_EVERY_S = 0.2
@@ -154,7 +154,9 @@ class Engine:
         snapshot = self._work.snapshot = await self._ask_guard() or snapshot
         refusals = self._interlocks.refusals(snapshot, rearm=self._options.rearm)
         if refusals:
-            return RunEvent.FAIL, f"not started: {'; '.join(refusals)}"
+            hot = still_hot(rig, self._parts.limits, self._parts.heater_meters.of(snapshot))
+            by = f"; {hot}, and not by this run, which has written no heat: see to it at the rig" if hot else ""
+            return RunEvent.FAIL, f"not started: {'; '.join(refusals)}{by}"
         if self._supervisor.stop is not None:
             return self._supervisor.stop
         self._guard.watch()

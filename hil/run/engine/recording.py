@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Protocol
 
 from drivers.signals import Quality, Snapshot
 from hil.journal import JournalError, JournalWriter, SegmentRow, Transition, event_level
 
-_GOOD = int(Quality.GOOD)
+_GOOD, _LOST = int(Quality.GOOD), int(Quality.LINK_FAULT)
 PUBLISH_TICKS = 60
 PUBLISH_WALL_S = 0.5
 BACKLOG_IN_LOCKSTEP = 2000
@@ -75,15 +75,22 @@ class Recorder:
         return self._journal.failure
 
     def sample(
-        self, snapshot: Snapshot, commanded: Mapping[str, float], now_s: float, wall_s: float, began: float
+        self,
+        snapshot: Snapshot,
+        commanded: Mapping[str, float],
+        now_s: float,
+        wall_s: float,
+        began: float,
+        unknown: Collection[str] = (),
     ) -> None:
         """Append the tick: what was read, at `now_s` of rig time and `wall_s` of the wall clock, and what is commanded.
-        `began` is when the tick's work began, of `perf_counter`.
+        `began` is when the tick's work began, of `perf_counter`. A set-point is no good value where the rig did not
+        confirm it (`unknown`).
 
         Raises JournalError.
         """
         values = [*snapshot.values, *commanded.values()]
-        quality = snapshot.quality + [_GOOD] * len(commanded)
+        quality = snapshot.quality + [_LOST if name in unknown else _GOOD for name in commanded]
         source = snapshot.source_time_s + [now_s] * len(commanded)
         latency = time.perf_counter() - began
         self._journal.sample(self._at.tick, self._at.time_s, wall_s, latency, values, quality, source)

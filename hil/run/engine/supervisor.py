@@ -127,6 +127,12 @@ class Supervisor:
             request.done(said)
         self._obeyed.clear()
 
+    def fall_short(self, said: str) -> None:
+        """Answer the requests that were obeyed and have not had their effect yet."""
+        for request in self._obeyed:
+            request.refuse(said)
+        self._obeyed.clear()
+
     def stopped(self, said: str) -> None:
         """Answer operators who asked for an end: what the rig holds and its meters read."""
         for request in self._aborting:

@@ -47,6 +47,7 @@ class TickWork:
         self._targets = [point.name for point in bind(parts.rig, parts.profile.columns)]
         self._setpoint_meters = GoodReadings(parts.connection.points, self.deviations.meters)
         self.descent = Descent(parts.rig, parts.limits, parts.clock.period_s)
+        self._not_safe_since_s: float | None = None
         self._soonest_stale_s = min((point.stale_after_s for point in parts.connection.points), default=math.inf)
 
     async def interruptible(self) -> End | None:
@@ -66,8 +67,7 @@ class TickWork:
         self._parts.expect()
         self._supervisor.obey_urgent()
         await self._put_out(0.0)
-        if self._supervisor.owes_answers:
-            self._supervisor.answer(await self._obeyed())
+        await self._answer()
 
     async def one(self) -> End | None:
         """Do one tick; return how the run ends, where it does. Raises DriverError or JournalError."""
@@ -104,12 +104,11 @@ class TickWork:
         over = machine.state is State.RUNNING and at.profile_s >= self._profile.duration_s
         if ended is None:
             await self._put_out(clock.period_s)
-            if self._supervisor.owes_answers:
-                self._supervisor.answer(await self._obeyed())
-            ended = (RunEvent.COMPLETE, "the profile is over") if over else None
+            await self._answer()
+            ended = (RunEvent.COMPLETE, "the profile is over") if over else self._never_safe(now)
             if ended is None:
                 clock.release()
-        self._recorder.sample(snapshot, self._outputs.values, now, wall_s, began)
+        self._recorder.sample(snapshot, self._outputs.values, now, wall_s, began, self._outputs.unknown)
         self._show()
         await self._recorder.publish_if_due()
         return ended
@@ -136,15 +135,37 @@ class TickWork:
             )
         return None if restore.failure is None else (RunEvent.FAIL, restore.failure)
 
-    async def _obeyed(self) -> str:
-        """Return the answer to an operator: the state, and outside `HEATED` what the rig holds and its meters read."""
+    async def _answer(self) -> None:
+        """Answer the requests that were obeyed: the state, and outside `HEATED` what the rig holds and its meters
+        read."""
+        if not self._supervisor.owes_answers:
+            return
         state = self._machine.state
         said = f"{state} at {self._at.profile_s:g} s of the profile"
         if state in HEATED:
-            return said
-        if not self._outputs.safe_held:
-            return said + "; NOT confirmed safe yet, trying again"
-        return f"{said}; safe values read back{await self.meters_now()}"
+            self._supervisor.answer(said)
+        elif self._outputs.safe_held:
+            self._supervisor.answer(f"{said}; safe values read back{await self.meters_now()}")
+        else:
+            why, patience_s = self._outputs.unconfirmed, self._parts.rig.abort_after_s
+            self._supervisor.fall_short(
+                f"{said}, but NOT confirmed safe ({why}); it is tried again for {patience_s:g} s, then the run ends "
+                "and the guardian acts"
+            )
+
+    def _never_safe(self, now_s: float) -> End | None:
+        """Return the end of a run whose rig answers and has not confirmed its safe values for too long.
+
+        While nothing is heard of the rig, the interlocks on its link count.
+        """
+        lost = self.snapshot is None or self.snapshot.faults
+        if self._machine.state in HEATED or self._outputs.safe_held or lost:
+            self._not_safe_since_s = None
+            return None
+        since_s = self._not_safe_since_s = now_s if self._not_safe_since_s is None else self._not_safe_since_s
+        if now_s - since_s <= self._parts.rig.abort_after_s:
+            return None
+        return RunEvent.FAIL, f"not confirmed safe for {now_s - since_s:.1f} s: {self._outputs.unconfirmed}"
 
     async def meters_now(self) -> str:
         """Return what the heaters' meters read now, to go on with a sentence."""

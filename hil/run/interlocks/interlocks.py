@@ -59,11 +59,13 @@ _NOTHING = InterlockStatus()
 class Interlock:
     """Condition with its level and delays: `active` while it counts, `present` while its cause is there.
 
-    The on-delay of a point without a good value is a leaky integrator: time without one fills it, time with one drains
-    it. A loose contact with a good value now and then would reset a plain timer for ever.
+    The on-delay of what `drains`, as a point without a good value does, is a leaky integrator: time without one fills
+    it, time with one drains it. A loose contact with a good value now and then would reset a plain timer for ever.
     """
 
-    def __init__(self, level: Level, condition: Condition, on_delay_s: float, off_delay_s: float = 0.0) -> None:
+    def __init__(
+        self, level: Level, condition: Condition, on_delay_s: float, off_delay_s: float = 0.0, *, drains: bool = False
+    ) -> None:
         self.level = level
         self.condition = condition
         self.active = False
@@ -71,7 +73,7 @@ class Interlock:
         self.reason = ""
         self._on_delay_s, self._off_delay_s = on_delay_s, off_delay_s
         self._since: float | None = None  # begin of what contradicts the present value of `active`, s
-        self._drains = isinstance(condition, NoGoodValue)
+        self._drains = drains or isinstance(condition, NoGoodValue)
         self._last_s = math.nan
         self._is_quiet = True
 
@@ -132,9 +134,9 @@ class Interlocks:
         self._others = [item for item in self._all if not isinstance(item.condition, NoGoodValue)]
         self._sensors_stir = False
 
-    def add_alarm(self, condition: Condition) -> None:
-        """Add a condition that is evaluated as an alarm without delay."""
-        item = Interlock("alarm", condition, 0.0)
+    def add_alarm(self, condition: Condition, on_delay_s: float = 0.0) -> None:
+        """Add a condition that is evaluated as an alarm; its delay, s, is a leaky integrator."""
+        item = Interlock("alarm", condition, on_delay_s, drains=True)
         self._all.append(item)
         self._others.append(item)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from hil.run.outputs.confirmation import WriteConfirmation
     from hil.run.outputs.deviations import ReadbackDeviations
     from hil.run.outputs.heaters import DEAD_TIME_S, Descent, GoodReadings, safe_limit, safe_limits, still_hot
     from hil.run.outputs.outputs import ARMING_TICKS, Outputs
@@ -31,6 +32,7 @@ __all__ = [
     "Safed",
     "SetpointReadback",
     "Setpoints",
+    "WriteConfirmation",
     "attempt_s",
     "bind",
     "make_safe",
@@ -45,6 +47,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "confirmation": ("WriteConfirmation",),
         "deviations": ("ReadbackDeviations",),
         "heaters": (
             "DEAD_TIME_S",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 from collections.abc import Awaitable, Callable, Mapping
 
 from drivers.rig import RigConnection
 from drivers.signals import DeviceExceptionError, DriverError, LinkError, Snapshot
 from hil.run.outputs.safing import write_safe
-from hil.run.outputs.setpoints import Setpoints
+from hil.run.outputs.setpoints import Setpoints, count_tolerance
 
 ARMING_TICKS = 3
 _HELD = 0.01
@@ -15,13 +17,21 @@ _HELD = 0.01
 
 
 class Outputs:
-    """Set-points of a rig from its safe values on; `values` is what the rig was told last, by point."""
+    """Set-points of a rig from its safe values on.
+
+    Attributes:
+        values: what the rig was told last, or holds where a write was not confirmed and it could be asked, by point.
+        unknown: points whose value in the rig is one of two: a write of them was not confirmed.
+        unconfirmed: why the rig has not confirmed what it was told last; empty where it has.
+    """
 
     def __init__(self, connection: RigConnection) -> None:
         self._connection = connection
         self._rig = connection.rig
         self._setpoints = Setpoints(self._rig)
         self.values: dict[str, float] = self._setpoints.values
+        self.unknown: frozenset[str] = frozenset()
+        self.unconfirmed = ""
         self._beat = 0
         self._safe_held = False
 
@@ -64,20 +74,41 @@ class Outputs:
     async def move(self, targets: Mapping[str, float], elapsed_s: float) -> dict[str, float]:
         """Move towards `targets` for `elapsed_s`, or keep what is where there are none; return the values that changed.
 
-        What a lost or garbled write did not confirm has not moved: when the link is back, the slew rate counts from
-        here. Raises a DriverError.
+        What a lost or garbled write did not confirm is read back; where it cannot be, it has not moved, and when the
+        link is back, the slew rate counts from here. Raises a DriverError.
         """
         self._safe_held = False
         before = dict(self.values)
         changed = self._setpoints.move(dict(targets), elapsed_s)
+        wanted = dict(self.values)
         try:
-            await self._connection.write(self.values | self.heartbeat())
+            await self._connection.write(wanted | self.heartbeat())
         except DeviceExceptionError:
             raise
-        except DriverError:
+        except DriverError as error:
             self.values.update(before)
+            held = await self._held(wanted)
+            self.values.update(held)
+            self.unknown = (self.unknown | changed.keys()) - held.keys()
+            self.unconfirmed = str(error)
             raise
+        self.unknown, self.unconfirmed = frozenset(), ""
         return changed
+
+    async def _held(self, wanted: Mapping[str, float]) -> dict[str, float]:
+        """Return what the rig holds of the set-points that it can be asked for; `wanted` where it is that."""
+        found: dict[str, float] = {}
+        for bus in self._rig.bus:
+            names = tuple(p.name for p in self._rig.setpoints if p.bus == bus and p.access == "rw" and p.name in wanted)
+            if not names:
+                continue
+            with contextlib.suppress(DriverError, TimeoutError):
+                async with asyncio.timeout(self._rig.bus[bus].timeout_s):
+                    found |= await self._connection.read_back(names)
+        return {
+            name: wanted[name] if abs(held - wanted[name]) <= count_tolerance(self._rig.get(name)) else held
+            for name, held in found.items()
+        }
 
     async def put_safe(self, *, arm: bool, hot: str = "") -> None:
         """Write the safe values in their order and read them back, once; then keep them, and `arm` where asked.
@@ -89,10 +120,13 @@ class Outputs:
         if not self._safe_held:
             problem = await write_safe(self._connection, self.safe_values)
             if problem:
+                self.unknown, self.unconfirmed = frozenset(self.values), problem
                 raise LinkError(f"not safe yet, trying again: {problem}")
         self._safe_held = False
+        self.unconfirmed = "the safe values were not confirmed again"
         await self._connection.write(self.values | ({} if hot and not arm else self.heartbeat()))
         self._safe_held = True
+        self.unknown, self.unconfirmed = frozenset(), ""
         if arm:
             await self._set_watchdog()  # a rig that began anew has forgotten it
             await self._write_arm()

@@ -63,6 +63,11 @@ class SetpointReadback:
         self._foreign_s: dict[str, float] = {}  # of the latest foreign value
         self._found: dict[str, str] = {}
 
+    @property
+    def contested(self) -> bool:
+        """Return True where a foreign value was found of late."""
+        return bool(self._foreign_s)
+
     def not_confirmed(self) -> None:
         """Take note of a write that failed: the rig may hold the values before or after it, until the next one."""
         self._is_confirmed = False

@@ -25,6 +25,9 @@ ATTEMPT_S = 3.0
 that answers in 0.3 s."""
 REWRITE_EVERY_S = 0.5
 """Interval at which the safe values are written again while the meters come down, s of rig time."""
+QUIET_S, CONTEST_S = 10.0, 30.0
+"""Time for which another master has to leave the safe values alone before they count as held, and the longest time
+that is waited for that, s of rig time: as long as a second foreign value is waited for while a run goes on."""
 LAST_TRIES = 3
 """So often the last word is tried again: one reply that a busy machine or line delays makes no rig unsafe."""
 RETRY_EVERY_S = 0.1
@@ -53,12 +56,13 @@ class Meanwhile:
     Attributes:
         progress: before each attempt. failed: after each that failed; returns whether somebody else has made the rig
             safe. stays: which meter does not come down, counted from when its heater was first told to be safe; None
-            counts from now.
+            counts from now. contested: returns whether another master has written to the rig of late.
     """
 
     progress: Callable[[], None] = lambda: None
     failed: Callable[[], bool] = lambda: False
     stays: Callable[[Mapping[str, float]], str] | None = None
+    contested: Callable[[], bool] = lambda: False
 
 
 async def make_safe(
@@ -120,6 +124,9 @@ async def make_safe(
             if hurried() or time.monotonic() - held_s > max(waits) + WRITE_DEADLINE_S:
                 break
             await asyncio.sleep(RETRY_EVERY_S)
+    rival = ""
+    if await _overwritten(connection, safe_values) or meanwhile.contested():
+        rival = await _rival(connection, safe_values, advance, period_s, hurried, meanwhile)
     # The last word, whoever has written meanwhile.
     again = await write_safe(connection, safe_values, within_s=attempt_s(connection.rig))
     for _ in range(LAST_TRIES):
@@ -127,7 +134,51 @@ async def make_safe(
             break
         await asyncio.sleep(RETRY_EVERY_S)
         again = await write_safe(connection, safe_values, within_s=attempt_s(connection.rig))
+    again = again or rival
     return Safed(not again, not (problem or again), again or problem, hot)
+
+
+async def _overwritten(connection: RigConnection, safe_values: Mapping[str, float]) -> str:
+    """Return which safe value the rig holds no more, as a sentence; empty where it holds all that it can be asked
+    for."""
+    names = tuple(name for name in safe_values if connection.rig.get(name).access == "rw")
+    try:
+        held = await connection.read_back(names)
+    except DriverError:
+        return ""  # that is seen by the last word
+    for name in names:
+        point = connection.rig.get(name)
+        if not abs(held[name] - safe_values[name]) <= count_tolerance(point):
+            return f"{name} held {held[name]:g} {point.unit} after {safe_values[name]:g} {point.unit} was read back"
+    return ""
+
+
+async def _rival(
+    connection: RigConnection,
+    safe_values: dict[str, float],
+    advance: Callable[[], Awaitable[None]],
+    period_s: float,
+    hurried: Callable[[], bool],
+    meanwhile: Meanwhile,
+) -> str:
+    """Return what another master goes on to write over the safe values, as a sentence; empty once it has left them
+    alone for `QUIET_S`. Whatever it writes is written over at once."""
+    found, quiet_s, times = "", 0.0, 0
+    for _ in range(math.ceil(CONTEST_S / period_s)):
+        meanwhile.progress()
+        overwritten = await _overwritten(connection, safe_values)
+        if overwritten:
+            found, quiet_s, times = overwritten, 0.0, times + 1
+            await write_safe(connection, safe_values, within_s=attempt_s(connection.rig))
+        elif quiet_s >= QUIET_S:
+            return ""
+        if hurried():
+            break
+        quiet_s += period_s
+        await advance()
+    if not found:
+        return ""
+    return f"{found} ({times} times while it was watched): another master goes on writing to this rig; stop it"
 
 
 def attempt_s(rig: Rig) -> float:
