@@ -12,6 +12,7 @@ import os
 import select
 import socket
 import ssl
+import termios
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -139,16 +140,22 @@ async def open_wire(config: ModbusBusSection, tls: ssl.SSLContext | None, receiv
 
 
 def _serial_port(config: ModbusRtuBus) -> serial.Serial:
-    return serial.Serial(
-        config.serial_port,
-        config.serial_baud,
-        bytesize=serial.EIGHTBITS,
-        parity=_PARITY[config.parity],
-        stopbits=config.stop_bits,
-        timeout=0,
-        write_timeout=0,
-        exclusive=True,
-    )
+    try:
+        return serial.Serial(
+            config.serial_port,
+            config.serial_baud,
+            bytesize=serial.EIGHTBITS,
+            parity=_PARITY[config.parity],
+            stopbits=config.stop_bits,
+            timeout=0,
+            write_timeout=0,
+            exclusive=True,
+        )
+    except termios.error as error:
+        raise OSError(
+            f"the line does not take {config.serial_baud} bit/s with parity {config.parity!r} and {config.stop_bits} "
+            f"stop bits ({error.args[-1]}); a pseudo terminal and some adapters take parity = 'none' only"
+        ) from error
 
 
 _Endpoint = tuple[socket.AddressFamily, socket.SocketKind, int, Any]

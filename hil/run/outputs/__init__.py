@@ -12,7 +12,15 @@ from hil.lazy_names import lazy_names
 if TYPE_CHECKING:
     from hil.run.outputs.confirmation import WriteConfirmation
     from hil.run.outputs.deviations import ReadbackDeviations
-    from hil.run.outputs.heaters import DEAD_TIME_S, Descent, GoodReadings, safe_limit, safe_limits, still_hot
+    from hil.run.outputs.heaters import (
+        DEAD_TIME_S,
+        Descent,
+        GoodReadings,
+        is_heater,
+        safe_limit,
+        safe_limits,
+        still_hot,
+    )
     from hil.run.outputs.outputs import ARMING_TICKS, Outputs
     from hil.run.outputs.readback import SetpointReadback
     from hil.run.outputs.safing import Meanwhile, Safed, attempt_s, make_safe, write_safe
@@ -35,6 +43,7 @@ __all__ = [
     "WriteConfirmation",
     "attempt_s",
     "bind",
+    "is_heater",
     "make_safe",
     "safe_limit",
     "safe_limits",
@@ -53,6 +62,7 @@ __getattr__, __dir__ = lazy_names(
             "DEAD_TIME_S",
             "Descent",
             "GoodReadings",
+            "is_heater",
             "safe_limit",
             "safe_limits",
             "still_hot",

@@ -9,7 +9,8 @@ only reported.
 
 A value is foreign that lies outside of everything that this run wrote within the last interval, by more than half a raw
 count. So a set-point may be moved on every tick, and a device may show what was written with a delay. A device that
-rounds to coarser steps than its raw counts is found out by writing the same value once more: see `_rounds`.
+rounds to coarser steps than its raw counts, or takes nothing at all, is found out by writing the same value once more:
+see `_judge_foreign`.
 """
 
 from __future__ import annotations
@@ -104,8 +105,7 @@ class SetpointReadback:
         if not self._found:
             return None
         first, *more = self._found.values()
-        others = f" (and {len(more)} more set-points)" if more else ""
-        return f"{first}{others}: another master writes to this rig, or a person at its panel; stop it before you go on"
+        return f"{first} (and {len(more)} more set-points)" if more else first
 
     def _remember(self, written: Mapping[str, float], now_s: float) -> None:
         """Keep what was written within the last interval, and what was in force when that began."""
@@ -131,12 +131,22 @@ class SetpointReadback:
         """Count a foreign value: the first is reported, a second one within `CLOSE_S` is found."""
         unit, ours = point.unit, self._written[-1][1][point.name]
         again = point.name in self._foreign_s
-        if again and point.name not in self._found and await self._rounds(point, held, ours):
+        at_once = await self._told_again(point, ours) if again and point.name not in self._found else None
+        own_doing = at_once is not None and abs(at_once - held) <= self._tolerance[point.name]
+        if own_doing and self._rounds(point, held, ours):
             del self._foreign_s[point.name]
             return
         self._foreign_s[point.name] = now_s
-        if again:
-            self._found[point.name] = f"{point.name} holds {held:g} {unit}, this run wrote {ours:g} {unit}"
+        if own_doing:
+            self._found[point.name] = (
+                f"{point.name} holds {held:g} {unit} at once after {ours:g} {unit} was written: the device confirms "
+                "what it is told and does not take it; look for a local or locked mode at its panel"
+            )
+        elif again:
+            self._found[point.name] = (
+                f"{point.name} holds {held:g} {unit}, this run wrote {ours:g} {unit}: another master writes to this "
+                "rig, or a person at its panel; stop it before you go on"
+            )
         else:
             self._note(
                 "WARN",
@@ -144,20 +154,21 @@ class SetpointReadback:
                 f"another foreign value within {self._close_s:g} s is an alarm",
             )
 
-    async def _rounds(self, point: Point, held: float, ours: float) -> bool:
-        """Return True where the device itself makes `held` of `ours`: it does so at once when told again.
+    async def _told_again(self, point: Point, ours: float) -> float | None:
+        """Return what the device holds at once when it is told again; None where it does not answer."""
+        try:
+            return (await self._connection.write_and_read_back({point.name: ours}, (point.name,)))[point.name]
+        except DriverError:
+            return None
+
+    def _rounds(self, point: Point, held: float, ours: float) -> bool:
+        """Return True where `held` is near enough to be the device's rounding of `ours`.
 
         Its tolerance is widened by so much, and that is reported.
         """
         assert point.limits is not None
         off = abs(held - ours)
         if off > ROUNDING * (point.limits[1] - point.limits[0]):
-            return False
-        try:
-            at_once = (await self._connection.write_and_read_back({point.name: ours}, (point.name,)))[point.name]
-        except DriverError:
-            return False
-        if abs(at_once - held) > self._tolerance[point.name]:
             return False
         self._tolerance[point.name] += off
         self._note(

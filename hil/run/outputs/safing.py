@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 from drivers.rig import RigConnection
 from drivers.rig_file import Rig
-from drivers.signals import DriverError, Snapshot
-from hil.run.outputs.heaters import Descent, good_readings, not_cold, safe_limits
+from drivers.signals import DeviceExceptionError, DriverError, Snapshot
+from hil.run.outputs.heaters import Descent, good_readings, is_heater, not_cold, safe_limits
 from hil.run.outputs.setpoints import count_tolerance
 
 WRITE_DEADLINE_S = 30.0
@@ -213,18 +213,28 @@ async def write_safe(connection: RigConnection, safe_values: dict[str, float], w
 
 
 async def _write_wire(connection: RigConnection, safe_values: dict[str, float]) -> str:
-    """Write the safe values of one wire in order and read them back; return what went wrong."""
+    """Write the safe values of one wire in order and read them back; return what went wrong.
+
+    The order holds while devices answer: once one is mute, heaters come next, and what is mute comes last.
+    """
+    rig = connection.rig
     refused: dict[str, str] = {}
     held: dict[str, float] = {}
-    last = len(safe_values)
-    for number, (name, value) in enumerate(safe_values.items(), 1):
+    mute: set[str] = set()
+    pending = list(safe_values)
+    while pending:
+        name = pending.pop(0)
+        value = safe_values[name]
         try:
-            if number < last or refused:
+            if pending or refused:
                 await connection.write({name: value})
             else:
                 held = await connection.write_and_read_back({name: value}, tuple(safe_values))
         except DriverError as error:
             refused[name] = str(error)
+            if not isinstance(error, DeviceExceptionError):
+                mute.add(rig.get(name).bus)
+                pending.sort(key=lambda other: (rig.get(other).bus in mute, not is_heater(rig, rig.get(other))))
     problems = []
     for name, value in safe_values.items():
         try:

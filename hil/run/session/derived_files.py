@@ -21,12 +21,11 @@ from hil.files import printable, replacing
 from hil.journal import JournalError, JournalReader, export_record
 from hil.record import read_record
 from hil.run.engine import RunSignals
+from hil.run.session.manifest import foreign_journal
 from hil.run_folder import FolderLostError, RunFolder
 from hil.tracking import Adoption, Proposed, adopt, adoption_manifest, closed_gates
 
 RECORD, REVIEW, REPORT, REVISION = "record.parquet", "review.rrd", "report.html", "adopted revision"
-RUN_UID = "run"
-"""Key of a journal's header table with the uid of the run that writes it."""
 _NOT_YET = "not made yet"
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
@@ -129,7 +128,7 @@ def derive_files(
         # From here on run.json names the missing files, also after a kill.
         with contextlib.suppress(OSError):
             place.write_manifest(manifest | {"missing": derived.missing})
-        foreign = _foreign(place, manifest)
+        foreign = foreign_journal(place, manifest)
         for name, step in steps.items():
             if stop.received is None and foreign is None:
                 announce(f"writing {name}")
@@ -185,8 +184,8 @@ def _steps(manifest: dict[str, Any], derived: DerivedFiles) -> dict[str, Callabl
         from hil.report import write_report
 
         left = {name: why for name, why in derived.missing.items() if name != REPORT}
-        folder.write_manifest(manifest | {"missing": left})
-        write_report(folder)
+        folder.write_manifest(manifest | {"missing": derived.missing})
+        write_report(folder, missing=left)
 
     adopts = manifest["settings"].get("network_mode") == "controlled" and folder.twin.is_file()
     return {RECORD: record} | ({REVISION: revision} if adopts else {}) | {REVIEW: review, REPORT: report}
@@ -198,21 +197,6 @@ def _proposals(folder: RunFolder) -> list[Proposed]:
         return [Proposed(row.calibrator, row.time_s, row.document) for row in reader.proposals()]
     finally:
         reader.close()
-
-
-def _foreign(folder: RunFolder, manifest: dict[str, Any]) -> str | None:
-    """Return why the journal in `folder` cannot be used (it belongs to another run), or None."""
-    try:
-        reader = JournalReader(folder.journal)
-        try:
-            uid = reader.meta(RUN_UID)
-        finally:
-            reader.close()
-    except (JournalError, OSError):
-        return None  # each step reports its own error
-    if uid is None or uid == manifest.get("uid"):
-        return None
-    return f"{folder.journal} is the journal of another run: put the one of this run in its place"
 
 
 def _made(step: Callable[[], None], stop: _StopRequest) -> str | None:

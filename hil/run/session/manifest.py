@@ -16,6 +16,9 @@ from hil.run.session.request import RunInputs, RunRequest
 from hil.run_folder import FolderLostError, RunFolder
 from hil.tracking import Tracking
 
+RUN_UID = "run"
+"""Name in a journal's metadata of the `uid` in the `run.json` of its run."""
+
 
 def files_of(request: RunRequest, ready: RunInputs) -> dict[str, Path | None]:
     """Return every file that the run depends on, by its name in `run.json`."""
@@ -99,3 +102,18 @@ def _segments(
         | (mine if row.number == resumption.position.number else known.get(row.number, {"exit_status": "cut"}))
         for row in rows
     ]
+
+
+def foreign_journal(folder: RunFolder, manifest: dict[str, Any]) -> str | None:
+    """Return why the journal in `folder` cannot be used (it belongs to another run), or None."""
+    try:
+        reader = JournalReader(folder.journal)
+        try:
+            uid = reader.meta(RUN_UID)
+        finally:
+            reader.close()
+    except (JournalError, OSError):
+        return None  # each step reports its own error
+    if uid is None or uid == manifest.get("uid"):
+        return None
+    return f"{folder.journal} is the journal of another run: put the one of this run in its place"

@@ -14,8 +14,8 @@ from hil.journal import ENDED, Header, JournalError, JournalWriter, State
 from hil.run.engine import Engine, Options, Outcome, RunSignals, Status, interrupted, serving, stopping
 from hil.run.locks import RigClaim
 from hil.run.restore import Resumption, clocks_recorded, restore_calibrators
-from hil.run.session.derived_files import REVIEW, RUN_UID, DerivedFiles, derive_files
-from hil.run.session.manifest import end_entries
+from hil.run.session.derived_files import REVIEW, DerivedFiles, derive_files
+from hil.run.session.manifest import RUN_UID, end_entries
 from hil.run.session.request import RunInputs, RunRequest
 from hil.run.session.rig_time import rig_and_clock
 from hil.run.session.services import Publishers, guard_of, live_review, signals_of, start_diagnosis, start_tracking

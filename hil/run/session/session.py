@@ -14,14 +14,14 @@ from hil.run.locks import claimed
 from hil.run.outputs import bind
 from hil.run.restore import RestoreRule, Resumption, restore_obstacle
 from hil.run.session.interrupted_run import confirmed_position
-from hil.run.session.manifest import files_of, interruption_reason, settings_of
+from hil.run.session.manifest import files_of, foreign_journal, interruption_reason, settings_of
 from hil.run.session.output_queue import queued_output
 from hil.run.session.request import RunInputs, RunRequest, prepare, tracking_config
 from hil.run.session.rig_time import speed_of
 from hil.run.session.run import PreparedRun, RunResult, carry_out
 from hil.run.session.services import start_tracking
 from hil.run.session.terminal import hours
-from hil.run_folder import RunFolder, create_run_folder, new_manifest, require_room
+from hil.run_folder import RunFolder, RunFolderError, create_run_folder, new_manifest, require_room
 from hil.tracking import Twins
 from twin import chain
 
@@ -117,6 +117,9 @@ async def resume_session(
         observer, announce = stack.enter_context(queued_output(observer, announce))
         stack.enter_context(folder.owned())
         manifest = folder.read_manifest()
+        foreign = foreign_journal(folder, manifest)
+        if foreign is not None:
+            raise RunFolderError(foreign)
         request = request_of(manifest)
         ready = prepare(request)
         claim = stack.enter_context(claimed(_shared_rig(request, ready), announce, no_lock=request.no_lock))
