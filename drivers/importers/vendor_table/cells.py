@@ -78,7 +78,7 @@ _WIDTH_ALONE = {
 
 
 def sign_of(path: Path, line: int, cells: dict[str, str]) -> bool | None:
-    """Return True for a signed number by the columns signed and unsigned, None without a cell; raise ImportFileError."""
+    """Return True for a signed number by the columns of signs, None where they are empty; raise ImportFileError."""
     found: set[bool] = set()
     for key, if_yes in (("signed", True), ("unsigned", False)):
         word = squeezed(cells.get(key, ""))
@@ -102,12 +102,20 @@ def device_of(path: Path, line: int, cells: dict[str, str]) -> int | None:
     if "device" not in cells:
         return None
     text = cells["device"]
-    found = _DEVICE.fullmatch(text)
-    number = None if found is None else int(found["hex"], 16) if found["hex"] else int(found["number"])
-    if number is None or number > _LAST_DEVICE:
+    number = device_number(text)
+    if number is None:
         said = f"unit id {text!r} is no device" if text else "has no unit id"
         raise ImportFileError(path, line, f"{said}; give its number, 0 to {_LAST_DEVICE}, one a line")
     return number
+
+
+def device_number(text: str) -> int | None:
+    """Return the unit id in a cell such as `3`, `0x0B` or `Slave 3`, None where it is none."""
+    found = _DEVICE.fullmatch(text)
+    if found is None:
+        return None
+    number = int(found["hex"], 16) if found["hex"] else int(found["number"])
+    return number if number <= _LAST_DEVICE else None
 
 
 _LAST_DEVICE = 255
@@ -126,9 +134,9 @@ def invalid_of(path: Path, line: int, cells: dict[str, str]) -> list[float] | No
         return None
     found: list[float] = []
     for part in re.split(r"\s*[;/|]\s*|,\s+|\s+(?:or|oder|ou)\s+", text):
-        is_hexadecimal = re.fullmatch(r"0x([0-9a-f]{1,16})|([0-9a-f]{1,16})h", part, re.I)
+        is_hexadecimal = re.fullmatch(r"0x([0-9a-f]{1,16})|([0-9a-f]{1,16})h|(?=\d*[a-f])([0-9a-f]{4,16})", part, re.I)
         if is_hexadecimal is not None:
-            found.append(float(int(is_hexadecimal[1] or is_hexadecimal[2], 16)))
+            found.append(float(int(next(filter(None, is_hexadecimal.groups())), 16)))
         else:
             found.append(number_of(path, line, "invalid", part))
     return found

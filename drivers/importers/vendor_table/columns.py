@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from drivers.importers.draft import ImportFileError
+from drivers.importers.vendor_table.cells import device_number
 from drivers.importers.vendor_table.headings import contents_that_matter, heading_key, is_harmless
 from drivers.importers.vendor_table.scale import is_exponent_like
 from drivers.importers.vendor_table.words import NO, YES, squeezed
@@ -21,8 +22,8 @@ _REMEDY = (
 )
 _RENAME = {
     "numbers": (
-        "call it scale, divisor, offset, raw min, raw max, unit id, function, bits, mask or length if it is one of these, "
-        "and remark if no value and no address depends on it"
+        "call it scale, divisor, offset, raw min, raw max, unit id, function, bits, mask or length if it is one of "
+        "these, and remark if no value and no address depends on it"
     ),
     "orders of bytes": "call it order",
     "signs of numbers": "call it signed",
@@ -65,7 +66,7 @@ def _cell(row: Sequence[str], index: int) -> str:
 
 
 def columns_of(path: Path, line: int, head: Sequence[str], rows: Rows) -> VendorColumns:
-    """Return the columns of a table; raise ImportFileError for one that may change a value or its place and is unclear."""
+    """Return the columns of a table; raise ImportFileError for one that may change a value and is unclear."""
     found = VendorColumns()
     weak: list[tuple[str, int, str, list[str]]] = []
     unclear: list[str] = []
@@ -125,7 +126,7 @@ def _add(
     elif key == "unit":
         numbers = [value for value in values if value]
         if set(numbers) - {"1"} and all(re.fullmatch(r"\d{1,3}", value) for value in numbers):
-            said = f"column {called!r} holds numbers alone; call it unit id if they are devices, or give units such as degC"
+            said = f"column {called!r} holds numbers alone; call it unit id if they are devices, or give units"
             raise ImportFileError(path, line, said)
 
 
@@ -136,10 +137,10 @@ def _has_digit(text: str) -> bool:
 def _settle_devices(
     path: Path, line: int, found: VendorColumns, weak: Sequence[tuple[str, int, str, list[str]]], rows: Rows
 ) -> None:
-    """Take a column of device names as their numbers if it holds numbers; refuse several names without a number each."""
+    """Take a column of devices as unit ids if it holds numbers; refuse several names without a number each."""
     for key, index, called, values in weak:
         names = list(dict.fromkeys(filter(None, values)))
-        if key == "device_name" and "device" not in found.at and names and all(re.fullmatch(r"\d+", n) for n in names):
+        if key == "device_name" and "device" not in found.at and names and None not in map(device_number, names):
             found.at["device"], found.inside["device"], found.called["device"] = index, "", called
             continue
         found.unused.append(called)

@@ -31,7 +31,10 @@ _INVERTS = re.compile(r"\b(?:inver\w*|negat\w*|negie\w*|active low|low active|po
 
 _COUNT = r"(?:bits?|counts?|lsb|digits?|increments?|inkremente?|raw(?: unit| count| value)?|rohwert)"
 _PER = r"(?:per|pro|par|je)"
-_OF_ONE = r"(?:(?:\w+ )?(?:units?|values?|einheit(?:en)?|werte?|unites?|valeurs?|scal\w+|skal\w+|fa[ck]t\w+|resolution|aufloesung|weight|wertigkeit|poids))"
+_OF_ONE = (
+    r"(?:(?:\w+ )?(?:units?|values?|einheit(?:en)?|werte?|unites?|valeurs?|scal\w+|skal\w+|fa[ck]t\w+|resolution|"
+    r"aufloesung|weight|wertigkeit|poids))"
+)
 _VALUE_OF_A_COUNT = re.compile(
     rf"{_OF_ONE} (?:{_PER} {_COUNT}|of (?:one |1 )?(?:lsb|count|bit)|du bit)|(?:lsb|bit|count) (?:value|weight)|bitwert"
 )
@@ -47,7 +50,8 @@ _DEVICE = re.compile(
 )
 _DEVICE_NAME = re.compile(
     r"(?:modbus )?(?:device|devices|slave|station|node|equipment|instrument|controller|geraet|regler|anlage|appareil|"
-    r"equipement|peripherique)(?: ?(?:name|label|tag|nom))?|geraetename|nom (?:de l |d |du )(?:appareil|esclave|equipement)"
+    r"equipement|peripherique)(?: ?(?:name|label|tag|nom))?|geraetename|"
+    r"nom (?:de l |d |du )(?:appareil|esclave|equipement)"
 )
 _PLACE = re.compile(
     r"(?:ip|host|hostname|gateway|server|network|netzwerk|reseau|bus|segment|(?:tcp |ip |serial |com )?port)"
@@ -73,7 +77,8 @@ _HARMLESS = re.compile(
     r"(?:no|nr|num|number|nummer|numero|n|index|item|pos|position|line|row|zeile|ligne|lfd nr|"
     r"(?:tag|point|param|parameter|signal|object|item|row|line|variable) ?(?:id|no|nr|number|nummer)|"
     r"(?:default|initial|factory|standard|reset|example|sample|test|preset)\w*(?: (?:value|setting|data))?|"
-    r"werkseinstellung|werkswert|standardwert|vorgabe\w*|vorbelegung|beispiel\w*|exemple|valeur (?:par defaut|initiale)|"
+    r"werkseinstellung|werkswert|standardwert|vorgabe\w*|vorbelegung|beispiel\w*|exemple|"
+    r"valeur (?:par defaut|initiale)|"
     r"defaut|reglage usine|page|seite|chapter|kapitel|section|group|gruppe|groupe|category|kategorie|categorie|level|"
     r"priority|prioritaet|priorite|version|revision|rev|firmware|(?:since|from|ab) version|date|datum|"
     r"(?:poll|polling|scan|update|refresh|sample|cycle|log)\w*(?: (?:rate|time|interval|class|cycle))?|interval\w*|"

@@ -16,7 +16,7 @@ from drivers.signals import RegisterType, canonical_unit, plausible_range, raw_b
 _END = r"[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?"
 _ENDS = re.compile(rf"[\[(]?\s*({_END})\s*(?:\.\.+|…|to|bis|à|-|–|—|;|~|/)\s*({_END})\s*[\])]?")
 _DIGITS = 12
-"""Significant digits of a scale that is computed: the quotient of two decimal numbers has no more that mean anything."""
+"""Significant digits of a scale that is computed: no table gives its ranges more exactly."""
 _EMPTY = ("", "-")
 
 

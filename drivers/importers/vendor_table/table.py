@@ -341,8 +341,8 @@ class _VendorTable:
             if not ranged.agrees(given, ranged.offset if offset is None else offset):
                 low, high = ranged.raw
                 said = (
-                    f"its raw range {low:g} to {high:g} gives raw x {ranged.scale:g} + {ranged.offset:g}, and its scale "
-                    f"or offset raw x {given:g} + {offset or 0:g}; correct one of them, or leave it empty"
+                    f"its raw range {low:g} to {high:g} gives raw x {ranged.scale:g} + {ranged.offset:g}, and its "
+                    f"scale or offset raw x {given:g} + {offset or 0:g}; correct one of them, or leave it empty"
                 )
                 raise ImportFileError(self.path, line, said)
             value, offset = ranged.scale, ranged.offset
