@@ -73,7 +73,9 @@ def test_a_column_that_parts_the_table_without_unit_ids_is_refused(tmp_path, hea
     assert f"line 1: column '{heading}' {said}" in str(refusal.value)
 
 
-@pytest.mark.parametrize(("heading", "cell"), [("Device", "Chiller"), ("Group", "3"), ("Default", "20"), ("Page", "7")])
+@pytest.mark.parametrize(
+    ("heading", "cell"), [("Device", "Chiller"), ("Group", "3"), ("Factory default", "20"), ("#", "7"), ("Tag", "TI1")]
+)
 def test_a_column_that_parts_nothing_is_only_named(tmp_path, heading, cell):
     points, notes = drafted(tmp_path, DEVICES.format(heading=heading, one=cell, two=cell).replace("Lab;4", "Lab;5"))
     assert set(points) == {"Bath", "Lab"}

@@ -31,6 +31,8 @@ _RENAME = {
 }
 _IN_SEVERAL = ("doc", "function")
 """Keys that several columns may have: their cells are put together."""
+_TAG = "tag"
+"""Heading that names a point only where no other column does."""
 _MOST_NAMES = 4
 """Names that a message lists before it says how many more there are."""
 Rows = list[tuple[int, list[str]]]
@@ -115,6 +117,11 @@ def _add(
         if key == "address" and {inside, found.inside[key]} == {"hex", "dec"}:  # one address, written twice
             found.unused.append(found.called[key] if inside == "dec" else called)
             if inside != "dec":
+                return
+        elif key == "name" and _TAG in (squeezed(called), squeezed(found.called[key])) and called != found.called[key]:
+            is_tag = squeezed(called) == _TAG
+            found.unused.append(called if is_tag else found.called[key])
+            if is_tag:
                 return
         else:
             said = f"has two columns for {key}, {found.called[key]!r} and {called!r}; take out or rename one of them"

@@ -76,12 +76,12 @@ _COMPOUND = re.compile(r"(roh|skalier)(?:wert|ungs)?[ -]?(min|max|bereich|anfang
 _HARMLESS = re.compile(
     r"(?:no|nr|num|number|nummer|numero|n|index|item|pos|position|line|row|zeile|ligne|lfd nr|"
     r"(?:tag|point|param|parameter|signal|object|item|row|line|variable) ?(?:id|no|nr|number|nummer)|"
-    r"(?:default|initial|factory|standard|reset|example|sample|test|preset)\w*(?: (?:value|setting|data))?|"
+    r"(?:default|initial|factory|standard|reset|example|sample|test|preset)\w*(?: (?:value|setting|default|data))?|"
     r"werkseinstellung|werkswert|standardwert|vorgabe\w*|vorbelegung|beispiel\w*|exemple|"
     r"valeur (?:par defaut|initiale)|"
     r"defaut|reglage usine|page|seite|chapter|kapitel|section|group|gruppe|groupe|category|kategorie|categorie|level|"
     r"priority|prioritaet|priorite|version|revision|rev|firmware|(?:since|from|ab) version|date|datum|"
-    r"(?:poll|polling|scan|update|refresh|sample|cycle|log)\w*(?: (?:rate|time|interval|class|cycle))?|interval\w*|"
+    r"(?:poll|polling|scan|update|refresh|sample|cycle|logging)(?: (?:rate|time|interval|class|cycle))?|interval\w*|"
     r"zyklus\w*|abtast\w*|accuracy|genauigkeit|tolerance|toleranz|colou?r|farbe|couleur|mnemonic|label|symbol|location|"
     r"ort|room|raum|terminal|klemme|pin|wire|cable|kabel|draht|phase|"
     r"(?:[a-z]+ )?(?:alarm|warn|warning|trip|alarme)\w*(?: \w+){0,2}|hh|h|l|ll|hihi|lolo|"
@@ -134,6 +134,8 @@ def _key_by_words(heading: str, with_per: str) -> str | None:
         return "order"
     if _INVERTS.search(heading):
         return "invert"
+    if _HARMLESS.fullmatch(heading):
+        return None
     return "?" if _AMBIGUOUS.search(heading) or _CHANGES_A_VALUE.search(heading) else None
 
 
@@ -169,7 +171,7 @@ _ORDER_CELL = re.compile(
 def is_harmless(heading: str) -> bool:
     """Return True for a heading whose column changes neither a value nor the place that it is read from."""
     plain = squeezed_heading(_BRACKETED.sub(" ", heading)) or squeezed_heading(heading)
-    return _HARMLESS.fullmatch(plain) is not None
+    return heading.strip() == "#" or _HARMLESS.fullmatch(plain) is not None
 
 
 def contents_that_matter(cells: Sequence[str]) -> str | None:
