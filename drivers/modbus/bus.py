@@ -14,13 +14,14 @@ from drivers.modbus.protocol import (
     GATEWAY_SILENCE,
     NO_SUCH_ADDRESS,
     NO_SUCH_FUNCTION,
+    OF_CONTENT,
     OpenRequests,
     Read,
     ReadBack,
     check_written,
     write_request,
 )
-from drivers.modbus.read_plan import MAX_READ_WRITE, Block, ReadPlan, plan_reads
+from drivers.modbus.read_plan import AGAIN_AFTER_S, MAX_READ_WRITE, Block, ReadPlan, plan_reads
 from drivers.modbus.writes import Writes, values_of
 from drivers.rig_file import ModbusBusSection, ModbusRtuBus, Point
 from drivers.signals import (
@@ -43,6 +44,11 @@ _BUSY_WAIT_S = 0.05
 CONNECT_PATIENCE_S = (1.0, 3.5)
 """Time, s, that a first and a second connection may be silent before the device is mute: gateways start up, or serve
 the connection before the last; more than their sum needs `connect_delay_s`."""
+PASSING = frozenset({4, 8})
+"""Exceptions that may pass: a device failure, a memory error."""
+_SPLITS = 8
+"""Refused reads that one tick splits for another reason than a missing address: a device that fails as a whole refuses
+each part, and would have a slow line for itself. The next ticks go on."""
 _LONGER = 1.5
 """A device that was deaf on one connection may be deaf for so many times as long on the next."""
 _MUTE_AFTER = 2
@@ -155,17 +161,21 @@ class ModbusBus:
             try:
                 await self._request(block)
             except DeviceExceptionError as error:
-                if error.code != NO_SUCH_ADDRESS:
+                if error.code not in OF_CONTENT:
                     raise
                 first = first or error
-                pending += self._plan.refuse(block, self._clock())
+                pending += self._refused(block, error)
         if first is not None and self._plan.refused:
             names = ", ".join(point.name for block in self._plan.refused for point in block.points)
-            raise DeviceExceptionError(f"{first}; points that cannot be read: {names}", NO_SUCH_ADDRESS)
+            raise DeviceExceptionError(f"{first}; points that cannot be read: {names}", first.code)
         for block in self._planned(p for p in self._all.values() if p.type == "string"):
             registers = await self._request(block)
             for point in block.points:
                 self.texts[point.name] = self._text(point, registers, block)
+
+    def _refused(self, block: Block, error: DeviceExceptionError) -> list[Block]:
+        """Return the parts in which a refused block is read from now on, none where it has only one."""
+        return self._plan.refuse(block, self._clock(), passing=error.code in PASSING)
 
     def _text(self, point: Point, registers: Sequence[int], block: Block) -> str:
         at = (point.address or 0) - block.address
@@ -214,6 +224,7 @@ class ModbusBus:
         values, quality, source = [math.nan] * count, [int(Q.LINK_FAULT)] * count, [math.nan] * count
         fault: str | None = None
         pending = self._plan.due(self._clock())
+        splits_left = _SPLITS
         while pending:
             block = pending.pop(0)
             asked = self._clock()
@@ -223,8 +234,11 @@ class ModbusBus:
                 fault = str(error)
                 if isinstance(error, LinkError):
                     break
-                if isinstance(error, DeviceExceptionError) and error.code == NO_SUCH_ADDRESS:
-                    pending = self._plan.refuse(block, self._clock()) + pending
+                if isinstance(error, DeviceExceptionError) and error.code in OF_CONTENT:
+                    if error.code != NO_SUCH_ADDRESS:
+                        splits_left -= 1
+                    if splits_left >= 0:
+                        pending = self._refused(block, error) + pending
                 continue
             now = self._clock()
             is_late = now - asked > self._soonest_stale_s
@@ -237,7 +251,8 @@ class ModbusBus:
                     quality[index] = int(Q.STALE)  # it may be as old as its request
                 source[index] = now
         if self._plan.refused and fault is None:
-            fault = f"{self._where}: the device has no {', '.join(str(block) for block in self._plan.refused)}"
+            listed = ", ".join(str(block) for block in self._plan.refused)
+            fault = f"{self._where}: the device does not read {listed}; asked again every {AGAIN_AFTER_S:g} s"
         if self._uptime is not None and math.isfinite(values[self._uptime]):
             device_time = values[self._uptime]
             source = [device_time if math.isfinite(time) else time for time in source]

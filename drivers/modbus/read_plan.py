@@ -21,6 +21,8 @@ MAX_READ_WRITE = 121
 """Registers that function 23 may write (6.17); it may read as many as function 3."""
 MAX_READ_BITS = 2000
 MAX_WRITE_BITS = 1968
+AGAIN_AFTER_S = 30.0
+"""Time after which a refused value is asked for again, s."""
 _BITS_PER_REGISTER = 16
 
 
@@ -158,20 +160,27 @@ def split(block: Block) -> list[Block]:
 class ReadPlan:
     """Read plan of one device for one run: a refused block is read in parts from then on.
 
-    `blocks` are the reads of a tick; `refused` are blocks of single values that the device lacks, with the time of the
-    refusal in s. They are read again after `again_after_s`, for a device that was only starting up.
+    `blocks` are the reads of a tick; `refused` are blocks of single values that the device does not read, with the time
+    of the refusal in s. They are read again after `again_after_s`, for a device that was only starting up. After a
+    refusal that may pass, the whole plan is tried again then.
     """
 
-    def __init__(self, blocks: Iterable[Block], *, again_after_s: float = 30.0) -> None:
+    def __init__(self, blocks: Iterable[Block], *, again_after_s: float = AGAIN_AFTER_S) -> None:
         self.planned = tuple(blocks)
         self.blocks = list(self.planned)
         self.refused: dict[Block, float] = {}
         self._again_after_s = again_after_s
+        self._passing_since: float | None = None
 
-    def refuse(self, block: Block, now_s: float) -> list[Block]:
-        """Replace a block that the device refused by its parts; return these, none where the block has only one."""
+    def refuse(self, block: Block, now_s: float, *, passing: bool = False) -> list[Block]:
+        """Replace a block that the device refused by its parts; return these, none where the block has only one.
+
+        `passing` is True for a refusal that may pass.
+        """
         if block not in self.blocks:  # the plan was forgotten since the request
             return []
+        if passing and self._passing_since is None:
+            self._passing_since = now_s
         parts = split(block)
         at = self.blocks.index(block)
         if len(parts) == 1:
@@ -183,6 +192,8 @@ class ReadPlan:
 
     def due(self, now_s: float) -> list[Block]:
         """Return the blocks to read on a tick at `now_s`, with refused ones that are due again."""
+        if self._passing_since is not None and now_s - self._passing_since >= self._again_after_s:
+            self.forget()
         for block in [b for b, since in self.refused.items() if now_s - since >= self._again_after_s]:
             del self.refused[block]
             self.blocks.append(block)
@@ -192,3 +203,4 @@ class ReadPlan:
         """Plan as at the beginning: after a reconnection another device may answer."""
         self.blocks = list(self.planned)
         self.refused.clear()
+        self._passing_since = None

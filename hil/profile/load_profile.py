@@ -12,6 +12,7 @@ import csv
 import difflib
 import hashlib
 import math
+import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -257,12 +258,21 @@ def _row(place: str, raw: str, columns: tuple[str, ...]) -> list[float]:
         try:
             number = float(field.replace("_", "x"))
         except ValueError:
-            remedy = "use a decimal point instead of the comma" if "," in field else "write a plain number"
+            remedy = _remedy_of_number(field)
             raise ProfileError(f"{place} has {field!r} for {column}, which is not a number; {remedy}") from None
         if not math.isfinite(number):
             raise ProfileError(f"{place} has {field} for {column}; write the value that holds from here on")
         numbers.append(number)
     return numbers
+
+
+def _remedy_of_number(field: str) -> str:
+    """Return the remedy for a cell that is no number. `1,000` may be a thousand or one: neither is suggested alone."""
+    if re.fullmatch(r"[-+]?[1-9]\d{0,2}(?:[,.' \u00a0\u202f]\d{3})+", field):
+        thousand = re.sub(r"[^\d+-]", "", field)
+        fraction = f", or {field.replace(',', '.')} for the fraction" if field.count(",") == 1 else ""
+        return f"write {thousand} for the thousands{fraction}"
+    return "use a decimal point instead of the comma" if "," in field else "write a plain number"
 
 
 def validate(
@@ -337,6 +347,12 @@ def _check_column(
     notes: list[str],
 ) -> None:
     column, values = profile.columns[index], profile.values[:, index]
+    if limit.unit == "%" and limit.high > 1.0 and values.min() >= 0.0 and 0.0 < values.max() <= 1.0:
+        problems.append(
+            f"{source} {profile.place(int(np.argmax(values)))} sets {column} to at most {values.max():g} %: is it a "
+            "fraction of 1? Write 80 for 80 %, or lower its limit in the rig file to 1 % if so little is meant"
+        )
+        return
     for outside, word, bound in (
         (values < limit.low, "below the lower limit", limit.low),
         (values > limit.high, "above the upper limit", limit.high),

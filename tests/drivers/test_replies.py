@@ -64,6 +64,25 @@ def test_transaction_0_is_a_reply_where_the_rig_file_says_so_and_nothing_else_is
             fed(data, pdu)
 
 
+@pytest.mark.parametrize(
+    ("came", "remedy"),
+    [
+        ([1], "raise timeout_s where the device is slow"),
+        ([4], "does not repeat the number of the request"),
+        ([1, 1], "does not repeat the number of the request"),
+        ([1, 2], "raise timeout_s where the device is slow"),
+    ],
+    ids=["late", "ahead", "the same twice", "two late ones"],
+)
+def test_a_late_reply_is_told_from_a_device_that_numbers_its_replies_itself(came, remedy):
+    frames = TcpFrames()
+    for _ in range(3):
+        frames.frame(1, ASKED)
+    for transaction in came:
+        assert frames.feed(transaction.to_bytes(2, "big") + GOOD[2:], 1, ASKED) is None
+    assert remedy in (frames.unused or "")
+
+
 def test_what_answers_with_transaction_0_is_told_from_what_answers_something_else():
     frames = TcpFrames()
     frames.frame(1, ASKED)

@@ -240,3 +240,33 @@ def test_all_problems_are_told_together(tmp_path: Path) -> None:
     problems = _problems(tmp_path, "time_s,heater_power_kW,fan_speed_pct\n0,0.6,120\n300,0.6,120\n")
     assert len(problems) == 3
     assert all("load.csv" in problem for problem in problems)
+
+
+@pytest.mark.parametrize(
+    ("cell", "remedy"),
+    [
+        ('"2,500"', "write 2500 for the thousands, or 2.500 for the fraction"),
+        ('"1,250,000"', "write 1250000 for the thousands"),
+        ("1 500", "write 1500 for the thousands"),
+        ('"70,5"', "use a decimal point instead of the comma"),
+        ('"0,500"', "use a decimal point instead of the comma"),
+        ("many", "write a plain number"),
+    ],
+)
+def test_a_number_with_a_comma_gets_the_remedy_of_what_it_may_mean(tmp_path: Path, cell: str, remedy: str) -> None:
+    with pytest.raises(
+        ProfileError, match=r"load.csv line 2 has .* for heater_power_W, which is not a number"
+    ) as refusal:
+        read_profile(_write(tmp_path, f"time_s,heater_power_W\n0,{cell}\n900,700\n"))
+    assert str(refusal.value).endswith(f"; {remedy}")
+
+
+def test_percentages_that_look_like_fractions_of_one_are_refused_unless_the_limit_is_as_low(tmp_path: Path) -> None:
+    limits = {"heater_power_W": LIMITS["heater_power_W"], "valve_pct": SetpointLimit(0, 100, None, "%")}
+    text = "time_s,heater_power_W,valve_pct\n0,100,{}\n600,100,{}\n1200,100,0\n"
+    fractions = read_profile(_write(tmp_path, text.format("0.4", "1")))
+    with pytest.raises(ProfileError, match=r"line 3 sets valve_pct to at most 1 %: is it a fraction of 1\? Write 80"):
+        validate(fractions, limits, period_s=1.0)
+    validate(fractions, limits | {"valve_pct": SetpointLimit(0, 1, None, "%")}, period_s=1.0)
+    for first, second in ((0, 0), (1, 5)):  # closed, and a valve that opens further
+        validate(read_profile(_write(tmp_path, text.format(first, second))), limits, period_s=1.0)

@@ -32,11 +32,11 @@ class ScaleError(ValueError):
     """Error of a factor whose meaning is not certain; the message has cause and remedy."""
 
 
-def factor_of(text: str, *, is_exponent_column: bool = False) -> float | None:
+def factor_of(text: str, *, is_exponent_column: bool = False, is_value_of_a_count: bool = False) -> float | None:
     """Return the value of one count of a cell such as `0.1`, `0,01`, `1/10`, `10/1`, `x0.1` or `/10`; None where empty.
 
-    With `is_exponent_column` the column holds numbers that cannot be factors, so that none of it is certain. Raises
-    ScaleError.
+    With `is_exponent_column` the column holds numbers that cannot be factors, so that none of it is certain. With
+    `is_value_of_a_count` its heading says units per bit or the like, so that 10 has one meaning. Raises ScaleError.
     """
     bare = re.sub(r"\s", "", text)
     if bare in ("", "-", "--", "–", "n/a", "na", "none", "N/A"):
@@ -61,7 +61,7 @@ def factor_of(text: str, *, is_exponent_column: bool = False) -> float | None:
         raise ScaleError(
             f"scale {text!r} loses the value, or is a power of ten; write the value of one count, 1/10 for example"
         )
-    if number > 1:
+    if number > 1 and not is_value_of_a_count:
         raise ScaleError(
             f"scale {text!r} may mean raw x {number:g} or raw / {number:g}; write {number:g}/1 or 1/{number:g}"
         )
@@ -134,5 +134,5 @@ def _number(bare: str, text: str, what: str = "scale") -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise ScaleError(f"{what} {text!r} is no number; correct it")
+        raise ScaleError(f"{what} {text!r} is no number; write the number alone, its unit in a column unit")
     return number

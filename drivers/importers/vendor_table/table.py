@@ -4,75 +4,72 @@ from __future__ import annotations
 
 import csv
 import io
-import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from drivers.importers.draft import (
     Collector,
     Draft,
-    DraftBus,
-    DraftPoint,
     ImportFileError,
     placeholder_in,
     read_any_text,
 )
+from drivers.importers.sections import Sections
 from drivers.importers.vendor_table.cells import (
     Addressing,
     access_of,
     address_of,
     bits_of,
+    device_of,
+    invalid_of,
     number_of,
     order_of,
+    refuse_inverted,
     table_of,
     type_of,
 )
 from drivers.importers.vendor_table.columns import (
     ColumnError,
+    Rows,
+    VendorColumns,
+    addressing_of,
     ambiguous_thousand,
+    columns_of,
     has_decimal_comma,
     has_decimal_point,
     is_hexadecimal,
     order_of_swaps,
-    raw_ends,
 )
+from drivers.importers.vendor_table.headings import heading_key
+from drivers.importers.vendor_table.ranges import PlausibleRanges, RangeScale, scale_of_range
 from drivers.importers.vendor_table.scale import (
     ScaleError,
     divisor_of,
     factor_in_words,
     factor_of,
-    is_exponent_like,
     unit_and_factor,
 )
-from drivers.importers.vendor_table.words import heading_key
-from drivers.signals import RegisterType
 
 _DELIMITERS = (";", "\t", ",", "|")
-_REMEDY = "rename it scale (value = raw x scale) or divisor (value = raw / divisor), or take it out"
-
-
-@dataclass(slots=True)
-class _VendorColumns:
-    """Columns of a table by key; `inside` are the words in brackets behind their headings."""
-
-    at: dict[str, int] = field(default_factory=dict)
-    inside: dict[str, str] = field(default_factory=dict)
-    unused: list[str] = field(default_factory=list)
-    is_exponent: bool = False
-    is_hex: bool = False
-    decimal_comma: set[str] = field(default_factory=set)
 
 
 def import_csv(
-    path: Path, addressing: Addressing | None, bus: dict[str, Any], *, order: str = "ABCD", encoding: str | None = None
+    path: Path,
+    addressing: Addressing | None,
+    bus: dict[str, Any],
+    *,
+    order: str = "ABCD",
+    encoding: str | None = None,
+    is_device_given: bool = False,
 ) -> Draft:
     """Return the draft of a vendor's table; raise ImportFileError with the line and the remedy.
 
     `addressing` is the table's first address: `zero` counts from 0 as the wire does, `one` from 1, `modicon` has the
     table as leading digit (40001 is the first holding register). `bus` are the keys of the bus in the rig file, `order`
     is that of values of more than one register where the table has no column for it. Without `encoding` UTF-8 and
-    cp1252 are tried. A line that cannot be used is left out with a note.
+    cp1252 are tried. A column of unit ids makes a bus for each device, and is refused where `is_device_given`, as the
+    user named the device of `bus`. A line that cannot be used is left out with a note.
     """
     if addressing is None:
         raise ImportFileError(
@@ -86,37 +83,48 @@ def import_csv(
     head_line, head = rows[0]
     if head_line > 1 and "".join(text.splitlines()[: head_line - 1]).strip():
         collector.note(head_line, "is taken for the heading; the lines above it were not used")
-    columns = _columns(path, head_line, head, rows[1:])
-    draft = Draft(path, [DraftBus("plc", bus)], collector.notes)
+    columns = columns_of(path, head_line, head, rows[1:])
+    if is_device_given and "device" in columns.at:
+        said = f"column {columns.called['device']!r} and --device-id both name the device; leave one of them out"
+        raise ImportFileError(path, head_line, said)
     if columns.unused:
         collector.note(head_line, f"columns that were not used: {', '.join(columns.unused)}")
     _number_base(path, head_line, columns, rows[1:], addressing, collector)
     _decimal_signs(columns, rows[1:])
-    table = _VendorTable(path, columns, addressing, order, collector)
+    ranges = PlausibleRanges(path, collector, columns.decimal_comma)
+    table = _VendorTable(path, columns, addressing, order, collector, ranges)
+    buses = Sections()
     for line, row in rows[1:]:
-        cells = {key: row[index].strip() if index < len(row) else "" for key, index in columns.at.items()}
+        cells = columns.cells(row)
         with collector.item(line, cells["name"] or "a line"):
             if len(row) > len(head) and any(cell.strip() for cell in row[len(head) :]):
                 said = f"has {len(row)} cells and the heading {len(head)}; quote cells that hold a delimiter"
                 raise ImportFileError(path, line, said)
             if any(cells.values()):
-                point = collector.point("plc", cells["name"], line, table.keys(line, cells))
-                draft.buses[0].points.append(point)
-                table.range_of(point, cells)
-    table.settle_ranges()
+                keys = table.keys(line, cells)
+                device = device_of(path, line, cells)
+                owner = buses.of(path, line, bus if device is None else bus | {"device_id": device})
+                point = collector.point(owner.name, cells["name"], line, keys)
+                owner.points.append(point)
+                ranges.add(point, cells)
+    ranges.settle()
+    draft = Draft(path, buses.with_points(), collector.notes)
+    if not draft.buses:
+        raise collector.nothing(head_line, "has a heading and no line below it; there is nothing to import")
     if addressing != "modicon":
         _note_entity_numbers(draft, collector)
-    if not draft.buses[0].points:
-        raise collector.nothing(head_line, "has a heading and no line below it; there is nothing to import")
+    if "device" in columns.at:
+        devices = ", ".join(f"{found.keys['device_id']} is {found.name}" for found in draft.buses)
+        collector.note(head_line, f"devices are taken from column {columns.called['device']!r}: {devices}")
     return draft
 
 
-def _rows(path: Path, text: str) -> list[tuple[int, list[str]]]:
+def _rows(path: Path, text: str) -> Rows:
     """Return first line and cells of every record that is neither empty nor a comment.
 
     The delimiter is the one that finds most of the headings: cells of a heading may hold line breaks.
     """
-    best: list[tuple[int, list[str]]] = []
+    best: Rows = []
     most, mistake = -1, None
     for delimiter in _DELIMITERS:
         try:
@@ -137,7 +145,7 @@ _MOST_ABOVE = 20
 """Records above the heading that may hold the title of a sheet and the state of a revision."""
 
 
-def _heading_of(found: list[tuple[int, list[str]]]) -> tuple[int, int]:
+def _heading_of(found: Rows) -> tuple[int, int]:
     """Return the place of the first record that names a point and an address, else 0, and how many headings it has."""
     for place, (_, row) in enumerate(found[:_MOST_ABOVE]):
         keys = {heading_key(cell)[0] for cell in row} - {None}
@@ -146,9 +154,9 @@ def _heading_of(found: list[tuple[int, list[str]]]) -> tuple[int, int]:
     return 0, len({heading_key(cell)[0] for cell in found[0][1]} - {None}) if found else 0
 
 
-def _parsed(path: Path, text: str, delimiter: str) -> list[tuple[int, list[str]]]:
+def _parsed(path: Path, text: str, delimiter: str) -> Rows:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-    found: list[tuple[int, list[str]]] = []
+    found: Rows = []
     first = 1
     try:
         for row in reader:
@@ -168,45 +176,13 @@ def _parse_error(path: Path, text: str, delimiter: str) -> ImportFileError | Non
     return None
 
 
-def _columns(path: Path, line: int, head: list[str], rows: list[tuple[int, list[str]]]) -> _VendorColumns:
-    found = _VendorColumns()
-    for index, cell in enumerate(head):
-        key, inside = heading_key(cell)
-        called = " ".join(cell.split())
-        values = [row[index].strip() for _, row in rows if index < len(row)]
-        if key == "?":
-            if any(value not in ("", "-") for value in values):
-                raise ImportFileError(path, line, f"column {called.lower()!r} has no agreed meaning; {_REMEDY}")
-        elif key is None:
-            if called:
-                found.unused.append(called)
-        elif key in found.at:
-            if key == "address" and {inside, found.inside[key]} == {"hex", "dec"}:  # one address, written twice
-                found.unused.append(head[found.at[key]] if inside == "dec" else called)
-                if inside != "dec":
-                    continue
-            else:
-                raise ImportFileError(path, line, f"has two columns for {key}; rename the one that is not meant")
-        if key not in (None, "?"):
-            found.at[str(key)], found.inside[str(key)] = index, inside
-            if key == "scale":
-                is_factor = any(re.fullmatch(r"0[.,]\d+|1/\d+", value) for value in values)
-                found.is_exponent = not is_factor and any(is_exponent_like(value) for value in values)
-    for key in ("name", "address", "type"):
-        if key not in found.at:
-            raise ImportFileError(
-                path, line, f"has no column for {key}; call one {key} (the first line must be the heading)"
-            )
-    return found
-
-
 _ENTITY_NUMBERS = {"holding": 40000, "input": 30000, "discrete": 10000}
 
 
 def _note_entity_numbers(draft: Draft, collector: Collector) -> None:
     """Note the first point of every table whose address looks as if the table were its leading digit."""
     noted: set[str] = set()
-    for point in draft.buses[0].points:
+    for point in (point for bus in draft.buses for point in bus.points):
         table, address = str(point.keys["table"]), int(point.keys["address"])
         first = _ENTITY_NUMBERS.get(table)
         if first is not None and table not in noted and 0 <= address - first < 10000:
@@ -215,7 +191,7 @@ def _note_entity_numbers(draft: Draft, collector: Collector) -> None:
             collector.note(point.line, f"{point.name}: {said}")
 
 
-def _cells_of(columns: _VendorColumns, key: str, rows: list[tuple[int, list[str]]]) -> list[str]:
+def _cells_of(columns: VendorColumns, key: str, rows: Rows) -> list[str]:
     index = columns.at[key]
     return [row[index].strip() for _, row in rows if index < len(row)]
 
@@ -223,13 +199,17 @@ def _cells_of(columns: _VendorColumns, key: str, rows: list[tuple[int, list[str]
 def _number_base(
     path: Path,
     line: int,
-    columns: _VendorColumns,
-    rows: list[tuple[int, list[str]]],
+    columns: VendorColumns,
+    rows: Rows,
     addressing: Addressing,
     collector: Collector,
 ) -> None:
     """Set the base of all addresses, by the heading or else by their digits; raise ImportFileError."""
     inside = columns.inside.get("address", "")
+    stated = addressing_of(inside)
+    if stated is not None and stated != addressing:
+        said = f"column {columns.called['address']!r} does not count as --addressing {addressing}; use {stated}"
+        raise ImportFileError(path, line, said)
     columns.is_hex = "hex" in inside
     if columns.is_hex or "dec" in inside or addressing == "modicon":
         return
@@ -241,9 +221,12 @@ def _number_base(
         collector.note(line, "addresses hold the letters A to F: all of them were read as hexadecimal")
 
 
-def _decimal_signs(columns: _VendorColumns, rows: list[tuple[int, list[str]]]) -> None:
+_NUMERIC = ("scale", "divisor", "offset", "min", "max", "raw_min", "raw_max", "eng_min", "eng_max")
+
+
+def _decimal_signs(columns: VendorColumns, rows: Rows) -> None:
     """Set the columns whose numbers have a decimal comma: by their own cells, or else by those of the other columns."""
-    numeric = [key for key in ("scale", "divisor", "offset", "min", "max") if key in columns.at]
+    numeric = [key for key in _NUMERIC if key in columns.at]
     own = {key for key in numeric if has_decimal_comma(_cells_of(columns, key, rows))}
     unclear = {key for key in numeric if not has_decimal_point(_cells_of(columns, key, rows))}
     columns.decimal_comma = own | (unclear if own else set())
@@ -252,11 +235,11 @@ def _decimal_signs(columns: _VendorColumns, rows: list[tuple[int, list[str]]]) -
 @dataclass(slots=True)
 class _VendorTable:
     path: Path
-    columns: _VendorColumns
+    columns: VendorColumns
     addressing: Addressing
     order: str
     collector: Collector
-    ranges: list[tuple[DraftPoint, str, dict[str, str]]] = field(default_factory=list)
+    ranges: PlausibleRanges
 
     def keys(self, line: int, cells: dict[str, str]) -> dict[str, Any]:
         """Return the keys of a line's point; raise ImportFileError."""
@@ -288,9 +271,13 @@ class _VendorTable:
             keys["access"] = None
         keys["kind"] = "status" if kind in ("bool", "string") or keys["bits"] is not None else None
         keys["unit"] = cells.get("unit", "")
+        keys["invalid"] = invalid_of(path, line, cells)
+        refuse_inverted(path, line, cells)
+        ranged = None
         if kind not in ("bool", "string"):
-            keys |= self._scaling(line, cells, address, is_whole="int" in kind and keys["bits"] is None)
-        keys["plausible"] = self._plausible(line, cells, kind)
+            scaled, ranged = self._scaling(line, cells, address, kind)
+            keys |= scaled
+        keys["plausible"] = self.ranges.ends(line, cells, kind, ranged)
         keys["doc"] = cells.get("doc") or None
         return keys
 
@@ -316,11 +303,20 @@ class _VendorTable:
                 said = f"{key} {text!r} may be a thousand or a fraction beside decimal commas; write 1 or 1000"
                 raise ImportFileError(self.path, line, said)
 
-    def _scaling(self, line: int, cells: dict[str, str], address: int, *, is_whole: bool) -> dict[str, Any]:
-        """Return scale, offset and the unit without its factor; raise ImportFileError where a factor is not certain."""
+    def _scaling(
+        self, line: int, cells: dict[str, str], address: int, kind: str
+    ) -> tuple[dict[str, Any], RangeScale | None]:
+        """Return scale, offset and the unit without its factor, and the raw range of which they are.
+
+        Raises ImportFileError where a factor is not certain, or where two of them contradict.
+        """
         factors: dict[str, float] = {}
         try:
-            scale = factor_of(cells.get("scale", ""), is_exponent_column=self.columns.is_exponent)
+            scale = factor_of(
+                cells.get("scale", ""),
+                is_exponent_column=self.columns.is_exponent,
+                is_value_of_a_count=self.columns.is_value_of_a_count,
+            )
             divided = divisor_of(cells.get("divisor", ""))
             unit, in_unit = unit_and_factor(cells.get("unit", ""))
         except ScaleError as error:
@@ -330,76 +326,44 @@ class _VendorTable:
                 factors[what] = factor
         if len(factors) > 1 and ((scale is not None and divided is not None) or set(factors.values()) != {1.0}):
             raise ImportFileError(self.path, line, f"has {' and '.join(factors)}; leave one of them empty")
-        if is_whole and not factors:
+        value = next(iter(factors.values()), 1.0)
+        comma = self.columns.decimal_comma
+        ranged = scale_of_range(self.path, line, cells, kind, comma, has_factor=bool(factors))
+        if "int" in kind and not cells.get("bits") and not factors and ranged is None:
             words = factor_in_words(cells["name"], cells.get("doc", ""))
             if words is not None:
                 said = f"its name or remark says {words!r}; put the factor in a column scale, 1 where there is none"
                 raise ImportFileError(self.path, line, said)
+        offset = self._offset(line, cells, address)
+        called = f"{cells['name']}: taken as raw x"
+        if ranged is not None:
+            given = ranged.scale if not factors else value
+            if not ranged.agrees(given, ranged.offset if offset is None else offset):
+                low, high = ranged.raw
+                said = (
+                    f"its raw range {low:g} to {high:g} gives raw x {ranged.scale:g} + {ranged.offset:g}, and its "
+                    f"scale or offset raw x {given:g} + {offset or 0:g}; correct one of them, or leave it empty"
+                )
+                raise ImportFileError(self.path, line, said)
+            value, offset = ranged.scale, ranged.offset
+            ends = f"{ranged.raw[0]:g} to {ranged.raw[1]:g} is {ranged.engineering[0]:g} to {ranged.engineering[1]:g}"
+            self.collector.note(line, f"{called} {value:g} + {offset:g}, by its raw range: {ends} {unit}".rstrip())
+        elif offset:
+            self.collector.note(line, f"{called} {value:g} + {offset:g}; see if that is meant")
         keys: dict[str, Any] = {"unit": unit}
-        value = next(iter(factors.values()), 1.0)
         if value != 1.0:
             keys["scale"] = value
-        offset = self._offset(line, cells, address)
         if offset:
             keys["offset"] = offset
-            self.collector.note(line, f"{cells['name']}: taken as raw x {value:g} + {offset:g}; see if that is meant")
-        return keys
+        return keys, ranged
 
-    def _offset(self, line: int, cells: dict[str, str], address: int) -> float:
-        """Return the offset of a value; raise ImportFileError where it counts with the addresses."""
+    def _offset(self, line: int, cells: dict[str, str], address: int) -> float | None:
+        """Return the offset of a value, None where there is none; raise ImportFileError where it is the address."""
         text = cells.get("offset", "")
         if text in ("", "-"):
-            return 0.0
+            return None
         offset = number_of(self.path, line, "offset", text)
         if offset and offset in (address, address + 1):
             said = f"offset {text} is its address; rename the column, or take it out"
             raise ImportFileError(self.path, line, said)
         return offset
-
-    def _plausible(self, line: int, cells: dict[str, str], kind: str) -> list[float] | None:
-        low, high = cells.get("min", ""), cells.get("max", "")
-        if low in ("", "-") or high in ("", "-") or kind in ("bool", "string"):
-            return None
-        try:
-            self._decimal_signs_agree(line, cells, ("min", "max"))
-            return [number_of(self.path, line, "min", low), number_of(self.path, line, "max", high)]
-        except ImportFileError as error:
-            self.collector.note(line, f"{cells['name']}: {error.what}; no plausible range was taken")
-            return None
-
-    def range_of(self, point: DraftPoint, cells: dict[str, str]) -> None:
-        """Keep the possible meanings of a point's range until the whole table is known."""
-        ends, keys = point.keys.get("plausible"), point.keys
-        if ends is not None:
-            scale, offset = keys.get("scale", 1.0), keys.get("offset", 0.0)
-            meant = raw_ends(ends, scale, offset, cells.get("unit", ""), cast(RegisterType, keys.get("type", "int16")))
-            self.ranges.append((point, meant, cells))
-
-    def settle_ranges(self) -> None:
-        """Settle the ranges that may be raw counts: a table writes all of them in one way, which some lines show.
-
-        If no line shows it, a point that is only read gets the range that holds both meanings. A point that can be
-        written gets a range only if its own line shows that the range is in its unit.
-        """
-        shown = {meant for _, meant, _ in self.ranges} & {"raw", "unit"}
-        for point, meant, cells in self.ranges:
-            written = point.keys.get("access") in ("w", "rw")
-            if meant in ("unit", "same") or (meant == "either" and shown == {"unit"} and not written):
-                continue
-            low, high = point.keys.pop("plausible")
-            said = "no range was taken, give it in the point's unit"
-            if meant == "neither":
-                what = "fit neither as values nor as raw counts"
-            elif meant == "raw" or shown == {"raw"}:
-                what = "are raw counts"
-            elif written:
-                what = "may be raw counts or values, and the point can be written"
-            else:
-                what = "may be raw counts or values"
-                scale, offset = point.keys.get("scale", 1.0), point.keys.get("offset", 0.0)
-                ends = (low, high, low * scale + offset, high * scale + offset)
-                point.keys["plausible"] = [min(ends), max(ends)]
-                said = "the range that holds both was taken, give the right one in the point's unit"
-            self.collector.note(
-                point.line, f"{cells['name']}: min {cells['min']} and max {cells['max']} {what}; {said}"
-            )

@@ -172,7 +172,44 @@ HEADINGS = {
         "bytetausch",
     ),
     "swap": ("swap", "swapped", "swapping"),
-    "bits": ("bit", "bits", "bit number", "bitnummer"),
+    "bits": (
+        "bit",
+        "bits",
+        "bit number",
+        "bit no",
+        "bit nr",
+        "bit position",
+        "bitnummer",
+        "bitposition",
+        "numero de bit",
+    ),
+    "mask": ("mask", "bitmask", "bit mask", "maske", "bitmaske", "masque", "masque de bits"),
+    "signed": (
+        "signed",
+        "sign",
+        "signedness",
+        "signed unsigned",
+        "with sign",
+        "vorzeichen",
+        "vorzeichenbehaftet",
+        "mit vorzeichen",
+        "signe",
+        "avec signe",
+    ),
+    "unsigned": ("unsigned", "without sign", "vorzeichenlos", "ohne vorzeichen", "non signe", "sans signe"),
+    "invalid": (
+        "invalid",
+        "invalid value",
+        "nan value",
+        "error value",
+        "error code",
+        "not available",
+        "ungueltig",
+        "ungueltiger wert",
+        "fehlerwert",
+        "invalide",
+        "valeur invalide",
+    ),
     "length": (
         "length",
         "registers",
@@ -212,57 +249,13 @@ HEADINGS = {
     ),
 }
 """Heading as `squeezed_heading` leaves it; the first that fits counts."""
-AMBIGUOUS = (
-    "gain",
-    "verstaerkung",
-    "resolution",
-    "aufloesung",
-    "step",
-    "schrittweite",
-    "pas",
-    "increment",
-    "lsb",
-    "granularity",
-    "precision",
-    "praezision",
-    "decimals",
-    "decimal places",
-    "decimal",
-    "digits",
-    "dezimalstellen",
-    "nachkommastellen",
-    "nachkomma",
-    "kommastellen",
-    "decimales",
-    "exponent",
-    "exposant",
-    "power of ten",
-    "sf",
-    "formula",
-    "formel",
-    "formule",
-    "conversion",
-    "umrechnung",
-    "ratio",
-    "weight",
-    "wertigkeit",
-    "count value",
-    "value per count",
-    "slope",
-    "steigung",
-    "pente",
-    "calculation",
-    "berechnung",
-)
-"""Headings that may change a value and have no agreed meaning: vendors use `gain` for a factor and for a divisor."""
-_CHANGES_A_VALUE = re.compile(
-    r"\b(?:scal|skal|echelle|fact|fakt|multipl|gain|divis|divid|teiler|resol|aufloes|expon|decimal|dezimal|offset|"
-    r"decalage|nullpunkt|coef|formul|formel|umrechn|convers|komma)|(?:faktor|factor|skalierung|teiler)\b|\bsf\b"
-)
-_ORDERS_BYTES = re.compile(
-    r"endian|boutisme|(?:byte|word)s? (?:order|sequence)|ordre (?:des )?(?:octets|mots)|"
-    r"(?:byte|wort|word)\w* ?(?:reihen|ab)folge"
-)
+YES = ("yes", "y", "true", "1", "x", "ja", "j", "oui", "o", "si", "on", "swapped", "swap")
+NO = ("", "no", "n", "false", "0", "nein", "non", "off", "none", "kein", "aucun")
+SIGNS = {
+    **dict.fromkeys(("signed", "s", "vorzeichenbehaftet", "mitvorzeichen", "signe"), True),
+    **dict.fromkeys(("unsigned", "u", "us", "vorzeichenlos", "ohnevorzeichen", "nonsigne"), False),
+}
+"""Cells that state a signed (True) or an unsigned number, as `squeezed` leaves them."""
 TABLES = {
     "coil": "coil",
     "coils": "coil",
@@ -356,8 +349,6 @@ for _size in (16, 32, 64):
     TYPES |= dict.fromkeys((f"int{_size}", f"s{_size}", f"i{_size}", f"sint{_size}"), f"int{_size}")
     TYPES |= dict.fromkeys((f"uint{_size}", f"u{_size}", f"unsigned{_size}"), f"uint{_size}")
 
-_BRACKETED = re.compile(r"[(\[{]([^()\[\]{}]*)[)\]}]")
-"""Innermost brackets alone: an opening one inside would be looked for again from each of those before it."""
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "×": "x"})
 
 
@@ -371,26 +362,3 @@ def squeezed_heading(cell: str) -> str:
 def squeezed(text: str) -> str:
     """Return a cell's letters and digits, small."""
     return squeezed_heading(text).replace(" ", "")
-
-
-def heading_key(cell: str) -> tuple[str | None, str]:
-    """Return the key of a column and the words in brackets behind its heading: `Address (hex)` is an address in hex.
-
-    The key is None for a column that is not known, and `?` for one that may change a value and has no agreed meaning.
-    """
-    outside = _BRACKETED.sub(" ", cell)
-    inside = squeezed_heading(" ".join(_BRACKETED.findall(cell)))
-    heading = squeezed_heading(outside) or squeezed_heading(cell)
-    number_base = re.fullmatch(r"(.*?) ?(hex|dec)(?:imal)?", heading)
-    if number_base is not None and number_base[1]:
-        heading, inside = number_base[1], f"{inside} {number_base[2]}".strip()
-    key = next((key for key, names in HEADINGS.items() if heading in names), None)
-    if key is None and "swap" in heading:
-        key = "word_swap" if "word" in heading else "byte_swap" if "byte" in heading else "swap"
-    if key is None and _ORDERS_BYTES.search(heading):
-        key = "order"
-    if key is None and (heading in AMBIGUOUS or _CHANGES_A_VALUE.search(heading)):
-        key = "?"
-    if key in ("scale", "divisor", "offset", "unit") and re.search(r"\d|raw|roh|brut", inside):
-        key = "?"  # a formula
-    return key, inside

@@ -9,6 +9,9 @@ from drivers.modbus.protocol.rtu import RtuGuard
 from drivers.rig_file import ModbusBusSection, ModbusTcpBus, is_numbered, is_rtu
 from drivers.signals import ProtocolError
 
+_TRANSACTIONS = 65535
+"""Transaction numbers, 1 to 65535, after which they begin anew."""
+
 
 class TcpFrames:
     """MBAP frames (Modbus messaging on TCP/IP implementation guide V1.0b, 3.1.3).
@@ -28,7 +31,7 @@ class TcpFrames:
         """Return the frame of a request."""
         if not self._numbered or self._by_content:
             self._guard.clear()
-        self._transaction = self._transaction % 65535 + 1
+        self._transaction = self._transaction % _TRANSACTIONS + 1
         self._device = device
         return tcp_frame(device, self._transaction, pdu)
 
@@ -57,10 +60,11 @@ class TcpFrames:
             return f"{said}; it answers with transaction 0: give transaction = 'zero' where it always does"
         if transaction == self._transaction:
             return f"{said}: unit {unit} answers where device_id {self._device} was asked; correct device_id"
-        return (
-            f"{said}: the last has transaction {transaction} where {self._transaction} was asked; raise timeout_s "
-            "where the device is slow"
-        )
+        said = f"{said}: the last has transaction {transaction} where {self._transaction} was asked"
+        is_ahead = (self._transaction - transaction) % _TRANSACTIONS > _TRANSACTIONS // 2
+        if is_ahead or transaction in self._guard.repeated:
+            return f"{said}; it does not repeat the number of the request, which Modbus/TCP asks of a device or gateway"
+        return f"{said}; raise timeout_s where the device is slow"
 
 
 class RtuFrames:

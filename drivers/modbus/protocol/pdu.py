@@ -15,6 +15,10 @@ from drivers.signals import DeviceExceptionError, ProtocolError
 NO_SUCH_FUNCTION = 1
 NO_SUCH_ADDRESS = 2
 BUSY = 6
+_VALUE = 3
+OF_CONTENT = frozenset({2, 3, 4, 8})
+"""Exceptions that one address of a request, or their number, may cause: a smaller request may be answered."""
+_WRITE_CODES = frozenset({5, 6, 15, 16, 23})
 GATEWAY_SILENCE = 11
 EXCEPTIONS = {
     1: "function not supported",
@@ -105,6 +109,11 @@ def _check_function(code: int, block: Block, reply: bytes, where: str) -> None:
     if reply[0] == code | 0x80:
         exception = codec.exception_of(reply)
         what = EXCEPTIONS.get(exception, "an unknown exception")
-        raise DeviceExceptionError(f"{where} refused {block}: exception {exception}, {what}", exception)
+        asked = str(block)
+        if exception == _VALUE and code not in _WRITE_CODES:
+            what = "it does not read so many at once (give the bus max_read or max_read_bits)"
+        elif code in _WRITE_CODES:
+            asked = f"to write {block} with function {code}"
+        raise DeviceExceptionError(f"{where} refused {asked}: exception {exception}, {what}", exception)
     if reply[0] != code:
         raise ProtocolError(f"{where} answered function {reply[0] & 0x7F} to function {code}")

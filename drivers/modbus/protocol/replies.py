@@ -41,6 +41,8 @@ class FrameGuard:
         self.zeros = 0
         self.others: tuple[int, int] | None = None
         """Transaction and unit of the last frame that was dropped."""
+        self.repeated: set[int] = set()
+        """Transactions of two dropped frames that came one after the other: a late reply comes once."""
         self._takes_zero = takes_zero
         self._by_content = by_content
         self._buffer = b""
@@ -91,6 +93,8 @@ class FrameGuard:
                 continue
             self.dropped += 1
             self.zeros += tid == 0 and sender == unit
+            if self.others is not None and self.others[0] == tid:
+                self.repeated.add(tid)
             self.others = tid, sender
         return passed
 

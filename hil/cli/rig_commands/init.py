@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from hil.cli.options import INPUT_FILE
 
@@ -155,7 +156,8 @@ def _imported(
     if suffix in (".csv", ".tsv", ".txt"):
         from drivers.importers import import_csv
 
-        return import_csv(source, addressing, bus, order=order, encoding=encoding)  # type: ignore[arg-type]
+        given = click.get_current_context().get_parameter_source("device_id") is ParameterSource.COMMANDLINE
+        return import_csv(source, addressing, bus, order=order, encoding=encoding, is_device_given=given)  # type: ignore[arg-type]
     if suffix in (".toml", ".conf"):
         from drivers.importers import import_telegraf
 
