@@ -19,6 +19,7 @@ class Device:
     """Register 0 asks for heat in W, register 4 measures it. `obeys` False: it acknowledges and heats on.
 
     For `deaf_s` after connecting it drops every request, s. `stuck_W`, if set, is what the meter reads after a write.
+    Requests that begin at a register in `mute` get no reply.
     """
 
     def __init__(self, *, single: bool = False, serial: bool = False, deaf_s: float = 0.0) -> None:
@@ -26,6 +27,7 @@ class Device:
         self.obeys = True
         self.stuck_W: int | None = None
         self.refuses: set[int] = set()
+        self.mute: set[int] = set()
         self.off_s: float | None = None
         self.connections = 0
         self._single = single
@@ -78,6 +80,8 @@ class Device:
                 pdu = self._exactly(client, size - 1)
                 if time.monotonic() < hears_s:
                     continue
+                if struct.unpack(">H", pdu[1:3])[0] in self.mute:
+                    continue
                 reply = self._answer(pdu)
                 client.sendall(struct.pack(">HHHB", transaction, 0, len(reply) + 1, unit) + reply)
         except OSError:
@@ -120,9 +124,9 @@ class Device:
         found = self.registers[address : address + value]
         return struct.pack(f">BB{value}H", code, 2 * value, *found)
 
-    def rig_text(self, *, pump: bool = False) -> str:
+    def rig_text(self, *, pump: bool = False, valves: tuple[int, ...] = (), parity: str = "none") -> str:
         bus = (
-            f'transport = "modbus_rtu"\nserial_port = "{self.path}"\nparity = "none"\n'
+            f'transport = "modbus_rtu"\nserial_port = "{self.path}"\nparity = "{parity}"\n'
             if self.path
             else f'transport = "modbus_tcp"\nport = {self.port}\n'
         )
@@ -132,6 +136,12 @@ class Device:
             '[[point]]\nname = "pump_set"\nbus = "plc"\ntable = "holding"\naddress = 1\nunit = "%"\naccess = "rw"\n'
             "limits = [0, 100]\nsafe_value = 100\n"
         )
+        first = first if pump else ""
+        for address in valves:
+            first += (
+                f'[[point]]\nname = "valve_{address}"\nbus = "plc"\ntable = "holding"\naddress = {address}\n'
+                'unit = "%"\naccess = "rw"\nlimits = [0, 100]\nsafe_value = 100\nsafe_order = -1\n'
+            )
         return f"""
 [rig]
 name = "guarded"
@@ -139,7 +149,7 @@ period_s = 0.1
 
 [bus.plc]
 {bus}
-{first if pump else ""}
+{first}
 [[point]]
 name = "heater_set"
 bus = "plc"

@@ -21,8 +21,9 @@ from hil.cli.run_commands.report import command as report
 from hil.cli.twin_commands.commission import command as commission
 from hil.errors import exit_code
 from hil.record.reader import RecordError
-from hil.run.session.derived_files import RUN_UID, DerivedFiles, derive_files, missing_sentence
+from hil.run.session.derived_files import DerivedFiles, derive_files, missing_sentence
 from hil.run.session.interrupted_run import request_of
+from hil.run.session.manifest import RUN_UID
 from hil.run.session.regenerate import regenerate_files
 from hil.run_folder.folder import FolderLostError, RunFolderError
 from tests.hil.ended_run import ended_run

@@ -13,14 +13,17 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from drivers.rig import RigConnection
 from drivers.rig_file.reader import load_rig
 from hil.guardian import process
 from hil.guardian.client import GuardianClient
 from hil.guardian.plan import plan_of
 from hil.rig.notices import unguarded
+from hil.run.outputs import write_safe
 from tests.hil.guarded_device import HEATER, Device
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -64,11 +67,9 @@ asyncio.run(main(*sys.argv[1:]))
 
 
 @contextlib.contextmanager
-def engine(
-    tmp_path: Path, device: Device, how: str = "beats", *, pump: bool = False
-) -> Iterator[subprocess.Popen[str]]:
+def engine(tmp_path: Path, device: Device, how: str = "beats", **more: Any) -> Iterator[subprocess.Popen[str]]:
     """A process that heats and beats."""
-    (tmp_path / "rig.toml").write_text(device.rig_text(pump=pump))
+    (tmp_path / "rig.toml").write_text(device.rig_text(**more))
     command = [sys.executable, "-c", ENGINE, str(tmp_path / "rig.toml"), str(tmp_path / "guardian.log"), how]
     running = subprocess.Popen(command, cwd=PROJECT, stdout=subprocess.PIPE, text=True)
     try:
@@ -265,9 +266,11 @@ def test_a_guardian_that_waits_for_the_engine_names_the_wire_and_the_cause(tmp_p
     assert guardian.acted.problem.endswith(": the engine holds the only connection, so that the guardian waits")
 
 
-def test_a_serial_line_is_taken_over(tmp_path):
+@pytest.mark.parametrize("parity", ["none", "even"])
+def test_a_serial_line_is_taken_over(parity, tmp_path):
+    """The driver of a pseudo terminal keeps no parity, and refuses to be told of it again."""
     device = Device(serial=True)
-    with engine(tmp_path, device) as running:
+    with engine(tmp_path, device, parity=parity) as running:
         started(running)
         running.send_signal(signal.SIGKILL)
         event_s = time.monotonic()
@@ -295,6 +298,38 @@ def test_a_pump_that_refuses_does_not_keep_the_heater_on(tmp_path):
         device.refuses = {1}
         running.send_signal(signal.SIGKILL)
         assert until(lambda: device.off_s is not None)
+    device.close()
+
+
+VALVES = (1, 2, 3, 5, 6, 7)
+
+
+def test_devices_that_are_mute_and_come_first_hold_up_no_heater(tmp_path):
+    device = Device()
+    with engine(tmp_path, device, valves=VALVES) as running:
+        started(running)
+        device.mute = set(VALVES)
+        running.send_signal(signal.SIGKILL)
+        event_s = time.monotonic()
+        assert until(lambda: device.off_s is not None)
+        assert device.off_s is not None
+        assert device.off_s - event_s < 2.0
+    device.close()
+
+
+async def test_an_engine_turns_the_heater_off_after_one_device_that_is_mute(tmp_path):
+    device = Device()
+    (tmp_path / "rig.toml").write_text(device.rig_text(valves=VALVES))
+    connection = RigConnection(load_rig(tmp_path / "rig.toml"), time.monotonic)
+    await connection.connect()
+    await connection.write({"heater_set": 500.0})
+    device.mute = set(VALVES)
+    began_s = time.monotonic()
+    safe = {**{f"valve_{address}": 100.0 for address in VALVES}, "heater_set": 0.0}
+    problem = await write_safe(connection, safe, within_s=2.0)
+    assert "valve_1" in problem or "no answer" in problem
+    assert device.off_s is not None and device.off_s - began_s < 1.5
+    await connection.close()
     device.close()
 
 

@@ -217,6 +217,16 @@ def test_a_file_that_has_changed_is_refused_by_name(story, tmp_path, name, where
     assert rows(tmp_path / "run" / "journal.sqlite")["tick"] == story.acknowledged["tick"]
 
 
+def test_the_journal_of_another_run_is_refused(story, tmp_path):
+    shutil.copytree(story.folder.path.parents[1] / "as it was cut", tmp_path / "run")
+    folder = RunFolder(tmp_path / "run")
+    folder.write_manifest(folder.read_manifest() | {"uid": "of another run"})
+    done = typed("resume", folder.path)
+    assert done.returncode == 2
+    assert "is the journal of another run" in done.stderr
+    assert rows(folder.journal)["tick"] == story.acknowledged["tick"]
+
+
 def test_a_file_that_is_gone_is_asked_for(story, tmp_path):
     shutil.copytree(story.folder.path.parents[1] / "as it was cut", tmp_path / "run")
     manifest = RunFolder(tmp_path / "run").read_manifest()

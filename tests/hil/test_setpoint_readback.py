@@ -219,7 +219,9 @@ async def test_a_device_that_rounds_is_known_by_it_and_another_master_is_found_a
 async def test_a_device_that_does_not_take_what_is_written_is_an_alarm():
     device = Device(SHIPPED, holds=lambda value: value if value <= 400.0 else 400.0)
     said = await run(device, 100, lambda tick: 500.0 if tick > 20 else 300.0)
-    assert said is not None and said.startswith("heater_power_set holds 400 W, this run wrote 500 W")
+    assert said is not None and said.startswith(
+        "heater_power_set holds 400 W at once after 500 W was written: the device"
+    )
 
 
 async def test_half_a_count_is_the_tolerance_and_a_switch_has_two_values():

@@ -246,7 +246,7 @@ def test_safe_values_that_the_rig_does_not_take_are_tried_again_without_heartbea
     with EngineBench(rig_with()) as bench:
         warm(bench)
         bench.rig.loses_writes = True
-        assert "NOT confirmed safe yet" in bench.ask(Verb.PAUSE)
+        assert "NOT confirmed safe" in bench.ask(Verb.PAUSE)
         beat = bench.rig.beat
         bench.ticks(1)
         assert bench.rig.beat == beat

@@ -140,7 +140,7 @@ class SetpointReadback:
         if own_doing:
             self._found[point.name] = (
                 f"{point.name} holds {held:g} {unit} at once after {ours:g} {unit} was written: the device confirms "
-                "what it is told and does not take it; look for a local or locked mode at its panel"
+                "what it is told and does not take it; look at its panel for a local mode, a lock or a limit of its own"
             )
         elif again:
             self._found[point.name] = (

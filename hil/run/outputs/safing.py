@@ -31,6 +31,9 @@ that is waited for that, s of rig time: as long as a second foreign value is wai
 LAST_TRIES = 3
 """So often the last word is tried again: one reply that a busy machine or line delays makes no rig unsafe."""
 RETRY_EVERY_S = 0.1
+REOPENED_S = 0.2
+"""Time in which a connection that a mute device has cost is open again, s: as long as a request to another device on
+the same wire waits for that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,17 +218,20 @@ async def write_safe(connection: RigConnection, safe_values: dict[str, float], w
 async def _write_wire(connection: RigConnection, safe_values: dict[str, float]) -> str:
     """Write the safe values of one wire in order and read them back; return what went wrong.
 
-    The order holds while devices answer: once one is mute, heaters come next, and what is mute comes last.
+    The order holds while devices answer: once one is mute, heaters come next, and what is mute comes last. Its silence
+    may have cost the connection: a heater is tried again when that had the time to be opened anew.
     """
     rig = connection.rig
     refused: dict[str, str] = {}
     held: dict[str, float] = {}
     mute: set[str] = set()
+    again: set[str] = set()
     pending = list(safe_values)
     while pending:
         name = pending.pop(0)
         value = safe_values[name]
         try:
+            refused.pop(name, None)
             if pending or refused:
                 await connection.write({name: value})
             else:
@@ -233,6 +239,10 @@ async def _write_wire(connection: RigConnection, safe_values: dict[str, float]) 
         except DriverError as error:
             refused[name] = str(error)
             if not isinstance(error, DeviceExceptionError):
+                if is_heater(rig, rig.get(name)) and name not in again:
+                    again.add(name)
+                    pending.insert(0, name)
+                    await asyncio.sleep(REOPENED_S)
                 mute.add(rig.get(name).bus)
                 pending.sort(key=lambda other: (rig.get(other).bus in mute, not is_heater(rig, rig.get(other))))
     problems = []
