@@ -68,6 +68,8 @@ def explained() -> Iterator[None]:
             code, message = FOUND, reason
         if code is None:
             raise
+        from hil.files import on_terminal
+
         for sentence in message.splitlines():
-            print(f"hil: {sentence}", file=sys.stderr)
+            print(f"hil: {on_terminal(sentence)}", file=sys.stderr)
         sys.exit(code)

@@ -245,6 +245,13 @@ class Rig(Section):
     point: tuple[Point, ...]
     interlock: tuple[InterlockSpec, ...] = ()
 
+    @field_validator("name")
+    @classmethod
+    def _is_printable(cls, name: str) -> str:
+        if not name.isprintable():
+            raise ValueError("has a control character in it; use printable characters only")
+        return name
+
     @property
     def setpoints(self) -> tuple[Point, ...]:
         """Points that a profile may drive, in file order."""

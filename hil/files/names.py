@@ -65,6 +65,12 @@ def printable(text: str) -> str:
     return text.encode("utf-8", "replace").decode()
 
 
+def on_terminal(text: str) -> str:
+    """Return `text` with control characters and lone surrogates as escapes: names in files may hold what a terminal
+    obeys."""
+    return "".join(c if c.isprintable() or c == "\t" else repr(c)[1:-1] for c in text)
+
+
 def safe_file_name(text: str, longest: int = LONGEST_NAME) -> str:
     """Return a file name made of `text`: control characters, surrogates and `/` become `_`, cut to `longest` bytes."""
     plain = "".join(character if character.isprintable() and character != "/" else "_" for character in text)

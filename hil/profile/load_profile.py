@@ -32,6 +32,8 @@ WINDOW_S = 600.0
 
 EARLY_S = 1e-6
 """Lead time in s at which a breakpoint counts as reached: `tick * period` may round to just below it."""
+LONGEST_S = 10.0 * 366.0 * 86400.0
+"""Latest time in a profile, s: no rig runs for longer than ten years in one go."""
 
 WRITTEN_UNITS = {
     "w": "W",
@@ -152,6 +154,10 @@ def read_profile(path: Path, unitless: Collection[str] = ()) -> Profile:
         time_s, *values = _row(f"{path} line {line}", raw, columns)
         if not times and time_s != 0:
             raise ProfileError(f"{path} line {line} starts at {time_s:g} s; the first row must be at time_s 0")
+        if time_s > LONGEST_S:
+            raise ProfileError(
+                f"{path} line {line} is at {time_s:g} s, more than ten years after the start; correct the time"
+            )
         if times and time_s <= times[-1]:
             raise ProfileError(
                 f"{path} line {line} is at {time_s:g} s, not after {times[-1]:g} s of line {lines[-1]}; "

@@ -57,7 +57,9 @@ class EngineBench:
         self._unsafe_s = 0.0
         self._unreachable_s = 0.0
         self._time, hil.run.outputs.safing.time = hil.run.outputs.safing.time, RigTime(self.rig)  # type: ignore[attr-defined]
-        self._retry, hil.run.outputs.safing.RETRY_EVERY_S = hil.run.outputs.safing.RETRY_EVERY_S, 0.0
+        safing = hil.run.outputs.safing
+        self._waits = safing.RETRY_EVERY_S, safing.REOPENED_S
+        safing.RETRY_EVERY_S = safing.REOPENED_S = 0.0
         connection: Any = self.rig
         journal: Any = self.journal
         self.engine = Engine(
@@ -157,5 +159,7 @@ class EngineBench:
             self.loop.run_until_complete(asyncio.gather(self.task, *self._answers, return_exceptions=True))
             assert done, "the engine did not end"
         finally:
-            hil.run.outputs.safing.time, hil.run.outputs.safing.RETRY_EVERY_S = self._time, self._retry  # type: ignore[attr-defined]
+            safing = hil.run.outputs.safing
+            safing.time = self._time  # type: ignore[attr-defined]
+            safing.RETRY_EVERY_S, safing.REOPENED_S = self._waits
             self.loop.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 import subprocess
@@ -385,3 +386,25 @@ def test_check_names_no_kind_where_a_key_says_it(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text('[rig]\nname = "r"\n', encoding="utf-8")
     assert "checked as" not in hil("check", path)[1]
+
+
+@pytest.mark.parametrize("name", ["load.csv", "rig.toml", "record.parquet"])
+def test_a_pipe_in_the_place_of_a_file_holds_up_no_check(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    code, said = hil("check", tmp_path / name)
+    assert (code, "it is a pipe, no regular file" in said) == (2, True)
+
+
+def test_a_profile_of_more_than_ten_years_is_refused_with_its_line(tmp_path):
+    (tmp_path / "load.csv").write_text("time_s,heater_power_W\n0,100\n1e30,100\n")
+    code, said = hil("check", tmp_path / "load.csv")
+    assert code == 2 and "load.csv line 3 is at 1e+30 s, more than ten years" in said
+
+
+def test_a_name_with_control_characters_is_refused_and_reaches_no_terminal(tmp_path):
+    text = (PROJECT / "profiles/rigs/virtual.toml").read_text(encoding="utf-8")
+    first = next(line for line in text.splitlines() if line.startswith("name = "))
+    rig = load(tmp_path, text.replace(first, 'name = "a\\u001b[2Jb"', 1))
+    rig = rig.rename(tmp_path / "rig.toml")
+    done = typed("check", rig)
+    assert done.returncode == 2 and "control character" in done.stderr and "\x1b" not in done.stderr

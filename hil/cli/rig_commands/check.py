@@ -147,10 +147,15 @@ def _has_rig(file: Path) -> bool:
 
 
 def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
-    if file.suffix == ".toml":
-        from drivers.rig_file import read_regular, tables_of
-        from drivers.signals import ConfigurationError
+    from drivers.rig_file import read_regular, refuse_irregular, tables_of
+    from drivers.signals import ConfigurationError
 
+    try:
+        if not file.is_dir():
+            refuse_irregular(file, file.stat().st_mode)
+    except OSError as error:
+        raise ConfigurationError(f"{file} cannot be read ({error.strerror}); name a file") from error
+    if file.suffix == ".toml":
         try:
             keys = set(tables_of(read_regular(file))[1])
         except ValueError as error:

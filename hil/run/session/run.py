@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import sqlite3
 from collections.abc import Callable, Coroutine
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -97,6 +98,16 @@ async def carry_out(run: PreparedRun) -> RunResult:
         raise
 
 
+def _opened(folder: RunFolder, header: Header, *, again: bool) -> JournalWriter:
+    """Return the journal of a run; raises JournalError where its file cannot be written."""
+    try:
+        return JournalWriter(folder.journal, header, again=again)
+    except sqlite3.Error as error:
+        raise JournalError(
+            f"{folder.journal} cannot be written ({error}); make room, or allow larger files (ulimit -f)"
+        ) from error
+
+
 async def _run_in(run: PreparedRun) -> RunResult:
     """Return the result of the run, carried out in its folder."""
     folder, manifest, request, ready = run.folder, run.manifest, run.request, run.ready
@@ -104,7 +115,7 @@ async def _run_in(run: PreparedRun) -> RunResult:
     loop = asyncio.get_running_loop()
     async with contextlib.AsyncExitStack() as stack:
         header = _header(ready, () if tracking is None else tracking.calibrators)
-        journal = JournalWriter(folder.journal, header, again=resumption is not None)
+        journal = _opened(folder, header, again=resumption is not None)
         stack.callback(_closed, journal)
         journal.put_meta(RUN_UID, manifest["uid"])
         await stack.enter_async_context(clocks_recorded(journal))
