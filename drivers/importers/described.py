@@ -219,8 +219,8 @@ def _driven(one: DescribedActuator, name: str, first: bool, period_s: float) -> 
         "max_rate": f"guessed: {unit} a second",
         "safe_value": f"guessed: {why}",
     }
-    if one.read is None:
-        return [(one.written.bus, _point(f"{name}_set", one.written, keys, said))]
+    if one.read is None:  # profiles and twins find it by its own name
+        return [(one.written.bus, _point(name, one.written, keys, said))]
     keys |= {"readback": name, "readback_tolerance": 0.02 * one.most, "readback_within_s": 60.0}
     said |= {"readback_tolerance": "guessed", "readback_within_s": "guessed"}
     low = -0.005 * one.most if unit == "W" else 0.0

@@ -315,7 +315,9 @@ def validate(
                 f"convert the column to {units_of[name]}"
             )
             continue
-        near = difflib.get_close_matches(column, limits, n=1, cutoff=0.5)
+        # Another actuator is never meant, however near its name.
+        alike = [known for known in limits if difflib.get_close_matches(_actuator(column), [_actuator(known)])]
+        near = difflib.get_close_matches(column, alike, n=1, cutoff=0.5)
         meant.update(near)
         remedy = f"did you mean {near[0]}?" if near else f"the rig takes {', '.join(limits) or 'none'}"
         problems.append(f"{source} moves '{column}', which is no set-point of this rig; {remedy}")
@@ -329,6 +331,11 @@ def validate(
     if problems:
         raise ProfileError("\n".join(problems))
     return notes
+
+
+def _actuator(column: str) -> str:
+    """Return the first word of a column: what it moves."""
+    return column.partition("_")[0]
 
 
 def _rows_between_ticks(profile: Profile, source: Path | str, period_s: float) -> list[str]:

@@ -98,8 +98,8 @@ def test_thermocouples_on_modbus_and_several_of_a_kind(tmp_path):
     assert done.exit_code == 0, done.output
     rig = accepted(out)
     assert (rig.name, rig.period_s, rig.abort_after_s) == ("bench 4", 2.0, 10.0)
-    assert [point.name for point in rig.setpoints] == ["heater_power_set", "heater_power_2_set", "pump_speed_set"]
-    assert rig.get("heater_power_2_set").limits == (0.0, 300.0)
+    assert [point.name for point in rig.setpoints] == ["heater_power", "heater_power_2", "pump_speed"]
+    assert rig.get("heater_power_2").limits == (0.0, 300.0)
     assert (rig.get("T_in").table, rig.get("T_in").address, rig.get("T_in").alarm) == ("input", 21, (-5.0, 60.0))
     assert (rig.get("T_tank").role, rig.get("T_in").role) == ("T_tank", None)  # none that hil does not know
     assert "# No [heartbeat]: when this computer dies" in out.read_text(encoding="utf-8")
@@ -115,7 +115,7 @@ def test_thermocouples_on_modbus_and_several_of_a_kind(tmp_path):
         (["--heater", "set=holding:0,most=3"], "'most=3' in 'set=holding:0,most=3' is not understood"),
         (["--heater", "read=input:0"], "does not say where the heater is written"),
         (["--heater", "holding:0,max=-5"], "must be above 0"),
-        (["--heater", "holding:0", "--pump", "holding:0"], "holding register 0 is heater_power_set's already"),
+        (["--heater", "holding:0", "--pump", "holding:0"], "holding register 0 is heater_power's already"),
         (["--heater", "set=holding:0,max=100000"], "100000 does not fit in uint16"),
         (["--heater", "input:0"], "input registers cannot be written"),
         (["--thermocouple", "input:3"], "write NAME=PLACE"),
@@ -184,7 +184,7 @@ def test_who_says_nothing_is_asked(tmp_path, monkeypatch):
     plc = rig.bus["plc"]
     assert (rig.name, plc.host, plc.port, plc.device_id) == ("my bench", "192.168.1.20", 1502, 3)  # type: ignore[union-attr]
     assert rig.get("heater_power_set").limits == (0.0, 2000.0)
-    assert rig.get("pump_speed_set").readback is None
+    assert rig.get("pump_speed").readback is None
     assert len([point for point in rig.point if point.unit == "degC"]) == 10
     assert rig.heartbeat is None
 
