@@ -141,6 +141,8 @@ async def test_the_socket_is_its_owners_alone_and_long_paths_are_no_matter(tmp_p
         assert await asyncio.to_thread(live_runs, tmp_path) == [folder]
         done = await asyncio.to_thread(ask, path, "pause", "lunch")
         assert (done["ok"], done["text"], done["status"]["values"]) == (True, "pause: lunch", {"T": None})
+        long = await asyncio.to_thread(ask, path, "pause", "why " * 50_000)
+        assert long["ok"] and long["text"].startswith("pause: why why") and len(long["text"]) < 300
         refused = await asyncio.to_thread(ask, path, "hold")
         assert (refused["ok"], refused["text"]) == (False, "not now")
         unknown = await asyncio.to_thread(ask, path, "explode")

@@ -142,7 +142,8 @@ def ask(path: Path, verb: str, reason: str = "") -> dict[str, Any]:
         try:
             with _short(path) as address:
                 client.connect(address)
-            client.sendall(json.dumps({"verb": verb, "reason": reason}).encode() + b"\n")
+            # Four times as much as is kept, since control characters are taken out of it there.
+            client.sendall(json.dumps({"verb": verb, "reason": reason[: 4 * LONGEST_REASON]}).encode() + b"\n")
             with client.makefile("rb") as lines:
                 line = lines.readline()
         except TimeoutError:
