@@ -176,6 +176,20 @@ def known_unit(text: str) -> str | None:
     return None if low.rstrip("s") == _ANGLE else _meant(bare)
 
 
+def prefixed_unit(text: str) -> tuple[str, float] | None:
+    """Return the known unit that `text` is a decimal multiple of, and the factor to it: `mK` is 0.001 K.
+
+    None for every other text, and for known units themselves. A prefix is one of the SI, in its own case of letters.
+    """
+    bare = text.strip()
+    for prefix, factor in _PREFIXES.items():
+        base = bare[len(prefix) :]
+        symbol = _BASES.get(base.lower()) if bare.startswith(prefix) else None
+        if symbol is not None and (base == symbol or symbol == "ohm") and known_unit(bare) is None:
+            return symbol, factor
+    return None
+
+
 def canonical_unit(unit: str) -> str:
     """Return this project's symbol for `unit`; raise ValueError with the nearest known symbol."""
     symbol = _ALIASES.get(unit, unit)

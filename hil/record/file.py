@@ -11,7 +11,7 @@ from hil.files import TEXT_COPIES, read_parquet, require_size
 from hil.record.csv_file import EncodingError, read_csv, utf8
 from hil.record.long_format import one_column_a_series
 from hil.record.raw import RawRecord, RecordError, unique
-from hil.record.units import with_heading_units
+from hil.record.units import with_heading_units, with_unit_columns
 
 _FOREIGN = (
     (b"SQLite format 3", "is a journal, not a record; `hil export` makes the record from it"),
@@ -36,7 +36,7 @@ def read_raw(path: Path) -> RawRecord:
         raise RecordError(f"{path} is empty; give a record with a header and at least one row")
     digest = hashlib.sha256(content).hexdigest()
     if content.startswith(b"PAR1"):
-        return _with_rows(with_heading_units(one_column_a_series(_parquet(path, content, digest))))
+        return _with_rows(_with_units(_parquet(path, content, digest)))
     for magic, what in _FOREIGN:
         if content.startswith(magic):
             raise RecordError(f"{path} {what}")
@@ -48,7 +48,12 @@ def read_raw(path: Path) -> RawRecord:
         raise RecordError(f"{path} {error}") from error
     if b"\0" in content[:65536]:
         raise RecordError(f"{path} is neither Parquet nor text; export the record as Parquet or CSV")
-    return _with_rows(with_heading_units(one_column_a_series(read_csv(path, content, digest))))
+    return _with_rows(_with_units(read_csv(path, content, digest)))
+
+
+def _with_units(raw: RawRecord) -> RawRecord:
+    """Return `raw` with a column for each series, and the units that headings and columns of units give."""
+    return with_unit_columns(with_heading_units(one_column_a_series(raw)))
 
 
 def _with_rows(raw: RawRecord) -> RawRecord:

@@ -20,7 +20,8 @@ class RawRecord:
 
     `units` are those that the file itself gives; `header_line` and `skipped_lines` map rows to lines of a
     CSV (0 and empty for Parquet); `lines`, where it is not empty, are the rows' lines one by one. `delimiter` separates
-    its columns. `plausible` are ranges that the file itself declares for a column.
+    its columns. `plausible` are ranges that the file itself declares for a column. `conversions` are factor and offset
+    that make the numbers of a column those of its unit, for the column or row by row.
     """
 
     path: Path
@@ -35,6 +36,7 @@ class RawRecord:
     delimiter: str = ""
     plausible: dict[str, tuple[float, float]] = field(default_factory=dict)
     lines: tuple[int, ...] = ()
+    conversions: dict[str, tuple[Any, Any]] = field(default_factory=dict)
 
     def place(self, row: int) -> str:
         """Return the place of `row` (from 0) in the file, for a message."""

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import io
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from drivers.signals import column_name, split_column
+from drivers.signals import split_column
 from hil.files import require_columns
 from hil.record.csv_file.annotated import is_annotated, read_annotated
 from hil.record.csv_file.dialect import BLANKS, Dialect, DialectError, find_dialect, heading_cells, is_value, split
 from hil.record.csv_file.repeated_headings import by_later_headings
 from hil.record.raw import RawRecord, RecordError, unique
-from hil.record.times import SECONDS_PER, is_time_name, names_unit, seconds_per_unit
-from hil.record.units import fahrenheit_hint, name_and_unit
+from hil.record.times import SECONDS_PER, is_time_name, names_unit, seconds_per_unit, zone_of
+from hil.record.units import fahrenheit_hint, has_open_factor, meaning_of, name_and_unit, suffixed
 from hil.record.values import may_be_lost
 
 if TYPE_CHECKING:
@@ -52,9 +53,9 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         text = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+(?=\r?$)", "", text))
         content, encoding, delimiter = text.encode(), "utf-8", "\t"
     require_columns(path, len(dialect.names), RecordError)
-    named, units, hints = _named(path, dialect)
-    messages += hints
-    names, repeated = unique(named)
+    named = _named(path, dialect)
+    messages += named.messages
+    names, repeated = unique(named.names)
     messages += repeated
     table, skipped = _table(path, content, names, delimiter, encoding, dialect.rows_from)
     if skipped:
@@ -77,7 +78,8 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         names,
         tuple(table.columns),
         tuple(messages),
-        units=units,
+        units=named.units,
+        conversions=named.conversions,
         header_line=dialect.rows_from,
         skipped_lines=tuple(line for line, _ in skipped),
         delimiter=delimiter,
@@ -120,34 +122,94 @@ def _without_empty_end(
     return names[:-1], table.select(range(len(names) - 1))
 
 
-def _named(path: Path, dialect: Dialect) -> tuple[list[str], dict[str, str], list[str]]:
-    """Return the names with the suffixes of the units that the file gives, units by column, and hints at units.
+@dataclass(frozen=True)
+class _Named:
+    """Names of the columns with the suffixes of the units that the file gives, and what follows from these units.
+
+    `units` are by column, `conversions` factor and offset of its numbers, `messages` remarks and hints.
+    """
+
+    names: list[str]
+    units: dict[str, str]
+    conversions: dict[str, tuple[float, float]]
+    messages: list[str]
+
+
+def _named(path: Path, dialect: Dialect) -> _Named:
+    """Return the names of the columns with the units of the dialect.
 
     Raises
     ------
     RecordError
-        A name ends in the suffix of another unit than the line below the names gives.
+        A name ends in the suffix of another unit than the line of units gives, or that line has a factor for it that
+        cannot be read.
     """
-    names = list(dialect.names)
-    units: dict[str, str] = {}
-    hints: list[str] = []
-    for place, unit in dialect.units.items():
-        name = names[place]
-        own = _unit_of(name)
-        same = own == unit or (is_time_name(name) and SECONDS_PER.get(unit) == seconds_per_unit(name))
-        if own is not None and not same:
-            raise RecordError(
-                f"{path}: column '{name}' is in {own} by its name and in {unit} by a line below the names; correct one "
-                "of them"
-            )
-        if unit == "degF":
-            names[place] = name if name.lower().endswith(("_f", "_degf")) else f"{name}_F"
-            hints.append(fahrenheit_hint(names[place]))
+    found = _Named(list(dialect.names), {}, {}, [])
+    for place, cell in dialect.units.items():
+        name = found.names[place]
+        if is_time_name(name):
+            _name_time(path, dialect, place, found)
             continue
-        if name and not is_time_name(name) and own is None:
-            names[place] = column_name(name, unit)
-        units[names[place]] = unit
-    return names, units, list(filter(None, hints))
+        meaning, own = meaning_of(cell), _unit_of(name)
+        if own is not None and meaning != (own, 1.0):
+            raise RecordError(_contradiction(path, name, own, meaning, cell, dialect.units_line))
+        if not name or own is not None:
+            continue
+        if meaning is None:
+            found.names[place] = f"{name} [{cell.strip('[]() ')}]"
+            open_factor = ", whose factor may be applied already or not" if has_open_factor(cell) else ""
+            found.messages.append(
+                f"line {dialect.units_line} gives '{cell}' for column '{name}', no known unit{open_factor}: kept as "
+                f"'{found.names[place]}' without a unit"
+            )
+            continue
+        unit, factor = meaning
+        found.names[place] = named = suffixed(name, unit)
+        if unit == "degF":
+            found.names[place] = named = name if name.lower().endswith(("_f", "_degf")) else named
+            found.messages += filter(None, [fahrenheit_hint(named)])
+        else:
+            found.units[named] = unit
+        if factor != 1.0:
+            found.conversions[named] = (factor, 0.0)
+            found.messages.append(
+                f"line {dialect.units_line} gives '{cell}' for column '{name}': read as {named}, its numbers times "
+                f"{factor:.10g}"
+            )
+    return found
+
+
+def _name_time(path: Path, dialect: Dialect, place: int, found: _Named) -> None:
+    """Take the unit or the zone that a line of units gives for a column of times into its name or its unit."""
+    name, symbol = found.names[place], dialect.units[place].strip("[]() ")
+    if symbol.lower() in SECONDS_PER:
+        if names_unit(name) and SECONDS_PER[symbol.lower()] != seconds_per_unit(name):
+            raise RecordError(
+                f"{path}: column '{name}' is in {_unit_of(name)} by its name and in {symbol} by line "
+                f"{dialect.units_line}; correct one of them"
+            )
+        found.units[name] = symbol.lower()
+    elif any(letter.isdigit() for letter in symbol) and (symbol.lower().split() or [""])[-1] in SECONDS_PER:
+        raise RecordError(
+            f"{path} line {dialect.units_line} gives the unit '{symbol}' for the times '{name}'; write seconds"
+        )
+    elif zone_of(f"({symbol})") is not None:
+        found.names[place] = f"{name} ({symbol})"
+
+
+def _contradiction(
+    path: Path, name: str, own: str, meaning: tuple[str, float] | None, cell: str, line: int
+) -> str:
+    if meaning is None:
+        return (
+            f"{path}: column '{name}' is in {own} by its name, and line {line} gives '{cell}' for it, which is another "
+            f"unit or has a factor; write {own} there and the numbers in {own}"
+        )
+    other = meaning[0] if meaning[1] == 1.0 else f"{meaning[1]:.10g} {meaning[0]}"
+    remedy = "correct one of them"
+    if meaning[0] == own:
+        remedy = f"write {own} there, or take the unit out of the name where the numbers are to be multiplied"
+    return f"{path}: column '{name}' is in {own} by its name and in {other} by line {line}; {remedy}"
 
 
 def _unit_of(name: str) -> str | None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.record.times.names import SECONDS_PER, is_time_name, names_dates, names_unit, seconds_per_unit
+    from hil.record.times.names import SECONDS_PER, is_time_name, names_dates, names_unit, seconds_per_unit, zone_of
     from hil.record.times.time_axis import GAP_PERIODS, TimeAxis, numbered, read_time, span
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "read_time",
     "seconds_per_unit",
     "span",
+    "zone_of",
 ]
 
 __getattr__, __dir__ = lazy_names(
@@ -35,6 +36,7 @@ __getattr__, __dir__ = lazy_names(
             "names_dates",
             "names_unit",
             "seconds_per_unit",
+            "zone_of",
         ),
         "time_axis": (
             "GAP_PERIODS",
