@@ -105,11 +105,10 @@ def without_implausible(
         values = np.where(outside, np.nan, values)
     numbers = np.where(np.isnan(values), np.nan, numbers)
     found = extremes = _extremes(numbers)
-    if parts:
-        listed = (*CODES, *TEMPERATURE_CODES) if unit == "degC" and not converted else CODES
-        found = [*found, *(code for code in np.unique(numbers[_equal(numbers, listed)]).tolist() if code not in found)]
-        if unit in ("degC", "K") and _LEVELS.search(parts[0]) is None:
-            found += [code for code in _repeated(numbers) if code not in found]
+    listed = (*CODES, *TEMPERATURE_CODES) if unit == "degC" and not converted else CODES
+    found = [*found, *(code for code in np.unique(numbers[_equal(numbers, listed)]).tolist() if code not in found)]
+    if parts and unit in ("degC", "K") and _LEVELS.search(parts[0]) is None:
+        found += [code for code in _repeated(numbers) if code not in found]
     for code in 2 * found:  # The value farthest out hides the others from the first pass.
         apart = _far_extreme(numbers, code, parts is not None) if code in extremes else _stand_apart(numbers, code)
         if apart is not None:
@@ -139,7 +138,7 @@ def _far_extreme(numbers: Values, code: float, has_unit: bool) -> NDArray[np.boo
     """
     here = numbers == code
     others = numbers[np.isfinite(numbers) & ~here]
-    if not len(others):
+    if not here.any() or not len(others):
         return None
     low, high = float(others.min()), float(others.max())
     apart = float(np.abs(others - code).min())

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from drivers.signals import Quality
 from hil.record.quality import Rating, is_rating_name, may_rate, rated_by, rating, texts_of
 from hil.record.raw import RawRecord
-from hil.record.values import parse
+from hil.record.values import Sign, parse
 
 QUALITY = "_quality"
 """Ending of a column that holds the quality of the column before it."""
@@ -60,13 +60,16 @@ class RatedColumns:
         return None if not found else np.max(found, axis=0).astype(np.uint8)
 
 
-def find_ratings(raw: RawRecord, time_columns: tuple[str, ...]) -> RatedColumns:
-    """Return the columns of `raw` that rate the values of others, by their names and what they hold."""
+def find_ratings(raw: RawRecord, time_columns: tuple[str, ...], signs: dict[str, Sign]) -> RatedColumns:
+    """Return the columns of `raw` that rate the values of others, by their names and what they hold.
+
+    `signs` are the decimal signs of the columns.
+    """
     asked = [n for n in raw.names if n not in time_columns and (may_rate(n) or is_rating_name(n))]
     if not asked:
         return RatedColumns(frozenset())
     cells = dict(zip(raw.names, raw.cells, strict=True))
-    values = [n for n in raw.names if n not in time_columns and n not in asked and _holds_numbers(cells[n])]
+    values = [n for n in raw.names if n not in time_columns and n not in asked and _holds_numbers(cells[n], signs.get(n, "."))]
     columns: set[str] = set()
     by_value: dict[str, list[tuple[str, Rating]]] = {}
     messages: list[str] = []
@@ -81,18 +84,18 @@ def find_ratings(raw: RawRecord, time_columns: tuple[str, ...]) -> RatedColumns:
                 by_value.setdefault(column, []).append((name, found))
             continue
         there = [text for text in texts if text is not None]
-        if rated and there and not _all_good(name, there, cells, rated):
+        if rated and there and not _all_good(name, there, cells, rated, signs):
             who = ", ".join(rated[:3]) + (" and others" if len(rated) > 3 else "")
             messages.append(
                 f"column '{name}' has codes of no known kind (the first is '{there[0][:20]}'): not used, {who} "
                 f"{'is' if len(rated) == 1 else 'are'} read without it; write Good and Bad to have it used"
             )
-        elif not rated and rating(name, texts) is not None and not _holds_numbers(cells[name]):
+        elif not rated and rating(name, texts) is not None and not _holds_numbers(cells[name], "."):
             messages.append(f"column '{name}' may report which values are bad, and no column has its name: not used")
     return RatedColumns(frozenset(columns), by_value, tuple(messages))
 
 
-def _all_good(name: str, there: list[str], cells: dict[str, object], rated: list[str]) -> bool:
+def _all_good(name: str, there: list[str], cells: dict[str, object], rated: list[str], signs: dict[str, Sign]) -> bool:
     """Return True for codes of which none is bad in any kind, or only those of values that are missing anyway."""
     try:
         codes = np.array([float(text) if text else np.nan for text in there])
@@ -105,11 +108,11 @@ def _all_good(name: str, there: list[str], cells: dict[str, object], rated: list
         return False
     held = np.zeros(len(marks.values), dtype=np.bool_)
     for column in rated:
-        numbers = parse(cells[column])
+        numbers = parse(cells[column], signs.get(column, "."))
         held |= np.isfinite(numbers.values) if numbers is not None else False
     return not (held & (np.nan_to_num(marks.values) != 0)).any()
 
 
-def _holds_numbers(cells: object) -> bool:
-    numbers = parse(cells)
+def _holds_numbers(cells: object, sign: Sign) -> bool:
+    numbers = parse(cells, sign)
     return numbers is not None and numbers.bad <= numbers.present / 2

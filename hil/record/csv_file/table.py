@@ -157,17 +157,17 @@ def _named(path: Path, dialect: Dialect) -> _Named:
             continue
         if meaning is None:
             found.names[place] = f"{name} [{cell.strip('[]() ')}]"
-            open_factor = ", whose factor may be applied already or not" if has_open_factor(cell) else ""
-            found.messages.append(
-                f"line {dialect.units_line} gives '{cell}' for column '{name}', no known unit{open_factor}: kept as "
-                f"'{found.names[place]}' without a unit"
-            )
+            if not has_open_factor(cell):  # `with_heading_units` reports one.
+                found.messages.append(
+                    f"line {dialect.units_line} gives '{cell}' for column '{name}', no known unit: kept as "
+                    f"'{found.names[place]}' without a unit"
+                )
             continue
         unit, factor = meaning
         found.names[place] = named = suffixed(name, unit)
         if unit == "degF":
             found.names[place] = named = name if name.lower().endswith(("_f", "_degf")) else named
-            found.messages += filter(None, [fahrenheit_hint(named)])
+            found.messages.extend(filter(None, [fahrenheit_hint(named)]))
         else:
             found.units[named] = unit
         if factor != 1.0:

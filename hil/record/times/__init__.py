@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.record.times.names import SECONDS_PER, is_time_name, names_dates, names_unit, seconds_per_unit, zone_of
+    from hil.record.times.names import SECONDS_PER, is_time_name, names_dates, names_unit, seconds_per_unit
     from hil.record.times.time_axis import GAP_PERIODS, TimeAxis, numbered, read_time, span
+    from hil.record.times.zones import zone_of
 
 __all__ = [
     "GAP_PERIODS",
@@ -36,7 +37,6 @@ __getattr__, __dir__ = lazy_names(
             "names_dates",
             "names_unit",
             "seconds_per_unit",
-            "zone_of",
         ),
         "time_axis": (
             "GAP_PERIODS",
@@ -45,5 +45,6 @@ __getattr__, __dir__ = lazy_names(
             "read_time",
             "span",
         ),
+        "zones": ("zone_of",),
     },
 )

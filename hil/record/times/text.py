@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.record.times.full_clock import TimeTextError, require_full_clock
+from hil.record.times.zones import CELL, minutes_of
 
 Order = Literal["ymd", "dmy", "mdy"]
 ORDERS: tuple[Order, ...] = ("dmy", "mdy", "ymd")
@@ -45,7 +46,8 @@ _MONTHS = {
 }
 _TIME = (
     r"(?P<hour>\d{1,3}):(?P<minute>[0-5]\d)(?::(?P<second>[0-5]\d|60)(?:[.,:](?P<fraction>\d{1,9}))?)?"
-    r"(?:\s*(?P<half>[AaPp])\.?\s?[Mm]\.?)?\s*(?P<zone>Z|z|UTC|GMT|CET|CEST|[+-]\d{2}(?::?\d{2})?)?"
+    r"(?:\s*(?P<half>[AaPp])\.?\s?[Mm]\.?)?"
+    rf"\s*(?:(?P<zone>(?i:{CELL}))(?:\s*\([A-Za-z ]+\))?)?"
 )
 _DATE = (
     r"(?:[A-Za-z]{2,9}\.?,?\s+)?(?:(?P<a>\d{1,4})(?P<sep>[-/.])(?P<b>\d{1,2})(?P=sep)(?P<c>\d{1,4})"
@@ -59,7 +61,6 @@ _CLOCK = re.compile(rf"(?:(?P<days>\d{{1,5}})\s*d(?:ays?)?,?\s+)?{_TIME}", re.AS
 _FOUR = re.compile(r"(\d{1,3}):([0-5]\d):([0-5]\d):(\d\d)", re.ASCII)
 """Days, hours, minutes and seconds, or hours, minutes, seconds and hundredths."""
 _HOUR = re.compile(r"(?:^|[T\s,_-])(\d{1,2}):[0-5]\d")
-_ZONES = {"z": 0, "utc": 0, "gmt": 0, "cet": 60, "cest": 120}
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,16 +261,8 @@ def _micros_of_day(match: re.Match[str]) -> int:
         hour = hour % 12 + (12 if match["half"] in "Pp" else 0)
     fraction = int((match["fraction"] or "0").ljust(9, "0")) // 1000
     seconds = hour * 3600 + int(match["minute"]) * 60 + int(match["second"] or 0)
-    return seconds * 1_000_000 + fraction - _zone_minutes(match["zone"]) * 60_000_000
-
-
-def _zone_minutes(zone: str | None) -> int:
-    if not zone:
-        return 0
-    if zone.lower() in _ZONES:
-        return _ZONES[zone.lower()]
-    digits = zone[1:].replace(":", "").ljust(4, "0")
-    return (-1 if zone[0] == "-" else 1) * (int(digits[:2]) * 60 + int(digits[2:]))
+    ahead = minutes_of(match["zone"]) if match["zone"] else 0
+    return (seconds - 60 * ahead) * 1_000_000 + fraction
 
 
 def _full(year: int) -> int:
