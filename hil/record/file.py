@@ -11,6 +11,7 @@ from hil.files import TEXT_COPIES, read_parquet, require_size
 from hil.record.csv_file import EncodingError, read_csv, utf8
 from hil.record.long_format import one_column_a_series
 from hil.record.raw import RawRecord, RecordError, unique
+from hil.record.side_by_side import one_below_the_other
 from hil.record.units import with_heading_units, with_unit_columns
 
 _FOREIGN = (
@@ -46,14 +47,27 @@ def read_raw(path: Path) -> RawRecord:
         content = utf8(content)
     except EncodingError as error:
         raise RecordError(f"{path} {error}") from error
-    if b"\0" in content[:65536]:
-        raise RecordError(f"{path} is neither Parquet nor text; export the record as Parquet or CSV")
+    if b"\0" in content:
+        raise RecordError(f"{path}{_zero_bytes(content)}")
     return _with_rows(_with_units(read_csv(path, content, digest)))
+
+
+def _zero_bytes(content: bytes) -> str:
+    """Return the message on zero bytes: of another kind of file, or in a few lines of a text."""
+    lines = content.split(b"\n")
+    bad = [number for number, line in enumerate(lines, start=1) if b"\0" in line]
+    if bad[0] == 1 or len(bad) > len(lines) / 2:
+        return " is neither Parquet nor text; export the record as Parquet or CSV"
+    more = "" if len(bad) == 1 else f" ({len(bad)} lines in all)"
+    return (
+        f" line {bad[0]} holds {lines[bad[0] - 1].count(0)} zero bytes{more}, as a logger leaves them that lost its power "
+        "while it wrote; take such lines out"
+    )
 
 
 def _with_units(raw: RawRecord) -> RawRecord:
     """Return `raw` with a column for each series, and the units that headings and columns of units give."""
-    return with_unit_columns(with_heading_units(one_column_a_series(raw)))
+    return with_unit_columns(with_heading_units(one_column_a_series(one_below_the_other(raw))))
 
 
 def _with_rows(raw: RawRecord) -> RawRecord:

@@ -70,6 +70,11 @@ class ReadingOptions:
     time_scale: float = 1.0
 
 
+def repeat_message(name: str, renamed: str) -> str:
+    """Return the message on a column whose name stands in the file a second time."""
+    return f"column '{name}' stands twice: the second is read as '{renamed}'"
+
+
 def unique(names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return `names` with repeats renamed so that the first keeps its name, and messages on the renamed ones."""
     found: list[str] = []
@@ -80,7 +85,7 @@ def unique(names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
             count = 2
             while f"{name}_{count}" in found or f"{name}_{count}" in names:
                 count += 1
-            messages.append(f"column '{name}' stands twice: the second is read as '{name}_{count}'")
+            messages.append(repeat_message(name, f"{name}_{count}"))
             name = f"{name}_{count}"
         found.append(name)
     return tuple(found), tuple(messages)

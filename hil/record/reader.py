@@ -37,6 +37,7 @@ from hil.record.values import (
     Numbers,
     Sign,
     decimal_signs,
+    is_difference,
     may_be_lost,
     of_a_room,
     parse,
@@ -133,7 +134,7 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
         raise RecordError(f"{path}: {error}") from error
     axis = numbered(raw) if at_rest else read_time(raw, signs, choice)
     messages += axis.messages
-    rows, moved = order(raw, axis)
+    rows, moved = order(raw, axis, signs)
     messages += moved
     stamps = axis.seconds[rows]
     last_of_stamp = np.append(np.flatnonzero(np.diff(stamps) > 0), len(stamps) - 1)
@@ -258,7 +259,7 @@ def _in_unit(
         return name, values
     signal, unit = parts
     wanted = _standard_unit(name) or unit
-    if wanted != unit:
+    if wanted != unit and not (unit == "K" and is_difference(signal)):
         target = column_name(signal, wanted)
         convert = {("kW", "W"): (1000.0, 0.0), ("K", "degC"): (1.0, -273.15)}.get((unit, wanted))
         if convert is None or target in raw.names:

@@ -16,7 +16,7 @@ from hil.record.csv_file.repeated_headings import by_later_headings
 from hil.record.raw import RawRecord, RecordError, unique
 from hil.record.times import SECONDS_PER, is_time_name, names_unit, seconds_per_unit, zone_of
 from hil.record.units import fahrenheit_hint, has_open_factor, meaning_of, name_and_unit, suffixed
-from hil.record.values import may_be_lost
+from hil.record.values import may_be_lost, readings
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -72,6 +72,7 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         where = "the last one, cut off" if last else f"the first is line {line}"
         messages.append(f"{what} not the {len(names)} fields of the header ({where}): dropped")
     names, table = _without_empty_end(dialect.names, names, table)
+    _require_closed_quotes(path, content, table, dialect)
     raw = RawRecord(
         path,
         digest,
@@ -221,6 +222,27 @@ def _unit_of(name: str) -> str | None:
     return None if parts is None else parts[1]
 
 
+def _require_closed_quotes(path: Path, content: bytes, table: pa.Table, dialect: Dialect) -> None:
+    """Raise RecordError for a cell over several lines in a column of numbers: its quote does not end."""
+    import pyarrow.compute as pc
+
+    if b'"' not in content:
+        return
+    for cells in table.columns:
+        broken = pc.fill_null(pc.match_substring(cells, "\n"), False)
+        if pc.any(broken).as_py() and any(readings(cell) != (None, None) for cell in cells.to_pylist() if cell):
+            line = _open_quote(content, "\t" if dialect.delimiter == BLANKS else dialect.delimiter, dialect.rows_from)
+            raise RecordError(f"{path} line {line or '?'} has a quote that does not end there; close it")
+
+
+def _open_quote(content: bytes, delimiter: str, rows_from: int) -> int | None:
+    """Return the number of the first line below `rows_from` whose quote does not end in it, None if all end."""
+    for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), start=1):
+        if number > rows_from and '"' in line and split(line, delimiter) is None:
+            return number
+    return None
+
+
 def _table(
     path: Path, content: bytes, names: tuple[str, ...], delimiter: str, encoding: str, rows_from: int
 ) -> tuple[pa.Table, list[tuple[int, str]]]:
@@ -248,6 +270,10 @@ def _table(
             ),
         )
     except (pa.ArrowException, UnicodeDecodeError) as error:
+        if (line := _open_quote(content, delimiter, rows_from)) is not None:
+            raise RecordError(
+                f"{path} line {line} has a quote that does not end there; close it, and write texts without line breaks"
+            ) from error
         if "Empty CSV" not in str(error) and "Could not skip" not in str(error):
             why = (str(error).splitlines() or [type(error).__name__])[0]
             raise RecordError(f"{path} cannot be read as CSV ({why}); check its quotes and separators") from error
