@@ -180,7 +180,8 @@ def _spread(
 ) -> RawRecord:
     import pyarrow as pa
 
-    names = list(dict.fromkeys(name for name in series if name))
+    timed = [name if moment else "" for name, moment in zip(series, moments, strict=True)]  # A trailer has no time.
+    names = list(dict.fromkeys(name for name in timed if name))
     if len(names) > MOST_SERIES:
         raise RecordError(
             f"{raw.path} has {len(names)} series, more than a rig has signals; give a record with a column for each"
@@ -192,7 +193,7 @@ def _spread(
     spread = {name: (np.ones(len(row_of)), np.zeros(len(row_of))) for name in conversions}
     lost = 0
     doubtful: list[int] = []
-    for i, (moment, name, value) in enumerate(zip(moments, series, values, strict=True)):
+    for i, (moment, name, value) in enumerate(zip(moments, timed, values, strict=True)):
         first.setdefault(moment, i)
         if not name or value is None:
             continue

@@ -46,7 +46,9 @@ def order(raw: RawRecord, axis: TimeAxis, signs: dict[str, Sign]) -> tuple[NDArr
                 f"{raw.path} {raw.place(int(rows[worst]))}: the time goes back by {back / YEAR_S:.3g} years, as that of a "
                 "clock that was not set; correct the times of the rows before or after it, or take them out"
             )
-        second = _second_segments(raw, axis, rows, signs)
+        second, is_late = _second_segments(raw, axis, rows, signs)
+        if not is_late:  # Columns with times of their own: of none of them does the time go back.
+            return rows[np.argsort(stamps, kind="stable")], messages
         if second.any():
             at = int(np.argmax(second))
             place = raw.place(int(rows[at]))
@@ -67,8 +69,12 @@ def order(raw: RawRecord, axis: TimeAxis, signs: dict[str, Sign]) -> tuple[NDArr
 
 def _second_segments(
     raw: RawRecord, axis: TimeAxis, rows: NDArray[np.int64], signs: dict[str, Sign]
-) -> NDArray[np.bool_]:
-    """Return which of `rows (k,)` belong to a segment that interleaves with earlier rows of one of its columns."""
+) -> tuple[NDArray[np.bool_], bool]:
+    """Return which of `rows (k,)` belong to a segment that interleaves with earlier rows of one of its columns.
+
+    The second result is True where the time of any column goes back.
+    """
+    is_late = False
     found = np.zeros(len(rows), dtype=np.bool_)
     seen: set[bytes] = set()
     for name, cells in zip(raw.names, raw.cells, strict=True):
@@ -81,7 +87,8 @@ def _second_segments(
             seen.add(key)
             at = np.flatnonzero(held)
             found[at] |= _interleaved(axis.seconds[rows[at]])
-    return found
+            is_late |= bool((np.diff(axis.seconds[rows[at]]) < 0).any())
+    return found, is_late
 
 
 def _interleaved(stamps: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -138,6 +138,7 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
         return None
     heading = _heading(above)
     line, names = above[heading]
+    names = _told_apart(names, [row for _, row in above[:heading]])
     below = above[heading + 1 :]
     if len(below) > MOST_BELOW:
         return None
@@ -153,6 +154,20 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
         told = f", and a line {'below' if below else 'above'} it gives units" if units else ""
         said = (f"line {line.number} is taken for the heading{told}; {which} {', '.join(left_out)} left out",)
     return Dialect(delimiter, tuple(names), line.number, max(above[-1][0].number, line.number), units, units_line, said)
+
+
+def _told_apart(names: list[str], over: Sequence[Sequence[str]]) -> list[str]:
+    """Return the names with those that several columns share replaced by a line above that names each of them.
+
+    Loggers write `Value` for every channel below the line of their tags.
+    """
+    shared = [place for place, name in enumerate(names) if names.count(name) > 1 and name and not is_time_name(name)]
+    for row in reversed(over):
+        cells = [row[place] for place in shared]
+        known = sum(place in shared for place in _known_units(row, names))
+        if all(cells) and len(set(cells)) == len(cells) > 1 and known < len(cells) and not any(map(is_value, cells)):
+            return [row[place] if place in shared else name for place, name in enumerate(names)]
+    return names
 
 
 def _ended_alike(fields: Sequence[list[str] | None], k: int) -> list[list[str] | None]:
