@@ -125,8 +125,12 @@ def _extremes(numbers: Values) -> list[float]:
         counts = np.abs(different) * 10.0**decimals
         whole = np.round(counts)
         found |= np.isin(whole, EXTREMES) & (np.abs(counts - whole) <= 1e-7 * whole)
-    codes = [code for code in different[found].tolist() if abs(code) >= _LEAST_NINES or set(f"{code:.7g}") - set("9.-")]
+    codes = [code for code in different[found].tolist() if abs(code) >= _LEAST_NINES or not _is_nines(code)]
     return sorted(codes, key=lambda code: -abs(code))
+
+
+def _is_nines(code: float) -> bool:
+    return set(f"{code:.10g}") <= set("9.-")
 
 
 def _far_extreme(numbers: Values, code: float, has_unit: bool) -> NDArray[np.bool_] | None:
@@ -134,7 +138,7 @@ def _far_extreme(numbers: Values, code: float, has_unit: bool) -> NDArray[np.boo
 
     The empty interval between it and all other values is wider than all that those span, or than `STEPS` of their
     largest steps. It may fill most of the column. Others of a few levels (a switch) show nothing, unless the code is
-    `FAR_FACTOR` times as large as the largest and the column has a unit.
+    `FAR_FACTOR` times as large as the largest and the column has a unit; nines may be the full power of a switch.
     """
     here = numbers == code
     others = numbers[np.isfinite(numbers) & ~here]
@@ -144,7 +148,8 @@ def _far_extreme(numbers: Values, code: float, has_unit: bool) -> NDArray[np.boo
     apart = float(np.abs(others - code).min())
     largest = max(abs(low), abs(high))
     is_few = len(np.unique(others[: 100 * FEW])) < FEW
-    if is_few and not (has_unit and 0.0 < FAR_FACTOR * largest < abs(code)):
+    switches = high - low > largest / 2 and _is_nines(code)
+    if is_few and (switches or not (has_unit and 0.0 < FAR_FACTOR * largest < abs(code))):
         return None
     step = float(np.abs(np.diff(others)).max()) if len(others) > 1 else 0.0
     outside = code < low or code > high

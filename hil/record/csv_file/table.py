@@ -123,6 +123,9 @@ def _without_empty_end(
     return names[:-1], table.select(range(len(names) - 1))
 
 
+_ENCLOSED = re.compile(r"^[\[({]\s*(.*?)\s*[\])}]$")
+
+
 @dataclass(frozen=True)
 class _Named:
     """Names of the columns with the suffixes of the units that the file gives, and what follows from these units.
@@ -157,7 +160,8 @@ def _named(path: Path, dialect: Dialect) -> _Named:
         if not name or own is not None:
             continue
         if meaning is None:
-            found.names[place] = f"{name} [{cell.strip('[]() ')}]"
+            symbol = _ENCLOSED.sub(r"\1", cell)
+            found.names[place] = f"{name} [{symbol}]"
             if not has_open_factor(cell):  # `with_heading_units` reports one.
                 found.messages.append(
                     f"line {dialect.units_line} gives '{cell}' for column '{name}', no known unit: kept as "

@@ -13,7 +13,7 @@ from twin import celsius_conversion
 
 _IN_BRACKETS = re.compile(r"(.+?)\s*[\[({<]\s*([^\[\](){}<>]+?)\s*[\])}>]")
 _BEHIND_A_SIGN = re.compile(r"([^/,;]+?)\s+/\s+([^/\s]+)|([^/,;]+?)\s*,\s*([^,\s]+)(?:\s+\(.*)?|(.+?)\s+in\s+(\S+)")
-_SCALED_IN_BRACKETS = re.compile(r"(.+?)\s*[\[({<]\s*((?:1\s*/|[\d.,]+\s).+?)\s*[\])}>]")
+_NESTED = re.compile(r"(.+?)\s*\[\s*([^\[\]]+?)\s*\]")
 _SHOWN = 6
 """Columns that a message names one by one."""
 
@@ -41,7 +41,7 @@ def _scaled(heading: str) -> tuple[str, str, float] | None:
 
 
 def _name_and_symbol(heading: str) -> list[tuple[str, str]]:
-    found = (pattern.fullmatch(heading.strip()) for pattern in (_IN_BRACKETS, _SCALED_IN_BRACKETS, _BEHIND_A_SIGN))
+    found = (pattern.fullmatch(heading.strip()) for pattern in (_IN_BRACKETS, _NESTED, _BEHIND_A_SIGN))
     pairs = ([part.strip() for part in match.groups() if part] for match in found if match is not None)
     return [(pair[0], pair[1]) for pair in pairs]
 

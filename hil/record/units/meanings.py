@@ -78,6 +78,7 @@ def meaning_of(text: str) -> tuple[str, float] | None:
 def has_open_factor(text: str) -> bool:
     """Return True for a known unit with a number whose meaning is open, as in `x10 W`, `10 W`, `°C*10` and `°C/10`."""
     bare = text.strip().strip("[]{} ")
+    bare = bare[1:-1] if bare.startswith("(") and bare.endswith(")") else bare
     if meaning_of(bare) is not None:
         return False
     found = _BEFORE.fullmatch(bare) or _BEHIND.fullmatch(bare)
