@@ -46,11 +46,9 @@ def one_column_a_series(raw: RawRecord) -> RawRecord:
         return raw
     value, time = values[0], times[0]
     rated = [i for i, name in enumerate(raw.names) if is_rating_name(name)]
-    flags = [i for i, name in enumerate(raw.names) if is_remark_name(name) or holds_flags(texts_of(raw.cells[i])[:200])]
+    flags = [i for i, name in enumerate(raw.names) if is_remark_name(name) or holds_flags(texts_of(raw.cells[i][:200]))]
     rest = [
-        i
-        for i in range(len(low))
-        if i != value and i not in (*times, *rated, *flags) and not unit_name(raw.names[i])
+        i for i in range(len(low)) if i != value and i not in (*times, *rated, *flags) and not unit_name(raw.names[i])
     ]
     labels = [
         i
@@ -77,7 +75,9 @@ def one_column_a_series(raw: RawRecord) -> RawRecord:
     unused = [raw.names[i] for i in flags if i not in rated and not is_remark_name(raw.names[i])]
     bad, said = _bad_readings(raw, rated)
     said = (*(f"column '{name}' holds True and False alone: not used" for name in unused), *said)
-    return _spread(dataclasses.replace(raw, messages=(*raw.messages, *said)), time, moments, series, cells, bad, conversions)
+    return _spread(
+        dataclasses.replace(raw, messages=(*raw.messages, *said)), time, moments, series, cells, bad, conversions
+    )
 
 
 def _bad_readings(raw: RawRecord, rated: Sequence[int]) -> tuple[NDArray[np.bool_], list[str]]:

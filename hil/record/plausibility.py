@@ -120,6 +120,8 @@ def without_implausible(
 def _extremes(numbers: Values) -> list[float]:
     """Return the different numbers that are an end of a raw integer's range over a power of ten, farthest first."""
     different = np.unique(numbers[np.isfinite(numbers)])
+    if len(different) > 4 * _MOST_CODES:  # A code lies at an end of all numbers.
+        different = np.concatenate([different[: 2 * _MOST_CODES], different[-2 * _MOST_CODES :]])
     found = np.zeros(len(different), dtype=np.bool_)
     for decimals in range(_MOST_DECIMALS + 1):
         counts = np.abs(different) * 10.0**decimals

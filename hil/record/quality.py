@@ -48,7 +48,9 @@ _RATES = frozenset(
     " qualità qualita güte guete qc qflag".split()
 )
 """Words of a name under which words and codes rate values, and True is good."""
-_GOOD_IF = frozenset("ok good gut valid validity isvalid isgood gültig gültigkeit gueltig gueltigkeit valide válido".split())
+_GOOD_IF = frozenset(
+    "ok good gut valid validity isvalid isgood gültig gültigkeit gueltig gueltigkeit valide válido".split()
+)
 _BAD_IF = frozenset(
     "invalid isbad bad fault faulty fehler error questionable suspect substituted ungültig ungueltig stale".split()
 )
@@ -56,7 +58,15 @@ _DOUBTED_IF = frozenset(("questionable", "suspect", "substituted"))
 """Names whose True makes a value uncertain, not bad (flags of the PI system)."""
 _REMARKS = frozenset(("annotated",))
 """Names of flags of a reading that say nothing about its value."""
-_ALONE = (_RATES - {"state", "estado", "stato", "zustand"}) | {"valid", "validity", "isvalid", "isgood", "questionable", "substituted", "gültigkeit"}
+_ALONE = (_RATES - {"state", "estado", "stato", "zustand"}) | {
+    "valid",
+    "validity",
+    "isvalid",
+    "isgood",
+    "questionable",
+    "substituted",
+    "gültigkeit",
+}
 """Names without that of a signal which rate all values of a row, or those of the column before.
 
 A `state` alone is that of a machine, or a value.
@@ -190,7 +200,9 @@ def _codes(name: str, codes: set[int], project: bool) -> tuple[dict[int, Verdict
             return None
         one, zero = ("good", "bad") if sense == "good" else (sense, "good")
         return {0: zero, 1: one}, "marks"  # type: ignore[dict-item]
-    if any(OPC_GOOD <= code <= 0xFF for code in codes) and all(code <= 0xFFFF and code & 0xFC in _OPC for code in codes):
+    if any(OPC_GOOD <= code <= 0xFF for code in codes) and all(
+        code <= 0xFFFF and code & 0xFC in _OPC for code in codes
+    ):
         return {code: _opc(code & 0xFF) for code in codes}, "OPC codes"
     if 0 in codes and all(code == 0 or code >= _UA_UNCERTAIN for code in codes):
         return {code: "good" if code < _UA_UNCERTAIN else "uncertain" if code < _UA_BAD else "bad" for code in codes}, (
@@ -276,7 +288,9 @@ def holds_flags(cells: Sequence[str | None]) -> bool:
 
 
 def texts_of(cells: Any) -> list[str | None]:
-    """Return the cells of a column of any type as text, None for no cell; whole numbers are without decimals."""
+    """Return the cells of a column as text, None for no cell and for types without text; whole numbers are without
+    decimals.
+    """
     import pyarrow as pa
     import pyarrow.types as kinds
 
@@ -285,5 +299,8 @@ def texts_of(cells: Any) -> list[str | None]:
         return texts_of(cells.cast(kind.value_type))
     if kinds.is_floating(kind):
         return [None if x is None or x != x else f"{x:.15g}" for x in cells.to_pylist()]
-    found: list[str | None] = cells.cast(pa.string()).to_pylist()
+    try:
+        found: list[str | None] = cells.cast(pa.string()).to_pylist()
+    except (pa.ArrowNotImplementedError, pa.ArrowInvalid):
+        return [None] * len(cells)
     return found

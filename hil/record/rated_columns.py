@@ -69,7 +69,9 @@ def find_ratings(raw: RawRecord, time_columns: tuple[str, ...], signs: dict[str,
     if not asked:
         return RatedColumns(frozenset())
     cells = dict(zip(raw.names, raw.cells, strict=True))
-    values = [n for n in raw.names if n not in time_columns and n not in asked and _holds_numbers(cells[n], signs.get(n, "."))]
+    values = [
+        n for n in raw.names if n not in time_columns and n not in asked and _holds_numbers(cells[n], signs.get(n, "."))
+    ]
     columns: set[str] = set()
     by_value: dict[str, list[tuple[str, Rating]]] = {}
     messages: list[str] = []

@@ -67,7 +67,19 @@ FLOWS = [f"{3 + k / 250 + (k * 7 % 5) / 300:.3f}" for k in range(60)]
 RESTS = [f"{3 + k % 2 / 100:.2f}" for k in range(60)]
 """A quantity of two readings: no more than a switch has."""
 EXTREMES = [
-    *("655.35", "65.535", "6553.5", "65535", "327.67", "-327.68", "3276.8", "32767", "-32768", "8388607", "214748.3647"),
+    *(
+        "655.35",
+        "65.535",
+        "6553.5",
+        "65535",
+        "327.67",
+        "-327.68",
+        "3276.8",
+        "32767",
+        "-32768",
+        "8388607",
+        "214748.3647",
+    ),
     *("999.9", "9999", "-9999", "99999.9", "-9999.99", "7999", "-6999", "-999"),
 ]
 
@@ -87,7 +99,9 @@ def test_an_end_of_a_raw_range_far_from_all_others_is_missing(
     assert any(many in m and f"{float(code):g}" in m and f"line {at[0] + 2}" in m for m in record.messages)
 
 
-@pytest.mark.parametrize(("name", "code"), [("Q [0.1 l/min]", "65535"), ("T_in_K", "655.35"), ("heater_power_kW", "6553.5")])
+@pytest.mark.parametrize(
+    ("name", "code"), [("Q [0.1 l/min]", "65535"), ("T_in_K", "655.35"), ("heater_power_kW", "6553.5")]
+)
 def test_a_code_is_one_of_the_numbers_as_they_are_written(tmp_path: Path, name: str, code: str) -> None:
     cells = [f"{300 + float(cell):.2f}" for cell in FLOWS]
     (values,) = _read(tmp_path, name, _with(code, cells, AT[:3])).columns.values()

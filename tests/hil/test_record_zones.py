@@ -60,9 +60,7 @@ def test_a_local_time_of_a_region_is_continuous_over_a_change_of_clocks(tmp_path
     ("name", "step"), [("ms", 250), ("Milliseconds", 125), ("µs", 250_000), ("Hundredths", 25), ("Millisekunde", 200)]
 )
 @pytest.mark.parametrize("heading", ["Date,Time,{},T_in_C", "{},Date,Time,T_in_C", "Date,{},Time,T_in_C"])
-def test_parts_of_a_second_in_a_column_belong_to_the_times(
-    tmp_path: Path, name: str, step: int, heading: str
-) -> None:
+def test_parts_of_a_second_in_a_column_belong_to_the_times(tmp_path: Path, name: str, step: int, heading: str) -> None:
     second = {"µs": 1_000_000, "Hundredths": 100}.get(name, 1000)
     rows = []
     for k in range(40):
@@ -80,7 +78,11 @@ def test_whole_seconds_with_milliseconds_of_zero_lose_only_the_column(tmp_path: 
 
 @pytest.mark.parametrize(
     ("name", "values"),
-    [("ms", [700 + 50 * k for k in range(20)]), ("latency_ms", [k for k in range(20)]), ("ms", [0.5 + k for k in range(20)])],
+    [
+        ("ms", [700 + 50 * k for k in range(20)]),
+        ("latency_ms", [k for k in range(20)]),
+        ("ms", [0.5 + k for k in range(20)]),
+    ],
 )
 def test_other_columns_of_milliseconds_are_not_added(tmp_path: Path, name: str, values: list[float]) -> None:
     record = _read(tmp_path, [f"Time,{name},T_in_C", *(f"{_clock(k)},{x},{20 + k}" for k, x in enumerate(values))])

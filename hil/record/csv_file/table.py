@@ -202,9 +202,7 @@ def _name_time(path: Path, dialect: Dialect, place: int, found: _Named) -> None:
         found.names[place] = f"{name} ({symbol})"
 
 
-def _contradiction(
-    path: Path, name: str, own: str, meaning: tuple[str, float] | None, cell: str, line: int
-) -> str:
+def _contradiction(path: Path, name: str, own: str, meaning: tuple[str, float] | None, cell: str, line: int) -> str:
     if meaning is None:
         return (
             f"{path}: column '{name}' is in {own} by its name, and line {line} gives '{cell}' for it, which is another "

@@ -42,6 +42,7 @@ _MOMENT = (
 )
 _UNIT = re.compile(r"(.+?)[ _]*[\[(]\s*([a-zµ]+)\s*[\])]|(.+?)\s*[/_ ]\s*(?:in\s+)?([a-zµ]+)|([a-zµ]+)")
 
+
 def seconds_per_unit(name: str) -> float | None:
     """Return seconds per unit of the time column `name`, 1 if the name gives no unit; None if it names no time."""
     low = name.strip().lower()
@@ -64,7 +65,9 @@ def names_unit(name: str) -> bool:
     low = name.strip().lower()
     known = (*_ELAPSED, *_MOMENT)
     return (
-        seconds_per_unit(name) is not None and _spelt(low) not in known and _spelt(without_zone(name).lower()) not in known
+        seconds_per_unit(name) is not None
+        and _spelt(low) not in known
+        and _spelt(without_zone(name).lower()) not in known
     )
 
 
