@@ -60,8 +60,8 @@ def _zero_bytes(content: bytes) -> str:
         return " is neither Parquet nor text; export the record as Parquet or CSV"
     more = "" if len(bad) == 1 else f" ({len(bad)} lines in all)"
     return (
-        f" line {bad[0]} holds {lines[bad[0] - 1].count(0)} zero bytes{more}, as a logger leaves them that lost its power "
-        "while it wrote; take such lines out"
+        f" line {bad[0]} holds {lines[bad[0] - 1].count(0)} zero bytes{more}, as a logger leaves them that lost its "
+        "power while it wrote; take such lines out"
     )
 
 

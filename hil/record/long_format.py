@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -74,10 +74,9 @@ def one_column_a_series(raw: RawRecord) -> RawRecord:
         raw = dataclasses.replace(raw, messages=(*raw.messages, *told))
     unused = [raw.names[i] for i in flags if i not in rated and not is_remark_name(raw.names[i])]
     bad, said = _bad_readings(raw, rated)
-    said = (*(f"column '{name}' holds True and False alone: not used" for name in unused), *said)
-    return _spread(
-        dataclasses.replace(raw, messages=(*raw.messages, *said)), time, moments, series, cells, bad, conversions
-    )
+    said = [*(f"column '{name}' holds True and False alone: not used" for name in unused), *said]
+    raw = dataclasses.replace(raw, messages=(*raw.messages, *said))
+    return _spread(raw, time, moments, series, cells, bad, conversions)
 
 
 def _bad_readings(raw: RawRecord, rated: Sequence[int]) -> tuple[NDArray[np.bool_], list[str]]:
@@ -96,9 +95,10 @@ def _bad_readings(raw: RawRecord, rated: Sequence[int]) -> tuple[NDArray[np.bool
             first = raw.place(int(np.argmax(found.uncertain)))
             said.append(f"{int(found.uncertain.sum())} readings are uncertain by '{name}' (the first is {first}): kept")
         if found.unknown is not None:
+            row, text = found.unknown
             said.append(
-                f"column '{name}' has '{found.unknown[1]}' ({raw.place(found.unknown[0])}; {found.unknown_count} rows), "
-                "which is no known rating: these readings are taken without it"
+                f"column '{name}' has '{text}' ({raw.place(row)}; {found.unknown_count} rows), no "
+                "known rating: these readings are taken without it"
             )
     return bad, said
 
@@ -151,7 +151,7 @@ def _with_units(
         own = split_column(name)
         held = [cells[row] is not None for row in rows]
         head = f"{raw.path}: column '{column}' of the units of '{name}'"
-        found = row_units(head, [symbols[row] for row in rows], held, lambda k, r=rows: raw.place(r[k]), own and own[1])
+        found = row_units(head, [symbols[row] for row in rows], held, _place_among(raw, rows), own and own[1])
         if found.unit is None:
             unknown = f" [{found.unknown}]" if found.unknown and own is None else ""
             new = f"{name}{unknown}"
@@ -167,6 +167,10 @@ def _with_units(
             factor[rows], offset[rows] = found.factor, found.offset
             conversions[new] = (factor, offset)
     return named, conversions, said
+
+
+def _place_among(raw: RawRecord, rows: Sequence[int]) -> Callable[[int], str]:
+    return lambda k: raw.place(rows[k])
 
 
 def _spread(

@@ -25,7 +25,8 @@ def order(raw: RawRecord, axis: TimeAxis, signs: dict[str, Sign]) -> tuple[NDArr
     in no order at all, and rows that fill a gap are sorted.
 
     Raises:
-        RecordError: dates go back by more than a year, or more than `may_be_lost` rows of a second segment would interleave with the first.
+        RecordError: dates go back by more than a year, or more than `may_be_lost` rows of a second segment would
+            interleave with the first.
     """
     rows = np.flatnonzero(np.isfinite(axis.seconds))
     stamps = axis.seconds[rows]
@@ -42,9 +43,10 @@ def order(raw: RawRecord, axis: TimeAxis, signs: dict[str, Sign]) -> tuple[NDArr
         message = f"time goes back {again}, by up to {span(back)} (first at {raw.place(int(rows[first]))}): rows sorted"
         if axis.start is not None and back > YEAR_S:
             worst = int(np.argmin(steps)) + 1
+            at = raw.place(int(rows[worst]))
             raise RecordError(
-                f"{raw.path} {raw.place(int(rows[worst]))}: the time goes back by {back / YEAR_S:.3g} years, as that of a "
-                "clock that was not set; correct the times of the rows before or after it, or take them out"
+                f"{raw.path} {at}: the time goes back by {back / YEAR_S:.3g} years, as that of "
+                "a clock that was not set; correct the times of the rows before or after it, or take them out"
             )
         second, is_late = _second_segments(raw, axis, rows, signs)
         if not is_late:  # Columns with times of their own: of none of them does the time go back.
@@ -53,10 +55,11 @@ def order(raw: RawRecord, axis: TimeAxis, signs: dict[str, Sign]) -> tuple[NDArr
             at = int(np.argmax(second))
             place = raw.place(int(rows[at]))
             if second.sum() > may_be_lost(len(rows)):
+                passed = span(float(stamps[:at].max() - stamps[at]))
                 raise RecordError(
-                    f"{raw.path} {place}: the time goes back by {span(float(stamps[:at].max() - stamps[at]))} to times that "
-                    f"the file has already, and {second.sum()} rows would interleave with those before; if these are two "
-                    "records in one file, split it there, else correct the times after it"
+                    f"{raw.path} {place}: the time goes back by {passed} to times that the file has already, and "
+                    f"{second.sum()} rows would interleave with those before; if these are two records in one file, "
+                    "split it there, else correct the times after it"
                 )
             message += f"; {second.sum()} rows from {place} on are left out, since the file has their times already"
         if back > max(60.0, 0.1 * np.ptp(stamps)):

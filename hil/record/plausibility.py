@@ -30,9 +30,9 @@ EXTREMES = (
     *(2147483647, 2147483648, 4294967295),  # 32 bits
     *(10**digits - 1 for digits in range(4, 11)),  # a field full of nines
 )
-"""Ends of the ranges of raw integers, of either sign. A device that scales its registers writes one with a decimal mark.
+"""Ends of the ranges of raw integers, of either sign; a device that scales its registers writes them with a point.
 
-One of these over a power of ten is a mark only where it lies apart from all other numbers (`_is_far_extreme`).
+One of these over a power of ten is a mark only where it lies apart from all other numbers (`_far_extreme`).
 """
 _MOST_DECIMALS = 6
 _LEAST_NINES = 999.0

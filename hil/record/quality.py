@@ -27,46 +27,30 @@ _UA_UNCERTAIN, _UA_BAD = 0x40000000, 0x80000000
 
 Verdict = Literal["good", "uncertain", "bad"]
 
-_GOOD_WORDS = frozenset(
-    "good ok okay valid normal gut gültig gueltig guete bon bonne valide correct bueno válido valido buono"
-    " measured in_ordnung i.o. io".split()
-)
-_UNCERTAIN_WORDS = frozenset(
-    "uncertain questionable suspect doubtful estimated interpolated substituted unsicher fraglich zweifelhaft geschätzt"
-    " ersatzwert incertain douteux incierto dudoso incerto".split()
-)
-_BAD_WORDS = frozenset(
-    "bad invalid fault faulty faulted error failure defect defective broken stale disconnected schlecht ungültig"
-    " ungueltig fehler fehlerhaft gestört gestoert störung stoerung defekt drahtbruch ausfall mauvais mauvaise invalide"
-    " erreur défaut defaut panne malo inválido invalido fallo averiado errore guasto cattivo".split()
-)
+_GOOD = """good ok okay valid normal gut gültig gueltig bon bonne valide correct bueno válido valido buono measured
+i.o. io"""
+_UNCERTAIN = """uncertain questionable suspect doubtful estimated interpolated substituted unsicher fraglich zweifelhaft
+geschätzt ersatzwert incertain douteux incierto dudoso incerto"""
+_BAD = """bad invalid fault faulty faulted error failure defect defective broken stale disconnected schlecht ungültig
+ungueltig fehler fehlerhaft gestört gestoert störung stoerung defekt drahtbruch ausfall mauvais mauvaise invalide erreur
+défaut defaut panne malo inválido invalido fallo averiado errore guasto cattivo"""
+_RATING = """quality qualitycode status statuscode statut estado stato state zustand qualität qualitaet qualité qualite
+calidad qualità qualita güte guete qc qflag"""
+_GOOD_NAMES = "ok good gut valid validity isvalid isgood gültig gültigkeit gueltig gueltigkeit valide válido"
+_BAD_NAMES = "invalid isbad bad fault faulty fehler error questionable suspect substituted ungültig ungueltig stale"
+
+_GOOD_WORDS, _UNCERTAIN_WORDS, _BAD_WORDS = (frozenset(words.split()) for words in (_GOOD, _UNCERTAIN, _BAD))
 _TRUE = frozenset(("true", "wahr", "vrai", "verdadero", "vero", "yes", "ja", "oui"))
 _FALSE = frozenset(("false", "falsch", "faux", "falso", "no", "nein", "non"))
 
-_RATES = frozenset(
-    "quality qualitycode status statuscode statut estado stato zustand qualität qualitaet qualité qualite calidad"
-    " qualità qualita güte guete qc qflag".split()
-)
-"""Words of a name under which words and codes rate values, and True is good."""
-_GOOD_IF = frozenset(
-    "ok good gut valid validity isvalid isgood gültig gültigkeit gueltig gueltigkeit valide válido".split()
-)
-_BAD_IF = frozenset(
-    "invalid isbad bad fault faulty fehler error questionable suspect substituted ungültig ungueltig stale".split()
-)
+_RATES, _GOOD_IF, _BAD_IF = (frozenset(words.split()) for words in (_RATING, _GOOD_NAMES, _BAD_NAMES))
+"""Words of a name: under the first, words and codes rate values and True is good; the others give True its sense."""
 _DOUBTED_IF = frozenset(("questionable", "suspect", "substituted"))
 """Names whose True makes a value uncertain, not bad (flags of the PI system)."""
 _REMARKS = frozenset(("annotated",))
 """Names of flags of a reading that say nothing about its value."""
-_ALONE = (_RATES - {"state", "estado", "stato", "zustand"}) | {
-    "valid",
-    "validity",
-    "isvalid",
-    "isgood",
-    "questionable",
-    "substituted",
-    "gültigkeit",
-}
+_ALONE = (_RATES - {"state", "estado", "stato", "zustand"}) | {"valid", "validity", "isvalid", "isgood"}
+_ALONE |= {"questionable", "substituted", "gültigkeit"}
 """Names without that of a signal which rate all values of a row, or those of the column before.
 
 A `state` alone is that of a machine, or a value.
@@ -233,7 +217,7 @@ def _verdict(name: str, text: str) -> Verdict | None:
         if sense is None:
             return None
         if low in _TRUE:
-            return sense  # type: ignore[return-value]
+            return sense
         return "bad" if sense == "good" else "good"
     for word in (low, first):
         if word in _GOOD_WORDS:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.signals import Quality
 from hil.record.quality import Rating, is_rating_name, may_rate, rated_by, rating, texts_of
 from hil.record.raw import RawRecord
 from hil.record.values import Sign, parse
@@ -49,8 +48,8 @@ class RatedColumns:
             if found.unknown is not None and np.isfinite(values).any():
                 row, text = found.unknown
                 messages.append(
-                    f"{column}: '{text}' in '{name}' ({raw.place(row)}; {found.unknown_count} rows) is no known rating: "
-                    "the values of these rows are taken without it"
+                    f"{column}: '{text}' in '{name}' ({raw.place(row)}; {found.unknown_count} rows) is no known "
+                    "rating: the values of these rows are taken without it"
                 )
         return values
 

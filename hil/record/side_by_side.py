@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from typing import Any
 
 from hil.files import require_cells
 from hil.record.raw import RawRecord, RecordError, repeat_message
@@ -33,6 +34,7 @@ def one_below_the_other(raw: RawRecord) -> RawRecord:
         return raw
     renamed = {repeat_message(base, raw.names[place]) for base, places in copies.items() for place in places[1:]}
     raw = dataclasses.replace(raw, messages=tuple(said for said in raw.messages if said not in renamed))
+    raw = dataclasses.replace(raw, cells=tuple(_decoded(cells) for cells in raw.cells))
     if all(raw.cells[place].equals(raw.cells[places[0]]) for places in copies.values() for place in places):
         return _without(raw, [place for places in copies.values() for place in places[1:]])
     counts = {len(places) for places in copies.values()}
@@ -40,7 +42,8 @@ def one_below_the_other(raw: RawRecord) -> RawRecord:
     starts = copies[first]
     ends = [*starts[1:], len(raw.names)]
     times = {place for places in copies.values() for place in places}
-    if len(counts) > 1 or any(set(range(a, b)) <= times for a, b in zip(starts, ends, strict=True)):
+    mixed = any(raw.cells[place].type != raw.cells[places[0]].type for places in copies.values() for place in places)
+    if mixed or len(counts) > 1 or any(set(range(a, b)) <= times for a, b in zip(starts, ends, strict=True)):
         raise RecordError(
             f"{raw.path}: the times '{first}' stand {len(starts)} times with different cells, and it is not clear to "
             "which of them each column belongs; give a file for each"
@@ -75,6 +78,12 @@ def one_below_the_other(raw: RawRecord) -> RawRecord:
         messages=(*raw.messages, said),
         lines=tuple(lines) if raw.header_line else (),
     )
+
+
+def _decoded(cells: Any) -> Any:
+    import pyarrow as pa
+
+    return cells.cast(cells.type.value_type) if pa.types.is_dictionary(cells.type) else cells
 
 
 def _without(raw: RawRecord, places: list[int]) -> RawRecord:

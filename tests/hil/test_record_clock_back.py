@@ -39,9 +39,7 @@ def _from(first: float, count: int, step: float = 10.0) -> list[float]:
 def test_a_second_segment_among_the_times_of_the_first_is_refused(
     tmp_path: Path, stamps: list[float], line: int
 ) -> None:
-    with pytest.raises(
-        RecordError, match=rf"clock.csv line {line}: the time goes back by .* would interleave.*split it"
-    ):
+    with pytest.raises(RecordError, match=rf"line {line}: the time goes back by .* would interleave.*split it"):
         _read(tmp_path, stamps)
 
 
@@ -82,9 +80,7 @@ def test_columns_with_rows_of_their_own_may_follow_each_other(tmp_path: Path) ->
 @pytest.mark.parametrize("first", ["2000-01-01", "1970-01-01"])
 def test_a_clock_that_lost_its_date_is_refused(tmp_path: Path, first: str) -> None:
     stamps = [f"{day} 08:{k:02}:00" for day in ("2025-07-09", first) for k in range(30)]
-    with pytest.raises(
-        RecordError, match=r"line 32: the time goes back by [\d.]+ years, as that of a clock that was not"
-    ):
+    with pytest.raises(RecordError, match=r"line 32: the time goes back by [\d.]+ years, as that of a clock"):
         _read(tmp_path, stamps, "Time")
 
 
@@ -105,7 +101,7 @@ def test_times_that_are_repeated_are_left_out(tmp_path: Path) -> None:
 
 def test_times_of_which_a_column_may_have_either_are_refused(tmp_path: Path) -> None:
     rows = "".join(f"{10 * k},{10 * k + 3},{500 + k}\n" for k in range(12))
-    with pytest.raises(RecordError, match="'Time' stand 2 times with different cells.*give a file for each"):
+    with pytest.raises(RecordError, match=r"'Time' stand 2 times with different cells.*give a file for each"):
         _text(tmp_path, f"Time,Time,fan_W\n{rows}")
 
 

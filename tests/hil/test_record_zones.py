@@ -80,7 +80,7 @@ def test_whole_seconds_with_milliseconds_of_zero_lose_only_the_column(tmp_path: 
     ("name", "values"),
     [
         ("ms", [700 + 50 * k for k in range(20)]),
-        ("latency_ms", [k for k in range(20)]),
+        ("latency_ms", list(range(20))),
         ("ms", [0.5 + k for k in range(20)]),
     ],
 )

@@ -63,12 +63,8 @@ def seconds_per_unit(name: str) -> float | None:
 def names_unit(name: str) -> bool:
     """Return True for the name of a time that gives its unit."""
     low = name.strip().lower()
-    known = (*_ELAPSED, *_MOMENT)
-    return (
-        seconds_per_unit(name) is not None
-        and _spelt(low) not in known
-        and _spelt(without_zone(name).lower()) not in known
-    )
+    spelt = {_spelt(low), _spelt(without_zone(name).lower())}
+    return seconds_per_unit(name) is not None and not spelt & {*_ELAPSED, *_MOMENT}
 
 
 def is_time_name(name: str) -> bool:

@@ -92,9 +92,7 @@ def read_time(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions) ->
         start = moment_in(zone[1], read.start)
         read = replace(read, start=start, how=read.how.replace(ZONELESS, f"in {zone[0]}"), zoneless=False)
     elif read.zoneless and (letters := _LETTERS.search(column)) is not None and letters[1] not in _NO_ZONES:
-        messages.append(
-            f"{column}: '{letters[1]}' in its name is no zone of one meaning: write an offset, as UTC+01:00"
-        )
+        messages.append(f"{column}: '{letters[1]}' in its name is no zone of one meaning: write UTC+01:00 or such")
     if choice.time_scale != 1.0:
         seconds = seconds * choice.time_scale
         messages.append(f"{column} is taken {choice.time_scale:g} times, as --time-scale says")

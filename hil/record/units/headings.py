@@ -111,7 +111,7 @@ def with_heading_units(raw: RawRecord) -> RawRecord:
         hints += [fahrenheit_hint(new)] if unit == "degF" else []
         for known in (units, plausible, conversions):
             if heading in known:
-                known[new] = known.pop(heading)  # type: ignore[assignment, index]
+                known[new] = known.pop(heading)  # type: ignore[assignment]
         if factor != 1.0:
             conversions[new] = (factor, 0.0)
     if not said:

@@ -127,8 +127,8 @@ def row_units(
     for text, way in ways.items():
         if way is None:
             raise RecordError(
-                f"{head}: the unit changes from {start} ({place(start_row)}) to {text} ({place(first[text])}), which is "
-                "another quantity; split the file there"
+                f"{head}: the unit changes from {start} ({place(start_row)}) to {text} ({place(first[text])}), which "
+                "is another quantity; split the file there"
             )
     if len(set(ways.values())) == 1:
         return RowUnits(target, *ways[start])  # type: ignore[misc]

@@ -20,11 +20,10 @@ FAR_K, NEAR_K, HOT_K = 20.0, 3.0, 30.0
 """Distances from the room temperature: implausible at switch-on, plausible at switch-on, and rare for a rig that is
 off.
 """
-_DIFFERENCES = re.compile(
-    r"(^|[_ ])(delta|diff|difference|differenz|spread|spreizung|rise|drop|minus|approach|range|lift|gradient|ecart|écart)"
-    r"([_ ]|$)|^d_?T(?![a-z])",
-    re.IGNORECASE,
+_DIFFERENCE_WORDS = (
+    "delta|diff|difference|differenz|spread|spreizung|rise|drop|minus|approach|range|lift|gradient|ecart|écart"
 )
+_DIFFERENCES = re.compile(rf"(^|[_ ])({_DIFFERENCE_WORDS})([_ ]|$)|^d_?T(?![a-z])", re.IGNORECASE)
 _DRIVES = ("_W", "_kW", "_pct", "_L_per_min", "_kg_per_s", "_rpm")
 
 
