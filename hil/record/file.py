@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
@@ -12,6 +13,7 @@ from hil.record.csv_file import EncodingError, read_csv, utf8
 from hil.record.long_format import one_column_a_series
 from hil.record.raw import RawRecord, RecordError, unique
 from hil.record.side_by_side import one_below_the_other
+from hil.record.times import is_time_name
 from hil.record.units import with_heading_units, with_unit_columns
 
 _FOREIGN = (
@@ -67,7 +69,14 @@ def _zero_bytes(content: bytes) -> str:
 
 def _with_units(raw: RawRecord) -> RawRecord:
     """Return `raw` with a column for each series, and the units that headings and columns of units give."""
-    return with_unit_columns(with_heading_units(one_column_a_series(one_below_the_other(raw))))
+    raw = with_heading_units(one_column_a_series(one_below_the_other(raw)))
+    try:
+        return with_unit_columns(raw)
+    except RecordError as error:
+        if any(is_time_name(name) for name in raw.names):
+            raise
+        # A table without times may be one of registers or tags: the reader of times then says that it is no record.
+        return dataclasses.replace(raw, messages=(*raw.messages, f"units beside the values are not used: {error}"))
 
 
 def _with_rows(raw: RawRecord) -> RawRecord:

@@ -104,3 +104,34 @@ def test_a_zone_beside_a_clock_that_goes_back_does_not_hide_it(tmp_path: Path) -
     stamps = [_clock(k % 30) for k in range(60)]
     with pytest.raises(RecordError, match="line 32: the time goes back by"):
         _read(tmp_path, ["Time (CET),T_in_C", *(f"{s},{20 + k}" for k, s in enumerate(stamps))])
+
+
+@pytest.mark.parametrize(
+    ("name", "zone", "hour"),
+    [("TZ", "CET", 11), ("Time zone", "UTC+2", 10), ("utc_offset", "-5", 17), ("tz", "+0530", 6)],
+)
+def test_a_column_of_zones_belongs_to_the_times(tmp_path: Path, name: str, zone: str, hour: int) -> None:
+    record = _read(tmp_path, [f"Time,{name},T_in_C", *(f"{_clock(k)},{zone},{20 + k}" for k in range(20))])
+    assert record.start is not None and record.start.hour == hour and list(record.columns) == ["T_in_C"]
+
+
+def test_zones_that_change_with_the_rows_give_continuous_times(tmp_path: Path) -> None:
+    rows = [(f"2025-10-26 02:{minute:02}:00", zone) for zone in ("CEST", "CET") for minute in range(0, 60, 5)]
+    record = _read(tmp_path, ["Time,TZ,T_in_C", *(f"{t},{zone},{20 + k}" for k, (t, zone) in enumerate(rows))])
+    assert np.diff(record.time_s).tolist() == [300.0] * 23
+
+
+def test_a_column_of_zones_that_are_not_known_is_named(tmp_path: Path) -> None:
+    record = _read(tmp_path, ["Time,TZ,T_in_C", *(f"{_clock(k)},lab,{20 + k}" for k in range(20))])
+    assert any("column 'TZ' has 'lab' (line 2), no known zone: not used" in said for said in record.messages)
+
+
+def test_times_of_which_some_have_a_zone_are_refused_or_reported(tmp_path: Path) -> None:
+    def lines(zone: str) -> list[str]:
+        return ["Time,T_in_C", *(f"{_clock(k)}{zone if k < 9 else ''},{20 + k}" for k in range(20))]
+
+    with pytest.raises(
+        RecordError, match=r"12:00:00\+02:00' has a time zone and '.*12:09:00' has none; write the zone"
+    ):
+        _read(tmp_path, lines("+02:00"))
+    assert any("11 times without a zone are taken as UTC" in said for said in _read(tmp_path, lines("Z")).messages)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -60,6 +60,8 @@ _CLOCK = re.compile(rf"(?:(?P<days>\d{{1,5}})\s*d(?:ays?)?,?\s+)?{_TIME}", re.AS
 """Time of day, or time from the beginning with its days before it: `1 days 02:03:04`, `0d 02:03:04`."""
 _FOUR = re.compile(r"(\d{1,3}):([0-5]\d):([0-5]\d):(\d\d)", re.ASCII)
 """Days, hours, minutes and seconds, or hours, minutes, seconds and hundredths."""
+_ZONE_BEHIND = re.compile(rf":\d{{2}}(?:[.,]\d+)?\s*(?:[AaPp]\.?\s?[Mm]\.?)?\s*({CELL})(?:\s*\(.*\))?$", re.IGNORECASE)
+"""Zone at the end of a time."""
 _HOUR = re.compile(r"(?:^|[T\s,_-])(\d{1,2}):[0-5]\d")
 
 
@@ -98,7 +100,20 @@ def read_stamps(cells: Sequence[str | None], order: Order | None = None) -> Stam
     """
     stamps = _read_stamps(cells, order)
     _require_full_clock(cells, stamps.micros)
-    return stamps
+    return _with_zones_in_all(cells, stamps) if stamps.zoned else stamps
+
+
+def _with_zones_in_all(cells: Sequence[str | None], stamps: Stamps) -> Stamps:
+    """Return stamps with a note on those without a zone; raise TimeTextError where the others are not in UTC."""
+    dated = [cell for cell, x in zip(cells, stamps.micros, strict=True) if cell is not None and x is not None]
+    zones = [_ZONE_BEHIND.search(cell) for cell in dated]
+    without = [cell for cell, zone in zip(dated, zones, strict=True) if zone is None]
+    other = next((cell for cell, zone in zip(dated, zones, strict=True) if zone and minutes_of(zone[1])), None)
+    if not without or len(without) == len(dated):
+        return stamps
+    if other is not None:
+        raise TimeTextError(f"'{other}' has a time zone and '{without[0]}' has none; write the zone in all times")
+    return replace(stamps, note=f"{len(without)} times without a zone are taken as UTC like the others")
 
 
 def _read_stamps(cells: Sequence[str | None], order: Order | None) -> Stamps:

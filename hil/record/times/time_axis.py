@@ -16,6 +16,7 @@ from hil.record.times.names import is_time_name
 from hil.record.times.seconds import ZONELESS, Seconds, of_stamps, read_seconds, text_of
 from hil.record.times.subseconds import with_subseconds
 from hil.record.times.text import TimeTextError, is_date, is_moment, read_stamps
+from hil.record.times.zone_column import with_zone_column
 from hil.record.times.zones import moment_in, zone_of
 from hil.record.values import Sign, may_be_lost, trimmed
 
@@ -76,7 +77,8 @@ def read_time(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions) ->
             messages += said
         if read is not None:
             columns, read, said = with_subseconds(raw, columns, read, signs)
-            messages += said
+            columns, read, more = with_zone_column(raw, columns, read)
+            messages += [*said, *more]
     except TimeTextError as error:
         raise RecordError(f"{raw.path}: column '{column}': {error}") from error
     if read is None or not np.isfinite(read.seconds).any():

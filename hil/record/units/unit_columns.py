@@ -93,13 +93,22 @@ def row_units(
 ) -> RowUnits:
     """Return one unit for a column from the units of its rows, with the conversion of the numbers to it.
 
-    Args:
-        head: beginning of the messages, with file and columns. texts: units (n,). held: True for rows with a value.
-        place: names a row of the file. own: unit that the column's name gives, None where it gives none.
+    Parameters
+    ----------
+    head
+        Beginning of the messages, with file and columns.
+    texts, held
+        Units (n,), and True for rows (n,) with a value.
+    place
+        Names a row of the file.
+    own
+        Unit that the column's name gives, None where it gives none.
 
-    Raises:
-        RecordError: the unit changes to one that is not known or of another quantity, a value has none where others
-            have one, or all of them contradict the name.
+    Raises
+    ------
+    RecordError
+        The unit changes to one that is not known or of another quantity, a value has none where others have one, or all
+        of them contradict the name.
     """
     first: dict[str, int] = {}
     for row, (text, has_value) in enumerate(zip(texts, held, strict=True)):
