@@ -43,9 +43,9 @@ def order(raw: RawRecord, axis: TimeAxis, signs: dict[str, Sign]) -> tuple[NDArr
         message = f"time goes back {again}, by up to {span(back)} (first at {raw.place(int(rows[first]))}): rows sorted"
         if axis.start is not None and back > YEAR_S:
             worst = int(np.argmin(steps)) + 1
-            at = raw.place(int(rows[worst]))
+            where = raw.place(int(rows[worst]))
             raise RecordError(
-                f"{raw.path} {at}: the time goes back by {back / YEAR_S:.3g} years, as that of "
+                f"{raw.path} {where}: the time goes back by {back / YEAR_S:.3g} years, as that of "
                 "a clock that was not set; correct the times of the rows before or after it, or take them out"
             )
         second, is_late = _second_segments(raw, axis, rows, signs)

@@ -35,7 +35,7 @@ _BAD = """bad invalid fault faulty faulted error failure defect defective broken
 ungueltig fehler fehlerhaft gestört gestoert störung stoerung defekt drahtbruch ausfall mauvais mauvaise invalide erreur
 défaut defaut panne malo inválido invalido fallo averiado errore guasto cattivo"""
 _RATING = """quality qualitycode status statuscode statut estado stato state zustand qualität qualitaet qualité qualite
-calidad qualità qualita güte guete qc qflag"""
+calidad qualità qualita güte guete qc qflag flag"""
 _GOOD_NAMES = "ok good gut valid validity isvalid isgood gültig gültigkeit gueltig gueltigkeit valide válido"
 _BAD_NAMES = "invalid isbad bad fault faulty fehler error questionable suspect substituted ungültig ungueltig stale"
 
@@ -91,8 +91,7 @@ class Rating:
 
 def is_rating_name(name: str) -> bool:
     """Return True for a name that alone says that the column rates values."""
-    bare = _bare(name)
-    return bare in _ALONE or _words(bare) in (("quality", "code"), ("status", "code"))
+    return _bare(name) in _ALONE
 
 
 def is_remark_name(name: str) -> bool:
@@ -247,7 +246,12 @@ def _number(text: str) -> int | None:
 
 def _bare(name: str) -> str:
     """Return a name in small letters, without the number by which a repeated one is told from the first."""
-    return re.sub(r"_\d+$", "", name.strip().lower())
+    return re.sub(r"_\d+$", "", _without_code(name).lower())
+
+
+def _without_code(name: str) -> str:
+    """Return a name without `code` behind a word of rating."""
+    return re.sub(r"(?i)(quality|status|statut|qualität)[\s_.-]*code\b", r"\1", name.strip())
 
 
 def _words(bare: str) -> tuple[str, ...]:
@@ -256,12 +260,12 @@ def _words(bare: str) -> tuple[str, ...]:
 
 def _without_last(name: str) -> str:
     """Return the name of the signal before the word of rating, "" where the last word is none."""
-    found = re.fullmatch(r"(.+?)[\s_.:/(\[-]+([^\s_.:/()\[\]-]+)[)\]]?", name.strip())
+    found = re.fullmatch(r"(.+?)[\s_.:/(\[-]+([^\s_.:/()\[\]-]+)[)\]]?", _without_code(name))
     return found[1].strip() if found and found[2].lower() in _RATES | _GOOD_IF | _BAD_IF else ""
 
 
 def _without_first(name: str) -> str:
-    found = re.fullmatch(r"([^\s_.:/()\[\]-]+)[\s_.:/(\[-]+(.+?)[)\]]?", name.strip())
+    found = re.fullmatch(r"([^\s_.:/()\[\]-]+)[\s_.:/(\[-]+(.+?)[)\]]?", _without_code(name))
     return found[2].strip() if found and found[1].lower() in _RATES | _GOOD_IF | _BAD_IF else ""
 
 

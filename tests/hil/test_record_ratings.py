@@ -31,7 +31,15 @@ def _missing(record: Record, column: str) -> list[int]:
 @pytest.mark.parametrize(
     "heading",
     [
-        *("T_in_C quality", "T_in_C.Quality", "T_in Status", "Status T_in_C", "Quality (T_in_C)", "T_in_C-Qualität"),
+        *(
+            "T_in_C quality",
+            "T_in_C.Quality",
+            "T_in Status",
+            "Status T_in_C",
+            "Quality (T_in_C)",
+            "T_in_C-Qualität",
+            "T_in Quality Code",
+        ),
         *("Status", "Quality", "T_in_Zustand"),
     ],
 )

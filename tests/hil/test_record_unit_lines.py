@@ -166,3 +166,25 @@ def test_a_temperature_difference_in_kelvin_stays(tmp_path: Path, name: str) -> 
 def test_another_temperature_in_kelvin_is_converted(tmp_path: Path, name: str) -> None:
     record = _read(tmp_path, [f"time_s,{name}", *(f"{k},{300 + k / 8}" for k in range(9))])
     assert record.columns[name.replace("_K", "_C")][0] == pytest.approx(26.85)
+
+
+@pytest.mark.parametrize("below", ["x1;x0.1", "Scale;0.1", "Faktor;0,1", "Factor:;10", "*1;*10"])
+def test_a_line_of_factors_is_refused(tmp_path: Path, below: str) -> None:
+    with pytest.raises(RecordError, match=r"line 2 gives factors of the columns .* multiply the numbers"):
+        _read(tmp_path, _two("time_s;T_in_C", below))
+
+
+@pytest.mark.parametrize("below", ["Smp;Avg", "logger;tank", ";"])
+def test_another_line_below_the_names_is_left_out(tmp_path: Path, below: str) -> None:
+    record = _read(tmp_path, _two("time_s;T_in_C", below, COUNTS[:5]))
+    assert record.columns["T_in_C"].tolist() == [205.0, 206.0, 207.0, 208.0, 209.0]
+
+
+def test_a_temperature_called_t_has_the_unit_of_its_line(tmp_path: Path) -> None:
+    record = _read(tmp_path, ["time;T;P", "s;0.1 °C;kW", *(f"{k};{200 + k};0.7" for k in range(9))])
+    assert record.columns["T_C"][0] == pytest.approx(20.0) and list(record.columns) == ["T_C", "P_kW"]
+
+
+def test_a_factor_in_a_name_is_reported(tmp_path: Path) -> None:
+    record = _read(tmp_path, ["time_s;p_x10_bar", *(f"{k};{200 + k}" for k in range(9))])
+    assert "column 'p_x10_bar' has a factor in its name: its numbers are kept as they are" in record.messages

@@ -27,6 +27,20 @@ MOST_BELOW = 3
 
 _MAY_LACK = ("", "comment", "comments", "remark", "note", "notes")
 """Last name of a heading, lower case, whose cells rows may omit with their delimiter."""
+_FACTORS = (
+    "scale",
+    "scaling",
+    "scale factor",
+    "factor",
+    "multiplier",
+    "gain",
+    "faktor",
+    "skalierung",
+    "facteur",
+    "échelle",
+)
+"""First cells of a line, lower case, that gives a factor for each column."""
+_FACTOR = re.compile(r"[x×*]\s?\d+(?:[.,]\d+)?|\d+(?:[.,]\d+)?\s?[x×*]")
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?[,;\t|"]*', re.IGNORECASE)
 _MOMENT = re.compile(r"\d{1,4}([-./])\d{1,2}\1\d{1,4}([ T].*)?|\d{1,2}:\d{2}(:\d{2})?.*|\d{4}-\d{2}-\d{2}T.*", re.ASCII)
 
@@ -143,6 +157,7 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     if len(below) > MOST_BELOW:
         return None
     _require_one_table(delimiter, lines, line)
+    _require_no_factors(table[: first + MOST_BELOW], line, first_row=table[first][0].number)
     left_out = [str(one.number) for one in lines if one.number < table[first][0].number and one.number != line.number]
     over = [(one, row) for one, row in above[:heading] if len(_known_units(row, names)) > sum(map(bool, row)) / 2]
     units_line, units = next(
@@ -208,6 +223,20 @@ def _require_one_table(delimiter: str, lines: Sequence[Line], heading: Line) -> 
             raise DialectError(
                 f" line {heading.number} is a heading of other columns than line {line.number}, and rows follow both; "
                 "split the file there"
+            )
+
+
+def _require_no_factors(table: Sequence[tuple[Line, list[str]]], heading: Line, first_row: int) -> None:
+    """Raise DialectError for a line of factors below the names: it changes all numbers and is not applied."""
+    for line, row in table:
+        if line.number <= heading.number:
+            continue
+        word = next((cell for cell in row if cell.lower().strip(": ") in _FACTORS), None)
+        factor = next((cell for cell in row if _FACTOR.fullmatch(cell)), None) if line.number < first_row else None
+        if word is not None or factor is not None:
+            raise DialectError(
+                f" line {line.number} gives factors of the columns ('{word or factor}'), which are not applied; multiply "
+                "the numbers, or give the units as multiples (0.1 °C), and take the line out"
             )
 
 

@@ -151,10 +151,11 @@ def _named(path: Path, dialect: Dialect) -> _Named:
     found = _Named(list(dialect.names), {}, {}, [])
     for place, cell in dialect.units.items():
         name = found.names[place]
-        if is_time_name(name):
+        meaning = meaning_of(cell)
+        if is_time_name(name) and (meaning is None or meaning[0] in SECONDS_PER or names_unit(name)):
             _name_time(path, dialect, place, found)
             continue
-        meaning, own = meaning_of(cell), _unit_of(name)
+        own = _unit_of(name)
         if own is not None and meaning != (own, 1.0):
             raise RecordError(_contradiction(path, name, own, meaning, cell, dialect.units_line))
         if not name or own is not None:

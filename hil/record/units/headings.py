@@ -91,6 +91,8 @@ def with_heading_units(raw: RawRecord) -> RawRecord:
                 "unit; write the value of one count, such as 0.1 °C, or numbers in the unit itself"
             )
             continue
+        if names_factor(heading) and split_column(heading) is not None:
+            hints.append(f"column '{heading}' has a factor in its name: its numbers are kept as they are")
         found, factor = name_and_unit(heading), 1.0
         if found is None and (scaled := _scaled(heading)) is not None:
             found, factor = scaled[:2], scaled[2]
