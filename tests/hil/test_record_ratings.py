@@ -40,7 +40,7 @@ def _missing(record: Record, column: str) -> list[int]:
             "T_in_C-Qualität",
             "T_in Quality Code",
         ),
-        *("Status", "Quality", "T_in_Zustand"),
+        *("Status", "Quality", "T_in_Zustand", "T_in Quality Code"),
     ],
 )
 @pytest.mark.parametrize(("good", "bad"), [("Good", "Bad"), ("OK", "Fehler"), ("gut", "Störung"), ("TRUE", "FALSE")])

@@ -235,8 +235,8 @@ def _require_no_factors(table: Sequence[tuple[Line, list[str]]], heading: Line, 
         factor = next((cell for cell in row if _FACTOR.fullmatch(cell)), None) if line.number < first_row else None
         if word is not None or factor is not None:
             raise DialectError(
-                f" line {line.number} gives factors of the columns ('{word or factor}'), which are not applied; multiply "
-                "the numbers, or give the units as multiples (0.1 °C), and take the line out"
+                f" line {line.number} gives factors of the columns ('{word or factor}'), which are not applied; "
+                "multiply the numbers, or give the units as multiples (0.1 °C), and take the line out"
             )
 
 
