@@ -38,6 +38,7 @@ from drivers.signals.units import (
     column_name,
     known_unit,
     plausible_range,
+    prefixed_unit,
     split_column,
 )
 
@@ -74,6 +75,7 @@ __all__ = [
     "known_unit",
     "nearest_role",
     "plausible_range",
+    "prefixed_unit",
     "raw_bounds",
     "raw_sentinels",
     "split_column",

@@ -136,6 +136,8 @@ _PREFIXES = {"n": 1e-9, "µ": 1e-6, "μ": 1e-6, "u": 1e-6, "m": 1e-3, "h": 1e2, 
 _BASES = {
     symbol.lower(): symbol for symbol in ("W", "V", "A", "VA", "var", "Pa", "Hz", "Wh", "ohm", "s", "bar", "K", "m/s")
 } | {"ω": "ohm"}
+_IN_MEGA = ("W", "Wh", "VA", "var", "Pa", "Hz", "ohm")
+"""Units with mega in a laboratory or a plant; `MV` and `MA` may be mV and mA in a heading of capital letters."""
 _FAHRENHEIT = ("f", "°f", "degf", "deg f", "fahrenheit")
 
 
@@ -174,6 +176,22 @@ def known_unit(text: str) -> str | None:
     if low in _SAME:
         return _SAME[low]
     return None if low.rstrip("s") == _ANGLE else _meant(bare)
+
+
+def prefixed_unit(text: str) -> tuple[str, float] | None:
+    """Return the known unit that `text` is a decimal multiple of, and the factor to it: `mK` is 0.001 K.
+
+    None for every other text, and for known units themselves. A prefix is one of the SI, in its own case of letters.
+    """
+    bare = text.strip()
+    for prefix, factor in _PREFIXES.items():
+        base = bare[len(prefix) :]
+        symbol = _BASES.get(base.lower()) if bare.startswith(prefix) else None
+        if symbol is None or (prefix == "M" and symbol not in _IN_MEGA) or known_unit(bare) is not None:
+            continue
+        if base == symbol or symbol == "ohm":
+            return symbol, factor
+    return None
 
 
 def canonical_unit(unit: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
@@ -11,7 +12,9 @@ from hil.files import TEXT_COPIES, read_parquet, require_size
 from hil.record.csv_file import EncodingError, read_csv, utf8
 from hil.record.long_format import one_column_a_series
 from hil.record.raw import RawRecord, RecordError, unique
-from hil.record.units import with_heading_units
+from hil.record.side_by_side import one_below_the_other
+from hil.record.times import is_time_name
+from hil.record.units import with_heading_units, with_unit_columns
 
 _FOREIGN = (
     (b"SQLite format 3", "is a journal, not a record; `hil export` makes the record from it"),
@@ -36,7 +39,7 @@ def read_raw(path: Path) -> RawRecord:
         raise RecordError(f"{path} is empty; give a record with a header and at least one row")
     digest = hashlib.sha256(content).hexdigest()
     if content.startswith(b"PAR1"):
-        return _with_rows(with_heading_units(one_column_a_series(_parquet(path, content, digest))))
+        return _with_rows(_with_units(_parquet(path, content, digest)))
     for magic, what in _FOREIGN:
         if content.startswith(magic):
             raise RecordError(f"{path} {what}")
@@ -46,9 +49,34 @@ def read_raw(path: Path) -> RawRecord:
         content = utf8(content)
     except EncodingError as error:
         raise RecordError(f"{path} {error}") from error
-    if b"\0" in content[:65536]:
-        raise RecordError(f"{path} is neither Parquet nor text; export the record as Parquet or CSV")
-    return _with_rows(with_heading_units(one_column_a_series(read_csv(path, content, digest))))
+    if b"\0" in content:
+        raise RecordError(f"{path}{_zero_bytes(content)}")
+    return _with_rows(_with_units(read_csv(path, content, digest)))
+
+
+def _zero_bytes(content: bytes) -> str:
+    """Return the message on zero bytes: of another kind of file, or in a few lines of a text."""
+    lines = content.split(b"\n")
+    bad = [number for number, line in enumerate(lines, start=1) if b"\0" in line]
+    if bad[0] == 1 or len(bad) > len(lines) / 2:
+        return " is neither Parquet nor text; export the record as Parquet or CSV"
+    more = "" if len(bad) == 1 else f" ({len(bad)} lines in all)"
+    return (
+        f" line {bad[0]} holds {lines[bad[0] - 1].count(0)} zero bytes{more}, as a logger leaves them that lost its "
+        "power while it wrote; take such lines out"
+    )
+
+
+def _with_units(raw: RawRecord) -> RawRecord:
+    """Return `raw` with a column for each series, and the units that headings and columns of units give."""
+    raw = with_heading_units(one_column_a_series(one_below_the_other(raw)))
+    try:
+        return with_unit_columns(raw)
+    except RecordError as error:
+        if any(is_time_name(name) for name in raw.names):
+            raise
+        # A table without times may be one of registers or tags: the reader of times then says that it is no record.
+        return dataclasses.replace(raw, messages=(*raw.messages, f"units beside the values are not used: {error}"))
 
 
 def _with_rows(raw: RawRecord) -> RawRecord:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from drivers.signals import split_column
 from hil.files import require_cells
-from hil.record.quality import usable_by
+from hil.record.quality import holds_flags, is_rating_name, is_remark_name, rating, texts_of
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times import is_time_name
-from hil.record.units import suffixed, unit_of
+from hil.record.units import fahrenheit_hint, row_units, suffixed, unit_name
 from hil.record.values import evidence_of, may_be_lost, parse, trimmed
 
 VALUES = ("value", "_value", "state", "reading", "val", "wert", "payload", "varvalue", "messwert")
@@ -20,8 +23,7 @@ SERIES = (
     *("sensor", "metric", "parameter", "item", "quantity", "topic", "key", "column", "_measurement"),
     *("itemid", "item id", "nodeid", "node id", "varname", "displayname", "display name", "pointid", "bezeichnung"),
 )
-UNITS = ("unit", "units", "unit_of_measurement", "einheit")
-QUALITIES = ("quality", "qualitycode", "quality_code", "status", "statuscode", "status code", "validity", "qualität")
+Array = NDArray[np.float64]
 MOST_SERIES = 2000
 """Most names of signals of one rig; a table with more is refused."""
 
@@ -43,7 +45,11 @@ def one_column_a_series(raw: RawRecord) -> RawRecord:
     if len(values) != 1 or not times or not raw.cells or not len(raw.cells[0]):
         return raw
     value, time = values[0], times[0]
-    rest = [i for i in range(len(low)) if i != value and i not in times and low[i] not in (*UNITS, *QUALITIES)]
+    rated = [i for i, name in enumerate(raw.names) if is_rating_name(name)]
+    flags = [i for i, name in enumerate(raw.names) if is_remark_name(name) or holds_flags(texts_of(raw.cells[i][:200]))]
+    rest = [
+        i for i in range(len(low)) if i != value and i not in (*times, *rated, *flags) and not unit_name(raw.names[i])
+    ]
     labels = [
         i
         for i in rest
@@ -60,13 +66,41 @@ def one_column_a_series(raw: RawRecord) -> RawRecord:
         return raw
     naming = _naming(texts, known)
     series = ["_".join(parts) for parts in zip(*(texts[at] for at in naming), strict=True)]
-    unit = next((_strings(raw.cells[i]) for i, name in enumerate(low) if name in UNITS), None)
+    cells = _cells(raw.cells[value])
+    unit = next((i for i, name in enumerate(raw.names) if unit_name(name)), None)
+    conversions: dict[str, tuple[Array, Array]] = {}
     if unit is not None:
-        series = [_with_unit(name, symbol) for name, symbol in zip(series, unit, strict=True)]
-    rated = next((i for i, name in enumerate(low) if name in QUALITIES), None)
-    usable, said = (None, "") if rated is None else usable_by(raw.names[rated], _strings(raw.cells[rated]))
-    raw = dataclasses.replace(raw, messages=(*raw.messages, said)) if said else raw
-    return _spread(raw, time, moments, series, _cells(raw.cells[value]), usable)
+        series, conversions, told = _with_units(raw, raw.names[unit], series, _strings(raw.cells[unit]), cells)
+        raw = dataclasses.replace(raw, messages=(*raw.messages, *told))
+    unused = [raw.names[i] for i in flags if i not in rated and not is_remark_name(raw.names[i])]
+    bad, said = _bad_readings(raw, rated)
+    said = [*(f"column '{name}' holds True and False alone: not used" for name in unused), *said]
+    raw = dataclasses.replace(raw, messages=(*raw.messages, *said))
+    return _spread(raw, time, moments, series, cells, bad, conversions)
+
+
+def _bad_readings(raw: RawRecord, rated: Sequence[int]) -> tuple[NDArray[np.bool_], list[str]]:
+    """Return the readings (n,) that a column of ratings calls bad, and messages on the rest."""
+    bad = np.zeros(len(raw.cells[0]), dtype=np.bool_)
+    said = []
+    for i in rated:
+        name = raw.names[i]
+        found = rating(name, texts_of(raw.cells[i]))
+        if found is None:
+            if raw.cells[i].null_count < len(bad):
+                said.append(f"column '{name}' has codes of no known kind: not used")
+            continue
+        bad |= found.bad
+        if found.uncertain.any():
+            first = raw.place(int(np.argmax(found.uncertain)))
+            said.append(f"{int(found.uncertain.sum())} readings are uncertain by '{name}' (the first is {first}): kept")
+        if found.unknown is not None:
+            row, text = found.unknown
+            said.append(
+                f"column '{name}' has '{text}' ({raw.place(row)}; {found.unknown_count} rows), no "
+                "known rating: these readings are taken without it"
+            )
+    return bad, said
 
 
 def _numeric(cells: Any, share: float = 0.5) -> bool:
@@ -99,9 +133,44 @@ def _naming(texts: Sequence[Sequence[str]], known: Sequence[int]) -> list[int]:
     return [at for at in range(len(texts)) if len(set(texts[at])) > 1]
 
 
-def _with_unit(name: str, symbol: str) -> str:
-    unit = unit_of(symbol)
-    return name if unit is None or split_column(name) else suffixed(name, unit)
+def _with_units(
+    raw: RawRecord, column: str, series: list[str], symbols: list[str], cells: list[str | None]
+) -> tuple[list[str], dict[str, tuple[Array, Array]], list[str]]:
+    """Return the names of the series with their units, factor and offset of each reading by series, and messages.
+
+    Raises:
+        RecordError: the unit of a series contradicts its name, or changes to another quantity.
+    """
+    rows_of: dict[str, list[int]] = {}
+    for row, name in enumerate(series):
+        rows_of.setdefault(name, []).append(row)
+    named = list(series)
+    conversions: dict[str, tuple[Array, Array]] = {}
+    said: list[str] = []
+    for name, rows in rows_of.items():
+        own = split_column(name)
+        held = [cells[row] is not None for row in rows]
+        head = f"{raw.path}: column '{column}' of the units of '{name}'"
+        found = row_units(head, [symbols[row] for row in rows], held, _place_among(raw, rows), own and own[1])
+        if found.unit is None:
+            unknown = f" [{found.unknown}]" if found.unknown and own is None else ""
+            new = f"{name}{unknown}"
+            said += [f"column '{column}' gives '{found.unknown}' for '{name}', no known unit"] if found.unknown else []
+        else:
+            new = name if own else suffixed(name, found.unit)
+            said += [f"{new}: {found.said}"] if found.said else []
+            said += filter(None, [fahrenheit_hint(new)] if found.unit == "degF" else [])
+        for row in rows:
+            named[row] = new
+        if found.is_converted:
+            factor, offset = np.ones(len(series)), np.zeros(len(series))
+            factor[rows], offset[rows] = found.factor, found.offset
+            conversions[new] = (factor, offset)
+    return named, conversions, said
+
+
+def _place_among(raw: RawRecord, rows: Sequence[int]) -> Callable[[int], str]:
+    return lambda k: raw.place(rows[k])
 
 
 def _spread(
@@ -110,11 +179,13 @@ def _spread(
     moments: list[str],
     series: list[str],
     values: list[str | None],
-    usable: list[bool] | None,
+    bad: NDArray[np.bool_],
+    conversions: dict[str, tuple[Array, Array]],
 ) -> RawRecord:
     import pyarrow as pa
 
-    names = list(dict.fromkeys(name for name in series if name))
+    timed = [name if moment else "" for name, moment in zip(series, moments, strict=True)]  # A trailer has no time.
+    names = list(dict.fromkeys(name for name in timed if name))
     if len(names) > MOST_SERIES:
         raise RecordError(
             f"{raw.path} has {len(names)} series, more than a rig has signals; give a record with a column for each"
@@ -123,24 +194,31 @@ def _spread(
     require_cells(raw.path, len(row_of), len(names), RecordError)
     columns: dict[str, list[str | None]] = {name: [None] * len(row_of) for name in names}
     first: dict[str, int] = {}
-    lost = doubtful = 0
-    for i, (moment, name, value) in enumerate(zip(moments, series, values, strict=True)):
+    spread = {name: (np.ones(len(row_of)), np.zeros(len(row_of))) for name in conversions}
+    lost = 0
+    doubtful: list[int] = []
+    for i, (moment, name, value) in enumerate(zip(moments, timed, values, strict=True)):
         first.setdefault(moment, i)
         if not name or value is None:
             continue
-        if usable is not None and not usable[i]:
-            doubtful += 1
+        if bad[i]:
+            doubtful.append(i)
             continue
         cell = columns[name][row_of[moment]]
         lost += cell is not None and cell != value
         columns[name][row_of[moment]] = value
+        if name in spread:
+            for kept, by_reading in zip(spread[name], conversions[name], strict=True):
+                kept[row_of[moment]] = by_reading[i]
     if lost > may_be_lost(len(values)):
         raise RecordError(
             f"{raw.path} has {lost} readings of a series at a time that it has already; write times with fractions of "
             "a second, or a column for each series"
         )
     said = [f"one reading a row: {len(values)} readings of {len(names)} series, a column for each"]
-    said += [f"{doubtful} readings are not of good quality: missing"] if doubtful else []
+    if doubtful:
+        count = "1 reading is" if len(doubtful) == 1 else f"{len(doubtful)} readings are"
+        said.append(f"{count} not of good quality (the first is {raw.place(doubtful[0])}): missing")
     said += [f"{lost} readings of a series at a time that it has already: the last is kept"] if lost else []
     taken = raw.cells[time].take(pa.array(list(first.values()), pa.int64()))
     named = [name if name != raw.names[time] else f"{name}_2" for name in names]
@@ -152,4 +230,5 @@ def _spread(
         units=None,
         lines=tuple(int(raw.place(i).removeprefix("line ")) for i in first.values()) if raw.header_line else (),
         plausible={},
+        conversions=dict(spread),
     )

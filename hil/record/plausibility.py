@@ -19,15 +19,24 @@ Values = NDArray[np.float64]
 SENTINELS = (-9999.0, -999.0, 32767.0, -32768.0, 327.67, 3276.7)
 """Values that loggers write in place of a missing temperature; none of them is a temperature of a liquid loop."""
 
-CODES = (
-    *(-9999.0, -9998.0, -999.9, -999.0, 9999.0, 99999.0, 999999.0),  # A field full of nines.
-    *(32767.0, -32768.0, 3276.7, -3276.8, 327.67, -327.68, 65535.0, 6553.5, 2147483647.0),  # Limits of an integer type.
-    *(6999.0, 7999.0, -6999.0, -7999.0),  # Campbell loggers: full scale of 13 and 16 bit values
-)
-"""Values inside the range of some unit that devices write instead of a reading of any quantity.
+CODES = (-999.0, -9998.0, 6999.0, 7999.0, -6999.0, -7999.0)
+"""Values that devices write instead of a reading of any quantity; 6999 and 7999 are the full scale of Campbell loggers.
 
 One of these is taken for a mark only where the rest of the column proves it (`_stand_apart`).
 """
+EXTREMES = (
+    *(32767, 32768, 65535),  # 16 bits; 32768 with either sign is 0x8000
+    *(8388607, 8388608, 16777215),  # 24 bits
+    *(2147483647, 2147483648, 4294967295),  # 32 bits
+    *(10**digits - 1 for digits in range(4, 11)),  # a field full of nines
+)
+"""Ends of the ranges of raw integers, of either sign; a device that scales its registers writes them with a point.
+
+One of these over a power of ten is a mark only where it lies apart from all other numbers (`_far_extreme`).
+"""
+_MOST_DECIMALS = 6
+_LEAST_NINES = 999.0
+"""Smallest size of a field of nines: 99.99 is a reading of many quantities."""
 TEMPERATURE_CODES = (
     *(-99.0, -99.9, 999.0, 999.9),
     *(85.0, -127.0),  # DS18B20: value at power-on, and without a sensor on the wire.
@@ -49,6 +58,9 @@ _LEVELS = re.compile(r"(^|_)(set|setpoint|sp|soll|target|ref|reference|demand|cm
 
 FEW = 8
 """Fewest different values of a continuous quantity; fewer may be the levels of a switch."""
+FAR_FACTOR = 10.0
+"""Ratio of a code to the largest of a few levels, above which it is none of them: levels of one switch are of one size.
+"""
 STEPS = 2.0
 """Largest steps between rows that fit into the empty interval next to a code, which then was passed in one step."""
 
@@ -59,6 +71,7 @@ def without_implausible(
     place: Callable[[int], str],
     messages: list[str],
     declared: tuple[float, float] | None = None,
+    written: Values | None = None,
 ) -> Values:
     """Return `values (n,)` of column `name`, in the unit of its suffix, with NaN in place of impossible readings.
 
@@ -66,10 +79,13 @@ def without_implausible(
         place: names a row of the file, for the messages.
         messages: takes a sentence for each kind of refused value.
         declared: plausible range of the point, in the column's unit; the default of the unit where None.
+        written: numbers (n,) as the file has them, where another unit or a factor was converted: codes are among these.
     """
     parts = split_column(name)
     unit = parts[1] if parts else "1"
-    temperature = name.startswith("T_") and name.endswith("_C")
+    converted = written is not None and not np.array_equal(written, values, equal_nan=True)
+    numbers = values if written is None else written
+    temperature = name.startswith("T_") and name.endswith("_C") and not converted
     marks = _equal(values, SENTINELS) if temperature else np.zeros(len(values), dtype=bool)
     if marks.any():
         messages.append(_counted(name, marks, values, "a mark for no measurement", place))
@@ -87,17 +103,59 @@ def without_implausible(
             f"{values[row]:g}): missing{asked}"
         )
         values = np.where(outside, np.nan, values)
-    if parts:
-        codes = (*CODES, *TEMPERATURE_CODES) if unit == "degC" else CODES
-        found = np.unique(values[_equal(values, codes)]).tolist()
-        if unit in ("degC", "K") and _LEVELS.search(parts[0]) is None:
-            found += [code for code in _repeated(values) if code not in found]
-        for code in 2 * found:  # The value farthest out hides the others from the first pass.
-            apart = _stand_apart(values, float(code))
-            if apart is not None:
-                messages.append(_counted(name, apart, values, "a code for no measurement far from all others", place))
-                values = np.where(apart, np.nan, values)
+    numbers = np.where(np.isnan(values), np.nan, numbers)
+    found = extremes = _extremes(numbers)
+    listed = (*CODES, *TEMPERATURE_CODES) if unit == "degC" and not converted else CODES
+    found = [*found, *(code for code in np.unique(numbers[_equal(numbers, listed)]).tolist() if code not in found)]
+    if parts and unit in ("degC", "K") and _LEVELS.search(parts[0]) is None:
+        found += [code for code in _repeated(numbers) if code not in found]
+    for code in 2 * found:  # The value farthest out hides the others from the first pass.
+        apart = _far_extreme(numbers, code, parts is not None) if code in extremes else _stand_apart(numbers, code)
+        if apart is not None:
+            messages.append(_counted(name, apart, numbers, "a code for no measurement far from all others", place))
+            values, numbers = np.where(apart, np.nan, values), np.where(apart, np.nan, numbers)
     return values
+
+
+def _extremes(numbers: Values) -> list[float]:
+    """Return the different numbers that are an end of a raw integer's range over a power of ten, farthest first."""
+    different = np.unique(numbers[np.isfinite(numbers)])
+    if len(different) > 4 * _MOST_CODES:  # A code lies at an end of all numbers.
+        different = np.concatenate([different[: 2 * _MOST_CODES], different[-2 * _MOST_CODES :]])
+    found = np.zeros(len(different), dtype=np.bool_)
+    for decimals in range(_MOST_DECIMALS + 1):
+        counts = np.abs(different) * 10.0**decimals
+        whole = np.round(counts)
+        found |= np.isin(whole, EXTREMES) & (np.abs(counts - whole) <= 1e-7 * whole)
+    codes = [code for code in different[found].tolist() if abs(code) >= _LEAST_NINES or not _is_nines(code)]
+    return sorted(codes, key=lambda code: -abs(code))
+
+
+def _is_nines(code: float) -> bool:
+    return set(f"{code:.10g}") <= set("9.-")
+
+
+def _far_extreme(numbers: Values, code: float, has_unit: bool) -> NDArray[np.bool_] | None:
+    """Return the rows (n,) that hold `code`, the end of a raw integer's range, if it cannot be a reading, or None.
+
+    The empty interval between it and all other values is wider than all that those span, or than `STEPS` of their
+    largest steps. It may fill most of the column. Others of a few levels (a switch) show nothing, unless the code is
+    `FAR_FACTOR` times as large as the largest and the column has a unit; nines may be the full power of a switch.
+    """
+    here = numbers == code
+    others = numbers[np.isfinite(numbers) & ~here]
+    if not here.any() or not len(others):
+        return None
+    low, high = float(others.min()), float(others.max())
+    apart = float(np.abs(others - code).min())
+    largest = max(abs(low), abs(high))
+    is_few = len(np.unique(others[: 100 * FEW])) < FEW
+    switches = high - low > largest / 2 and _is_nines(code)
+    if is_few and (switches or not (has_unit and 0.0 < FAR_FACTOR * largest < abs(code))):
+        return None
+    step = float(np.abs(np.diff(others)).max()) if len(others) > 1 else 0.0
+    outside = code < low or code > high
+    return here if outside and (apart > high - low or apart > STEPS * step > 0.0) else None
 
 
 def _repeated(values: Values) -> list[float]:

@@ -20,7 +20,8 @@ class RawRecord:
 
     `units` are those that the file itself gives; `header_line` and `skipped_lines` map rows to lines of a
     CSV (0 and empty for Parquet); `lines`, where it is not empty, are the rows' lines one by one. `delimiter` separates
-    its columns. `plausible` are ranges that the file itself declares for a column.
+    its columns. `plausible` are ranges that the file itself declares for a column. `conversions` are factor and offset
+    that make the numbers of a column those of its unit, for the column or row by row.
     """
 
     path: Path
@@ -35,6 +36,7 @@ class RawRecord:
     delimiter: str = ""
     plausible: dict[str, tuple[float, float]] = field(default_factory=dict)
     lines: tuple[int, ...] = ()
+    conversions: dict[str, tuple[Any, Any]] = field(default_factory=dict)
 
     def place(self, row: int) -> str:
         """Return the place of `row` (from 0) in the file, for a message."""
@@ -68,6 +70,11 @@ class ReadingOptions:
     time_scale: float = 1.0
 
 
+def repeat_message(name: str, renamed: str) -> str:
+    """Return the message on a column whose name stands in the file a second time."""
+    return f"column '{name}' stands twice: the second is read as '{renamed}'"
+
+
 def unique(names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return `names` with repeats renamed so that the first keeps its name, and messages on the renamed ones."""
     found: list[str] = []
@@ -78,7 +85,7 @@ def unique(names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
             count = 2
             while f"{name}_{count}" in found or f"{name}_{count}" in names:
                 count += 1
-            messages.append(f"column '{name}' stands twice: the second is read as '{name}_{count}'")
+            messages.append(repeat_message(name, f"{name}_{count}"))
             name = f"{name}_{count}"
         found.append(name)
     return tuple(found), tuple(messages)

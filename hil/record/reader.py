@@ -27,7 +27,7 @@ from hil.profile import WRITTEN_UNITS
 from hil.record.file import read_raw
 from hil.record.order import describe_steps, order
 from hil.record.plausibility import SENTINELS, without_implausible
-from hil.record.quality import codes_of_words, reasons, valued_by
+from hil.record.rated_columns import QUALITY, find_ratings
 from hil.record.raw import RawRecord, ReadingOptions, RecordError
 from hil.record.times import numbered, read_time, span
 from hil.record.units import without_cell_units
@@ -37,6 +37,7 @@ from hil.record.values import (
     Numbers,
     Sign,
     decimal_signs,
+    is_difference,
     may_be_lost,
     of_a_room,
     parse,
@@ -54,9 +55,6 @@ __all__ = [
     "read_record",
     "write_record",
 ]
-
-QUALITY = "_quality"
-"""Ending of a column that holds the quality of the column before it."""
 
 HOTTEST_ROOM_C = 45.0
 """Median of a room temperature above which a question is reported."""
@@ -136,7 +134,7 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
         raise RecordError(f"{path}: {error}") from error
     axis = numbered(raw) if at_rest else read_time(raw, signs, choice)
     messages += axis.messages
-    rows, moved = order(raw, axis)
+    rows, moved = order(raw, axis, signs)
     messages += moved
     stamps = axis.seconds[rows]
     last_of_stamp = np.append(np.flatnonzero(np.diff(stamps) > 0), len(stamps) - 1)
@@ -148,38 +146,31 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
     columns: dict[str, NDArray[np.float64]] = {}
     quality: dict[str, NDArray[np.uint8]] = {}
     unmarked: list[str] = []
-    graded: dict[str, NDArray[np.float64]] = {}
-    read_as: dict[str, str] = {}
+    rated = find_ratings(raw, axis.columns, signs)
+    messages += rated.messages
     for name, cells in zip(raw.names, raw.cells, strict=True):
-        if name in axis.columns:
-            continue
-        rated = name if name.lower() == "quality" else valued_by(name, raw.names)
-        words = codes_of_words(cells) if rated else None
-        if words is not None:
-            graded[name] = _last_known(name, words[rows], last_of_stamp, path, messages) if repeats else words[rows]
-            continue
-        values = _numbers(name, cells, signs.get(name, "."), raw, messages)
-        if values is None:
-            messages += [f"column '{name}' may report which values are bad: not used"] if rated else []
-            continue
         written = name
         is_quality = name.endswith(QUALITY) and name.removesuffix(QUALITY) in raw.names
-        if not is_quality:
-            name, values = _in_unit(name, values, raw, messages, unmarked)
-            values = without_implausible(name, values, raw.place, messages, raw.plausible.get(written))
+        if name in axis.columns or (name in rated.columns and not is_quality):
+            continue
+        values = None if name in rated.columns else _numbers(name, cells, signs.get(name, "."), raw, messages)
+        if values is None:
+            continue
+        if is_quality:
+            values = _last_known(written, values[rows], last_of_stamp, path, messages) if repeats else values[rows]
+            quality[name.removesuffix(QUALITY)] = np.clip(np.nan_to_num(values, nan=0.0), 0, 255).astype(np.uint8)
+            continue
+        numbers = rated.applied(name, values, raw, messages)
+        name, values = _in_unit(name, _converted(numbers, raw, written), raw, messages, unmarked)
+        values = without_implausible(name, values, raw.place, messages, raw.plausible.get(written), numbers)
         values = values[rows]
         if repeats:
             values = _last_known(written, values, last_of_stamp, path, messages)
-        if is_quality:
-            quality[name.removesuffix(QUALITY)] = np.clip(np.nan_to_num(values, nan=0.0), 0, 255).astype(np.uint8)
-        if rated:
-            graded[name] = values
-        if is_quality:
-            continue
         messages += _asked(name, written, values)
         columns[name] = values
-        read_as[written] = name
-    messages += _graded(graded, raw, read_as, columns, quality)
+        if (reasons := rated.reasons(written)) is not None:
+            reasons = reasons[rows][last_of_stamp]
+            quality[name] = np.where(np.isnan(values), reasons, Quality.GOOD).astype(np.uint8)
     if not columns:
         raise RecordError(f"{path} has no column of numbers besides {axis.column}; give a record with signals")
     if unmarked:
@@ -187,35 +178,6 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
     messages += remarks(columns)
     messages += _describe_missing(time_s, columns, quality)
     return Record(time_s, columns, tuple(messages), path, raw.sha256, quality, axis.start, raw.metadata or {})
-
-
-def _graded(
-    graded: Mapping[str, NDArray[np.float64]],
-    raw: RawRecord,
-    read_as: Mapping[str, str],
-    columns: dict[str, NDArray[np.float64]],
-    quality: dict[str, NDArray[np.uint8]],
-) -> list[str]:
-    """Set values of `columns` to missing that the codes of `graded` call bad, and return messages."""
-    said = []
-    for name, codes in graded.items():
-        rated = valued_by(name, raw.names)
-        target = read_as.get(rated or "", "")
-        found = reasons(codes)
-        held = [c for c in columns if c != name] if rated is None else [target] if target in columns else []
-        good = not codes.any() or codes.min() >= 192  # No code of either kind is bad.
-        if found is None or not held:
-            there = [c for c in held if np.isfinite(columns[c][np.nan_to_num(codes) != 0]).any()]
-            said += [f"column '{name}' has codes of no known kind: not used"] if there and not good else []
-            continue
-        for column in held:
-            bad = (found[0] != 0) & np.isfinite(columns[column])
-            if bad.any():
-                columns[column] = np.where(bad, np.nan, columns[column])
-                count = "1 value is" if bad.sum() == 1 else f"{bad.sum()} values are"
-                said.append(f"{column}: {count} bad by '{name}' ({found[1]}): missing")
-            quality[column] = found[0]
-    return said
 
 
 def _numbers(name: str, cells: Any, sign: Sign, raw: RawRecord, messages: list[str]) -> NDArray[np.float64] | None:
@@ -243,6 +205,14 @@ def _numbers(name: str, cells: Any, sign: Sign, raw: RawRecord, messages: list[s
         messages.append(f"{name}: {np.isinf(values).sum()} values are infinite: missing")
         values = np.where(np.isinf(values), np.nan, values)
     return values
+
+
+def _converted(values: NDArray[np.float64], raw: RawRecord, name: str) -> NDArray[np.float64]:
+    """Return the numbers of a column in its unit, where the file gives a multiple of it or another one."""
+    if name not in raw.conversions:
+        return values
+    factor, offset = raw.conversions[name]
+    return np.asarray(values * factor + offset, dtype=np.float64)
 
 
 def _is_text(name: str, numbers: Numbers) -> bool:
@@ -289,7 +259,7 @@ def _in_unit(
         return name, values
     signal, unit = parts
     wanted = _standard_unit(name) or unit
-    if wanted != unit:
+    if wanted != unit and not (unit == "K" and is_difference(signal)):
         target = column_name(signal, wanted)
         convert = {("kW", "W"): (1000.0, 0.0), ("K", "degC"): (1.0, -273.15)}.get((unit, wanted))
         if convert is None or target in raw.names:

@@ -61,3 +61,74 @@ def test_two_codes_of_a_column_are_missing(tmp_path: Path) -> None:
 def test_other_values_far_from_all_others_stay(tmp_path: Path, name: str, cells: list[str]) -> None:
     record = _read(tmp_path, name, cells)
     assert not np.isnan(record.columns[name]).any()
+
+
+FLOWS = [f"{3 + k / 250 + (k * 7 % 5) / 300:.3f}" for k in range(60)]
+RESTS = [f"{3 + k % 2 / 100:.2f}" for k in range(60)]
+"""A quantity of two readings: no more than a switch has."""
+EXTREMES = [
+    *(
+        "655.35",
+        "65.535",
+        "6553.5",
+        "65535",
+        "327.67",
+        "-327.68",
+        "3276.8",
+        "32767",
+        "-32768",
+        "8388607",
+        "214748.3647",
+    ),
+    *("214748.3647", "999.9", "9999", "-9999", "99999.9", "-9999.99", "7999", "-6999", "-999"),
+]
+
+
+@pytest.mark.parametrize("code", EXTREMES)
+@pytest.mark.parametrize("name", ["flow_L_per_min", "x", "p_bar", "Q [l/min]"])
+@pytest.mark.parametrize("at", [[30], [20, 21, 40], list(range(30, 60)), list(range(15, 60))])
+def test_an_end_of_a_raw_range_far_from_all_others_is_missing(
+    tmp_path: Path, code: str, name: str, at: list[int]
+) -> None:
+    if len(at) > 30 and code in ("7999", "-6999", "-999"):
+        pytest.skip("a listed code that fills most of a column may be a level")
+    record = _read(tmp_path, name, _with(code, FLOWS, at))
+    (values,) = record.columns.values()
+    assert np.flatnonzero(np.isnan(values)).tolist() == at
+    many = "1 values are" if len(at) == 1 else f"{len(at)} values are"
+    assert any(many in m and f"{float(code):g}" in m and f"line {at[0] + 2}" in m for m in record.messages)
+
+
+@pytest.mark.parametrize(
+    ("name", "code"), [("Q [0.1 l/min]", "65535"), ("T_in_K", "655.35"), ("heater_power_kW", "6553.5")]
+)
+def test_a_code_is_one_of_the_numbers_as_they_are_written(tmp_path: Path, name: str, code: str) -> None:
+    cells = [f"{300 + float(cell):.2f}" for cell in FLOWS]
+    (values,) = _read(tmp_path, name, _with(code, cells, AT[:3])).columns.values()
+    assert np.flatnonzero(np.isnan(values)).tolist() == AT[:3]
+
+
+@pytest.mark.parametrize(("cells", "code"), [(RESTS, "655.35"), (["21.5"] * 60, "327.67"), (["700"] * 60, "9999")])
+def test_an_end_of_a_raw_range_is_missing_where_the_rest_rests(tmp_path: Path, cells: list[str], code: str) -> None:
+    (values,) = _read(tmp_path, "flow_L_per_min", _with(code, cells, AT[:3])).columns.values()
+    assert np.flatnonzero(np.isnan(values)).tolist() == AT[:3]
+
+
+@pytest.mark.parametrize(
+    ("name", "cells"),
+    [
+        ("flow_L_per_min", _with("655.34", FLOWS, [30])),  # no end of a range
+        ("valve_pct", _with("99.9", FLOWS, [30])),  # a valve that opens
+        ("x", _with("999", FLOWS, [30])),
+        ("n_rpm", [f"{k * 9999 / 59:.1f}" for k in range(60)]),  # passes through it
+        ("x", [str((65000 + 9 * k) % 65536) for k in range(120)] + ["65535"]),  # a counter that wraps
+        ("heater_power_W", ["0", "9999"] * 30),  # a switch
+        ("heater_power_W", [*["0", "500", "9999"] * 20]),
+        ("x", ["0", "1", "65535"] * 20),  # bits
+        ("P_W", [f"{3000 + 30 * (k % 9)}" for k in range(30)] + ["3276.7"] * 3),  # among the readings
+        ("level_mV", [f"{x:.4f}" for x in np.linspace(-4, 4, 100)] + ["3.2767"]),
+    ],
+)
+def test_readings_that_resemble_an_end_of_a_raw_range_stay(tmp_path: Path, name: str, cells: list[str]) -> None:
+    (values,) = _read(tmp_path, name, cells).columns.values()
+    assert not np.isnan(values).any()

@@ -88,7 +88,7 @@ def test_minutes_in_a_line_of_units_are_minutes(tmp_path: Path) -> None:
 def test_a_value_of_bad_quality_is_missing(tmp_path: Path) -> None:
     record = _read(tmp_path, "time,tag,value,quality\n" + _rows("{t},T_in_C,{T},Good") + "999,T_in_C,77,Bad\n")
     assert np.isnan(record.columns["T_in_C"][-1])
-    assert "1 readings are not of good quality: missing" in record.messages
+    assert "1 reading is not of good quality (the first is line 26): missing" in record.messages
 
 
 def test_series_of_a_parquet_file_become_columns(tmp_path: Path) -> None:

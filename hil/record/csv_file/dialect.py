@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from hil.record.times import SECONDS_PER, is_time_name
-from hil.record.units import unit_of
+from hil.record.units import has_open_factor, meaning_of
 from hil.record.values import MARKS, MISSING, readings
 
 DELIMITERS = (",", ";", "\t", "|")
@@ -27,6 +27,20 @@ MOST_BELOW = 3
 
 _MAY_LACK = ("", "comment", "comments", "remark", "note", "notes")
 """Last name of a heading, lower case, whose cells rows may omit with their delimiter."""
+_FACTORS = (
+    "scale",
+    "scaling",
+    "scale factor",
+    "factor",
+    "multiplier",
+    "gain",
+    "faktor",
+    "skalierung",
+    "facteur",
+    "échelle",
+)
+"""First cells of a line, lower case, that gives a factor for each column."""
+_FACTOR = re.compile(r"[x×*]\s?\d+(?:[.,]\d+)?|\d+(?:[.,]\d+)?\s?[x×*]")
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?[,;\t|"]*', re.IGNORECASE)
 _MOMENT = re.compile(r"\d{1,4}([-./])\d{1,2}\1\d{1,4}([ T].*)?|\d{1,2}:\d{2}(:\d{2})?.*|\d{4}-\d{2}-\d{2}T.*", re.ASCII)
 
@@ -46,7 +60,8 @@ class Dialect:
     Attributes:
         delimiter: between columns. names: of the columns, as written.
         header_line: number of the line that names them. rows_from: lines above the first row.
-        units: by place of the column, where a line below the names gives them.
+        units: as written, by place of the column, where a line below or above the names gives them; `units_line` is its
+        number.
         messages: lines that were left out.
     """
 
@@ -55,6 +70,7 @@ class Dialect:
     header_line: int
     rows_from: int
     units: dict[int, str] = field(default_factory=dict)
+    units_line: int = 0
     messages: tuple[str, ...] = ()
 
 
@@ -136,19 +152,37 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
         return None
     heading = _heading(above)
     line, names = above[heading]
-    below = [row for _, row in above[heading + 1 :]]
+    names = _told_apart(names, [row for _, row in above[:heading]])
+    below = above[heading + 1 :]
     if len(below) > MOST_BELOW:
         return None
     _require_one_table(delimiter, lines, line)
+    _require_no_factors(table[: first + MOST_BELOW], line, first_row=table[first][0].number)
     left_out = [str(one.number) for one in lines if one.number < table[first][0].number and one.number != line.number]
-    over = [row for _, row in above[:heading] if len(_units(row, names)) > sum(map(bool, row)) / 2]
-    units = next((found for row in (*below, *over) if (found := _units(row, names))), {})
+    over = [(one, row) for one, row in above[:heading] if len(_known_units(row, names)) > sum(map(bool, row)) / 2]
+    units_line, units = next(
+        ((one.number, found) for one, row in (*below, *over) if (found := _units(row, names))), (0, {})
+    )
     said: tuple[str, ...] = ()
     if left_out:
         which = "line" if len(left_out) == 1 else "lines"
         told = f", and a line {'below' if below else 'above'} it gives units" if units else ""
         said = (f"line {line.number} is taken for the heading{told}; {which} {', '.join(left_out)} left out",)
-    return Dialect(delimiter, tuple(names), line.number, max(above[-1][0].number, line.number), units, said)
+    return Dialect(delimiter, tuple(names), line.number, max(above[-1][0].number, line.number), units, units_line, said)
+
+
+def _told_apart(names: list[str], over: Sequence[Sequence[str]]) -> list[str]:
+    """Return the names with those that several columns share replaced by a line above that names each of them.
+
+    Loggers write `Value` for every channel below the line of their tags.
+    """
+    shared = [place for place, name in enumerate(names) if names.count(name) > 1 and name and not is_time_name(name)]
+    for row in reversed(over):
+        cells = [row[place] for place in shared]
+        known = sum(place in shared for place in _known_units(row, names))
+        if all(cells) and len(set(cells)) == len(cells) > 1 and known < len(cells) and not any(map(is_value, cells)):
+            return [row[place] if place in shared else name for place, name in enumerate(names)]
+    return names
 
 
 def _ended_alike(fields: Sequence[list[str] | None], k: int) -> list[list[str] | None]:
@@ -192,6 +226,20 @@ def _require_one_table(delimiter: str, lines: Sequence[Line], heading: Line) -> 
             )
 
 
+def _require_no_factors(table: Sequence[tuple[Line, list[str]]], heading: Line, first_row: int) -> None:
+    """Raise DialectError for a line of factors below the names: it changes all numbers and is not applied."""
+    for line, row in table:
+        if line.number <= heading.number:
+            continue
+        word = next((cell for cell in row if cell.lower().strip(": ") in _FACTORS), None)
+        factor = next((cell for cell in row if _FACTOR.fullmatch(cell)), None) if line.number < first_row else None
+        if word is not None or factor is not None:
+            raise DialectError(
+                f" line {line.number} gives factors of the columns ('{word or factor}'), which are not applied; "
+                "multiply the numbers, or give the units as multiples (0.1 °C), and take the line out"
+            )
+
+
 def _numeric(rows: Sequence[Sequence[str]], k: int) -> tuple[list[int], list[int]]:
     """Return the columns of numbers or times by most cells of the later half of the sample, and those of times."""
     later = rows[len(rows) // 2 :]
@@ -226,7 +274,7 @@ def _heading(above: Sequence[tuple[Line, list[str]]]) -> int:
     named = [i for i, (_, row) in enumerate(above) if any(is_time_name(cell) for cell in row)]
     for i in named:
         row = above[i][1]
-        if i == named[-1] or 2 * len(_units(row, row)) < sum(map(bool, row)):
+        if i == named[-1] or 2 * len(_known_units(row, row)) < sum(map(bool, row)):
             return i
     for i, (_, row) in enumerate(above):
         if all(row) and len(set(row)) == len(row):
@@ -235,15 +283,25 @@ def _heading(above: Sequence[tuple[Line, list[str]]]) -> int:
 
 
 def _units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
-    """Return the units that a line below the names gives, by column; empty where it gives none."""
-    found = {}
-    for place, cell in enumerate(row):
-        symbol = cell.strip("[]() ").lower()
-        if is_time_name(names[place]) and symbol in SECONDS_PER:
-            found[place] = symbol
-        elif (unit := unit_of(cell)) is not None:
-            found[place] = unit
-    return found
+    """Return the units that a line below the names gives, as written, by column; empty where it gives none.
+
+    Cells that are no known units are among them where at least as many are.
+    """
+    there = {place: cell for place, cell in enumerate(row) if cell.lower() not in (*MISSING, "1")}
+    known = _known_units(row, names)
+    if not known or 2 * len(known) < len(there):
+        return known
+    return {place: cell for place, cell in there.items() if place in known or cell != names[place]}
+
+
+def _known_units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
+    return {place: cell for place, cell in enumerate(row) if cell and _is_unit(cell, names[place])}
+
+
+def _is_unit(cell: str, name: str) -> bool:
+    if is_time_name(name) and cell.strip("[]() ").lower() in SECONDS_PER:
+        return True
+    return meaning_of(cell) is not None or has_open_factor(cell)
 
 
 def _first_line(line: Line, only: Sequence[str]) -> Dialect:

@@ -12,6 +12,7 @@ from hil.lazy_names import lazy_names
 if TYPE_CHECKING:
     from hil.record.times.names import SECONDS_PER, is_time_name, names_dates, names_unit, seconds_per_unit
     from hil.record.times.time_axis import GAP_PERIODS, TimeAxis, numbered, read_time, span
+    from hil.record.times.zones import zone_of
 
 __all__ = [
     "GAP_PERIODS",
@@ -24,6 +25,7 @@ __all__ = [
     "read_time",
     "seconds_per_unit",
     "span",
+    "zone_of",
 ]
 
 __getattr__, __dir__ = lazy_names(
@@ -43,5 +45,6 @@ __getattr__, __dir__ = lazy_names(
             "read_time",
             "span",
         ),
+        "zones": ("zone_of",),
     },
 )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from hil.record.times.zones import without_zone
+
 SECONDS_PER: dict[str, float] = {
     "ns": 1e-9,
     "us": 1e-6,
@@ -40,13 +42,11 @@ _MOMENT = (
 )
 _UNIT = re.compile(r"(.+?)[ _]*[\[(]\s*([a-zµ]+)\s*[\])]|(.+?)\s*[/_ ]\s*(?:in\s+)?([a-zµ]+)|([a-zµ]+)")
 
-_ZONE = re.compile(r"(?<![A-Za-z])(?:GMT|UTC)(?![A-Za-z])(?:\s*([+-]\d{1,2})(?::?(\d{2}))?)?", re.IGNORECASE)
-
 
 def seconds_per_unit(name: str) -> float | None:
     """Return seconds per unit of the time column `name`, 1 if the name gives no unit; None if it names no time."""
     low = name.strip().lower()
-    if _spelt(low) in (*_ELAPSED, *_MOMENT):
+    if _spelt(low) in (*_ELAPSED, *_MOMENT) or _spelt(without_zone(name).lower()) in (*_ELAPSED, *_MOMENT):
         return 1.0
     parts = _UNIT.fullmatch(low)
     if parts is None:
@@ -63,7 +63,8 @@ def seconds_per_unit(name: str) -> float | None:
 def names_unit(name: str) -> bool:
     """Return True for the name of a time that gives its unit."""
     low = name.strip().lower()
-    return seconds_per_unit(name) is not None and _spelt(low) not in (*_ELAPSED, *_MOMENT)
+    spelt = {_spelt(low), _spelt(without_zone(name).lower())}
+    return seconds_per_unit(name) is not None and not spelt & {*_ELAPSED, *_MOMENT}
 
 
 def is_time_name(name: str) -> bool:
@@ -73,22 +74,14 @@ def is_time_name(name: str) -> bool:
 
 def names_dates(name: str) -> bool:
     """Return True for a name of dates, or of dates with times, and never of a time since the beginning."""
-    return _spelt(name.strip().lower()) in (*_MOMENT, "time of day") and "epoch" not in name.lower()
+    spelt = {_spelt(name.strip().lower()), _spelt(without_zone(name).lower())}
+    return bool(spelt & {*_MOMENT, "time of day"}) and "epoch" not in name.lower()
 
 
 def names_days(name: str) -> bool:
     """Return True for a name of days, such as `Date` and `MJD`; whole numbers of a `timestamp` may be seconds."""
     low = name.strip().lower()
     return is_time_name(name) and re.search(r"date|datum|julian|\bm?jd\b", low) is not None
-
-
-def zone_of(name: str) -> tuple[str, float] | None:
-    """Return the time zone in a name of times, such as `Date Time, GMT+01:00`, and its seconds ahead of UTC."""
-    found = _ZONE.search(name)
-    if found is None:
-        return None
-    hours, minutes = int(found[1] or 0), int(found[2] or 0)
-    return found[0].strip(), hours * 3600.0 + (-60.0 if hours < 0 else 60.0) * minutes
 
 
 def _spelt(low: str) -> str:

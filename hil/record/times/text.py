@@ -9,13 +9,14 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.record.times.full_clock import TimeTextError, require_full_clock
+from hil.record.times.zones import CELL, minutes_of
 
 Order = Literal["ymd", "dmy", "mdy"]
 ORDERS: tuple[Order, ...] = ("dmy", "mdy", "ymd")
@@ -45,7 +46,8 @@ _MONTHS = {
 }
 _TIME = (
     r"(?P<hour>\d{1,3}):(?P<minute>[0-5]\d)(?::(?P<second>[0-5]\d|60)(?:[.,:](?P<fraction>\d{1,9}))?)?"
-    r"(?:\s*(?P<half>[AaPp])\.?\s?[Mm]\.?)?\s*(?P<zone>Z|z|UTC|GMT|CET|CEST|[+-]\d{2}(?::?\d{2})?)?"
+    r"(?:\s*(?P<half>[AaPp])\.?\s?[Mm]\.?)?"
+    rf"\s*(?:(?P<zone>(?i:{CELL}))(?:\s*\([A-Za-z ]+\))?)?"
 )
 _DATE = (
     r"(?:[A-Za-z]{2,9}\.?,?\s+)?(?:(?P<a>\d{1,4})(?P<sep>[-/.])(?P<b>\d{1,2})(?P=sep)(?P<c>\d{1,4})"
@@ -58,8 +60,9 @@ _CLOCK = re.compile(rf"(?:(?P<days>\d{{1,5}})\s*d(?:ays?)?,?\s+)?{_TIME}", re.AS
 """Time of day, or time from the beginning with its days before it: `1 days 02:03:04`, `0d 02:03:04`."""
 _FOUR = re.compile(r"(\d{1,3}):([0-5]\d):([0-5]\d):(\d\d)", re.ASCII)
 """Days, hours, minutes and seconds, or hours, minutes, seconds and hundredths."""
+_ZONE_BEHIND = re.compile(rf":\d{{2}}(?:[.,]\d+)?\s*(?:[AaPp]\.?\s?[Mm]\.?)?\s*({CELL})(?:\s*\(.*\))?$", re.IGNORECASE)
+"""Zone at the end of a time."""
 _HOUR = re.compile(r"(?:^|[T\s,_-])(\d{1,2}):[0-5]\d")
-_ZONES = {"z": 0, "utc": 0, "gmt": 0, "cet": 60, "cest": 120}
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +100,20 @@ def read_stamps(cells: Sequence[str | None], order: Order | None = None) -> Stam
     """
     stamps = _read_stamps(cells, order)
     _require_full_clock(cells, stamps.micros)
-    return stamps
+    return _with_zones_in_all(cells, stamps) if stamps.zoned else stamps
+
+
+def _with_zones_in_all(cells: Sequence[str | None], stamps: Stamps) -> Stamps:
+    """Return stamps with a note on those without a zone; raise TimeTextError where the others are not in UTC."""
+    dated = [cell for cell, x in zip(cells, stamps.micros, strict=True) if cell is not None and x is not None]
+    zones = [_ZONE_BEHIND.search(cell) for cell in dated]
+    without = [cell for cell, zone in zip(dated, zones, strict=True) if zone is None]
+    other = next((cell for cell, zone in zip(dated, zones, strict=True) if zone and minutes_of(zone[1])), None)
+    if not without or len(without) == len(dated):
+        return stamps
+    if other is not None:
+        raise TimeTextError(f"'{other}' has a time zone and '{without[0]}' has none; write the zone in all times")
+    return replace(stamps, note=f"{len(without)} times without a zone are taken as UTC like the others")
 
 
 def _read_stamps(cells: Sequence[str | None], order: Order | None) -> Stamps:
@@ -260,16 +276,8 @@ def _micros_of_day(match: re.Match[str]) -> int:
         hour = hour % 12 + (12 if match["half"] in "Pp" else 0)
     fraction = int((match["fraction"] or "0").ljust(9, "0")) // 1000
     seconds = hour * 3600 + int(match["minute"]) * 60 + int(match["second"] or 0)
-    return seconds * 1_000_000 + fraction - _zone_minutes(match["zone"]) * 60_000_000
-
-
-def _zone_minutes(zone: str | None) -> int:
-    if not zone:
-        return 0
-    if zone.lower() in _ZONES:
-        return _ZONES[zone.lower()]
-    digits = zone[1:].replace(":", "").ljust(4, "0")
-    return (-1 if zone[0] == "-" else 1) * (int(digits[:2]) * 60 + int(digits[2:]))
+    ahead = minutes_of(match["zone"]) if match["zone"] else 0
+    return (seconds - 60 * ahead) * 1_000_000 + fraction
 
 
 def _full(year: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,14 +12,20 @@ from numpy.typing import NDArray
 from hil.record.raw import RawRecord, ReadingOptions, RecordError
 from hil.record.times.columns import all_cells, find_columns, has_unit, scale_of
 from hil.record.times.daylight_saving import unfolded
-from hil.record.times.names import is_time_name, zone_of
+from hil.record.times.names import is_time_name
 from hil.record.times.seconds import ZONELESS, Seconds, of_stamps, read_seconds, text_of
+from hil.record.times.subseconds import with_subseconds
 from hil.record.times.text import TimeTextError, is_date, is_moment, read_stamps
+from hil.record.times.zone_column import with_zone_column
+from hil.record.times.zones import moment_in, zone_of
 from hil.record.values import Sign, may_be_lost, trimmed
 
 GAP_PERIODS = 5
 """Typical steps in a step that counts as a gap."""
 
+_LETTERS = re.compile(r"[\[(]\s*([A-Z]{3,5})\s*[\])]")
+"""Capital letters in brackets, as abbreviations of zones are written."""
+_NO_ZONES = ("YYYY", "HHMM", "LOCAL")
 SAME_SPAN = 0.1
 """Relative difference of the spans of two time columns: no clock is that wrong, and units differ by more."""
 
@@ -68,19 +75,26 @@ def read_time(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions) ->
             columns, read, said = _checked(raw, columns, read, choice)
             column = columns[0] if said else column
             messages += said
+        if read is not None:
+            columns, read, said = with_subseconds(raw, columns, read, signs)
+            columns, read, more = with_zone_column(raw, columns, read)
+            messages += [*said, *more]
     except TimeTextError as error:
         raise RecordError(f"{raw.path}: column '{column}': {error}") from error
     if read is None or not np.isfinite(read.seconds).any():
         raise RecordError(
             f"{raw.path} has no readable time in column '{column}'; write seconds, or ISO 8601 as 2026-11-02T10:00:00Z"
         )
-    if read.zoneless and read.start is not None and (zone := zone_of(column)) is not None:
-        start = read.start - datetime.timedelta(seconds=zone[1])
-        read = replace(read, start=start, how=read.how.replace(ZONELESS, f"in {zone[0]}"), zoneless=False)
-    seconds = read.seconds
-    if read.zoneless and read.start is not None:
+    seconds, zone = read.seconds, zone_of(column)
+    is_local = zone is None or not isinstance(zone[1], float)
+    if read.zoneless and read.start is not None and is_local:
         seconds, said = unfolded(seconds, read.start, raw.place)
         messages += said
+    if read.zoneless and read.start is not None and zone is not None:
+        start = moment_in(zone[1], read.start)
+        read = replace(read, start=start, how=read.how.replace(ZONELESS, f"in {zone[0]}"), zoneless=False)
+    elif read.zoneless and (letters := _LETTERS.search(column)) is not None and letters[1] not in _NO_ZONES:
+        messages.append(f"{column}: '{letters[1]}' in its name is no zone of one meaning: write UTC+01:00 or such")
     if choice.time_scale != 1.0:
         seconds = seconds * choice.time_scale
         messages.append(f"{column} is taken {choice.time_scale:g} times, as --time-scale says")

@@ -11,9 +11,24 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.record.units.cells import without_cell_units
-    from hil.record.units.headings import fahrenheit_hint, name_and_unit, suffixed, unit_of, with_heading_units
+    from hil.record.units.headings import fahrenheit_hint, name_and_unit, suffixed, with_heading_units
+    from hil.record.units.meanings import conversion, has_open_factor, meaning_of, unit_of
+    from hil.record.units.unit_columns import row_units, unit_name, with_unit_columns
 
-__all__ = ["fahrenheit_hint", "name_and_unit", "suffixed", "unit_of", "with_heading_units", "without_cell_units"]
+__all__ = [
+    "conversion",
+    "fahrenheit_hint",
+    "has_open_factor",
+    "meaning_of",
+    "name_and_unit",
+    "row_units",
+    "suffixed",
+    "unit_name",
+    "unit_of",
+    "with_heading_units",
+    "with_unit_columns",
+    "without_cell_units",
+]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
@@ -23,8 +38,9 @@ __getattr__, __dir__ = lazy_names(
             "fahrenheit_hint",
             "name_and_unit",
             "suffixed",
-            "unit_of",
             "with_heading_units",
         ),
+        "meanings": ("conversion", "has_open_factor", "meaning_of", "unit_of"),
+        "unit_columns": ("row_units", "unit_name", "with_unit_columns"),
     },
 )

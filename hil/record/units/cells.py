@@ -9,7 +9,8 @@ from typing import Any
 from drivers.signals import split_column
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times import is_time_name
-from hil.record.units.headings import fahrenheit_hint, suffixed, unit_of
+from hil.record.units.headings import fahrenheit_hint, suffixed
+from hil.record.units.meanings import unit_of
 from hil.record.values import MARKS, readings, trimmed
 
 _CELL = re.compile(
@@ -32,6 +33,11 @@ def without_cell_units(raw: RawRecord) -> RawRecord:
     for index, name in enumerate(raw.names):
         if not is_time_name(name) and (found := _stripped(name, raw.cells[index], raw)) is not None:
             names[index], cells[index], said = found
+            if name in raw.conversions:
+                raise RecordError(
+                    f"{raw.path}: column '{name}' has a multiple of its unit by the file and the unit itself in its "
+                    "cells; correct one of them"
+                )
             messages.append(said)
             messages += filter(None, [fahrenheit_hint(names[index])] if names[index] == f"{name}_F" else [])
     return dataclasses.replace(raw, names=tuple(names), cells=tuple(cells), messages=tuple(messages))

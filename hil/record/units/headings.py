@@ -5,26 +5,17 @@ from __future__ import annotations
 import dataclasses
 import re
 
-from drivers.signals import column_name, known_unit, split_column
+from drivers.signals import column_name, split_column
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times import SECONDS_PER, is_time_name
+from hil.record.units.meanings import has_open_factor, meaning_of, names_factor, unit_of
 from twin import celsius_conversion
 
-FAHRENHEIT = ("°f", "degf", "deg f", "fahrenheit")
-"""Ways to write degrees Fahrenheit, lower case; no signal of this project is in them."""
 _IN_BRACKETS = re.compile(r"(.+?)\s*[\[({<]\s*([^\[\](){}<>]+?)\s*[\])}>]")
 _BEHIND_A_SIGN = re.compile(r"([^/,;]+?)\s+/\s+([^/\s]+)|([^/,;]+?)\s*,\s*([^,\s]+)(?:\s+\(.*)?|(.+?)\s+in\s+(\S+)")
+_NESTED = re.compile(r"(.+?)\s*\[\s*([^\[\]]+?)\s*\]")
 _SHOWN = 6
 """Columns that a message names one by one."""
-
-
-def unit_of(text: str) -> str | None:
-    """Return the unit in a cell of a heading or a line of units, `degF` among them; None where it has none."""
-    bare = text.strip().strip("[](){} ")
-    if bare.lower() in FAHRENHEIT:
-        return "degF"
-    unit = known_unit(bare) if bare else None
-    return None if unit == "1" else unit
 
 
 def name_and_unit(heading: str) -> tuple[str, str] | None:
@@ -38,6 +29,27 @@ def name_and_unit(heading: str) -> tuple[str, str] | None:
         if unit is not None:
             return name.strip(), unit
     return None
+
+
+def _scaled(heading: str) -> tuple[str, str, float] | None:
+    """Return name, unit and factor of a heading that gives a multiple of a unit, as `Tank [0.1 °C]`; else None."""
+    for name, symbol in _name_and_symbol(heading):
+        found = meaning_of(symbol)
+        if found is not None and found[1] != 1.0:
+            return name, *found
+    return None
+
+
+def _name_and_symbol(heading: str) -> list[tuple[str, str]]:
+    found = (pattern.fullmatch(heading.strip()) for pattern in (_IN_BRACKETS, _NESTED, _BEHIND_A_SIGN))
+    pairs = ([part.strip() for part in match.groups() if part] for match in found if match is not None)
+    return [(pair[0], pair[1]) for pair in pairs]
+
+
+def _is_open(heading: str) -> bool:
+    """Return True for a heading with a unit and a factor whose meaning is open, in the unit or in the name."""
+    pairs = _name_and_symbol(heading)
+    return any(has_open_factor(symbol) or (unit_of(symbol) and names_factor(name)) for name, symbol in pairs)
 
 
 def suffixed(name: str, unit: str) -> str:
@@ -67,32 +79,52 @@ def with_heading_units(raw: RawRecord) -> RawRecord:
     letters = [match[2] for match in brackets if match is not None and len(match[2]) == 1]
     are_labels = any(letter != "F" and unit_of(letter) is None for letter in letters)
     names = list(raw.names)
-    units, plausible = dict(raw.units or {}), dict(raw.plausible)
+    units, plausible, conversions = dict(raw.units or {}), dict(raw.plausible), dict(raw.conversions)
     said: list[str] = []
     hints: list[str] = []
     for place, heading in enumerate(raw.names):
-        found = None if is_time_name(heading) else name_and_unit(heading)
-        if found is None or found[1] in SECONDS_PER:
+        if is_time_name(heading):
+            continue
+        if _is_open(heading):
+            hints.append(
+                f"column '{heading}' has a factor that may be applied already or not: kept under this name without a "
+                "unit; write the value of one count, such as 0.1 °C, or numbers in the unit itself"
+            )
+            continue
+        if names_factor(heading) and split_column(heading) is not None:
+            hints.append(f"column '{heading}' has a factor in its name: its numbers are kept as they are")
+        found, factor = name_and_unit(heading), 1.0
+        if found is None and (scaled := _scaled(heading)) is not None:
+            found, factor = scaled[:2], scaled[2]
+        if found is None or (found[1] in SECONDS_PER and factor == 1.0):
             continue
         if are_labels and _IN_BRACKETS.fullmatch(heading.strip()) and re.search(r"[\[({<]\s*\w\s*[\])}>]$", heading):
             continue
         name, unit = found
         own = split_column(name)
-        if own is not None and own[1] != unit:
-            raise RecordError(f"{raw.path}: column '{heading}' is in {own[1]} and in {unit} by its name; correct it")
+        if own is not None and (own[1] != unit or factor != 1.0):
+            other = unit if factor == 1.0 else f"{factor:.10g} {unit}"
+            raise RecordError(f"{raw.path}: column '{heading}' is in {own[1]} and in {other} by its name; correct it")
         new = name if own else suffixed(name, unit)
         if new in names:
             continue
         names[place] = new
-        said.append(f"'{heading}' as {new}")
+        said.append(f"'{heading}' as {new}" + ("" if factor == 1.0 else f", its numbers times {factor:.10g}"))
         hints += [fahrenheit_hint(new)] if unit == "degF" else []
-        for known in (units, plausible):
+        for known in (units, plausible, conversions):
             if heading in known:
                 known[new] = known.pop(heading)  # type: ignore[assignment]
+        if factor != 1.0:
+            conversions[new] = (factor, 0.0)
     if not said:
-        return raw
+        return dataclasses.replace(raw, messages=(*raw.messages, *hints)) if hints else raw
     more = f" and {len(said) - _SHOWN} others" if len(said) > _SHOWN else ""
     messages = (f"units in headings: {', '.join(said[:_SHOWN])}{more}", *filter(None, hints))
     return dataclasses.replace(
-        raw, names=tuple(names), units=units, plausible=plausible, messages=(*raw.messages, *messages)
+        raw,
+        names=tuple(names),
+        units=units,
+        plausible=plausible,
+        conversions=conversions,
+        messages=(*raw.messages, *messages),
     )

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
         readings,
         trimmed,
     )
-    from hil.record.values.units import beyond_declared, of_a_room, remarks
+    from hil.record.values.units import beyond_declared, is_difference, of_a_room, remarks
 
 __all__ = [
     "LOST",
@@ -36,6 +36,7 @@ __all__ = [
     "beyond_declared",
     "decimal_signs",
     "evidence_of",
+    "is_difference",
     "may_be_lost",
     "of_a_room",
     "parse",
@@ -63,6 +64,7 @@ __getattr__, __dir__ = lazy_names(
         ),
         "units": (
             "beyond_declared",
+            "is_difference",
             "of_a_room",
             "remarks",
         ),

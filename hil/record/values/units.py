@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -19,7 +20,16 @@ FAR_K, NEAR_K, HOT_K = 20.0, 3.0, 30.0
 """Distances from the room temperature: implausible at switch-on, plausible at switch-on, and rare for a rig that is
 off.
 """
+_DIFFERENCE_WORDS = (
+    "delta|diff|difference|differenz|spread|spreizung|rise|drop|minus|approach|range|lift|gradient|ecart|écart"
+)
+_DIFFERENCES = re.compile(rf"(^|[_ ])({_DIFFERENCE_WORDS})([_ ]|$)|^d_?T(?![a-z])", re.IGNORECASE)
 _DRIVES = ("_W", "_kW", "_pct", "_L_per_min", "_kg_per_s", "_rpm")
+
+
+def is_difference(name: str) -> bool:
+    """Return True for the name of a temperature difference, of which a kelvin is a degree Celsius."""
+    return _DIFFERENCES.search(name) is not None
 
 
 def of_a_room(name: str) -> bool:
@@ -53,7 +63,7 @@ def _by_name(columns: ValueColumns) -> list[str]:
     said = []
     for name, values in columns.items():
         known = celsius_conversion(name)
-        if known is None or not _finite(values).size:
+        if known is None or not _finite(values).size or (known[0] == "kelvin" and is_difference(name)):
             continue
         unit, how, renamed = known
         middle = float(np.nanmedian(values))
