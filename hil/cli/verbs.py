@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
 from typing import Any
 
@@ -87,6 +88,10 @@ def main() -> None:
     from hil.errors import explained
     from hil.files import accept_any_name
 
+    if sys.argv[1:2] in (["run"], ["resume"]) and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        # Until a run listens to signals, Ctrl-C ends the process at once: an exception in its place may be lost in what
+        # is imported, and the run would heat.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     accept_any_name()
     with explained():
         sys.exit(group.main(standalone_mode=True, obj=OWN_PROCESS))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import os
 import signal
 import subprocess
@@ -108,3 +110,50 @@ def test_a_run_that_is_stopped_by_a_held_key_has_its_record_and_says_so(tmp_path
     assert (folder / "record.parquet").is_file() and (folder / "report.html").is_file()
     assert running.returncode == 1
     assert "stopped by the operator (Ctrl-C)" in said and f"resume runs/{folder.name}" in said
+
+
+class Asked:
+    """As much of an engine as signals need."""
+
+    def __init__(self) -> None:
+        self.reasons: list[str] = []
+
+    def request_stop(self, reason: str) -> None:
+        self.reasons.append(reason)
+
+
+async def test_a_request_whose_cancellation_is_swallowed_stops_the_engine_before_it_heats():
+    engine = Asked()
+    with RunSignals() as signals, held.cancelling(signals):
+        signal.raise_signal(signal.SIGINT)
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.sleep(5.0)
+        with held.stopping(engine, signals):  # type: ignore[arg-type]
+            assert engine.reasons == ["stopped by the operator (Ctrl-C)"]
+            signal.raise_signal(signal.SIGTERM)
+            await asyncio.sleep(0.0)
+            await asyncio.sleep(0.0)
+        assert engine.reasons[1:] == ["stopped by SIGTERM"]
+        signal.raise_signal(signal.SIGINT)  # what follows the engine is not cancelled
+        await asyncio.sleep(0.05)
+
+
+def test_ctrl_c_at_any_instant_of_the_beginning_ends_the_command(tmp_path):
+    (tmp_path / "load.csv").write_text(LOAD)
+    command = [sys.executable, "-m", "hil", "run", "load.csv", "--virtual", "--no-twin", "--no-viewer"]
+    rig = str(PROJECT / "profiles" / "rigs" / "virtual.toml")
+    environment = os.environ | {"PYTHONPATH": str(PROJECT)}
+    with (tmp_path / "out.txt").open("wb") as out:
+        started = [
+            subprocess.Popen([*command, "--rig", rig], cwd=tmp_path, env=environment, stdout=out, stderr=out)
+            for _ in range(6)
+        ]
+    try:
+        for running in started:
+            time.sleep(0.4)
+            running.send_signal(signal.SIGINT)
+        assert all(running.wait(60.0) != 0 for running in started)
+    finally:
+        for running in started:
+            running.kill()
+            running.wait()

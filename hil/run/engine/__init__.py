@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hil.run.engine.control_socket import ControlError, ask, live_runs, serving
     from hil.run.engine.engine import Engine
     from hil.run.engine.recording import Publisher
-    from hil.run.engine.signals import RunSignals, interrupted, stopping
+    from hil.run.engine.signals import RunSignals, cancelling, interrupted, stopping
     from hil.run.engine.status import Outcome, Status
 
 __all__ = [
@@ -31,6 +31,7 @@ __all__ = [
     "RunSignals",
     "Status",
     "ask",
+    "cancelling",
     "interrupted",
     "live_runs",
     "serving",
@@ -57,6 +58,7 @@ __getattr__, __dir__ = lazy_names(
         "recording": ("Publisher",),
         "signals": (
             "RunSignals",
+            "cancelling",
             "interrupted",
             "stopping",
         ),

@@ -43,14 +43,17 @@ _SKIPPING = (signal.SIGINT, signal.SIGTERM)
 class RunSignals:
     """Signals that end a process, taken over from the beginning of a run to the end of its command.
 
-    Each phase of a run says what a signal does in it; between two phases a signal does nothing. A signal is deliberate
-    where none came within `SECOND_REQUEST_S` before it: a key that is held down sends many, and they are one request.
+    Each phase of a run says what a signal does in it. Between two phases a signal does nothing, but the `first` one
+    is remembered: a request to end is never lost. A signal is deliberate where none came within `SECOND_REQUEST_S`
+    before it: a key that is held down sends many, and they are one request.
     While Python cannot run a handler, signals gather; their number is read from the wake-up descriptor, to which the
     system's handler writes a byte for each. With `until_exit` those of a terminal are ignored for
     the rest of the process, where nothing comes after the run.
     """
 
     def __init__(self, *, until_exit: bool = False) -> None:
+        self.first: signal.Signals | None = None
+        self.serves_engine = False
         self._until_exit = until_exit
         self._phase: Callable[[signal.Signals, bool], None] | None = None
         self._last_s = -SECOND_REQUEST_S
@@ -101,6 +104,7 @@ class RunSignals:
         arrived = self._arrived()
         is_deliberate = now - self._last_s > SECOND_REQUEST_S and arrived <= 1
         self._last_s = now
+        self.first = self.first or signal.Signals(number)
         if self._phase is not None:
             self._phase(signal.Signals(number), is_deliberate)
 
@@ -115,14 +119,34 @@ class RunSignals:
 
 
 @contextlib.contextmanager
+def cancelling(signals: RunSignals) -> Iterator[None]:
+    """Cancel the calling task on a signal in the block, until `stopping` has an engine that can be asked to stop.
+
+    What swallows that cancellation cannot lose the request: the engine is told of it before it heats.
+    """
+    loop, task = asyncio.get_running_loop(), asyncio.current_task()
+
+    def cancel(number: signal.Signals, is_deliberate: bool) -> None:
+        if not signals.serves_engine and task is not None:
+            loop.call_soon_threadsafe(task.cancel)
+
+    with signals.phase(cancel):
+        yield
+
+
+@contextlib.contextmanager
 def stopping(engine: Engine, signals: RunSignals) -> Iterator[None]:
-    """Ask the engine to stop on every signal in the block; it tells an echo from a second request by itself."""
+    """Ask the engine to stop on every signal in the block, and on one that came before; it tells an echo from a second
+    request by itself."""
     loop = asyncio.get_running_loop()
+    signals.serves_engine = True
 
     def stop(number: signal.Signals, is_deliberate: bool) -> None:
         loop.call_soon_threadsafe(engine.request_stop, _REASONS[number])
 
     with signals.phase(stop):
+        if signals.first is not None:
+            engine.request_stop(_REASONS[signals.first])
         yield
 
 

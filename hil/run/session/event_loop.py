@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def session_result(session: Coroutine[Any, Any, T], *, until_exit: bool = False) -> T:
-    """Return the result of `session`; raise its errors, and no others.
+    """Return the result of `session`; raise its errors, KeyboardInterrupt where a signal cancelled it, and no others.
 
     An error in a callback of the loop, which nobody waits for, is told in a line: asyncio itself begins to listen anew
     on a socket that was closed meanwhile, after a lack of descriptors.
@@ -29,6 +29,8 @@ def session_result(session: Coroutine[Any, Any, T], *, until_exit: bool = False)
     try:
         runner.get_loop().set_exception_handler(_tell)
         return runner.run(session)
+    except asyncio.CancelledError:
+        raise KeyboardInterrupt from None  # nothing but a signal cancels a session
     finally:
         if until_exit:
             sys.unraisablehook = lambda ignored: None

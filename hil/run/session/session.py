@@ -9,7 +9,7 @@ from typing import Any
 
 from drivers.rig_file import Rig
 from hil.diagnosis import copy_record
-from hil.run.engine import RunSignals, Status
+from hil.run.engine import RunSignals, Status, cancelling
 from hil.run.locks import claimed
 from hil.run.outputs import bind
 from hil.run.restore import RestoreRule, Resumption, restore_obstacle
@@ -54,9 +54,10 @@ async def run_session(
     RigLockError
         The locks of the rig cannot be taken.
     """
-    ready = prepare(request)
     async with contextlib.AsyncExitStack() as stack:
         signals = signals or stack.enter_context(RunSignals())
+        stack.enter_context(cancelling(signals))
+        ready = prepare(request)
         observer, announce = stack.enter_context(queued_output(observer, announce))
         for note in ready.notes:
             announce(note)
@@ -114,6 +115,7 @@ async def resume_session(
     """
     async with contextlib.AsyncExitStack() as stack:
         signals = signals or stack.enter_context(RunSignals())
+        stack.enter_context(cancelling(signals))
         observer, announce = stack.enter_context(queued_output(observer, announce))
         stack.enter_context(folder.owned())
         manifest = folder.read_manifest()
