@@ -156,6 +156,7 @@ class ModbusBus:
         """Read each block once. Split refused blocks; raise DeviceExceptionError for refused single values."""
         pending = list(self._plan.blocks)
         first: DeviceExceptionError | None = None
+        unread: list[Block] = []
         while pending:
             block = pending.pop(0)
             try:
@@ -164,9 +165,11 @@ class ModbusBus:
                 if error.code not in OF_CONTENT:
                     raise
                 first = first or error
-                pending += self._refused(block, error)
-        if first is not None and self._plan.refused:
-            names = ", ".join(point.name for block in self._plan.refused for point in block.points)
+                parts = self._refused(block, error)
+                pending += parts
+                unread += [] if parts else [block]
+        if first is not None and unread:
+            names = ", ".join(point.name for block in unread for point in block.points)
             raise DeviceExceptionError(f"{first}; points that cannot be read: {names}", first.code)
         for block in self._planned(p for p in self._all.values() if p.type == "string"):
             registers = await self._request(block)
@@ -225,6 +228,7 @@ class ModbusBus:
         fault: str | None = None
         pending = self._plan.due(self._clock())
         splits_left = _SPLITS
+        is_read = False
         while pending:
             block = pending.pop(0)
             asked = self._clock()
@@ -241,6 +245,7 @@ class ModbusBus:
                         pending = self._refused(block, error) + pending
                 continue
             now = self._clock()
+            is_read = True
             is_late = now - asked > self._soonest_stale_s
             for index, at, decoded, judged in self._slots_of(block):
                 values[index], quality[index] = judged(decoded(registers, at))
@@ -250,6 +255,8 @@ class ModbusBus:
                 if is_late and now - asked > self.points[index].stale_after_s and quality[index] == Q.GOOD:
                     quality[index] = int(Q.STALE)  # it may be as old as its request
                 source[index] = now
+        if not is_read and self._plan.refused:
+            self._plan.forget()  # a device that reads nothing refuses as a whole, and no single register
         if self._plan.refused and fault is None:
             listed = ", ".join(str(block) for block in self._plan.refused)
             fault = f"{self._where}: the device does not read {listed}; asked again every {AGAIN_AFTER_S:g} s"

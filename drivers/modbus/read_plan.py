@@ -161,8 +161,8 @@ class ReadPlan:
     """Read plan of one device for one run: a refused block is read in parts from then on.
 
     `blocks` are the reads of a tick; `refused` are blocks of single values that the device does not read, with the time
-    of the refusal in s. They are read again after `again_after_s`, for a device that was only starting up. After a
-    refusal that may pass, the whole plan is tried again then.
+    of the refusal in s. They are read again after `again_after_s`, for a device that was only starting up. A single
+    value whose refusal may pass stays in `blocks`, and the whole plan is tried again after that time.
     """
 
     def __init__(self, blocks: Iterable[Block], *, again_after_s: float = AGAIN_AFTER_S) -> None:
@@ -184,8 +184,9 @@ class ReadPlan:
         parts = split(block)
         at = self.blocks.index(block)
         if len(parts) == 1:
-            self.refused[block] = now_s
-            del self.blocks[at]
+            if not passing:
+                self.refused[block] = now_s
+                del self.blocks[at]
             return []
         self.blocks[at : at + 1] = parts
         return parts
