@@ -19,7 +19,7 @@ from hil.profile.load_profile import Profile
 from hil.run.engine import control_socket
 from hil.run.engine.clock import MonotonicClock
 from hil.run.engine.engine import Engine
-from hil.run.engine.operator import Verb
+from hil.run.engine.operator import RefusedError, Verb
 from hil.run.engine.status import Outcome
 from tests.hil.guarded_device import HEATER, Device
 
@@ -106,8 +106,8 @@ async def test_a_pause_that_the_device_does_not_obey_is_not_answered_as_safe(tmp
     async with slow(tmp_path) as run:
         await run.heats()
         run.device.obeys = False
-        said = await asyncio.wait_for(run.engine.ask(Verb.PAUSE, "the test"), SOON_S)
-        assert "NOT confirmed safe" in said
+        with pytest.raises(RefusedError, match="NOT confirmed safe"):
+            await asyncio.wait_for(run.engine.ask(Verb.PAUSE, "the test"), SOON_S)
         run.device.obeys = True  # else the end tries for its 30 s
 
 
