@@ -244,6 +244,7 @@ async def test_the_logger_of_python_can_on_our_hub(tmp_path):
         finally:
             process.kill()
             await process.wait()
+    assert min(logged()) >= 5
 
 
 async def test_the_monitor_of_cantools_on_our_hub():

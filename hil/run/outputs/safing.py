@@ -165,7 +165,11 @@ async def _rival(
     meanwhile: Meanwhile,
 ) -> str:
     """Return what another master goes on to write over the safe values, as a sentence; empty once it has left them
-    alone for `QUIET_S`. Whatever it writes is written over at once."""
+    alone for `QUIET_S`.
+
+    Whatever it writes is written over at once. The rig gets no heartbeat meanwhile, so that its own watchdog can cut
+    what the other asks for.
+    """
     found, quiet_s, times = "", 0.0, 0
     for _ in range(math.ceil(CONTEST_S / period_s)):
         meanwhile.progress()
