@@ -130,6 +130,17 @@ def fitted(part: Part, groups: list[tuple[Entry, ...]], rounds: int = ROUNDS) ->
     return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
 
 
+def followed(part: Part, groups: list[tuple[Entry, ...]], moved: Array) -> list[tuple[Fit, tuple[Entry, ...]]]:
+    """Each group of effects fitted from `moved`, where a fit of the same effects with other times ended: its minimum
+    is near, and a few rounds tell whether it is lower."""
+    keys = [("followed", moved.tobytes(), *_named(group)) for group in groups]
+    new = {key: group for key, group in zip(keys, groups, strict=True) if key not in part.fits}
+    with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
+        found = pool.map(lambda g: _fit(part, part.contest, g, moved, AGAIN), new.values())
+        part.fits.update(zip(new, found, strict=True))
+    return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
+
+
 def continued(part: Part, found: list[Fit], rounds: int = ROUNDS) -> list[Fit]:
     """Fits gone on with from where they ended; what would have led no further stays as it is."""
     open_ones = [f for f in found if not f.done]
