@@ -207,8 +207,10 @@ def answer(
 ) -> Diagnosis:
     """Return the diagnosis: a contest of effects for a commissioned twin, or the growth of one that never was.
 
-    Raises:
-        TwinFileError: the record cannot be diagnosed.
+    Raises
+    ------
+    TwinFileError
+        The record cannot be diagnosed.
     """
     if at_rest or (healthy is None and fits_growth(network, record)):
         found = diagnose_grown(network, record, more=tuple(more.values()), at_rest=at_rest, say=say)

@@ -48,8 +48,10 @@ Failure = Callable[[str], Exception]
 def limit_bytes(failure: Failure = ValueError) -> int:
     """Return the most memory for reading one file, bytes.
 
-    Raises:
-        failure: HIL_READ_LIMIT is no size.
+    Raises
+    ------
+    failure
+        HIL_READ_LIMIT is no size.
     """
     given = os.environ.get("HIL_READ_LIMIT", "").strip()
     if not given:

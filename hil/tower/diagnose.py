@@ -40,8 +40,10 @@ def diagnose_station(
 ) -> StationDiagnosis:
     """Find the undeclared effects of the cells of these twins.
 
-    Raises:
-        RecordError, TwinFileError: a file cannot be used, or the record is too short.
+    Raises
+    ------
+    RecordError, TwinFileError
+        A file cannot be used, or the record is too short.
     """
     cells, notes = prepare_cells(record, twins, labels)
     records = {one.record.cell: one.record for one in cells}
@@ -152,8 +154,10 @@ def _leading(one: CellHypothesis) -> dict[str, Any]:
 def write_document(diagnosis: StationDiagnosis, out: Path, revisions: Sequence[Path]) -> Path:
     """Write `diagnosis.json` into the folder `out`.
 
-    Raises:
-        TowerOutputError: the folder cannot be written.
+    Raises
+    ------
+    TowerOutputError
+        The folder cannot be written.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -167,8 +171,10 @@ def write_document(diagnosis: StationDiagnosis, out: Path, revisions: Sequence[P
 def adopt(diagnosis: StationDiagnosis) -> list[Path]:
     """Save each twin that lacks a found effect as a new revision with it; return the new files.
 
-    Raises:
-        TwinFileError: a twin cannot be saved.
+    Raises
+    ------
+    TwinFileError
+        A twin cannot be saved.
     """
     found, saved = diagnosis.found, []
     first = diagnosis.cells[0].minutes.time_s[0]

@@ -33,8 +33,10 @@ class StepTestPlan:
 def plan(record: Path, twin: Path, warmer: float) -> StepTestPlan:
     """Return the step tests of a cell, from the last day of the record on which it ran steadily for six hours.
 
-    Raises:
-        RecordError, TwinFileError: a file cannot be used, or there is no such day.
+    Raises
+    ------
+    RecordError, TwinFileError
+        A file cannot be used, or there is no such day.
     """
     network = load(twin)
     cell = cell_of(network)

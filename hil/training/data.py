@@ -23,9 +23,18 @@ FEWEST = 6
 class TrainingData:
     """Data of one training.
 
-    Attributes:
-        train: seen by the optimiser. validation: used for the curves. conformal: sets intervals and envelope.
-        test: scored once, at the end. manifest, digest: how they were made, and its SHA-256.
+    Attributes
+    ----------
+    train
+        Seen by the optimiser.
+    validation
+        Used for the curves.
+    conformal
+        Sets intervals and envelope.
+    test
+        Scored once, at the end.
+    manifest, digest
+        How they were made, and its SHA-256.
     """
 
     network: Network
@@ -42,11 +51,15 @@ class TrainingData:
 def read(folder: Path, features: Features, *, most: int | None = None) -> TrainingData:
     """Read the data of a folder.
 
-    Args:
-        most: campaigns of the training split, for a short look.
+    Parameters
+    ----------
+    most
+        Campaigns of the training split, for a short look.
 
-    Raises:
-        TwinFileError: there are none, or they were made for another twin or channel table.
+    Raises
+    ------
+    TwinFileError
+        There are none, or they were made for another twin or channel table.
     """
     store = Store(folder, features)
     unseen = store.campaigns("conformal")

@@ -67,11 +67,17 @@ def generate(
 
     A complete folder has a manifest. An incomplete one has `ASKED`, and the same call continues it.
 
-    Args:
-        say: called with the share done, 0 to 1, and the stage. stop: ends the work in order.
+    Parameters
+    ----------
+    say
+        Called with the share done, 0 to 1, and the stage.
+    stop
+        Ends the work in order.
 
-    Raises:
-        TwinFileError: the folder has windows of another seed, or more of them.
+    Raises
+    ------
+    TwinFileError
+        The folder has windows of another seed, or more of them.
     """
     features = features_of()
     family = Family(features.network, features.deviations)
@@ -152,8 +158,10 @@ def complete(folder: Path, seed: int, count: int) -> bool:
 def asked_of(folder: Path) -> tuple[int, int] | None:
     """Return seed and windows that a folder was or is being filled with; None for a folder without any.
 
-    Raises:
-        TwinFileError: its file cannot be read.
+    Raises
+    ------
+    TwinFileError
+        Its file cannot be read.
     """
     for name in (ASKED, MANIFEST):
         try:

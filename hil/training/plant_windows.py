@@ -143,8 +143,10 @@ def readings(network: Network, junctions: Array) -> Array:
 def specimen_of(features: Features, seed: int, number: int) -> Specimen:
     """Return a specimen, commissioned on a healthy record of its own.
 
-    Raises:
-        TwinFileError: none of several could be commissioned.
+    Raises
+    ------
+    TwinFileError
+        None of several could be commissioned.
     """
     rng = np.random.default_rng([seed, number, 11])
     network = load(TWIN)

@@ -68,13 +68,25 @@ def train(
 ) -> TrainingProgress:
     """Continue the training in `folder` until it is stopped, or to its end; then write the network to `out`.
 
-    Args:
-        name: of the configuration. plan: `twin.calibrators.hiera_unet.plan.TrainingPlan`. out: the weights' path.
-        stop: ends the work in order. command: that makes this training again, for the card.
-        without: pieces to leave out, see `hil.training.ablation`.
+    Parameters
+    ----------
+    name
+        Of the configuration.
+    plan
+        `twin.calibrators.hiera_unet.plan.TrainingPlan`.
+    out
+        The weights' path.
+    stop
+        Ends the work in order.
+    command
+        That makes this training again, for the card.
+    without
+        Pieces to leave out, see `hil.training.ablation`.
 
-    Raises:
-        HieraError: the training in `folder` is another one.
+    Raises
+    ------
+    HieraError
+        The training in `folder` is another one.
     """
     from twin.calibrators.hiera_unet.binding import config_for, identity_of, physics_of
     from twin.calibrators.hiera_unet.checkpoint import keep, kept
@@ -201,8 +213,10 @@ def _sentence(mode: str, metrics: dict[str, Any]) -> str:
 def begun(folder: Path) -> int:
     """Return the number of steps of the training in `folder` so far.
 
-    Raises:
-        HieraError: its stored state cannot be read.
+    Raises
+    ------
+    HieraError
+        Its stored state cannot be read.
     """
     from twin.calibrators.hiera_unet.checkpoint import kept
 

@@ -48,12 +48,21 @@ HOUR_S, DAY_S, YEAR_S = 3600.0, 86400.0, 365.25 * 86400.0
 class CellEffect:
     """An effect on a cell.
 
-    Attributes:
-        kind: its name in an answer: recirculation, bypass_leak, ... path, driver: as in `PATHS` and `DRIVERS`.
-        form: direction from which the wind brings it, deg; hour of the sun's highest stand, UTC; flow below which it
-        acts, as a share of design. None for other drivers.
-        column: of the record, its centre and the spread that counts as 1, for the driver "column".
-        onset_s: since when, s since 1970; None is all along. size: at driver 1; its standard deviation `sd`.
+    Attributes
+    ----------
+    kind
+        Its name in an answer: recirculation, bypass_leak, ...
+    path, driver
+        As in `PATHS` and `DRIVERS`.
+    form
+        Direction from which the wind brings it, deg; hour of the sun's highest stand, UTC; flow below which it acts, as
+        a share of design. None for other drivers.
+    column
+        Of the record, its centre and the spread that counts as 1, for the driver "column".
+    onset_s
+        Since when, s since 1970; None is all along.
+    size
+        At driver 1; its standard deviation `sd`.
     """
 
     kind: str

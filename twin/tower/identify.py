@@ -39,11 +39,20 @@ CLEAN = CellDeviations()
 class Identifiability:
     """Identifiability of the deviations in a window.
 
-    Attributes:
-        condition: of all deviations. sd: Cramer-Rao standard deviations by name, in units of the deviation.
-        combined: weight of each deviation in the direction that is known least, by name, of unit length.
-        frozen: deviations that are held so that the rest is identifiable, the first frozen first.
-        condition_left: of the rest. hidden: share of hidden channels.
+    Attributes
+    ----------
+    condition
+        Of all deviations.
+    sd
+        Cramer-Rao standard deviations by name, in units of the deviation.
+    combined
+        Weight of each deviation in the direction that is known least, by name, of unit length.
+    frozen
+        Deviations that are held so that the rest is identifiable, the first frozen first.
+    condition_left
+        Of the rest.
+    hidden
+        Share of hidden channels.
     """
 
     condition: float

@@ -49,12 +49,28 @@ _FIRST = _S + 1 + FEATURES
 class Recursion:
     """Beliefs of a cell by cycle (k,), and the twin by minute (n,), linearised at the chunk's belief.
 
-    Attributes:
-        start_s: of the cycles' target intervals. mean, sd: (k, 4) of the deviations, by readings before it.
-        fit, fit_sd: (k, 4) of the day before it alone, with the prior of a worn part. condition: (k,) of that day.
-        age_s: (k,) since the last reading that was used. seen: (k,) blocks of the day before.
-        water: (n,) outlet degC at the chunk's reference, followed; NaN where the inputs are not known.
-        slopes: (n, 3) of it by fill, air and uniformity. chunk: (n,) number of the chunk. reference: (chunks, 3).
+    Attributes
+    ----------
+    start_s
+        Of the cycles' target intervals.
+    mean, sd
+        (k, 4) of the deviations, by readings before it.
+    fit, fit_sd
+        (k, 4) of the day before it alone, with the prior of a worn part.
+    condition
+        (k,) of that day.
+    age_s
+        (k,) since the last reading that was used.
+    seen
+        (k,) blocks of the day before.
+    water
+        (n,) outlet degC at the chunk's reference, followed; NaN where the inputs are not known.
+    slopes
+        (n, 3) of it by fill, air and uniformity.
+    chunk
+        (n,) number of the chunk.
+    reference
+        (chunks, 3).
     """
 
     start_s: Array

@@ -109,14 +109,30 @@ class Priors:
 class Estimate:
     """Posterior of a record.
 
-    Attributes:
-        edges_s: of the time grid (k + 1,). slow: deviations (k, 5). constant: global quantities (24,), then
-        the weights of the discrepancy's features.
-        covariance: of [slow row by row, constant]. sigma: of a block's outlet K, and of its log power, as weighed.
-        residual: outlet of each block K, NaN where it was not used. weights: of each block. cell: grid cell of each
-        block. jacobian: outlet of each block by slow and constant quantities (n, 5 + constants).
-        time_correlation: in blocks.
-        linear_residual: of the last linear problem, whose mode this is exactly, and `linear_weights`, its weights.
+    Attributes
+    ----------
+    edges_s
+        Of the time grid (k + 1,).
+    slow
+        Deviations (k, 5).
+    constant
+        Global quantities (24,), then the weights of the discrepancy's features.
+    covariance
+        Of [slow row by row, constant].
+    sigma
+        Of a block's outlet K, and of its log power, as weighed.
+    residual
+        Outlet of each block K, NaN where it was not used.
+    weights
+        Of each block.
+    cell
+        Grid cell of each block.
+    jacobian
+        Outlet of each block by slow and constant quantities (n, 5 + constants).
+    time_correlation
+        In blocks.
+    linear_residual
+        Of the last linear problem, whose mode this is exactly, and `linear_weights`, its weights.
     """
 
     edges_s: Array

@@ -121,8 +121,10 @@ def cell_network(
 def cell_of(network: Network) -> int:
     """Return the number of the cell of a twin.
 
-    Raises:
-        TwinFileError: it is the twin of no tower cell.
+    Raises
+    ------
+    TwinFileError
+        It is the twin of no tower cell.
     """
     found = re.search(r"cell(\d+)$", network.name)
     if found is None or "cell.merkel" not in network.ids:

@@ -24,10 +24,20 @@ BLOCK_MIN = 10.0
 class TargetWindow:
     """A target interval and the day up to its end.
 
-    Attributes:
-        start_s, end_s: of the target interval. told: what the day tells. excited: it passes the excitation thresholds.
-        features: mean operating point of the target interval: wet bulb degC, inlet over wet bulb K, speed, flow as
-        shares. share_known: of its minutes with all inputs. half: mean half width of the outlet's interval, K.
+    Attributes
+    ----------
+    start_s, end_s
+        Of the target interval.
+    told
+        What the day tells.
+    excited
+        It passes the excitation thresholds.
+    features
+        Mean operating point of the target interval: wet bulb degC, inlet over wet bulb K, speed, flow as shares.
+    share_known
+        Of its minutes with all inputs.
+    half
+        Mean half width of the outlet's interval, K.
     """
 
     start_s: float

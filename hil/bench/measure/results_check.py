@@ -73,8 +73,10 @@ def check_results(folder: Path = RESULTS, project: Path = PROJECT) -> list[Resul
         folder: results that `hil bench --out` wrote.
         project: work tree of the git repository of the measured code.
 
-    Raises:
-        ResultsFolderError: the folder holds no result, or `project` is in no git repository.
+    Raises
+    ------
+    ResultsFolderError
+        The folder holds no result, or `project` is in no git repository.
     """
     names = sorted(path.stem for path in folder.glob("*.json") if not path.name.endswith(".manifest.json"))
     if not names:

@@ -56,10 +56,16 @@ class Safed:
 class Meanwhile:
     """Calls while the rig is made safe.
 
-    Attributes:
-        progress: before each attempt. failed: after each that failed; returns whether somebody else has made the rig
-            safe. stays: which meter does not come down, counted from when its heater was first told to be safe; None
-            counts from now. contested: returns whether another master has written to the rig of late.
+    Attributes
+    ----------
+    progress
+        Before each attempt.
+    failed
+        After each that failed; returns whether somebody else has made the rig safe.
+    stays
+        Which meter does not come down, counted from when its heater was first told to be safe; None counts from now.
+    contested
+        Returns whether another master has written to the rig of late.
     """
 
     progress: Callable[[], None] = lambda: None

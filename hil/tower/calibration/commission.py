@@ -60,8 +60,10 @@ class CommissioningPoints:
 def read_points(path: Path, cell: int, site_kPa: float = 101.325) -> CommissioningPoints:
     """Return the test points of a cell.
 
-    Raises:
-        RecordError: a column or the cell is missing, or a value is no number or cannot be in the column's unit.
+    Raises
+    ------
+    RecordError
+        A column or the cell is missing, or a value is no number or cannot be in the column's unit.
     """
     rows, names, cells = [], [], set()
     for line, row in read_rows(path, REQUIRED):
@@ -92,8 +94,10 @@ def read_points(path: Path, cell: int, site_kPa: float = 101.325) -> Commissioni
 def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, CommissionedCell, CommissioningPoints]:
     """Return the twin of a clean cell, its fit and the test points.
 
-    Raises:
-        RecordError: a file cannot be used, or the fit describes no cooling tower.
+    Raises
+    ------
+    RecordError
+        A file cannot be used, or the fit describes no cooling tower.
     """
     sheet = read_object(datasheet)
     design = sheet.get("design", {})
@@ -127,8 +131,10 @@ def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, 
 def learn_healthy(record: Path, network: Network, span: tuple[float, float]) -> Healthy:
     """Return what the healthy span of a record teaches of a clean cell's constants and discrepancy.
 
-    Raises:
-        RecordError: the record cannot be used or has too little of the span.
+    Raises
+    ------
+    RecordError
+        The record cannot be used or has too little of the span.
     """
     cell, design = read_cell(record, cell_of(network)), design_of(network)
     share = value_of(network, "cell.bypass_share")

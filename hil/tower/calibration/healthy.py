@@ -44,8 +44,10 @@ class Healthy:
 def parse_span(text: str) -> tuple[float, float]:
     """Return the span of FROM..TO, s since 1970.
 
-    Raises:
-        RecordError: it is no span.
+    Raises
+    ------
+    RecordError
+        It is no span.
     """
     try:
         start, end = (seconds(part) for part in text.split(".."))
@@ -64,8 +66,10 @@ def path_beside(twin: Path, network: Network) -> Path:
 def write_healthy(healthy: Healthy, path: Path) -> None:
     """Write a healthy record.
 
-    Raises:
-        OSError: the file cannot be written.
+    Raises
+    ------
+    OSError
+        The file cannot be written.
     """
     text = json.dumps(
         {
@@ -84,8 +88,10 @@ def write_healthy(healthy: Healthy, path: Path) -> None:
 def read_healthy(path: Path) -> Healthy | None:
     """Return the healthy record beside a twin, None without one.
 
-    Raises:
-        RecordError: the file is damaged or of another version.
+    Raises
+    ------
+    RecordError
+        The file is damaged or of another version.
     """
     if not path.exists():
         return None

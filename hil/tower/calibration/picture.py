@@ -40,8 +40,10 @@ def draw_cell(
 ) -> None:
     """Draw the calibration of a cell into `path` (.png or .svg).
 
-    Raises:
-        OSError: a file cannot be read or written.
+    Raises
+    ------
+    OSError
+        A file cannot be read or written.
     """
     from matplotlib.figure import Figure
 

@@ -73,8 +73,10 @@ def calibrate(
 ) -> tuple[list[CellResult], StationNotes]:
     """Calibrate the cells of these twins on a record.
 
-    Raises:
-        RecordError, TwinFileError: a file cannot be used, or the record cannot calibrate a cell.
+    Raises
+    ------
+    RecordError, TwinFileError
+        A file cannot be used, or the record cannot calibrate a cell.
     """
     drafts, notes = fitted_drafts(record, twins, labels, events)
     records = [draft.record for draft in drafts]
@@ -249,8 +251,10 @@ def _drain(fitted: Fitted, record: CellRecord) -> Drain:
 def load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Network]]:
     """Return file and network of each twin by its cell.
 
-    Raises:
-        RecordError, TwinFileError: a twin is of no cell of the record, or of the cell of another one.
+    Raises
+    ------
+    RecordError, TwinFileError
+        A twin is of no cell of the record, or of the cell of another one.
     """
     loaded: dict[int, tuple[Path, Network]] = {}
     there = cells_of(record)
@@ -333,8 +337,10 @@ def fit_with_steps(
 ) -> tuple[Fitted, tuple[Step, ...], tuple[Opening, ...]]:
     """Fit a cell; where its thermometer has stepped, or a deviation jumped undeclared, fit it again with that opened.
 
-    Raises:
-        CalibrationError: the record has too few steady minutes.
+    Raises
+    ------
+    CalibrationError
+        The record has too few steady minutes.
     """
     edges = time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1]))
     fitted = fit_cell(model, minutes, priors, labels, openings, edges)
@@ -384,8 +390,10 @@ def site_of(notes: StationNotes, bypass_share: float) -> DesignPoint:
 def openings_of(notes: StationNotes, cell: int) -> tuple[Opening, ...]:
     """Return the jumps that the station's events open for a cell.
 
-    Raises:
-        RecordError: an event of the record has no time.
+    Raises
+    ------
+    RecordError
+        An event of the record has no time.
     """
     found = []
     for event in notes.events:
@@ -435,8 +443,10 @@ def withheld(result: CellResult, j: int) -> tuple[Array, Array]:
 def write_table(results: Sequence[CellResult], out: Path) -> Path:
     """Write the minutes of all cells into the folder `out`, all or nothing.
 
-    Raises:
-        OSError: the folder cannot be written.
+    Raises
+    ------
+    OSError
+        The folder cannot be written.
     """
     out.mkdir(parents=True, exist_ok=True)
     with replacing(out / TABLE) as unfinished:

@@ -35,8 +35,10 @@ class _Cell:
 def report(out: Path) -> str:
     """Return the report of a calibration's folder.
 
-    Raises:
-        RecordError: the folder holds no calibration, or its records were changed.
+    Raises
+    ------
+    RecordError
+        The folder holds no calibration, or its records were changed.
     """
     path = out / TABLE
     if not path.is_file():

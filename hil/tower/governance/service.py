@@ -75,9 +75,12 @@ class CellGovernance:
 def govern(results: Sequence[CellResult], notes: StationNotes, out: Path, state: str) -> list[CellGovernance]:
     """Write records and review queue of the cells into `out`, and revisions of their twins in the controlled state.
 
-    Raises:
-        RecordError: the records that are there were changed.
-        OSError, TwinFileError: a file cannot be written.
+    Raises
+    ------
+    RecordError
+        The records that are there were changed.
+    OSError, TwinFileError
+        A file cannot be written.
     """
     found, lines, queue = [], [], []
     for result in results:

@@ -77,10 +77,14 @@ class Aligned:
 def align(store: HistorianStore, station: Station, out: Path) -> Aligned:
     """Write the aligned record of the station's tags into the folder `out` and return the report.
 
-    Raises:
-        RecordError: the store has none of the tags, or no minute.
-        HistorianError: the store fails.
-        TowerOutputError: the folder cannot be written; nothing is left half written.
+    Raises
+    ------
+    RecordError
+        The store has none of the tags, or no minute.
+    HistorianError
+        The store fails.
+    TowerOutputError
+        The folder cannot be written; nothing is left half written.
     """
     raw, remarks = read_series(store, station)
     remarks = [*station.remarks, *remarks, *order_and_silence(raw, station.places)]

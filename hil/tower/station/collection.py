@@ -82,9 +82,12 @@ async def collect(
     number, so that a gap of the link is not taken for a value that stands still. What was collected is stored when the
     collection ends, however it ends.
 
-    Raises:
-        LinkError: the rig cannot be reached at the beginning; later failures are counted.
-        HistorianError: the store fails.
+    Raises
+    ------
+    LinkError
+        The rig cannot be reached at the beginning; later failures are counted.
+    HistorianError
+        The store fails.
     """
     connection = RigConnection(rig, time.monotonic)
     await connection.connect()

@@ -62,10 +62,11 @@ class Station:
 def read_station(tags: Path, datasheet: Path | None = None, events: Path | None = None) -> Station:
     """Return the station of these files.
 
-    Raises:
-        RecordError: a file cannot be read, lacks a column, or a line of it has an unknown unit, role or time; the
-        message
-            names file, line, tag and remedy.
+    Raises
+    ------
+    RecordError
+        A file cannot be read, lacks a column, or a line of it has an unknown unit, role or time; the message names
+        file, line, tag and remedy.
     """
     dictionary, remarks, places = _tags(tags)
     sheet = _datasheet(datasheet) if datasheet is not None else {}
@@ -144,8 +145,10 @@ def _datasheet(path: Path) -> dict[str, Any]:
 def read_events(path: Path) -> tuple[Event, ...]:
     """Return the events of a station in the order of time.
 
-    Raises:
-        RecordError: a column is missing, or a line has no time or cell that can be read.
+    Raises
+    ------
+    RecordError
+        A column is missing, or a line has no time or cell that can be read.
     """
     found = []
     for line, row in read_rows(path, ("time", "event")):

@@ -37,8 +37,10 @@ def evaluate(
         split at most, evenly taken; None for all. boosted: file of `boost`, made now without. half: bfloat16 in
         the networks' products.
 
-    Raises:
-        HieraError: the folder lacks a split, or a network does not fit.
+    Raises
+    ------
+    HieraError
+        The folder lacks a split, or a network does not fit.
     """
     from twin.calibrators.hiera_unet.tower import score
     from twin.calibrators.hiera_unet.tower.member import load_fleet, load_member

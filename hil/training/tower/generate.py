@@ -71,8 +71,10 @@ def generate(
     Parameters:
         until: time.monotonic() after which no station is begun; those that then run have `GRACE_S`.
 
-    Raises:
-        HieraError: the folder holds stations of another plan.
+    Raises
+    ------
+    HieraError
+        The folder holds stations of another plan.
     """
     folder.mkdir(parents=True, exist_ok=True)
     wanted = plan.stations()
@@ -186,8 +188,10 @@ def _read(folder: Path) -> dict[str, Any] | None:
 def tables(folder: Path, split: str, station: str = "") -> list[Path]:
     """Return the tables of a split, of one station where it is named.
 
-    Raises:
-        HieraError: the folder has no manifest or none of the split.
+    Raises
+    ------
+    HieraError
+        The folder has no manifest or none of the split.
     """
     document = _read(folder)
     if document is None:

@@ -69,8 +69,10 @@ def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:
     Parameters:
         batches: windows of a step by size.
 
-    Raises:
-        HieraError, RuntimeError: the device cannot do it.
+    Raises
+    ------
+    HieraError, RuntimeError
+        The device cannot do it.
     """
     from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.tower.member import MemberTraining, adapt, load_member

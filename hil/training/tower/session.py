@@ -36,8 +36,10 @@ def simulate_stations(
 ) -> TowerProgress:
     """Simulate the stations that `folder` lacks, until it has all or the work is stopped.
 
-    Raises:
-        HieraError: the folder holds stations of another plan.
+    Raises
+    ------
+    HieraError
+        The folder holds stations of another plan.
     """
     wanted = len(plan.stations())
     until = None if minutes is None else time.monotonic() + 60.0 * minutes
@@ -64,12 +66,19 @@ def train_member(
 ) -> TowerProgress:
     """Continue the training of `out` until it is stopped, or to its end; then write weights and card.
 
-    Args:
-        folder: of the simulated stations. plan: `twin.calibrators.hiera_unet.tower.plan.TowerPlan`. out: the weights'
-            path; the state of a training that was cut lies in a folder of the same name without suffix.
+    Parameters
+    ----------
+    folder
+        Of the simulated stations.
+    plan
+        `twin.calibrators.hiera_unet.tower.plan.TowerPlan`.
+    out
+        The weights' path; the state of a training that was cut lies in a folder of the same name without suffix.
 
-    Raises:
-        HieraError: the stations cannot be used, or the training that was begun is another one.
+    Raises
+    ------
+    HieraError
+        The stations cannot be used, or the training that was begun is another one.
     """
     from twin.calibrators.hiera_unet.tower.member import MemberTraining, load_fleet
 

@@ -62,10 +62,18 @@ class StationPlan:
 class CellData:
     """A cell with all that a calibrator may know, and `truth` by minute: water degC and deviations, NaN at rest.
 
-    Attributes:
-        sheet: datasheet. columns: of the aligned record. minutes, recursion, commissioned: as in `twin.tower`.
-        clean, log_clean: (n,) outlet degC and logarithm of the fan power by the commissioned twin. openings,
-        events: of the station's records.
+    Attributes
+    ----------
+    sheet
+        Datasheet.
+    columns
+        Of the aligned record.
+    minutes, recursion, commissioned
+        As in `twin.tower`.
+    clean, log_clean
+        (n,) outlet degC and logarithm of the fan power by the commissioned twin. openings,
+    events
+        Of the station's records.
     """
 
     name: str
@@ -129,8 +137,10 @@ def drawn_site(seed: int) -> tuple[StationDesign, tuple[str, ...]]:
 def station_cells(plan: StationPlan) -> list[CellData]:
     """Simulate a station and return its recorded cells.
 
-    Raises:
-        ValueError: a cell cannot be commissioned or calibrated.
+    Raises
+    ------
+    ValueError
+        A cell cannot be commissioned or calibrated.
     """
     site, hide = drawn_site(plan.seed) if plan.site == "F" else (CHICAGO_SITE if plan.site == OF_A else MIAMI_SITE, ())
     start = datetime.datetime(2022, 1 + plan.seed % 12, 1, tzinfo=datetime.UTC)

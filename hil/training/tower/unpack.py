@@ -23,8 +23,10 @@ PER_DEVIATION = ("fill", "air", "uniformity", "bias")
 def unpack(source: Path, target: Path) -> list[Path]:
     """Copy each member of `source` with its card and a picture of its curves to `target`; return the written files.
 
-    Raises:
-        HieraError: there is no result, or weights do not belong to their card.
+    Raises
+    ------
+    HieraError
+        There is no result, or weights do not belong to their card.
     """
     path = source / "results.json"
     try:

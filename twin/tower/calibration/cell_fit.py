@@ -41,10 +41,18 @@ class CalibrationError(ValueError):
 class Calibrated:
     """Result of a cell's calibration, arrays over its minutes (n,), NaN where withheld.
 
-    Attributes:
-        t_out, low, high: outlet of the flume, degC, with its 90 % interval. commissioned: by the clean cell.
-        deviations: (n, 4) fill, air, uniformity as deviations from 1, bias K. sd: theirs (n, 4).
-        posterior, blocks: of the fit.
+    Attributes
+    ----------
+    t_out, low, high
+        Outlet of the flume, degC, with its 90 % interval.
+    commissioned
+        By the clean cell.
+    deviations
+        (n, 4) fill, air, uniformity as deviations from 1, bias K.
+    sd
+        Theirs (n, 4).
+    posterior, blocks
+        Of the fit.
     """
 
     t_out: Array
@@ -79,8 +87,10 @@ def fit_cell(
 ) -> Fitted:
     """Fit the deviations of a cell to its steady blocks, from the estimate `start` on the same time grid if given.
 
-    Raises:
-        CalibrationError: the record has too few steady minutes with an outlet reading.
+    Raises
+    ------
+    CalibrationError
+        The record has too few steady minutes with an outlet reading.
     """
     blocks, of_minute = blocks_of(minutes)
     usable = int(np.isfinite(blocks.outlet).sum())

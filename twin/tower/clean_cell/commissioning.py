@@ -75,8 +75,10 @@ def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None
         water_flow: design water flow, kg/s.
         air_flow: design air flow, kg/s; taken where no point has a measured one.
 
-    Raises:
-        CommissioningError: too few points, or constants outside those of cooling towers.
+    Raises
+    ------
+    CommissioningError
+        Too few points, or constants outside those of cooling towers.
     """
     u, remarks = points.inputs, []
     if len(points.t_out) < FEWEST:

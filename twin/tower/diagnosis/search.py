@@ -100,10 +100,20 @@ class ClaimedEffect:
 class TowerDiagnosis:
     """Result of a search.
 
-    Attributes:
-        findings: claimed effects, strongest first. rejected: sentence for each class that failed a check.
-        leading: classes of the last scan, by their log odds. decoy: log odds of the best decoy in the first scan.
-        held_s: start and end of each held-out part. before, after: errors of the outlet on them by cell.
+    Attributes
+    ----------
+    findings
+        Claimed effects, strongest first.
+    rejected
+        Sentence for each class that failed a check.
+    leading
+        Classes of the last scan, by their log odds.
+    decoy
+        Log odds of the best decoy in the first scan.
+    held_s
+        Start and end of each held-out part.
+    before, after
+        Errors of the outlet on them by cell.
     """
 
     findings: tuple[ClaimedEffect, ...]
@@ -127,8 +137,10 @@ def search(
         timezone: of the station, for the sun. steps: jumps that the first fit of a cell shows to be needed. say:
         called with each stage.
 
-    Raises:
-        CalibrationError: the record is too short to calibrate a cell without its held-out weeks.
+    Raises
+    ------
+    CalibrationError
+        The record is too short to calibrate a cell without its held-out weeks.
     """
     parts = held_out_parts(cases[0].minutes.time_s)
     held = {c.cell: inside(c.minutes.time_s, parts) for c in cases}
