@@ -20,12 +20,6 @@ EXCEPTIONS = {
     ("twin", "twin"): "the packages of the twin share one kernel; they are private to one another only by layers",
     ("hil.bench.faults", "drivers.virtual.faults"): "functions of a module are looked up by the name of a fault",
     ("hil.bench", "twin"): "benches measure parts of the twin that nobody else may use",
-    ("hil.tower", ""): "not moved to public names yet",
-    ("hil.training", ""): "not moved to public names yet",
-    ("hil.cli", "twin.discovery"): "not moved to public names yet",
-    ("hil.diagnosis", "twin.discovery"): "not moved to public names yet",
-    ("hil.cli", NEEDS_TORCH): "not moved to public names yet",
-    ("hil.tracking", NEEDS_TORCH): "not moved to public names yet",
 }
 """Importer and imported package that are not held to the rule. This list may only become shorter."""
 

@@ -17,8 +17,7 @@ from hil.record import Parts, ReadingOptions, Record, read_record
 from hil.record.times import span
 from hil.record.values import beyond_declared
 from twin import STAMP, InputSpec, Network, TwinFileError, chain
-from twin.discovery.healthy.basis import Columns, CommissionedRecord
-from twin.discovery.records.grid import require_enough
+from twin.discovery import Columns, CommissionedRecord, require_enough
 
 CLOCK = "time_of_day_h"
 

@@ -11,8 +11,7 @@ import numpy as np
 from drivers.rig_file import file_sha256, load_rig
 from hil.profile import Profile, SetpointLimit, validate, write_profile
 from hil.run.outputs import setpoint_columns
-from twin.discovery import Diagnosis
-from twin.discovery.planning.experiment import Limits
+from twin.discovery import Diagnosis, Limits
 
 EXPERIMENT = "experiment.csv"
 

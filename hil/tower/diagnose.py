@@ -10,18 +10,23 @@ from typing import Any
 
 import numpy as np
 
-from hil.files.atomic import replacing
-from hil.record.raw import RecordError
+from hil.files import replacing
+from hil.record import RecordError
 from hil.tower.calibration import PreparedCell, prepare_cells, step_openings, thermometer_steps
 from hil.tower.station import TowerOutputError, iso
 from twin.network import Revision
 from twin.revisions import save_revision
+from twin.tower import UNITS, CellEffect, Opening
 from twin.tower.calibration import CalibrationError, Fitted
-from twin.tower.diagnosis.adoption import adopted
-from twin.tower.diagnosis.search import CellCase, CellHypothesis, ClaimedEffect, TowerDiagnosis, search
-from twin.tower.diagnosis.validation import HeldOutBlocks
-from twin.tower.effects import UNITS, CellEffect
-from twin.tower.smoother import Opening
+from twin.tower.diagnosis import (
+    CellCase,
+    CellHypothesis,
+    ClaimedEffect,
+    HeldOutBlocks,
+    TowerDiagnosis,
+    adopted,
+    search_effects,
+)
 
 DOCUMENT = "diagnosis.json"
 
@@ -66,7 +71,7 @@ def diagnose_station(
 
     zone = notes.datasheet.get("timezone")
     try:
-        found = search(cases, zone if isinstance(zone, str) else None, steps, say)
+        found = search_effects(cases, zone if isinstance(zone, str) else None, steps, say)
     except CalibrationError as error:
         raise RecordError(f"{record}: without its held-out weeks it {error}") from error
     return StationDiagnosis(record, tuple(cells), found)

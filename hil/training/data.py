@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from hil.training.generate import campaigns_of
+from twin.calibrators.hiera_unet import Deviations, Features, Store, Windows
 from twin.calibrators.hiera_unet.campaigns import PER_RIG
 from twin.calibrators.hiera_unet.channels import ChannelTable
-from twin.calibrators.hiera_unet.features import Features
-from twin.calibrators.hiera_unet.parameters import Deviations
-from twin.calibrators.hiera_unet.store import Store, windows_of
-from twin.calibrators.hiera_unet.windows import Windows
+from twin.calibrators.hiera_unet.store import windows_of
 from twin.network import Network, TwinFileError
 
 FEWEST = 6

@@ -17,24 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from hil.run.session.terminal import ProgressBar
+from hil.run.session import ProgressBar
 from hil.training.plant_windows import campaign as plant_campaign
 from hil.training.stopping import Stop
-from twin.calibrators.hiera_unet.campaigns import WINDOWS, LabelledRecord, ends, label, simulated
+from twin.calibrators.hiera_unet import Deviations, Family, Features, LabelledRecord, Store
+from twin.calibrators.hiera_unet.campaigns import WINDOWS, ends, label, simulated
 from twin.calibrators.hiera_unet.channels import table
-from twin.calibrators.hiera_unet.features import Features
-from twin.calibrators.hiera_unet.parameters import Deviations
-from twin.calibrators.hiera_unet.plants import Family
-from twin.calibrators.hiera_unet.store import (
-    MANIFEST,
-    SPLITS,
-    Kept,
-    Store,
-    identity,
-    read_shard,
-    write_manifest,
-    write_shard,
-)
+from twin.calibrators.hiera_unet.store import MANIFEST, SPLITS, Kept, identity, read_shard, write_manifest, write_shard
 from twin.network import Network, TwinFileError
 from twin.twinfile import load
 

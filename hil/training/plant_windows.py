@@ -26,13 +26,12 @@ from drivers.virtual.plant import (
     build_cells,
     load_effects,
 )
-from hil.synthetic.hidden_effects import LOADS, Setting, Truth, effects_text, profile, truth
-from hil.synthetic.plant_record import direct_run
-from twin.calibrators.hiera_unet.campaigns import AMISS, LabelledRecord
-from twin.calibrators.hiera_unet.features import Features
+from hil.synthetic import LOADS, Setting, Truth, direct_run, effects_text, profile, truth
+from twin.calibrators.hiera_unet import Features, LabelledRecord, ResampledSeries
+from twin.calibrators.hiera_unet.campaigns import AMISS
 from twin.calibrators.hiera_unet.gaps import damaged
 from twin.calibrators.hiera_unet.parameters import LOSS, SUM
-from twin.calibrators.hiera_unet.series import ResampledSeries, series
+from twin.calibrators.hiera_unet.series import series
 from twin.commissioning import CommissionOptions, commission
 from twin.network import Array, Network, TwinFileError
 from twin.twinfile import load

@@ -88,9 +88,9 @@ def train(
     HieraError
         The training in `folder` is another one.
     """
+    from twin.calibrators.hiera_unet import Trainer
     from twin.calibrators.hiera_unet.binding import config_for, identity_of, physics_of
     from twin.calibrators.hiera_unet.checkpoint import keep, kept
-    from twin.calibrators.hiera_unet.train import Trainer
 
     config = config_for(name, data.network, data.table, data.deviations)
     physics = physics_of(data.network, data.table, data.deviations)
@@ -171,8 +171,9 @@ def _finish(
     without: tuple[str, ...],
 ) -> tuple[Path, dict[str, Any]]:
     """Compute envelope, leakage and metrics of the averaged weights, and write all files."""
+    from twin.calibrators.hiera_unet import Member
     from twin.calibrators.hiera_unet.batches import Batch
-    from twin.calibrators.hiera_unet.checkpoint import Member, save
+    from twin.calibrators.hiera_unet.checkpoint import save
     from twin.calibrators.hiera_unet.envelope import envelope, place
     from twin.calibrators.hiera_unet.leakage import leakage
     from twin.calibrators.hiera_unet.score import outcome

@@ -26,7 +26,7 @@ LEAST_ODDS = -12.0
 """Log odds below which records in which nothing leads count alike: their tail is what is asked for."""
 
 
-def bootstrap(
+def bootstrap_claims(
     network: Network,
     healthy: Columns,
     draws: int = DRAWS,

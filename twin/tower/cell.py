@@ -87,7 +87,7 @@ class CellOutputs:
     m_a: Array
 
 
-def solve(
+def solve_cell(
     u: Inputs, design: Design, deviations: CellDeviations = CellDeviations(), *, with_evaporation: bool = True
 ) -> CellOutputs:
     """Return what the cell does at rest at each operating point; without water its outlet is its inlet.

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.tower.air import Array
-from twin.tower.cell import CellDeviations, Design, Inputs, solve
+from twin.tower.cell import CellDeviations, Design, Inputs, solve_cell
 from twin.tower.model import DEVIATIONS
 from twin.tower.twin_file import BOUNDS
 
@@ -114,7 +114,7 @@ def _observed(
 ) -> Array:
     values = {n: float(getattr(at, n)) for n in DEVIATIONS}
     values[name] += step
-    out = solve(u, design, CellDeviations(**values))
+    out = solve_cell(u, design, CellDeviations(**values))
     rows = {
         "outlet": (out.t_out + values["bias"]) / TOLERANCE["outlet"],
         "basin": out.t_out / TOLERANCE["basin"],

@@ -121,7 +121,7 @@ def _steady(u: Inputs, share: Array, m_w0: float, known: NDArray[np.bool_]) -> N
     return np.asarray(since - last >= SETTLED_MIN)
 
 
-def follow(values: Array, known: NDArray[np.bool_], minutes: float = FOLLOWING_MIN) -> Array:
+def first_order_lag(values: Array, known: NDArray[np.bool_], minutes: float = FOLLOWING_MIN) -> Array:
     """Return values followed with a first-order delay, from anew where they are not known."""
     keep = np.exp(-1.0 / minutes)
     followed = np.full(len(values), np.nan)

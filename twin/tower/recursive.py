@@ -27,7 +27,7 @@ from twin.tower.cell_observations import AMPLITUDE, Label, interval_as_gaussian
 from twin.tower.change_detection import RATE_D
 from twin.tower.clean_cell import FEATURES
 from twin.tower.identify import TOLERANCE
-from twin.tower.minutes import Minutes, follow
+from twin.tower.minutes import Minutes, first_order_lag
 from twin.tower.model import DEVIATIONS, GLOBALS, NAMES, SLOW, CellModel
 from twin.tower.smoother import DAY_S, HUBER, JUMP, STEPS, TREND, WALK, Blocks, Estimate, Opening, Priors
 
@@ -87,7 +87,7 @@ class Recursion:
     reference: Array
 
 
-def recursion(
+def filter_cell(
     model: CellModel,
     minutes: Minutes,
     blocks: Blocks,
@@ -140,8 +140,8 @@ def recursion(
             while waiting and waiting[0].time_s < start + WINDOW_S:
                 filtered.label(waiting.pop(0))
         at = until
-    water = follow(water, minutes.known)
-    slopes = np.stack([follow(column, minutes.known) for column in slopes.T], axis=1)
+    water = first_order_lag(water, minutes.known)
+    slopes = np.stack([first_order_lag(column, minutes.known) for column in slopes.T], axis=1)
     return Recursion(starts, means, sds, fits, fit_sds, condition, age, seen, water, slopes, chunk, np.array(reference))
 
 

@@ -8,17 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.record.raw import RecordError
+from hil.record import RecordError
 from hil.tower.calibration.healthy import Healthy
 from hil.tower.calibration.station_fit import priors_of, site_of
 from hil.tower.station import read_cell, read_notes, read_object, read_rows
 from twin.network import Network, Revision, digest
+from twin.tower import CellModel, Inputs, cell_network, cell_of, design_of, minutes_of, value_of
 from twin.tower.calibration import CalibrationError, fit_cell
-from twin.tower.cell import Inputs
-from twin.tower.clean_cell.commissioning import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
-from twin.tower.minutes import minutes_of
-from twin.tower.model import CellModel
-from twin.tower.twin_file import cell_network, cell_of, design_of, value_of
+from twin.tower.clean_cell import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
 
 REQUIRED = (
     "cell",

@@ -9,16 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.files.atomic import replacing
-from hil.record.raw import RecordError
+from hil.files import replacing
+from hil.record import RecordError
 from hil.tower.station import read_object, seconds
 from twin.network import Network
-from twin.tower.air import Array
-from twin.tower.cell_observations.evidence import Label
-from twin.tower.clean_cell import discrepancy
-from twin.tower.minutes import Minutes
-from twin.tower.model import NAMES
-from twin.tower.smoother import DAY_S, Priors
+from twin.tower import DAY_S, NAMES, Array, Minutes, Priors
+from twin.tower.cell_observations import Label
+from twin.tower.clean_cell import FEATURES
 
 CLEAN = {"fill": 0.015, "air": 0.01, "uniformity": 0.01}
 """Standard deviation of the deviations of a cell that counts as clean: two to four weeks of scale, an air flow as it
@@ -96,7 +93,7 @@ def read_healthy(path: Path) -> Healthy | None:
     if not path.exists():
         return None
     found = read_object(path)
-    count = len(NAMES) + discrepancy.FEATURES
+    count = len(NAMES) + FEATURES
     try:
         healthy = Healthy(
             seconds(found["from"]),

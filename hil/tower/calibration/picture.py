@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.files.atomic import replacing
+from hil.files import replacing
 from hil.tower.calibration.truth import TruthColumns
-from twin.historian.events import Event, influence_of
+from twin.historian import Event, influence_of
 
 TITLES = {
     "fill": "fill, share of clean",

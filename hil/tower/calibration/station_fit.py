@@ -12,8 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from hil.files.atomic import replacing
-from hil.record.raw import RecordError
+from hil.files import replacing
+from hil.record import RecordError
 from hil.tower.calibration.healthy import known_by, path_beside, read_healthy
 from hil.tower.station import (
     CellRecord,
@@ -27,18 +27,28 @@ from hil.tower.station import (
     station_of,
 )
 from twin.network import Network, TwinFileError
-from twin.tower.air import Array
+from twin.tower import (
+    DEVIATIONS,
+    IDS,
+    MEASURED,
+    Array,
+    CellModel,
+    DesignPoint,
+    Minutes,
+    Opening,
+    Priors,
+    cell_of,
+    design_of,
+    minutes_of,
+    station_of_twin,
+    time_grid,
+    value_of,
+)
 from twin.tower.calibration import NORMAL, Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
-from twin.tower.cell_observations.evidence import Label
-from twin.tower.change_detection.changes import undeclared_changes
-from twin.tower.change_detection.steps import Step, find_steps
-from twin.tower.diagnosis.adoption import effects_of
-from twin.tower.minutes import MEASURED, Minutes, minutes_of
-from twin.tower.model import DEVIATIONS, CellModel, DesignPoint
-from twin.tower.shared_observations.basin import Drain, with_basin
-from twin.tower.shared_observations.evaporation import Balance, with_evaporation
-from twin.tower.smoother import Opening, Priors, time_grid
-from twin.tower.twin_file import IDS, cell_of, design_of, station_of_twin, value_of
+from twin.tower.cell_observations import Label
+from twin.tower.change_detection import Step, find_steps, undeclared_changes
+from twin.tower.diagnosis import effects_of
+from twin.tower.shared_observations import Balance, Drain, with_basin, with_evaporation
 from twin.twinfile import load
 
 TABLE = "calibrated.parquet"

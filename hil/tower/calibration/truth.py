@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from hil.record.raw import RecordError
+from hil.record import RecordError
 
 PARAMETERS = ("fill", "air", "uniformity", "bias")
 TruthColumns = dict[str, NDArray[Any]]

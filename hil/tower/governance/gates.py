@@ -25,11 +25,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from twin.tower.air import Array
-from twin.tower.cell_observations.evidence import Label
-from twin.tower.identify import MOST_HIDDEN
-from twin.tower.model import DEVIATIONS
-from twin.tower.windows import TargetWindow
+from twin.tower import DEVIATIONS, MOST_HIDDEN, Array, TargetWindow
+from twin.tower.cell_observations import Label
 
 MOST_HALF_K = 0.8
 MOST_DROPPED = 0.25

@@ -25,12 +25,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.files.atomic import replacing
-from hil.record.raw import RecordError
+from hil.files import replacing
+from hil.record import RecordError
 from hil.tower.governance.gates import Verdict
 from hil.tower.station import iso
-from twin.tower.air import Array
-from twin.tower.windows import TargetWindow
+from twin.tower import Array, TargetWindow
 
 RECORDS, QUEUE = "records.jsonl", "review_queue.json"
 STATES = ("shadow", "advisory", "controlled")

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 
-from hil.record.raw import RecordError
+from hil.record import RecordError
 from hil.tower.calibration import TABLE
 from hil.tower.governance.records import QUEUE, RECORDS, check_records
-from twin.tower.model import DEVIATIONS
+from twin.tower import DEVIATIONS
 
 REPORT = "report.md"
 

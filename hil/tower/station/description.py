@@ -8,12 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hil.record.raw import RecordError
+from hil.record import RecordError
 from hil.tower.station.input_files import read_object, read_rows
-from twin.historian.columns import OF_CELL, OF_STATION
-from twin.historian.events import Event
-from twin.historian.tags import Tag
-from twin.historian.units import UnitError, unit_of
+from twin.historian import OF_CELL, OF_STATION, Event, Tag, UnitError, unit_of
 
 REQUIRED = ("tag", "unit", "role")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.rig_file import read_regular
-from hil.record.raw import RecordError
+from hil.record import RecordError
 
 
 def read_rows(path: Path, required: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:

@@ -16,13 +16,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from hil.record.raw import RecordError
+from hil.record import RecordError
 from hil.tower.station.alignment import event_entry
 from hil.tower.station.description import read_events
 from hil.tower.station.input_files import read_rows
-from twin.tower.air import Array
-from twin.tower.cell_observations.evidence import Label
-from twin.tower.twin_file import BOUNDS
+from twin.tower import BOUNDS, Array
+from twin.tower.cell_observations import Label
 
 NEEDED = ("t_in_C", "t_out_C", "m_w_kg_s", "dry_C")
 """Columns without which no outlet can be predicted; the fan's speed or its command, and a wet bulb, are needed as

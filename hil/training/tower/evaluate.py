@@ -42,8 +42,7 @@ def evaluate(
     HieraError
         The folder lacks a split, or a network does not fit.
     """
-    from twin.calibrators.hiera_unet.tower import score
-    from twin.calibrators.hiera_unet.tower.member import load_fleet, load_member
+    from twin.calibrators.hiera_unet.tower import load_fleet, load_member, score
     from twin.calibrators.hiera_unet.tower.predict import predict
 
     began = time.monotonic()
@@ -118,8 +117,7 @@ def boost(
     Parameters:
         test: fleet of the test split. rows: its cycles.
     """
-    from twin.calibrators.hiera_unet.tower import score
-    from twin.calibrators.hiera_unet.tower.member import load_fleet
+    from twin.calibrators.hiera_unet.tower import load_fleet, score
 
     paths = [path for path in tables(folder, TRAIN) if _has_windows(path)]
     parts = []

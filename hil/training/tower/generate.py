@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.training.tower.stations import StationPlan
-from twin.calibrators.hiera_unet.config import HieraError
+from twin.calibrators.hiera_unet import HieraError
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
 
 MANIFEST = "manifest.json"
@@ -104,9 +104,7 @@ def _in_parallel(
     note: Note,
     stopped: Callable[[], bool],
 ) -> None:
-    from drivers.virtual.tower.export import commissioning_rows
-    from drivers.virtual.tower.sites import MIAMI_SITE
-    from drivers.virtual.tower.station import SimulationPlan, simulate
+    from drivers.virtual.tower import MIAMI_SITE, SimulationPlan, commissioning_rows, simulate
 
     # Compiled once, before the processes part.
     commissioning_rows(simulate(MIAMI_SITE, 1, SimulationPlan(months=0.06, cells=1)))

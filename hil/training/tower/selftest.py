@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.calibrators.hiera_unet.tower.cell_table import CellTable
+from twin.calibrators.hiera_unet.tower import CellTable
 from twin.calibrators.hiera_unet.tower.table import CHANNELS, SUBJECT, clock_of
 
 STEPS, TIMED = 12, 8
@@ -75,10 +75,8 @@ def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:
         The device cannot do it.
     """
     from twin.calibrators.hiera_unet.device import ready
-    from twin.calibrators.hiera_unet.tower.member import MemberTraining, adapt, load_member
-    from twin.calibrators.hiera_unet.tower.plan import TowerPlan
+    from twin.calibrators.hiera_unet.tower import Fleet, MemberTraining, TowerPlan, adapt, load_member
     from twin.calibrators.hiera_unet.tower.predict import predict
-    from twin.calibrators.hiera_unet.tower.windows import Fleet
 
     ready(device, 1 if device == "cpu" else 2)
     fleet = Fleet([random_table(0), random_table(1)], device)

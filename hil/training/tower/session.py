@@ -80,7 +80,7 @@ def train_member(
     HieraError
         The stations cannot be used, or the training that was begun is another one.
     """
-    from twin.calibrators.hiera_unet.tower.member import MemberTraining, load_fleet
+    from twin.calibrators.hiera_unet.tower import MemberTraining, load_fleet
 
     family, held_out = load_fleet(tables(folder, TRAIN), device), load_fleet(tables(folder, VALIDATION), device)
     training = MemberTraining(size, plan, family, held_out, out.with_suffix(""), digest_of(folder))

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from twin.calibrators.hiera_unet.config import HieraError
+from twin.calibrators.hiera_unet import HieraError
 
 PER_DEVIATION = ("fill", "air", "uniformity", "bias")
 

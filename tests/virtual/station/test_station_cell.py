@@ -10,7 +10,7 @@ from drivers.virtual.tower.physics import cell as physics
 from drivers.virtual.tower.physics.moist_air import CP_WATER, enthalpy, saturation, wet_bulb
 from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, BuiltStation, build, design_air
 from twin.tower import air as other_air
-from twin.tower.cell import Design, Inputs, solve
+from twin.tower.cell import Design, Inputs, solve_cell
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_a_fitted_merkel_twin_keeps_a_gap_to_the_plant(built: BuiltStation) -> N
 
     def miss(p: np.ndarray) -> np.ndarray:
         design = Design(site.water, site.air * p[2], p[0], p[1], site.power, 1.1)
-        return np.asarray(solve(u, design).t_out - out)
+        return np.asarray(solve_cell(u, design).t_out - out)
 
     fitted = least_squares(miss, [1.5, 0.6, 1.0])
     assert 0.08 < np.abs(fitted.fun).mean() < 0.6

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.calibration.cell_fit import WINDOW_S
-from twin.tower.cell import STARVING, solve
+from twin.tower.cell import STARVING, solve_cell
 from twin.tower.cell_observations import Label
 from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel
 from twin.tower.smoother import DAY_S, Blocks, Estimate, Opening, Priors, estimate
@@ -64,7 +64,7 @@ def split(blocks: Blocks) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 def clean_reading(case: CellDataset) -> Array:
     """Return the readings by the clean cell."""
     u = case.blocks.operation.inputs
-    out = solve(u, case.model.design).t_out
+    out = solve_cell(u, case.model.design).t_out
     return np.asarray(out + case.blocks.operation.bypass * (u.t_in - out))
 
 

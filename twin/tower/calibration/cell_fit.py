@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.cell_observations import Label
-from twin.tower.minutes import Minutes, blocks_of, follow
+from twin.tower.minutes import Minutes, blocks_of, first_order_lag
 from twin.tower.model import DEVIATIONS, SLOW, CellModel
 from twin.tower.smoother import Blocks, Estimate, Opening, Priors, estimate
 
@@ -112,7 +112,7 @@ def predict_cell(fitted: Fitted) -> Calibrated:
     predicted, commissioned = np.full(len(slow), np.nan), np.full(len(slow), np.nan)
     predicted[known] = model.outlet(minutes.operation.take(known), slow[known], posterior.constant)
     commissioned[known] = _clean_outlet(model, minutes, known)
-    predicted, commissioned = follow(predicted, minutes.known), follow(commissioned, minutes.known)
+    predicted, commissioned = first_order_lag(predicted, minutes.known), first_order_lag(commissioned, minutes.known)
     t_out = predicted + _without_own_window(posterior, fitted.blocks, minutes)
     half = _half_width(minutes, t_out, slow[:, 3], posterior)
     sd = posterior.sd()[posterior.cells_at(minutes.time_s)]
@@ -123,10 +123,10 @@ def predict_cell(fitted: Fitted) -> Calibrated:
 
 def _clean_outlet(model: CellModel, minutes: Minutes, rows: NDArray[np.intp]) -> Array:
     """Return the outlet by the clean cell as commissioned, without what a record teaches."""
-    from twin.tower.cell import solve
+    from twin.tower.cell import solve_cell
 
     u = minutes.operation.inputs.take(rows)
-    out = solve(u, model.design).t_out
+    out = solve_cell(u, model.design).t_out
     return np.asarray(out + minutes.operation.bypass[rows] * (u.t_in - out))
 
 

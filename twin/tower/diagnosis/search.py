@@ -125,7 +125,7 @@ class TowerDiagnosis:
     after: Mapping[int, HeldOutBlocks]
 
 
-def search(
+def search_effects(
     cases: Sequence[CellCase],
     timezone: str | None,
     steps: Callable[[int, Fitted], tuple[Opening, ...]] = lambda cell, fitted: (),

@@ -33,7 +33,7 @@ commissioned, larger ones would stand for any law that is missing."""
 
 
 @dataclass(frozen=True)
-class Wardrobe:
+class CandidateSuperset:
     """`original`, what it may lack, the `network` with all of it, and a kernel in which all sizes are free.
 
     `after`: element that a candidate adds -> element without which it is not asked for.
@@ -48,7 +48,7 @@ class Wardrobe:
     @classmethod
     def of(
         cls, network: Network, tunables: tuple[str, ...], period_s: float, record_s: float, at_rest: bool = False
-    ) -> Wardrobe:
+    ) -> CandidateSuperset:
         """Everything that a network lacks altogether.
 
         Args:
