@@ -53,41 +53,55 @@ class TrainingProgress:
     simulated: float = 1.0
 
 
-def train(
-    data: TrainingData,
-    name: str,
-    plan: Any,
-    folder: Path,
-    out: Path,
-    *,
-    stop: Stop,
-    command: str,
-    say: Say,
-    device: str = "cpu",
-    without: tuple[str, ...] = (),
-) -> TrainingProgress:
-    """Continue the training in `folder` until it is stopped, or to its end; then write the network to `out`.
+@dataclass(frozen=True)
+class TrainingRequest:
+    """Options of a training.
+
+    Attributes
+    ----------
+    name
+        Name of the configuration, ``small`` or ``full``.
+    plan
+        `twin.calibrators.hiera_unet.plan.TrainingPlan`.
+    folder, out
+        Folder of the state of the training, and path of the weights that it ends with.
+    command
+        Command that makes this training again, for the model card.
+    device
+        Device of torch.
+    without
+        Pieces to leave out, see `hil.training.ablation`.
+    """
+
+    name: str
+    plan: Any
+    folder: Path
+    out: Path
+    command: str
+    device: str = "cpu"
+    without: tuple[str, ...] = ()
+
+
+def train(data: TrainingData, request: TrainingRequest, *, stop: Stop, say: Say) -> TrainingProgress:
+    """Continue a training until it is stopped, or to its end; then write the network.
 
     Parameters
     ----------
-    name
-        Of the configuration.
-    plan
-        `twin.calibrators.hiera_unet.plan.TrainingPlan`.
-    out
-        The weights' path.
+    data
+        Windows of simulated rigs.
+    request
+        Options of the training.
     stop
-        Ends the work in order.
-    command
-        That makes this training again, for the card.
-    without
-        Pieces to leave out, see `hil.training.ablation`.
+        Object that ends the work in order.
+    say
+        Function that gets the steps done and a note.
 
     Raises
     ------
     HieraError
-        The training in `folder` is another one.
+        The training in the folder is another one.
     """
+    name, plan, without, folder, out = request.name, request.plan, request.without, request.folder, request.out
     from twin.calibrators.hiera_unet import Trainer
     from twin.calibrators.hiera_unet.binding import config_for, identity_of, physics_of
     from twin.calibrators.hiera_unet.checkpoint import keep, kept
@@ -95,7 +109,7 @@ def train(
     config = config_for(name, data.network, data.table, data.deviations)
     physics = physics_of(data.network, data.table, data.deviations)
     config, plan, data = leave_out(without, config, plan, data)
-    trainer = Trainer(config, data.train, physics, plan, device, " ".join((data.digest, *without)))
+    trainer = Trainer(config, data.train, physics, plan, request.device, " ".join((data.digest, *without)))
     at, curves_at = folder / "training.pt", folder / "curves.jsonl"
     if at.exists():
         trainer.restore(kept(at))
@@ -119,7 +133,7 @@ def train(
     if trainer.done < plan.steps:
         return TrainingProgress(*came)
     identity = identity_of(data.network, data.table, data.deviations)
-    card, metrics = _finish(trainer, data, identity, curves, out, command, without)
+    card, metrics = _finish(trainer, data, identity, curves, out, request.command, without)
     assemble(data, out.parent, out.stem.rpartition("_")[0])
     drawn = draw(curves, out.with_suffix(".png"), f"{data.table.name} {name}, seed {plan.seed}: {plan.steps} steps")
     return TrainingProgress(*came, card, drawn, tuple(_sentence(mode, m) for mode, m in metrics.items()))

@@ -36,11 +36,19 @@ def bootstrap_claims(
 ) -> Bootstrap:
     """Commission and diagnose `draws` pairs of healthy records drawn from a commissioned twin.
 
-    Args:
-        healthy: the record that the twin was commissioned on. done: called with the number of draws made so far.
+    Parameters
+    ----------
+    healthy
+        The record that the twin was commissioned on.
+    done
+        Called with the number of draws made so far.
 
-    Raises:
-        ValueError: fewer than ten draws. TwinFileError: as `diagnose`.
+    Raises
+    ------
+    ValueError
+        Fewer than ten draws.
+    TwinFileError
+        As `diagnose`.
     """
     if draws < FEWEST:
         raise ValueError(f"a tail is fitted to {FEWEST} draws or more, not {draws}")

@@ -92,8 +92,10 @@ def solve_cell(
 ) -> CellOutputs:
     """Return what the cell does at rest at each operating point; without water its outlet is its inlet.
 
-    Parameters:
-        with_evaporation: False leaves the evaporation NaN, which saves a third of the time.
+    Parameters
+    ----------
+    with_evaporation
+        False leaves the evaporation NaN, which saves a third of the time.
     """
     ratio_in = np.maximum(moist.ratio_from_wet_bulb(u.dry, u.wet, u.pressure), 0.0)
     h_in = moist.enthalpy(u.dry, ratio_in)

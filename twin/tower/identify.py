@@ -99,8 +99,12 @@ def cell_sensitivities(
     """Return the scaled sensitivities of a clean cell's observations (n * sensors, 4), row blocks in the order of
     `sensors`.
 
-    Parameters:
-        sensors: among outlet, fan, evaporation, basin. kappa: of the fan's power in a loss of air.
+    Parameters
+    ----------
+    sensors
+        Among outlet, fan, evaporation, basin.
+    kappa
+        Of the fan's power in a loss of air.
     """
     columns = []
     for name in DEVIATIONS:
@@ -129,8 +133,12 @@ def identifiability(
 ) -> Identifiability:
     """Return what scaled sensitivities (n, 4) tell.
 
-    Parameters:
-        minutes_per_row: between rows of one sensor. hidden: share of hidden channels.
+    Parameters
+    ----------
+    minutes_per_row
+        Between rows of one sensor.
+    hidden
+        Share of hidden channels.
     """
     rows = scaled[np.isfinite(scaled).all(axis=1)]
     information = rows.T @ rows * min(minutes_per_row / CORRELATION_MIN, 1.0)

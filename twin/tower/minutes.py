@@ -56,9 +56,18 @@ def minutes_of(
 ) -> Minutes:
     """Return the minutes of an aligned record's columns.
 
-    Parameters:
-        columns, origin: as in the aligned record. m_w0: design flow, kg/s. bypass_share: of the water past the fill
-        when open. effects: of the cell's model.
+    Parameters
+    ----------
+    time_s
+        (n,) s since 1970.
+    columns, origin
+        (n,) each, as in the aligned record.
+    m_w0
+        Design flow, kg/s.
+    bypass_share
+        Of the water past the fill when open.
+    effects
+        Of the cell's model.
     """
     n = len(time_s)
 
@@ -122,7 +131,7 @@ def _steady(u: Inputs, share: Array, m_w0: float, known: NDArray[np.bool_]) -> N
 
 
 def first_order_lag(values: Array, known: NDArray[np.bool_], minutes: float = FOLLOWING_MIN) -> Array:
-    """Return values followed with a first-order delay, from anew where they are not known."""
+    """Return values (n,) behind a first-order lag of `minutes`; it begins anew after values that are not known."""
     keep = np.exp(-1.0 / minutes)
     followed = np.full(len(values), np.nan)
     edges = np.flatnonzero(np.diff(np.r_[False, known, False].astype(np.int8)))

@@ -51,9 +51,14 @@ def plan_tests(
 ) -> tuple[Identifiability, list[StepTest]]:
     """Return what a day tells without a test, and the tests within the limit, best first.
 
-    Parameters:
-        day: operating points of a usual day, evenly spaced. at: present deviations. sensors: as in
-        `cell_sensitivities`.
+    Parameters
+    ----------
+    day
+        Operating points of a usual day, evenly spaced.
+    at
+        Present deviations.
+    sensors
+        As in `cell_sensitivities`.
     """
     minutes = 1440.0 / max(len(day.t_in), 1)
     base = cell_sensitivities(design, day, sensors, at, kappa)

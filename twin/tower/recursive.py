@@ -99,9 +99,12 @@ def filter_cell(
 ) -> Recursion:
     """Return the beliefs of a cell from the end of its healthy record on.
 
-    Parameters:
-        healthy: posterior of the days before `end_s`, s since 1970, on which the cell was clean.
-        labels: each is used from its own time on.
+    Parameters
+    ----------
+    healthy
+        Posterior of the days before `end_s`, s since 1970, on which the cell was clean.
+    labels
+        Each is used from its own time on.
     """
     filtered = _Filter(model, priors, healthy, openings)
     last = float(minutes.time_s[-1])

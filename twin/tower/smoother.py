@@ -159,7 +159,7 @@ class Estimate:
 
 
 def time_grid(start_s: float, end_s: float) -> Array:
-    """Return the edges of the grid: half days, or as many as `MOST_CELLS` allow."""
+    """Return the edges (k + 1,) of the grid, s: half days, or as many as `MOST_CELLS` allow."""
     count = int(np.clip(np.ceil((end_s - start_s) / (0.5 * DAY_S)), 1, MOST_CELLS))
     return np.linspace(start_s, max(end_s, start_s + 1.0), count + 1)
 
@@ -171,18 +171,27 @@ def estimate(
     labels: Sequence[Label],
     openings: Sequence[Opening],
     edges_s: Array | None = None,
-    fixed: Sequence[str] = (),
     start: Estimate | None = None,
     least_correlation: bool = False,
 ) -> Estimate:
     """Return the posterior of the deviations over a record.
 
-    Parameters:
-        fixed: names of slow or global quantities that keep their prior mean.
-        start: an estimate on the same time grid to begin at. least_correlation: residuals count with the shortest
-        autocorrelation time, as they are.
+    Parameters
+    ----------
+    model, priors
+        The cell, and what is known of it before.
+    blocks
+        Steady blocks of its record.
+    labels, openings
+        Tests of the fill, and times at which a deviation may jump.
+    edges_s
+        (k + 1,) s, edges of the time grid; None for that of `time_grid`.
+    start
+        An estimate on the same time grid to begin at.
+    least_correlation
+        Residuals count with the shortest autocorrelation time, as they are.
     """
-    solver = _Solver(model, blocks, priors, labels, openings, edges_s, fixed, least_correlation)
+    solver = _Solver(model, blocks, priors, labels, openings, edges_s, least_correlation)
     return solver.run(start)
 
 
@@ -209,7 +218,6 @@ class _Solver:
         labels: Sequence[Label],
         openings: Sequence[Opening],
         edges_s: Array | None,
-        fixed: Sequence[str],
         least_correlation: bool,
     ) -> None:
         self.model, self.blocks, self.priors = model, blocks, priors
@@ -220,31 +228,30 @@ class _Solver:
         self.cell = np.clip(np.searchsorted(edges_s, blocks.time_s, side="right") - 1, 0, self.k - 1)
         self.labels = [label for label in labels if edges_s[0] - 3 * DAY_S <= label.time_s <= edges_s[-1] + 3 * DAY_S]
         self.mean_g, self.sd_g = priors.constant()
-        self.precision, self.prior_mean = self._prior(openings, fixed)
+        self.precision, self.prior_mean = self._prior(openings)
         # Changes of the constants count in tenths of their priors' standard deviations.
         self.unit = np.concatenate([np.ones(self.k * self.s), 10.0 * self.sd_g])
         o = blocks.operation
         self.features = model.features(o) * (1.0 - o.bypass)[:, None] if self.g > len(NAMES) else None
-        variance, _ = walk_variance(edges_s, "air", () if "air" in fixed else openings)
+        variance, _ = walk_variance(edges_s, "air", openings)
         self.power_errors = PowerErrors(model.features(o), self.cell, variance * GLOBALS[NAMES.index("kappa")].sd ** 2)
         self.sigma = [0.2, 0.03]
         self._sites: dict[int, tuple[float, float]] = {}
         self.tau = self.tau_power = CORRELATION[0] if least_correlation else 6.0
         self.longest = CORRELATION[0] if least_correlation else CORRELATION[1]
 
-    def _prior(self, openings: Sequence[Opening], fixed: Sequence[str]) -> tuple[Array, Array]:
+    def _prior(self, openings: Sequence[Opening]) -> tuple[Array, Array]:
         """Return the precision of [slow, constant] and its mean."""
         k, s = self.k, self.s
         n = k * s + self.g
         precision, linear = np.zeros((n, n)), np.zeros(n)
         for j, name in enumerate(SLOW):
             mean, sd = self.priors.slow(name)
-            scale = 1e-6 if name in fixed else 1.0
-            variance, drift = walk_variance(self.edges, name, () if name in fixed else openings)
-            variance, drift = variance * scale**2 + 1e-14, drift * scale
+            variance, drift = walk_variance(self.edges, name, openings)
+            variance = variance + 1e-14
             rows = np.arange(k) * s + j
-            precision[rows[0], rows[0]] += 1.0 / (sd * scale) ** 2
-            linear[rows[0]] += mean / (sd * scale) ** 2
+            precision[rows[0], rows[0]] += 1.0 / sd**2
+            linear[rows[0]] += mean / sd**2
             for i, v in enumerate(variance):
                 a, b = rows[i], rows[i + 1]
                 precision[a, a] += 1.0 / v
@@ -254,12 +261,10 @@ class _Solver:
                 linear[b] += drift[i] / v
                 linear[a] -= drift[i] / v
             # A walk may not leave the bounds however long it goes on: the prior holds, weakly, at every time.
-            precision[rows, rows] += 1.0 / (2.0 * sd * scale) ** 2 / k
-            linear[rows] += mean / (2.0 * sd * scale) ** 2 / k
-        sd_g = self.sd_g.copy()
-        sd_g[: len(NAMES)][[name in fixed for name in NAMES]] = 1e-6
+            precision[rows, rows] += 1.0 / (2.0 * sd) ** 2 / k
+            linear[rows] += mean / (2.0 * sd) ** 2 / k
         ends = np.arange(k * s, n)
-        precision[ends, ends] = 1.0 / sd_g**2
+        precision[ends, ends] = 1.0 / self.sd_g**2
         if self.priors.learned is not None:
             precision[np.ix_(ends, ends)] += np.linalg.inv(self.priors.learned[1]) - np.diag(1.0 / self.sd_g**2)
         linear[ends] = precision[np.ix_(ends, ends)] @ self.mean_g

@@ -41,10 +41,18 @@ def cell_network(
 ) -> Network:
     """Return the twin of a clean cell.
 
-    Parameters:
-        cell, station: number and name. bypass_share: of the water that an open bypass lets past.
-        error_K: RMSE of the fit. sd: of the Merkel number's logarithm and of the exponent. revision: origin and
-        evidence.
+    Parameters
+    ----------
+    cell, station
+        Number and name.
+    bypass_share
+        Of the water that an open bypass lets past.
+    error_K
+        RMSE of the fit.
+    sd
+        Of the Merkel number's logarithm and of the exponent.
+    revision
+        Origin and evidence.
     """
     inputs: dict[str, Any] = {}
     for name, nominal, low, high, unit in _INPUTS:

@@ -54,9 +54,14 @@ def windows_of(
 ) -> list[TargetWindow]:
     """Return the windows of a record in the order of time.
 
-    Parameters:
-        hidden: share of hidden required channels by minute (n,). second: a basin thermometer is in use. makeup: the
-        station's evaporation is.
+    Parameters
+    ----------
+    hidden
+        Share of hidden required channels by minute (n,).
+    second
+        A basin thermometer is in use.
+    makeup
+        The station's evaporation is.
     """
     blocks, posterior = calibrated.blocks, calibrated.posterior
     slopes = _scaled(calibrated, second, makeup)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.bench.kernel.windows import drive, steady_start
 from twin import Array, Kernel, Network, mask_measurements, simulate
-from twin.calibrators import Window, make_window
+from twin.calibrators import Window, WindowSamples, make_window
 
 SIGMA_K = 0.05
 LEAST_RESISTANCE = 0.1
@@ -157,5 +157,5 @@ def measured(network: Network, tunables: str, record: Path, count: int) -> list[
 
 def _window(network: Network, time: Array, inputs: Array, readings: Array, state: Array) -> Window:
     live = simulate(network, time, inputs, state)
-    window = make_window(0, time, inputs, readings, state, network.values.copy(), live, network.rules)
+    window = make_window(0, WindowSamples(time, inputs, readings), state, network.values.copy(), live, network.rules)
     return replace(window, kind="calibrated")

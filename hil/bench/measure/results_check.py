@@ -69,9 +69,12 @@ class ResultsFolderError(ValueError):
 def check_results(folder: Path = RESULTS, project: Path = PROJECT) -> list[ResultState]:
     """Return the state of each result (`*.json` with its manifest) in `folder`, by name.
 
-    Parameters:
-        folder: results that `hil bench --out` wrote.
-        project: work tree of the git repository of the measured code.
+    Parameters
+    ----------
+    folder
+        Results that `hil bench --out` wrote.
+    project
+        Work tree of the git repository of the measured code.
 
     Raises
     ------

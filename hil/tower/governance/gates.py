@@ -72,9 +72,12 @@ def judge(
 ) -> list[Verdict]:
     """Return the verdict on each window.
 
-    Parameters:
-        distance: of each window from the envelope. dropped, bypass: share of its minutes without wet bulb, and with
-        bypass.
+    Parameters
+    ----------
+    distance
+        Of each window from the envelope.
+    dropped, bypass
+        Share of its minutes without wet bulb, and with bypass.
     """
     finite = distance[np.isfinite(distance)]
     limit = float(np.quantile(finite, ENVELOPE_QUANTILE)) if len(finite) else np.inf

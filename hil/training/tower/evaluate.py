@@ -32,10 +32,16 @@ def evaluate(
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return scores as plain data, and arrays by window of the test split.
 
-    Parameters:
-        members: weights by name; `ensemble_of` names those that make the ensemble. most: windows of the test
-        split at most, evenly taken; None for all. boosted: file of `boost`, made now without. half: bfloat16 in
-        the networks' products.
+    Parameters
+    ----------
+    members
+        Weights by name; `ensemble_of` names those that make the ensemble.
+    most
+        Windows of the test split at most, evenly taken; None for all.
+    boosted
+        File of `boost`, made now without.
+    half
+        bfloat16 in the networks' products.
 
     Raises
     ------
@@ -94,8 +100,10 @@ def evaluate(
 def ensemble_of(refused: Mapping[str, str]) -> list[str]:
     """Return the small members that the gate passed, or all small ones where it refused each.
 
-    Parameters:
-        refused: the gate's code, "" where it passed, by the name of a member.
+    Parameters
+    ----------
+    refused
+        The gate's code, "" where it passed, by the name of a member.
     """
     small = [name for name in refused if name.startswith("small")]
     return [name for name in small if not refused[name]] or small
@@ -114,8 +122,12 @@ def boost(
     """Return deviations (K, 4) and outlet (K, 120), degC, of Gauss-Newton corrected by gradient boosting, learned from
     the training split; None without scikit-learn.
 
-    Parameters:
-        test: fleet of the test split. rows: its cycles.
+    Parameters
+    ----------
+    test
+        Fleet of the test split.
+    rows
+        Its cycles.
     """
     from twin.calibrators.hiera_unet.tower import load_fleet, score
 

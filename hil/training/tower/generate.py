@@ -68,8 +68,10 @@ def generate(
 ) -> int:
     """Simulate the stations that `folder` lacks; return the number of stations that are there.
 
-    Parameters:
-        until: time.monotonic() after which no station is begun; those that then run have `GRACE_S`.
+    Parameters
+    ----------
+    until
+        Time.monotonic() after which no station is begun; those that then run have `GRACE_S`.
 
     Raises
     ------

@@ -66,8 +66,10 @@ def random_table(seed: int) -> CellTable:
 def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:
     """Train, judge, write and read a network of each size on random windows; return a sentence for each.
 
-    Parameters:
-        batches: windows of a step by size.
+    Parameters
+    ----------
+    batches
+        Windows of a step by size.
 
     Raises
     ------

@@ -29,7 +29,7 @@ from drivers.virtual.tower import (
     state_by_minute,
 )
 from twin.calibrators.hiera_unet.tower import CellTable
-from twin.calibrators.hiera_unet.tower.cell_table import cell_table
+from twin.calibrators.hiera_unet.tower.cell_table import CellSources, cell_table
 from twin.historian import CellMinutes, Event, Series, Tag, cell_minutes, disturbed, influence_of, shared_minutes
 from twin.tower import (
     BOUNDS,
@@ -183,19 +183,20 @@ def station_cells(plan: StationPlan) -> list[CellData]:
 def table_of(cell: CellData) -> CellTable:
     """Return the arrays that windows of a simulated cell are cut from."""
     return cell_table(
-        cell.name,
-        cell.sheet,
-        cell.columns,
-        cell.minutes,
-        cell.commissioned.design,
-        cell.clean,
-        cell.log_clean,
-        cell.recursion,
-        cell.events,
-        cell.openings,
-        cell.healthy_end_s,
-        cell.truth_water,
-        cell.truth,
+        CellSources(
+            name=cell.name,
+            sheet=cell.sheet,
+            columns=cell.columns,
+            minutes=cell.minutes,
+            design=cell.commissioned.design,
+            clean=cell.clean,
+            log_clean=cell.log_clean,
+            beliefs=cell.recursion,
+            events=cell.events,
+            healthy_end_s=cell.healthy_end_s,
+            true_water=cell.truth_water,
+            true=cell.truth,
+        )
     )
 
 

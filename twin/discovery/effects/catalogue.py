@@ -114,8 +114,10 @@ def with_columns(network: Network, columns: Sequence[str]) -> Network:
 def extended(network: Network, candidate: Candidate) -> Network:
     """The network with a candidate's elements, still without effect: sizes at their neutral values.
 
-    Raises:
-        TwinFileError: the element does not fit this network.
+    Raises
+    ------
+    TwinFileError
+        The element does not fit this network.
     """
     network = with_columns(network, [candidate.column] if candidate.column else [])
     elements = list(network.elements)

@@ -63,8 +63,10 @@ def ambiguity_groups(network: Network) -> Lint:
 def examine(network: Network) -> Lint:
     """Groups of a twin's catalogue, found anew.
 
-    Raises:
-        TwinFileError: the twin has no tunables.
+    Raises
+    ------
+    TwinFileError
+        The twin has no tunables.
     """
     ids = network.tunables("commission" if "commission" in network.sets else None)
     probe, book = Probe(network, ids), Book(network)

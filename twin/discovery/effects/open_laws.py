@@ -442,5 +442,5 @@ def adopted(network: Network, candidate: Candidate, size: float) -> Network:
         weight = candidate.changes[f"{name}.gain"]
         parameters = {**law, strength: size * weight * law[strength]}
         driver = {} if column is None else {"driver": network.input_columns[column]}
-        network = adopt_law(network, site, driver, form, parameters)
+        network = adopt_law(network, {**site, **driver, "form": form}, parameters)
     return network

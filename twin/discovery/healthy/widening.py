@@ -19,9 +19,14 @@ FEWEST = 10
 class Bootstrap:
     """Diagnoses of healthy records drawn from a twin.
 
-    Attributes:
-        odds: log posterior odds of the likeliest effect in each record. needed: those from which one was claimed.
-        alarms: records whose verdict was not `adequate`.
+    Attributes
+    ----------
+    odds
+        Log posterior odds of the likeliest effect in each record.
+    needed
+        Those from which one was claimed.
+    alarms
+        Records whose verdict was not `adequate`.
     """
 
     odds: tuple[float, ...]

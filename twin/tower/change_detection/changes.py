@@ -43,8 +43,12 @@ def undeclared_changes(
 ) -> tuple[Opening, ...]:
     """Return the jumps that the record shows and no event announces, in the order of time.
 
-    Parameters:
-        openings: jumps that are known. start: an estimate of the record without the others.
+    Parameters
+    ----------
+    openings
+        Jumps that are known.
+    start
+        An estimate of the record without the others.
     """
     found: list[Opening] = []
     for _ in range(ROUNDS):

@@ -70,10 +70,14 @@ class CommissionedCell:
 def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None = None) -> CommissionedCell:
     """Fit a clean cell to its test points.
 
-    Parameters:
-        points: at least `FEWEST` of them.
-        water_flow: design water flow, kg/s.
-        air_flow: design air flow, kg/s; taken where no point has a measured one.
+    Parameters
+    ----------
+    points
+        At least `FEWEST` of them.
+    water_flow
+        Design water flow, kg/s.
+    air_flow
+        Design air flow, kg/s; taken where no point has a measured one.
 
     Raises
     ------

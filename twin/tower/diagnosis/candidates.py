@@ -93,9 +93,12 @@ class EffectClass:
 def candidates(columns: Mapping[str, Array], time_s: Array, timezone: str | None) -> tuple[EffectClass, ...]:
     """Return the classes whose drivers the columns hold, the readings that follow a column last.
 
-    Parameters:
-        columns: of the cell's aligned record, decoys among them. timezone: of the station, for the sun; None tries
-        every hour of noon.
+    Parameters
+    ----------
+    columns
+        Of the cell's aligned record, decoys among them.
+    timezone
+        Of the station, for the sun; None tries every hour of noon.
     """
     found: list[EffectClass] = []
 

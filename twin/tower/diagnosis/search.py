@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,9 +134,14 @@ def search_effects(
 ) -> TowerDiagnosis:
     """Return the undeclared effects of the cells of one station.
 
-    Parameters:
-        timezone: of the station, for the sun. steps: jumps that the first fit of a cell shows to be needed. say:
-        called with each stage.
+    Parameters
+    ----------
+    timezone
+        Of the station, for the sun.
+    steps
+        Jumps that the first fit of a cell shows to be needed.
+    say
+        Called with each stage.
 
     Raises
     ------
@@ -167,7 +173,7 @@ def search_effects(
         for one in [h for h in ranked if h.log_odds >= CLAIM][:TRIED]:
             say(f"refitting with {one.candidate.name}")
             claimed, why, fits_new, errors_new = _checked(
-                cases, parts, held, fits, errors, known, evidence, one, ranked
+                cases, parts, held, _Round(fits, errors, known, evidence, ranked), one
             )
             if claimed is not None:
                 break
@@ -258,18 +264,25 @@ def _hypotheses(
     return found
 
 
+class _Round(NamedTuple):
+    """One round of a search: fits, errors, effects and evidence so far by cell, and the classes of its scan."""
+
+    fits: Mapping[int, Fitted]
+    errors: Mapping[int, HeldOutBlocks]
+    known: Mapping[int, tuple[CellEffect, ...]]
+    evidence: Mapping[int, Evidence]
+    ranked: Sequence[CellHypothesis]
+
+
 def _checked(
     cases: Sequence[CellCase],
     parts: TimeSpans,
     held: Mapping[int, NDArray[np.bool_]],
-    fits: Mapping[int, Fitted],
-    errors: Mapping[int, HeldOutBlocks],
-    known: Mapping[int, tuple[CellEffect, ...]],
-    evidence: Mapping[int, Evidence],
+    so_far: _Round,
     one: CellHypothesis,
-    ranked: Sequence[CellHypothesis],
 ) -> tuple[ClaimedEffect | None, str, dict[int, Fitted], dict[int, HeldOutBlocks]]:
     """Return the finding, or None and the reason, with fits and errors that include it."""
+    fits, errors, known, evidence, ranked = so_far
     new_fits, new_errors = dict(fits), dict(errors)
     if _is_decoy(one):
         return None, "it is a decoy, so chance reaches this far", new_fits, new_errors

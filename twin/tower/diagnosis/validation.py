@@ -82,8 +82,10 @@ def part_of(time_s: Array, parts: Sequence[tuple[float, float]]) -> NDArray[np.i
 def held_out(fitted: Fitted, outlet: Array, parts: TimeSpans) -> HeldOutBlocks:
     """Return the errors of a fit in its held-out parts.
 
-    Parameters:
-        outlet: readings by minute, held-out ones too, degC (n,).
+    Parameters
+    ----------
+    outlet
+        Readings by minute, held-out ones too, degC (n,).
     """
     blocks, _ = blocks_of(replace(fitted.minutes, outlet=outlet))
     p = fitted.posterior
@@ -96,8 +98,10 @@ def held_out(fitted: Fitted, outlet: Array, parts: TimeSpans) -> HeldOutBlocks:
 def predictive_gain(fitted: Fitted, old: HeldOutBlocks, new: HeldOutBlocks) -> float:
     """Return the log predictive density of the held-out blocks that the errors `new` gain over `old`.
 
-    Parameters:
-        fitted: fit without the effect, whose covariance both share.
+    Parameters
+    ----------
+    fitted
+        Fit without the effect, whose covariance both share.
     """
     p = fitted.posterior
     if not len(old.rows):

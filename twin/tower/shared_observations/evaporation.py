@@ -75,8 +75,12 @@ def with_evaporation(
     It is not used without a whole sum (`NO_WHOLE_SUM`), nor where most sums contradict the cells (`NOT_CLOSED`), as
     with a meter that stands still or a basin that overflows.
 
-    Parameters:
-        off: of each cell, by minute (n,) bool: it has no water.
+    Parameters
+    ----------
+    off
+        Of each cell, by minute (n,)
+    bool
+        It has no water.
     """
     number = np.floor(water.time_s / SUM_S).astype(np.int64)
     number -= number[0]
