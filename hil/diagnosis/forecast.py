@@ -27,6 +27,21 @@ def show_forecast(
 ) -> None:
     """Print the least detectable size of each effect, the undetectable effects, and ambiguous pairs.
 
+    Parameters
+    ----------
+    to
+        Console to print on.
+    network
+        Commissioned twin.
+    path
+        Record, or load profile of a planned run.
+    healthy
+        Healthy record of the twin, or None.
+    hour
+        Hour of the day at 0 s, or None.
+    as_json
+        True for a JSON document.
+
     Raises
     ------
     DiagnosingError

@@ -113,7 +113,21 @@ def recorded(
     effects: tuple[PlantEffect, ...],
     start_C: float | None = None,
 ) -> tuple[ResampledSeries, Array]:
-    """Return a record on the network's own steps, and fault-free sensor readings there (n, Y)."""
+    """Return a record on the network's own steps, and fault-free sensor readings there (n, Y).
+
+    Parameters
+    ----------
+    features
+        Channels of the network, with their step.
+    case
+        Load and duration.
+    specimen
+        Specimen of the plant, with its commissioned twin.
+    effects
+        Effects that the plant has.
+    start_C
+        Temperature at the beginning, degC; None for a plant at rest.
+    """
     columns, junctions, time = run(case, specimen, effects, start_C)
     made = series(features.network, time, columns, extra=features.table.extra, hour=START_HOUR)
     at = np.minimum(np.round(made.time - time[0]).astype(np.intp), len(junctions) - 1)

@@ -84,10 +84,26 @@ async def make_safe(
     hurried: Callable[[], bool],
     meanwhile: Meanwhile | None = None,
 ) -> Safed:
-    """Write `safe_values` in their order, read them back, and wait until the measured values follow.
+    """Write the safe values in their order, read them back, and wait until the measured values follow.
 
-    A lost link is retried for `WRITE_DEADLINE_S` of wall time. `advance` lets one period of rig time pass. When
-    `hurried()` turns true the waits are cut short; the writing and its read-back never are. Raises nothing.
+    A lost link is retried for `WRITE_DEADLINE_S` of wall time. The function raises nothing.
+
+    Parameters
+    ----------
+    connection
+        Connection to the rig.
+    safe_values
+        Set-point -> safe value in its unit, in the order of writing.
+    heartbeat
+        Function that returns the values of the next heartbeat.
+    advance
+        Function that lets one period of rig time pass.
+    period_s
+        Period of the rig, s.
+    hurried
+        Function that turns true when the waits are to be cut short; writing and read-back never are.
+    meanwhile
+        Reports and checks while the function waits, or None for none.
     """
     meanwhile = meanwhile or Meanwhile()
     began = time.monotonic()

@@ -40,6 +40,21 @@ def draw_cell(
 ) -> None:
     """Draw the calibration of a cell into `path` (.png or .svg).
 
+    Parameters
+    ----------
+    calibrated
+        Columns of the calibration, by day.
+    path
+        Picture to write.
+    cell
+        Number of the cell.
+    truth
+        True deviations of a simulated station, or None.
+    labels
+        File of tests of the fill, or None.
+    events
+        Entries of the maintenance record.
+
     Raises
     ------
     OSError

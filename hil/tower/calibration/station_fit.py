@@ -347,6 +347,17 @@ def fit_with_steps(
 ) -> tuple[Fitted, tuple[Step, ...], tuple[Opening, ...]]:
     """Fit a cell; where its thermometer has stepped, or a deviation jumped undeclared, fit it again with that opened.
 
+    Parameters
+    ----------
+    model, priors
+        The cell, and the priors of its deviations.
+    minutes, record
+        Minutes of the cell, and the record that they are from.
+    labels
+        Tests of the fill and of the air flow.
+    openings
+        Times at which the maintenance record lets a deviation jump.
+
     Raises
     ------
     CalibrationError

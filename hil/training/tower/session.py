@@ -36,6 +36,21 @@ def simulate_stations(
 ) -> TowerProgress:
     """Simulate the stations that `folder` lacks, until it has all or the work is stopped.
 
+    Parameters
+    ----------
+    plan
+        Number and length of the stations.
+    folder
+        Folder of the stations.
+    workers
+        Number of processes.
+    minutes
+        Time limit, or None.
+    stopped
+        Function that turns true when the work is to end.
+    say
+        Function that gets the progress.
+
     Raises
     ------
     HieraError

@@ -87,6 +87,19 @@ def fit_cell(
 ) -> Fitted:
     """Fit the deviations of a cell to its steady blocks, from the estimate `start` on the same time grid if given.
 
+    Parameters
+    ----------
+    model, priors
+        The cell, and the priors of its deviations.
+    minutes
+        Minutes of its record.
+    labels, openings
+        Tests of the fill, and times at which a deviation may jump.
+    edges_s
+        (k + 1,) s, edges of the time grid; None for that of `time_grid`.
+    start
+        Estimate on the same grid to begin at.
+
     Raises
     ------
     CalibrationError
