@@ -27,7 +27,7 @@ from twin.discovery.growing.merit import Merit
 from twin.discovery.growing.scoring import Scored
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.scoring.search import Entry
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Network
 from twin.revisions import with_elements
 from twin.twinfile import load, parse

@@ -16,7 +16,7 @@ PACKAGES = sorted(
     for path in (PROJECT / top).rglob("__init__.py")
 )
 MOST_MODULES = 12
-ONE_FILE_A_KIND = {"twin/elements": 23, "twin/calibrators/hiera_unet": 49, "twin/discovery/growing": 14}
+ONE_FILE_A_KIND = {"twin/elements": 25, "twin/calibrators/hiera_unet": 49, "twin/discovery/growing": 14}
 """Packages with more modules: one a kind of element, and two that are to be divided."""
 
 

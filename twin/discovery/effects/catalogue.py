@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any
 
 from twin.elements import KINDS, Element, Parameter
-from twin.elements.base import Candidate, Sites
+from twin.elements.candidates import Candidate, Sites
 from twin.network import InputSpec, Network, TwinFileError
 
 _NUMBERED = re.compile(r"^(?P<stem>\D+)\d+$")

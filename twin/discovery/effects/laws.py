@@ -15,7 +15,7 @@ from twin.discovery.effects.catalogue import catalogue, extended, sized
 from twin.discovery.effects.formulas import Formulas, follow
 from twin.discovery.effects.probe import FreeRun
 from twin.discovery.records.grid import Grid, filled
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.elements.flow import Flow
 from twin.network import Array, Network
 

@@ -22,7 +22,8 @@ import numpy as np
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.records.grid import Grid
 from twin.elements import KINDS
-from twin.elements.base import STAMP, Candidate
+from twin.elements.base import STAMP
+from twin.elements.candidates import Candidate
 from twin.elements.law_forms import FORMS
 from twin.laws import law_values
 from twin.network import Array, Network

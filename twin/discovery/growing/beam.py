@@ -18,7 +18,7 @@ from twin.discovery.growing.masses import kin
 from twin.discovery.growing.scoring import Scored, scores
 from twin.discovery.growing.unaided import GrowthFit, GrowthProblem
 from twin.discovery.scoring.search import Entry
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 BEAM = 3

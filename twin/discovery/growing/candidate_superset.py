@@ -21,7 +21,7 @@ from twin.discovery.growing.masses import masses
 from twin.discovery.growing.resting import Resting
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.kernel import Kernel
 from twin.network import Array, Network
 

@@ -13,7 +13,7 @@ from twin.discovery.growing.candidate_superset import CandidateSuperset, unsized
 from twin.discovery.growing.likelihood import Spectrum
 from twin.discovery.growing.unaided import GrowthFit, GrowthProblem, readings_of
 from twin.discovery.scoring.search import Entry
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.kernel import FEW_LANES
 from twin.network import Array
 

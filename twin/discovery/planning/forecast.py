@@ -16,7 +16,7 @@ from twin.discovery.healthy.basis import Basis
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.null import FALSE_ALARMS, null_scores
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array, Network
 
 CONFUSED = 0.98

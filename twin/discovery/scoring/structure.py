@@ -22,7 +22,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.phrases import said
 from twin.discovery.scoring.contest import Contest
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)

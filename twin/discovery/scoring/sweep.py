@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import EARLY_S, Shape, family
 from twin.discovery.scoring.contest import Contest
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 LAST_SHARE = 0.95
