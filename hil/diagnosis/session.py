@@ -126,7 +126,9 @@ def diagnose_files(ready: PreparedDiagnosis, say: Callable[[str], None], note: C
     Parameters
     ----------
     say
-        Called with each stage. note: called with the notes of the record's reader.
+        Called with each stage.
+    note
+        Called with the notes of the record's reader.
 
     Raises
     ------

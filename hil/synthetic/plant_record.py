@@ -39,7 +39,9 @@ def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: 
     Parameters
     ----------
     seed
-        Of weather and noise. unit: the specimen, whose sensors' offsets stay from run to run.
+        Of weather and noise.
+    unit
+        The specimen, whose sensors' offsets stay from run to run.
     """
     plant = Plant(seed=seed, period_s=rig.period_s, effects=effects)
     return direct_run(profile, rig, plant, seed=seed, unit=unit, effects=effects)[0]

@@ -27,7 +27,9 @@ class Problem:
     window
         Of kind calibrated, so that everyone minimises the RMSE over all of it.
     tunables
-        Name of the twin's set. start: (q,) positions of the live twin.
+        Name of the twin's set.
+    start
+        (q,) positions of the live twin.
     truth
         (q,) positions that made the window, None for a measured one.
     """
