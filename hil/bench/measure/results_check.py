@@ -95,7 +95,8 @@ def _problem(manifest: Path, project: Path) -> str | None:
     except (OSError, ValueError):
         return "has no manifest that can be read"
     if not isinstance(content, dict) or not isinstance(content.get("commit"), str):
-        return "its manifest has no commit of the measured code"
+        published = content.get("published") if isinstance(content, dict) else None
+        return "its manifest has no commit of the measured code" + (f"; published in {published}" if published else "")
     commit, _, changes = content["commit"].partition(" ")
     if changes:
         return f"was measured with uncommitted changes on {commit}"
