@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from twin.tower.clean_cell.commissioning import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
     from twin.tower.diagnosis.adoption import adopted, effects_of
     from twin.tower.effects import UNITS, CellEffect
+    from twin.tower.estimates import DAY_S, Opening, Priors, time_grid
     from twin.tower.identify import MOST_CONDITION, MOST_HIDDEN, Identifiability
     from twin.tower.minutes import MEASURED, Minutes, blocks_of, first_order_lag, minutes_of
     from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel, DesignPoint
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from twin.tower.recursive import Recursion, filter_cell
     from twin.tower.shared_observations.basin import Drain, with_basin
     from twin.tower.shared_observations.evaporation import Balance, with_evaporation
-    from twin.tower.smoother import DAY_S, Opening, Priors, estimate, time_grid
+    from twin.tower.smoother import estimate
     from twin.tower.twin_file import BOUNDS, IDS, cell_network, cell_of, design_of, station_of_twin, value_of
     from twin.tower.windows import TargetWindow, distances, windows_of
 
@@ -121,8 +122,8 @@ _MODULES = {
         "StepTest",
         "plan_tests",
     ),
-    "smoother": (
-        "estimate",
+    "smoother": ("estimate",),
+    "estimates": (
         "DAY_S",
         "Opening",
         "Priors",

@@ -12,8 +12,9 @@ from scipy.signal import lfilter
 from twin.tower.air import Array
 from twin.tower.cell import Inputs
 from twin.tower.effects import CellEffect, patterns
+from twin.tower.estimates import Blocks
 from twin.tower.model import Operation
-from twin.tower.smoother import BLOCK_S, Blocks
+from twin.tower.smoother import BLOCK_S
 
 SEA_LEVEL_KPA = 101.325
 FOLLOWING_MIN = 1.5

@@ -14,22 +14,18 @@ Source: Bell, SIAM J. Optim. 4 (1994) 626 (Gauss-Newton as the iterated Kalman s
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotri
 
 from twin.tower.air import Array
 from twin.tower.cell_observations import Label, PowerErrors, PowerRows, interval_as_gaussian
-from twin.tower.clean_cell import discrepancy
-from twin.tower.model import GLOBALS, NAMES, SLOW, CellModel, Operation
+from twin.tower.estimates import DAY_S, Blocks, Estimate, Opening, Priors, time_grid
+from twin.tower.model import GLOBALS, NAMES, SLOW, CellModel
 
-DAY_S = 86400.0
-MOST_CELLS = 450
-"""Cells of the time grid: the equations are solved densely in their number times five."""
 WALK = {"fill": 0.002, "air": 0.0015, "uniformity": 0.002, "bias": 0.01, "flow_meter": 0.0005}
 """Standard deviation of a day's change. Fills lose 0.2 to 0.6 % a week, so a month is known to some 1 %; thermometers
 drift by some 0.05 K a month, flow meters by some 0.3 %."""
@@ -38,8 +34,6 @@ TREND = {"fill": -0.0006, "air": -0.0001, "uniformity": -0.0003, "bias": 0.0, "f
 JUMP = {"fill": 0.08, "air": 0.06, "uniformity": 0.05, "bias": 0.4, "flow_meter": 0.0}
 """Standard deviation of a jump that an event opens: a cleaning gives back what was lost, a new thermometer is another
 one."""
-FLOW_METER = 0.015
-"""Standard deviation of a flow meter's gain."""
 PASSES = 20
 RESCALED = 5
 """Passes in which scale and autocorrelation time of the residuals are taken anew."""
@@ -55,113 +49,6 @@ deviations to explain: without a limit a bad fit would weigh itself ever less.""
 HUBER = 2.5
 """Standard deviations beyond which a block is weighed down."""
 STEPS = np.array([0.01, 0.01, 0.01, 0.01, 0.01])
-
-
-@dataclass(frozen=True)
-class Blocks:
-    """Steady blocks of a cell (n,): middle in s since 1970, operating point, outlet reading degC, log of fan power;
-    NaN is missing."""
-
-    time_s: Array
-    operation: Operation
-    outlet: Array
-    log_power: Array
-
-
-@dataclass(frozen=True)
-class Opening:
-    """A jump that an event opens: the times between which it happened, and the deviation."""
-
-    start_s: float
-    end_s: float
-    parameter: str
-
-
-@dataclass(frozen=True)
-class Priors:
-    """Bounds of the deviations, and priors of global quantities that replace those of `GLOBALS`: name -> (mean, sd).
-
-    `discrepancy`: marginalise its weights. `learned`: mean and covariance of all constants, of a healthy record.
-    """
-
-    bounds: Mapping[str, float]
-    replaced: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    discrepancy: bool = True
-    learned: tuple[Array, Array] | None = None
-
-    def slow(self, name: str) -> tuple[float, float]:
-        """Return mean and standard deviation of a slow deviation."""
-        if name == "flow_meter":
-            return 0.0, FLOW_METER
-        bound = self.bounds[name]
-        return (0.0, bound / 2.0) if name == "bias" else (-bound / 3.0, bound / 3.0)
-
-    def constant(self) -> tuple[Array, Array]:
-        """Return means and standard deviations of the constants: global quantities, then weights of the discrepancy."""
-        if self.learned is not None:
-            return self.learned[0], np.sqrt(np.diag(self.learned[1]))
-        pairs = [self.replaced.get(one.name, (one.mean, one.sd)) for one in GLOBALS]
-        pairs += [(0.0, discrepancy.prior_sd())] * discrepancy.FEATURES if self.discrepancy else []
-        return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Posterior of a record.
-
-    Attributes
-    ----------
-    edges_s
-        Of the time grid (k + 1,).
-    slow
-        Deviations (k, 5).
-    constant
-        Global quantities (24,), then the weights of the discrepancy's features.
-    covariance
-        Of [slow row by row, constant].
-    sigma
-        Of a block's outlet K, and of its log power, as weighed.
-    residual
-        Outlet of each block K, NaN where it was not used.
-    weights
-        Of each block.
-    cell
-        Grid cell of each block.
-    jacobian
-        Outlet of each block by slow and constant quantities (n, 5 + constants).
-    time_correlation
-        In blocks.
-    linear_residual
-        Of the last linear problem, whose mode this is exactly, and `linear_weights`, its weights.
-    """
-
-    edges_s: Array
-    slow: Array
-    constant: Array
-    covariance: Array
-    sigma: tuple[float, float]
-    residual: Array
-    weights: Array
-    cell: NDArray[np.intp]
-    jacobian: Array
-    time_correlation: float
-    linear_residual: Array
-    linear_weights: Array
-
-    def sd(self) -> Array:
-        """Return the standard deviations of the slow deviations (k, 5)."""
-        return np.sqrt(np.diag(self.covariance)[: self.slow.size]).reshape(self.slow.shape)
-
-    def cells_at(self, time_s: Array) -> NDArray[np.intp]:
-        """Return the grid cell of each time."""
-        found = np.searchsorted(self.edges_s, time_s, side="right") - 1
-        return np.clip(found, 0, len(self.slow) - 1)
-
-
-def time_grid(start_s: float, end_s: float) -> Array:
-    """Return the edges (k + 1,) of the grid, s: half days, or as many as `MOST_CELLS` allow."""
-    count = int(np.clip(np.ceil((end_s - start_s) / (0.5 * DAY_S)), 1, MOST_CELLS))
-    return np.linspace(start_s, max(end_s, start_s + 1.0), count + 1)
 
 
 def estimate(

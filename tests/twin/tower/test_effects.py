@@ -18,9 +18,9 @@ from twin.tower.diagnosis.evidence import gain
 from twin.tower.diagnosis.search import CellCase, search_effects
 from twin.tower.diagnosis.validation import held_out_parts
 from twin.tower.effects import CellEffect, pattern, sun_height
+from twin.tower.estimates import Priors, time_grid
 from twin.tower.minutes import minutes_of
 from twin.tower.model import CellModel
-from twin.tower.smoother import Priors, time_grid
 from twin.tower.twin_file import BOUNDS, cell_network
 
 WEST = CellEffect("recirculation", "exhaust", "wind_direction", 270.0, size=0.1, sd=0.01)

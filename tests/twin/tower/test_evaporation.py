@@ -23,9 +23,9 @@ from tests.twin.tower.test_calibration import SITE, clean, minutes
 from twin.tower.calibration import Fitted, fit_cell
 from twin.tower.cell import Inputs, solve_cell
 from twin.tower.clean_cell.commissioning import fit_clean_cell
+from twin.tower.estimates import Priors
 from twin.tower.model import CellModel
 from twin.tower.shared_observations.evaporation import Balance, with_evaporation
-from twin.tower.smoother import Priors
 from twin.tower.twin_file import BOUNDS
 
 VOLUME_M3, BLOWN_KG_S = 120.0, 0.8

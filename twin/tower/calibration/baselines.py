@@ -18,9 +18,10 @@ from twin.tower.air import Array
 from twin.tower.calibration.cell_fit import WINDOW_S
 from twin.tower.cell import STARVING, solve_cell
 from twin.tower.cell_observations import Label
+from twin.tower.estimates import DAY_S, Blocks, Estimate, Opening, Priors
 from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel
-from twin.tower.smoother import DAY_S, Blocks, Estimate, Opening, Priors, estimate
 from twin.tower.smoother import WALK as DAILY
+from twin.tower.smoother import estimate
 
 TRAIN, GAP_S = 9.0 / 14.0, DAY_S
 TEST = 3.0 / 14.0

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.cell_observations import Label
+from twin.tower.estimates import Blocks, Estimate, Opening, Priors
 from twin.tower.minutes import Minutes, blocks_of, first_order_lag
 from twin.tower.model import DEVIATIONS, SLOW, CellModel
-from twin.tower.smoother import Blocks, Estimate, Opening, Priors, estimate
+from twin.tower.smoother import estimate
 
 WINDOW_S = 7200.0
 """Target interval of the paper: 120 minutes, whose outlet readings are hidden from the prediction in them."""

@@ -22,9 +22,9 @@ from twin.tower.diagnosis.candidates import DECOYS, FAULT, FREE, EffectClass, ca
 from twin.tower.diagnosis.evidence import Evidence
 from twin.tower.diagnosis.validation import HeldOutBlocks, TimeSpans, held_out, held_out_parts, inside, predictive_gain
 from twin.tower.effects import CellEffect, pattern, patterns
+from twin.tower.estimates import Opening, Priors
 from twin.tower.minutes import Minutes
 from twin.tower.model import CellModel
-from twin.tower.smoother import Opening, Priors
 
 CLAIM = 5.0
 """Posterior log odds from which an effect is claimed, if the checks below hold too: 150 to 1, very strong evidence by

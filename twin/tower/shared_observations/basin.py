@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.tower.air import Array
+from twin.tower.estimates import Estimate
 from twin.tower.model import DEVIATIONS, SLOW
 from twin.tower.shared_observations.joint import joint_update
-from twin.tower.smoother import Estimate
 
 OFFSET_K = 0.25
 """Standard deviation of a basin thermometer's offset: a thermometer, stratification and the basin's own loss of

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from twin.tower.air import Array
 from twin.tower.calibration import Fitted
 from twin.tower.cell import CP_WATER, CellDeviations, Inputs, solve_cell
+from twin.tower.estimates import Estimate
 from twin.tower.model import NAMES, SLOW
 from twin.tower.shared_observations.joint import joint_update
-from twin.tower.smoother import Estimate
 
 SUM_S = 6 * 3600.0
 GAIN = 0.03

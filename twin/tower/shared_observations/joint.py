@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin.tower.air import Array
-from twin.tower.smoother import Estimate
+from twin.tower.estimates import Estimate
 
 
 def joint_update(

@@ -19,10 +19,10 @@ from twin.calibrators.hiera_unet.tower.table import SUBJECT, channels_of, clock_
 from twin.historian.events import Event
 from twin.tower.air import Array
 from twin.tower.cell import Design
+from twin.tower.estimates import DAY_S
 from twin.tower.minutes import Minutes
 from twin.tower.model import DEVIATIONS
 from twin.tower.recursive import Recursion
-from twin.tower.smoother import DAY_S
 
 FORMAT = 1
 STABLE, STAGING, RAMP, HOT, MAINTAINED = range(5)
