@@ -1,4 +1,4 @@
-"""Whether what one record told holds in another: free runs over records that no effect was fitted to."""
+"""Test of a diagnosis on further records: free runs over records that no effect was fitted to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What this record, and what no record of the rig, can tell from one another, in words."""
+"""Effects that this record, or any record of the rig, does not separate, in words."""
 
 from __future__ import annotations
 

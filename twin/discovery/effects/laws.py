@@ -1,4 +1,4 @@
-"""What each candidate does to a rig, at size 1, at the temperatures that the rig had: heat into nodes, or a reading.
+"""Laws of the candidates: heat into nodes, or a reading error, at size 1 and the temperatures that the rig had.
 
 The law is evaluated on measured temperatures, which makes it linear in its size and independent of how wrong the
 twin is; nodes that nothing reads take the twin's.

@@ -1,4 +1,4 @@
-"""How much of a record the fits may see, and what of the hypotheses is told."""
+"""Choice of the part of a record that the fits may see, and the finding from it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much the best of all effects gains by chance: records drawn with nothing missing, searched like the real one.
+"""Gain of the best effect by chance: records drawn with nothing missing, searched like the real one.
 
 The null is the fit without the effect: its residual's spectrum, corrected for what fitting took, makes new residuals,
 and each is offered every candidate, to first order, with the spectrum found anew as for the real record. A slow error

@@ -1,4 +1,4 @@
-"""Whether an effect of a fitted set has earned its place there: in the likelihood, and on data that were hidden."""
+"""Tests of an effect in a fitted set: by the likelihood, and on data that were hidden."""
 
 from __future__ import annotations
 

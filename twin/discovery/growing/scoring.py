@@ -1,4 +1,4 @@
-"""What each candidate could take of a residual that re-tuning cannot, by its answer to a finite size."""
+"""Scores of candidates for a residual that re-tuning cannot explain, by the response to a finite size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a twin's structure leaves of a rig, in the words of the catalogue, as far as a healthy record says.
+"""Model error of a twin in the terms of the catalogue, estimated from the healthy record.
 
 A twin is lumped and its rig is not: water on its way through a tank of three zones reads like two litres of hose, a
 heater's element like a late heater. All of that is there in health, so it is no finding; left out, it would be found in

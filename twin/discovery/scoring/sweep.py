@@ -1,4 +1,4 @@
-"""What a scan works out once: courses of time, squares of laws along them, what known effects take from them."""
+"""Quantities that a scan computes once: time courses, squares of laws along them, and the share of known effects."""
 
 from __future__ import annotations
 
