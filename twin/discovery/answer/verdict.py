@@ -36,7 +36,7 @@ from twin.discovery.thermometers.at_fault import placed, standing
 from twin.network import Array, Network
 
 _USUAL = (
-    "re-tuned, the twin is off on the part that no fit saw by no more than one as good as when it was commissioned may "
+    "re-tuned, the twin is off on the held-out segment by no more than one as good as when it was commissioned may "
     "be under another load; whether what it left as it was means anything, only a healthy record could tell"
 )
 

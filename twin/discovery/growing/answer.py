@@ -273,7 +273,7 @@ class _GrownDiagnosis:
     def _summary(self, verdict: Verdict, effects: tuple[Effect, ...], errors: dict[str, SensorError]) -> str:
         if verdict == "adequate":
             return "Re-tuned, the twin explains this record: nothing is missing that it could show."
-        part = "On states that no fit saw" if self.whole.at_rest else "On the part that the fit never saw"
+        part = "On states that were held out" if self.whole.at_rest else "On the held-out segment"
         if verdict == "unexplained":
             return self._unexplained(part, errors)
         worst, e = max(errors.items(), key=lambda item: item[1].before / item[1].noise)
