@@ -1,4 +1,4 @@
-"""How an effect comes in: at once, growing in proportion to time for a while, or growing towards a final size.
+"""Time courses of an effect: at once, growing in proportion to time for a while, or growing towards a final size.
 
 Amplitudes are relative to the effect's size: 1 after a step, 1 where a ramp has ended, 1 in the limit for a saturating
 growth. What is put in with a temperature of its own is there at once, and what it does fades.

@@ -27,7 +27,7 @@ from scipy.special import log_ndtr, logsumexp
 from twin.discovery.evidence.priors import FORM_ERRORS, FORM_S, SPREAD
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 FEWEST_KNOTS = 3

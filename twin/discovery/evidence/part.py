@@ -26,7 +26,7 @@ from twin.discovery.refit.fitting import AGAIN, ROUNDS, Fit, fit
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 SIDE_BY_SIDE = 4

@@ -15,7 +15,7 @@ from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE, Courses, LawSquares, returning, rows_by_name
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 STEADY = ("constant", "temperature_difference")

@@ -13,7 +13,7 @@ from twin.discovery.effects.probe import Probe
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.effects.shared_kernels import injection
 from twin.discovery.scoring.search import Entry
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.kernel import FEW_LANES, Kernel
 from twin.network import Array, Network
 from twin.segments import restarted_states, segment_rows

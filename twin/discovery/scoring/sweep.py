@@ -1,4 +1,4 @@
-"""What a scan works out once: courses of time, squares of laws along them, what known effects take from them."""
+"""Quantities that a scan computes once: time courses, squares of laws along them, and the share of known effects."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import EARLY_S, Shape, courses_of, family
 from twin.discovery.scoring.contest import Contest
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 LAST_SHARE = 0.95
