@@ -185,6 +185,9 @@ class _HomeAssistantImport:
         if section == "switches":
             keys |= {"access": "rw", "kind": "status"}
             more = self._switch(item, keys)
+            writes = item.plain("write_type", default)
+            codes = (15, 16) if writes in ("holdings", "coils") else (5, 6)
+            bus.written_with(item.line_of("write_type"), codes, self.collector)
         elif section == "binary_sensors":
             keys |= {"kind": "status"} | ({"bits": [0, 0]} if table in ("holding", "input") else {})
         elif table in ("coil", "discrete"):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from drivers.importers.vendor_table.table import import_csv
+from tests.drivers.import_files import BUS, table
 from tests.drivers.test_import_csv import drafted
 
 
@@ -45,3 +47,40 @@ def test_lines_above_the_heading_are_left_out_with_a_note(tmp_path):
 def test_a_unit_of_one_meaning_is_taken_in_any_spelling(tmp_path, unit, symbol):
     points, notes = drafted(tmp_path, f"name,address,table,type,unit\nt,3,input,int16,{unit}\n")
     assert points["t"]["unit"] == symbol and not notes
+
+
+def made_bus(tmp_path, text):
+    draft = import_csv(table(tmp_path, text), "zero", dict(BUS))
+    return draft.buses[0].keys, draft.notes
+
+
+@pytest.mark.parametrize(
+    ("codes", "is_declared"),
+    [
+        (["16", "0x10", "03/16"], True),
+        (["10h", "FC 15"], True),
+        (["6", "03/06/16"], None),
+        (["06, 16"], None),
+        (["3", "4"], None),
+    ],
+)
+def test_functions_for_several_alone_are_declared_for_the_device(tmp_path, codes, is_declared):
+    lines = "".join(
+        f"p{k},{10 + k},{'coil' if '15' in code else ''},{code.replace(',', ' ')}\n" for k, code in enumerate(codes)
+    )
+    keys, notes = made_bus(tmp_path, f"name,address,table,function\n{lines}")
+    assert keys.get("write_multiple") is is_declared
+    assert not notes
+
+
+def test_two_kinds_of_writes_on_one_device_are_noted_with_their_lines(tmp_path):
+    text = "name,address,function,type\na,1,6,int16\nb,2,16,int16\nc,3,16,int16\nd,4,16,float32\n"
+    keys, notes = made_bus(tmp_path, text)
+    assert "write_multiple" not in keys
+    assert [note.split(";")[0] for note in notes] == ["line 3: is written with another function than line 2"]
+
+
+def test_names_of_latin_scripts_are_written_in_a_to_z(tmp_path):
+    text = "name,address,table,type\nRücklauf,1,input,int16\nØl/Größe,2,input,int16\nDe\u0301bit,3,input,int16\n"
+    points, notes = drafted(tmp_path, text)
+    assert list(points) == ["Ruecklauf", "Ol_Groesse", "Debit"] and not notes

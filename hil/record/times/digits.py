@@ -123,7 +123,7 @@ def clock_texts(name: str, cells: Any, sign: Sign, dates: Sequence[str | None] |
 
 def _numbers(cells: Any, sign: Sign) -> Values | None:
     numbers = parse(cells, sign)
-    if numbers is None or numbers.bad or not np.isfinite(numbers.values).any():
+    if numbers is None or numbers.bad or np.isinf(numbers.values).any() or np.isnan(numbers.values).all():
         return None
     return numbers.values
 
