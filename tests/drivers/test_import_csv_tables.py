@@ -66,9 +66,10 @@ def made_bus(tmp_path, text):
 )
 def test_functions_for_several_alone_are_declared_for_the_device(tmp_path, codes, is_declared):
     lines = "".join(
-        f"p{k},{10 + k},{'coil' if '15' in code else ''},{code.replace(',', ' ')}\n" for k, code in enumerate(codes)
+        f"p{k},{10 + k},{'bool' if '15' in code else 'int16'},{code.replace(',', ' ')}\n"
+        for k, code in enumerate(codes)
     )
-    keys, notes = made_bus(tmp_path, f"name,address,table,function\n{lines}")
+    keys, notes = made_bus(tmp_path, f"name,address,type,function\n{lines}")
     assert keys.get("write_multiple") is is_declared
     assert not notes
 
