@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 from collections.abc import Sequence
@@ -23,6 +24,7 @@ from drivers.can.dbc_text import DbcText, usable
 from drivers.rig_file import MOST_DESCRIPTION, CanBus, IdMatch, Point, by_id, by_j1939, decoded, pgn_of, read_regular
 from drivers.signals import ConfigurationError, canonical_unit, known_unit
 
+logging.getLogger("cantools").addHandler(logging.NullHandler())  # Its warnings come as notes, with their line.
 _LONGEST = 8
 """Bytes of a frame of classical CAN."""
 _LONGEST_CYCLE_MS = 1e9

@@ -58,7 +58,7 @@ def import_homeassistant(path: Path) -> Draft:
 
 def draft_of(path: Path, document: Placed) -> Draft:
     """Return the draft of a configuration that has been read: the whole file, or the list below its `modbus:`."""
-    hubs = document.get("modbus") or document
+    hubs = document.get("modbus") or _of_packages(document) or document
     if hubs.tag:
         raise ImportFileError(path, hubs.line, f"modbus is {hubs.tag} {hubs.value}; give that file")
     if isinstance(hubs.value, dict):
@@ -76,6 +76,17 @@ def draft_of(path: Path, document: Placed) -> Draft:
         said = "has hubs without sensors or switches; there is nothing to import"
         raise importing.collector.nothing(hubs.line, said)
     return Draft(path, buses, importing.collector.notes)
+
+
+def _of_packages(document: Placed) -> Placed | None:
+    """Return the hubs of the packages of a configuration as one list, None where it has none."""
+    core = document.get("homeassistant")
+    packages = None if core is None or not isinstance(core.value, dict) else core.get("packages")
+    if packages is None or packages.tag or not isinstance(packages.value, dict):
+        return None
+    found = [package.get("modbus") for package in packages.value.values() if isinstance(package.value, dict)]
+    lists = [hubs for hubs in found if hubs is not None and isinstance(hubs.value, list)]
+    return Placed([hub for hubs in lists for hub in hubs.value], lists[0].line) if lists else None
 
 
 class _YamlTable:

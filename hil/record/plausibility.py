@@ -207,13 +207,13 @@ def _isolated(values: Values) -> list[float]:
 
 
 def _carries_on(values: Values, rows: NDArray[np.int64]) -> bool:
-    """Return True where values go on after `rows` as before them: they differ by no more than other neighbours do."""
+    """Return True where values go on after `rows` as before them, with no larger steps than between other rows."""
     others = np.delete(values, rows)
     joints = rows - np.arange(len(rows))  # Place in `others` of the first value after each row.
     steps = np.abs(np.diff(others))
-    across = steps[np.unique(joints) - 1]
-    between = np.delete(steps, np.unique(joints) - 1)
-    return bool(len(between)) and float(across.max()) <= STEPS * float(between.max())
+    places, counts = np.unique(joints, return_counts=True)
+    between = np.delete(steps, places - 1)
+    return bool(len(between)) and bool((steps[places - 1] <= (counts + 1) * between.max()).all())
 
 
 def _equal(values: Values, marks: tuple[float, ...]) -> NDArray[np.bool_]:

@@ -28,6 +28,7 @@ _RENAME = {
     "orders of bytes": "call it order",
     "signs of numbers": "call it signed",
     "tables": "call it table",
+    "factors of units": "give the value of one count in a column scale, and call this one remark",
 }
 _IN_SEVERAL = ("doc", "function")
 """Keys that several columns may have: their cells are put together."""

@@ -270,6 +270,8 @@ class _VendorTable:
             keys["order"] = self._order_of(line, cells, kind)
             keys["length"] = length
         keys["bits"] = bits_of(path, line, cells)
+        if kind == "bool" and keys["bits"] is not None and "type" in keys:
+            keys["type"] = "uint16"  # The type of the bit; its register is read as a whole.
         keys["access"] = access_of(path, line, cells) or access
         if keys["access"] == "r" or keys["bits"] is not None or kind == "string":
             keys["access"] = None

@@ -35,6 +35,7 @@ _ELAPSED = ("time", "t", "elapsed", "elapsed time", "time elapsed", "run time", 
 _MOMENT = (
     *("timestamp", "time stamp", "datetime", "date time", "date/time", "date and time", "date", "epoch", "when"),
     *("local time", "utc", "time utc", "utc time", "timestamp utc", "last changed", "last updated", "recorded at"),
+    *("unix", "unix time", "unixtime", "unix timestamp", "unix epoch", "epoch time"),
     *("date&time", "date & time", "time string", "timestring", "sourcetimestamp", "source timestamp"),
     *("servertimestamp", "server timestamp"),
     *("modified julian date", "modified julian day", "mjd", "julian date", "julian day", "jd", "datenum"),
