@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from drivers.importers.draft import ImportFileError
 from drivers.importers.vendor_table.table import import_csv
 from tests.drivers.import_files import BUS, table
 from tests.drivers.test_import_csv import drafted
@@ -85,3 +86,22 @@ def test_names_of_latin_scripts_are_written_in_a_to_z(tmp_path):
     text = "name,address,table,type\nRücklauf,1,input,int16\nØl/Größe,2,input,int16\nDe\u0301bit,3,input,int16\n"
     points, notes = drafted(tmp_path, text)
     assert list(points) == ["Ruecklauf", "Ol_Groesse", "Debit"] and not notes
+
+
+def test_a_bit_of_a_register_of_type_bool_is_a_bit_of_a_whole_register(tmp_path):
+    points, notes = drafted(tmp_path, "name,address,table,type,bit\non,10,holding,bool,0\nalarm,10,holding,bool,3\n")
+    assert [(keys["type"], keys["bits"]) for keys in points.values()] == [("uint16", [0, 0]), ("uint16", [3, 3])]
+    assert not notes
+
+
+def test_a_factor_in_a_column_of_remarks_on_the_range_is_refused(tmp_path):
+    text = "name,address,table,type,range\nt,3,input,int16,-400...1500 (0.1 °C)\n"
+    with pytest.raises(ImportFileError, match=r"'range'.*holds factors of units; give the value of one count"):
+        drafted(tmp_path, text)
+
+
+def test_states_in_the_unit_are_named_as_states(tmp_path):
+    _, notes = drafted(
+        tmp_path, "name,address,table,type,unit\nt,3,input,int16,degC\nmode,5,holding,uint16,0=off 1=on\n"
+    )
+    assert len(notes) == 1 and "lists states; leave the unit empty" in notes[0]

@@ -232,3 +232,9 @@ def test_a_switch_that_is_written_with_function_16_declares_it(kinds, is_declare
     switches = [{"name": f"s{k}", "address": k, "write_type": kind} for k, kind in enumerate(kinds)]
     draft = draft_of(Path("ha.yaml"), placed(hub(switches=switches)))
     assert draft.buses[0].keys.get("write_multiple") is is_declared
+
+
+def test_hubs_of_packages_are_read():
+    packages = {"homeassistant": {"packages": {"a": hub({"name": "x", "address": 1}), "b": {"light": []}}}}
+    draft = draft_of(Path("ha.yaml"), placed(packages))
+    assert [point.name for bus in draft.buses for point in bus.points] == ["x"]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hil.record.reader import Record, RecordError, read_record
+from tests.hil.command_line import typed
 
 BEGIN = datetime.datetime(2026, 3, 24, 9, 58, 20, tzinfo=datetime.UTC)
 STEP = datetime.timedelta(seconds=20)
@@ -107,3 +108,27 @@ def test_digits_of_two_meanings_are_refused_with_the_name_to_give(
 ) -> None:
     with pytest.raises(RecordError, match=said):
         _read(tmp_path, heading, stamps)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('{"time": 0, "T_in_C": 20}\n', "is JSON"),
+        ('[{"time": 0}]', "is JSON"),
+        ("<!DOCTYPE html><html></html>", "is HTML or XML"),
+    ],
+)
+def test_a_file_of_another_kind_is_named_before_any_column(tmp_path: Path, content: str, said: str) -> None:
+    path = tmp_path / "record.csv"
+    path.write_text(content, encoding="utf-8")
+    done = typed("check", path)
+    assert done.returncode == 2 and said in done.stderr and "load profile" not in done.stderr
+
+
+@pytest.mark.parametrize("cells", [["+ 20.5", "- 3.0", "+ 21.0"], ["2.05D+01", "-3.0d0", "2.1D1"]])
+def test_signs_apart_and_exponents_of_fortran_are_numbers(tmp_path: Path, cells: list[str]) -> None:
+    path = tmp_path / "record.csv"
+    path.write_text("unix,T_in_C\n" + "".join(f"{1772616615 + k},{cell}\n" for k, cell in enumerate(cells)))
+    record = read_record(path)
+    assert record.columns["T_in_C"].tolist() == [20.5, -3.0, 21.0]
+    assert record.start == datetime.datetime(2026, 3, 4, 9, 30, 15, tzinfo=datetime.UTC)

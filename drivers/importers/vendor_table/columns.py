@@ -81,7 +81,9 @@ def columns_of(path: Path, line: int, head: Sequence[str], rows: Rows) -> Vendor
             if any(value not in ("", "-") for value in values):
                 unclear.append(f"column {called.lower()!r} has no agreed meaning; {_REMEDY}")
         elif key is None:
-            matters = None if is_harmless(cell) else contents_that_matter(values)
+            matters = contents_that_matter(values)
+            if is_harmless(cell) and matters != "factors of units":
+                matters = None
             if matters is not None:
                 unclear.append(f"column {called!r} is not known and holds {matters}; {_RENAME[matters]}")
             elif cell.strip() or any(values):

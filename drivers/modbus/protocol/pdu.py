@@ -19,6 +19,8 @@ _VALUE = 3
 OF_CONTENT = frozenset({2, 3, 4, 8})
 """Exceptions that one address of a request, or their number, may cause: a smaller request may be answered."""
 _WRITE_CODES = frozenset({5, 6, 15, 16, 23})
+_SISTERS = {1: "discrete", 2: "coil", 3: "input", 4: "holding"}
+"""Table that a device without a function to read may mean, by that function."""
 _SINGLE = {5: 15, 6: 16}
 """Functions that write a single value, and those that write several."""
 GATEWAY_SILENCE = 11
@@ -128,6 +130,8 @@ def _check_function(code: int, block: Block, reply: bytes, where: str) -> None:
         asked = str(block)
         if exception == _VALUE and code not in _WRITE_CODES:
             what = "it does not read so many at once (give the bus max_read or max_read_bits)"
+        elif exception == NO_SUCH_FUNCTION and code in _SISTERS:
+            what += f" (are these points in table '{_SISTERS[code]}'?)"
         elif code in _WRITE_CODES:
             if exception == NO_SUCH_FUNCTION:
                 what += _remedy_of(code, block)
