@@ -9,7 +9,7 @@ from pathlib import Path
 
 from drivers.importers.draft import ImportFileError
 from drivers.importers.vendor_table.cells import device_number
-from drivers.importers.vendor_table.headings import contents_that_matter, heading_key, is_harmless
+from drivers.importers.vendor_table.headings import FACTORS, contents_that_matter, heading_key, is_harmless
 from drivers.importers.vendor_table.scale import is_exponent_like
 from drivers.importers.vendor_table.words import NO, YES, squeezed
 
@@ -28,7 +28,7 @@ _RENAME = {
     "orders of bytes": "call it order",
     "signs of numbers": "call it signed",
     "tables": "call it table",
-    "factors of units": "give the value of one count in a column scale, and call this one remark",
+    FACTORS: "give the value of one count in a column scale, and call this one remark",
 }
 _IN_SEVERAL = ("doc", "function")
 """Keys that several columns may have: their cells are put together."""
@@ -80,9 +80,9 @@ def columns_of(path: Path, line: int, head: Sequence[str], rows: Rows) -> Vendor
         if key == "?":
             if any(value not in ("", "-") for value in values):
                 unclear.append(f"column {called.lower()!r} has no agreed meaning; {_REMEDY}")
-        elif key is None:
+        elif key is None or (key == "range" and contents_that_matter(values) == FACTORS):
             matters = contents_that_matter(values)
-            if is_harmless(cell) and matters != "factors of units":
+            if is_harmless(cell) and matters != FACTORS:
                 matters = None
             if matters is not None:
                 unclear.append(f"column {called!r} is not known and holds {matters}; {_RENAME[matters]}")

@@ -174,6 +174,7 @@ def is_harmless(heading: str) -> bool:
     return heading.strip() == "#" or _HARMLESS.fullmatch(plain) is not None
 
 
+FACTORS = "factors of units"
 _FACTOR_OF_UNIT = re.compile(r"(?<![\d.,-])(?:0[.,]0*1|1/10+|[x×*]\s*10+)\s*(?:°\s*[CFK]|[A-Za-z%]+)")
 """Value of one count before a unit within a text, as in `-400...1500 (0.1 °C)`."""
 
@@ -186,7 +187,7 @@ def contents_that_matter(cells: Sequence[str]) -> str | None:
     if any(_is_number(cell) for cell in there):
         return "numbers"
     if any(_FACTOR_OF_UNIT.search(cell) for cell in there):
-        return "factors of units"
+        return FACTORS
     words = [squeezed(cell) for cell in there]
     if all(_ORDER_CELL.fullmatch(cell) for cell in there):
         return "orders of bytes"
