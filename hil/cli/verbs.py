@@ -62,7 +62,7 @@ class _Verbs(click.Group):
             formatter.write_dl(list(VERBS.items()))
 
     def invoke(self, ctx: click.Context) -> Any:
-        from hil.cli.options.extra_arguments import explained_extras
+        from hil.cli.options import explained_extras
 
         with explained_extras():
             return super().invoke(ctx)
