@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import BinaryIO
 
-from hil.export.content import ExportError, read_run
+from hil.export.content import ExportError, RunContent, read_run
+from hil.export.measurement_files import write_hdf5, write_mf4, write_tdms
 from hil.export.tables import csv_files, write_parquet
 from hil.export.target import Writer, write_files
 
-SUFFIX = {"csv": ".csv", "parquet": ".parquet"}
+SUFFIX = {"csv": ".csv", "parquet": ".parquet", "mf4": ".mf4", "hdf5": ".h5", "tdms": ".tdms"}
 """Format -> ending of its files."""
+
+_WRITERS: dict[str, Callable[[RunContent, BinaryIO], None]] = {
+    "parquet": write_parquet,
+    "mf4": write_mf4,
+    "hdf5": write_hdf5,
+    "tdms": write_tdms,
+}
+"""Writers of formats that are a single file."""
 
 
 def export_run(
@@ -48,6 +58,6 @@ def export_run(
     if to == "csv":
         files = csv_files(content, path)
     else:
-        files = {path: lambda file: write_parquet(content, file)}
+        files = {path: lambda file: _WRITERS[to](content, file)}
     write_files(files, force)
     return tuple(files)
