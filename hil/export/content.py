@@ -98,7 +98,7 @@ class RunContent:
             if not found:
                 columns = [channel.column for channel in self.channels]
                 near = difflib.get_close_matches(name, [*columns, *map(_stem, self.channels)], n=1, cutoff=0.6)
-                hint = f"did you mean {near[0]!r}" if near else f"it has {', '.join(columns)}"
+                hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(columns)}"
                 raise ExportError(f"the run has no signal {name!r}; {hint}")
             wanted |= found
         return replace(self, channels=tuple(c for c in self.channels if c.column in wanted))

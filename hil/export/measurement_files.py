@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -97,7 +98,8 @@ def write_hdf5(content: RunContent, file: BinaryIO) -> None:
     """Write an HDF5 file: `/time_s` as a dimension scale, `/signals`, `/quality`, `/raw` and `/events`.
 
     Units are attributes (`units`), and those of qualities follow CF 1.10, 3.5 (`flag_values`, `flag_meanings`). A value
-    that is missing or not GOOD is NaN, which `_FillValue` names.
+    that is missing or not GOOD is NaN, which `_FillValue` names. The file is made in memory: a disk that is full while
+    the HDF5 library writes would end this process.
 
     Raises
     ------
@@ -106,7 +108,8 @@ def write_hdf5(content: RunContent, file: BinaryIO) -> None:
     """
     h5py = required_library("h5py", "an export as HDF5")
     packed: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-    with h5py.File(file, "w") as made:
+    image = io.BytesIO()
+    with h5py.File(image, "w") as made:
         made.attrs.update(content.about)
         time = made.create_dataset("time_s", data=content.time_s, **packed)
         time.attrs["units"] = "s"
@@ -124,7 +127,12 @@ def write_hdf5(content: RunContent, file: BinaryIO) -> None:
         for channel in content.channels:
             name = _object_name(channel.column)
             put(
-                "signals", name, channel.values, units=channel.unit, long_name=channel.comment, _FillValue=np.float64("nan")
+                "signals",
+                name,
+                channel.values,
+                units=channel.unit,
+                long_name=channel.comment,
+                _FillValue=np.float64("nan"),
             )
             put("quality", name, channel.quality, flag_values=codes, flag_meanings=" ".join(QUALITY_CODES))
             if channel.raw:
@@ -135,6 +143,7 @@ def write_hdf5(content: RunContent, file: BinaryIO) -> None:
         events["time_s"].attrs["units"] = "s"
         for name, rows in (("level", [e.level for e in content.events]), ("text", [e.text for e in content.events])):
             events.create_dataset(name, data=_utf8(rows).astype(object), dtype=h5py.string_dtype())
+    file.write(image.getbuffer())
 
 
 def _object_name(column: str) -> str:

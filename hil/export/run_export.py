@@ -54,10 +54,8 @@ def export_run(
     content = read_run(run)
     if names := tuple(signals):
         content = content.chosen(names)
-    files: dict[Path, Writer]
+    files: dict[Path, Writer] = {path: lambda file: _WRITERS[to](content, file)}
     if to == "csv":
         files = csv_files(content, path)
-    else:
-        files = {path: lambda file: _WRITERS[to](content, file)}
     write_files(files, force)
     return tuple(files)
