@@ -145,7 +145,7 @@ def read_run(folder: Path) -> RunContent:
     order = sorted(range(len(header.signals)), key=lambda index: _KIND_ORDER[header.signals[index].kind])
     channels = [_channel(header.signals[k], values[:, k], quality[:, k], points) for k in order]
     if not np.allclose(profile_s, time_s):
-        segment = 1.0 + np.searchsorted(begins, tick, side="right")
+        segment = np.asarray(1.0 + np.searchsorted(begins, tick, side="right"), dtype=np.float64)
         good = np.zeros(len(tick), dtype=np.uint8)
         channels += [
             Channel("profile_s", "s", "clock", np.asarray(profile_s, dtype=np.float64), good, doc="profile time"),

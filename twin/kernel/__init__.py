@@ -9,8 +9,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twin.kernel.cache import cache_folder, numba_may_cache
     from twin.kernel.c_translator import CSource, c_source
+    from twin.kernel.cache import cache_folder, numba_may_cache
     from twin.kernel.codegen import FEW_LANES, LANES
     from twin.kernel.generated_code import define_functions, evaluate_formula
     from twin.kernel.simulation import Kernel, clean_time, hold_inputs, mask_measurements, simulate, with_stamps

@@ -23,9 +23,20 @@ from twin.network.assembly import NetworkEquations
 Kind = Literal["int", "float", "array"]
 _C_TYPE: Mapping[Kind, str] = {"int": "long", "float": "double", "array": "array"}
 _OPERATORS: Mapping[type[ast.AST], str] = {
-    **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.FloorDiv: "/", ast.BitAnd: "&"},
-    **{ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="},
-    **{ast.And: "&&", ast.Or: "||"},
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.Div: "/",
+    ast.FloorDiv: "/",
+    ast.BitAnd: "&",
+    ast.Lt: "<",
+    ast.LtE: "<=",
+    ast.Gt: ">",
+    ast.GtE: ">=",
+    ast.Eq: "==",
+    ast.NotEq: "!=",
+    ast.And: "&&",
+    ast.Or: "||",
 }
 PREFIX = "k_"
 """Put before the names of functions, some of which are those of the C library."""
@@ -44,10 +55,10 @@ static long k_most_int(long a, long b) { return b > a ? b : a; }
 class CSource:
     """C99 code of the kernel of one network for one particle, and the sizes of its arrays.
 
-    `text` needs `math.h` and defines the type `array` and the static function ``k_piece(base, lanes, start, past, first,
-    n, time, inputs, Y, end, future)``, with the arguments of the generated kernel. `width` is the length of `start` and
-    `end`, node temperatures first; NaN in the rest of `start` begins at rest. `rows` is the length of `past` and
-    `future`. `looks_back` is True if a dead time needs the inputs of earlier samples.
+    `text` needs `math.h`. It defines the type `array` and the static function ``k_piece(base, lanes, start, past,
+    first, n, time, inputs, Y, end, future)``, with the arguments of the generated kernel. `width` is the length of
+    `start` and `end`, node temperatures first; NaN in the rest of `start` begins at rest. `rows` is the length of
+    `past` and `future`. `looks_back` is True if a dead time needs the inputs of earlier samples.
     """
 
     text: str
@@ -225,7 +236,7 @@ class _Function:
             return self._binary(node)
         if isinstance(node, ast.UnaryOp):
             text, kind = self._expression(node.operand)
-            sign = {ast.USub: "-", ast.UAdd: "+", ast.Not: "!"}[type(node.op)]  # type: ignore[index]
+            sign = {ast.USub: "-", ast.UAdd: "+", ast.Not: "!"}[type(node.op)]
             return f"({sign}{text})", kind
         if isinstance(node, ast.BoolOp):
             return f"({f' {_operator(node.op)} '.join(self._text(value) for value in node.values)})", "int"

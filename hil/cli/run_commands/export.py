@@ -34,17 +34,39 @@ def command(subject: Path, to: str, out: Path | None, signals: str | None, force
       hil export runs/20260520T120000Z-battle_40h --to csv --signals "T_*,heater_power"
       hil export profiles/twins/virtual.toml --to fmu
     """
-    from hil.export import ExportError, export_run
+    from hil.export import ExportError, export_run, export_twin
     from hil.files import on_terminal
 
-    if to == "fmu":
-        raise click.UsageError("--to fmu is not available yet")
-    if not subject.is_dir():
-        raise ExportError(f"{subject} is a file; --to {to} takes the folder of a run (runs/*)")
     names = [name.strip() for name in (signals or "").split(",") if name.strip()]
-    files = export_run(subject, to, out, signals=names, force=force)
+    files: tuple[Path, ...]
+    remark = ""
+    if to == "fmu":
+        if names:
+            raise click.UsageError("--signals chooses signals of a run; an FMU has all sensors of its twin")
+        made = export_twin(_twin_of(subject), out, force=force)
+        files, remark = (made.path,), made.remark
+    elif subject.is_dir():
+        files = export_run(subject, to, out, signals=names, force=force)
+    else:
+        raise ExportError(f"{subject} is a file; --to {to} takes the folder of a run (runs/*)")
     if as_json:
-        click.echo(json.dumps({"files": [{"path": str(path), "bytes": path.stat().st_size} for path in files]}))
+        sizes = [{"path": str(path), "bytes": path.stat().st_size} for path in files]
+        click.echo(json.dumps({"files": sizes, "remark": remark}))
         return
     for path in files:
-        click.echo(f"{on_terminal(str(path))}  {path.stat().st_size / 1e6:.1f} MB")
+        click.echo(f"{on_terminal(str(path))}  {path.stat().st_size / 1e6:.2f} MB")
+    if remark:
+        click.echo(on_terminal(remark), err=True)
+
+
+def _twin_of(subject: Path) -> Path:
+    """Return the twin file itself, or that of a run."""
+    from hil.export import ExportError
+    from hil.run_folder import RunFolder
+
+    if not subject.is_dir():
+        return subject
+    twin = RunFolder(subject).twin
+    if not twin.is_file():
+        raise ExportError(f"{subject} holds no twin.toml; give a twin file")
+    return twin

@@ -161,7 +161,10 @@ def _compiled(code: str, identifier: str) -> tuple[bytes | None, str]:
     if compiler is None:
         return None, f"no C compiler is installed ({', '.join(COMPILERS)}): {rest}"
     if sys.platform != "linux" or platform.machine() != "x86_64":
-        return None, f"a library is made for Linux on x86-64, and this is {sys.platform} on {platform.machine()}: {rest}"
+        return (
+            None,
+            f"a library is made for Linux on x86-64, and this is {sys.platform} on {platform.machine()}: {rest}",
+        )
     with tempfile.TemporaryDirectory(prefix="hil-fmu-") as folder:
         source, library = Path(folder, SOURCE_FILE), Path(folder, f"{identifier}.so")
         source.write_text(code, encoding="utf-8")

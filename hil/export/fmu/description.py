@@ -83,9 +83,7 @@ def description_xml(
         defined = ElementTree.SubElement(units, "Unit", name=unit)
         if unit in _BASE_UNITS:
             ElementTree.SubElement(defined, "BaseUnit", _BASE_UNITS[unit])
-    ElementTree.SubElement(
-        root, "DefaultExperiment", startTime="0.0", stopTime=repr(STOP_S), stepSize=repr(STEP_S)
-    )
+    ElementTree.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime=repr(STOP_S), stepSize=repr(STEP_S))
     listed = ElementTree.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(variables):
         _add_variable(listed, reference, variable)
