@@ -11,7 +11,7 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.export.content import ExportError
-    from hil.export.fmu.archive import ExportedTwin, export_twin
+    from hil.export.fmu import ExportedTwin, export_twin
     from hil.export.run_export import SUFFIX, export_run
 
 __all__ = ["SUFFIX", "ExportError", "ExportedTwin", "export_run", "export_twin"]
@@ -20,7 +20,7 @@ __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "content": ("ExportError",),
-        "fmu.archive": ("ExportedTwin", "export_twin"),
+        "fmu": ("ExportedTwin", "export_twin"),
         "run_export": ("SUFFIX", "export_run"),
     },
 )

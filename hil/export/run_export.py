@@ -10,6 +10,7 @@ from hil.export.content import ExportError, RunContent, read_run
 from hil.export.measurement_files import write_hdf5, write_mf4, write_tdms
 from hil.export.tables import csv_files, write_parquet
 from hil.export.target import Writer, write_files
+from hil.run_folder import RunFolder
 
 SUFFIX = {"csv": ".csv", "parquet": ".parquet", "mf4": ".mf4", "hdf5": ".h5", "tdms": ".tdms"}
 """Format -> ending of its files."""
@@ -57,5 +58,7 @@ def export_run(
     files: dict[Path, Writer] = {path: lambda file: _WRITERS[to](content, file)}
     if to == "csv":
         files = csv_files(content, path)
-    write_files(files, force)
+    folder = RunFolder(run)
+    own = (folder.journal, folder.record, folder.review, folder.twin, folder.report, folder.manifest)
+    write_files(files, force, own)
     return tuple(files)

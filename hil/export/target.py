@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -34,7 +34,7 @@ def required_library(name: str, purpose: str) -> Any:
         ) from None
 
 
-def write_files(writers: Mapping[Path, Writer], replace_existing: bool) -> None:
+def write_files(writers: Mapping[Path, Writer], replace_existing: bool, sources: Iterable[Path] = ()) -> None:
     """Write several files, each beside its place; all of them are renamed into place once the last is complete.
 
     Parameters
@@ -43,13 +43,18 @@ def write_files(writers: Mapping[Path, Writer], replace_existing: bool) -> None:
         Path -> function that writes it.
     replace_existing
         False refuses a path that exists.
+    sources
+        Files that are never replaced: the ones from which the export is made.
 
     Raises
     ------
     ExportError
         A path exists, or cannot be written. Nothing that was there before has then changed.
     """
+    kept = {source.resolve() for source in sources}
     for path in writers:
+        if path.resolve() in kept:
+            raise ExportError(f"{path} is a file from which the export is made; choose another name with --out")
         if path.is_dir():
             raise ExportError(f"{path} is a folder; name a file with --out")
         if path.exists() and not replace_existing:

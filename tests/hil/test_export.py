@@ -152,6 +152,28 @@ def test_parquet_has_units_and_events_in_its_metadata(run: MadeRun, tmp_path: Pa
     assert about["profile"] == "steps"
 
 
+@pytest.mark.parametrize(
+    ("to", "query"),
+    [
+        ("parquet", "SELECT T_tank_C, T_tank_C_quality FROM 'out.parquet'"),
+        ("csv", "SELECT T_tank_C, T_tank_C_quality FROM read_csv('out.csv', header = true, skip = 0, delim = ',')"),
+    ],
+)
+def test_duckdb_reads_a_table(
+    run: MadeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: str, query: str
+) -> None:
+    run: MadeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: str, query: str
+) -> None:
+    duckdb = pytest.importorskip("duckdb")
+    monkeypatch.chdir(tmp_path)
+    export_run(run.path, to, Path(f"out.{to}"))
+    rows = duckdb.sql(query).fetchall()[1 if to == "csv" else 0 :]
+    assert [np.nan if value in (None, "") else float(value) for value, _ in rows] == pytest.approx(
+        run.good("T_tank_C").tolist(), rel=0, abs=0, nan_ok=True
+    )
+    assert [int(code) for _, code in rows] == run.quality["T_tank_C"].tolist()
+
+
 def test_asammdf_reads_an_mf4_with_units_comments_and_raw_counts(run: MadeRun, tmp_path: Path) -> None:
     asammdf = pytest.importorskip("asammdf")
     export_run(run.path, "mf4", tmp_path / "out.mf4")
@@ -247,6 +269,14 @@ def test_an_events_file_that_exists_is_not_replaced_either(run: MadeRun, tmp_pat
     with pytest.raises(ExportError, match=r"out\.events\.csv exists"):
         export_run(run.path, "csv", tmp_path / "out.csv")
     assert [path.name for path in tmp_path.iterdir()] == ["out.events.csv"]
+
+
+@pytest.mark.parametrize("name", ["journal.sqlite", "run.json"])
+def test_a_file_of_the_run_itself_is_never_replaced(run: MadeRun, name: str) -> None:
+    before = (run.path / name).read_bytes()
+    result = typed("export", run.path, "--to", "csv", "--out", run.path / "." / name, "--force")
+    assert (result.returncode, "from which the export is made" in result.stderr) == (2, True)
+    assert (run.path / name).read_bytes() == before
 
 
 def test_a_folder_without_a_journal_is_refused(run: MadeRun, tmp_path: Path) -> None:

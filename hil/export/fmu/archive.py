@@ -86,7 +86,7 @@ def export_twin(twin: Path, out: Path | None = None, *, force: bool = False) -> 
                 member.compress_type = zipfile.ZIP_DEFLATED
                 archive.writestr(member, content)
 
-    write_files({path: write}, force)
+    write_files({path: write}, force, [twin])
     return ExportedTwin(path, remark)
 
 
