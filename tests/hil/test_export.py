@@ -162,8 +162,6 @@ def test_parquet_has_units_and_events_in_its_metadata(run: MadeRun, tmp_path: Pa
 def test_duckdb_reads_a_table(
     run: MadeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: str, query: str
 ) -> None:
-    run: MadeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, to: str, query: str
-) -> None:
     duckdb = pytest.importorskip("duckdb")
     monkeypatch.chdir(tmp_path)
     export_run(run.path, to, Path(f"out.{to}"))
