@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from drivers.virtual.plant.compiled_cache import may_cache
     from drivers.virtual.plant.effects import FORMS, EffectFileError, Form, PlantEffect, load_effects
+    from drivers.virtual.plant.fmu_plant import FmuPlant, FmuPlantError, fmu_ports
     from drivers.virtual.plant.geometry import CHANNELS, MODULES, PLACES, Array, Cells, build_cells
     from drivers.virtual.plant.instruments import Instruments
     from drivers.virtual.plant.plant import Plant
+    from drivers.virtual.plant.simulated_plant import SimulatedPlant
     from drivers.virtual.plant.thermocouple_module import FRAME_IDS, OPEN_CIRCUIT, ThermocoupleModule
 
 _HOME = {
@@ -23,6 +25,10 @@ _HOME = {
     "PlantEffect": "drivers.virtual.plant.effects",
     "EffectFileError": "drivers.virtual.plant.effects",
     "FORMS": "drivers.virtual.plant.effects",
+    "FmuPlant": "drivers.virtual.plant.fmu_plant",
+    "FmuPlantError": "drivers.virtual.plant.fmu_plant",
+    "fmu_ports": "drivers.virtual.plant.fmu_plant",
+    "SimulatedPlant": "drivers.virtual.plant.simulated_plant",
     "FRAME_IDS": "drivers.virtual.plant.thermocouple_module",
     "Form": "drivers.virtual.plant.effects",
     "Instruments": "drivers.virtual.plant.instruments",
@@ -46,12 +52,16 @@ __all__ = [
     "Array",
     "Cells",
     "EffectFileError",
+    "FmuPlant",
+    "FmuPlantError",
     "Form",
     "Instruments",
     "Plant",
     "PlantEffect",
+    "SimulatedPlant",
     "ThermocoupleModule",
     "build_cells",
+    "fmu_ports",
     "load_effects",
     "may_cache",
 ]
