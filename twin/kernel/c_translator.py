@@ -46,6 +46,10 @@ _HEAD = """
 typedef struct { double *at; long n[4]; } array;
 static double k_least(double a, double b) { return b < a ? b : a; }
 static double k_most(double a, double b) { return b > a ? b : a; }
+static double k_modulo(double a, double b) {
+    double r = fmod(a, b);
+    return r != 0.0 && (r < 0.0) != (b < 0.0) ? r + b : r;
+}
 static long k_least_int(long a, long b) { return b < a ? b : a; }
 static long k_most_int(long a, long b) { return b > a ? b : a; }
 """
@@ -255,6 +259,8 @@ class _Function:
         (left, one), (right, other) = self._expression(node.left), self._expression(node.right)
         if isinstance(node.op, ast.Pow):
             return f"pow({left}, {right})", "float"
+        if isinstance(node.op, ast.Mod):  # its sign is that of the divisor, as in Python
+            return f"{PREFIX}modulo({left}, {right})", "float"
         whole = one == other == "int"
         if isinstance(node.op, ast.Div) and whole:
             return f"((double){left} / {right})", "float"
