@@ -127,6 +127,24 @@ def test_the_command_refuses_bad_input_in_a_sentence(
     assert "Traceback" not in result.stderr
 
 
+async def test_an_fmu_that_fails_ends_the_rig_with_a_sentence(
+    fmu: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from drivers.virtual.devices.plc import Plc
+
+    plc = Plc("lockstep", 1.0, 1.0, 0, (), plant=FmuPlant(fmu, NAMES))
+    assert plc.grant() == "t 1.000\n"
+
+    def broken(slave: object, at: float, step: float) -> None:
+        raise RuntimeError("fmi2DoStep failed")
+
+    monkeypatch.setattr(fmpy.fmi2.FMU2Slave, "doStep", broken)
+    assert plc.grant() == "error the plant has failed; the rig ends.\n"
+    assert plc.stop.is_set()
+    assert plc.failed
+    assert "loop.fmu failed at 1 s (fmi2DoStep failed); the rig ends" in capsys.readouterr().err
+
+
 async def test_the_virtual_rig_serves_an_fmu_in_lockstep(fmu: Path) -> None:
     from drivers.virtual import start_virtual_rig
 
