@@ -176,7 +176,7 @@ class VirtualRigOptions:
     effects
         File of effects that no twin knows of.
     fmu
-        FMU in the place of the plant (see `drivers.virtual.plant.FmuPlant`); it takes no `effects`.
+        FMU in the place of the plant (see `drivers.virtual.fmu.FmuPlant`); it takes no `effects`.
     fmu_variables
         Pairs of a signal of the rig and a variable of the FMU, where their names differ.
     host
@@ -286,7 +286,7 @@ async def start_virtual_rig(options: VirtualRigOptions | None = None, **changes:
     if options.effects is not None:
         load_effects(options.effects)
     if options.fmu is not None:
-        from drivers.virtual.plant import fmu_ports
+        from drivers.virtual.fmu import fmu_ports
 
         fmu_ports(options.fmu, dict(options.fmu_variables))
     common = options.common_arguments()

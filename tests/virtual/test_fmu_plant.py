@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.virtual.plant import CHANNELS, FmuPlant, FmuPlantError, fmu_ports
+from drivers.virtual.fmu import FmuPlant, FmuPlantError, fmu_ports
+from drivers.virtual.plant import CHANNELS
 from hil.export import export_twin
 from tests.hil.command_line import typed
 

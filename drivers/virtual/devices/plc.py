@@ -21,7 +21,8 @@ from drivers.virtual.devices.modbus_server import ModbusServer, tls_context
 from drivers.virtual.devices.registers import Registers
 from drivers.virtual.devices.supervision import end_with_parent, listen, port_of, say
 from drivers.virtual.devices.truth import TruthLog
-from drivers.virtual.plant import FmuPlant, FmuPlantError, Instruments, Plant, PlantEffect, SimulatedPlant, load_effects
+from drivers.virtual.fmu import FmuPlant, FmuPlantError
+from drivers.virtual.plant import Instruments, Plant, PlantEffect, SimulatedPlant, load_effects
 
 if TYPE_CHECKING:
     from drivers.virtual.devices.pymodbus_server import PymodbusServer
