@@ -46,6 +46,7 @@ def exit_code(error: BaseException) -> int | None:
         "SubjectError",
         "DiagnosisFolderError",
         "ExplanationError",
+        "ExportError",
         "HieraError",
     }:
         return USAGE

@@ -23,6 +23,7 @@ VERBS = {
     "ctl": "Hold, pause, resume, abort or query a live run",
     "diagnose": "Trace the error of a twin to the effect that it lacks",
     "explain": "Run the experiments that settle an ambiguous diagnosis",
+    "export": "Write a run as CSV, Parquet, MF4, HDF5, TDMS; a twin as FMU",
     "init": "Write a rig file from options, a register table, Telegraf, DBC ...",
     "profile": "Build and draw load profiles",
     "report": "Make the record, review and report of a run, if missing",
@@ -38,7 +39,7 @@ VERBS = {
 PACKAGES = {
     "hil.bench.commands": ("bench",),
     "hil.cli.rig_commands": ("check", "init", "profile", "rig"),
-    "hil.cli.run_commands": ("ctl", "report", "resume", "review", "run"),
+    "hil.cli.run_commands": ("ctl", "export", "report", "resume", "review", "run"),
     "hil.cli.tower_commands": ("tower",),
     "hil.cli.twin_commands": ("commission", "diagnose", "explain", "track", "train", "twin"),
 }
