@@ -28,10 +28,14 @@ if TYPE_CHECKING:
     from hil.tower.calibration.station_fit import calibrate as calibrate_station
     from hil.tower.calibration.truth import TruthColumns, compare, read_minutes, read_truth
     from hil.tower.diagnose import adopt, diagnose_station, document, write_document
-    from hil.tower.governance.records import RECORDS, check_records
+    from hil.tower.governance.network_service import NetworkGovernance
+    from hil.tower.governance.records import NETWORK_RECORDS, RECORDS, check_records
     from hil.tower.governance.report_page import REPORT
     from hil.tower.governance.report_page import report as report_text
     from hil.tower.governance.service import CellGovernance, govern
+    from hil.tower.network.answers import NetworkMode, StationAnswers, ask_network, check_ensemble
+    from hil.tower.network.table_file import NETWORK_TABLE, write_network_table
+    from hil.tower.network.table_file import remove_table as remove_network_table
     from hil.tower.plan import plan as plan_step_test
     from hil.tower.station.alignment import Aligned, iso
     from hil.tower.station.alignment import align as align_station
@@ -39,10 +43,12 @@ if TYPE_CHECKING:
     from hil.tower.station.collection import collect as collect_points
     from hil.tower.station.description import read_station
     from hil.tower.station.errors import writing
-    from hil.tower.station.record import CellRecord, StationNotes, cells_of, read_cell, read_notes
+    from hil.tower.station.record import CellRecord, StationNotes, cells_of, events_of, read_cell, read_notes
 
 __all__ = [
     "DRIVEN",
+    "NETWORK_RECORDS",
+    "NETWORK_TABLE",
     "RECORDS",
     "REPORT",
     "TABLE",
@@ -51,12 +57,17 @@ __all__ = [
     "CellRecord",
     "CellResult",
     "Collected",
+    "NetworkGovernance",
+    "NetworkMode",
+    "StationAnswers",
     "StationNotes",
     "TruthColumns",
     "adopt",
     "align_station",
+    "ask_network",
     "calibrate_station",
     "cells_of",
+    "check_ensemble",
     "check_records",
     "collect_points",
     "commission_cell",
@@ -64,6 +75,7 @@ __all__ = [
     "diagnose_station",
     "document",
     "draw_cell",
+    "events_of",
     "fit_with_steps",
     "govern",
     "iso",
@@ -79,11 +91,13 @@ __all__ = [
     "read_notes",
     "read_station",
     "read_truth",
+    "remove_network_table",
     "report_text",
     "site_of",
     "withheld",
     "write_document",
     "write_healthy",
+    "write_network_table",
     "write_table",
     "writing",
 ]
@@ -124,7 +138,9 @@ __getattr__, __dir__ = lazy_names(
             "write_document",
         ),
         "station.errors": ("writing",),
+        "governance.network_service": ("NetworkGovernance",),
         "governance.records": (
+            "NETWORK_RECORDS",
             "RECORDS",
             "check_records",
         ),
@@ -134,11 +150,23 @@ __getattr__, __dir__ = lazy_names(
             "write_healthy",
         ),
         "calibration.picture": ("draw_cell",),
+        "network.answers": (
+            "NetworkMode",
+            "StationAnswers",
+            "ask_network",
+            "check_ensemble",
+        ),
+        "network.table_file": (
+            "NETWORK_TABLE",
+            "remove_network_table = remove_table",
+            "write_network_table",
+        ),
         "plan": ("plan_step_test = plan",),
         "station.record": (
             "CellRecord",
             "StationNotes",
             "cells_of",
+            "events_of",
             "read_cell",
             "read_notes",
         ),

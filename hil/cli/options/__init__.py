@@ -12,13 +12,14 @@ from hil.lazy_names import lazy_names
 if TYPE_CHECKING:
     from hil.cli.options.init_questions import ask
     from hil.cli.options.own_process import OWN_PROCESS, owns_process
-    from hil.cli.options.paths import INPUT_FILE, INPUT_PATH, PROJECT, VIRTUAL_RIG
+    from hil.cli.options.paths import INPUT_CARD, INPUT_FILE, INPUT_PATH, PROJECT, VIRTUAL_RIG
     from hil.cli.options.record_reading import reading
     from hil.cli.options.subject import record_of, subject_of
     from hil.cli.options.tracking import CALIBRATORS, NETWORK, NETWORK_MODE
 
 __all__ = [
     "CALIBRATORS",
+    "INPUT_CARD",
     "INPUT_FILE",
     "INPUT_PATH",
     "NETWORK",
@@ -42,6 +43,7 @@ __getattr__, __dir__ = lazy_names(
             "owns_process",
         ),
         "paths": (
+            "INPUT_CARD",
             "INPUT_FILE",
             "INPUT_PATH",
             "PROJECT",

@@ -20,6 +20,7 @@ from hil.record.raw import RecordError
 from hil.tower.station.alignment import event_entry
 from hil.tower.station.description import read_events
 from hil.tower.station.input_files import read_rows
+from twin.historian.events import Event
 from twin.tower.air import Array
 from twin.tower.cell_observations.evidence import Label
 from twin.tower.twin_file import BOUNDS
@@ -94,6 +95,19 @@ def read_cell(record: Path, cell: int) -> CellRecord:
     return CellRecord(cell, time_s, columns, origin, digest, path)
 
 
+def read_channels(path: Path) -> dict[str, NDArray[Any]]:
+    """Return all numeric columns of a cell's file, origins and ages of the values too.
+
+    Raises:
+        RecordError: the file cannot be read.
+    """
+    try:
+        table = pq.read_table(path)
+    except (OSError, ValueError, pa.ArrowInvalid) as error:
+        raise RecordError(f"{path}: cannot be read as an aligned record ({error}); align the store again") from error
+    return {name: table[name].to_numpy() for name in table.schema.names if _is_number(table, name)}
+
+
 def _is_number(table: pa.Table, name: str) -> bool:
     kind = table.schema.field(name).type
     return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind))
@@ -129,6 +143,30 @@ def read_notes(record: Path) -> StationNotes:
         return StationNotes(dict(found.get("datasheet", {})), tuple(found.get("events", ())))
     except (OSError, ValueError, AttributeError) as error:
         raise RecordError(f"{path}: cannot be read ({error}); align the store again") from error
+
+
+def events_of(notes: StationNotes) -> tuple[Event, ...]:
+    """Return the events of a record.
+
+    Raises:
+        RecordError: an event lacks a key or has no time that can be read.
+    """
+    try:
+        return tuple(
+            Event(
+                seconds(row["time"]),
+                bool(row["by_day"]),
+                int(row["cell"]),
+                row["kind"],
+                row["source"],
+                row.get("text", ""),
+            )
+            for row in notes.events
+        )
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise RecordError(
+            f"station.json: holds no events that can be read ({error}); align the record again"
+        ) from error
 
 
 def seconds(text: str) -> float:

@@ -10,6 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.calibrators.hiera_unet.tower.cell_table import CellTable
+    from twin.calibrators.hiera_unet.tower.ensemble import (
+        BRANCHES,
+        CAUSAL,
+        SYMMETRIC,
+        EnsembleAnswer,
+        TowerEnsemble,
+    )
+    from twin.calibrators.hiera_unet.tower.ensemble import load_ensemble as load_tower_ensemble
     from twin.calibrators.hiera_unet.tower.member import MemberTraining, adapt, load_fleet, load_member
     from twin.calibrators.hiera_unet.tower.plan import TowerPlan
     from twin.calibrators.hiera_unet.tower.predict import Blindness, Predicted
@@ -18,6 +26,10 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "cell_table": {"CellTable": "CellTable"},
+    "ensemble": {
+        **{n: n for n in ("BRANCHES", "CAUSAL", "SYMMETRIC", "EnsembleAnswer", "TowerEnsemble")},
+        "load_tower_ensemble": "load_ensemble",
+    },
     "member": {n: n for n in ("MemberTraining", "adapt", "load_fleet", "load_member")},
     "plan": {"TowerPlan": "TowerPlan"},
     "predict": {"Blindness": "Blindness", "Predicted": "Predicted", "predict_windows": "predict"},
@@ -26,15 +38,21 @@ _MODULES = {
 _HOME = {public: (f"{__name__}.{module}", own) for module, names in _MODULES.items() for public, own in names.items()}
 
 __all__ = [
+    "BRANCHES",
+    "CAUSAL",
+    "SYMMETRIC",
     "Blindness",
     "CellTable",
+    "EnsembleAnswer",
     "Fleet",
     "MemberTraining",
     "Predicted",
+    "TowerEnsemble",
     "TowerPlan",
     "adapt",
     "load_fleet",
     "load_member",
+    "load_tower_ensemble",
     "predict_windows",
 ]
 

@@ -219,7 +219,7 @@ def adapt(
 def identity() -> checkpoint.Identity:
     """Return what weights of a tower belong to."""
     return checkpoint.Identity(
-        "tower_cell",
+        checkpoint.TOWER_CELL,
         SUBJECT.digest(),
         tuple(one.name for one in SUBJECT.deviations),
         tuple(one.name for one in SUBJECT.outputs),
@@ -235,8 +235,9 @@ def load_member(path: Path, *, blind_too: bool = False) -> checkpoint.Member:
     member = checkpoint.load(path, identity())
     if member.card.get("refused") and not blind_too:
         raise HieraError(
-            f"{path}: {member.card['refused']}: its answers are hardly worse with another window's channels, see its "
-            "card; train longer or with other data"
+            f"{path}: its answers are hardly worse with another window's channels, see its card; train longer or with "
+            "other data",
+            code=str(member.card["refused"]),
         )
     return member
 
