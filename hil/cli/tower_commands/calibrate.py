@@ -149,8 +149,8 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
             terminal.print(f"cell {one.result.cell}: {refused}", markup=False, soft_wrap=True)
         if one.network is not None and one.network.blind:
             terminal.print(
-                f"cell {one.result.cell}: the network's proposals are held back: {', '.join(one.network.blind)} ignores "
-                "its channels (BLIND)",
+                f"cell {one.result.cell}: the network's proposals are held back: {', '.join(one.network.blind)} "
+                "ignores its channels (BLIND)",
                 markup=False,
                 soft_wrap=True,
             )

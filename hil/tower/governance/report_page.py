@@ -108,7 +108,8 @@ def _outlet_table(cells: list[_Cell]) -> list[str]:
             for name in DEVIATIONS
         )
         lines.append(
-            f"| {c.cell} | {c.calibrator} | {c.minutes} | {100 * c.answered:.1f} % | {c.width:.2f} | {c.correction:.2f} | {moved} |"
+            f"| {c.cell} | {c.calibrator} | {c.minutes} | {100 * c.answered:.1f} % | {c.width:.2f} | "
+            f"{c.correction:.2f} | {moved} |"
         )
     return lines
 

@@ -219,8 +219,8 @@ def _content(card: Path, document: Mapping[str, Any]) -> tuple[dict[str, str], d
         raise HieraError(f"the card {card} names {outside[0]}, which does not lie beside it; {AGAIN}")
     if len(names) < LEAST:
         raise HieraError(
-            f"the card {card} names {len(names)} member{'s' * (len(names) != 1)}, and an ensemble has at least {LEAST}; "
-            "train more with `hil train tower` and other seeds"
+            f"the card {card} names {len(names)} member{'s' * (len(names) != 1)}, and an ensemble has at least "
+            f"{LEAST}; train more with `hil train tower` and other seeds"
         )
     for branch, one in factors.items():
         wanted = (len(SUBJECT.deviations),)
