@@ -68,6 +68,17 @@ def test_a_damaged_manifest_is_named(tmp_path: Path) -> None:
         tables(tmp_path, TRAIN)
 
 
+def test_a_station_in_two_splits_is_named(tmp_path: Path) -> None:
+    manifest(tmp_path, splits=(TRAIN, TEST))
+    document = json.loads((tmp_path / MANIFEST).read_text())
+    document["stations"][1]["seed"] = document["stations"][0]["seed"]
+    (tmp_path / MANIFEST).write_text(json.dumps(document))
+    with pytest.raises(HieraError, match="^OVERLAPPING_SPLITS: .* station F0000 is in the train and the test split"):
+        tables(tmp_path, TEST)
+    with pytest.raises(HieraError, match="^OVERLAPPING_SPLITS: 8001 stations of the train split .* at most 8000"):
+        DataPlan(train=8001)
+
+
 def test_the_command_names_a_folder_of_another_plan_in_one_sentence(tmp_path: Path) -> None:
     pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
     manifest(tmp_path / "data", 3.0)

@@ -37,9 +37,9 @@ def windows_table(result: CellResult, notes: StationNotes) -> tuple[CellTable, i
     """Return the network's table of a cell from the healthy record on, and the row of the record at which it begins.
 
     Raises:
-        HieraError: the twin has no healthy record, the record does not hold it, holds less than a day after it, or no
-            window; the datasheet lacks a number.
-        RecordError: an event cannot be read.
+        HieraError: the twin has no healthy record, the record does not hold it, holds less than a day after it, lacks
+            minutes, or has no window.
+        RecordError: an event cannot be read, or the datasheet lacks a number.
     """
     from twin.calibrators.hiera_unet.tower.cell_table import cell_table
     from twin.calibrators.hiera_unet.tower.commissioned import commissioned_log_power, commissioned_outlet
@@ -103,7 +103,15 @@ def _healthy(result: CellResult) -> Healthy:
             "cell again with `hil tower commission --healthy FROM..TO`",
             code="NO_HEALTHY_RECORD",
         )
-    first, last = float(result.minutes.time_s[0]), float(result.minutes.time_s[-1])
+    time_s = result.minutes.time_s
+    first, last = float(time_s[0]), float(time_s[-1])
+    holes = np.flatnonzero(np.diff(time_s) != 60.0)
+    if len(holes):
+        raise HieraError(
+            f"{result.record.path} goes from {iso(time_s[holes[0]])} to {iso(time_s[holes[0] + 1])} without the "
+            "minutes between, and the network reads a row a minute; align the store again",
+            code="GAPS",
+        )
     if found.start_s < first - DAY_S / 2.0 or found.end_s > last:
         raise HieraError(
             f"{result.record.path} runs from {iso(first)} to {iso(last)} and does not hold the healthy span of "

@@ -20,6 +20,7 @@ from hil.record.raw import RecordError
 from hil.tower.station.alignment import event_entry
 from hil.tower.station.description import read_events
 from hil.tower.station.input_files import read_rows
+from hil.tower.station.plausibility import refuse_implausible
 from twin.historian.events import Event
 from twin.tower.air import Array
 from twin.tower.cell_observations.evidence import Label
@@ -71,7 +72,8 @@ def read_cell(record: Path, cell: int) -> CellRecord:
     """Return the minutes of a cell.
 
     Raises:
-        RecordError: the record has no such cell, its file is damaged, or a needed column is missing throughout.
+        RecordError: the record has no such cell, its file is damaged, a needed column is missing throughout, or it is
+            no record of a plant.
     """
     path = record / f"cell{cell}.parquet"
     if not path.is_file():
@@ -91,6 +93,7 @@ def read_cell(record: Path, cell: int) -> CellRecord:
     columns = {n: v for n, v in columns.items() if not n.endswith(("_how", "_age_min"))}
     time_s = table["time"].cast(pa.int64()).to_numpy().astype(np.float64) / 1e3
     _refuse_empty(path, columns)
+    refuse_implausible(path, time_s, columns, origin)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     return CellRecord(cell, time_s, columns, origin, digest, path)
 

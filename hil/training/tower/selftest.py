@@ -73,7 +73,7 @@ def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:
         HieraError, RuntimeError: the device cannot do it.
     """
     from twin.calibrators.hiera_unet.device import ready
-    from twin.calibrators.hiera_unet.tower.member import MemberTraining, adapt, load_member
+    from twin.calibrators.hiera_unet.tower.member import MONTH_MIN, MemberTraining, adapt, load_member
     from twin.calibrators.hiera_unet.tower.plan import TowerPlan
     from twin.calibrators.hiera_unet.tower.predict import predict
     from twin.calibrators.hiera_unet.tower.windows import Fleet
@@ -96,6 +96,7 @@ def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:
         training.write(path, gate, {})
         network = load_member(path, blind_too=True).network.to(fleet.device)
         predict(network, fleet, fleet.rows[:4], half=plan.half)
-        adapt(network, fleet, fleet, replace(plan, steps=2), time.monotonic() + 5.0, 0.0, 1.0)
+        months = float(fleet.minutes.min()) / MONTH_MIN
+        adapt(network, fleet, fleet, replace(plan, steps=2), time.monotonic() + 5.0, months)
         said.append(f"{size}: {1e3 * pace:.0f} ms a step of {batch} windows, {network.count()} weights")
     return said
