@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from hil.tower.governance.report_page import REPORT
     from hil.tower.governance.report_page import report as report_text
     from hil.tower.governance.service import CellGovernance, govern
-    from hil.tower.network.answers import NetworkMode, StationAnswers, ask_network, check_ensemble
+    from hil.tower.network.answers import NetworkMode, StationAnswers, ask_network, check_network
     from hil.tower.network.table_file import NETWORK_TABLE, write_network_table
     from hil.tower.network.table_file import remove_table as remove_network_table
     from hil.tower.plan import plan as plan_step_test
@@ -67,7 +67,7 @@ __all__ = [
     "ask_network",
     "calibrate_station",
     "cells_of",
-    "check_ensemble",
+    "check_network",
     "check_records",
     "collect_points",
     "commission_cell",
@@ -154,7 +154,7 @@ __getattr__, __dir__ = lazy_names(
             "NetworkMode",
             "StationAnswers",
             "ask_network",
-            "check_ensemble",
+            "check_network",
         ),
         "network.table_file": (
             "NETWORK_TABLE",

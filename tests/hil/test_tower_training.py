@@ -73,9 +73,9 @@ def test_a_station_in_two_splits_is_named(tmp_path: Path) -> None:
     document = json.loads((tmp_path / MANIFEST).read_text())
     document["stations"][1]["seed"] = document["stations"][0]["seed"]
     (tmp_path / MANIFEST).write_text(json.dumps(document))
-    with pytest.raises(HieraError, match="^OVERLAPPING_SPLITS: .* station F0000 is in the train and the test split"):
+    with pytest.raises(HieraError, match=r"^OVERLAPPING_SPLITS: .* station F0000 is in the train and the test split"):
         tables(tmp_path, TEST)
-    with pytest.raises(HieraError, match="^OVERLAPPING_SPLITS: 8001 stations of the train split .* at most 8000"):
+    with pytest.raises(HieraError, match=r"^OVERLAPPING_SPLITS: 8001 stations of the train split .* at most 8000"):
         DataPlan(train=8001)
 
 

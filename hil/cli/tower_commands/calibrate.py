@@ -78,7 +78,7 @@ def command(
         RECORDS,
         ask_network,
         calibrate_station,
-        check_ensemble,
+        check_network,
         check_records,
         govern,
         remove_network_table,
@@ -94,7 +94,7 @@ def command(
     if card is None and network_mode != "shadow":
         raise click.UsageError(f"--network-mode {network_mode} needs a network; name its card with --network")
     if card is not None:
-        check_ensemble(card, network_mode)
+        check_network(card, network_mode, record, twins)
     if out.is_dir():
         check_records(out / RECORDS)
         check_records(out / NETWORK_RECORDS)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
         NetworkMode,
         StationAnswers,
         ask_network,
-        check_ensemble,
+        check_network,
     )
     from hil.tower.network.table_file import NETWORK_TABLE, read_about, remove_table, write_network_table
 
@@ -27,7 +27,7 @@ __all__ = [
     "NetworkMode",
     "StationAnswers",
     "ask_network",
-    "check_ensemble",
+    "check_network",
     "read_about",
     "remove_table",
     "write_network_table",
@@ -36,7 +36,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "answers": ("NETWORK", "NetworkAnswers", "NetworkMode", "StationAnswers", "ask_network", "check_ensemble"),
+        "answers": ("NETWORK", "NetworkAnswers", "NetworkMode", "StationAnswers", "ask_network", "check_network"),
         "table_file": ("NETWORK_TABLE", "read_about", "remove_table", "write_network_table"),
     },
 )

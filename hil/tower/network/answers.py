@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.tower.calibration import CellResult
-from hil.tower.network.cell_windows import windows_table
+from hil.tower.network.cell_windows import check_cells, windows_table
 from hil.tower.station import StationNotes
 from twin.calibrators.hiera_unet.config import HieraError
 from twin.tower.air import Array
@@ -94,11 +94,12 @@ def ask_network(
     )
 
 
-def check_ensemble(card: Path, mode: NetworkMode) -> None:
-    """Check the ensemble of a card before a calibration that takes minutes.
+def check_network(card: Path, mode: NetworkMode, record: Path, twins: Sequence[Path]) -> None:
+    """Check the ensemble of a card and the cells of a record before a calibration that takes minutes.
 
     Raises:
-        HieraError: the ensemble cannot be used in this mode.
+        HieraError: the ensemble cannot be used in this mode, or the network cannot read a cell.
+        RecordError, TwinFileError: a file cannot be used.
     """
     from twin.calibrators.hiera_unet.device import ready
 
@@ -106,6 +107,7 @@ def check_ensemble(card: Path, mode: NetworkMode) -> None:
     from twin.calibrators.hiera_unet.tower import load_tower_ensemble
 
     load_tower_ensemble(card, blind_too=mode == "shadow")
+    check_cells(record, twins)
 
 
 def _asked(ensemble: Any, result: CellResult, notes: StationNotes) -> tuple[NetworkAnswers, NetworkAnswers]:

@@ -5,15 +5,26 @@ A belief knows readings before its window alone, so the network's answers do not
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hil.record.raw import RecordError
-from hil.tower.calibration import CellResult, Healthy, openings_of, path_beside, read_healthy, site_of
-from hil.tower.station import StationNotes, events_of, iso, read_channels
+from hil.tower.calibration import (
+    CellResult,
+    Healthy,
+    load_all,
+    openings_of,
+    path_beside,
+    read_healthy,
+    site_of,
+)
+from hil.tower.station import StationNotes, events_of, iso, read_cell, read_channels, read_notes
 from twin.calibrators.hiera_unet.config import HieraError
+from twin.network import Network
+from twin.tower.air import Array
 from twin.tower.calibration import CalibrationError, fit_cell
 from twin.tower.diagnosis.adoption import effects_of
 from twin.tower.minutes import blocks_of
@@ -44,8 +55,9 @@ def windows_table(result: CellResult, notes: StationNotes) -> tuple[CellTable, i
     from twin.calibrators.hiera_unet.tower.cell_table import cell_table
     from twin.calibrators.hiera_unet.tower.commissioned import commissioned_log_power, commissioned_outlet
 
-    sheet = _sheet(notes, result)
-    healthy = _healthy(result)
+    path = result.record.path
+    sheet = _sheet(notes, path)
+    healthy = _healthy(path, result.minutes.time_s, result.twin, result.network)
     model = CellModel(
         design_of(result.network),
         site_of(notes, value_of(result.network, "cell.bypass_share")),
@@ -65,10 +77,10 @@ def windows_table(result: CellResult, notes: StationNotes) -> tuple[CellTable, i
             [one for one in openings if one.start_s < healthy.end_s],
         ).posterior
     except CalibrationError as error:
-        raise HieraError(f"{result.record.path}: its healthy span {error}", code="NO_HEALTHY_RECORD") from error
+        raise HieraError(f"{path}: its healthy span {error}", code="NO_HEALTHY_RECORD") from error
     blocks, _ = blocks_of(minutes)
     beliefs = recursion(model, minutes, blocks, result.priors, posterior, healthy.end_s, result.labels, openings)
-    columns = {name: values[first:] for name, values in read_channels(result.record.path).items()}
+    columns = {name: values[first:] for name, values in read_channels(path).items()}
     unknown = np.full(len(minutes.time_s), np.nan)
     table = cell_table(
         f"cell{result.cell}",
@@ -87,55 +99,67 @@ def windows_table(result: CellResult, notes: StationNotes) -> tuple[CellTable, i
     )
     if not table.valid.any():
         raise HieraError(
-            f"{result.record.path}: no window of two hours after {iso(healthy.end_s)} has all inputs and two hours of "
+            f"{path}: no window of two hours after {iso(healthy.end_s)} has all inputs and two hours of "
             "steady blocks in the day before; give a record in which the cell runs",
             code="NO_WINDOW",
         )
     return table, first
 
 
-def _healthy(result: CellResult) -> Healthy:
-    """Return the healthy record of a cell's twin, which the record has to hold."""
-    found = read_healthy(path_beside(result.twin, result.network))
+def check_cells(record: Path, twins: Sequence[Path]) -> None:
+    """Check that the network can read the cells of a record, before a calibration that takes minutes.
+
+    Raises:
+        HieraError, RecordError, TwinFileError: as `windows_table`, or a file cannot be used.
+    """
+    notes = read_notes(record)
+    for cell, (twin, network) in load_all(twins, record).items():
+        path = record / f"cell{cell}.parquet"
+        _sheet(notes, path)
+        _healthy(path, read_cell(record, cell).time_s, twin, network)
+
+
+def _healthy(path: Path, time_s: Array, twin: Path, network: Network) -> Healthy:
+    """Return the healthy record of a cell's twin, which the record `path` has to hold."""
+    found = read_healthy(path_beside(twin, network))
     if found is None:
         raise HieraError(
-            f"{result.twin} has no healthy record, which the network reads as its memory of the plant; commission the "
-            "cell again with `hil tower commission --healthy FROM..TO`",
+            f"{twin} has no healthy record, which the network reads as its memory of the plant; commission the cell "
+            "again with `hil tower commission --healthy FROM..TO`",
             code="NO_HEALTHY_RECORD",
         )
-    time_s = result.minutes.time_s
     first, last = float(time_s[0]), float(time_s[-1])
     holes = np.flatnonzero(np.diff(time_s) != 60.0)
     if len(holes):
         raise HieraError(
-            f"{result.record.path} goes from {iso(time_s[holes[0]])} to {iso(time_s[holes[0] + 1])} without the "
-            "minutes between, and the network reads a row a minute; align the store again",
+            f"{path} goes from {iso(time_s[holes[0]])} to {iso(time_s[holes[0] + 1])} without the minutes between, and "
+            "the network reads a row a minute; align the store again",
             code="GAPS",
         )
     if found.start_s < first - DAY_S / 2.0 or found.end_s > last:
         raise HieraError(
-            f"{result.record.path} runs from {iso(first)} to {iso(last)} and does not hold the healthy span of "
-            f"{result.twin}, {iso(found.start_s)} to {iso(found.end_s)}; give a record that begins with it",
+            f"{path} runs from {iso(first)} to {iso(last)} and does not hold the healthy span of {twin}, "
+            f"{iso(found.start_s)} to {iso(found.end_s)}; give a record that begins with it",
             code="NO_HEALTHY_RECORD",
         )
     if last - found.end_s < DAY_S:
         raise HieraError(
-            f"{result.record.path}: holds {(last - found.end_s) / 3600.0:.1f} h after the healthy span; the network "
-            "needs 24 h",
+            f"{path}: holds {(last - found.end_s) / 3600.0:.1f} h after the healthy span; the network needs 24 h",
             code="SHORT_RECORD",
         )
     return found
 
 
-def _sheet(notes: StationNotes, result: CellResult) -> dict[str, Any]:
+def _sheet(notes: StationNotes, path: Path) -> dict[str, Any]:
+    """Return the datasheet of a record, which has all numbers that channels are scaled by."""
     sheet = notes.datasheet
     lacking = [f"{part}.{n}" for part, names in SCALES.items() for n in names if not _number(sheet.get(part), n)]
     if not _number(sheet, "cells_in_station"):
         lacking.append("cells_in_station")
     if lacking:
         raise RecordError(
-            f"{result.record.path.parent / 'station.json'}: the datasheet has no number {', '.join(lacking)}, by which "
-            "the network scales its channels; add it to the datasheet and align again"
+            f"{path.parent / 'station.json'}: the datasheet has no number {', '.join(lacking)}, by which the network "
+            "scales its channels; add it to the datasheet and align again"
         )
     return sheet
 

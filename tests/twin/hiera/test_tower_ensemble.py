@@ -22,6 +22,7 @@ from twin.calibrators.hiera_unet.tower.ensemble import card_of, factors_of, pass
 
 @pytest.fixture(scope="module")
 def card(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Card of an ensemble of two untrained members."""
     return write_ensemble(tmp_path_factory.mktemp("ensemble"), count=2)
 
 
@@ -61,7 +62,7 @@ def test_a_causal_answer_knows_nothing_after_its_window(card: Path) -> None:
 
 
 def test_factors_make_nine_of_ten_windows_lie_inside(card: Path) -> None:
-    fleet = Fleet([made_table(seed=k, name=f"made_{k}", minutes=4 * 1440) for k in range(2)])
+    fleet = Fleet([made_table()])
     ensemble = load_tower_ensemble(card)
     factors = factors_of(ensemble.members, fleet, fleet.rows)
     found = card_of("made", {}, factors, {"b.safetensors": "BLIND"}, {"windows": 3})
@@ -84,7 +85,7 @@ def test_factors_make_nine_of_ten_windows_lie_inside(card: Path) -> None:
         ({"members": {"a.safetensors": "0"}}, "names 1 member, and an ensemble has at least 2"),
         ({"branches": {CAUSAL: {"theta": [1.0], "water": 1.0}}}, "lacks members or factors"),
         (
-            {"branches": dict.fromkeys((CAUSAL, SYMMETRIC), {"theta": [1.0, 1.0, -1.0, 1.0], "water": 1.0})},
+            {"branches": {b: {"theta": [1.0, 1.0, -1.0, 1.0], "water": 1.0} for b in (CAUSAL, SYMMETRIC)}},
             "no positive factor",
         ),
     ],
@@ -100,7 +101,7 @@ def test_a_single_member_an_unreadable_card_and_none_are_refused(card: Path, tmp
     (tmp_path / "card.json").write_text("{")
     with pytest.raises(HieraError, match=r"card\.json is no card of an ensemble"):
         load_tower_ensemble(tmp_path / "card.json")
-    with pytest.raises(HieraError, match="^MISSING_MEMBER: there is no card"):
+    with pytest.raises(HieraError, match=r"^MISSING_MEMBER: there is no card"):
         load_tower_ensemble(tmp_path / "none.json")
 
 
@@ -113,7 +114,7 @@ def test_members_that_the_gate_passed_make_the_ensemble_and_all_do_where_fewer_t
 def test_the_shipped_ensemble_holds_the_members_that_passed_and_the_blind_one_alone_is_refused() -> None:
     ensemble = load_tower_ensemble(TRAINED / "tower_small.json")
     assert len(ensemble.members) == 3 and not ensemble.blind
-    with pytest.raises(HieraError, match="^BLIND: "):
+    with pytest.raises(HieraError, match=r"^BLIND: "):
         load_tower_ensemble(TRAINED / "tower_small_3.json")
-    with pytest.raises(HieraError, match="^OTHER_SUBJECT: "):
+    with pytest.raises(HieraError, match=r"^OTHER_SUBJECT: "):
         load_tower_ensemble(TRAINED / "loop_small.json")
