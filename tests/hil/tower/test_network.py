@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ import pytest
 pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
 
+from hil.review import write_tower_review
+from tests.hil.reference_pages import page
 from tests.hil.tower.made_ensemble import write_ensemble
 from tests.hil.tower.test_calibrate import SHEET, files, iso, refused, run, write_points, write_record
 from tests.twin.tower.made_cell import START_S
@@ -25,6 +28,7 @@ FULL_SHEET = {
     "fill": {"length_m": 9.0, "width_m": 8.0, "height_m": 1.5},
 }
 HEALTHY_D, DAYS = 2, 5
+KEY = re.compile(r"`(\w+)`")
 NAMES = ("fill", "air", "uniformity", "bias")
 
 
@@ -83,7 +87,8 @@ def test_the_network_has_a_table_of_its_own_with_intervals_from_the_end_of_the_h
 def test_records_of_the_network_form_a_chain_of_their_own_of_five_minutes(out: Path) -> None:
     lines = [json.loads(line) for line in (out / "network_records.jsonl").read_text().splitlines()]
     assert len(lines) == (DAYS - HEALTHY_D) * 288
-    assert set(lines[0]) == {"t", "c", "m", "d", "s", "y", "w", "r", "k", "h", "f", "src", "tw", "p", "n"}
+    described = {key for row in page("tower-record").rows["Keys of a record"] for key in KEY.findall(row["Key"])}
+    assert set(lines[0]) == described
     assert {line["m"] for line in lines} == {"advisory"} and lines[0]["p"] == ""
     assert {line["m"] for line in map(json.loads, (out / "records.jsonl").read_text().splitlines())} == {"shadow"}
 
@@ -102,6 +107,15 @@ def test_the_report_shows_the_network_beside_gauss_newton_and_names_its_branch(o
     assert "symmetric branch" in text and "mean of 2 members" in text
     done = run("report", out, "--picture", out / "cell.svg")
     assert done.exit_code == 0 and "network" in (out / "cell.svg").read_text()
+
+
+def test_the_review_has_the_network_s_curves(out: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun is not installed: there is no review")
+    sizes = []
+    for network in (None, out / "network.parquet"):
+        write_tower_review(out / "calibrated.parquet", tmp_path / "review.rrd", "out", network)
+        sizes.append((tmp_path / "review.rrd").read_bytes().count(b"/tower/cell1/network/fill"))
+    assert sizes[0] == 0 < sizes[1]
 
 
 def test_a_changed_line_of_the_network_s_records_is_reported(out: Path, tmp_path: Path) -> None:
