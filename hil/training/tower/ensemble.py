@@ -20,10 +20,16 @@ HELD_OUT = 1000
 """Windows of the validation split that set the factors: 100 of them lie outside, give or take 10."""
 
 
-def assemble(data: Path, stem: Path, *, most: int = HELD_OUT, device: str = "cpu") -> Path | None:
+def assemble(
+    data: Path, stem: Path, *, same_data: bool = True, most: int = HELD_OUT, device: str = "cpu"
+) -> Path | None:
     """Write the card `<stem>.json` of all members `<stem>_<seed>` and return its path; None with fewer than two.
 
     Members that the gate refused as blind are left out where two others passed.
+
+    Parameters:
+        same_data: leave out members that were trained on other data than `data`; else the caller knows that none was
+        trained on its validation split.
 
     Raises:
         HieraError: a member cannot be used, or `data` has no validation split.
@@ -36,16 +42,21 @@ def assemble(data: Path, stem: Path, *, most: int = HELD_OUT, device: str = "cpu
     if len(found) < ensemble.LEAST:
         return None
     loaded = {path.name: load_member(path, blind_too=True) for path in found}
-    names, left_out = ensemble.passed({name: one.card.get("refused", "") for name, one in loaded.items()})
+    digest = digest_of(data)
+    others = {n: "trained on other data" for n, one in loaded.items() if same_data and one.card["data"] != digest}
+    if len(loaded) - len(others) < ensemble.LEAST:
+        return None
+    refused = {name: one.card.get("refused", "") for name, one in loaded.items() if name not in others}
+    names, left_out = ensemble.passed(refused)
     members = {name: loaded[name] for name in names}
     fleet = load_fleet(tables(data, VALIDATION), device)
     rows = evenly(fleet.rows, most)
     for one in members.values():
         one.network.to(fleet.device)
     factors = ensemble.factors_of(list(members.values()), fleet, rows)
-    more = {"data": digest_of(data), "validation_cells": fleet.names, "windows": len(rows)}
+    more = {"data": digest, "validation_cells": fleet.names, "windows": len(rows)}
     card = stem.with_suffix(".json")
-    card.write_text(json.dumps(ensemble.card_of(stem.name, members, factors, left_out, more), indent=1) + "\n")
+    card.write_text(json.dumps(ensemble.card_of(stem.name, members, factors, left_out | others, more), indent=1) + "\n")
     return card
 
 
@@ -53,4 +64,4 @@ if __name__ == "__main__":
     from twin.calibrators.hiera_unet.device import ready
 
     ready()
-    print(assemble(Path(sys.argv[1]), Path(sys.argv[2])) or "fewer than two members: no card")
+    print(assemble(Path(sys.argv[1]), Path(sys.argv[2]), same_data=False) or "fewer than two members: no card")

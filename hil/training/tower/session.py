@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.training.tower.ensemble import assemble
 from hil.training.tower.generate import TRAIN, VALIDATION, DataPlan, digest_of, generate, tables
 
 Say = Callable[[float, str], None]
@@ -64,6 +65,8 @@ def train_member(
 ) -> TowerProgress:
     """Continue the training of `out` until it is stopped, or to its end; then write weights and card.
 
+    With a second member of the same data beside it, the card of their ensemble is written too.
+
     Args:
         folder: of the simulated stations. plan: `twin.calibrators.hiera_unet.tower.plan.TowerPlan`. out: the weights'
             path; the state of a training that was cut lies in a folder of the same name without suffix.
@@ -81,5 +84,6 @@ def train_member(
         return TowerProgress(0, 0, trainer.done, plan.steps)
     gate = training.gate()
     card = training.write(out, gate, {"command": command})
+    assemble(folder, out.with_name(out.stem.rpartition("_")[0]), device=device)
     note = training.note() if training.curves else ""
     return TowerProgress(0, 0, trainer.done, plan.steps, card, gate.code, gate.document(), note)
