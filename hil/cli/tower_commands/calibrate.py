@@ -99,7 +99,11 @@ def command(
         check_records(out / RECORDS)
         check_records(out / NETWORK_RECORDS)
     results, notes = calibrate_station(record, twins, labels, events)
-    asked = None if card is None else ask_network(card, results, notes, network_mode)
+    asked = (
+        None
+        if card is None
+        else ask_network(card, results, notes, network_mode, lambda text: click.echo(text, err=True))
+    )
     with writing(out):
         path = write_table(results, out)
         if asked is None:
