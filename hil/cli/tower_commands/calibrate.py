@@ -99,11 +99,7 @@ def command(
         check_records(out / RECORDS)
         check_records(out / NETWORK_RECORDS)
     results, notes = calibrate_station(record, twins, labels, events)
-    asked = (
-        None
-        if card is None
-        else ask_network(card, results, notes, network_mode, lambda text: click.echo(text, err=True))
-    )
+    asked = None if card is None else ask_network(card, results, notes, network_mode, _note)
     with writing(out):
         path = write_table(results, out)
         if asked is None:
@@ -112,6 +108,11 @@ def command(
             write_network_table(asked, results, out)
         governed = govern(results, notes, out, mode, asked)
     _show(governed, path)
+
+
+def _note(text: str) -> None:
+    """Print what goes on, beside the results."""
+    click.echo(text, err=True)
 
 
 def _show(cells: Sequence[CellGovernance], path: Path) -> None:

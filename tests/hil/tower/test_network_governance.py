@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,7 +24,6 @@ def governed(
     distance: float = 0.5,
     answered: tuple[int, ...] = (1, 2, 3),
     blind: tuple[str, ...] = (),
-    **of_window: Any,
 ) -> NetworkGovernance:
     """Return the verdicts on answers to windows of a cell, whose fill falls by a percent from one to the next."""
     time_s = 60.0 * np.arange(MINUTES)
@@ -40,7 +40,7 @@ def governed(
     )
     result: Any = SimpleNamespace(cell=1, minutes=SimpleNamespace(time_s=time_s))
     asked = StationAnswers("made", "0" * 64, 2, blind, "shadow", {1: answers}, {1: answers})
-    windows = [window(k, **of_window) for k in range(WINDOWS)]
+    windows = [replace(w, told=replace(w.told, combined={"fill": 1.0})) for w in map(window, range(WINDOWS))]
     return network_governance(result, windows, [(verdicts or {}).get(k, Verdict(())) for k in range(WINDOWS)], asked)
 
 
