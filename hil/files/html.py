@@ -53,8 +53,9 @@ def element(name: str, *content: HtmlPart, **attributes: str) -> Html:
     Parameters
     ----------
     name
-        A tag that can run nothing. attributes: id, class (as ``class_``), alt, lang or title; those of an empty
-        value are left out.
+        A tag that can run nothing.
+    attributes
+        Id, class (as ``class_``), alt, lang or title; those of an empty value are left out.
 
     Raises
     ------
@@ -93,7 +94,11 @@ def document(title: str, style: str, body: Iterable[HtmlPart]) -> str:
     Parameters
     ----------
     title
-        Any text. style: CSS of this project. body: parts of the page.
+        Any text.
+    style
+        CSS of this project.
+    body
+        Parts of the page.
 
     Raises
     ------

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from hil.tower.governance.network_service import NetworkGovernance
     from hil.tower.governance.records import NETWORK_RECORDS, RECORDS, Indicators, check_records, drift_alarms
     from hil.tower.governance.report_page import REPORT, report
     from hil.tower.governance.service import CellGovernance, govern
@@ -20,6 +21,7 @@ __all__ = [
     "REPORT",
     "CellGovernance",
     "Indicators",
+    "NetworkGovernance",
     "check_records",
     "drift_alarms",
     "govern",
@@ -29,6 +31,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "network_service": ("NetworkGovernance",),
         "records": (
             "Indicators",
             "NETWORK_RECORDS",

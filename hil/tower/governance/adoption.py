@@ -12,10 +12,7 @@ from hil.tower.governance.gates import Verdict
 from hil.tower.station import iso
 from twin.network import Revision
 from twin.revisions import save_revision
-from twin.tower.air import Array
-from twin.tower.model import DEVIATIONS
-from twin.tower.twin_file import IDS
-from twin.tower.windows import TargetWindow
+from twin.tower import DEVIATIONS, IDS, Array, TargetWindow
 
 ProposalsOf = Callable[[int], Sequence[tuple[str, float, float]]]
 """Name, value and standard deviation of each deviation that is proposed in a window of this number."""
@@ -31,11 +28,23 @@ def save_accepted(
 ) -> Path | None:
     """Save the deviations of the last windows that passed all gates; return the revision, None where none passed.
 
-    Parameters:
-        residual_after: readings less outlet by the calibrator, K.
+    Parameters
+    ----------
+    result
+        Calibration of the cell.
+    windows, verdicts
+        Windows of the cell, and the gates' verdict on each.
+    proposals
+        Function that returns the proposals of a window.
+    made_by
+        Command or calibrator, for the revision.
+    residual_after
+        (n,) readings less outlet by the calibrator, K.
 
-    Raises:
-        TwinFileError: the twin's folder cannot be written.
+    Raises
+    ------
+    TwinFileError
+        The twin's folder cannot be written.
     """
     values, notes = {}, []
     for name in DEVIATIONS:

@@ -22,10 +22,8 @@ from hil.tower.governance.gates import MOST_HALF_K, Verdict
 from hil.tower.governance.records import EVERY_S, CellLines
 from hil.tower.network import NETWORK, NetworkAnswers, StationAnswers
 from hil.tower.station import iso
-from twin.tower.air import Array
+from twin.tower import DEVIATIONS, Array, TargetWindow
 from twin.tower.calibration import NORMAL, WINDOW_S
-from twin.tower.model import DEVIATIONS
-from twin.tower.windows import TargetWindow
 
 QUERIES = ("ambient", "hydraulic", "airflow", "degradation")
 OWN = ("HIGH_UNCERTAINTY", "OUT_OF_ENVELOPE")
@@ -36,8 +34,10 @@ OWN = ("HIGH_UNCERTAINTY", "OUT_OF_ENVELOPE")
 class NetworkGovernance:
     """Verdicts on the answers of a network to the windows of a cell.
 
-    Attributes:
-        answered: number of the network's answer to each window of the cell, -1 where it has none.
+    Attributes
+    ----------
+    answered
+        Number of the network's answer to each window of the cell, -1 where it has none.
     """
 
     result: CellResult
@@ -81,8 +81,10 @@ class NetworkGovernance:
     def lines(self, twin: str) -> CellLines:
         """Return the records of the cell, one for every five minutes from the first answer on.
 
-        Parameters:
-            twin: hash of the twin file.
+        Parameters
+        ----------
+        twin
+            Hash of the twin file.
         """
         m, found = self.result.minutes, self.answers
         first = float(found.start_s[0]) if len(found.start_s) else np.inf
@@ -141,8 +143,10 @@ def network_governance(
 ) -> NetworkGovernance:
     """Return the verdicts on a network's causal answers to a cell.
 
-    Parameters:
-        windows, verdicts: of the cell's calibration; gates on the record and the evidence are theirs.
+    Parameters
+    ----------
+    windows, verdicts
+        Of the cell's calibration; gates on the record and the evidence are theirs.
     """
     answers = asked.causal[result.cell]
     number = {round(float(start)): k for k, start in enumerate(answers.start_s)}

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 
-from hil.record.raw import RecordError
+from hil.record import RecordError
 from hil.tower.calibration import TABLE
 from hil.tower.governance.records import NETWORK_RECORDS, QUEUE, RECORDS, check_records
 from hil.tower.network import NETWORK, NETWORK_TABLE, read_about
-from twin.tower.model import DEVIATIONS
+from twin.tower import DEVIATIONS
 
 REPORT = "report.md"
 
@@ -37,8 +37,10 @@ class _Cell:
 def report(out: Path) -> str:
     """Return the report of a calibration's folder.
 
-    Raises:
-        RecordError: the folder holds no calibration, or its records were changed.
+    Raises
+    ------
+    RecordError
+        The folder holds no calibration, or its records were changed.
     """
     if not (out / TABLE).is_file():
         raise RecordError(f"{out}: holds no {TABLE}; make it with hil tower calibrate")

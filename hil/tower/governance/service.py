@@ -29,12 +29,18 @@ from hil.tower.governance.records import (
 )
 from hil.tower.network import StationAnswers
 from hil.tower.station import StationNotes, iso, seconds
-from twin.tower.air import Array
+from twin.tower import (
+    DEVIATIONS,
+    MOST_CONDITION,
+    Array,
+    CellModel,
+    TargetWindow,
+    design_of,
+    distances,
+    value_of,
+    windows_of,
+)
 from twin.tower.calibration import WINDOW_S
-from twin.tower.identify import MOST_CONDITION
-from twin.tower.model import DEVIATIONS, CellModel
-from twin.tower.twin_file import design_of, value_of
-from twin.tower.windows import TargetWindow, distances, windows_of
 
 REQUIRED = ("t_in_C", "t_out_C", "m_w_kg_s", "fan_speed_pct", "fan_power_kW", "dry_C", "pressure_kPa")
 """Channels that a calibration needs, beside a wet bulb."""
@@ -81,13 +87,27 @@ def govern(
 ) -> list[CellGovernance]:
     """Write records and review queue of the cells into `out`, and revisions of their twins in the controlled state.
 
-    Parameters:
-        asked: answers of a network, which are governed in their own mode.
+    Parameters
+    ----------
+    results
+        Calibrated cells.
+    notes
+        Datasheet and events of the station.
+    out
+        Folder of the calibration.
+    state
+        Use of the calibration: shadow, advisory or controlled.
+    asked
+        Answers of a network, which are governed in their own mode.
 
-    Raises:
-        RecordError: the records that are there were changed.
-        OSError, TwinFileError: a file cannot be written.
-        ValueError: both calibrators would revise the twins.
+    Raises
+    ------
+    RecordError
+        The records that are there were changed.
+    OSError, TwinFileError
+        A file cannot be written.
+    ValueError
+        Both calibrators would revise the twins.
     """
     mode = "shadow" if asked is None else asked.mode
     if state == mode == "controlled":

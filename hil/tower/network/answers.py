@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from hil.tower.calibration import CellResult
 from hil.tower.network.cell_windows import check_cells, windows_table
 from hil.tower.station import StationNotes
-from twin.calibrators.hiera_unet.config import HieraError
-from twin.tower.air import Array
-from twin.tower.model import DEVIATIONS
+from twin.calibrators.hiera_unet import HieraError
+from twin.tower import DEVIATIONS, Array
 
 if TYPE_CHECKING:
     from twin.calibrators.hiera_unet.tower import EnsembleAnswer
@@ -33,10 +32,17 @@ Say = Callable[[str], None]
 class NetworkAnswers:
     """Answers of one branch by minute of a cell's record (n,), NaN outside of answered windows.
 
-    Attributes:
-        t_out, half: (n,) outlet degC and half width of its 90 % interval. deviations, deviation_half: (n, 4) fill, air,
-        uniformity as deviations from 1, bias K, and half widths.
-        start_s: (K,) of the answered windows. distance: (K,) from the training envelope, 1 at its limit. attention:
+    Attributes
+    ----------
+    t_out, half
+        (n,) outlet degC and half width of its 90 % interval.
+    deviations, deviation_half
+        (n, 4) fill, air, uniformity as deviations from 1, bias K, and half widths.
+    start_s
+        (K,) s since 1970, of the answered windows.
+    distance
+        (K,) from the training envelope, 1 at its limit.
+    attention
         (K, 4, 12) of each query.
     """
 
@@ -53,9 +59,16 @@ class NetworkAnswers:
 class StationAnswers:
     """Answers of an ensemble to the cells of a station: causal and symmetric, by cell.
 
-    Attributes:
-        name, digest: of the ensemble's card. members: their number. blind: names of those that the gate against
-        blindness refused. mode: use of the proposals.
+    Attributes
+    ----------
+    name, digest
+        Of the ensemble's card.
+    members
+        Number of members.
+    blind
+        Names of members that the gate against blindness refused.
+    mode
+        Use of the proposals.
     """
 
     name: str
@@ -72,12 +85,25 @@ def ask_network(
 ) -> StationAnswers:
     """Return the answers of the ensemble of a card to calibrated cells.
 
-    Parameters:
-        mode: anything but shadow needs an ensemble without a blind member. say: called before each cell.
+    Parameters
+    ----------
+    card
+        Card of the ensemble.
+    results
+        Calibrated cells.
+    notes
+        Datasheet and events of the station.
+    mode
+        Use of the answers; any but shadow needs an ensemble without a blind member.
+    say
+        Function that is called before each cell.
 
-    Raises:
-        HieraError: the ensemble or a cell's record cannot be used.
-        RecordError: the station's notes cannot be read.
+    Raises
+    ------
+    HieraError
+        The ensemble or a cell's record cannot be used.
+    RecordError
+        The station's notes cannot be read.
     """
     from twin.calibrators.hiera_unet.device import ready
 
@@ -97,9 +123,12 @@ def ask_network(
 def check_network(card: Path, mode: NetworkMode, record: Path, twins: Sequence[Path]) -> None:
     """Check the ensemble of a card and the cells of a record before a calibration that takes minutes.
 
-    Raises:
-        HieraError: the ensemble cannot be used in this mode, or the network cannot read a cell.
-        RecordError, TwinFileError: a file cannot be used.
+    Raises
+    ------
+    HieraError
+        The ensemble cannot be used in this mode, or the network cannot read a cell.
+    RecordError, TwinFileError
+        A file cannot be used.
     """
     from twin.calibrators.hiera_unet.device import ready
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.record.raw import RecordError
+from hil.record import RecordError
 from hil.tower.calibration import (
     CellResult,
     Healthy,
@@ -22,16 +22,10 @@ from hil.tower.calibration import (
     site_of,
 )
 from hil.tower.station import StationNotes, events_of, iso, read_cell, read_channels, read_notes
-from twin.calibrators.hiera_unet.config import HieraError
+from twin.calibrators.hiera_unet import HieraError
 from twin.network import Network
-from twin.tower.air import Array
+from twin.tower import DAY_S, DEVIATIONS, Array, CellModel, blocks_of, design_of, effects_of, filter_cell, value_of
 from twin.tower.calibration import CalibrationError, fit_cell
-from twin.tower.diagnosis.adoption import effects_of
-from twin.tower.minutes import blocks_of
-from twin.tower.model import DEVIATIONS, CellModel
-from twin.tower.recursive import recursion
-from twin.tower.smoother import DAY_S
-from twin.tower.twin_file import design_of, value_of
 
 if TYPE_CHECKING:
     from twin.calibrators.hiera_unet.tower import CellTable
@@ -47,13 +41,16 @@ SCALES = {
 def windows_table(result: CellResult, notes: StationNotes) -> tuple[CellTable, int]:
     """Return the network's table of a cell from the healthy record on, and the row of the record at which it begins.
 
-    Raises:
-        HieraError: the twin has no healthy record, the record does not hold it, holds less than a day after it, lacks
-            minutes, or has no window.
-        RecordError: an event cannot be read, or the datasheet lacks a number.
+    Raises
+    ------
+    HieraError
+        The twin has no healthy record, the record does not hold it, holds less than a day after it, lacks minutes, or
+        has no window.
+    RecordError
+        An event cannot be read, or the datasheet lacks a number.
     """
-    from twin.calibrators.hiera_unet.tower.cell_table import cell_table
-    from twin.calibrators.hiera_unet.tower.commissioned import commissioned_log_power, commissioned_outlet
+    from twin.calibrators.hiera_unet.tower import commissioned_log_power, commissioned_outlet
+    from twin.calibrators.hiera_unet.tower.cell_table import CellSources, cell_table
 
     path = result.record.path
     sheet = _sheet(notes, path)
@@ -79,23 +76,24 @@ def windows_table(result: CellResult, notes: StationNotes) -> tuple[CellTable, i
     except CalibrationError as error:
         raise HieraError(f"{path}: its healthy span {error}", code="NO_HEALTHY_RECORD") from error
     blocks, _ = blocks_of(minutes)
-    beliefs = recursion(model, minutes, blocks, result.priors, posterior, healthy.end_s, result.labels, openings)
+    beliefs = filter_cell(model, minutes, blocks, result.priors, posterior, healthy.end_s, result.labels, openings)
     columns = {name: values[first:] for name, values in read_channels(path).items()}
     unknown = np.full(len(minutes.time_s), np.nan)
     table = cell_table(
-        f"cell{result.cell}",
-        sheet,
-        columns,
-        minutes,
-        model.design,
-        commissioned_outlet(model, minutes),
-        commissioned_log_power(model, minutes),
-        beliefs,
-        [one for one in events_of(notes) if one.cell in (0, result.cell)],
-        openings,
-        healthy.end_s,
-        unknown,
-        np.full((len(unknown), len(DEVIATIONS)), np.nan),
+        CellSources(
+            name=f"cell{result.cell}",
+            sheet=sheet,
+            columns=columns,
+            minutes=minutes,
+            design=model.design,
+            clean=commissioned_outlet(model, minutes),
+            log_clean=commissioned_log_power(model, minutes),
+            beliefs=beliefs,
+            events=[one for one in events_of(notes) if one.cell in (0, result.cell)],
+            healthy_end_s=healthy.end_s,
+            true_water=unknown,
+            true=np.full((len(unknown), len(DEVIATIONS)), np.nan),
+        )
     )
     if not table.valid.any():
         raise HieraError(
@@ -109,8 +107,10 @@ def windows_table(result: CellResult, notes: StationNotes) -> tuple[CellTable, i
 def check_cells(record: Path, twins: Sequence[Path]) -> None:
     """Check that the network can read the cells of a record, before a calibration that takes minutes.
 
-    Raises:
-        HieraError, RecordError, TwinFileError: as `windows_table`, or a file cannot be used.
+    Raises
+    ------
+    HieraError, RecordError, TwinFileError
+        As `windows_table`, or a file cannot be used.
     """
     notes = read_notes(record)
     for cell, (twin, network) in load_all(twins, record).items():

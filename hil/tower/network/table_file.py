@@ -15,11 +15,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from hil.files.atomic import replacing
-from hil.record.raw import RecordError
+from hil.files import replacing
+from hil.record import RecordError
 from hil.tower.calibration import CellResult
 from hil.tower.network.answers import NetworkAnswers, StationAnswers
-from twin.tower.model import DEVIATIONS
+from twin.tower import DEVIATIONS
 
 NETWORK_TABLE = "network.parquet"
 KEY = b"hil.network"
@@ -46,8 +46,10 @@ class AboutNetwork:
 def write_network_table(answers: StationAnswers, results: Sequence[CellResult], out: Path) -> Path:
     """Write the answers of the symmetric branch into the folder `out`, all or nothing.
 
-    Raises:
-        OSError: the folder cannot be written.
+    Raises
+    ------
+    OSError
+        The folder cannot be written.
     """
     about = {"branch": "symmetric", "ensemble": answers.name, "members": answers.members, "blind": list(answers.blind)}
     table = pa.concat_tables([_table(answers.symmetric[one.cell], one) for one in results])
@@ -64,8 +66,10 @@ def remove_table(out: Path) -> None:
 def read_about(path: Path) -> AboutNetwork:
     """Return the origin of a table.
 
-    Raises:
-        RecordError: the file is no such table.
+    Raises
+    ------
+    RecordError
+        The file is no such table.
     """
     try:
         found = json.loads((pq.read_schema(path).metadata or {})[KEY])

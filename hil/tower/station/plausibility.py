@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.record.raw import RecordError
-from twin.tower.air import Array
-from twin.tower.minutes import MEASURED
+from hil.record import RecordError
+from twin.tower import MEASURED, Array
 
 TEMPERATURES = ("t_in_C", "t_out_C", "dry_C", "wet_C")
 FEWEST = 100
@@ -44,11 +43,19 @@ def refuse_implausible(
 ) -> None:
     """Check the minutes of a cell.
 
-    Parameters:
-        columns, origin: of the aligned record `path`, by name (n,).
+    Parameters
+    ----------
+    path
+        Aligned record, for the message.
+    time_s
+        (n,) s since 1970.
+    columns, origin
+        (n,) each, of the aligned record by name.
 
-    Raises:
-        RecordError: the record is shuffled, flat, or in other units; the message begins with the code.
+    Raises
+    ------
+    RecordError
+        The record is shuffled, flat, or in other units; the message begins with the code.
     """
     falls = np.flatnonzero(np.diff(time_s) <= 0.0)
     if len(falls):

@@ -27,16 +27,28 @@ def assemble(
 
     Members that the gate refused as blind are left out where two others passed.
 
-    Parameters:
-        same_data: leave out members that were trained on other data than `data`; else the caller knows that none was
-        trained on its validation split.
+    Parameters
+    ----------
+    data
+        Folder of simulated stations.
+    stem
+        Path of the members without the underscore and seed.
+    same_data
+        Leave out members that were trained on other data than `data`; else the caller knows that none was trained on
+        its validation split.
+    most
+        Number of windows that set the factors, at most.
+    device
+        Device of the networks, such as cpu or cuda.
 
-    Raises:
-        HieraError: a member cannot be used, or `data` has no validation split.
-        OSError: the card cannot be written.
+    Raises
+    ------
+    HieraError
+        A member cannot be used, or `data` has no validation split.
+    OSError
+        The card cannot be written.
     """
-    from twin.calibrators.hiera_unet.tower import ensemble
-    from twin.calibrators.hiera_unet.tower.member import load_fleet, load_member
+    from twin.calibrators.hiera_unet.tower import ensemble, load_fleet, load_member
 
     found = sorted(p for p in stem.parent.glob(f"{stem.name}_*.safetensors") if re.fullmatch(r".*_\d+", p.stem))
     if len(found) < ensemble.LEAST:

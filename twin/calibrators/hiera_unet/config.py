@@ -12,8 +12,10 @@ TOWER_GROUPS = (6, 9, 10, 6, 12, 9)
 class HieraError(ValueError):
     """A configuration, checkpoint, record or batch that cannot be used; the message is one plain sentence.
 
-    Args:
-        code: reason code before the sentence, "" for none.
+    Parameters
+    ----------
+    code
+        Reason code before the sentence, "" for none.
     """
 
     def __init__(self, sentence: str, code: str = "") -> None:

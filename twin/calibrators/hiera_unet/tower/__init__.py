@@ -1,6 +1,7 @@
 """The network calibrator's subject "cooling-tower cell": channels, memory, windows, training, gate and scores.
 
 The names below are the package's interface; they are loaded on first use, because most of them need the extra ``ml``.
+Modules among them are for the training of a network. Everything else is private to the package.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.calibrators.hiera_unet.tower.cell_table import CellTable
+    from twin.calibrators.hiera_unet.tower.commissioned import commissioned_log_power, commissioned_outlet
     from twin.calibrators.hiera_unet.tower.ensemble import (
         BRANCHES,
         CAUSAL,
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "cell_table": {"CellTable": "CellTable"},
+    "commissioned": {n: n for n in ("commissioned_log_power", "commissioned_outlet")},
     "ensemble": {
         **{n: n for n in ("BRANCHES", "CAUSAL", "SYMMETRIC", "EnsembleAnswer", "TowerEnsemble")},
         "load_tower_ensemble": "load_ensemble",
@@ -36,6 +39,16 @@ _MODULES = {
     "windows": {"Fleet": "Fleet"},
 }
 _HOME = {public: (f"{__name__}.{module}", own) for module, names in _MODULES.items() for public, own in names.items()}
+
+_PUBLIC_MODULES = (
+    "cell_table",
+    "ensemble",
+    "member",
+    "predict",
+    "score",
+    "table",
+)
+"""Parts that `hil.training` puts together: each is public as a whole."""
 
 __all__ = [
     "BRANCHES",
@@ -50,15 +63,25 @@ __all__ = [
     "TowerEnsemble",
     "TowerPlan",
     "adapt",
+    "cell_table",
+    "commissioned_log_power",
+    "commissioned_outlet",
+    "ensemble",
     "load_fleet",
     "load_member",
     "load_tower_ensemble",
+    "member",
+    "predict",
     "predict_windows",
+    "score",
+    "table",
 ]
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name from its module on first use."""
+    if name in _PUBLIC_MODULES:
+        return import_module(f"{__name__}.{name}")
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, own = _HOME[name]

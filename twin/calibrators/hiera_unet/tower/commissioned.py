@@ -1,12 +1,12 @@
-"""Outlet and fan power by the commissioned twin, minute by minute: what the channels measure residuals from."""
+"""Outlet and fan power by the commissioned twin, minute by minute: the reference of the channels' residuals."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from twin.tower.air import Array
-from twin.tower.cell import solve
-from twin.tower.minutes import Minutes, follow
+from twin.tower.cell import solve_cell
+from twin.tower.minutes import Minutes, first_order_lag
 from twin.tower.model import NAMES, SLOW, CellModel
 
 ANY_KAPPA = -1.3
@@ -17,10 +17,10 @@ def commissioned_outlet(model: CellModel, minutes: Minutes) -> Array:
     """Return the outlet by the clean cell, degC (n,), NaN where the inputs are not known."""
     rows = np.flatnonzero(minutes.known)
     u = minutes.operation.inputs.take(rows)
-    out = solve(u, model.design).t_out
+    out = solve_cell(u, model.design).t_out
     clean = np.full(len(minutes.time_s), np.nan)
     clean[rows] = out + minutes.operation.bypass[rows] * (u.t_in - out)
-    return follow(clean, minutes.known)
+    return first_order_lag(clean, minutes.known)
 
 
 def commissioned_log_power(model: CellModel, minutes: Minutes) -> Array:

@@ -41,10 +41,16 @@ AGAIN = "write it again with `python -m hil.training.tower.ensemble`"
 class EnsembleAnswer:
     """Answer of an ensemble to K windows.
 
-    Attributes:
-        rows: (K,) cycles. found: deviations (K, 4) and outlet (K, 120) degC with half widths of their 90 % intervals.
-        distance: (K,) from the training envelope, 1 at its limit, the mean over members. attention: (K, 4, 12) of
-        each query.
+    Attributes
+    ----------
+    rows
+        (K,) cycles.
+    found
+        Deviations (K, 4) and outlet (K, 120) degC with half widths of their 90 % intervals.
+    distance
+        (K,) from the training envelope, 1 at its limit, the mean over members.
+    attention
+        (K, 4, 12) of each query.
     """
 
     rows: NDArray[np.int64]
@@ -57,8 +63,12 @@ class EnsembleAnswer:
 class TowerEnsemble:
     """Members with the interval factors of each branch.
 
-    Attributes:
-        blind: names of the members that the gate against blindness refused. digest: SHA-256 of the card.
+    Attributes
+    ----------
+    blind
+        Names of the members that the gate against blindness refused.
+    digest
+        SHA-256 of the card.
     """
 
     name: str
@@ -70,8 +80,10 @@ class TowerEnsemble:
     def ask(self, fleet: Fleet, rows: NDArray[np.int64], branch: str = CAUSAL, size: int = 64) -> EnsembleAnswer:
         """Return the answer to cycles `rows` (K,) in a branch.
 
-        Parameters:
-            size: windows of a batch.
+        Parameters
+        ----------
+        size
+            Windows of a batch.
         """
         causal = branch == CAUSAL
         parts = [predict(one.network, fleet, rows, size, causal=causal) for one in self.members]
@@ -95,10 +107,12 @@ class TowerEnsemble:
 def factors_of(
     members: Sequence[Member], fleet: Fleet, rows: NDArray[np.int64], size: int = 64
 ) -> dict[str, IntervalFactors]:
-    """Return the interval factors of an ensemble by branch, from windows with their truth that no training saw.
+    """Return the interval factors of an ensemble by branch, from windows (K,) with their truth that no training saw.
 
-    Raises:
-        HieraError: the windows show no truth of a quantity.
+    Raises
+    ------
+    HieraError
+        The windows show no truth of a quantity.
     """
     t = targets_of(fleet, rows, size)
     found = {}
@@ -119,8 +133,18 @@ def card_of(
 ) -> dict[str, Any]:
     """Return the card of an ensemble as plain data.
 
-    Parameters:
-        members: by the name of their weights. left_out: reason by the name of weights that are no member.
+    Parameters
+    ----------
+    name
+        Name of the ensemble.
+    members
+        Members by the name of their weights.
+    factors
+        Interval factors by branch.
+    left_out
+        Reason by the name of weights that are no member.
+    more
+        Further entries of the card.
     """
     return {
         "format": FORMAT,
@@ -138,12 +162,16 @@ def card_of(
 def load_ensemble(card: Path, *, blind_too: bool = False) -> TowerEnsemble:
     """Return the ensemble of a card.
 
-    Parameters:
-        blind_too: load members that the gate against blindness refused, for a service that changes nothing.
+    Parameters
+    ----------
+    blind_too
+        Load members that the gate against blindness refused, for a service that changes nothing.
 
-    Raises:
-        HieraError: the card or a member cannot be read, is missing, was altered, or belongs to another subject, table
-            or format; a member is blind.
+    Raises
+    ------
+    HieraError
+        The card or a member cannot be read, is missing, was altered, or belongs to another subject, table or format;
+        or a member is blind.
     """
     document, text = _document(card)
     if "members" not in document:
@@ -237,8 +265,10 @@ def passed(refused: Mapping[str, str]) -> tuple[list[str], dict[str, str]]:
     Members that the gate passed make the ensemble. With fewer than `LEAST` of them all do, and such an ensemble is
     for the shadow mode alone.
 
-    Parameters:
-        refused: code of the gate by member, "" where it passed.
+    Parameters
+    ----------
+    refused
+        Code of the gate by member, "" where it passed.
     """
     good = [name for name, code in refused.items() if not code]
     if len(good) < LEAST:
