@@ -61,6 +61,12 @@ class _Verbs(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl(list(VERBS.items()))
 
+    def invoke(self, ctx: click.Context) -> Any:
+        from hil.cli.options import explained_extras
+
+        with explained_extras():
+            return super().invoke(ctx)
+
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         import difflib
 
@@ -85,7 +91,7 @@ def group() -> None:
 def main() -> None:
     """Run `hil`: report errors of the user as one sentence with exit code 2, faults that were found with 1."""
     from hil.cli.options import OWN_PROCESS
-    from hil.errors import explained
+    from hil.errors import explained, warn_of_little_memory
     from hil.files import accept_any_name
 
     if sys.argv[1:2] in (["run"], ["resume"]) and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -93,5 +99,6 @@ def main() -> None:
         # is imported, and the run would heat.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     accept_any_name()
+    warn_of_little_memory()
     with explained():
         sys.exit(group.main(standalone_mode=True, obj=OWN_PROCESS))

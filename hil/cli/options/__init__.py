@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from hil.cli.options.extra_arguments import explained_extras
     from hil.cli.options.init_questions import ask
     from hil.cli.options.own_process import OWN_PROCESS, owns_process
     from hil.cli.options.paths import INPUT_CARD, INPUT_FILE, INPUT_PATH, PROJECT, VIRTUAL_RIG
@@ -28,6 +29,7 @@ __all__ = [
     "PROJECT",
     "VIRTUAL_RIG",
     "ask",
+    "explained_extras",
     "owns_process",
     "reading",
     "record_of",
@@ -37,6 +39,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "extra_arguments": ("explained_extras",),
         "init_questions": ("ask",),
         "own_process": (
             "OWN_PROCESS",
