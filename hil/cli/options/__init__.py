@@ -13,13 +13,14 @@ if TYPE_CHECKING:
     from hil.cli.options.extra_arguments import explained_extras
     from hil.cli.options.init_questions import ask
     from hil.cli.options.own_process import OWN_PROCESS, owns_process
-    from hil.cli.options.paths import INPUT_FILE, INPUT_PATH, PROJECT, VIRTUAL_RIG
+    from hil.cli.options.paths import INPUT_CARD, INPUT_FILE, INPUT_PATH, PROJECT, VIRTUAL_RIG
     from hil.cli.options.record_reading import reading
     from hil.cli.options.subject import record_of, subject_of
     from hil.cli.options.tracking import CALIBRATORS, NETWORK, NETWORK_MODE
 
 __all__ = [
     "CALIBRATORS",
+    "INPUT_CARD",
     "INPUT_FILE",
     "INPUT_PATH",
     "NETWORK",
@@ -45,6 +46,7 @@ __getattr__, __dir__ = lazy_names(
             "owns_process",
         ),
         "paths": (
+            "INPUT_CARD",
             "INPUT_FILE",
             "INPUT_PATH",
             "PROJECT",
