@@ -1,0 +1,121 @@
+"""90 % interval of the outlet's true temperature, from the hidden residuals of its thermometer.
+
+A hidden residual is the prediction's error plus the noise of one reading, so its quantile is too wide for the water.
+The noise shows in the differences of successive residuals. These hold the noise of the inputs as well, which the
+prediction carries into the water's error. The twin's slopes divide the two:
+
+    mean square difference / 2 = s^2 (1 + a^2 + b^2) + F
+
+s is the noise of a thermometer, a and b are the outlet's slopes by inlet and wet bulb, which thermometers of the same
+kind measure, and F is what the flow meter's own differences move the outlet by. The quantile of a class of minutes is
+that of split conformal prediction with windows as its exchangeable units, since residuals within a window are
+correlated.
+
+Sources: Vovk, Gammerman and Shafer, Algorithmic Learning in a Random World, 2005, sec. 4.5 (quantiles by category,
+Mondrian); Lei et al., J. Am. Stat. Assoc. 113 (2018) 1094 (split conformal prediction).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.tower.air import Array
+from twin.tower.minutes import Minutes
+from twin.tower.model import DEVIATIONS, NAMES, SLOW
+from twin.tower.smoother import Estimate
+
+WINDOW_S = 7200.0
+"""Target interval of the paper: 120 minutes, whose outlet readings are hidden from the prediction in them."""
+QUANTILE = 0.9
+NORMAL = 1.6449
+"""Half width of a 90 % interval in standard deviations."""
+FEWEST_WINDOWS = 9
+"""Windows below which a class takes the quantile of a coarser one: the level 0.9 (n + 1)/n of a smaller number n
+exceeds 1."""
+START_MIN = (5, 20)
+"""Minutes after a start that make classes of their own."""
+WET_C = (5.0, 12.0, 18.0, 23.0)
+"""Wet bulbs between which classes lie: the twin's error grows with the distance from its test points."""
+SUCCESSIVE_S = 900.0
+"""Longest time between two readings whose difference counts as noise: within it half of the weather's own fluctuation
+is gone (METHODS 5.4)."""
+FEWEST_PAIRS = 40
+"""Successive readings below which no noise is taken off."""
+USUAL = 0.99
+"""Share of the smallest differences that count: the others are steps, and no noise."""
+
+
+@dataclass(frozen=True)
+class ReadingNoise:
+    """Noise in a hidden residual: variance of the outlet's reading, and of the prediction by its inputs, K^2."""
+
+    reading: float
+    inputs: float
+
+
+def half_width(minutes: Minutes, of_minute: NDArray[np.intp], t_out: Array, bias: Array, p: Estimate) -> Array:
+    """Return the half width of the outlet's 90 % interval, K (n,).
+
+    Parameters:
+        of_minute: steady block of each minute, -1 for none. t_out: prediction with the own window's readings hidden,
+        degC. bias: of the thermometer, K. p: posterior of the blocks.
+    """
+    residual = minutes.outlet - bias - t_out
+    half = _hidden_quantiles(np.abs(residual), minutes)
+    noise = _noise(residual, minutes, of_minute, p)
+    water = np.maximum(half**2 - NORMAL**2 * noise.reading, NORMAL**2 * noise.inputs)
+    # No residual shows the error of the bias, since prediction and bias err oppositely.
+    bias_sd = p.sd()[p.cells_at(minutes.time_s)][:, DEVIATIONS.index("bias")]
+    return np.sqrt(water + (NORMAL * bias_sd) ** 2)
+
+
+def _hidden_quantiles(size: Array, minutes: Minutes) -> Array:
+    """Return the 90 % quantile of the absolute residuals `size` in the class of each minute, K (n,)."""
+    there = np.isfinite(size)
+    window = np.floor(minutes.time_s / WINDOW_S).astype(np.int64)
+    half = np.full(len(size), np.nan)
+    for kind in _classes(minutes):
+        for one in np.unique(kind[np.isnan(half)]):
+            seen = there & (kind == one)
+            count = len(np.unique(window[seen]))
+            if count >= FEWEST_WINDOWS:
+                level = min(QUANTILE * (count + 1.0) / count, 1.0)
+                half[np.isnan(half) & (kind == one)] = np.quantile(size[seen], level)
+    return np.where(np.isnan(half), np.max(size[there], initial=0.0), half)
+
+
+def _classes(minutes: Minutes) -> tuple[NDArray[np.intp], ...]:
+    """Return the class of each minute from fine to coarse: just after a start, else its regime, steady or not, by the
+    weather; then without the regime; then steady or not; then one for all."""
+    index = np.arange(len(minutes.known))
+    since = index - np.maximum.accumulate(np.where(minutes.known, -1, index))
+    since = np.where(np.maximum.accumulate(~minutes.known), since, START_MIN[-1] + 1)
+    weather = np.digitize(np.nan_to_num(minutes.operation.inputs.wet), WET_C)
+    steady, first = minutes.steady.astype(int), len(START_MIN)
+
+    def by(usual: NDArray[np.intp]) -> NDArray[np.intp]:
+        return np.where(since <= START_MIN[0], 0, np.where(since <= START_MIN[1], 1, first + usual))
+
+    weathers = len(WET_C) + 1
+    fine = (2 * minutes.regime.astype(int) + steady) * weathers + weather
+    return by(fine), by(steady * weathers + weather), steady.astype(np.intp), np.zeros(len(index), dtype=np.intp)
+
+
+def _noise(residual: Array, minutes: Minutes, of_minute: NDArray[np.intp], p: Estimate) -> ReadingNoise:
+    """Return the noise in the residuals by the differences of successive ones in steady minutes."""
+    rows = np.flatnonzero(np.isfinite(residual) & (of_minute >= 0))
+    step, time = np.diff(residual[rows]), np.diff(minutes.time_s[rows])
+    near = time <= SUCCESSIVE_S
+    if near.sum() < FEWEST_PAIRS:
+        return ReadingNoise(0.0, 0.0)
+    near &= np.abs(step) <= np.quantile(np.abs(step[near]), USUAL)
+    total = float(np.mean(step[near] ** 2)) / 2.0
+    jacobian = p.jacobian[of_minute[rows[1:][near]]]
+    by_inlet, by_wet = (jacobian[:, len(SLOW) + NAMES.index(name)] for name in ("inlet_bias", "wet_bulb_bias"))
+    flow = np.diff(np.log(minutes.operation.inputs.m_w[rows]))[near] * jacobian[:, SLOW.index("flow_meter")]
+    thermometers = max(total - float(np.mean(flow**2)) / 2.0, 0.0)
+    reading = thermometers / (1.0 + float(np.mean(by_inlet**2 + by_wet**2)))
+    return ReadingNoise(reading, total - reading)
