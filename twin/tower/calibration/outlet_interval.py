@@ -1,13 +1,13 @@
 """90 % interval of the outlet's true temperature, from the hidden residuals of its thermometer.
 
 A hidden residual is the prediction's error plus the noise of one reading, so its quantile is too wide for the water.
-The noise shows in the differences of successive residuals. These hold the noise of the inputs as well, which the
+The noise shows in the differences of residuals close to each other. These hold the noise of the inputs as well, which the
 prediction carries into the water's error. The twin's slopes divide the two:
 
-    mean square difference / 2 = s^2 (1 + a^2 + b^2) + F
+    mean square difference / 2 = s^2 (1 + a^2 + b^2)
 
 s is the noise of a thermometer, a and b are the outlet's slopes by inlet and wet bulb, which thermometers of the same
-kind measure, and F is what the flow meter's own differences move the outlet by. The quantile of a class of minutes is
+kind measure. The noise of the inputs is a lower bound of the water's error. The quantile of a class of minutes is
 that of split conformal prediction with windows as its exchangeable units, since residuals within a window are
 correlated.
 
@@ -39,13 +39,16 @@ START_MIN = (5, 20)
 """Minutes after a start that make classes of their own."""
 WET_C = (5.0, 12.0, 18.0, 23.0)
 """Wet bulbs between which classes lie: the twin's error grows with the distance from its test points."""
-SUCCESSIVE_S = 900.0
-"""Longest time between two readings whose difference counts as noise: within it half of the weather's own fluctuation
-is gone (METHODS 5.4)."""
+NEAR_S = 900.0
+"""Longest time between two readings whose difference counts as noise: a steady minute has this long of rest before it.
+All pairs count. An archive that reports by exception stores a reading because it differs from the one before it, so
+the noise of neighbours alone is too large."""
 FEWEST_PAIRS = 40
-"""Successive readings below which no noise is taken off."""
+"""Pairs of readings below which no noise is taken off."""
 USUAL = 0.99
 """Share of the smallest differences that count: the others are steps, and no noise."""
+BY_THERMOMETER = ("inlet_bias", "wet_bulb_bias")
+"""Constants of the twin that shift an input as the noise of its thermometer does."""
 
 
 @dataclass(frozen=True)
@@ -105,17 +108,20 @@ def _classes(minutes: Minutes) -> tuple[NDArray[np.intp], ...]:
 
 
 def _noise(residual: Array, minutes: Minutes, of_minute: NDArray[np.intp], p: Estimate) -> ReadingNoise:
-    """Return the noise in the residuals by the differences of successive ones in steady minutes."""
+    """Return the noise in the residuals by the differences of those in steady minutes close to each other."""
     rows = np.flatnonzero(np.isfinite(residual) & (of_minute >= 0))
-    step, time = np.diff(residual[rows]), np.diff(minutes.time_s[rows])
-    near = time <= SUCCESSIVE_S
-    if near.sum() < FEWEST_PAIRS:
+    value, time = residual[rows], minutes.time_s[rows]
+    found: list[Array] = []
+    for lag in range(1, len(rows)):
+        near = time[lag:] - time[:-lag] <= NEAR_S
+        if not near.any():
+            break
+        found.append((value[lag:] - value[:-lag])[near])
+    steps = np.concatenate(found) if found else np.zeros(0)
+    if len(steps) < FEWEST_PAIRS:
         return ReadingNoise(0.0, 0.0)
-    near &= np.abs(step) <= np.quantile(np.abs(step[near]), USUAL)
-    total = float(np.mean(step[near] ** 2)) / 2.0
-    jacobian = p.jacobian[of_minute[rows[1:][near]]]
-    by_inlet, by_wet = (jacobian[:, len(SLOW) + NAMES.index(name)] for name in ("inlet_bias", "wet_bulb_bias"))
-    flow = np.diff(np.log(minutes.operation.inputs.m_w[rows]))[near] * jacobian[:, SLOW.index("flow_meter")]
-    thermometers = max(total - float(np.mean(flow**2)) / 2.0, 0.0)
-    reading = thermometers / (1.0 + float(np.mean(by_inlet**2 + by_wet**2)))
+    steps = steps[np.abs(steps) <= np.quantile(np.abs(steps), USUAL)]
+    total = float(np.mean(steps**2)) / 2.0
+    inlet, wet = (p.jacobian[of_minute[rows], len(SLOW) + NAMES.index(name)] for name in BY_THERMOMETER)
+    reading = total / (1.0 + float(np.mean(inlet**2 + wet**2)))
     return ReadingNoise(reading, total - reading)
