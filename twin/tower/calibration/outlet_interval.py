@@ -35,8 +35,8 @@ NORMAL = 1.6449
 FEWEST_WINDOWS = 9
 """Windows below which a class takes the quantile of a coarser one: the level 0.9 (n + 1)/n of a smaller number n
 exceeds 1."""
-START_MIN = (5, 20)
-"""Minutes after a start that make classes of their own."""
+START_MIN = (5, 10, 20)
+"""Minutes after a start up to which classes of their own reach: the error decays within them."""
 WET_C = (5.0, 12.0, 18.0, 23.0)
 """Wet bulbs between which classes lie: the twin's error grows with the distance from its test points."""
 NEAR_S = 900.0
@@ -96,11 +96,12 @@ def _classes(minutes: Minutes) -> tuple[NDArray[np.intp], ...]:
     index = np.arange(len(minutes.known))
     since = index - np.maximum.accumulate(np.where(minutes.known, -1, index))
     since = np.where(np.maximum.accumulate(~minutes.known), since, START_MIN[-1] + 1)
+    start = np.digitize(since, START_MIN, right=True)
     weather = np.digitize(np.nan_to_num(minutes.operation.inputs.wet), WET_C)
-    steady, first = minutes.steady.astype(int), len(START_MIN)
+    steady = minutes.steady.astype(int)
 
     def by(usual: NDArray[np.intp]) -> NDArray[np.intp]:
-        return np.where(since <= START_MIN[0], 0, np.where(since <= START_MIN[1], 1, first + usual))
+        return np.where(start < len(START_MIN), start, len(START_MIN) + usual)
 
     weathers = len(WET_C) + 1
     fine = (2 * minutes.regime.astype(int) + steady) * weathers + weather
