@@ -45,8 +45,8 @@ All pairs count. An archive that reports by exception stores a reading because i
 the noise of neighbours alone is too large."""
 FEWEST_PAIRS = 40
 """Pairs of readings below which no noise is taken off."""
-USUAL = 0.99
-"""Share of the smallest differences that count: the others are steps, and no noise."""
+STEP = 3.0
+"""Differences beyond this many of their root mean square are steps and no noise, and are left out."""
 BY_THERMOMETER = ("inlet_bias", "wet_bulb_bias")
 """Constants of the twin that shift an input as the noise of its thermometer does."""
 
@@ -121,8 +121,19 @@ def _noise(residual: Array, minutes: Minutes, of_minute: NDArray[np.intp], p: Es
     steps = np.concatenate(found) if found else np.zeros(0)
     if len(steps) < FEWEST_PAIRS:
         return ReadingNoise(0.0, 0.0)
-    steps = steps[np.abs(steps) <= np.quantile(np.abs(steps), USUAL)]
-    total = float(np.mean(steps**2)) / 2.0
+    total = 0.5 * _usual_square(steps)
     inlet, wet = (p.jacobian[of_minute[rows], len(SLOW) + NAMES.index(name)] for name in BY_THERMOMETER)
     reading = total / (1.0 + float(np.mean(inlet**2 + wet**2)))
     return ReadingNoise(reading, total - reading)
+
+
+def _usual_square(steps: Array) -> float:
+    """Return the mean square of the steps without those beyond `STEP` of its root, until none is left beyond."""
+    square = np.sort(steps**2)
+    count = len(square)
+    while True:
+        mean = float(square[:count].mean())
+        kept = int(np.searchsorted(square[:count], STEP**2 * mean, side="right"))
+        if kept == count:
+            return mean
+        count = kept
