@@ -35,8 +35,8 @@ NORMAL = 1.6449
 FEWEST_WINDOWS = 9
 """Windows below which a class takes the quantile of a coarser one: the level 0.9 (n + 1)/n of a smaller number n
 exceeds 1."""
-START_MIN = (5, 10, 20)
-"""Minutes after a start up to which classes of their own reach: the error decays within them."""
+START_MIN = (5, 20)
+"""Minutes after a start up to which classes of their own reach."""
 WET_C = (5.0, 12.0, 18.0, 23.0)
 """Wet bulbs between which classes lie: the twin's error grows with the distance from its test points."""
 NEAR_S = 900.0
