@@ -1,8 +1,8 @@
 """90 % interval of the outlet's true temperature, from the hidden residuals of its thermometer.
 
 A hidden residual is the prediction's error plus the noise of one reading, so its quantile is too wide for the water.
-The noise shows in the differences of residuals close to each other. These hold the noise of the inputs as well, which the
-prediction carries into the water's error. The twin's slopes divide the two:
+The noise shows in the differences of residuals close to each other. These hold the noise of the inputs as well, which
+the prediction carries into the water's error. The twin's slopes divide the two:
 
     mean square difference / 2 = s^2 (1 + a^2 + b^2)
 
