@@ -32,9 +32,9 @@ WINDOW_S = 7200.0
 QUANTILE = 0.9
 NORMAL = 1.6449
 """Half width of a 90 % interval in standard deviations."""
-FEWEST_WINDOWS = 9
-"""Windows below which a class takes the quantile of a coarser one: the level 0.9 (n + 1)/n of a smaller number n
-exceeds 1."""
+FEWEST_WINDOWS = 18
+"""Windows below which a class takes the quantile of a coarser one: the level 0.9 (n + 1)/n of a smaller number n is
+nearer to 1 than to 0.9, so that the largest residuals alone would set it."""
 START_MIN = (5, 20)
 """Minutes after a start up to which classes of their own reach."""
 WET_C = (5.0, 12.0, 18.0, 23.0)
@@ -80,11 +80,11 @@ def _hidden_quantiles(size: Array, minutes: Minutes) -> Array:
     there = np.isfinite(size)
     window = np.floor(minutes.time_s / WINDOW_S).astype(np.int64)
     half = np.full(len(size), np.nan)
-    for kind in _classes(minutes):
+    for kind, fewest in zip(_classes(minutes), (FEWEST_WINDOWS, FEWEST_WINDOWS, 1), strict=True):
         for one in np.unique(kind[np.isnan(half)]):
             seen = there & (kind == one)
             count = len(np.unique(window[seen]))
-            if count >= FEWEST_WINDOWS:
+            if count >= fewest:
                 level = min(QUANTILE * (count + 1.0) / count, 1.0)
                 half[np.isnan(half) & (kind == one)] = np.quantile(size[seen], level)
     return np.where(np.isnan(half), np.max(size[there], initial=0.0), half)
@@ -92,20 +92,19 @@ def _hidden_quantiles(size: Array, minutes: Minutes) -> Array:
 
 def _classes(minutes: Minutes) -> tuple[NDArray[np.intp], ...]:
     """Return the class of each minute from fine to coarse: just after a start, else its regime, steady or not, by the
-    weather; then without the regime; then steady or not; then one for all."""
+    weather; then without the regime; then start, steady or neither."""
     index = np.arange(len(minutes.known))
     since = index - np.maximum.accumulate(np.where(minutes.known, -1, index))
     since = np.where(np.maximum.accumulate(~minutes.known), since, START_MIN[-1] + 1)
     start = np.digitize(since, START_MIN, right=True)
     weather = np.digitize(np.nan_to_num(minutes.operation.inputs.wet), WET_C)
-    steady = minutes.steady.astype(int)
-
-    def by(usual: NDArray[np.intp]) -> NDArray[np.intp]:
-        return np.where(start < len(START_MIN), start, len(START_MIN) + usual)
-
-    weathers = len(WET_C) + 1
+    steady, starts, weathers = minutes.steady.astype(int), len(START_MIN), len(WET_C) + 1
     fine = (2 * minutes.regime.astype(int) + steady) * weathers + weather
-    return by(fine), by(steady * weathers + weather), steady.astype(np.intp), np.zeros(len(index), dtype=np.intp)
+    return (
+        np.where(start < starts, start, starts + fine),
+        np.where(start < starts, 0, 1 + steady * weathers + weather),
+        np.where(start < starts, 0, 1 + steady),
+    )
 
 
 def _noise(residual: Array, minutes: Minutes, of_minute: NDArray[np.intp], p: Estimate) -> ReadingNoise:
