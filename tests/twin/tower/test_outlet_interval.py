@@ -114,7 +114,7 @@ def test_the_uncertainty_of_the_bias_widens_the_interval_in_quadrature() -> None
     assert np.allclose(open_**2 - sharp**2, (1.6449 * 0.1) ** 2)
 
 
-def test_a_regime_of_few_windows_takes_the_interval_of_its_weather() -> None:
+def test_a_regime_of_few_windows_takes_the_interval_of_all_steady_minutes() -> None:
     regime = np.full(N, 3.0)
     regime[600:960] = 6.0  # three windows
     usual = made_outlet(0.03, 0.03)

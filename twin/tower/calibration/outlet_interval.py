@@ -32,9 +32,9 @@ WINDOW_S = 7200.0
 QUANTILE = 0.9
 NORMAL = 1.6449
 """Half width of a 90 % interval in standard deviations."""
-FEWEST_WINDOWS = 18
-"""Windows below which a class takes the quantile of a coarser one: the level 0.9 (n + 1)/n of a smaller number n is
-nearer to 1 than to 0.9, so that the largest residuals alone would set it."""
+FEWEST_WINDOWS = 9
+"""Windows below which a class takes the quantile of a coarser one: the level 0.9 (n + 1)/n of a smaller number n
+exceeds 1."""
 START_MIN = (5, 20)
 """Minutes after a start up to which classes of their own reach."""
 WET_C = (5.0, 12.0, 18.0, 23.0)
@@ -92,17 +92,17 @@ def _hidden_quantiles(size: Array, minutes: Minutes) -> Array:
 
 def _classes(minutes: Minutes) -> tuple[NDArray[np.intp], ...]:
     """Return the class of each minute from fine to coarse: just after a start, else its regime, steady or not, by the
-    weather; then without the regime; then start, steady or neither."""
+    weather; then without the weather; then start, steady or neither."""
     index = np.arange(len(minutes.known))
     since = index - np.maximum.accumulate(np.where(minutes.known, -1, index))
     since = np.where(np.maximum.accumulate(~minutes.known), since, START_MIN[-1] + 1)
     start = np.digitize(since, START_MIN, right=True)
     weather = np.digitize(np.nan_to_num(minutes.operation.inputs.wet), WET_C)
     steady, starts, weathers = minutes.steady.astype(int), len(START_MIN), len(WET_C) + 1
-    fine = (2 * minutes.regime.astype(int) + steady) * weathers + weather
+    regime = 2 * minutes.regime.astype(int) + steady
     return (
-        np.where(start < starts, start, starts + fine),
-        np.where(start < starts, 0, 1 + steady * weathers + weather),
+        np.where(start < starts, start, starts + regime * weathers + weather),
+        np.where(start < starts, 0, 1 + regime),
         np.where(start < starts, 0, 1 + steady),
     )
 
