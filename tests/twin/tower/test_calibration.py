@@ -127,10 +127,3 @@ def test_an_inspection_says_nothing_inside_its_interval_and_pulls_from_outside(
     joint = (mean / sd**2 + value / spread**2) / (1 / sd**2 + 1 / spread**2)
     assert (abs(joint - mean) > 0.2 * sd) == moves
     assert abs(joint) <= abs(mean) + 1e-9
-
-
-def test_an_inspections_bounds_count_as_a_90_percent_interval() -> None:
-    value, spread = interval_as_gaussian(-0.1, 0.1, 0.0, 1.0)  # hardly anything else is known
-    assert value == pytest.approx(0.0, abs=1e-3)
-    # Wider than bounds that always hold, and within a quarter of the Gaussian with the same 90 %.
-    assert 0.2 / np.sqrt(12) < spread < 1.25 * 0.1 / 1.645

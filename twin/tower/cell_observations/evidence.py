@@ -11,11 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-BEYOND = 0.1
-"""Share of an inspection's density beyond its bounds: they count as a 90 % interval, like every other one here."""
-TAIL = 0.5 * BEYOND / (1.0 - BEYOND)
-"""Scale of the two exponential tails as a share of the interval's width: 2 TAIL / (1 + 2 TAIL) lies beyond the
-bounds."""
+TAIL = 0.25
+"""Scale of an interval's exponential tails as a share of its width: an inspector's bounds are seldom exceeded by half
+of it."""
 LEAST_PRECISION = 1e-6
 """Precision, relative to that of what is known, of a moment-matched interval that adds nothing to it."""
 
