@@ -14,17 +14,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from twin.tower.air import Array, wet_bulb
     from twin.tower.calibration.baselines import BASELINES, CellDataset, split, without_discrepancy
-    from twin.tower.calibration.cell_fit import (
-        NORMAL,
-        QUANTILE,
-        WET_C,
-        WINDOW_S,
-        Calibrated,
-        CalibrationError,
-        Fitted,
-        fit_cell,
-        predict_cell,
-    )
+    from twin.tower.calibration.cell_fit import Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
+    from twin.tower.calibration.outlet_interval import NORMAL, QUANTILE, WET_C, WINDOW_S
     from twin.tower.cell import CellDeviations, Inputs, solve_cell
     from twin.tower.cell_observations.evidence import Label
     from twin.tower.change_detection.changes import undeclared_changes
@@ -68,15 +59,17 @@ _MODULES = {
         "with_basin",
     ),
     "calibration.cell_fit": (
-        "WET_C",
-        "QUANTILE",
         "Calibrated",
         "CalibrationError",
         "Fitted",
-        "NORMAL",
-        "WINDOW_S",
         "fit_cell",
         "predict_cell",
+    ),
+    "calibration.outlet_interval": (
+        "NORMAL",
+        "QUANTILE",
+        "WET_C",
+        "WINDOW_S",
     ),
     "cell": (
         "solve_cell",

@@ -10,17 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.tower.calibration.baselines import BASELINES, CellDataset, split, without_discrepancy
-    from twin.tower.calibration.cell_fit import (
-        NORMAL,
-        QUANTILE,
-        WET_C,
-        WINDOW_S,
-        Calibrated,
-        CalibrationError,
-        Fitted,
-        fit_cell,
-        predict_cell,
-    )
+    from twin.tower.calibration.cell_fit import Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
+    from twin.tower.calibration.outlet_interval import NORMAL, QUANTILE, WET_C, WINDOW_S
 
 _MODULES = {
     "baselines": (
@@ -33,12 +24,14 @@ _MODULES = {
         "Calibrated",
         "CalibrationError",
         "Fitted",
+        "fit_cell",
+        "predict_cell",
+    ),
+    "outlet_interval": (
         "NORMAL",
         "QUANTILE",
         "WET_C",
         "WINDOW_S",
-        "fit_cell",
-        "predict_cell",
     ),
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.tower.air import Array
-from twin.tower.calibration.cell_fit import WINDOW_S
+from twin.tower.calibration.outlet_interval import WINDOW_S
 from twin.tower.cell import STARVING, solve_cell
 from twin.tower.cell_observations import Label
 from twin.tower.estimates import DAY_S, Blocks, Estimate, Opening, Priors

@@ -10,28 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.tower.air import Array
+from twin.tower.calibration.outlet_interval import WINDOW_S, half_width
 from twin.tower.cell_observations import Label
 from twin.tower.estimates import Blocks, Estimate, Opening, Priors
 from twin.tower.minutes import Minutes, blocks_of, first_order_lag
-from twin.tower.model import DEVIATIONS, SLOW, CellModel
+from twin.tower.model import SLOW, CellModel
 from twin.tower.smoother import estimate
 
-WINDOW_S = 7200.0
-"""Target interval of the paper: 120 minutes, whose outlet readings are hidden from the prediction in them."""
-QUANTILE = 0.9
-NORMAL = 1.6449
-"""Half width of a 90 % interval in standard deviations."""
 FEWEST_BLOCKS = 36
 """Steady blocks of ten minutes, six hours in all: below them nothing is fitted."""
-FEWEST_RESIDUALS = 40
-"""Readings of a class of minutes below which it takes the interval of all, half as wide again."""
-START_MIN = (5, 20)
-"""Minutes after a start that make classes of their own."""
-WET_C = (5.0, 12.0, 18.0, 23.0)
-"""Wet bulbs between which classes lie: the twin's error grows with the distance from its test points."""
-LEAST_SHARE = 0.8
-"""Share of a quantile that is left when the noise is taken off it: what differences show is not noise alone."""
-LEAST_WIDTH_K = 0.05
 
 
 class CalibrationError(ValueError):
@@ -128,7 +115,7 @@ def predict_cell(fitted: Fitted) -> Calibrated:
     commissioned[known] = _clean_outlet(model, minutes, known)
     predicted, commissioned = first_order_lag(predicted, minutes.known), first_order_lag(commissioned, minutes.known)
     t_out = predicted + _without_own_window(posterior, fitted.blocks, minutes)
-    half = _half_width(minutes, t_out, slow[:, 3], posterior)
+    half = half_width(minutes, fitted.of_minute, t_out, slow[:, 3], posterior)
     sd = posterior.sd()[posterior.cells_at(minutes.time_s)]
     return Calibrated(
         t_out, t_out - half, t_out + half, commissioned, slow[:, :4].copy(), sd[:, :4].copy(), posterior, fitted.blocks
@@ -183,42 +170,3 @@ def _without_own_window(p: Estimate, blocks: Blocks, minutes: Minutes) -> Array:
         first, last = np.searchsorted(minutes.time_s, (start, start + WINDOW_S))
         found[first:last] = np.interp(minutes.time_s[first:last], blocks.time_s[rows], shift[rows])
     return found
-
-
-def _half_width(minutes: Minutes, t_out: Array, bias: Array, p: Estimate) -> Array:
-    """Return the half width of the outlet's 90 % interval (n,).
-
-    The quantile of the absolute residuals of hidden readings in each class of minutes, less the noise of the
-    readings, which the water does not have, and widened by the uncertainty of the thermometer's bias, which no
-    residual shows.
-    """
-    residual = minutes.outlet - bias - t_out
-    there = np.isfinite(residual)
-    kind = _classes(minutes)
-    noise = _noise(residual[there])
-    half = np.full(len(t_out), np.nan)
-    overall = float(np.quantile(np.abs(residual[there]), QUANTILE)) if there.any() else 1.0
-    for one in np.unique(kind):
-        rows = kind == one
-        seen = rows & there
-        half[rows] = np.quantile(np.abs(residual[seen]), QUANTILE) if seen.sum() >= FEWEST_RESIDUALS else 1.5 * overall
-    water = np.sqrt(np.maximum(half**2 - (NORMAL * noise) ** 2, (LEAST_SHARE * half) ** 2))
-    bias_sd = p.sd()[p.cells_at(minutes.time_s)][:, DEVIATIONS.index("bias")]
-    return np.sqrt(np.maximum(water, LEAST_WIDTH_K) ** 2 + (NORMAL * bias_sd) ** 2)
-
-
-def _classes(minutes: Minutes) -> NDArray[np.intp]:
-    """Return the class of each minute: just after a start, else its regime, steady or not, by the weather."""
-    index = np.arange(len(minutes.known))
-    since = index - np.maximum.accumulate(np.where(minutes.known, -1, index))
-    since = np.where(np.maximum.accumulate(~minutes.known), since, START_MIN[-1] + 1)
-    weather = np.digitize(np.nan_to_num(minutes.operation.inputs.wet), WET_C)
-    usual = len(START_MIN) + (2 * minutes.regime.astype(int) + minutes.steady) * (len(WET_C) + 1) + weather
-    return np.where(since <= START_MIN[0], 0, np.where(since <= START_MIN[1], 1, usual))
-
-
-def _noise(residual: Array) -> float:
-    """Return the standard deviation of the readings' noise by the differences of successive residuals, K."""
-    if len(residual) < FEWEST_RESIDUALS:
-        return 0.0
-    return float(1.4826 * np.median(np.abs(np.diff(residual))) / np.sqrt(2.0))
