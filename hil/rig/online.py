@@ -64,7 +64,8 @@ async def _show(watch: RigWatch, out: Console | None, stop: asyncio.Event, secon
         if left <= 0:
             return False
         try:
-            await asyncio.wait_for(stop.wait(), min(SHOWN_EVERY_S, left))
+            async with asyncio.timeout(min(SHOWN_EVERY_S, left)):
+                await stop.wait()
         except TimeoutError:
             return True
         return False

@@ -202,7 +202,8 @@ class TrackingProcess:
             else:
                 self._room.clear()
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(self._room.wait(), min(IDLE_AT_MOST_S, 1.0))
+                    async with asyncio.timeout(min(IDLE_AT_MOST_S, 1.0)):
+                        await self._room.wait()
 
     def _work_s(self) -> float:
         return math.nan if self._child is None else self._child.work_s()

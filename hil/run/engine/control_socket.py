@@ -96,9 +96,15 @@ async def serving(path: Path, engine: Engine, announce: Callable[[str], None]) -
 async def _talk(engine: Engine, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """Answer line by line until the client goes, or says nothing for `IDLE_S`."""
     with contextlib.suppress(OSError, ValueError, TimeoutError):
-        while line := await asyncio.wait_for(reader.readline(), IDLE_S):
+        while line := await _next_line(reader):
             writer.write(json.dumps(await _answer(engine, line), allow_nan=False).encode() + b"\n")
             await writer.drain()
+
+
+async def _next_line(reader: asyncio.StreamReader) -> bytes:
+    # Python 3.11's wait_for loses a cancellation that comes together with a line.
+    async with asyncio.timeout(IDLE_S):
+        return await reader.readline()
 
 
 async def _answer(engine: Engine, line: bytes) -> dict[str, Any]:
