@@ -38,6 +38,7 @@ def exit_code(error: BaseException) -> int | None:
         "DiagnosisFolderError",
         "ExplanationError",
         "HieraError",
+        "TestPlanError",
     }:
         return USAGE
     if names & {"VirtualRigError", "ViewerError", "ControlError", "TowerOutputError"}:

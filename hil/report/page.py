@@ -21,7 +21,8 @@ from hil.report.statistics import (
     signal_statistics,
     time_unit,
 )
-from hil.run_folder import RunFolder
+from hil.report.verdict import verdict_section
+from hil.run_folder import RunFolder, read_verdict
 from hil.tracking import Proposed, accepted, closed_gates, parameter_cell, window_kind
 
 LEVELS = ("ERROR", "WARN")
@@ -32,7 +33,8 @@ h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem } img { width
 table { border-collapse: collapse }
 td, th { padding: .25rem .8rem; border-bottom: 1px solid #d8dce0; text-align: right }
 td:first-child, th:first-child { text-align: left; white-space: nowrap } td.text { text-align: left }
-.ERROR { color: #b3261e } .WARN { color: #9a6700 }
+.ERROR { color: #b3261e } .WARN { color: #9a6700 } .PASS { color: #1b6e3c }
+table.verdict td, table.verdict th { text-align: left; vertical-align: top }
 p.note { color: #5b636b; font-size: .9rem }
 """
 
@@ -61,6 +63,7 @@ def write_report(folder: RunFolder, missing: Mapping[str, str] | None = None) ->
         samples = reader.samples()
         unit = time_unit(float(np.ptp(samples.time_s)) if len(samples.tick) else 0.0)
         body = [
+            verdict_section(read_verdict(folder)),
             _summary(manifest),
             _segments(manifest, unit),
             _error_table(manifest),

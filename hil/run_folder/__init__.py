@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         require_room,
     )
     from hil.run_folder.manifest_check import DocumentShape, require_settings, wrong_place
+    from hil.run_folder.verdict import read_verdict
 
 __all__ = [
     "DocumentShape",
@@ -27,6 +28,7 @@ __all__ = [
     "RunFolderError",
     "create_run_folder",
     "new_manifest",
+    "read_verdict",
     "require_room",
     "require_settings",
     "wrong_place",
@@ -48,5 +50,6 @@ __getattr__, __dir__ = lazy_names(
             "require_settings",
             "wrong_place",
         ),
+        "verdict": ("read_verdict",),
     },
 )
