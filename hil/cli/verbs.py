@@ -30,6 +30,7 @@ VERBS = {
     "review": "Show a run in Rerun: measured against twin",
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",
+    "test": "Judge a run by a test plan: verdicts, JUnit XML",
     "tower": "Cooling towers: historian, aligned record, calibration",
     "track": "Replay the calibrators on a record",
     "train": "Train the network calibrator",
@@ -38,7 +39,7 @@ VERBS = {
 PACKAGES = {
     "hil.bench.commands": ("bench",),
     "hil.cli.rig_commands": ("check", "init", "profile", "rig"),
-    "hil.cli.run_commands": ("ctl", "report", "resume", "review", "run"),
+    "hil.cli.run_commands": ("ctl", "report", "resume", "review", "run", "test"),
     "hil.cli.tower_commands": ("tower",),
     "hil.cli.twin_commands": ("commission", "diagnose", "explain", "track", "train", "twin"),
 }

@@ -10,19 +10,23 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.testing.bind import BoundLimit, RigSignals, bind
+    from hil.testing.bound_limits import BoundLimit, RigSignals, bind
     from hil.testing.grammar import SentenceError, parse
     from hil.testing.judge import Judgement, judge_all
+    from hil.testing.live import LiveTest
+    from hil.testing.matrix import Matrix, requirement_matrix
     from hil.testing.plan import Limit, Plan, TestPlanError, read_plan
     from hil.testing.recorded import judge_run
     from hil.testing.results import TestResult, junit, write_results
     from hil.testing.run_data import RunData
-    from hil.testing.terminal import result_lines
+    from hil.testing.terminal import document_lines
 
 __all__ = [
     "BoundLimit",
     "Judgement",
     "Limit",
+    "LiveTest",
+    "Matrix",
     "Plan",
     "RigSignals",
     "RunData",
@@ -30,19 +34,20 @@ __all__ = [
     "TestPlanError",
     "TestResult",
     "bind",
+    "document_lines",
     "judge_all",
     "judge_run",
     "junit",
     "parse",
     "read_plan",
-    "result_lines",
+    "requirement_matrix",
     "write_results",
 ]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "bind": (
+        "bound_limits": (
             "BoundLimit",
             "RigSignals",
             "bind",
@@ -54,6 +59,11 @@ __getattr__, __dir__ = lazy_names(
         "judge": (
             "Judgement",
             "judge_all",
+        ),
+        "live": ("LiveTest",),
+        "matrix": (
+            "Matrix",
+            "requirement_matrix",
         ),
         "plan": (
             "Limit",
@@ -68,6 +78,6 @@ __getattr__, __dir__ = lazy_names(
             "write_results",
         ),
         "run_data": ("RunData",),
-        "terminal": ("result_lines",),
+        "terminal": ("document_lines",),
     },
 )

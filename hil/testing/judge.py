@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.testing.bind import BoundLimit
+from hil.testing.bound_limits import BoundLimit
 from hil.testing.plan import Limit
 from hil.testing.run_data import Floats, RunData
 from hil.testing.settling import judge_settling

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hil.journal import JournalReader
 from hil.run_folder import RunFolder
-from hil.testing.bind import bind
+from hil.testing.bound_limits import bind
 from hil.testing.judge import judge_all
 from hil.testing.plan import Plan, TestPlanError
 from hil.testing.results import TestResult, write_results

@@ -12,7 +12,7 @@ from drivers.signals import Quality
 from hil.files import read_json
 from hil.journal import JournalReader, RunEvent, State, StateRow, profile_times
 from hil.run_folder import RunFolder, RunFolderError
-from hil.testing.bind import RigSignals
+from hil.testing.bound_limits import RigSignals
 
 Floats = NDArray[np.float64]
 

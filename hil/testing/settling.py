@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.testing.bind import BoundLimit
+from hil.testing.bound_limits import BoundLimit
 from hil.testing.run_data import RunData
 from hil.testing.statements import Settles
 from hil.testing.verdicts import Finding, shown, worst

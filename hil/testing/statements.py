@@ -1,6 +1,6 @@
 """Statements of limits: the parsed form of a sentence such as `T_tank_C settles within 120 s to 0.5 K`.
 
-Numbers have the units in which they are written. `hil.testing.bind` relates them to the signals of a run.
+Numbers have the units in which they are written. `hil.testing.bound_limits` relates them to the signals of a run.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hil.run.engine.recording import Publisher
     from hil.run.engine.signals import RunSignals, cancelling, interrupted, stopping
     from hil.run.engine.status import Outcome, Status
+    from hil.run.engine.watch import Watch
 
 __all__ = [
     "LOCKSTEP_DEADLINE_S",
@@ -30,6 +31,7 @@ __all__ = [
     "Publisher",
     "RunSignals",
     "Status",
+    "Watch",
     "ask",
     "cancelling",
     "interrupted",
@@ -66,5 +68,6 @@ __getattr__, __dir__ = lazy_names(
             "Outcome",
             "Status",
         ),
+        "watch": ("Watch",),
     },
 )

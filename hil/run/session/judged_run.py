@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hil.report import write_report
-from hil.run_folder import RunFolder
+from hil.run_folder import RunFolder, read_verdict
 from hil.testing import Plan, TestResult, judge_run
 
 
@@ -20,5 +20,6 @@ def judge_recorded(plan: Plan, folder: RunFolder) -> TestResult:
     folder.read_manifest()  # refuse a folder of something else before it is locked
     with folder.owned():
         result = judge_run(plan, folder)
+        folder.write_manifest(folder.read_manifest() | {"verdict": read_verdict(folder)["verdict"]})
         write_report(folder)
     return result

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from hil.journal import ENDED, JournalReader
-from hil.run.session.derived_files import RECORD, REVIEW, REVISION, DerivedFiles, derive_files
+from hil.run.session.derived_files import RECORD, REVIEW, REVISION, VERDICT, DerivedFiles, derive_files
 from hil.run_folder import RunFolder, RunFolderError
 
 
@@ -34,7 +34,7 @@ def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str],
     with folder.owned():
         manifest = completed_manifest(folder, folder.read_manifest())
         wanted = manifest.get("missing", {})
-        there = [] if REVISION in wanted else [REVISION]
+        there = [name for name in (REVISION, VERDICT) if name not in wanted]
         if not rebuild:
             files = {RECORD: folder.record, REVIEW: folder.review}
             there += [name for name, path in files.items() if folder.is_current(path)]

@@ -16,10 +16,12 @@ from hil.run.engine import Engine, Options, Outcome, RunSignals, Status, interru
 from hil.run.locks import RigClaim
 from hil.run.restore import Resumption, clocks_recorded, restore_calibrators
 from hil.run.session.derived_files import REVIEW, DerivedFiles, derive_files
+from hil.run.session.live_test import live_watch
 from hil.run.session.manifest import RUN_UID, end_entries
 from hil.run.session.request import RunInputs, RunRequest
+from hil.run.session.rig_signals import signals_of
 from hil.run.session.rig_time import rig_and_clock
-from hil.run.session.services import Publishers, guard_of, live_review, signals_of, start_diagnosis, start_tracking
+from hil.run.session.services import Publishers, guard_of, live_review, start_diagnosis, start_tracking
 from hil.run_folder import RunFolder
 from hil.tracking import STATIC, Adoption, Comparison, Tracking
 
@@ -154,6 +156,7 @@ async def _run_in(run: PreparedRun) -> RunResult:
                 resumption=resumption,
                 rearm=request.rearm,
                 guard=guard_of(request, folder, run.claim, rig),
+                watch=live_watch(ready.test, ready.rig, announce),
             ),
         )
         async with serving(folder.control, engine, announce):

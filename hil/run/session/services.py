@@ -7,15 +7,14 @@ import contextlib
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 
-from drivers.rig import RigConnection
 from drivers.rig_file import Rig
-from drivers.signals import Signal
 from hil.diagnosis import LiveConfig, LiveDiagnosis, commissioned_on
 from hil.guardian import Guard, GuardianClient, NoGuard
 from hil.journal import JournalWriter
 from hil.run.engine import Publisher
 from hil.run.locks import RigClaim
 from hil.run.session.request import RunInputs, RunRequest, tracking_config
+from hil.run.session.rig_signals import signals_of
 from hil.run_folder import RunFolder
 from hil.tracking import Advice, Tracking
 
@@ -30,11 +29,6 @@ async def start_tracking(request: RunRequest, ready: RunInputs) -> Tracking | No
     tracking = Tracking(config, wait=lockstep, in_step=lockstep and watched, advise=advise)
     await tracking.start()
     return tracking
-
-
-def signals_of(rig: Rig) -> tuple[Signal, ...]:
-    """Return the signals that are polled, then those that are commanded."""
-    return RigConnection(rig, lambda: 0.0).signals + tuple(point.as_signal() for point in rig.setpoints)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,8 +34,8 @@ class RigSignals:
     """Names that limits may use.
 
     `twin_sensors` maps each sensor of the twin to its columns, `twins` names the twins of the run, and `duration_s` is
-    the length of the profile, s. `source` names the rig or run in messages. `longest_hold_s` is the longest time between
-    two changes of set-points in the profile, s, None where that is not known.
+    the length of the profile, s. `source` names the rig or run in messages. `longest_hold_s` is the longest time
+    between two changes of set-points in the profile, s, None where that is not known.
     """
 
     signals: tuple[Signal, ...]
@@ -109,6 +109,8 @@ def _bound(limit: Limit, known: RigSignals) -> BoundLimit:
     whole = isinstance(statement, NoEffect | NoTrip)
     if whole and (window.from_s is not None or window.to_s is not None or window.while_ is not None):
         raise _MismatchError("judges the whole run; take its times and conditions out")
+    if isinstance(statement, NoEffect) and not known.twin_sensors:
+        raise _MismatchError("judges a diagnosis, which needs a twin, and there is none; give the rig one (--twin)")
     if isinstance(statement, NoEffect | NoTrip):
         return BoundLimit(limit, statement, (), "", from_s, to_s)
     if isinstance(statement, TwinError):

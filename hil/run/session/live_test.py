@@ -1,0 +1,60 @@
+"""Test plan of a run: its limits for the rig, before anything moves, and the watch that judges them live."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers.rig_file import Rig, file_sha256
+from hil.profile import Profile
+from hil.run.session.rig_signals import signals_of
+from hil.testing import BoundLimit, LiveTest, Plan, RigSignals, TestPlanError, bind, read_plan
+
+if TYPE_CHECKING:
+    from hil.run.engine import Watch
+    from twin import Network
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedTest:
+    """Plan of a run, and its limits in the units of the rig's signals."""
+
+    plan: Plan
+    limits: tuple[BoundLimit, ...]
+
+
+def prepared_test(
+    file: Path, rig: Rig, profile: Profile, network: Network | None, twins: tuple[str, ...]
+) -> PreparedTest:
+    """Return the test plan in `file` for a run of `profile` on `rig`, with `twins` by name.
+
+    Raises
+    ------
+    TestPlanError
+        The plan is for another profile, or a limit does not fit the rig or the profile.
+    """
+    plan = read_plan(file)
+    if plan.profile is not None and profile.path is not None and file_sha256(plan.profile) != profile.sha256:
+        raise TestPlanError(f"{file}: profile: the run replays {profile.path}, and the plan is for {plan.profile}")
+    moves = profile.time_s[1:][(np.diff(profile.values, axis=0) != 0.0).any(axis=1)]
+    known = RigSignals(
+        signals_of(rig),
+        {} if network is None else dict(network.sensor_columns),
+        twins,
+        profile.duration_s,
+        rig.period_s,
+        f"rig {rig.name}",
+        float(np.diff([0.0, *moves, profile.duration_s]).max()),
+    )
+    return PreparedTest(plan, bind(plan, known))
+
+
+def live_watch(test: PreparedTest | None, rig: Rig, announce: Callable[[str], None]) -> Watch | None:
+    """Return the watch that judges a test while its run goes on; `announce` gets a line for each limit."""
+    if test is None:
+        return None
+    return LiveTest(test.plan, test.limits, signals_of(rig), announce)
