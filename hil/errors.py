@@ -41,7 +41,7 @@ def exit_code(error: BaseException) -> int | None:
         "TestPlanError",
     }:
         return USAGE
-    if names & {"VirtualRigError", "ViewerError", "ControlError", "TowerOutputError"}:
+    if names & {"VirtualRigError", "ViewerError", "ControlError", "PdfError", "TowerOutputError"}:
         return FOUND
     return None
 

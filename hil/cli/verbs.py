@@ -24,6 +24,7 @@ VERBS = {
     "diagnose": "Trace the error of a twin to the effect that it lacks",
     "explain": "Run the experiments that settle an ambiguous diagnosis",
     "init": "Write a rig file from options, a register table, Telegraf, DBC ...",
+    "note": "Add a note or labels to a run, also while it goes on",
     "profile": "Build and draw load profiles",
     "report": "Make the record, review and report of a run, if missing",
     "resume": "Continue a run that a crash or a fault interrupted",
@@ -39,7 +40,7 @@ VERBS = {
 PACKAGES = {
     "hil.bench.commands": ("bench",),
     "hil.cli.rig_commands": ("check", "init", "profile", "rig"),
-    "hil.cli.run_commands": ("ctl", "report", "resume", "review", "run", "test"),
+    "hil.cli.run_commands": ("ctl", "note", "report", "resume", "review", "run", "test"),
     "hil.cli.tower_commands": ("tower",),
     "hil.cli.twin_commands": ("commission", "diagnose", "explain", "track", "train", "twin"),
 }

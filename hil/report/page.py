@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from drivers.signals import Quality
 from hil.files import Html, document, element, joined, replacing, table
 from hil.journal import JournalReader, JournalSamples, TwinOutput
+from hil.report.about import label_section, note_section
 from hil.report.figures import RunCurves, pictures
 from hil.report.statistics import (
     NONE,
@@ -22,7 +23,7 @@ from hil.report.statistics import (
     time_unit,
 )
 from hil.report.verdict import verdict_section
-from hil.run_folder import RunFolder, read_verdict
+from hil.run_folder import RunFolder, labels_of, read_notes, read_verdict
 from hil.tracking import Proposed, accepted, closed_gates, parameter_cell, window_kind
 
 LEVELS = ("ERROR", "WARN")
@@ -34,7 +35,7 @@ table { border-collapse: collapse }
 td, th { padding: .25rem .8rem; border-bottom: 1px solid #d8dce0; text-align: right }
 td:first-child, th:first-child { text-align: left; white-space: nowrap } td.text { text-align: left }
 .ERROR { color: #b3261e } .WARN { color: #9a6700 } .PASS { color: #1b6e3c }
-table.verdict td, table.verdict th { text-align: left; vertical-align: top }
+table.verdict td, table.verdict th, table.about td, table.about th { text-align: left; vertical-align: top }
 p.note { color: #5b636b; font-size: .9rem }
 """
 
@@ -58,13 +59,17 @@ def write_report(folder: RunFolder, missing: Mapping[str, str] | None = None) ->
     `missing` are the files that could not be made, with reasons; those of `run.json` by default.
     """
     manifest = folder.read_manifest() | ({} if missing is None else {"missing": dict(missing)})
+    notes = read_notes(folder)
     reader = JournalReader(folder.journal)
     try:
         samples = reader.samples()
+        wall_s = reader.timing()[:, 1] if notes else np.zeros(0)
         unit = time_unit(float(np.ptp(samples.time_s)) if len(samples.tick) else 0.0)
         body = [
             verdict_section(read_verdict(folder)),
             _summary(manifest),
+            label_section(labels_of(manifest, notes), manifest),
+            note_section(notes, wall_s, samples.time_s if notes else wall_s, unit),
             _segments(manifest, unit),
             _error_table(manifest),
             _band_table(manifest),

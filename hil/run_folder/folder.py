@@ -73,6 +73,11 @@ class RunFolder:
         return self.path / "report.html"
 
     @property
+    def notes(self) -> Path:
+        """Notes on the run, and changes of its labels, a line of JSON each."""
+        return self.path / "notes.jsonl"
+
+    @property
     def verdict(self) -> Path:
         """Results of test plans on the run, where it was judged."""
         return self.path / "verdict.json"

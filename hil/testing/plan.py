@@ -91,7 +91,7 @@ class Limit:
 class Plan:
     """Test plan, read and checked in itself.
 
-    `profile`, `rig` and `twin` are paths, None where the plan names none. A failed limit of severity `trip_on` or above
+    `profile`, `rig` and `twin` are paths, None where the plan names none; `place` is file and line of `profile`. A failed limit of severity `trip_on` or above
     trips a live run; None trips on none.
     """
 
@@ -103,6 +103,7 @@ class Plan:
     rig: Path | None
     twin: Path | None
     trip_on: Severity | None
+    place: str
     steps: tuple[Step, ...]
     limits: tuple[Limit, ...]
 
@@ -128,7 +129,8 @@ def read_plan(path: Path) -> Plan:
     try:
         read = PlanSection.model_validate(document)
     except ValidationError as error:
-        raise TestPlanError("\n".join(_sentence(path, text, document, item) for item in error.errors())) from None
+        items = [item for item in error.errors() if item["type"] != "too_short" or not document.get("limit")]
+        raise TestPlanError("\n".join(_sentence(path, text, document, item) for item in items)) from None
     problems: list[str] = []
     files = _paths(path, text, read, problems)
     steps = _steps(path, text, read, problems)
@@ -136,7 +138,17 @@ def read_plan(path: Path) -> Plan:
     if problems:
         raise TestPlanError("\n".join(problems))
     digest = hashlib.sha256(content).hexdigest()
-    return Plan(read.id, read.title or read.id, path, digest, **files, trip_on=read.trip_on, steps=steps, limits=limits)
+    return Plan(
+        id=read.id,
+        title=read.title or read.id,
+        path=path,
+        sha256=digest,
+        **files,
+        trip_on=read.trip_on,
+        place=f"{path}, line {line_of(text, ('profile',))}",
+        steps=steps,
+        limits=limits,
+    )
 
 
 def _sentence(path: Path, text: str, document: dict[str, Any], item: Any) -> str:

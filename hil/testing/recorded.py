@@ -43,6 +43,6 @@ def _require_profile(plan: Plan, manifest: dict[str, object], folder: RunFolder)
         return
     if replayed["sha256"] != file_sha256(plan.profile):
         raise TestPlanError(
-            f"{plan.path}: profile: the run {folder.path} replayed {replayed['path']}, whose content is not that of "
+            f"{plan.place}: profile: the run {folder.path} replayed {replayed['path']}, whose content is not that of "
             f"{plan.profile}; judge a run of this profile, or take `profile` out of the plan"
         )

@@ -11,6 +11,7 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.cli.options.init_questions import ask
+    from hil.cli.options.labels import label_options
     from hil.cli.options.own_process import OWN_PROCESS, owns_process
     from hil.cli.options.paths import INPUT_FILE, INPUT_PATH, PROJECT, VIRTUAL_RIG
     from hil.cli.options.record_reading import reading
@@ -27,6 +28,7 @@ __all__ = [
     "PROJECT",
     "VIRTUAL_RIG",
     "ask",
+    "label_options",
     "owns_process",
     "reading",
     "record_of",
@@ -37,6 +39,7 @@ __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "init_questions": ("ask",),
+        "labels": ("label_options",),
         "own_process": (
             "OWN_PROCESS",
             "owns_process",

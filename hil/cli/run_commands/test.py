@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import CALIBRATORS, INPUT_FILE, INPUT_PATH, VIRTUAL_RIG
+from hil.cli.options import CALIBRATORS, INPUT_FILE, INPUT_PATH, VIRTUAL_RIG, label_options
 from hil.cli.run_commands.run import address, as_json_document
 
 if TYPE_CHECKING:
     from hil.run.session import RunRequest
+    from hil.run_folder import Labels
     from hil.testing import Plan
 
 
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 @click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Parent folder.")
 @click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: if there is a display.")
 @click.option("--rearm", is_flag=True, help="Acknowledge a trip that the rig has latched; find its cause before.")
+@label_options
 @click.option("--check-only", is_flag=True, help="Validate plan, rig, profile and limits, move nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Print verdict.json, or the matrix, as JSON.")
 def command(
@@ -55,6 +57,10 @@ def command(
     runs: Path,
     viewer: bool | None,
     rearm: bool,
+    test_object: str,
+    serial_number: str,
+    operator: str,
+    tags: tuple[str, ...],
     check_only: bool,
     as_json: bool,
 ) -> None:
@@ -102,6 +108,7 @@ def command(
         control=None if control is None else address(control),
         rearm=rearm,
         test=plan,
+        labels=Labels(test_object, serial_number, operator, tags),
     )
     if check_only:
         _check(request)

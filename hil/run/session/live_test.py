@@ -39,7 +39,9 @@ def prepared_test(
     """
     plan = read_plan(file)
     if plan.profile is not None and profile.path is not None and file_sha256(plan.profile) != profile.sha256:
-        raise TestPlanError(f"{file}: profile: the run replays {profile.path}, and the plan is for {plan.profile}")
+        raise TestPlanError(
+            f"{plan.place}: profile: the run replays {profile.path}, and the plan is for {plan.profile}; run that"
+        )
     moves = profile.time_s[1:][(np.diff(profile.values, axis=0) != 0.0).any(axis=1)]
     known = RigSignals(
         signals_of(rig),

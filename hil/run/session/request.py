@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -13,6 +13,7 @@ from hil.profile import WINDOW_S, Profile, SetpointLimit, read_profile, validate
 from hil.rig import unguarded
 from hil.run.outputs import setpoint_columns
 from hil.run.session.live_test import PreparedTest, prepared_test
+from hil.run_folder import Labels
 from hil.tracking import DEFAULT, STATIC, NetworkMode, TrackingConfig
 
 if TYPE_CHECKING:
@@ -76,6 +77,8 @@ class RunRequest:
         Rig time at which a virtual rig starts, s: the age of its effects.
     test
         Test plan whose limits are judged, live and at the end.
+    labels
+        Test object, serial number, operator and tags.
     """
 
     profile: Path
@@ -101,6 +104,7 @@ class RunRequest:
     no_lock: bool = False
     start_s: float = 0.0
     test: Path | None = None
+    labels: Labels = field(default_factory=Labels)
 
 
 @dataclass(frozen=True, slots=True)

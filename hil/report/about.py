@@ -1,0 +1,48 @@
+"""Sections of a report on the run itself: labels, notes, and the verdict of its diagnosis."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.files import Html, element, joined, table
+from hil.report.statistics import NONE, TimeUnit
+from hil.run_folder import Labels, Note
+
+
+def label_section(labels: Labels, manifest: dict[str, Any]) -> Html:
+    """Return the table of test object, serial number, operator, tags, rig and profile; unknown ones are left out."""
+    files = manifest["files"]
+    rows = [
+        ["test object", labels.test_object],
+        ["serial number", labels.serial_number],
+        ["operator", labels.operator],
+        ["tags", ", ".join(labels.tags)],
+        ["rig", files["rig"]["path"] if "rig" in files else ""],
+        ["profile", files["profile"]["path"] if "profile" in files else ""],
+        ["started", manifest["started"]],
+        ["ended", manifest.get("ended") or ""],
+        ["diagnosis", manifest.get("diagnosis") or ""],
+    ]
+    rows = [row for row in rows if row[1]]
+    return table(["", ""], rows, class_="about") if rows else joined([])
+
+
+def note_section(notes: list[Note], wall_s: NDArray[np.float64], time_s: NDArray[np.float64], unit: TimeUnit) -> Html:
+    """Return the table of notes; `wall_s` (n,) and `time_s` (n,) relate their time to that of the run, s."""
+    if not notes:
+        return joined([])
+    rows = []
+    for note in notes:
+        live = len(wall_s) > 0 and wall_s[0] <= note.wall_s <= wall_s[-1] + 1.0
+        at = unit.of(float(np.interp(note.wall_s, wall_s, time_s))) if live else NONE
+        labels = "; ".join(f"{name}: {_plain(value)}" for name, value in note.labels.items())
+        rows.append([note.time, at, note.by, element("span", "; ".join(filter(None, (note.text, labels))))])
+    head = ["time", f"in the run / {unit.symbol}", "by", "note"]
+    return joined([element("h2", "Notes"), table(head, rows, class_="about")])
+
+
+def _plain(value: object) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
