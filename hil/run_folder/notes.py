@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from hil.files import plain
 from hil.run_folder.folder import RunFolder, RunFolderError
@@ -29,7 +29,7 @@ class _Line(DocumentShape):
     time: str
     by: str = ""
     text: str = ""
-    labels: dict[str, str | list[str]] = {}
+    labels: dict[str, str | list[str]] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,12 +69,16 @@ def _said(bound: BoundLimit, found: Finding) -> Judgement:
 
 @dataclass(frozen=True, slots=True)
 class _Times:
-    """Ticks of a limit: `time_s` (n,), `x` (n,) the values, NaN where missing, and the longest time without one, s."""
+    """Ticks of a limit: `time_s` (n,) and the values `x` (n,), NaN where missing.
+
+    `gap_s` is the longest time without a value, s, and `gap_from_s` its beginning.
+    """
 
     time_s: Floats
     x: Floats
     period_s: float
     gap_s: float
+    gap_from_s: float
     at_most_s: float
 
     @classmethod
@@ -88,8 +92,10 @@ class _Times:
             counts = np.isfinite(on) & within(on, bound.while_)
             covered = np.isfinite(on) & (covered | ~counts)
         edges = np.concatenate([[bound.from_s - data.period_s], time_s[covered], [bound.to_s]])
-        gap_s = float(np.diff(edges).max()) - data.period_s
-        return cls(time_s[counts], x[counts], data.period_s, gap_s, bound.limit.gap_at_most_s)
+        longest = int(np.argmax(np.diff(edges)))
+        gap_s = float(edges[longest + 1] - edges[longest]) - data.period_s
+        gap_from_s = float(edges[longest]) + data.period_s
+        return cls(time_s[counts], x[counts], data.period_s, gap_s, gap_from_s, bound.limit.gap_at_most_s)
 
     @property
     def is_missing(self) -> bool:
@@ -101,10 +107,12 @@ class _Times:
         """Ticks (n,) with a value."""
         return np.isfinite(self.x)
 
-    def missing(self, value: float | None = None) -> Finding:
-        """Return the finding that values are missing."""
-        text = f"values are missing, for {self.gap_s:g} s at the longest"
-        return Finding("inconclusive", text, value)
+    def missing(self, value: float | None = None, unit: str = "") -> Finding:
+        """Return the finding that values are missing; `value` in `unit` is that of the known ones."""
+        text = (
+            f"values are missing, at the longest for {max(self.gap_s, self.period_s):g} s from {self.gap_from_s:g} s on"
+        )
+        return Finding("inconclusive", text, value, unit)
 
 
 def within(x: Floats, bound: Bound) -> Bools:
@@ -259,7 +267,7 @@ def _follows(bound: BoundLimit, said: Follows, data: RunData, column: str) -> Fi
     if margin < 0.0:
         return Finding("fail", f"{text}, the limit is {said.band}", value, unit, at_s, margin)
     if times.is_missing:
-        return times.missing(value)
+        return times.missing(value, unit)
     return Finding("pass", text, value, unit, at_s, margin)
 
 

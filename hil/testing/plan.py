@@ -91,8 +91,8 @@ class Limit:
 class Plan:
     """Test plan, read and checked in itself.
 
-    `profile`, `rig` and `twin` are paths, None where the plan names none; `place` is file and line of `profile`. A failed limit of severity `trip_on` or above
-    trips a live run; None trips on none.
+    `profile`, `rig` and `twin` are paths, None where the plan names none; `place` is file and line of `profile`. A
+    failed limit of severity `trip_on` or above trips a live run; None trips on none.
     """
 
     id: str
