@@ -20,10 +20,12 @@ VERBS = {
     "bench": "Measure speed and fits, repeat the paper's experiments",
     "check": "Check a rig file, twin, profile, scenario or record",
     "commission": "Fit a twin to a healthy record",
+    "compare": "Compare runs on profile time: table, overlaid plots, drift",
     "ctl": "Hold, pause, resume, abort or query a live run",
     "diagnose": "Trace the error of a twin to the effect that it lacks",
     "explain": "Run the experiments that settle an ambiguous diagnosis",
     "init": "Write a rig file from options, a register table, Telegraf, DBC ...",
+    "ls": "List runs: verdict, end, rig, duration, tags",
     "note": "Add a note or labels to a run, also while it goes on",
     "profile": "Build and draw load profiles",
     "report": "Make the record, review and report of a run, if missing",
@@ -40,7 +42,7 @@ VERBS = {
 PACKAGES = {
     "hil.bench.commands": ("bench",),
     "hil.cli.rig_commands": ("check", "init", "profile", "rig"),
-    "hil.cli.run_commands": ("ctl", "note", "report", "resume", "review", "run", "test"),
+    "hil.cli.run_commands": ("compare", "ctl", "ls", "note", "report", "resume", "review", "run", "test"),
     "hil.cli.tower_commands": ("tower",),
     "hil.cli.twin_commands": ("commission", "diagnose", "explain", "track", "train", "twin"),
 }

@@ -34,7 +34,7 @@ def note_section(notes: list[Note], wall_s: NDArray[np.float64], time_s: NDArray
     """Return the table of notes; `wall_s` (n,) and `time_s` (n,) relate their time to that of the run, s."""
     if not notes:
         return joined([])
-    rows = []
+    rows: list[list[Html | str]] = []
     for note in notes:
         live = len(wall_s) > 0 and wall_s[0] <= note.wall_s <= wall_s[-1] + 1.0
         at = unit.of(float(np.interp(note.wall_s, wall_s, time_s))) if live else NONE

@@ -11,14 +11,13 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.testing.bound_limits import BoundLimit, RigSignals, bind
-    from hil.testing.grammar import SentenceError, parse
     from hil.testing.judge import Judgement, judge_all
     from hil.testing.live import LiveTest
     from hil.testing.matrix import Matrix, requirement_matrix
     from hil.testing.plan import Limit, Plan, TestPlanError, read_plan
     from hil.testing.recorded import judge_run
     from hil.testing.results import TestResult, junit, write_results
-    from hil.testing.run_data import RunData
+    from hil.testing.run_data import RunData, read_run
     from hil.testing.terminal import document_lines
 
 __all__ = [
@@ -30,7 +29,6 @@ __all__ = [
     "Plan",
     "RigSignals",
     "RunData",
-    "SentenceError",
     "TestPlanError",
     "TestResult",
     "bind",
@@ -38,8 +36,8 @@ __all__ = [
     "judge_all",
     "judge_run",
     "junit",
-    "parse",
     "read_plan",
+    "read_run",
     "requirement_matrix",
     "write_results",
 ]
@@ -51,10 +49,6 @@ __getattr__, __dir__ = lazy_names(
             "BoundLimit",
             "RigSignals",
             "bind",
-        ),
-        "grammar": (
-            "SentenceError",
-            "parse",
         ),
         "judge": (
             "Judgement",
@@ -77,7 +71,10 @@ __getattr__, __dir__ = lazy_names(
             "junit",
             "write_results",
         ),
-        "run_data": ("RunData",),
+        "run_data": (
+            "RunData",
+            "read_run",
+        ),
         "terminal": ("document_lines",),
     },
 )

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 
 from drivers.signals import SUFFIX_OF_UNIT, Signal
 from hil.report import pair_actuators
-from hil.testing.plan import Limit, Plan, TestPlanError
-from hil.testing.statements import (
+from hil.testing.limits import (
     TIMES_S,
     Amount,
     Bound,
@@ -20,9 +19,12 @@ from hil.testing.statements import (
     Settles,
     Statement,
     TwinError,
+    UnitError,
     While,
+    difference_unit,
+    factor_to,
 )
-from hil.testing.units import UnitError, difference_unit, factor_to
+from hil.testing.plan import Limit, Plan, TestPlanError
 
 CONSTANT_S = 60.0
 """Time for which a set-point must be constant before its read-back counts, s, where a limit names none: the time that

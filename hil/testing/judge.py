@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.testing.bound_limits import BoundLimit
+from hil.testing.limits import Bound, Compared, Follows, NoEffect, NoTrip, Settles, TwinError
 from hil.testing.plan import Limit
 from hil.testing.run_data import Floats, RunData
 from hil.testing.settling import judge_settling
-from hil.testing.statements import Bound, Compared, Follows, NoEffect, NoTrip, Settles, TwinError
 from hil.testing.verdicts import Finding, Verdict, shown, worst
 
 Bools = NDArray[np.bool_]
@@ -109,9 +109,8 @@ class _Times:
 
     def missing(self, value: float | None = None, unit: str = "") -> Finding:
         """Return the finding that values are missing; `value` in `unit` is that of the known ones."""
-        text = (
-            f"values are missing, at the longest for {max(self.gap_s, self.period_s):g} s from {self.gap_from_s:g} s on"
-        )
+        for_s = max(self.gap_s, self.period_s)
+        text = f"values are missing, at the longest for {for_s:g} s from {self.gap_from_s:g} s on"
         return Finding("inconclusive", text, value, unit)
 
 

@@ -16,9 +16,9 @@ import numpy as np
 from drivers.signals import Signal
 from hil.testing.bound_limits import BoundLimit
 from hil.testing.judge import Judgement, judge
+from hil.testing.limits import Bound, Compared, Follows, NoEffect, NoTrip, Settles, TwinError
 from hil.testing.plan import Plan
 from hil.testing.run_data import RunData
-from hil.testing.statements import Bound, Compared, Follows, NoEffect, NoTrip, Settles, TwinError
 from hil.testing.terminal import judgement_line
 from hil.testing.verdicts import shown
 

@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.rig_file import line_of, mistake, read_regular, tables_of
-from hil.testing.grammar import SentenceError, parse, parse_time
-from hil.testing.statements import NoEffect, NoTrip, Sentence, Window
+from hil.testing.limits import NoEffect, NoTrip, Sentence, SentenceError, Window, parse, parse_time
 
 Severity = Literal["critical", "major", "minor"]
 SEVERITIES: tuple[Severity, ...] = ("minor", "major", "critical")

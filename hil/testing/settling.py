@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil.testing.bound_limits import BoundLimit
+from hil.testing.limits import Settles
 from hil.testing.run_data import RunData
-from hil.testing.statements import Settles
 from hil.testing.verdicts import Finding, shown, worst
 
 FINAL_SHARE = 0.1

@@ -21,7 +21,7 @@ from __future__ import annotations
 import re
 from typing import Literal
 
-from hil.testing.statements import (
+from hil.testing.limits.statements import (
     TIMES_S,
     Amount,
     Bound,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drivers.signals import known_unit, prefixed_unit
-from hil.testing.statements import TIMES_S
+from hil.testing.limits.statements import TIMES_S
 
 _FACTORS: tuple[dict[str, float], ...] = (
     {"W": 1.0, "kW": 1e3},
