@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 @click.option("--matrix", is_flag=True, help="Print requirements against the runs RUN..., which were judged before.")
 @click.option("--rig", type=INPUT_FILE, help="Rig file; default: that of the plan, else the virtual rig's.")
 @click.option("--twin", type=INPUT_FILE, help="Twin file; default: that of the plan, else of the rig file.")
+@click.option("--no-twin", is_flag=True, help="Run without a twin; no limit may name one.")
 @click.option("--virtual", is_flag=True, help="Start a virtual rig and run on that.")
 @click.option("--lockstep", is_flag=True, help="Run as fast as the machine can, reproducibly (virtual rig).")
 @click.option("--speed", type=float, help="Factor to real time, up to 100 (virtual rig).")
@@ -47,6 +48,7 @@ def command(
     matrix: bool,
     rig: Path | None,
     twin: Path | None,
+    no_twin: bool,
     virtual: bool,
     lockstep: bool,
     speed: float | None,
@@ -97,6 +99,7 @@ def command(
         profile=_profile(read),
         rig=rig or read.rig or INPUT_FILE.convert(VIRTUAL_RIG, None, None),
         twin=twin or read.twin,
+        use_twin=not no_twin,
         runs=runs,
         virtual=virtual,
         mode=mode,  # type: ignore[arg-type]
