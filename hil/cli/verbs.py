@@ -92,7 +92,10 @@ def main() -> None:
     from hil.errors import explained
     from hil.files import accept_any_name
 
-    if sys.argv[1:2] in (["run"], ["resume"]) and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    if (
+        sys.argv[1:2] in (["run"], ["resume"], ["test"])
+        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    ):
         # Until a run listens to signals, Ctrl-C ends the process at once: an exception in its place may be lost in what
         # is imported, and the run would heat.
         signal.signal(signal.SIGINT, signal.SIG_DFL)

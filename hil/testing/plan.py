@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.rig_file import line_of, mistake, read_regular, tables_of
 from hil.testing.limits import NoEffect, NoTrip, Sentence, SentenceError, Window, parse, parse_time
@@ -15,7 +17,7 @@ from hil.testing.limits import NoEffect, NoTrip, Sentence, SentenceError, Window
 Severity = Literal["critical", "major", "minor"]
 SEVERITIES: tuple[Severity, ...] = ("minor", "major", "critical")
 """Severities, the least first."""
-_ID = r"^[A-Za-z0-9][A-Za-z0-9_.:-]*$"
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.:-]*")
 _FILES = ("profile", "rig", "twin")
 
 
@@ -29,6 +31,15 @@ class _Strict(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
+def _checked_id(text: str) -> str:
+    if not _ID.fullmatch(text):
+        raise ValueError(f"{text!r} must be letters, digits and _ . : - only, so that results can name it; rename it")
+    return text
+
+
+_Id = Annotated[str, AfterValidator(_checked_id)]
+
+
 class StepSection(_Strict):
     """Step of a test: a named part of the profile, `from` and `to` in profile time."""
 
@@ -40,7 +51,7 @@ class StepSection(_Strict):
 class LimitSection(_Strict):
     """Limit of a test: a sentence, with the requirement that it verifies and its severity."""
 
-    id: Annotated[str, Field(pattern=_ID)]
+    id: _Id
     limit: str
     requirement: Annotated[str, Field(min_length=1)]
     severity: Severity = "major"
@@ -52,7 +63,7 @@ class LimitSection(_Strict):
 class PlanSection(_Strict):
     """Content of a plan file."""
 
-    id: Annotated[str, Field(pattern=_ID)]
+    id: _Id
     title: str = ""
     profile: str | None = None
     rig: str | None = None
@@ -161,7 +172,20 @@ def _sentence(path: Path, text: str, document: dict[str, Any], item: Any) -> str
     keys = keys.partition(".")[2] or keys if owner else keys
     if item["type"] == "too_short":
         return f"{path}, line 1: the plan has no [[limit]]; add one"
-    return f"{path}, line {line_of(text, place)}: {keys}{owner}: {mistake(item)}"
+    return f"{path}, line {line_of(text, place)}: {keys}{owner}: {_remedy(place, item)}"
+
+
+def _remedy(place: tuple[int | str, ...], item: Any) -> str:
+    """Return the mistake with its remedy; for a key that is not known, the nearest one."""
+    said = mistake(item)
+    if item["type"] != "extra_forbidden":
+        return said
+    model = (
+        {"step": StepSection, "limit": LimitSection}.get(str(place[0]), PlanSection) if len(place) > 1 else PlanSection
+    )
+    keys = [field.alias or name for name, field in model.model_fields.items()]
+    near = difflib.get_close_matches(str(place[-1]), keys, n=1)
+    return f"is not a key of this section; did you mean {near[0]}?" if near else f"{said}; it has {', '.join(keys)}"
 
 
 def _paths(path: Path, text: str, read: PlanSection, problems: list[str]) -> dict[str, Path | None]:

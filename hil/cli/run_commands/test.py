@@ -16,7 +16,6 @@ from hil.cli.run_commands.run import address, as_json_document
 
 if TYPE_CHECKING:
     from hil.run.session import RunRequest
-    from hil.run_folder import Labels
     from hil.testing import Plan
 
 
@@ -91,6 +90,7 @@ def command(
     if control is not None and virtual:
         raise click.UsageError("--control and --virtual exclude each other; use the running rig or start a virtual one")
     from hil.run.session import RunRequest
+    from hil.run_folder import Labels
     from hil.testing import read_plan
 
     read = read_plan(plan)
