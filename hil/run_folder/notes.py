@@ -63,10 +63,11 @@ def add_note(folder: RunFolder, text: str, by: str, labels: Labels | None = None
     note = Note(now, plain(by, 200), plain(text.strip(), LONGEST_NOTE), changed)
     line = json.dumps({"time": note.time, "by": note.by, "text": note.text, "labels": changed}) + "\n"
     try:
-        handle = os.open(folder.notes, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-        with open(handle, "ab") as file:
-            file.write(line.encode("utf-8"))
-            file.flush()
+        handle = os.open(folder.notes, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
+        with open(handle, "r+b", buffering=0) as file:
+            size = file.seek(0, os.SEEK_END)
+            torn = size > 0 and os.pread(handle, 1, size - 1) != b"\n"
+            file.write(b"\n" * torn + line.encode("utf-8"))  # in one call, so that two writers do not mix
             os.fsync(handle)
     except OSError as error:
         raise RunFolderError(f"{folder.notes} cannot be written ({error.strerror}); make room or writable") from None
@@ -74,7 +75,7 @@ def add_note(folder: RunFolder, text: str, by: str, labels: Labels | None = None
 
 
 def read_notes(folder: RunFolder) -> list[Note]:
-    """Return the notes of a run in order; none for a run without any.
+    """Return the notes of a run in order; none for a run without any. A last line that a crash cut is left out.
 
     Raises
     ------
@@ -89,7 +90,7 @@ def read_notes(folder: RunFolder) -> list[Note]:
     except OSError as error:
         raise RunFolderError(f"{folder.notes} cannot be read ({error.strerror}); take it away") from None
     found = []
-    for number, line in enumerate(content.split(b"\n"), 1):
+    for number, line in enumerate(content.split(b"\n")[:-1], 1):
         if not line.strip():
             continue
         place = f"{folder.notes}, line {number}"

@@ -34,8 +34,9 @@ def later(path, *, pause: int, warmer_K: float) -> RunFolder:
     writer = JournalWriter(folder.journal, truth.header)
     writer.state(0, 0.0, 0.0, "restoring", "start", "running", "the test")
     put_ticks(writer, truth, 0, TICKS)
-    writer.state(100, 100.0, 99.0, "running", "pause", "paused", "the test")
-    writer.state(100 + pause, 100.0 + pause, 99.0, "paused", "resume", "running", "the test")
+    if pause:
+        writer.state(100, 100.0, 99.0, "running", "pause", "paused", "the test")
+        writer.state(100 + pause, 100.0 + pause, 99.0, "paused", "resume", "running", "the test")
     writer.close()
     return folder
 

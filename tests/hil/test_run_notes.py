@@ -72,10 +72,19 @@ def test_a_damaged_line_is_named(run, line):
     add_note(run, "good", "J. Doe")
     with run.notes.open("ab") as file:
         file.write(line.encode("latin-1") + b"\n")
-    done = typed("report", run.path)
-    assert "notes.jsonl, line 2 is not a note" in done.stderr
     with pytest.raises(RunFolderError, match=r"line 2 is not a note.*take the line out"):
         read_notes(run)
+
+
+def test_a_last_line_that_a_crash_cut_is_left_out_and_the_next_note_is_whole(run):
+    add_note(run, "good", "J. Doe")
+    with run.notes.open("ab") as file:
+        file.write(b'{"time": "2026-')
+    assert [note.text for note in read_notes(run)] == ["good"]
+    add_note(run, "after", "J. Doe")
+    with pytest.raises(RunFolderError, match="line 2"):  # it is named from now on
+        read_notes(run)
+    assert run.notes.read_bytes().splitlines()[-1].endswith(b'"labels": {}}')
 
 
 def test_runs_are_listed_with_verdict_end_rig_duration_and_tags(run):
@@ -106,7 +115,7 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
 
 def test_without_a_browser_a_pdf_is_refused_with_the_remedy(run, monkeypatch):
     monkeypatch.setenv("PATH", "/nonexistent")
-    write_report(run)
+    run.report.write_text("<p>a report</p>", encoding="utf-8")
     with pytest.raises(PdfError, match="install one, or open"):
         write_pdf(run.report, run.path / "report.pdf")
     assert not (run.path / "report.pdf").exists()
@@ -117,7 +126,7 @@ def test_a_browser_that_prints_nothing_is_reported(run, tmp_path, monkeypatch):
     browser.write_text("#!/bin/sh\necho no display >&2\nexit 7\n", encoding="utf-8")
     browser.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/bin:/usr/bin")
-    write_report(run)
+    run.report.write_text("<p>a report</p>", encoding="utf-8")
     with pytest.raises(PdfError, match="no display"):
         write_pdf(run.report, run.path / "report.pdf")
     browser.write_text(
