@@ -4,28 +4,25 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hil.comparison.differences import Comparison, Difference
-from hil.comparison.plot_script import SCRIPT
-from hil.files import Html, document, element, joined, plot_data, replacing, table
-from hil.report import number, symbol
+from hil.files import Html, document, element, joined, replacing, table
+from hil.report import HINT, PLOT_STYLE, SCRIPT, ZoomCurve, number, symbol, zoom_plot
 from hil.testing import Matrix
 
 COLOURS = ("#30343a", "#e07b1f", "#1f77c9", "#2a9d6f", "#8a4fbf", "#b03a5b", "#b8860b", "#0f8b8d")
-MOST_POINTS = 4000
-"""Most points of a curve: a plot shows the least and the greatest value of each of half as many pieces."""
-_STYLE = """
+_STYLE = (
+    PLOT_STYLE
+    + """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 72rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }
-h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem } h3 { font-size: 1rem; margin-bottom: .2rem }
+h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem }
 table { border-collapse: collapse }
 td, th { padding: .25rem .8rem; border-bottom: 1px solid #d8dce0; text-align: right }
 td:first-child, th:first-child { text-align: left; white-space: nowrap }
-p.note { color: #5b636b; font-size: .9rem; min-height: 1.3em; margin: .2rem 0 }
-canvas { width: 100%; height: 220px; touch-action: none; cursor: crosshair }
+p.note { color: #5b636b; font-size: .9rem }
 .ERROR { color: #b3261e } .WARN { color: #9a6700 } .PASS { color: #1b6e3c }
-""" + "\n".join(f".run{k} {{ color: {colour}; font-weight: 600 }}" for k, colour in enumerate(COLOURS))
+"""
+    + "\n".join(f".run{k} {{ color: {colour}; font-weight: 600 }}" for k, colour in enumerate(COLOURS))
+)
 
 
 def write_comparison(made: Comparison, matrix: Matrix | None, path: Path) -> None:
@@ -94,37 +91,11 @@ def _drifts(made: Comparison) -> Html:
 
 def _plots(made: Comparison) -> Html:
     end_s = max((float(data.time_s[-1]) for data in made.data if len(data.time_s)), default=1.0)
-    parts = [
-        element("h2", "Signals over profile time / s"),
-        element("p", "Drag to zoom, turn the wheel, double-click for all.", class_="note"),
-    ]
+    parts = [element("h2", "Signals over profile time / s"), element("p", HINT, class_="note")]
     for column, unit in made.units.items():
-        series = []
-        for k, (name, data) in enumerate(zip(made.runs, made.data, strict=True)):
-            time_s, values = thinned(data.time_s, data.columns[column])
-            y = [float(f"{value:.6g}") if np.isfinite(value) else None for value in values.tolist()]
-            series.append({"name": name, "colour": COLOURS[_colour(k)], "x": time_s.tolist(), "y": y})
-        title = f"{column} / {symbol(unit)}".rstrip(" /")
-        parts += [element("h3", title), plot_data({"title": title, "range": [0.0, end_s], "series": series})]
+        curves = [
+            ZoomCurve(name, COLOURS[_colour(k)], data.time_s, data.columns[column])
+            for k, (name, data) in enumerate(zip(made.runs, made.data, strict=True))
+        ]
+        parts.append(zoom_plot(f"{column} / {symbol(unit)}".rstrip(" /"), curves, end_s))
     return joined(parts)
-
-
-def thinned(
-    time_s: NDArray[np.float64], values: NDArray[np.float64], most: int = MOST_POINTS
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return times (m,) and values (m,) of at most `most` points of a curve (n,): least and greatest of each piece.
-
-    A piece with a missing value also keeps that, as a gap.
-    """
-    if len(time_s) <= most:
-        return time_s, values
-    kept: set[int] = {0, len(time_s) - 1}
-    for piece in np.array_split(np.arange(len(time_s)), most // 3):
-        x = values[piece]
-        known = np.isfinite(x)
-        if known.any():
-            kept |= {int(piece[np.nanargmin(x)]), int(piece[np.nanargmax(x)])}
-        if not known.all():
-            kept.add(int(piece[np.argmin(known)]))
-    rows = np.array(sorted(kept))
-    return time_s[rows], values[rows]

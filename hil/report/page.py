@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from drivers.signals import Quality
 from hil.files import Html, document, element, joined, replacing, table
 from hil.journal import JournalReader, JournalSamples, TwinOutput
-from hil.report.about import label_section, note_section
-from hil.report.figures import RunCurves, pictures
+from hil.report.about import label_section, note_section, quality_section
+from hil.report.figures import RunCurves, pictures, zoom_plots
+from hil.report.plot_script import SCRIPT
 from hil.report.statistics import (
     NONE,
     SETTLED_AFTER_S,
@@ -23,7 +24,8 @@ from hil.report.statistics import (
     time_unit,
 )
 from hil.report.verdict import verdict_section
-from hil.run_folder import RunFolder, labels_of, read_notes, read_verdict
+from hil.report.zoom import PLOT_STYLE
+from hil.run_folder import RunFolder, labels_of, read_diagnosis_verdict, read_notes, read_verdict
 from hil.tracking import Proposed, accepted, closed_gates, parameter_cell, window_kind
 
 LEVELS = ("ERROR", "WARN")
@@ -68,13 +70,14 @@ def write_report(folder: RunFolder, missing: Mapping[str, str] | None = None) ->
         body = [
             verdict_section(read_verdict(folder)),
             _summary(manifest),
-            label_section(labels_of(manifest, notes), manifest),
+            label_section(labels_of(manifest, notes), manifest, read_diagnosis_verdict(folder)),
             note_section(notes, wall_s, samples.time_s if notes else wall_s, unit),
             _segments(manifest, unit),
             _error_table(manifest),
             _band_table(manifest),
             _parameter_table(manifest),
             _pictures(reader, samples, unit),
+            quality_section(reader.header, samples),
             _signals(reader, samples),
             _calibrations(reader),
             _gates(reader, unit),
@@ -84,7 +87,7 @@ def write_report(folder: RunFolder, missing: Mapping[str, str] | None = None) ->
         ]
     finally:
         reader.close()
-    page = document(folder.path.name, _STYLE, [element("h1", folder.path.name), *body])
+    page = document(folder.path.name, _STYLE + PLOT_STYLE, [element("h1", folder.path.name), *body], SCRIPT)
     with replacing(folder.report) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
@@ -188,7 +191,8 @@ def _pictures(reader: JournalReader, samples: JournalSamples, unit: TimeUnit) ->
     measured = measured_sensors(reader, samples)
     twins = {name: _at_ticks(reader.twin_outputs(name), samples) for name in reader.header.twin_names}
     twins = {name: values for name, values in twins.items() if np.isfinite(values).any()}
-    return pictures(RunCurves(reader.header, samples, measured if twins else {}, twins, cuts, unit))
+    drawn = RunCurves(reader.header, samples, measured if twins else {}, twins, cuts, unit)
+    return joined([pictures(drawn), zoom_plots(drawn)])
 
 
 def _at_ticks(output: TwinOutput, samples: JournalSamples) -> NDArray[np.float64]:

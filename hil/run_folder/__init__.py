@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     )
     from hil.run_folder.manifest_check import DocumentShape, Labels, require_settings, wrong_place
     from hil.run_folder.notes import LONGEST_NOTE, Note, add_note, labels_of, read_notes
-    from hil.run_folder.verdict import read_verdict
+    from hil.run_folder.verdict import read_diagnosis_verdict, read_verdict
 
 __all__ = [
     "LONGEST_NOTE",
@@ -34,6 +34,7 @@ __all__ = [
     "create_run_folder",
     "labels_of",
     "new_manifest",
+    "read_diagnosis_verdict",
     "read_notes",
     "read_verdict",
     "require_room",
@@ -65,6 +66,9 @@ __getattr__, __dir__ = lazy_names(
             "labels_of",
             "read_notes",
         ),
-        "verdict": ("read_verdict",),
+        "verdict": (
+            "read_diagnosis_verdict",
+            "read_verdict",
+        ),
     },
 )

@@ -40,6 +40,17 @@ class _Verdict(DocumentShape):
     tests: list[_TestResult]
 
 
+def read_diagnosis_verdict(folder: RunFolder) -> tuple[str, str] | None:
+    """Return verdict and sentence of the diagnosis in a run folder; None without a diagnosis that can be read."""
+    try:
+        document = read_json(folder.diagnosis / "diagnosis.json", RunFolderError)
+    except (OSError, RunFolderError):
+        return None
+    if not isinstance(document, dict) or not isinstance(document.get("verdict"), str):
+        return None
+    return document["verdict"], str(document.get("sentence", ""))
+
+
 def read_verdict(folder: RunFolder) -> dict[str, Any]:
     """Return the content of `verdict.json`; `verdict` is None and `tests` is empty for a run that was not judged.
 

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.files import read_json
 from hil.journal import JournalReader, RunEvent, State, StateRow, profile_times
-from hil.run_folder import RunFolder, RunFolderError
+from hil.run_folder import RunFolder, read_diagnosis_verdict
 from hil.testing.bound_limits import RigSignals
 
 Floats = NDArray[np.float64]
@@ -81,7 +80,7 @@ def read_run(folder: RunFolder, reader: JournalReader) -> RunData:
         header.duration_s,
         twins,
         header.twin_sensors,
-        _diagnosis(folder),
+        read_diagnosis_verdict(folder),
         trips_of(states),
         any(row.target == State.DONE for row in states[-1:]),
     )
@@ -102,16 +101,3 @@ def trips_of(states: Sequence[StateRow]) -> tuple[str, ...]:
     """Return the reasons of all trips and failures in the transitions of a run."""
     events = (RunEvent.TRIP.value, RunEvent.FAIL.value)
     return tuple(dict.fromkeys(row.reason for row in states if row.event in events))
-
-
-def _diagnosis(folder: RunFolder) -> tuple[str, str] | None:
-    path = folder.diagnosis / "diagnosis.json"
-    if not path.is_file():
-        return None
-    try:
-        document = read_json(path, RunFolderError)
-    except (OSError, RunFolderError):
-        return None
-    if not isinstance(document, dict) or not isinstance(document.get("verdict"), str):
-        return None
-    return document["verdict"], str(document.get("sentence", ""))

@@ -13,10 +13,10 @@ import pytest
 
 from hil.comparison import compare_runs
 from hil.comparison.differences import aligned
-from hil.comparison.page import thinned
-from hil.comparison.plot_script import SCRIPT
 from hil.files import document, plot_data
 from hil.journal.writer import JournalWriter
+from hil.report import SCRIPT
+from hil.report.zoom import thinned
 from hil.run_folder.folder import RunFolder
 from tests.hil.command_line import typed
 from tests.hil.ended_run import ended_run

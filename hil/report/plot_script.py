@@ -81,6 +81,11 @@ SCRIPT = """
       });
       g.stroke();
     });
+    var left = 66;
+    g.textAlign = 'left';
+    this.d.series.forEach(function (s) {
+      g.fillStyle = s.colour; g.fillText(s.name, left, 16); left += g.measureText(s.name).width + 14;
+    });
     if (this.cursor !== null) {
       g.strokeStyle = '#30343a'; g.lineWidth = 0.6; g.beginPath();
       g.moveTo(px(this.cursor), 0); g.lineTo(px(this.cursor), h); g.stroke();
