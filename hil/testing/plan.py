@@ -180,9 +180,8 @@ def _remedy(place: tuple[int | str, ...], item: Any) -> str:
     said = mistake(item)
     if item["type"] != "extra_forbidden":
         return said
-    model = (
-        {"step": StepSection, "limit": LimitSection}.get(str(place[0]), PlanSection) if len(place) > 1 else PlanSection
-    )
+    sections: dict[str, type[BaseModel]] = {"step": StepSection, "limit": LimitSection}
+    model = sections.get(str(place[0]), PlanSection) if len(place) > 1 else PlanSection
     keys = [field.alias or name for name, field in model.model_fields.items()]
     near = difflib.get_close_matches(str(place[-1]), keys, n=1)
     return f"is not a key of this section; did you mean {near[0]}?" if near else f"{said}; it has {', '.join(keys)}"
