@@ -95,7 +95,7 @@ class LiveTest:
     def _show(self, profile_s: float, judged: Judgement) -> None:
         if judged.verdict == "fail":
             self._failed.add(judged.limit.id)
-        self._announce(f"{profile_s:8.0f} s  {judgement_line(judged)}")
+        self._announce(f"at {profile_s:.0f} s of the profile  {judgement_line(judged)}")
 
 
 def _has_window(bound: BoundLimit) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import hashlib
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -192,13 +193,19 @@ def _paths(path: Path, text: str, read: PlanSection, problems: list[str]) -> dic
     found: dict[str, Path | None] = {}
     for key in _FILES:
         named = getattr(read, key)
-        found[key] = None if named is None else path.parent / named
+        found[key] = None if named is None else _plain(path.parent / named)
         if found[key] is not None and not found[key].is_file():  # type: ignore[union-attr]
             problems.append(
                 f"{path}, line {line_of(text, (key,))}: {key}: there is no file {found[key]}; correct the path, which "
                 "begins at the plan's folder"
             )
     return found
+
+
+def _plain(path: Path) -> Path:
+    """Return a path without `..`, unless a link makes that another file."""
+    plain = Path(os.path.normpath(path))
+    return plain if plain.is_file() and path.is_file() and plain.samefile(path) else path
 
 
 def _steps(path: Path, text: str, read: PlanSection, problems: list[str]) -> tuple[Step, ...]:
