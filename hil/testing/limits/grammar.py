@@ -13,7 +13,10 @@ quantity  = NAME
           | ( "ramp" | "rise" | "fall" ) "of" NAME [ "over" TIME ]
 bound     = ( "<" | "<=" | ">" | ">=" ) AMOUNT | "between" AMOUNT "and" AMOUNT
 condition = "from" TIME "to" TIME | "after" TIME | "before" TIME | "while" NAME bound
-AMOUNT    = NUMBER [ UNIT ]          TIME = NUMBER ( "s" | "min" | "h" | "d" )
+AMOUNT    = NUMBER [ UNIT ]
+TIME      = NUMBER ( "ms" | "s" | "min" | "h" | "d" )
+
+Words may begin with a capital letter; names and units are taken as they are.
 """
 
 from __future__ import annotations
@@ -105,7 +108,7 @@ class _Parser:
         return token
 
     def _accept(self, *words: str) -> bool:
-        if tuple(self._peek(k) for k in range(len(words))) != words:
+        if tuple(self._peek(k).lower() for k in range(len(words))) != words:
             return False
         self._at += len(words)
         return True
@@ -123,7 +126,11 @@ class _Parser:
     def end(self) -> None:
         """Raise SentenceError where a token is left."""
         if self._kind() != "end":
-            self._fail("nothing")
+            after = repr(self._tokens[self._at - 1][1])
+            raise SentenceError(
+                f"has {self._peek()!r} after {after}; end the limit there, go on with {', '.join(_CONDITIONS)}, or "
+                "write another limit"
+            )
 
     # Parts ---------------------------------------------------------------------------------------
 
@@ -196,6 +203,7 @@ class _Parser:
         )
         for words, kind in kinds:
             if self._accept(*words):
+                self._accept("the")
                 twin = self._name()
                 self._expect("at")
                 return TwinError(kind, twin, self._name(), self._bound())
@@ -221,7 +229,8 @@ class _Parser:
         self._expect("measured", "within")
         band = self._amount()
         self._expect("of")
-        if not (self._accept("set-point") or self._accept("setpoint") or self._accept("its", "set-point")):
+        self._accept("its")
+        if not (self._accept("set-point") or self._accept("setpoint") or self._accept("set", "point")):
             self._fail("'set-point'")
         constant_s = None
         if self._accept("once", "constant", "for"):
@@ -241,7 +250,7 @@ class _Parser:
             if not 0.0 <= percent <= 100.0:
                 raise SentenceError(f"has the {percent:g}th percentile; write one from 0 to 100")
             return Compared("percentile", self._name(), self._bound(), percent=percent)
-        word = self._peek()
+        word = self._peek().lower()
         if word in _STATISTICS and self._peek(1) == "of":
             self._at += 2
             return Compared(_STATISTICS[word], self._name(), self._bound())
@@ -263,8 +272,8 @@ class _Parser:
     def _window(self) -> Window:
         from_s = to_s = None
         condition = None
-        while self._peek() in _CONDITIONS:
-            word = self._take()
+        while self._peek().lower() in _CONDITIONS:
+            word = self._take().lower()
             if word == "while":
                 condition = While(self._name(), self._bound())
                 continue
