@@ -18,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 VERBS = {
     "bench": "Measure speed and fits, repeat the paper's experiments",
-    "check": "Check a rig file, twin, profile, scenario or record",
+    "check": "Check a rig file, twin, profile, test plan or record",
     "commission": "Fit a twin to a healthy record",
     "compare": "Compare runs on profile time: table, overlaid plots, drift",
     "ctl": "Hold, pause, resume, abort or query a live run",

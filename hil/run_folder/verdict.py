@@ -18,11 +18,11 @@ class _LimitResult(DocumentShape):
     limit: str
     requirement: str
     severity: str
-    step: str | None = None
+    step: str | None
     verdict: _Word
-    value: float | None = None
-    unit: str = ""
-    at_s: float | None = None
+    value: float | None
+    unit: str
+    at_s: float | None
     text: str
 
 

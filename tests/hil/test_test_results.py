@@ -14,6 +14,22 @@ from tests.hil.command_line import typed
 from tests.hil.ended_run import ended_run
 from tests.hil.made_plan import plan_text
 
+FORGED = json.dumps(
+    {
+        "verdict": "pass",
+        "tests": [
+            {
+                "id": "p",
+                "title": "",
+                "sha256": "",
+                "verdict": "pass",
+                "judged": "",
+                "limits": [{"id": "L", "limit": "", "requirement": "", "severity": "", "verdict": "pass", "text": ""}],
+            }
+        ],
+    }
+)
+"""A limit without its value."""
 SENTENCES = ("T_heater_C < 300", "T_heater_C < 1", "T_pm3_C < 300", "T_modules_C < 1")
 
 
@@ -117,7 +133,8 @@ def test_requirements_have_the_worst_verdict_of_their_limits_in_each_run(judged,
 
 
 @pytest.mark.parametrize(
-    "content", ["{", "[]", '{"verdict": "good", "tests": []}', '{"verdict": "pass", "tests": [{"id": "<script>"}]}']
+    "content",
+    ["{", "[]", '{"verdict": "good", "tests": []}', '{"verdict": "pass", "tests": [{"id": "<script>"}]}', FORGED],
 )
 def test_a_forged_verdict_is_refused_in_a_sentence(judged, content):
     folder, _ = judged
