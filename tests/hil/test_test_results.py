@@ -134,7 +134,7 @@ def test_requirements_have_the_worst_verdict_of_their_limits_in_each_run(judged,
 
 @pytest.mark.parametrize(
     "content",
-    ["{", "[]", '{"verdict": "good", "tests": []}', '{"verdict": "pass", "tests": [{"id": "<script>"}]}', FORGED],
+    ["{", "[]", '{"verdict": "good", "tests": []}', '{"verdict": "pass", "tests": [{"id": "<"}]}', FORGED],
 )
 def test_a_forged_verdict_is_refused_in_a_sentence(judged, content):
     folder, _ = judged

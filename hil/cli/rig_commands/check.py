@@ -55,9 +55,10 @@ def command(
     picture: Path | None,
     choice: ReadingOptions,
 ) -> None:
-    """Check FILE: a rig file, twin, load profile, test plan, scenario, effects file or record. Nothing is moved or written.
+    """Check FILE: a rig file, twin, load profile, test plan, scenario, effects file or record.
 
-    If FILE is a run folder, its record is checked. A run that ended without a record gets one from its journal.
+    Nothing is moved or written. If FILE is a run folder, its record is checked. A run that ended without a record gets
+    one from its journal.
 
     --online exits with 1 if a bus is down or a point is not good at the end.
 
