@@ -14,7 +14,7 @@ import hypothesis
 import pytest
 import pytest_asyncio
 
-from tests import durations
+from tests import durations, same_questions
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `hil` has it, and for the same reason
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -54,6 +54,17 @@ def _process_as_before() -> Iterator[None]:
     if logging.getLogger("asyncio").disabled:
         logging.getLogger("asyncio").disabled = False
         pytest.fail("the test left the log of asyncio disabled in this process")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _same_question_is_searched_once() -> Iterator[None]:
+    """Search once for what commands ask of the same twin, record and healthy record, and learn once from the latter.
+
+    Both depend on nothing else, and their results are frozen. Tests of the search itself call it directly.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        same_questions.remember(patch)
+        yield
 
 
 @pytest.fixture(scope="session")

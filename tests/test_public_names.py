@@ -20,12 +20,6 @@ EXCEPTIONS = {
     ("twin", "twin"): "the packages of the twin share one kernel; they are private to one another only by layers",
     ("hil.bench.faults", "drivers.virtual.faults"): "functions of a module are looked up by the name of a fault",
     ("hil.bench", "twin"): "benches measure parts of the twin that nobody else may use",
-    ("hil.tower", ""): "not moved to public names yet",
-    ("hil.training", ""): "not moved to public names yet",
-    ("hil.cli", "twin.discovery"): "not moved to public names yet",
-    ("hil.diagnosis", "twin.discovery"): "not moved to public names yet",
-    ("hil.cli", NEEDS_TORCH): "not moved to public names yet",
-    ("hil.tracking", NEEDS_TORCH): "not moved to public names yet",
 }
 """Importer and imported package that are not held to the rule. This list may only become shorter."""
 
@@ -36,7 +30,7 @@ def _dotted(path: Path) -> str:
 
 
 @cache
-def _trees() -> dict[str, ast.Module]:
+def syntax_trees() -> dict[str, ast.Module]:
     """Return the syntax tree of each module and package, by its dotted name."""
     files = [path for top in ("hil", "drivers", "twin") for path in sorted((PROJECT / top).rglob("*.py"))]
     return {_dotted(path): ast.parse(path.read_text(encoding="utf-8")) for path in files}
@@ -49,7 +43,7 @@ DECLARED = [name for name in PACKAGES if not (name == UNDECLARED[0] or name.star
 @cache
 def public_names(package: str) -> frozenset[str]:
     """Return the names in ``__all__`` as they are written in the source."""
-    for statement in _trees()[package].body:
+    for statement in syntax_trees()[package].body:
         target = statement.targets[0] if isinstance(statement, ast.Assign) else getattr(statement, "target", None)
         if isinstance(target, ast.Name) and target.id == "__all__":
             return frozenset(ast.literal_eval(statement.value))  # type: ignore[attr-defined]
@@ -62,7 +56,7 @@ def _belongs(name: str, package: str) -> bool:
 
 def _imports(importer: str) -> Iterator[tuple[int, str, str]]:
     """Yield line, package and name of each import; a module stands for itself, with its package and its last name."""
-    for node in ast.walk(_trees()[importer]):
+    for node in ast.walk(syntax_trees()[importer]):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, *alias.name.rpartition(".")[::2]) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -83,7 +77,7 @@ def _private_imports(importer: str) -> Iterator[tuple[str, str]]:
 
 
 def test_every_package_declares_its_public_names() -> None:
-    undeclared = [name for name in DECLARED if not any("__all__" in ast.dump(s) for s in _trees()[name].body)]
+    undeclared = [name for name in DECLARED if not any("__all__" in ast.dump(s) for s in syntax_trees()[name].body)]
     assert not undeclared
 
 
@@ -104,16 +98,16 @@ def test_every_public_name_can_be_imported(package: str) -> None:
 
 @pytest.mark.parametrize("package", DECLARED)
 def test_names_for_the_type_checker_are_those_that_are_declared(package: str) -> None:
-    blocks = [s for s in _trees()[package].body if isinstance(s, ast.If) and "TYPE_CHECKING" in ast.dump(s.test)]
+    blocks = [s for s in syntax_trees()[package].body if isinstance(s, ast.If) and "TYPE_CHECKING" in ast.dump(s.test)]
     typed = {a.asname or a.name for b in blocks for s in b.body if isinstance(s, ast.ImportFrom) for a in s.names}
-    submodules = {name.rpartition(".")[2] for name in _trees() if name.rpartition(".")[0] == package}
+    submodules = {name.rpartition(".")[2] for name in syntax_trees() if name.rpartition(".")[0] == package}
     if blocks:
         assert typed == public_names(package) - submodules
 
 
 def test_packages_import_public_names_of_others_alone() -> None:
     private, used = [], set()
-    for importer in _trees():
+    for importer in syntax_trees():
         for package, message in _private_imports(importer):
             excepted = [e for e in EXCEPTIONS if _belongs(importer, e[0]) and _belongs(package, e[1])]
             used.update(excepted)
@@ -126,10 +120,10 @@ def test_packages_import_public_names_of_others_alone() -> None:
 def test_every_name_that_is_imported_from_a_package_is_there() -> None:
     """A type checker does not see this: `__getattr__` of a package may return anything."""
     missing = []
-    for importer in _trees():
+    for importer in syntax_trees():
         for line, package, name in _imports(importer):
             names = public_names(package) if package in PACKAGES else None
-            if names is None or name in names or f"{package}.{name}" in _trees():
+            if names is None or name in names or f"{package}.{name}" in syntax_trees():
                 continue
             if not hasattr(import_module(package), name):
                 missing.append(f"{importer}:{line}: {package}.{name}")

@@ -27,8 +27,10 @@ _KINDS = (
 def read_regular(path: Path, most: int = MOST_TEXT) -> bytes:
     """Return the bytes of a regular file.
 
-    Raises:
-        OSError: it cannot be read, is no regular file, or has more than `most` bytes; `strerror` says which.
+    Raises
+    ------
+    OSError
+        It cannot be read, is no regular file, or has more than `most` bytes; `strerror` says which.
     """
     refuse_irregular(path, os.stat(path).st_mode)
     # Without O_NONBLOCK a pipe that took the file's place meanwhile would hold this call for ever.

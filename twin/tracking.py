@@ -24,7 +24,7 @@ from twin.calibrators import Calibration, Calibrator, make_calibrator
 from twin.calibrators.base import Proposer, Restartable, SampleFilter, Window, from_json, normalised_misfit, to_json
 from twin.calibrators.disturbance import DisturbanceLocaliser
 from twin.calibrators.results import skipped_calibration
-from twin.calibrators.windows import last_row_of_window, make_window, window_index
+from twin.calibrators.windows import WindowSamples, last_row_of_window, make_window, window_index
 from twin.elements.sensor import Sensor
 from twin.kernel import Kernel, hold_inputs
 from twin.network import Array, Network, TwinFileError
@@ -360,14 +360,13 @@ class TwinTracker:
         assert buffer.state is not None
         return make_window(
             self._number,
-            np.concatenate(buffer.time),
-            np.concatenate(buffer.inputs),
-            np.concatenate(buffer.measured),
+            WindowSamples(
+                *(np.concatenate(part) for part in (buffer.time, buffer.inputs, buffer.measured, buffer.read))
+            ),
             buffer.state,
             self._parameters.copy(),
             np.concatenate(buffer.live),
             self.network.rules,
-            np.concatenate(buffer.read),
             self.network.kelvin_per_unit,
         )
 

@@ -43,8 +43,10 @@ def table_of(samples: Mapping[str, Samples]) -> Any:
 def samples_by_tag(table: Any, wanted: frozenset[str], start_s: float, end_s: float) -> dict[str, Samples]:
     """Return the samples of a table by tag, in their order within the table; a time without zone is UTC.
 
-    Raises:
-        HistorianError: a column is of a type that holds no times or no numbers.
+    Raises
+    ------
+    HistorianError
+        A column is of a type that holds no times or no numbers.
     """
     stamp = table["timestamp"]
     if not pa.types.is_timestamp(stamp.type):

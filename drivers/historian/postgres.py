@@ -32,10 +32,14 @@ T = TypeVar("T")
 class PostgresStore:
     """A database with a table `samples` of timestamp (timestamptz), tag, value and quality.
 
-    Parameters:
-        url: `postgresql://user:password@host:port/database`, or with the parameters of libpq.
-        create: make the table where there is none.
-        patience_s: time for which a database that went away is called again.
+    Parameters
+    ----------
+    url
+        `postgresql://user:password@host:port/database`, or with the parameters of libpq.
+    create
+        Make the table where there is none.
+    patience_s
+        Time for which a database that went away is called again.
     """
 
     def __init__(self, url: str, *, create: bool = False, patience_s: float = PATIENCE_S) -> None:

@@ -86,7 +86,19 @@ def plan_reads(
     max_read_bits: int = MAX_READ_BITS,
     holes: Sequence[AddressHole] = (),
 ) -> list[Block]:
-    """Return the fewest read requests for `points`, with at most `max_gap` unused registers (16 bits each) in a gap."""
+    """Return the fewest read requests for `points`.
+
+    Parameters
+    ----------
+    points
+        Points of one device.
+    max_read, max_read_bits
+        Most registers, and most bits, of one request.
+    max_gap
+        Most unused registers (16 bits each) in a gap that a request may read along.
+    holes
+        Addresses that the device does not have; no request touches them.
+    """
     return _plan(points, max_read, max_read_bits, max_gap, holes)
 
 

@@ -46,8 +46,10 @@ def compare(
 ) -> tuple[list[ReportTable], list[str]]:
     """Return a table of each cell's baselines, and a sentence for each that was left out.
 
-    Raises:
-        RecordError, TwinFileError: a file cannot be used.
+    Raises
+    ------
+    RecordError, TwinFileError
+        A file cannot be used.
     """
     began = time.process_time()
     results, notes = calibrate_station(record, twins, labels)
@@ -158,8 +160,10 @@ def _cost(results: Sequence[CellResult], seconds: float) -> ReportTable:
 def _truth(path: Path) -> dict[str, np.ndarray]:
     """Return the columns of a truth: time, cell, fill, air, uniformity, bias.
 
-    Raises:
-        RecordError: the file cannot be read or lacks a column.
+    Raises
+    ------
+    RecordError
+        The file cannot be read or lacks a column.
     """
     try:
         table = pq.read_table(path, columns=["time", "cell", *DEVIATIONS])

@@ -37,8 +37,10 @@ def network_tables(
 ) -> list[ReportTable]:
     """Score networks on the test split of a folder of simulated stations.
 
-    Raises:
-        HieraError: the folder has no test stations, or a file is no network of a tower.
+    Raises
+    ------
+    HieraError
+        The folder has no test stations, or a file is no network of a tower.
     """
     members = {f"small_{path.stem}": path for path in networks}
     document, _ = score_members(folder, members, device, most=most, note=note)
@@ -48,8 +50,10 @@ def network_tables(
 def read_results(path: Path) -> dict[str, Any]:
     """Return the document of scores in a `results.json`, with the stations that a member was adapted to.
 
-    Raises:
-        HieraError: the file holds no scores.
+    Raises
+    ------
+    HieraError
+        The file holds no scores.
     """
     try:
         found = json.loads(path.read_text())
@@ -227,8 +231,10 @@ def latency(networks: Sequence[Path]) -> ReportTable:
 
     The first of `networks` is timed, and the full configuration with the weights that it starts with.
 
-    Raises:
-        HieraError: a file is no network of a tower.
+    Raises
+    ------
+    HieraError
+        A file is no network of a tower.
     """
     from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.network import HieraUNet

@@ -80,8 +80,10 @@ def try_steps(
 ) -> list[Trial]:
     """Return `count` trials with steps of either sign at random times of random cells.
 
-    Raises:
-        RecordError, TwinFileError: a file cannot be used, or no cell runs steadily for long enough.
+    Raises
+    ------
+    RecordError, TwinFileError
+        A file cannot be used, or no cell runs steadily for long enough.
     """
     loaded, notes = load_all(twins, record), read_notes(record)
     networks = {cell: network for cell, (_, network) in loaded.items()}

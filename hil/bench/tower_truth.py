@@ -75,8 +75,10 @@ def outlet_of(result: CellResult, truth: TruthColumns) -> Outlet:
 def against_truth(results: Sequence[CellResult], notes: StationNotes, path: Path) -> list[ReportTable]:
     """Return tables of the outlet by regime and season, of the deviations, and of the goals.
 
-    Raises:
-        RecordError: the truth cannot be read.
+    Raises
+    ------
+    RecordError
+        The truth cannot be read.
     """
     truth = read_truth(path)
     outlet: list[tuple[Cell, ...]] = []

@@ -26,7 +26,13 @@ p.note { color: #5b636b; font-size: .9rem }
 
 
 def write_comparison(made: Comparison, matrix: Matrix | None, path: Path) -> None:
-    """Write the page of a comparison; `matrix` holds the verdicts of runs that were judged. Raises OSError."""
+    """Write the page of a comparison; `matrix` holds the verdicts of runs that were judged.
+
+    Raises
+    ------
+    OSError
+        The page cannot be written.
+    """
     title = f"{len(made.runs)} runs compared"
     body = [element("h1", title), _legend(made), _verdicts(matrix), _differences(made), _drifts(made), _plots(made)]
     with replacing(path) as unfinished:

@@ -17,8 +17,7 @@ from hil.record import Parts, ReadingOptions, Record, read_record
 from hil.record.times import span
 from hil.record.values import beyond_declared
 from twin import STAMP, InputSpec, Network, TwinFileError, chain
-from twin.discovery.healthy.basis import Columns, CommissionedRecord
-from twin.discovery.records.grid import require_enough
+from twin.discovery import Columns, CommissionedRecord, require_enough
 
 CLOCK = "time_of_day_h"
 
@@ -113,6 +112,19 @@ def read_columns(
 ) -> tuple[Columns, tuple[str, ...]]:
     """Return the columns of a record file, or of steady states, and the notes of its reader.
 
+    Parameters
+    ----------
+    network
+        Twin that names the columns.
+    path
+        Record file.
+    hour_at_0
+        Hour of the day at 0 s, or None if the record states it.
+    at_rest
+        True if each row is a steady state of its own.
+    choice
+        Options that a record needs where it does not show its form.
+
     Raises
     ------
     RecordError, TwinFileError
@@ -135,7 +147,22 @@ def read_columns(
 def read_healthy(
     network: Network, twin: Path, path: Path, hour_at_0: float | None, choice: ReadingOptions | None = None
 ) -> CommissionedRecord:
-    """Return the healthy record of a twin, which may have gained effects since then; see `read_columns`."""
+    """Return the healthy record of a twin, which may have gained effects since then.
+
+    Parameters
+    ----------
+    network, twin
+        The twin, and its file.
+    path
+        Healthy record.
+    hour_at_0, choice
+        As of `read_columns`.
+
+    Raises
+    ------
+    RecordError, TwinFileError
+        As of `read_columns`.
+    """
     columns, _ = read_columns(network, path, hour_at_0, choice=choice)
     ancestors = [with_clock(entry.network) if CLOCK in network.inputs else entry.network for entry in chain(twin)[1:]]
     compatible = tuple(

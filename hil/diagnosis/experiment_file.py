@@ -11,8 +11,7 @@ import numpy as np
 from drivers.rig_file import file_sha256, load_rig
 from hil.profile import Profile, SetpointLimit, validate, write_profile
 from hil.run.outputs import setpoint_columns
-from twin.discovery import Diagnosis
-from twin.discovery.planning.experiment import Limits
+from twin.discovery import Diagnosis, Limits
 
 EXPERIMENT = "experiment.csv"
 
@@ -20,8 +19,10 @@ EXPERIMENT = "experiment.csv"
 def limits_of(rig: Path) -> Limits:
     """Return the limits of a rig file: set-point limits, and the lowest upper alarm limit of its temperatures.
 
-    Raises:
-        ConfigurationError: the rig file cannot be used.
+    Raises
+    ------
+    ConfigurationError
+        The rig file cannot be used.
     """
     loaded = load_rig(rig)
     driven = {column: p.limits for column, p in setpoint_columns(loaded).items() if p.limits is not None}
@@ -42,8 +43,10 @@ def rig_of(run: Path) -> Path | None:
 def write_experiment(diagnosis: Diagnosis, out: Path, rig: Path | None = None) -> Path | None:
     """Write the next experiment as a load profile, `experiment.csv`; return None if there is none.
 
-    Raises:
-        ProfileError: the rig does not allow it.
+    Raises
+    ------
+    ProfileError
+        The rig does not allow it.
     """
     plan = diagnosis.next_experiment
     if not plan or not plan.get("possible"):

@@ -16,9 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from twin import Network
-    from twin.discovery.effects.lint import EffectLabel
-    from twin.discovery.healthy.basis import Columns
-    from twin.discovery.planning.forecast import Forecast
+    from twin.discovery import Columns, EffectLabel, Forecast
 
 STEP_S = 10.0
 _MOST_PAIRS = 20
@@ -28,6 +26,21 @@ def show_forecast(
     to: Console, network: Network, path: Path, healthy: Columns | None, hour: float | None, *, as_json: bool
 ) -> None:
     """Print the least detectable size of each effect, the undetectable effects, and ambiguous pairs.
+
+    Parameters
+    ----------
+    to
+        Console to print on.
+    network
+        Commissioned twin.
+    path
+        Record, or load profile of a planned run.
+    healthy
+        Healthy record of the twin, or None.
+    hour
+        Hour of the day at 0 s, or None.
+    as_json
+        True for a JSON document.
 
     Raises
     ------
@@ -114,7 +127,7 @@ def document(found: Forecast) -> dict[str, object]:
 def _show(to: Console, found: Forecast, source: str) -> None:
     from rich.table import Table
 
-    from twin.discovery.answer.blind_spots import spoken
+    from twin.discovery import label_text
 
     table = Table(
         title=f"Least detectable effect in this {source}, if present from the beginning", title_justify="left"
@@ -131,11 +144,11 @@ def _show(to: Console, found: Forecast, source: str) -> None:
     to.print(table)
     for label in dict.fromkeys((c.kind, c.where, c.driver) for c in found.unseen):
         if label not in shown:
-            to.print(f"not detectable: {spoken(label)}")
+            to.print(f"not detectable: {label_text(label)}")
     pairs: dict[tuple[EffectLabel, EffectLabel], float] = {}
     for a, b, rho in found.confused:
         pairs.setdefault(((a.kind, a.where, a.driver), (b.kind, b.where, b.driver)), rho)
     for (one, other), rho in list(pairs.items())[:_MOST_PAIRS]:
-        to.print(f"ambiguous ({rho:+.3f}): {spoken(one)} and {spoken(other)}")
+        to.print(f"ambiguous ({rho:+.3f}): {label_text(one)} and {label_text(other)}")
     if len(pairs) > _MOST_PAIRS:
         to.print(f"and {len(pairs) - _MOST_PAIRS} further pairs")

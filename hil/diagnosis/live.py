@@ -27,8 +27,7 @@ from hil.record import Parts
 from hil.tracking import Child
 
 if TYPE_CHECKING:
-    from twin.discovery import Diagnosis
-    from twin.discovery.healthy.basis import Columns
+    from twin.discovery import Columns, Diagnosis
 
 SURE = 0.9
 """Least confidence of every effect for an adoption."""

@@ -22,14 +22,18 @@ from hil.diagnosis.results import provenance, write
 from hil.diagnosis.revision import revise, write_proposal
 from hil.record import ReadingOptions
 from twin import Network, TwinFileError, load
-from twin.discovery import Diagnosis, diagnose
-from twin.discovery.answer.unused import with_unused
-from twin.discovery.elsewhere import elsewhere
-from twin.discovery.growing.answer import diagnose_grown, fits_growth
-from twin.discovery.healthy.basis import Columns
-from twin.discovery.healthy.health import NotHealthyError
-from twin.discovery.planning.experiment import Limits
-from twin.discovery.records.grid import TooShortError
+from twin.discovery import (
+    Columns,
+    Diagnosis,
+    Limits,
+    NotHealthyError,
+    TooShortError,
+    diagnose,
+    diagnose_grown,
+    errors_on_further_record,
+    fits_growth,
+    with_unused,
+)
 
 
 @dataclass(frozen=True)
@@ -122,7 +126,9 @@ def diagnose_files(ready: PreparedDiagnosis, say: Callable[[str], None], note: C
     Parameters
     ----------
     say
-        Called with each stage. note: called with the notes of the record's reader.
+        Called with each stage.
+    note
+        Called with the notes of the record's reader.
 
     Raises
     ------
@@ -207,8 +213,10 @@ def answer(
 ) -> Diagnosis:
     """Return the diagnosis: a contest of effects for a commissioned twin, or the growth of one that never was.
 
-    Raises:
-        TwinFileError: the record cannot be diagnosed.
+    Raises
+    ------
+    TwinFileError
+        The record cannot be diagnosed.
     """
     if at_rest or (healthy is None and fits_growth(network, record)):
         found = diagnose_grown(network, record, more=tuple(more.values()), at_rest=at_rest, say=say)
@@ -218,6 +226,6 @@ def answer(
     if not more:
         return found
     say("predicting the further records")
-    further = tuple(elsewhere(found, network, columns, name) for name, columns in more.items())
+    further = tuple(errors_on_further_record(found, network, columns, name) for name, columns in more.items())
     said = (one.says for one in further if one.says)
     return dataclasses.replace(found, elsewhere=further, notes=(*found.notes, *said))

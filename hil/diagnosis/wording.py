@@ -80,11 +80,11 @@ def odds(document: dict[str, Any]) -> str:
 
 def worse(document: dict[str, Any]) -> str:
     """Return the loss of an answer against re-tuning on the held-out segment, as half a sentence, or ""."""
-    from twin.discovery.evidence.held_out import WORSE  # This module imports the whole search, which no run needs.
+    from twin.discovery import HELD_OUT_WORSE
 
     sensors = {k: e for k, e in document["error"]["sensors"].items() if None not in (e["before"], e["after"])}
     before, after = (sum((e[k] / e["noise"]) ** 2 for e in sensors.values()) for k in ("before", "after"))
-    if not after > WORSE * max(before, len(sensors)):
+    if not after > HELD_OUT_WORSE * max(before, len(sensors)):
         return ""
     name, e = max(sensors.items(), key=lambda item: (item[1]["after"] - item[1]["before"]) / item[1]["noise"])
     return f"{name} is off by {e['after']:.3g} K {after_label(document)} and by {e['before']:.3g} K re-tuned alone"

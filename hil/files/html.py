@@ -57,8 +57,9 @@ def element(name: str, *content: HtmlPart, **attributes: str) -> Html:
     Parameters
     ----------
     name
-        A tag that can run nothing. attributes: id, class (as ``class_``), alt, lang or title; those of an empty
-        value are left out.
+        A tag that can run nothing.
+    attributes
+        Id, class (as ``class_``), alt, lang or title; those of an empty value are left out.
 
     Raises
     ------
@@ -111,8 +112,13 @@ def document(title: str, style: str, body: Iterable[HtmlPart], script: str = "")
     Parameters
     ----------
     title
-        Any text. style: CSS of this project. body: parts of the page. script: JavaScript of this project, never text
-        from a file; the policy of the page admits no other.
+        Any text.
+    style
+        CSS of this project.
+    body
+        Parts of the page.
+    script
+        JavaScript of this project, never text from a file; the policy of the page admits no other.
 
     Raises
     ------

@@ -48,8 +48,10 @@ Failure = Callable[[str], Exception]
 def limit_bytes(failure: Failure = ValueError) -> int:
     """Return the most memory for reading one file, bytes.
 
-    Raises:
-        failure: HIL_READ_LIMIT is no size.
+    Raises
+    ------
+    failure
+        HIL_READ_LIMIT is no size.
     """
     given = os.environ.get("HIL_READ_LIMIT", "").strip()
     if not given:
@@ -66,7 +68,11 @@ def require_size(path: Path, failure: Failure, copies: int = TEXT_COPIES, most: 
     Parameters
     ----------
     failure
-        Exception to raise. copies: times that its bytes are held in memory. most: another limit, bytes.
+        Exception to raise.
+    copies
+        Times that its bytes are held in memory.
+    most
+        Another limit, bytes.
 
     Raises
     ------
@@ -115,7 +121,11 @@ def read_parquet(path: Path, source: Any, failure: Failure) -> pa.Table:
     Parameters
     ----------
     path
-        Name for messages. source: path or Arrow file to read from. failure: exception to raise.
+        Name for messages.
+    source
+        Path or Arrow file to read from.
+    failure
+        Exception to raise.
 
     Raises
     ------

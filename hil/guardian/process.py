@@ -341,8 +341,6 @@ class GuardianProcess:
             with contextlib.suppress(OSError):
                 os.kill(self._pid, signal.SIGKILL)
 
-    # The engine's socket -----------------------------------------------------------------------
-
     def _receive(self, seconds: float) -> None:
         if self._engine is None:
             time.sleep(seconds)

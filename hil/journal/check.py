@@ -41,8 +41,10 @@ DAMAGE_ERRORS = (
 def require_tables(database: sqlite3.Connection, path: Path) -> None:
     """Check that a journal holds tables and indices only, and set SQLite to trust nothing in it.
 
-    Raises:
-        JournalError: it holds something else. sqlite3.Error: it is damaged.
+    Raises
+    ------
+    JournalError
+        It holds something else. sqlite3.Error: it is damaged.
     """
     database.execute("PRAGMA trusted_schema=OFF")
     database.execute("PRAGMA cell_size_check=ON")

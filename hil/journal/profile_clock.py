@@ -17,7 +17,11 @@ def profile_times(states: Sequence[StateRow], tick: NDArray[np.int64], period_s:
     Parameters
     ----------
     states
-        Transitions of the run, at least one. tick: ticks. period_s: length of a tick, s.
+        Transitions of the run, at least one.
+    tick
+        Ticks.
+    period_s
+        Length of a tick, s.
     """
     at = np.searchsorted(np.array([row.tick for row in states]), tick, side="right") - 1
     row_tick, row_s, goes = (

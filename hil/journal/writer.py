@@ -183,8 +183,6 @@ class JournalWriter:
                 self._urgent = True
                 self._changed.notify_all()
 
-    # The thread --------------------------------------------------------------------------------
-
     def _work(self) -> None:
         batch: list[JournalEntry] = []
         while True:

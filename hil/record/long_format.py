@@ -34,8 +34,10 @@ def one_column_a_series(raw: RawRecord) -> RawRecord:
     A table is of that kind where it has one column of values, a column of times, and columns of text that name the
     series, but no further numbers.
 
-    Raises:
-        RecordError: readings would be lost, or there are more names than a rig has signals.
+    Raises
+    ------
+    RecordError
+        Readings would be lost, or there are more names than a rig has signals.
     """
     low = [name.strip().lower() for name in raw.names]
     values = [i for i, name in enumerate(low) if name in VALUES]
@@ -138,8 +140,10 @@ def _with_units(
 ) -> tuple[list[str], dict[str, tuple[Array, Array]], list[str]]:
     """Return the names of the series with their units, factor and offset of each reading by series, and messages.
 
-    Raises:
-        RecordError: the unit of a series contradicts its name, or changes to another quantity.
+    Raises
+    ------
+    RecordError
+        The unit of a series contradicts its name, or changes to another quantity.
     """
     rows_of: dict[str, list[int]] = {}
     for row, name in enumerate(series):

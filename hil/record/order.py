@@ -24,9 +24,11 @@ def order(raw: RawRecord, axis: TimeAxis, signs: dict[str, Sign]) -> tuple[NDArr
     already. Sorted, the two would interleave: a few such rows are left out, more are refused. Rows that come late, rows
     in no order at all, and rows that fill a gap are sorted.
 
-    Raises:
-        RecordError: dates go back by more than a year, or more than `may_be_lost` rows of a second segment would
-            interleave with the first.
+    Raises
+    ------
+    RecordError
+        Dates go back by more than a year, or more than `may_be_lost` rows of a second segment would interleave with the
+        first.
     """
     rows = np.flatnonzero(np.isfinite(axis.seconds))
     stamps = axis.seconds[rows]

@@ -75,11 +75,16 @@ def without_implausible(
 ) -> Values:
     """Return `values (n,)` of column `name`, in the unit of its suffix, with NaN in place of impossible readings.
 
-    Args:
-        place: names a row of the file, for the messages.
-        messages: takes a sentence for each kind of refused value.
-        declared: plausible range of the point, in the column's unit; the default of the unit where None.
-        written: numbers (n,) as the file has them, where another unit or a factor was converted: codes are among these.
+    Parameters
+    ----------
+    place
+        Names a row of the file, for the messages.
+    messages
+        Takes a sentence for each kind of refused value.
+    declared
+        Plausible range of the point, in the column's unit; the default of the unit where None.
+    written
+        Numbers (n,) as the file has them, where another unit or a factor was converted: codes are among these.
     """
     parts = split_column(name)
     unit = parts[1] if parts else "1"

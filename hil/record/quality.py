@@ -75,10 +75,18 @@ _PHRASES: dict[str, Verdict] = {
 class Rating:
     """Ratings of the rows of a record.
 
-    Attributes:
-        bad, uncertain: rows (n,) whose value is bad or uncertain. kind: name of the codes, for messages.
-        reasons: `Quality` of each row (n,). unknown: row and text of the first mark that is not understood, or None.
-        unknown_count: rows with such a mark.
+    Attributes
+    ----------
+    bad, uncertain
+        Rows (n,) whose value is bad or uncertain.
+    kind
+        Name of the codes, for messages.
+    reasons
+        `Quality` of each row (n,).
+    unknown
+        Row and text of the first mark that is not understood, or None.
+    unknown_count
+        Rows with such a mark.
     """
 
     bad: NDArray[np.bool_]

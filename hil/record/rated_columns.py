@@ -20,9 +20,14 @@ _LEAST_GOOD = 192
 class RatedColumns:
     """Ratings of a record.
 
-    Attributes:
-        columns: columns that hold ratings and no signal. by_value: name and rating of each column that rates a value
-        column. messages: on ratings that are not used.
+    Attributes
+    ----------
+    columns
+        Columns that hold ratings and no signal.
+    by_value
+        Name and rating of each column that rates a value column.
+    messages
+        On ratings that are not used.
     """
 
     columns: frozenset[str]

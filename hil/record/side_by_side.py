@@ -18,8 +18,10 @@ def one_below_the_other(raw: RawRecord) -> RawRecord:
 
     A repeated column of times that holds the same times is left out.
 
-    Raises:
-        RecordError: it is not clear to which times a column belongs.
+    Raises
+    ------
+    RecordError
+        It is not clear to which times a column belongs.
     """
     import pyarrow as pa
 

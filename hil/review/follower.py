@@ -154,10 +154,30 @@ def follow(
     stop: Callable[[], bool],
     poll_s: float = POLL_S,
 ) -> None:
-    """Send `journal` to the file `rrd` and to the viewer at the URL `viewer` as it grows.
+    """Send a journal to a file and to a viewer as it grows.
 
-    Ends when the run has ended, when `stop()` is true, or without a file when the viewer is gone, in each case after
-    everything committed by then has been sent. `rrd` appears when it is complete. Raises JournalError or OSError.
+    The function ends when the run has ended, when `stop()` is true, or without a file when the viewer is gone, in each
+    case after everything committed by then has been sent.
+
+    Parameters
+    ----------
+    journal
+        Journal of the run.
+    rrd
+        Rerun file to write, or None; it appears when it is complete.
+    viewer
+        URL of a viewer, or None.
+    stop
+        Function that is asked on every round.
+    poll_s
+        Time between two looks at the journal, s.
+
+    Raises
+    ------
+    JournalError
+        The journal cannot be read.
+    OSError
+        The file cannot be written.
     """
     with contextlib.ExitStack() as stack:
         reader = stack.enter_context(_reader(journal, stop))

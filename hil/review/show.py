@@ -76,10 +76,30 @@ def show_review(rrd: Path) -> None:
 def screenshot(
     rrd: Path, png: Path, *, size: tuple[int, int] = (1600, 1000), tab: str | None = None, timeout_s: float = 30.0
 ) -> list[str]:
-    """Take a screenshot of `rrd`, or of its tab of that title, without a display.
+    """Take a screenshot of a Rerun file without a display.
 
-    Returns what its views complain about, empty when all is well. Raises ViewerError where no headless viewer can run,
-    KeyError where there is no such tab.
+    Parameters
+    ----------
+    rrd, png
+        The file, and the picture to write.
+    size
+        Width and height in pixels.
+    tab
+        Title of the tab to show, or None for the first.
+    timeout_s
+        Time for the viewer to draw, s.
+
+    Returns
+    -------
+    list
+        Complaints of the viewer's views; empty when all is well.
+
+    Raises
+    ------
+    ViewerError
+        No headless viewer can run.
+    KeyError
+        There is no such tab.
     """
     viewer = open_viewer(headless=True, size=size)
     try:

@@ -31,7 +31,9 @@ async def watch_online(rig: Rig, seconds: float | None, out: Console | None) -> 
     Parameters
     ----------
     rig
-        The rig; nothing is written to it. seconds: time to show the points; None ends at once without a terminal.
+        The rig; nothing is written to it.
+    seconds
+        Time to show the points; None ends at once without a terminal.
     out
         Console, None to print nothing.
     """

@@ -137,8 +137,10 @@ def wrong_place(error: ValidationError) -> str:
 def checked_manifest(document: Any, path: Path, failure: Failure) -> dict[str, Any]:
     """Return the manifest with an empty value for each missing entry that a report shows.
 
-    Raises:
-        failure: an entry is of another type than a run writes, in one sentence.
+    Raises
+    ------
+    failure
+        An entry is of another type than a run writes, in one sentence.
     """
     try:
         _Manifest.model_validate(_as_tuples(document))

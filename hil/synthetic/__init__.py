@@ -10,18 +10,9 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.synthetic.hidden_effects import (
-        LOADS,
-        Setting,
-        Truth,
-        effects_text,
-        lasting,
-        profile,
-        profile_text,
-        setting,
-        truth,
-    )
+    from hil.synthetic.hidden_effects import Truth, effects_text, lasting, truth
     from hil.synthetic.plant_record import direct_record, direct_run
+    from hil.synthetic.settings import LOADS, Setting, profile, profile_text, setting
 
 __all__ = [
     "LOADS",
@@ -41,15 +32,17 @@ __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "hidden_effects": (
-            "LOADS",
-            "Setting",
             "Truth",
             "effects_text",
             "lasting",
+            "truth",
+        ),
+        "settings": (
+            "LOADS",
+            "Setting",
             "profile",
             "profile_text",
             "setting",
-            "truth",
         ),
         "plant_record": (
             "direct_record",

@@ -39,7 +39,9 @@ def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: 
     Parameters
     ----------
     seed
-        Of weather and noise. unit: the specimen, whose sensors' offsets stay from run to run.
+        Of weather and noise.
+    unit
+        The specimen, whose sensors' offsets stay from run to run.
     """
     plant = Plant(seed=seed, period_s=rig.period_s, effects=effects)
     return direct_run(profile, rig, plant, seed=seed, unit=unit, effects=effects)[0]
@@ -48,8 +50,23 @@ def direct_record(profile: Profile, rig: Rig, *, seed: int, unit: int, effects: 
 def direct_run(
     profile: Profile, rig: Rig, plant: Plant, *, seed: int, unit: int, effects: tuple[PlantEffect, ...] = ()
 ) -> tuple[Record, Array]:
-    """Replay as `direct_record` on a given plant; return also the true temperatures of its junctions, (n, 9) degC,
-    ordered as `CHANNELS`.
+    """Replay a profile on a given plant, as `direct_record`.
+
+    Parameters
+    ----------
+    profile, rig, plant
+        Loads, rig file and plant.
+    seed
+        Seed of the noise.
+    unit
+        Number of the specimen, which decides the offsets of its sensors.
+    effects
+        Effects that the plant has and no twin knows of.
+
+    Returns
+    -------
+    tuple
+        The record, and the true temperatures of its junctions, (n, 9) degC in the order of `CHANNELS`.
     """
     period = rig.period_s
     instruments = Instruments(seed, period, effects, unit)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from hil.testing.live import LiveTest
     from hil.testing.matrix import Matrix, requirement_matrix
     from hil.testing.plan import Limit, Plan, TestPlanError, read_plan
+    from hil.testing.prepared import PreparedTest, live_watch, prepared_test
     from hil.testing.recorded import judge_run
     from hil.testing.results import TestResult, junit, write_results
     from hil.testing.run_data import RunData, read_run
@@ -27,6 +28,7 @@ __all__ = [
     "LiveTest",
     "Matrix",
     "Plan",
+    "PreparedTest",
     "RigSignals",
     "RunData",
     "TestPlanError",
@@ -36,6 +38,8 @@ __all__ = [
     "judge_all",
     "judge_run",
     "junit",
+    "live_watch",
+    "prepared_test",
     "read_plan",
     "read_run",
     "requirement_matrix",
@@ -64,6 +68,11 @@ __getattr__, __dir__ = lazy_names(
             "Plan",
             "TestPlanError",
             "read_plan",
+        ),
+        "prepared": (
+            "PreparedTest",
+            "live_watch",
+            "prepared_test",
         ),
         "recorded": ("judge_run",),
         "results": (

@@ -27,7 +27,7 @@ _OPEN = 1e-6
 
 
 class LiveTest:
-    """Watch of a run (`hil.run.engine.Watch`) that judges the limits of a plan; `announce` gets a line for each."""
+    """Watch of a run (`hil.run.interlocks.Watch`) that judges the limits of a plan; `announce` gets a line for each."""
 
     def __init__(
         self, plan: Plan, limits: Sequence[BoundLimit], signals: Sequence[Signal], announce: Callable[[str], None]

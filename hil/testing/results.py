@@ -61,7 +61,13 @@ def write_results(folder: RunFolder, result: TestResult) -> dict[str, Any]:
     """Write `verdict.json` and `junit.xml` of a run, and return the document of the former.
 
     Results of other plans on the same run stay; one of the same id is replaced. The run's verdict is the worst of all.
-    Raises RunFolderError for a damaged `verdict.json`, and OSError.
+
+    Raises
+    ------
+    RunFolderError
+        `verdict.json` is damaged.
+    OSError
+        A file cannot be written.
     """
     tests = [test for test in read_verdict(folder)["tests"] if test["id"] != result.plan.id]
     tests.append(result.document())

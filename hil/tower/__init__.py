@@ -10,36 +10,47 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.tower.calibration.commission import commission_cell, learn_healthy
-    from hil.tower.calibration.healthy import parse_span, path_beside, write_healthy
-    from hil.tower.calibration.picture import draw_cell
-    from hil.tower.calibration.station_fit import (
+    from hil.tower.calibration import (
         DRIVEN,
         TABLE,
         CellResult,
+        TruthColumns,
+        commission_cell,
+        compare,
+        draw_cell,
         fit_with_steps,
+        learn_healthy,
         load_all,
         openings_of,
+        parse_span,
+        path_beside,
         priors_of,
+        read_minutes,
+        read_truth,
         site_of,
         withheld,
+        write_healthy,
         write_table,
     )
-    from hil.tower.calibration.station_fit import calibrate as calibrate_station
-    from hil.tower.calibration.truth import TruthColumns, compare, read_minutes, read_truth
+    from hil.tower.calibration import calibrate as calibrate_station
     from hil.tower.diagnose import adopt, diagnose_station, document, write_document
-    from hil.tower.governance.records import RECORDS, check_records
-    from hil.tower.governance.report_page import REPORT
-    from hil.tower.governance.report_page import report as report_text
-    from hil.tower.governance.service import CellGovernance, govern
+    from hil.tower.governance import RECORDS, REPORT, CellGovernance, check_records, govern
+    from hil.tower.governance import report as report_text
     from hil.tower.plan import plan as plan_step_test
-    from hil.tower.station.alignment import Aligned, iso
-    from hil.tower.station.alignment import align as align_station
-    from hil.tower.station.collection import Collected
-    from hil.tower.station.collection import collect as collect_points
-    from hil.tower.station.description import read_station
-    from hil.tower.station.errors import writing
-    from hil.tower.station.record import CellRecord, StationNotes, cells_of, read_cell, read_notes
+    from hil.tower.station import (
+        Aligned,
+        CellRecord,
+        Collected,
+        StationNotes,
+        cells_of,
+        iso,
+        read_cell,
+        read_notes,
+        read_station,
+        writing,
+    )
+    from hil.tower.station import align as align_station
+    from hil.tower.station import collect as collect_points
 
 __all__ = [
     "DRIVEN",

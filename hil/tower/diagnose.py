@@ -10,18 +10,23 @@ from typing import Any
 
 import numpy as np
 
-from hil.files.atomic import replacing
-from hil.record.raw import RecordError
+from hil.files import replacing
+from hil.record import RecordError
 from hil.tower.calibration import PreparedCell, prepare_cells, step_openings, thermometer_steps
 from hil.tower.station import TowerOutputError, iso
 from twin.network import Revision
 from twin.revisions import save_revision
+from twin.tower import UNITS, CellEffect, Opening
 from twin.tower.calibration import CalibrationError, Fitted
-from twin.tower.diagnosis.adoption import adopted
-from twin.tower.diagnosis.search import CellCase, CellHypothesis, ClaimedEffect, TowerDiagnosis, search
-from twin.tower.diagnosis.validation import HeldOutBlocks
-from twin.tower.effects import UNITS, CellEffect
-from twin.tower.smoother import Opening
+from twin.tower.diagnosis import (
+    CellCase,
+    CellHypothesis,
+    ClaimedEffect,
+    HeldOutBlocks,
+    TowerDiagnosis,
+    adopted,
+    search_effects,
+)
 
 DOCUMENT = "diagnosis.json"
 
@@ -40,8 +45,10 @@ def diagnose_station(
 ) -> StationDiagnosis:
     """Find the undeclared effects of the cells of these twins.
 
-    Raises:
-        RecordError, TwinFileError: a file cannot be used, or the record is too short.
+    Raises
+    ------
+    RecordError, TwinFileError
+        A file cannot be used, or the record is too short.
     """
     cells, notes = prepare_cells(record, twins, labels)
     records = {one.record.cell: one.record for one in cells}
@@ -64,7 +71,7 @@ def diagnose_station(
 
     zone = notes.datasheet.get("timezone")
     try:
-        found = search(cases, zone if isinstance(zone, str) else None, steps, say)
+        found = search_effects(cases, zone if isinstance(zone, str) else None, steps, say)
     except CalibrationError as error:
         raise RecordError(f"{record}: without its held-out weeks it {error}") from error
     return StationDiagnosis(record, tuple(cells), found)
@@ -152,8 +159,10 @@ def _leading(one: CellHypothesis) -> dict[str, Any]:
 def write_document(diagnosis: StationDiagnosis, out: Path, revisions: Sequence[Path]) -> Path:
     """Write `diagnosis.json` into the folder `out`.
 
-    Raises:
-        TowerOutputError: the folder cannot be written.
+    Raises
+    ------
+    TowerOutputError
+        The folder cannot be written.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -167,8 +176,10 @@ def write_document(diagnosis: StationDiagnosis, out: Path, revisions: Sequence[P
 def adopt(diagnosis: StationDiagnosis) -> list[Path]:
     """Save each twin that lacks a found effect as a new revision with it; return the new files.
 
-    Raises:
-        TwinFileError: a twin cannot be saved.
+    Raises
+    ------
+    TwinFileError
+        A twin cannot be saved.
     """
     found, saved = diagnosis.found, []
     first = diagnosis.cells[0].minutes.time_s[0]

@@ -8,13 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.record.raw import RecordError
+from hil.record import RecordError
 from hil.tower.station import iso, read_cell
-from twin.tower.cell import CellDeviations
-from twin.tower.identify import Identifiability
-from twin.tower.minutes import blocks_of, minutes_of
-from twin.tower.planning import StepTest, plan_tests
-from twin.tower.twin_file import IDS, cell_of, design_of, value_of
+from twin.tower import (
+    IDS,
+    CellDeviations,
+    Identifiability,
+    StepTest,
+    blocks_of,
+    cell_of,
+    design_of,
+    minutes_of,
+    plan_tests,
+    value_of,
+)
 from twin.twinfile import load
 
 FEWEST_BLOCKS = 36
@@ -33,8 +40,10 @@ class StepTestPlan:
 def plan(record: Path, twin: Path, warmer: float) -> StepTestPlan:
     """Return the step tests of a cell, from the last day of the record on which it ran steadily for six hours.
 
-    Raises:
-        RecordError, TwinFileError: a file cannot be used, or there is no such day.
+    Raises
+    ------
+    RecordError, TwinFileError
+        A file cannot be used, or there is no such day.
     """
     network = load(twin)
     cell = cell_of(network)

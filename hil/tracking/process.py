@@ -125,8 +125,10 @@ class TrackingProcess:
     async def start(self) -> None:
         """Start the process and wait until its kernel is compiled.
 
-        Raises:
-            TrackingError: it does not come up. What a calibrator itself raises: see `Twins`.
+        Raises
+        ------
+        TrackingError
+            It does not come up. What a calibrator itself raises: see `Twins`.
         """
         self._child = Child(_serve, self._config, "calibrators")
         ready = await asyncio.to_thread(_first_answer, self._child.connection)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hil.training.generate import begun as generation_begun
     from hil.training.generate import generate as generate_windows
     from hil.training.plant_windows import PROFILES, equivalent_deviations, recorded, specimen_of
-    from hil.training.session import TrainingProgress, train
+    from hil.training.session import TrainingProgress, TrainingRequest, train
     from hil.training.session import begun as training_begun
     from hil.training.stopping import Stop
 
@@ -26,6 +26,7 @@ __all__ = [
     "Stop",
     "TrainingData",
     "TrainingProgress",
+    "TrainingRequest",
     "asked_of",
     "complete",
     "equivalent_deviations",
@@ -68,6 +69,7 @@ __getattr__, __dir__ = lazy_names(
         ),
         "session": (
             "TrainingProgress",
+            "TrainingRequest",
             "train",
             "training_begun = begun",
         ),

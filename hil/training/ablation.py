@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from hil.training.data import TrainingData
-from twin.calibrators.hiera_unet import evidence
-from twin.calibrators.hiera_unet.windows import Windows
+from twin.calibrators.hiera_unet import Windows, evidence
 
 PIECES = {
     "hierarchy": "no stage merges: all four have the record at its own steps, without a coarse scale",

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
+from twin.calibrators.hiera_unet import Windows
 from twin.calibrators.hiera_unet.score import MOVED
-from twin.calibrators.hiera_unet.windows import Windows
 from twin.network import Array
 
 Z90 = 1.645

@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from hil.training.generate import campaigns_of
+from twin.calibrators.hiera_unet import Deviations, Features, Store, Windows
 from twin.calibrators.hiera_unet.campaigns import PER_RIG
 from twin.calibrators.hiera_unet.channels import ChannelTable
-from twin.calibrators.hiera_unet.features import Features
-from twin.calibrators.hiera_unet.parameters import Deviations
-from twin.calibrators.hiera_unet.store import Store, windows_of
-from twin.calibrators.hiera_unet.windows import Windows
+from twin.calibrators.hiera_unet.store import windows_of
 from twin.network import Network, TwinFileError
 
 FEWEST = 6
@@ -23,9 +21,18 @@ FEWEST = 6
 class TrainingData:
     """Data of one training.
 
-    Attributes:
-        train: seen by the optimiser. validation: used for the curves. conformal: sets intervals and envelope.
-        test: scored once, at the end. manifest, digest: how they were made, and its SHA-256.
+    Attributes
+    ----------
+    train
+        Seen by the optimiser.
+    validation
+        Used for the curves.
+    conformal
+        Sets intervals and envelope.
+    test
+        Scored once, at the end.
+    manifest, digest
+        How they were made, and its SHA-256.
     """
 
     network: Network
@@ -42,11 +49,15 @@ class TrainingData:
 def read(folder: Path, features: Features, *, most: int | None = None) -> TrainingData:
     """Read the data of a folder.
 
-    Args:
-        most: campaigns of the training split, for a short look.
+    Parameters
+    ----------
+    most
+        Campaigns of the training split, for a short look.
 
-    Raises:
-        TwinFileError: there are none, or they were made for another twin or channel table.
+    Raises
+    ------
+    TwinFileError
+        There are none, or they were made for another twin or channel table.
     """
     store = Store(folder, features)
     unseen = store.campaigns("conformal")

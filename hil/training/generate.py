@@ -17,24 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from hil.run.session.terminal import ProgressBar
+from hil.run.session import ProgressBar
 from hil.training.plant_windows import campaign as plant_campaign
 from hil.training.stopping import Stop
-from twin.calibrators.hiera_unet.campaigns import WINDOWS, LabelledRecord, ends, label, simulated
+from twin.calibrators.hiera_unet import Deviations, Family, Features, LabelledRecord, Store
+from twin.calibrators.hiera_unet.campaigns import WINDOWS, ends, label, simulated
 from twin.calibrators.hiera_unet.channels import table
-from twin.calibrators.hiera_unet.features import Features
-from twin.calibrators.hiera_unet.parameters import Deviations
-from twin.calibrators.hiera_unet.plants import Family
-from twin.calibrators.hiera_unet.store import (
-    MANIFEST,
-    SPLITS,
-    Kept,
-    Store,
-    identity,
-    read_shard,
-    write_manifest,
-    write_shard,
-)
+from twin.calibrators.hiera_unet.store import MANIFEST, SPLITS, Kept, identity, read_shard, write_manifest, write_shard
 from twin.network import Network, TwinFileError
 from twin.twinfile import load
 
@@ -67,11 +56,17 @@ def generate(
 
     A complete folder has a manifest. An incomplete one has `ASKED`, and the same call continues it.
 
-    Args:
-        say: called with the share done, 0 to 1, and the stage. stop: ends the work in order.
+    Parameters
+    ----------
+    say
+        Called with the share done, 0 to 1, and the stage.
+    stop
+        Ends the work in order.
 
-    Raises:
-        TwinFileError: the folder has windows of another seed, or more of them.
+    Raises
+    ------
+    TwinFileError
+        The folder has windows of another seed, or more of them.
     """
     features = features_of()
     family = Family(features.network, features.deviations)
@@ -152,8 +147,10 @@ def complete(folder: Path, seed: int, count: int) -> bool:
 def asked_of(folder: Path) -> tuple[int, int] | None:
     """Return seed and windows that a folder was or is being filled with; None for a folder without any.
 
-    Raises:
-        TwinFileError: its file cannot be read.
+    Raises
+    ------
+    TwinFileError
+        Its file cannot be read.
     """
     for name in (ASKED, MANIFEST):
         try:

@@ -10,8 +10,10 @@ from typing import Any
 def draw(curves: Sequence[dict[str, Any]], path: Path, title: str) -> Path:
     """Write a PNG: losses over steps, errors on unseen windows, learning rate.
 
-    Args:
-        curves: one entry a look, with ``step``, ``loss``, ``rate``, ``parts`` and ``unseen`` (metrics).
+    Parameters
+    ----------
+    curves
+        One entry a look, with ``step``, ``loss``, ``rate``, ``parts`` and ``unseen`` (metrics).
     """
     import matplotlib
 

@@ -26,13 +26,12 @@ from drivers.virtual.plant import (
     build_cells,
     load_effects,
 )
-from hil.synthetic.hidden_effects import LOADS, Setting, Truth, effects_text, profile, truth
-from hil.synthetic.plant_record import direct_run
-from twin.calibrators.hiera_unet.campaigns import AMISS, LabelledRecord
-from twin.calibrators.hiera_unet.features import Features
+from hil.synthetic import LOADS, Setting, Truth, direct_run, effects_text, profile, truth
+from twin.calibrators.hiera_unet import Features, LabelledRecord, ResampledSeries
+from twin.calibrators.hiera_unet.campaigns import AMISS
 from twin.calibrators.hiera_unet.gaps import damaged
 from twin.calibrators.hiera_unet.parameters import LOSS, SUM
-from twin.calibrators.hiera_unet.series import ResampledSeries, series
+from twin.calibrators.hiera_unet.series import series
 from twin.commissioning import CommissionOptions, commission
 from twin.network import Array, Network, TwinFileError
 from twin.twinfile import load
@@ -114,7 +113,21 @@ def recorded(
     effects: tuple[PlantEffect, ...],
     start_C: float | None = None,
 ) -> tuple[ResampledSeries, Array]:
-    """Return a record on the network's own steps, and fault-free sensor readings there (n, Y)."""
+    """Return a record on the network's own steps, and fault-free sensor readings there (n, Y).
+
+    Parameters
+    ----------
+    features
+        Channels of the network, with their step.
+    case
+        Load and duration.
+    specimen
+        Specimen of the plant, with its commissioned twin.
+    effects
+        Effects that the plant has.
+    start_C
+        Temperature at the beginning, degC; None for a plant at rest.
+    """
     columns, junctions, time = run(case, specimen, effects, start_C)
     made = series(features.network, time, columns, extra=features.table.extra, hour=START_HOUR)
     at = np.minimum(np.round(made.time - time[0]).astype(np.intp), len(junctions) - 1)
@@ -143,8 +156,10 @@ def readings(network: Network, junctions: Array) -> Array:
 def specimen_of(features: Features, seed: int, number: int) -> Specimen:
     """Return a specimen, commissioned on a healthy record of its own.
 
-    Raises:
-        TwinFileError: none of several could be commissioned.
+    Raises
+    ------
+    TwinFileError
+        None of several could be commissioned.
     """
     rng = np.random.default_rng([seed, number, 11])
     network = load(TWIN)

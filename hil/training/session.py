@@ -53,37 +53,63 @@ class TrainingProgress:
     simulated: float = 1.0
 
 
-def train(
-    data: TrainingData,
-    name: str,
-    plan: Any,
-    folder: Path,
-    out: Path,
-    *,
-    stop: Stop,
-    command: str,
-    say: Say,
-    device: str = "cpu",
-    without: tuple[str, ...] = (),
-) -> TrainingProgress:
-    """Continue the training in `folder` until it is stopped, or to its end; then write the network to `out`.
+@dataclass(frozen=True)
+class TrainingRequest:
+    """Options of a training.
 
-    Args:
-        name: of the configuration. plan: `twin.calibrators.hiera_unet.plan.TrainingPlan`. out: the weights' path.
-        stop: ends the work in order. command: that makes this training again, for the card.
-        without: pieces to leave out, see `hil.training.ablation`.
-
-    Raises:
-        HieraError: the training in `folder` is another one.
+    Attributes
+    ----------
+    name
+        Name of the configuration, ``small`` or ``full``.
+    plan
+        `twin.calibrators.hiera_unet.plan.TrainingPlan`.
+    folder, out
+        Folder of the state of the training, and path of the weights that it ends with.
+    command
+        Command that makes this training again, for the model card.
+    device
+        Device of torch.
+    without
+        Pieces to leave out, see `hil.training.ablation`.
     """
+
+    name: str
+    plan: Any
+    folder: Path
+    out: Path
+    command: str
+    device: str = "cpu"
+    without: tuple[str, ...] = ()
+
+
+def train(data: TrainingData, request: TrainingRequest, *, stop: Stop, say: Say) -> TrainingProgress:
+    """Continue a training until it is stopped, or to its end; then write the network.
+
+    Parameters
+    ----------
+    data
+        Windows of simulated rigs.
+    request
+        Options of the training.
+    stop
+        Object that ends the work in order.
+    say
+        Function that gets the steps done and a note.
+
+    Raises
+    ------
+    HieraError
+        The training in the folder is another one.
+    """
+    name, plan, without, folder, out = request.name, request.plan, request.without, request.folder, request.out
+    from twin.calibrators.hiera_unet import Trainer
     from twin.calibrators.hiera_unet.binding import config_for, identity_of, physics_of
     from twin.calibrators.hiera_unet.checkpoint import keep, kept
-    from twin.calibrators.hiera_unet.train import Trainer
 
     config = config_for(name, data.network, data.table, data.deviations)
     physics = physics_of(data.network, data.table, data.deviations)
     config, plan, data = leave_out(without, config, plan, data)
-    trainer = Trainer(config, data.train, physics, plan, device, " ".join((data.digest, *without)))
+    trainer = Trainer(config, data.train, physics, plan, request.device, " ".join((data.digest, *without)))
     at, curves_at = folder / "training.pt", folder / "curves.jsonl"
     if at.exists():
         trainer.restore(kept(at))
@@ -107,7 +133,7 @@ def train(
     if trainer.done < plan.steps:
         return TrainingProgress(*came)
     identity = identity_of(data.network, data.table, data.deviations)
-    card, metrics = _finish(trainer, data, identity, curves, out, command, without)
+    card, metrics = _finish(trainer, data, identity, curves, out, request.command, without)
     assemble(data, out.parent, out.stem.rpartition("_")[0])
     drawn = draw(curves, out.with_suffix(".png"), f"{data.table.name} {name}, seed {plan.seed}: {plan.steps} steps")
     return TrainingProgress(*came, card, drawn, tuple(_sentence(mode, m) for mode, m in metrics.items()))
@@ -159,8 +185,9 @@ def _finish(
     without: tuple[str, ...],
 ) -> tuple[Path, dict[str, Any]]:
     """Compute envelope, leakage and metrics of the averaged weights, and write all files."""
+    from twin.calibrators.hiera_unet import Member
     from twin.calibrators.hiera_unet.batches import Batch
-    from twin.calibrators.hiera_unet.checkpoint import Member, save
+    from twin.calibrators.hiera_unet.checkpoint import save
     from twin.calibrators.hiera_unet.envelope import envelope, place
     from twin.calibrators.hiera_unet.leakage import leakage
     from twin.calibrators.hiera_unet.score import outcome
@@ -201,8 +228,10 @@ def _sentence(mode: str, metrics: dict[str, Any]) -> str:
 def begun(folder: Path) -> int:
     """Return the number of steps of the training in `folder` so far.
 
-    Raises:
-        HieraError: its stored state cannot be read.
+    Raises
+    ------
+    HieraError
+        Its stored state cannot be read.
     """
     from twin.calibrators.hiera_unet.checkpoint import kept
 

@@ -16,8 +16,10 @@ class Stop:
 
     `interrupted`: whether there was a signal.
 
-    Args:
-        minutes: from now; None for no limit.
+    Parameters
+    ----------
+    minutes
+        From now; None for no limit.
     """
 
     def __init__(self, minutes: float | None = None) -> None:

@@ -6,17 +6,13 @@ seconds; rigs with other physics are in `tests/hil/test_diagnose.py` and `test_s
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from tests.twin.conftest import LOOP
-from twin.discovery.effects.laws import Book
-from twin.discovery.effects.probe import Probe
 from twin.discovery.healthy.basis import Columns
-from twin.discovery.healthy.health import Health
 from twin.kernel import Kernel
 from twin.network import Array, Network
 from twin.revisions import with_elements
@@ -95,24 +91,3 @@ def bench() -> Bench:
 @pytest.fixture(scope="session")
 def healthy(bench: Bench) -> Columns:
     return bench.record(10.0, seed=7)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _same_healthy_record_is_learned_once() -> Iterator[None]:
-    """Learn from one pair of twin and healthy record once a session; that is a third of a diagnosis.
-
-    `Health.of` depends on nothing else, and its result is frozen. Twin and record are told by their identity, and held
-    so that no other takes it.
-    """
-    learn = Health.of
-    known: dict[tuple[int, int], tuple[Network, Columns, Health]] = {}
-
-    def of(network: Network, probe: Probe, book: Book, healthy: Columns) -> Health:
-        key = (id(network), id(healthy))
-        if key not in known:
-            known[key] = (network, healthy, learn(network, probe, book, healthy))
-        return known[key][2]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Health, "of", of)
-        yield

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from twin.discovery.growing.answer import diagnose_grown
+from twin.discovery.growing.candidate_superset import CandidateSuperset, unsized
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.growth import samples_of
 from twin.discovery.growing.unaided import GrowthProblem
-from twin.discovery.growing.wardrobe import Wardrobe, unsized
 from twin.discovery.healthy.basis import Columns
 from twin.kernel import Kernel, simulate
 from twin.network import Array, Network, TwinFileError
@@ -138,9 +138,9 @@ wall_hA = 1000.0
 def test_hypotheses_go_down_side_by_side_as_each_does_alone(room: Network) -> None:
     record = lived_in(room, {"sun": SUN})
     samples, ids = samples_of(room, record.time_s, record.inputs, record.measured), room.tunables("commission")
-    wardrobe = Wardrobe.of(room, ids, 600.0, 345600.0)
-    plain = GrowthProblem(wardrobe, samples, ids)
-    sun = next(c for c in wardrobe.candidates if c.kind == "heat_source" and "sun" in c.driver)
+    superset = CandidateSuperset.of(room, ids, 600.0, 345600.0)
+    plain = GrowthProblem(superset, samples, ids)
+    sun = next(c for c in superset.candidates if c.kind == "heat_source" and "sun" in c.driver)
     sunny = plain.with_entries((unsized(sun, 1.0),))
     starts = [(plain, plain.start()), (sunny, sunny.start()), (sunny, sunny.start() + 0.3)]
     together = descend(starts)

@@ -12,7 +12,7 @@ from twin.discovery.effects.catalogue import catalogue, extended, sized
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import CommissionedRecord
 from twin.discovery.healthy.health import NotHealthyError
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Network
 from twin.twinfile import load
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.bootstrap import bootstrap
+from twin.discovery.bootstrap import bootstrap_claims
+from twin.discovery.cache import cached
 from twin.discovery.effects.probe import free_run
 from twin.discovery.engine import diagnose
 from twin.discovery.evidence.priors import CLAIM
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.healthy.drawn import drawn
-from twin.discovery.healthy.widening import Bootstrap, keep, kept
-from twin.discovery.kept import cached
+from twin.discovery.healthy.widening import Bootstrap, keep_bootstrap, kept
 from twin.discovery.records.grid import on_grid
 
 CALM = Bootstrap(tuple(-6.0 + 0.2 * i for i in range(20)), CLAIM, 0)
@@ -25,7 +25,7 @@ ROUGH = Bootstrap(tuple(2.0 + 0.8 * i for i in range(20)), CLAIM, 3)
 @pytest.fixture
 def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing that a test keeps meets another diagnosis."""
-    monkeypatch.setattr("twin.discovery.kept.cache_folder", lambda name: tmp_path)
+    monkeypatch.setattr("twin.discovery.cache.cache_folder", lambda name: tmp_path)
 
 
 def test_drawn_records_are_as_noisy_as_what_they_are_drawn_from(bench: Bench, healthy: Columns) -> None:
@@ -72,7 +72,7 @@ def test_gaps_and_single_thermometers_are_drawn_too(bench: Bench, healthy: Colum
 @pytest.mark.usefixtures("own_cache")
 def test_healthy_draws_give_no_alarm_and_raise_the_odds_little(bench: Bench) -> None:
     told: list[int] = []
-    found = bootstrap(bench.network, bench.record(4.0, seed=7), 10, done=told.append)
+    found = bootstrap_claims(bench.network, bench.record(4.0, seed=7), 10, done=told.append)
     assert told == list(range(1, 11))
     assert found.alarms <= 1
     assert len(found.odds) == 10 and max(found.odds) < CLAIM + 3.0
@@ -81,7 +81,7 @@ def test_healthy_draws_give_no_alarm_and_raise_the_odds_little(bench: Bench) -> 
 
 def test_too_few_draws_are_refused(bench: Bench, healthy: Columns) -> None:
     with pytest.raises(ValueError, match="10 draws or more, not 9"):
-        bootstrap(bench.network, healthy, 9)
+        bootstrap_claims(bench.network, healthy, 9)
 
 
 def test_the_odds_needed_rise_with_those_of_healthy_records_and_never_fall() -> None:
@@ -96,7 +96,7 @@ def test_what_was_kept_counts_for_that_twin_alone(bench: Bench, healthy: Columns
     grid = on_grid(bench.network, healthy.time_s, healthy.inputs, healthy.measured)
     before = basis(bench.network, healthy, grid)
     assert before.bootstrap is None and before.claim == 0.0
-    keep(ROUGH, bench.network, healthy.time_s, healthy.inputs, healthy.measured)
+    keep_bootstrap(ROUGH, bench.network, healthy.time_s, healthy.inputs, healthy.measured)
     assert basis(bench.network, healthy, grid).claim == ROUGH.claim
     record = bench.record(10.0)
     assert diagnose(bench.network, record, healthy).claim == ROUGH.claim
@@ -111,9 +111,9 @@ def test_a_full_disk_loses_no_diagnosis(bench: Bench, healthy: Columns, monkeypa
         raise OSError(28, "No space left on device")
 
     arrays = (healthy.time_s, healthy.inputs, healthy.measured)
-    keep(CALM, bench.network, *arrays)
+    keep_bootstrap(CALM, bench.network, *arrays)
     monkeypatch.setattr(Path, "write_text", full)
-    keep(ROUGH, bench.network, *arrays)
+    keep_bootstrap(ROUGH, bench.network, *arrays)
     assert kept(bench.network, *arrays) == CALM
 
 
@@ -121,7 +121,7 @@ def test_a_full_disk_loses_no_diagnosis(bench: Bench, healthy: Columns, monkeypa
 @pytest.mark.parametrize("text", ["", "{", '{"odds": [1], "needed": 12, "alarms": 0}', '{"odds": "abc"}'])
 def test_a_damaged_file_is_as_none(bench: Bench, healthy: Columns, text: str) -> None:
     arrays = (healthy.time_s, healthy.inputs, healthy.measured)
-    keep(CALM, bench.network, *arrays)
+    keep_bootstrap(CALM, bench.network, *arrays)
     path = cached("bootstrap", bench.network, *arrays)
     assert path is not None
     path.write_text(text)

@@ -11,7 +11,7 @@ from tests.discovery.conftest import Bench
 from twin.discovery.effects.catalogue import catalogue
 from twin.discovery.effects.phrases import said
 from twin.discovery.engine import diagnose
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Network
 from twin.revisions import with_elements
 from twin.twinfile import load

@@ -18,7 +18,7 @@ from twin.discovery.engine import diagnose
 from twin.discovery.evidence.marginal import log_bayes_of_sizes, log_mass
 from twin.discovery.evidence.priors import SPREAD
 from twin.discovery.healthy.basis import Columns
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.kernel import Kernel
 from twin.network import Array
 from twin.revisions import with_elements

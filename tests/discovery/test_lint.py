@@ -9,7 +9,7 @@ from tests.discovery.conftest import Bench
 from tests.discovery.plans import run, steady
 from tests.discovery.test_records import TWINS
 from twin.discovery.effects.catalogue import catalogue
-from twin.discovery.effects.lint import examine, lint, richest
+from twin.discovery.effects.lint import ambiguity_groups, examine, richest
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
 from twin.kernel import simulate
@@ -28,7 +28,7 @@ def test_a_pump_and_its_flow_are_one_and_a_source_and_a_thermometer_are_two(benc
     assert ("sensor", "T_tank_C", "constant") not in together
     assert ("heat_source", "tank", "constant") not in together
     assert set(together) <= {(c.kind, c.where, c.driver) for c in catalogue(bench.network)}
-    assert lint(bench.network) == lint(bench.network) == found  # from the cache too
+    assert ambiguity_groups(bench.network) == ambiguity_groups(bench.network) == found  # from the cache too
 
 
 def test_what_is_called_alike_is_alike_in_the_readings(bench: Bench) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twin.discovery.scoring.structure import Structure
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 
 
 def _delay(where: str, lower: float) -> Candidate:

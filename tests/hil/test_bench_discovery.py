@@ -28,8 +28,9 @@ from hil.bench.discovery.worker import Worker, WorkerError
 from hil.cli import group
 from hil.profile.load_profile import read_profile
 from hil.record.reader import read_record
-from hil.synthetic.hidden_effects import KINDS, effects_text, lasting, profile, profile_text, setting, truth
+from hil.synthetic.hidden_effects import effects_text, lasting, truth
 from hil.synthetic.plant_record import direct_record
+from hil.synthetic.settings import KINDS, profile, profile_text, setting
 
 
 def effect(kind: str = "heat_source", where: str = "tank", driver: str = "constant", **more: Any) -> dict[str, Any]:

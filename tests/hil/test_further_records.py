@@ -13,7 +13,7 @@ from tests.hil.made_diagnosis import made
 from tests.hil.made_record import written
 from tests.hil.test_bad_input import hil
 from tests.twin.conftest import LOOP
-from twin.discovery.elsewhere import elsewhere
+from twin.discovery.further_records import errors_on_further_record
 from twin.twinfile import load
 
 
@@ -57,17 +57,20 @@ def test_a_grown_twin_is_tried_on_further_records_by_its_own_measure() -> None:
     bench = Bench(load(LOOP))
     hot = bench.with_element("more", {"kind": "heat_source", "node": "tank", "power": 150.0})
     grown = replace(made("effect found"), network=hot, moved=(), method="growth", elsewhere=())
-    again = elsewhere(grown, bench.network, bench.record(1.0, changed=hot), "again")
+    again = errors_on_further_record(grown, bench.network, bench.record(1.0, changed=hot), "again")
     assert again.carried == "over" and again.says == ""
     assert all(e.after < 2.0 * e.noise < e.before == e.stale for e in again.errors.values())
     less = bench.with_element("more", {"kind": "heat_source", "node": "tank", "power": 110.0})
-    part = elsewhere(grown, bench.network, bench.record(1.0, changed=less), "less")
+    part = errors_on_further_record(grown, bench.network, bench.record(1.0, changed=less), "less")
     assert part.carried == "in part" and part.says.startswith("this effect carries over to less in part only: T_")
-    cool = elsewhere(
+    cool = errors_on_further_record(
         replace(grown, network=None, verdict="adequate"), bench.network, bench.record(1.0, changed=hot), "x"
     )
     assert cool.says.startswith("re-tuned, the twin does not fit x: T_")
-    assert elsewhere(replace(grown, network=None), bench.network, bench.record(1.0, changed=hot), "x").says == ""
+    assert (
+        errors_on_further_record(replace(grown, network=None), bench.network, bench.record(1.0, changed=hot), "x").says
+        == ""
+    )
 
 
 def test_options_for_a_foreign_record_do_not_change_the_record_of_a_run(tmp_path: Path) -> None:

@@ -18,8 +18,8 @@ LOOP = Path(__file__).resolve().parents[2] / "profiles" / "twins" / "loop.toml"
 
 @pytest.fixture
 def twin() -> Network:
-    site, law = {"kind": "law_heat", "node": "tank"}, {"size": 50.0, "start_s": 100.0}
-    return adopt_law(load(LOOP), site, {}, "constant", law, course="step", sample_s=1.0)
+    law = {"kind": "law_heat", "node": "tank", "form": "constant", "course": "step"}
+    return adopt_law(load(LOOP), law, {"size": 50.0, "start_s": 100.0}, sample_s=1.0)
 
 
 def test_stamps_are_an_input_that_no_record_needs(twin: Network) -> None:

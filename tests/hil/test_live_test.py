@@ -10,8 +10,7 @@ import pytest
 
 from drivers.signals.points import Quality
 from hil.journal import JournalReader
-from hil.run.engine.watch import GuardedWatch
-from hil.run.interlocks import TickValues
+from hil.run.interlocks import GuardedWatch, TickValues
 from hil.run.session import RunRequest, run_session
 from hil.run_folder import Labels, read_verdict
 from hil.testing import LiveTest, bind, read_plan

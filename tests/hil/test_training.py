@@ -61,16 +61,9 @@ def trained(
 ) -> session.TrainingProgress:
     stop = Stop(minutes)
     plan = TrainingPlan(steps=4, batch=5, pairs=1, seed=seed)
-    return session.train(
-        data,
-        "small",
-        plan,
-        folder / f"fake_small_{seed}",
-        folder / f"fake_small_{seed}.safetensors",
-        stop=stop,
-        command="hil train",
-        say=lambda done, _: None if say is None else say(done, stop),
-    )
+    state, weights = folder / f"fake_small_{seed}", folder / f"fake_small_{seed}.safetensors"
+    request = session.TrainingRequest("small", plan, state, weights, "hil train")
+    return session.train(data, request, stop=stop, say=lambda done, _: None if say is None else say(done, stop))
 
 
 def test_a_training_in_pieces_ends_with_card_picture_and_ensemble(data: TrainingData, tmp_path: Path) -> None:

@@ -190,9 +190,9 @@ def test_tables_fit_eighty_columns(second: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_log_and_diff_show_the_equation_of_a_law(tmp_path: Path) -> None:
     first = save(load(LOOP), tmp_path / "my_twin.toml")
-    site, driver = {"kind": "law_heat", "node": "tank"}, {"driver": "fan_speed_pct"}
-    law = {"size": -40.0, "on": 80.0, "off": 60.0}
-    path = save_revision(adopt_law(load(first), site, driver, "threshold", law, revision=EVIDENCE), first)
+    law = {"kind": "law_heat", "node": "tank", "driver": "fan_speed_pct", "form": "threshold"}
+    parameters = {"size": -40.0, "on": 80.0, "off": 60.0}
+    path = save_revision(adopt_law(load(first), law, parameters, revision=EVIDENCE), first)
     equation = "Q(tank) = -40 W from fan_speed_pct = 80 % until fan_speed_pct = 60 %, else 0"
     for verb in ("log", "diff"):
         code, printed = hil("twin", verb, path)

@@ -10,7 +10,7 @@ import re
 
 OPENINGS = ("What", "Whether", "Where", "How", "Of", "That")
 """First words of a sentence or docstring that hide who does what."""
-LONGEST = 40
+LONGEST = 30
 """Words of a sentence in the documentation, at most."""
 MEDIAN = 25
 """Words of the median sentence of a page, at most."""

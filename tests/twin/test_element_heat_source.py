@@ -7,7 +7,7 @@ import pytest
 
 from tests.twin.two_nodes import U, heat, network, worst_error
 from twin.discovery.effects.catalogue import catalogue
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.elements.heat_source import daylight_parameters
 from twin.network import TwinFileError
 

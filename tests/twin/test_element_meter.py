@@ -12,7 +12,7 @@ from twin.commissioning import CommissionOptions, commission
 from twin.kernel import Kernel, mask_measurements, simulate
 from twin.network import Network, Revision, TwinFileError
 from twin.reference_simulation import simulate_fine_steps
-from twin.tower.cell import CellDeviations, Design, Inputs, solve
+from twin.tower.cell import CellDeviations, Design, Inputs, solve_cell
 from twin.tower.twin_file import cell_network
 from twin.tracking import TwinTracker
 from twin.twinfile import dump, from_tables, parse, to_tables
@@ -71,7 +71,7 @@ def test_a_tower_cells_meters_read_what_the_cells_own_equations_give() -> None:
         axis=1,
     )
     read = dict(zip(net.sensor_names, simulate(net, 60.0 * np.arange(n), u, np.array([20.0])).T, strict=True))
-    own = solve(
+    own = solve_cell(
         Inputs(u[:, 0], u[:, 1], u[:, 2] / 100.0, u[:, 3], u[:, 4], u[:, 5]), DESIGN, CellDeviations(0.86, 0.93, 0.95)
     )
     assert read["makeup"] == pytest.approx(own.evaporation, rel=1e-6, abs=1e-9)

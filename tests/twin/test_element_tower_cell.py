@@ -10,7 +10,7 @@ import pytest
 from twin.kernel import simulate
 from twin.network import Network, Revision
 from twin.steady import steady_readings
-from twin.tower.cell import CellDeviations, Design, Inputs, solve
+from twin.tower.cell import CellDeviations, Design, Inputs, solve_cell
 from twin.tower.twin_file import cell_network
 
 DESIGN = Design(250.0, 205.0, 1.5, 0.7, 40.0, 1.15, evaporation=1.05, idle=1.0)
@@ -38,7 +38,7 @@ def test_element_and_cell_agree_at_every_operating_point() -> None:
     net = network(fill=0.86, air=0.93, uniformity=0.95)
     found = steady_readings(net, u)[:, 0]
     inputs = Inputs(u[:, 0], u[:, 1], u[:, 2] / 100.0, u[:, 3], u[:, 4], u[:, 5])
-    assert found == pytest.approx(solve(inputs, DESIGN, CellDeviations(0.86, 0.93, 0.95)).t_out, abs=1e-6)
+    assert found == pytest.approx(solve_cell(inputs, DESIGN, CellDeviations(0.86, 0.93, 0.95)).t_out, abs=1e-6)
 
 
 def test_bypass_mixes_hot_water_into_the_flume_and_the_bias_shifts_the_reading_alone() -> None:

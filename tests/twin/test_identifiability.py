@@ -7,7 +7,7 @@ from tests.twin.conftest import START, drive
 from twin.calibrators import make_calibrator
 from twin.calibrators.base import Window
 from twin.calibrators.identifiability import UNIDENTIFIABLE_SHARE, condition_number, window_information
-from twin.calibrators.windows import make_window
+from twin.calibrators.windows import WindowSamples, make_window
 from twin.kernel import simulate
 from twin.network import Network
 
@@ -20,7 +20,7 @@ def window(net: Network, truth: Network, inputs: np.ndarray | None = None, numbe
     u = u if inputs is None else inputs
     y = simulate(truth, t, u, START) + np.random.default_rng(number).normal(0.0, 1.0, (600, 4)) * net.sigma
     live = simulate(net, t, u, START)
-    return make_window(number, t + 600.0 * number, u, y, START, net.values.copy(), live, net.rules)
+    return make_window(number, WindowSamples(t + 600.0 * number, u, y), START, net.values.copy(), live, net.rules)
 
 
 @pytest.mark.parametrize("name", ["pso", "pso_paper", "least_squares"])

@@ -32,9 +32,7 @@ def twin() -> Network:
 def test_a_recorded_column_that_the_twin_lacks_is_declared(twin: Network) -> None:
     new = adopt_law(
         twin,
-        {"kind": "law_heat", "node": "b"},
-        {"driver": "wind_m_s"},
-        "linear",
+        {"kind": "law_heat", "node": "b", "driver": "wind_m_s", "form": "linear"},
         {"gain": -7.0, "reference": 2.0},
         columns={"wind_m_s": WIND},
     )
@@ -43,18 +41,15 @@ def test_a_recorded_column_that_the_twin_lacks_is_declared(twin: Network) -> Non
     gain = new.parameters["law_heat_b.gain"]
     assert (gain.value, gain.unit, gain.status) == (-7.0, "W/(m/s)", "tunable")
     assert "wind_m_s" not in twin.inputs
-    again = adopt_law(new, {"kind": "law_heat", "node": "b"}, {}, "constant", {"size": 1.0})
+    again = adopt_law(new, {"kind": "law_heat", "node": "b", "form": "constant"}, {"size": 1.0})
     assert {"law_heat_b", "law_heat_b_2"} <= {e.name for e in again.elements}
 
 
 def test_a_time_course_brings_the_stamps_and_the_interval_of_the_samples(twin: Network) -> None:
     new = adopt_law(
         twin,
-        {"kind": "law_heat", "node": "a"},
-        {},
-        "constant",
+        {"kind": "law_heat", "node": "a", "form": "constant", "course": "interval"},
         {"size": 90.0, "start_s": 100.0, "end_s": 400.0},
-        course="interval",
         sample_s=10.0,
     )
     assert new.inputs["time_s"].unit == "s" and new.parameters["law_heat_a.edge_s"].value == 10.0
@@ -70,8 +65,8 @@ def test_a_time_course_brings_the_stamps_and_the_interval_of_the_samples(twin: N
 
 def test_an_actuator_law_brings_an_actuator_once(twin: Network) -> None:
     site = {"kind": "law_actuator", "column": "heater_power_W"}
-    one = adopt_law(twin, site, {}, "constant", {"size": -0.1})
-    two = adopt_law(one, site, {"driver": "fan_speed_pct"}, "linear", {"gain": 0.001})
+    one = adopt_law(twin, {**site, "form": "constant"}, {"size": -0.1})
+    two = adopt_law(one, {**site, "driver": "fan_speed_pct", "form": "linear"}, {"gain": 0.001})
     assert [e.kind for e in two.elements].count("actuator") == 1
     time, u = np.arange(50.0), np.tile(twin.nominal_inputs, (50, 1))
     less, plain = (
@@ -92,7 +87,7 @@ def test_an_actuator_law_brings_an_actuator_once(twin: Network) -> None:
 )
 def test_a_law_that_cannot_be_adopted_is_refused(twin: Network, site, driver, form, said) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(TwinFileError, match=said):
-        adopt_law(twin, site, driver, form, {})
+        adopt_law(twin, {**site, **driver, "form": form}, {})
 
 
 @pytest.mark.parametrize(
@@ -140,7 +135,7 @@ def test_the_equation_stands_in_the_difference_and_in_the_picture(
     import matplotlib
 
     monkeypatch.setitem(matplotlib.rcParams, "svg.fonttype", "none")
-    new = adopt_law(twin, site, driver, form, parameters, course=course, name="found")
+    new = adopt_law(twin, {**site, **driver, "form": form, "course": course}, parameters, name="found")
     assert equation in str(law_equations(new)["found"])
     assert equation in diff(twin, new).added[0].equation
     symbols = law_equations(new)["found"].symbols
@@ -150,7 +145,7 @@ def test_the_equation_stands_in_the_difference_and_in_the_picture(
 
 def test_a_revision_with_a_law_is_saved_and_reverted(twin: Network, tmp_path: Path) -> None:
     path = save(twin, tmp_path / "two.toml")
-    new = adopt_law(load(path), {"kind": "law_heat", "node": "a"}, {}, "constant", {"size": 25.0})
+    new = adopt_law(load(path), {"kind": "law_heat", "node": "a", "form": "constant"}, {"size": 25.0})
     second = save_revision(new, path)
     assert load(second).parameters["law_heat_a.size"].value == 25.0
     assert diff(load(path), load(revert(second))).empty
@@ -162,9 +157,7 @@ def record() -> tuple[Network, np.ndarray, np.ndarray, np.ndarray]:
     net = parse(TWO + LOSSES + POWER)
     net = adopt_law(
         net,
-        {"kind": "law_heat", "node": "b"},
-        {"driver": "fan_speed_pct"},
-        "memory",
+        {"kind": "law_heat", "node": "b", "driver": "fan_speed_pct", "form": "memory"},
         {"gain": 0.0, "reference": 50.0, "lag_s": 120.0},
         name="found",
     )

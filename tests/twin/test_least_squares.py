@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 from tests.twin.conftest import START, drive
 from twin.calibrators import make_calibrator
 from twin.calibrators.base import Calibration, Window
-from twin.calibrators.windows import make_window
+from twin.calibrators.windows import WindowSamples, make_window
 from twin.gauss_newton import FitData, FitProblem, GaussianPrior, Scaling
 from twin.kernel import Kernel, mask_measurements, simulate
 from twin.network import Network
@@ -18,7 +18,7 @@ def window(net: Network, truth: Network, seed: int) -> Window:
     t, u = drive(600, seed)
     y = simulate(truth, t, u, START) + np.random.default_rng(seed).normal(0.0, 1.0, (600, 4)) * net.sigma
     live = simulate(net, t, u, START)
-    return make_window(0, t, u, y, START, net.values.copy(), live, net.rules)
+    return make_window(0, WindowSamples(t, u, y), START, net.values.copy(), live, net.rules)
 
 
 @pytest.mark.parametrize("tunables", ["paper4", "nine", "twelve"])
@@ -169,7 +169,7 @@ def test_intervals_do_not_shrink_with_the_sampling_rate(loop: Network) -> None:
         t, u = drive(600, 1)
         y = simulate(loop, t, u, START) + np.random.default_rng(1).normal(0.0, 1.0, (600, 4)) * loop.sigma
         t, u, y = (np.ascontiguousarray(a[::pace]) for a in (t, u, y))
-        w = make_window(0, t, u, y, START, loop.values.copy(), simulate(loop, t, u, START), loop.rules)
+        w = make_window(0, WindowSamples(t, u, y), START, loop.values.copy(), simulate(loop, t, u, START), loop.rules)
         found = make_calibrator("least_squares", loop, "paper4").calibrate(w).covariance
         assert found is not None
         spreads.append(np.sqrt(np.diag(found)))

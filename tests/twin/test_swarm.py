@@ -13,7 +13,7 @@ from twin.calibrators import ANY_TWIN_CALIBRATORS, CALIBRATOR_NAMES, make_calibr
 from twin.calibrators.base import Calibrator, Window
 from twin.calibrators.least_squares import LeastSquares
 from twin.calibrators.pso import PAPER, TUNED, ParticleSwarm
-from twin.calibrators.windows import classify_window, initial_mismatch, last_row_of_window, make_window
+from twin.calibrators.windows import WindowSamples, classify_window, initial_mismatch, last_row_of_window, make_window
 from twin.kernel import simulate
 from twin.network import Network, TwinFileError, WindowRules
 from twin.tracking import TwinTracker
@@ -27,7 +27,9 @@ def window(net: Network, truth: Network, number: int = 0, n: int = 600, offset: 
     t, u = drive(n, seed)
     y = simulate(truth, t, u, START) + np.random.default_rng(seed).normal(0.0, 1.0, (n, 4)) * net.sigma
     live = simulate(net, t, u, START + offset)
-    return make_window(number, t + 600.0 * number, u, y, START + offset, net.values.copy(), live, net.rules)
+    return make_window(
+        number, WindowSamples(t + 600.0 * number, u, y), START + offset, net.values.copy(), live, net.rules
+    )
 
 
 def test_table_2() -> None:
@@ -69,9 +71,9 @@ def test_a_window_with_too_little_data_is_skipped(loop: Network) -> None:
     t, u = drive(600)
     y = np.full((600, 4), np.nan)
     live = simulate(loop, t, u, START)
-    assert make_window(0, t, u, y, START, loop.values, live, RULES).kind == "skipped"
+    assert make_window(0, WindowSamples(t, u, y), START, loop.values, live, RULES).kind == "skipped"
     y[:20] = 30.0
-    assert make_window(0, t, u, y, START, loop.values, live, RULES).kind == "skipped"
+    assert make_window(0, WindowSamples(t, u, y), START, loop.values, live, RULES).kind == "skipped"
 
 
 @pytest.mark.parametrize("name", ["pso", "pso_paper", "least_squares", "kalman"])

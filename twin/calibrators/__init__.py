@@ -14,7 +14,7 @@ from twin.calibrators.base import (
     Window,
     WindowKind,
 )
-from twin.calibrators.windows import LEAST_ROWS, LEAST_SPAN, make_window
+from twin.calibrators.windows import LEAST_ROWS, LEAST_SPAN, WindowSamples, make_window
 from twin.network import Network, TwinFileError
 
 __all__ = [
@@ -31,6 +31,7 @@ __all__ = [
     "SampleFilter",
     "Window",
     "WindowKind",
+    "WindowSamples",
     "default_tunables",
     "make_calibrator",
     "make_window",

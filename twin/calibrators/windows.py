@@ -9,6 +9,7 @@ into blocks.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,22 +38,52 @@ def window_index(time: float, origin: float, rules: WindowRules) -> int:
     return max(math.floor((time - origin) / rules.window_s + 1e-9), 0)
 
 
+@dataclass(frozen=True)
+class WindowSamples:
+    """Samples of a window.
+
+    Attributes
+    ----------
+    time, inputs, measured
+        (n,) s; (n, c) without NaN; (n, m) degC, NaN where masked.
+    read
+        (n, c) bool, True where an input was read; None where all of them were.
+    """
+
+    time: Array
+    inputs: Array
+    measured: Array
+    read: np.ndarray | None = None
+
+
 def make_window(
     number: int,
-    time: Array,
-    inputs: Array,
-    measured: Array,
+    samples: WindowSamples,
     state: Array,
     parameters: Array,
     live: Array,
     rules: WindowRules,
-    read: np.ndarray | None = None,
     kelvin_per_unit: Array | float = 1.0,
 ) -> Window:
-    """Return a completed window with its errors and kind (see `Window` for the shapes); without `read` all inputs
-    were read. `kelvin_per_unit` (m,) weighs the readings in those errors (`Network.kelvin_per_unit`).
+    """Return a completed window with its errors and kind.
+
+    Parameters
+    ----------
+    number
+        Index of the window in its run.
+    samples
+        Samples of the window, at least one.
+    state, parameters
+        State of the live twin at the first sample, and its full parameter vector (p,).
+    live
+        (n, m) degC, readings that the live twin predicted.
+    rules
+        Limits that decide the kind.
+    kelvin_per_unit
+        (m,) weights of the readings in the errors, see `Network.kelvin_per_unit`.
     """
-    read = np.ones(inputs.shape, dtype=bool) if read is None else read
+    time, inputs, measured = samples.time, samples.inputs, samples.measured
+    read = np.ones(inputs.shape, dtype=bool) if samples.read is None else samples.read
     residual = (live - measured) * kelvin_per_unit
     first = max(int(np.searchsorted(time, time[0] + rules.first_s)), 1)
     mismatch = initial_mismatch(residual[:first])

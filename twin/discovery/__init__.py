@@ -9,16 +9,37 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from twin.discovery.answer.blind_spots import label_text
+    from twin.discovery.answer.unused import with_unused
+    from twin.discovery.bootstrap import bootstrap_claims
     from twin.discovery.diagnosis import Diagnosis, SensorError
+    from twin.discovery.effects.catalogue import catalogue
+    from twin.discovery.effects.lint import EffectLabel, ambiguity_groups
     from twin.discovery.effects.statement import disturbance_statement
     from twin.discovery.engine import diagnose, foresee, foresee_plan
-    from twin.discovery.growing.answer import diagnose_grown
+    from twin.discovery.evidence.held_out import HELD_OUT_WORSE
+    from twin.discovery.further_records import errors_on_further_record
+    from twin.discovery.growing.answer import diagnose_grown, fits_growth
     from twin.discovery.healthy.basis import Columns, CommissionedRecord
     from twin.discovery.healthy.health import NotHealthyError
+    from twin.discovery.healthy.widening import keep_bootstrap
     from twin.discovery.planning.experiment import Limits
-    from twin.discovery.records.grid import TooShortError
+    from twin.discovery.planning.forecast import Forecast
+    from twin.discovery.records.grid import TooShortError, require_enough
 
 _HOME = {
+    "require_enough": "twin.discovery.records.grid",
+    "Forecast": "twin.discovery.planning.forecast",
+    "keep_bootstrap": "twin.discovery.healthy.widening",
+    "fits_growth": "twin.discovery.growing.answer",
+    "HELD_OUT_WORSE": "twin.discovery.evidence.held_out",
+    "ambiguity_groups": "twin.discovery.effects.lint",
+    "EffectLabel": "twin.discovery.effects.lint",
+    "catalogue": "twin.discovery.effects.catalogue",
+    "with_unused": "twin.discovery.answer.unused",
+    "label_text": "twin.discovery.answer.blind_spots",
+    "errors_on_further_record": "twin.discovery.further_records",
+    "bootstrap_claims": "twin.discovery.bootstrap",
     "Columns": "twin.discovery.healthy.basis",
     "CommissionedRecord": "twin.discovery.healthy.basis",
     "Diagnosis": "twin.discovery.diagnosis",
@@ -34,18 +55,30 @@ _HOME = {
 }
 
 __all__ = [
+    "HELD_OUT_WORSE",
     "Columns",
     "CommissionedRecord",
     "Diagnosis",
+    "EffectLabel",
+    "Forecast",
     "Limits",
     "NotHealthyError",
     "SensorError",
     "TooShortError",
+    "ambiguity_groups",
+    "bootstrap_claims",
+    "catalogue",
     "diagnose",
     "diagnose_grown",
     "disturbance_statement",
+    "errors_on_further_record",
+    "fits_growth",
     "foresee",
     "foresee_plan",
+    "keep_bootstrap",
+    "label_text",
+    "require_enough",
+    "with_unused",
 ]
 
 

@@ -26,7 +26,7 @@ LEAST_ODDS = -12.0
 """Log odds below which records in which nothing leads count alike: their tail is what is asked for."""
 
 
-def bootstrap(
+def bootstrap_claims(
     network: Network,
     healthy: Columns,
     draws: int = DRAWS,
@@ -36,11 +36,19 @@ def bootstrap(
 ) -> Bootstrap:
     """Commission and diagnose `draws` pairs of healthy records drawn from a commissioned twin.
 
-    Args:
-        healthy: the record that the twin was commissioned on. done: called with the number of draws made so far.
+    Parameters
+    ----------
+    healthy
+        The record that the twin was commissioned on.
+    done
+        Called with the number of draws made so far.
 
-    Raises:
-        ValueError: fewer than ten draws. TwinFileError: as `diagnose`.
+    Raises
+    ------
+    ValueError
+        Fewer than ten draws.
+    TwinFileError
+        As `diagnose`.
     """
     if draws < FEWEST:
         raise ValueError(f"a tail is fitted to {FEWEST} draws or more, not {draws}")

@@ -1,4 +1,4 @@
-"""What a diagnosis says: plain data, and the JSON document of it."""
+"""Result of a diagnosis: plain data, and the JSON document of it."""
 
 from __future__ import annotations
 

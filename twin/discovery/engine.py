@@ -45,15 +45,25 @@ def diagnose(
 ) -> Diagnosis:
     """Trace the residual of a record to an effect that the twin lacks, or say that there is none, or that none fits.
 
-    Args:
-        network: the commissioned twin. healthy: the record that it was commissioned on, as `CommissionedRecord` where
-            the twin may have taken up effects since.
-        more: records made later on the same rig, by which causes that this record cannot tell apart are weighed.
-        say: called with what is being done. held_out: share of the record, at its end, that no fit sees.
-        limits: of the rig, for the next experiment; by default it stays within what the record has seen.
+    Parameters
+    ----------
+    network
+        The commissioned twin.
+    healthy
+        The record that it was commissioned on, as `CommissionedRecord` where the twin may have taken up effects since.
+    more
+        Records made later on the same rig, by which causes that this record cannot tell apart are weighed.
+    say
+        Called with what is being done.
+    held_out
+        Share of the record, at its end, that no fit sees.
+    limits
+        Of the rig, for the next experiment; by default it stays within what the record has seen.
 
-    Raises:
-        TwinFileError: a record too short or without readings, a healthy record that is not healthy.
+    Raises
+    ------
+    TwinFileError
+        A record too short or without readings, a healthy record that is not healthy.
     """
     say("reading")
     given = record
@@ -138,8 +148,10 @@ def _said(known: Basis, *others: Segments | Standstill | None) -> list[str]:
 def _hidden(whole: Part, known: Basis) -> list[str]:
     """What is to say where a record that shows nothing could not have shown much, though its inputs moved enough.
 
-    Raises:
-        TwinFileError: they did not.
+    Raises
+    ------
+    TwinFileError
+        They did not.
     """
     candidates = known.book.candidates
     kinds = too_little(whole.contest, whole.laws, candidates)
@@ -231,8 +243,10 @@ def _members(
 def foresee(network: Network, record: Columns, healthy: Columns | None = None) -> Forecast:
     """What a record with these inputs could show; of its readings only the first ones are looked at.
 
-    Raises:
-        TwinFileError: as `diagnose`.
+    Raises
+    ------
+    TwinFileError
+        As `diagnose`.
     """
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
     known = basis(network, healthy, grid)
@@ -242,11 +256,19 @@ def foresee(network: Network, record: Columns, healthy: Columns | None = None) -
 def foresee_plan(network: Network, time: Array, inputs: Array, healthy: Columns) -> Forecast:
     """What a record of a planned profile could show, begun at rest under its first load.
 
-    Args:
-        time: (n,) s, evenly spaced. inputs: (n, c). healthy: the record that the twin was commissioned on, for noise.
+    Parameters
+    ----------
+    time
+        (n,) s, evenly spaced.
+    inputs
+        (n, c).
+    healthy
+        The record that the twin was commissioned on, for noise.
 
-    Raises:
-        TwinFileError: as `basis`.
+    Raises
+    ------
+    TwinFileError
+        As `basis`.
     """
     grid = plan_of(network, time, inputs)
     known = basis(network, healthy, grid)

@@ -6,7 +6,9 @@ import importlib
 import inspect
 import pkgutil
 
-from twin.elements.base import Candidate, Element, Fragment, Names, Parameter, ParameterSpec, Sites
+from twin.elements.base import Element, Names, Parameter, ParameterSpec
+from twin.elements.candidates import Candidate, Sites
+from twin.elements.fragments import Fragment
 
 __all__ = ["KINDS", "Candidate", "Element", "Fragment", "Names", "Parameter", "ParameterSpec", "Sites"]
 

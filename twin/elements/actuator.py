@@ -17,19 +17,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import (
-    STAMP,
-    Candidate,
-    Element,
-    Export,
-    Fragment,
-    InputDrive,
-    Names,
-    ParameterSpec,
-    Sites,
-    input_target,
-    place,
-)
+from twin.elements.base import STAMP, Element, Names, ParameterSpec, place
+from twin.elements.candidates import Candidate, Sites, input_target
+from twin.elements.fragments import Export, Fragment, InputDrive
 from twin.elements.meter import unit_of
 
 LUMPED_S = 25.0

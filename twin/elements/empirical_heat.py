@@ -14,7 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Names, ParameterSpec, place
+from twin.elements.base import Element, Names, ParameterSpec, place
+from twin.elements.fragments import Fragment
 
 KNOTS = 5
 

@@ -34,7 +34,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, EffectSize, Element, Export, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Element, Names, ParameterSpec, place
+from twin.elements.candidates import Candidate, EffectSize, Sites
+from twin.elements.fragments import Export, Fragment
 
 WATER_DENSITY = 0.997
 """kg/L at 25 degC (IAPWS-95)."""

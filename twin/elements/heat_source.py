@@ -26,7 +26,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
-from twin.elements.base import Candidate, EffectSize, Element, Export, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Element, Names, ParameterSpec, place
+from twin.elements.candidates import Candidate, EffectSize, Sites
+from twin.elements.fragments import Export, Fragment
 
 LAWS = ("proportional", "linear", "squared", "cubed", "daily", "daylight")
 POWERS = ("squared", "cubed")

@@ -14,17 +14,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
-from twin.elements.base import (
-    Candidate,
-    EffectSize,
-    Element,
-    ElementState,
-    Fragment,
-    Names,
-    ParameterSpec,
-    Sites,
-    place,
-)
+from twin.elements.base import Element, Names, ParameterSpec, place
+from twin.elements.candidates import Candidate, EffectSize, Sites
+from twin.elements.fragments import ElementState, Fragment
 
 LEAST_S = 1.0
 MOST_CAPACITY = 1.0e9

@@ -25,17 +25,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from twin.column_names import UNITS_OF_SUFFIX
-from twin.elements.base import (
-    STAMP,
-    Element,
-    ElementState,
-    Fragment,
-    Names,
-    ParameterSpec,
-    SampleMemory,
-    input_target,
-    place,
-)
+from twin.elements.base import STAMP, Element, Names, ParameterSpec, place
+from twin.elements.candidates import input_target
+from twin.elements.fragments import ElementState, Fragment, SampleMemory
 from twin.elements.law_forms import (
     COURSES,
     FORMS,

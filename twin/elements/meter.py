@@ -17,7 +17,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Metered, Names, ParameterSpec, place
+from twin.elements.base import Element, Names, ParameterSpec, place
+from twin.elements.fragments import Fragment, Metered
 
 UNITS = {"_kg_s": "kg/s", "_kW": "kW", "_W": "W", "_pct": "%"}
 """Suffix of a column -> unit."""

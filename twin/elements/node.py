@@ -10,7 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites
+from twin.elements.base import Element, Names, ParameterSpec
+from twin.elements.candidates import Candidate, EffectSize, Sites
+from twin.elements.fragments import Fragment
 
 
 @dataclass(frozen=True)

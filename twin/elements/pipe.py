@@ -23,19 +23,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import (
-    Candidate,
-    EffectSize,
-    Element,
-    ElementState,
-    Fragment,
-    Names,
-    ParameterSpec,
-    PlugFlowDelay,
-    Sites,
-    place,
-)
+from twin.elements.base import Element, Names, ParameterSpec, place
+from twin.elements.candidates import Candidate, EffectSize, Sites
 from twin.elements.flow import WATER_DENSITY
+from twin.elements.fragments import ElementState, Fragment, PlugFlowDelay
 
 LEAST_S = 1.0
 LUMPED_S, PIPED_S = 20.0, 6.0

@@ -17,7 +17,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Element, Names, ParameterSpec, place
+from twin.elements.candidates import Candidate, EffectSize, Sites
+from twin.elements.fragments import Fragment
 
 STEFAN_BOLTZMANN = 5.670374419e-8
 """W/(m2 K4), CODATA 2018."""

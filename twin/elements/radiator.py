@@ -33,7 +33,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Element, Names, ParameterSpec, place
+from twin.elements.candidates import Candidate, EffectSize, Sites
+from twin.elements.fragments import Fragment
 
 LEAST_PERCENT = 0.1
 """Speed below which the radiator stays as at this one, %: the logarithm of a fan at rest is finite."""

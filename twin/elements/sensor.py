@@ -18,7 +18,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, SensorLag, Sites, place
+from twin.elements.base import Element, Names, ParameterSpec, place
+from twin.elements.candidates import Candidate, EffectSize, Sites
+from twin.elements.fragments import Fragment, SensorLag
 
 LUMPED_S, PIPED_S = 25.0, 6.0
 """Time that water needs through a small loop's hoses and cold plates, s; a twin without pipes sees it as a sensor lag.

@@ -24,8 +24,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, EffectSize, Element, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Element, Names, ParameterSpec, place
+from twin.elements.candidates import Candidate, EffectSize, Sites
 from twin.elements.flow import LEAST_PERCENT, WATER_DENSITY
+from twin.elements.fragments import Fragment
 
 CP_DRY, CP_STEAM, LATENT = 1006.0, 1860.0, 2.501e6
 """J/(kg K), J/(kg K), J/kg at 0 degC."""

@@ -18,7 +18,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Candidate, EffectSize, Element, Export, Fragment, Names, ParameterSpec, Sites, place
+from twin.elements.base import Element, Names, ParameterSpec, place
+from twin.elements.candidates import Candidate, EffectSize, Sites
+from twin.elements.fragments import Export, Fragment
 
 CP_DRY, CP_STEAM, LATENT, CP_WATER = 1006.0, 1860.0, 2.501e6, 4186.0
 """J/(kg K) of dry air and vapour, J/kg at 0 degC, J/(kg K) of water."""

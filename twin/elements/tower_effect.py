@@ -11,7 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from twin.elements.base import Element, Fragment, Names, ParameterSpec, place
+from twin.elements.base import Element, Names, ParameterSpec, place
+from twin.elements.fragments import Fragment
 
 KINDS = ("recirculation", "neighbour", "bypass_leak", "solar", "underwetting", "follows")
 PATHS = ("exhaust", "past_fill", "wetted", "outlet", "inlet", "wet_bulb", "water")

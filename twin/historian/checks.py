@@ -40,8 +40,10 @@ def check_flags(
 ) -> tuple[NDArray[np.uint8], list[str]]:
     """Return the failed checks of each minute as bits (n,), and a sentence for each check that fails often.
 
-    Parameters:
-        minute_s: beginning of each minute, s since 1970, for the sentences.
+    Parameters
+    ----------
+    minute_s
+        Beginning of each minute, s since 1970, for the sentences.
     """
     c = {name: np.asarray(values, dtype=np.float64) for name, values in columns.items() if values.dtype.kind == "f"}
     n = len(c["t_out_C"])

@@ -51,10 +51,14 @@ def minute_edges(start_s: float, end_s: float) -> Array:
 def mean_minutes(series: Series, edges_s: Array, limit_s: float) -> tuple[Array, Origin]:
     """Return the time-weighted mean of each minute (n,) and its origin.
 
-    Parameters:
-        series: usable samples, in the order of time, one a time.
-        edges_s: edges of the minutes (n + 1,).
-        limit_s: longest interval between samples that is interpolated.
+    Parameters
+    ----------
+    series
+        Usable samples, in the order of time, one a time.
+    edges_s
+        Edges of the minutes (n + 1,).
+    limit_s
+        Longest interval between samples that is interpolated.
     """
     n = len(edges_s) - 1
     how = np.zeros(n, dtype=np.uint8)

@@ -49,7 +49,19 @@ class CellMinutes:
 def shared_minutes(
     series: Sequence[Series], start_s: float, end_s: float, full_speed: str, pressure_kPa: float
 ) -> SharedMinutes:
-    """Return the station's columns from the minute of `start_s` to that of `end_s`."""
+    """Return the station's columns on a grid of minutes.
+
+    Parameters
+    ----------
+    series
+        Series of all tags of the station.
+    start_s, end_s
+        The grid begins at the minute of the one and ends at that of the other, s since 1970.
+    full_speed
+        Meaning of 100 % fan speed, from the datasheet.
+    pressure_kPa
+        Air pressure of the site, where no tag has it.
+    """
     edges = minute_edges(start_s, end_s)
     columns: AlignedColumns = {}
     for role, column in OF_STATION.items():

@@ -65,13 +65,20 @@ def regimes(
 ) -> NDArray[np.uint8]:
     """Return the regime of each minute (n,).
 
-    Parameters:
-        flow: water flow, kg/s (n,); NaN where it is not known, as in all others.
-        in_service: 1 where the cell is said to have water, else 0.
-        command, speed: of the fan, %.
-        bypass: valve position, %.
-        fault: 1 where the fan is faulted.
-        disturbed: minutes under an event's influence.
+    Parameters
+    ----------
+    flow
+        Water flow, kg/s (n,); NaN where it is not known, as in all others.
+    in_service
+        1 where the cell is said to have water, else 0.
+    command, speed
+        Of the fan, %.
+    bypass
+        Valve position, %.
+    fault
+        1 where the fan is faulted.
+    disturbed
+        Minutes under an event's influence.
     """
     known = np.isfinite(flow)
     usual = float(np.quantile(flow[known], 0.95)) if known.any() else 0.0

@@ -7,8 +7,8 @@ slot in several steps. It then has the water at both ends and the mean of the wa
 slots, or lose their shape.
 
 The outlet at v is the water at v - volume. If one step moves more than the volume, it is that at v minus the volume
-moved in the step. Only the share `late` of the water is then delayed (see `twin.elements.base.PlugFlowDelay`). So a
-look-up never needs the step under way. The outlet over a step runs through parts of slots. The kernel takes the
+moved in the step. Only the share `late` of the water is then delayed (see `twin.elements.fragments.PlugFlowDelay`).
+So a look-up never needs the step under way. The outlet over a step runs through parts of slots. The kernel takes the
 quadratic in time that has the same mean and first two moments. So a jump in the middle of a step acts correctly on
 everything that is slow against the step, and no heat is lost on the way.
 

@@ -56,6 +56,11 @@ class Kernel:
         """Return the length of a full state."""
         return self._layout.size
 
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Return the names of the node temperatures and of the elements' own states."""
+        return self._layout.states
+
     def _variant(self, mode: Mode, call: _Call) -> Callable[..., None]:
         key = (mode, call.lanes, call.same_flow)
         if key not in self._variants:

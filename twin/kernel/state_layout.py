@@ -41,12 +41,15 @@ class StateLayout:
         Length of a full state.
     rows
         Rows of delay lines.
+    states
+        Names of the node temperatures and of the elements' own states, as a kernel holds them.
     """
 
     def __init__(self, network: Network, free: tuple[str, ...], held: tuple[str, ...] = ()) -> None:
         self.network = network
         own, inner = NetworkEquations(network, held), NetworkEquations(network, free)
         self.nodes = len(network.nodes)
+        self.states = inner.states
         names, wanted = _names(own), _names(inner)
         self._width = len(names)
         take = np.array([names.index(n) if n in names else -1 for n in wanted])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from twin.elements import Fragment, Names
-from twin.elements.base import InputDrive, SampleMemory
+from twin.elements.fragments import InputDrive, SampleMemory
 from twin.elements.symbols import Stream, Symbols
 from twin.network.affine import ZERO, AffineForm, NotAffineError, add, affine_form, multiply, names_in, parse_expression
 from twin.network.model import Network

@@ -21,12 +21,9 @@ SOURCE = "adopted law"
 
 def adopt_law(
     network: Network,
-    site: Mapping[str, str],
-    driver: Mapping[str, str],
-    form: str,
+    law: Mapping[str, str],
     parameters: Mapping[str, float],
     *,
-    course: str = "always",
     name: str = "",
     columns: Mapping[str, ArrayLike] = NOTHING,
     sample_s: float | None = None,
@@ -41,12 +38,10 @@ def adopt_law(
     ----------
     network
         The present network.
-    site
-        Kind of the law and its places, as in a twin file: ``{"kind": "law_heat", "node": "tank"}``.
-    driver
-        Keys of the driver (``driver``, ``of``, ``minus``, ``minus_input``); empty for the form `constant`.
-    form, course
-        One of `twin.elements.law_forms.FORMS`, and one of its `COURSES`.
+    law
+        Keys of the law as in a twin file: its ``kind`` and places, the driver (``driver``, ``of``, ``minus``,
+        ``minus_input``), ``form`` and ``course``, as ``{"kind": "law_heat", "node": "tank", "form": "constant"}``.
+        Forms and courses are those of `twin.elements.law_forms`; the course is ``always`` by default.
     parameters
         Name -> value in the parameter's unit; the others keep their defaults.
     name
@@ -63,11 +58,12 @@ def adopt_law(
     TwinFileError
         The law is inconsistent, or a column is neither declared nor in the record; one plain sentence.
     """
-    kind = site.get("kind", "")
+    keys = {"course": "always", **law}
+    kind = keys.get("kind", "")
     if kind not in KINDS or not issubclass(KINDS[kind], Law):
         laws = ", ".join(sorted(k for k, cls in KINDS.items() if issubclass(cls, Law)))
         raise TwinFileError(f"{kind!r} is no kind of law; give one of {laws} as the kind of the site")
-    keys = {**site, **driver, "form": form, "course": course}
+    course = keys["course"]
     if course != "always" and sample_s is not None and "edge_s" not in parameters:
         parameters = {**parameters, "edge_s": float(sample_s)}
     name = name or _free_name(network, keys)

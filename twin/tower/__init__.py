@@ -25,24 +25,30 @@ if TYPE_CHECKING:
         fit_cell,
         predict_cell,
     )
-    from twin.tower.cell import CellDeviations, Inputs
+    from twin.tower.cell import CellDeviations, Inputs, solve_cell
     from twin.tower.cell_observations.evidence import Label
     from twin.tower.change_detection.changes import undeclared_changes
     from twin.tower.change_detection.steps import Step, find_steps
     from twin.tower.clean_cell.commissioning import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
     from twin.tower.diagnosis.adoption import adopted, effects_of
     from twin.tower.effects import UNITS, CellEffect
+    from twin.tower.estimates import DAY_S, Opening, Priors, time_grid
     from twin.tower.identify import MOST_CONDITION, MOST_HIDDEN, Identifiability
-    from twin.tower.minutes import MEASURED, Minutes, blocks_of, minutes_of
-    from twin.tower.model import DEVIATIONS, NAMES, CellModel, DesignPoint
+    from twin.tower.minutes import MEASURED, Minutes, blocks_of, first_order_lag, minutes_of
+    from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel, DesignPoint
     from twin.tower.planning import StepTest, plan_tests
+    from twin.tower.recursive import Recursion, filter_cell
     from twin.tower.shared_observations.basin import Drain, with_basin
     from twin.tower.shared_observations.evaporation import Balance, with_evaporation
-    from twin.tower.smoother import DAY_S, Opening, Priors, estimate, time_grid
+    from twin.tower.smoother import estimate
     from twin.tower.twin_file import BOUNDS, IDS, cell_network, cell_of, design_of, station_of_twin, value_of
     from twin.tower.windows import TargetWindow, distances, windows_of
 
 _MODULES = {
+    "recursive": (
+        "filter_cell",
+        "Recursion",
+    ),
     "calibration.baselines": (
         "without_discrepancy",
         "split",
@@ -73,6 +79,7 @@ _MODULES = {
         "predict_cell",
     ),
     "cell": (
+        "solve_cell",
         "CellDeviations",
         "Inputs",
     ),
@@ -98,12 +105,14 @@ _MODULES = {
         "MOST_HIDDEN",
     ),
     "minutes": (
+        "first_order_lag",
         "MEASURED",
         "Minutes",
         "blocks_of",
         "minutes_of",
     ),
     "model": (
+        "SLOW",
         "CellModel",
         "DEVIATIONS",
         "NAMES",
@@ -113,8 +122,8 @@ _MODULES = {
         "StepTest",
         "plan_tests",
     ),
-    "smoother": (
-        "estimate",
+    "smoother": ("estimate",),
+    "estimates": (
         "DAY_S",
         "Opening",
         "Priors",
@@ -153,6 +162,7 @@ __all__ = [
     "NAMES",
     "NORMAL",
     "QUANTILE",
+    "SLOW",
     "UNITS",
     "WET_C",
     "WINDOW_S",
@@ -175,6 +185,7 @@ __all__ = [
     "Minutes",
     "Opening",
     "Priors",
+    "Recursion",
     "Step",
     "StepTest",
     "TargetWindow",
@@ -187,12 +198,15 @@ __all__ = [
     "distances",
     "effects_of",
     "estimate",
+    "filter_cell",
     "find_steps",
+    "first_order_lag",
     "fit_cell",
     "fit_clean_cell",
     "minutes_of",
     "plan_tests",
     "predict_cell",
+    "solve_cell",
     "split",
     "station_of_twin",
     "time_grid",

@@ -72,7 +72,7 @@ def relative_humidity(dry_C: ArrayLike, wet_C: ArrayLike, pressure_kPa: ArrayLik
 
 
 def wet_bulb(dry_C: ArrayLike, humidity: ArrayLike, pressure_kPa: ArrayLike) -> Array:
-    """Return the wet bulb of air by its dry bulb and relative humidity, 0 to 1: by bisection, to 1e-6 K."""
+    """Return the wet bulb (n,) of air, degC, by its dry bulb and relative humidity, 0 to 1: by bisection, to 1e-6 K."""
     dry, share, pressure = np.broadcast_arrays(
         np.asarray(dry_C, dtype=np.float64), np.asarray(humidity, dtype=np.float64), np.asarray(pressure_kPa)
     )

@@ -87,13 +87,15 @@ class CellOutputs:
     m_a: Array
 
 
-def solve(
+def solve_cell(
     u: Inputs, design: Design, deviations: CellDeviations = CellDeviations(), *, with_evaporation: bool = True
 ) -> CellOutputs:
     """Return what the cell does at rest at each operating point; without water its outlet is its inlet.
 
-    Parameters:
-        with_evaporation: False leaves the evaporation NaN, which saves a third of the time.
+    Parameters
+    ----------
+    with_evaporation
+        False leaves the evaporation NaN, which saves a third of the time.
     """
     ratio_in = np.maximum(moist.ratio_from_wet_bulb(u.dry, u.wet, u.pressure), 0.0)
     h_in = moist.enthalpy(u.dry, ratio_in)

@@ -48,12 +48,21 @@ HOUR_S, DAY_S, YEAR_S = 3600.0, 86400.0, 365.25 * 86400.0
 class CellEffect:
     """An effect on a cell.
 
-    Attributes:
-        kind: its name in an answer: recirculation, bypass_leak, ... path, driver: as in `PATHS` and `DRIVERS`.
-        form: direction from which the wind brings it, deg; hour of the sun's highest stand, UTC; flow below which it
-        acts, as a share of design. None for other drivers.
-        column: of the record, its centre and the spread that counts as 1, for the driver "column".
-        onset_s: since when, s since 1970; None is all along. size: at driver 1; its standard deviation `sd`.
+    Attributes
+    ----------
+    kind
+        Its name in an answer: recirculation, bypass_leak, ...
+    path, driver
+        As in `PATHS` and `DRIVERS`.
+    form
+        Direction from which the wind brings it, deg; hour of the sun's highest stand, UTC; flow below which it acts, as
+        a share of design. None for other drivers.
+    column
+        Of the record, its centre and the spread that counts as 1, for the driver "column".
+    onset_s
+        Since when, s since 1970; None is all along.
+    size
+        At driver 1; its standard deviation `sd`.
     """
 
     kind: str
@@ -76,8 +85,12 @@ class CellEffect:
 def pattern(effect: CellEffect, time_s: Array, columns: Mapping[str, Array], m_w0: float) -> Array:
     """Return the driver of an effect by minute (n,), 1 where it acts with its full size; gaps are bridged.
 
-    Parameters:
-        columns: of the aligned record. m_w0: design flow, kg/s.
+    Parameters
+    ----------
+    columns
+        Of the aligned record.
+    m_w0
+        Design flow, kg/s.
     """
     n = len(time_s)
 
@@ -116,8 +129,10 @@ def sun_height(time_s: Array, noon_h: float) -> Array:
     """Return the sine of the sun's elevation, 0 at night (n,). Source: Cooper, Solar Energy 12 (1969) 333
     (declination).
 
-    Parameters:
-        noon_h: hour of its highest stand, UTC.
+    Parameters
+    ----------
+    noon_h
+        Hour of its highest stand, UTC.
     """
     day = np.mod(time_s, YEAR_S) / DAY_S
     declination = np.radians(23.45 * np.sin(2.0 * np.pi * (284.0 + day) / 365.0))
@@ -135,8 +150,10 @@ def patterns(effects: Sequence[CellEffect], time_s: Array, columns: Mapping[str,
 def before_fill(effects: Sequence[CellEffect], o: Operation, slow: Array, rise: float) -> tuple[Operation, Array]:
     """Return operating points and slow deviations (n, 5) as the effects change them.
 
-    Parameters:
-        rise: of the exhaust over the wet bulb, as a share of the way to the hot water.
+    Parameters
+    ----------
+    rise
+        Of the exhaust over the wet bulb, as a share of the way to the hot water.
     """
     for k, one in enumerate(effects):
         x, u = one.size * o.patterns[:, k], o.inputs

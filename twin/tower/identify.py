@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.tower.air import Array
-from twin.tower.cell import CellDeviations, Design, Inputs, solve
+from twin.tower.cell import CellDeviations, Design, Inputs, solve_cell
 from twin.tower.model import DEVIATIONS
 from twin.tower.twin_file import BOUNDS
 
@@ -39,11 +39,20 @@ CLEAN = CellDeviations()
 class Identifiability:
     """Identifiability of the deviations in a window.
 
-    Attributes:
-        condition: of all deviations. sd: Cramer-Rao standard deviations by name, in units of the deviation.
-        combined: weight of each deviation in the direction that is known least, by name, of unit length.
-        frozen: deviations that are held so that the rest is identifiable, the first frozen first.
-        condition_left: of the rest. hidden: share of hidden channels.
+    Attributes
+    ----------
+    condition
+        Of all deviations.
+    sd
+        Cramer-Rao standard deviations by name, in units of the deviation.
+    combined
+        Weight of each deviation in the direction that is known least, by name, of unit length.
+    frozen
+        Deviations that are held so that the rest is identifiable, the first frozen first.
+    condition_left
+        Of the rest.
+    hidden
+        Share of hidden channels.
     """
 
     condition: float
@@ -90,8 +99,12 @@ def cell_sensitivities(
     """Return the scaled sensitivities of a clean cell's observations (n * sensors, 4), row blocks in the order of
     `sensors`.
 
-    Parameters:
-        sensors: among outlet, fan, evaporation, basin. kappa: of the fan's power in a loss of air.
+    Parameters
+    ----------
+    sensors
+        Among outlet, fan, evaporation, basin.
+    kappa
+        Of the fan's power in a loss of air.
     """
     columns = []
     for name in DEVIATIONS:
@@ -105,7 +118,7 @@ def _observed(
 ) -> Array:
     values = {n: float(getattr(at, n)) for n in DEVIATIONS}
     values[name] += step
-    out = solve(u, design, CellDeviations(**values))
+    out = solve_cell(u, design, CellDeviations(**values))
     rows = {
         "outlet": (out.t_out + values["bias"]) / TOLERANCE["outlet"],
         "basin": out.t_out / TOLERANCE["basin"],
@@ -120,8 +133,12 @@ def identifiability(
 ) -> Identifiability:
     """Return what scaled sensitivities (n, 4) tell.
 
-    Parameters:
-        minutes_per_row: between rows of one sensor. hidden: share of hidden channels.
+    Parameters
+    ----------
+    minutes_per_row
+        Between rows of one sensor.
+    hidden
+        Share of hidden channels.
     """
     rows = scaled[np.isfinite(scaled).all(axis=1)]
     information = rows.T @ rows * min(minutes_per_row / CORRELATION_MIN, 1.0)

@@ -12,8 +12,9 @@ from scipy.signal import lfilter
 from twin.tower.air import Array
 from twin.tower.cell import Inputs
 from twin.tower.effects import CellEffect, patterns
+from twin.tower.estimates import Blocks
 from twin.tower.model import Operation
-from twin.tower.smoother import BLOCK_S, Blocks
+from twin.tower.smoother import BLOCK_S
 
 SEA_LEVEL_KPA = 101.325
 FOLLOWING_MIN = 1.5
@@ -56,9 +57,18 @@ def minutes_of(
 ) -> Minutes:
     """Return the minutes of an aligned record's columns.
 
-    Parameters:
-        columns, origin: as in the aligned record. m_w0: design flow, kg/s. bypass_share: of the water past the fill
-        when open. effects: of the cell's model.
+    Parameters
+    ----------
+    time_s
+        (n,) s since 1970.
+    columns, origin
+        (n,) each, as in the aligned record.
+    m_w0
+        Design flow, kg/s.
+    bypass_share
+        Of the water past the fill when open.
+    effects
+        Of the cell's model.
     """
     n = len(time_s)
 
@@ -121,8 +131,8 @@ def _steady(u: Inputs, share: Array, m_w0: float, known: NDArray[np.bool_]) -> N
     return np.asarray(since - last >= SETTLED_MIN)
 
 
-def follow(values: Array, known: NDArray[np.bool_], minutes: float = FOLLOWING_MIN) -> Array:
-    """Return values followed with a first-order delay, from anew where they are not known."""
+def first_order_lag(values: Array, known: NDArray[np.bool_], minutes: float = FOLLOWING_MIN) -> Array:
+    """Return values (n,) behind a first-order lag of `minutes`; it begins anew after values that are not known."""
     keep = np.exp(-1.0 / minutes)
     followed = np.full(len(values), np.nan)
     edges = np.flatnonzero(np.diff(np.r_[False, known, False].astype(np.int8)))

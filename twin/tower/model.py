@@ -23,7 +23,7 @@ import numpy as np
 
 from twin.tower import air as moist
 from twin.tower.air import Array
-from twin.tower.cell import STARVING, WETTED, CellDeviations, Design, Inputs, Rows, solve
+from twin.tower.cell import STARVING, WETTED, CellDeviations, Design, Inputs, Rows, solve_cell
 from twin.tower.clean_cell import discrepancy
 from twin.tower.effects import CellEffect, after_fill, before_fill
 
@@ -190,7 +190,7 @@ class CellModel:
         )
         fill = (1.0 + q["fill_share"] * slow[:, 0]) * np.exp(law)
         points = Inputs(t_in, m_w, speed, dry, inside, u.pressure)
-        out = solve(points, d, CellDeviations(fill, 1.0 + slow[:, 1], uniformity), with_evaporation=False).t_out
+        out = solve_cell(points, d, CellDeviations(fill, 1.0 + slow[:, 1], uniformity), with_evaporation=False).t_out
         out = out + self._discrepancy(o, q, t_in - out)
         if len(g) > len(NAMES):
             out = out + self.features(o) @ g[len(NAMES) :]

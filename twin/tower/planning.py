@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.tower.cell import CellDeviations, Design, Inputs, solve
+from twin.tower.cell import CellDeviations, Design, Inputs, solve_cell
 from twin.tower.identify import Identifiability, cell_sensitivities, identifiability
 
 STEPS, STEP_MIN = 7, 75.0
@@ -51,22 +51,27 @@ def plan_tests(
 ) -> tuple[Identifiability, list[StepTest]]:
     """Return what a day tells without a test, and the tests within the limit, best first.
 
-    Parameters:
-        day: operating points of a usual day, evenly spaced. at: present deviations. sensors: as in
-        `cell_sensitivities`.
+    Parameters
+    ----------
+    day
+        Operating points of a usual day, evenly spaced.
+    at
+        Present deviations.
+    sensors
+        As in `cell_sensitivities`.
     """
     minutes = 1440.0 / max(len(day.t_in), 1)
     base = cell_sensitivities(design, day, sensors, at, kappa)
     without = identifiability(base, minutes)
     middle = Inputs(*(np.array([float(np.median(getattr(day, name)))]) for name in day.__dataclass_fields__))
-    usual = float(solve(middle, design, at).t_out[0])
+    usual = float(solve_cell(middle, design, at).t_out[0])
     found = []
     for fan in FAN:
         for flow in FLOW:
             if fan == 0.0 and flow == 0.0:
                 continue
             test = _test(design, middle, at, fan, flow)
-            out = solve(test, design, at).t_out
+            out = solve_cell(test, design, at).t_out
             rows = cell_sensitivities(design, test, sensors, at, kappa)
             # Rows of the day count at their spacing, those of the test at theirs.
             both = np.concatenate([base * np.sqrt(minutes / BLOCK_MIN), rows])
@@ -97,10 +102,10 @@ def _test(design: Design, middle: Inputs, at: CellDeviations, fan: float, flow: 
     speed = np.repeat(np.clip(centre + fan * FAN_PATTERN, LEAST_SPEED, 1.0) if fan else np.full(STEPS, centre), repeat)
     m_w = np.repeat(middle.m_w[0] + design.m_w0 * flow * FLOW_PATTERN, repeat)
     n = len(speed)
-    fall = float(middle.t_in[0] - solve(middle, design, at).t_out[0]) * middle.m_w[0]
+    fall = float(middle.t_in[0] - solve_cell(middle, design, at).t_out[0]) * middle.m_w[0]
     t_in = np.full(n, float(middle.t_in[0]))
     fixed = [np.full(n, float(getattr(middle, name)[0])) for name in ("dry", "wet", "pressure")]
     for _ in range(30):
-        out = solve(Inputs(t_in, m_w, speed, *fixed), design, at).t_out
+        out = solve_cell(Inputs(t_in, m_w, speed, *fixed), design, at).t_out
         t_in = t_in + 0.8 * (fall / m_w - (t_in - out))
     return Inputs(t_in, m_w, speed, *fixed)

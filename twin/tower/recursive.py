@@ -26,10 +26,11 @@ from twin.tower.calibration import WINDOW_S
 from twin.tower.cell_observations import AMPLITUDE, Label, interval_as_gaussian
 from twin.tower.change_detection import RATE_D
 from twin.tower.clean_cell import FEATURES
+from twin.tower.estimates import DAY_S, Blocks, Estimate, Opening, Priors
 from twin.tower.identify import TOLERANCE
-from twin.tower.minutes import Minutes, follow
+from twin.tower.minutes import Minutes, first_order_lag
 from twin.tower.model import DEVIATIONS, GLOBALS, NAMES, SLOW, CellModel
-from twin.tower.smoother import DAY_S, HUBER, JUMP, STEPS, TREND, WALK, Blocks, Estimate, Opening, Priors
+from twin.tower.smoother import HUBER, JUMP, STEPS, TREND, WALK
 
 CHUNK_S = 3.0 * DAY_S
 """Time for which one linearisation holds; the deviations walk by less than a percent in it."""
@@ -49,12 +50,28 @@ _FIRST = _S + 1 + FEATURES
 class Recursion:
     """Beliefs of a cell by cycle (k,), and the twin by minute (n,), linearised at the chunk's belief.
 
-    Attributes:
-        start_s: of the cycles' target intervals. mean, sd: (k, 4) of the deviations, by readings before it.
-        fit, fit_sd: (k, 4) of the day before it alone, with the prior of a worn part. condition: (k,) of that day.
-        age_s: (k,) since the last reading that was used. seen: (k,) blocks of the day before.
-        water: (n,) outlet degC at the chunk's reference, followed; NaN where the inputs are not known.
-        slopes: (n, 3) of it by fill, air and uniformity. chunk: (n,) number of the chunk. reference: (chunks, 3).
+    Attributes
+    ----------
+    start_s
+        Of the cycles' target intervals.
+    mean, sd
+        (k, 4) of the deviations, by readings before it.
+    fit, fit_sd
+        (k, 4) of the day before it alone, with the prior of a worn part.
+    condition
+        (k,) of that day.
+    age_s
+        (k,) since the last reading that was used.
+    seen
+        (k,) blocks of the day before.
+    water
+        (n,) outlet degC at the chunk's reference, followed; NaN where the inputs are not known.
+    slopes
+        (n, 3) of it by fill, air and uniformity.
+    chunk
+        (n,) number of the chunk.
+    reference
+        (chunks, 3).
     """
 
     start_s: Array
@@ -71,7 +88,7 @@ class Recursion:
     reference: Array
 
 
-def recursion(
+def filter_cell(
     model: CellModel,
     minutes: Minutes,
     blocks: Blocks,
@@ -83,9 +100,12 @@ def recursion(
 ) -> Recursion:
     """Return the beliefs of a cell from the end of its healthy record on.
 
-    Parameters:
-        healthy: posterior of the days before `end_s`, s since 1970, on which the cell was clean.
-        labels: each is used from its own time on.
+    Parameters
+    ----------
+    healthy
+        Posterior of the days before `end_s`, s since 1970, on which the cell was clean.
+    labels
+        Each is used from its own time on.
     """
     filtered = _Filter(model, priors, healthy, openings)
     last = float(minutes.time_s[-1])
@@ -124,8 +144,8 @@ def recursion(
             while waiting and waiting[0].time_s < start + WINDOW_S:
                 filtered.label(waiting.pop(0))
         at = until
-    water = follow(water, minutes.known)
-    slopes = np.stack([follow(column, minutes.known) for column in slopes.T], axis=1)
+    water = first_order_lag(water, minutes.known)
+    slopes = np.stack([first_order_lag(column, minutes.known) for column in slopes.T], axis=1)
     return Recursion(starts, means, sds, fits, fit_sds, condition, age, seen, water, slopes, chunk, np.array(reference))
 
 

@@ -14,22 +14,18 @@ Source: Bell, SIAM J. Optim. 4 (1994) 626 (Gauss-Newton as the iterated Kalman s
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotri
 
 from twin.tower.air import Array
 from twin.tower.cell_observations import Label, PowerErrors, PowerRows, interval_as_gaussian
-from twin.tower.clean_cell import discrepancy
-from twin.tower.model import GLOBALS, NAMES, SLOW, CellModel, Operation
+from twin.tower.estimates import DAY_S, Blocks, Estimate, Opening, Priors, time_grid
+from twin.tower.model import GLOBALS, NAMES, SLOW, CellModel
 
-DAY_S = 86400.0
-MOST_CELLS = 450
-"""Cells of the time grid: the equations are solved densely in their number times five."""
 WALK = {"fill": 0.002, "air": 0.0015, "uniformity": 0.002, "bias": 0.01, "flow_meter": 0.0005}
 """Standard deviation of a day's change. Fills lose 0.2 to 0.6 % a week, so a month is known to some 1 %; thermometers
 drift by some 0.05 K a month, flow meters by some 0.3 %."""
@@ -38,8 +34,6 @@ TREND = {"fill": -0.0006, "air": -0.0001, "uniformity": -0.0003, "bias": 0.0, "f
 JUMP = {"fill": 0.08, "air": 0.06, "uniformity": 0.05, "bias": 0.4, "flow_meter": 0.0}
 """Standard deviation of a jump that an event opens: a cleaning gives back what was lost, a new thermometer is another
 one."""
-FLOW_METER = 0.015
-"""Standard deviation of a flow meter's gain."""
 PASSES = 20
 RESCALED = 5
 """Passes in which scale and autocorrelation time of the residuals are taken anew."""
@@ -57,97 +51,6 @@ HUBER = 2.5
 STEPS = np.array([0.01, 0.01, 0.01, 0.01, 0.01])
 
 
-@dataclass(frozen=True)
-class Blocks:
-    """Steady blocks of a cell (n,): middle in s since 1970, operating point, outlet reading degC, log of fan power;
-    NaN is missing."""
-
-    time_s: Array
-    operation: Operation
-    outlet: Array
-    log_power: Array
-
-
-@dataclass(frozen=True)
-class Opening:
-    """A jump that an event opens: the times between which it happened, and the deviation."""
-
-    start_s: float
-    end_s: float
-    parameter: str
-
-
-@dataclass(frozen=True)
-class Priors:
-    """Bounds of the deviations, and priors of global quantities that replace those of `GLOBALS`: name -> (mean, sd).
-
-    `discrepancy`: marginalise its weights. `learned`: mean and covariance of all constants, of a healthy record.
-    """
-
-    bounds: Mapping[str, float]
-    replaced: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    discrepancy: bool = True
-    learned: tuple[Array, Array] | None = None
-
-    def slow(self, name: str) -> tuple[float, float]:
-        """Return mean and standard deviation of a slow deviation."""
-        if name == "flow_meter":
-            return 0.0, FLOW_METER
-        bound = self.bounds[name]
-        return (0.0, bound / 2.0) if name == "bias" else (-bound / 3.0, bound / 3.0)
-
-    def constant(self) -> tuple[Array, Array]:
-        """Return means and standard deviations of the constants: global quantities, then weights of the discrepancy."""
-        if self.learned is not None:
-            return self.learned[0], np.sqrt(np.diag(self.learned[1]))
-        pairs = [self.replaced.get(one.name, (one.mean, one.sd)) for one in GLOBALS]
-        pairs += [(0.0, discrepancy.prior_sd())] * discrepancy.FEATURES if self.discrepancy else []
-        return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Posterior of a record.
-
-    Attributes:
-        edges_s: of the time grid (k + 1,). slow: deviations (k, 5). constant: global quantities (24,), then
-        the weights of the discrepancy's features.
-        covariance: of [slow row by row, constant]. sigma: of a block's outlet K, and of its log power, as weighed.
-        residual: outlet of each block K, NaN where it was not used. weights: of each block. cell: grid cell of each
-        block. jacobian: outlet of each block by slow and constant quantities (n, 5 + constants).
-        time_correlation: in blocks.
-        linear_residual: of the last linear problem, whose mode this is exactly, and `linear_weights`, its weights.
-    """
-
-    edges_s: Array
-    slow: Array
-    constant: Array
-    covariance: Array
-    sigma: tuple[float, float]
-    residual: Array
-    weights: Array
-    cell: NDArray[np.intp]
-    jacobian: Array
-    time_correlation: float
-    linear_residual: Array
-    linear_weights: Array
-
-    def sd(self) -> Array:
-        """Return the standard deviations of the slow deviations (k, 5)."""
-        return np.sqrt(np.diag(self.covariance)[: self.slow.size]).reshape(self.slow.shape)
-
-    def cells_at(self, time_s: Array) -> NDArray[np.intp]:
-        """Return the grid cell of each time."""
-        found = np.searchsorted(self.edges_s, time_s, side="right") - 1
-        return np.clip(found, 0, len(self.slow) - 1)
-
-
-def time_grid(start_s: float, end_s: float) -> Array:
-    """Return the edges of the grid: half days, or as many as `MOST_CELLS` allow."""
-    count = int(np.clip(np.ceil((end_s - start_s) / (0.5 * DAY_S)), 1, MOST_CELLS))
-    return np.linspace(start_s, max(end_s, start_s + 1.0), count + 1)
-
-
 def estimate(
     model: CellModel,
     blocks: Blocks,
@@ -155,18 +58,27 @@ def estimate(
     labels: Sequence[Label],
     openings: Sequence[Opening],
     edges_s: Array | None = None,
-    fixed: Sequence[str] = (),
     start: Estimate | None = None,
     least_correlation: bool = False,
 ) -> Estimate:
     """Return the posterior of the deviations over a record.
 
-    Parameters:
-        fixed: names of slow or global quantities that keep their prior mean.
-        start: an estimate on the same time grid to begin at. least_correlation: residuals count with the shortest
-        autocorrelation time, as they are.
+    Parameters
+    ----------
+    model, priors
+        The cell, and what is known of it before.
+    blocks
+        Steady blocks of its record.
+    labels, openings
+        Tests of the fill, and times at which a deviation may jump.
+    edges_s
+        (k + 1,) s, edges of the time grid; None for that of `time_grid`.
+    start
+        An estimate on the same time grid to begin at.
+    least_correlation
+        Residuals count with the shortest autocorrelation time, as they are.
     """
-    solver = _Solver(model, blocks, priors, labels, openings, edges_s, fixed, least_correlation)
+    solver = _Solver(model, blocks, priors, labels, openings, edges_s, least_correlation)
     return solver.run(start)
 
 
@@ -193,7 +105,6 @@ class _Solver:
         labels: Sequence[Label],
         openings: Sequence[Opening],
         edges_s: Array | None,
-        fixed: Sequence[str],
         least_correlation: bool,
     ) -> None:
         self.model, self.blocks, self.priors = model, blocks, priors
@@ -204,31 +115,30 @@ class _Solver:
         self.cell = np.clip(np.searchsorted(edges_s, blocks.time_s, side="right") - 1, 0, self.k - 1)
         self.labels = [label for label in labels if edges_s[0] - 3 * DAY_S <= label.time_s <= edges_s[-1] + 3 * DAY_S]
         self.mean_g, self.sd_g = priors.constant()
-        self.precision, self.prior_mean = self._prior(openings, fixed)
+        self.precision, self.prior_mean = self._prior(openings)
         # Changes of the constants count in tenths of their priors' standard deviations.
         self.unit = np.concatenate([np.ones(self.k * self.s), 10.0 * self.sd_g])
         o = blocks.operation
         self.features = model.features(o) * (1.0 - o.bypass)[:, None] if self.g > len(NAMES) else None
-        variance, _ = walk_variance(edges_s, "air", () if "air" in fixed else openings)
+        variance, _ = walk_variance(edges_s, "air", openings)
         self.power_errors = PowerErrors(model.features(o), self.cell, variance * GLOBALS[NAMES.index("kappa")].sd ** 2)
         self.sigma = [0.2, 0.03]
         self._sites: dict[int, tuple[float, float]] = {}
         self.tau = self.tau_power = CORRELATION[0] if least_correlation else 6.0
         self.longest = CORRELATION[0] if least_correlation else CORRELATION[1]
 
-    def _prior(self, openings: Sequence[Opening], fixed: Sequence[str]) -> tuple[Array, Array]:
+    def _prior(self, openings: Sequence[Opening]) -> tuple[Array, Array]:
         """Return the precision of [slow, constant] and its mean."""
         k, s = self.k, self.s
         n = k * s + self.g
         precision, linear = np.zeros((n, n)), np.zeros(n)
         for j, name in enumerate(SLOW):
             mean, sd = self.priors.slow(name)
-            scale = 1e-6 if name in fixed else 1.0
-            variance, drift = walk_variance(self.edges, name, () if name in fixed else openings)
-            variance, drift = variance * scale**2 + 1e-14, drift * scale
+            variance, drift = walk_variance(self.edges, name, openings)
+            variance = variance + 1e-14
             rows = np.arange(k) * s + j
-            precision[rows[0], rows[0]] += 1.0 / (sd * scale) ** 2
-            linear[rows[0]] += mean / (sd * scale) ** 2
+            precision[rows[0], rows[0]] += 1.0 / sd**2
+            linear[rows[0]] += mean / sd**2
             for i, v in enumerate(variance):
                 a, b = rows[i], rows[i + 1]
                 precision[a, a] += 1.0 / v
@@ -238,12 +148,10 @@ class _Solver:
                 linear[b] += drift[i] / v
                 linear[a] -= drift[i] / v
             # A walk may not leave the bounds however long it goes on: the prior holds, weakly, at every time.
-            precision[rows, rows] += 1.0 / (2.0 * sd * scale) ** 2 / k
-            linear[rows] += mean / (2.0 * sd * scale) ** 2 / k
-        sd_g = self.sd_g.copy()
-        sd_g[: len(NAMES)][[name in fixed for name in NAMES]] = 1e-6
+            precision[rows, rows] += 1.0 / (2.0 * sd) ** 2 / k
+            linear[rows] += mean / (2.0 * sd) ** 2 / k
         ends = np.arange(k * s, n)
-        precision[ends, ends] = 1.0 / sd_g**2
+        precision[ends, ends] = 1.0 / self.sd_g**2
         if self.priors.learned is not None:
             precision[np.ix_(ends, ends)] += np.linalg.inv(self.priors.learned[1]) - np.diag(1.0 / self.sd_g**2)
         linear[ends] = precision[np.ix_(ends, ends)] @ self.mean_g

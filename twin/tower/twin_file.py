@@ -41,10 +41,18 @@ def cell_network(
 ) -> Network:
     """Return the twin of a clean cell.
 
-    Parameters:
-        cell, station: number and name. bypass_share: of the water that an open bypass lets past.
-        error_K: RMSE of the fit. sd: of the Merkel number's logarithm and of the exponent. revision: origin and
-        evidence.
+    Parameters
+    ----------
+    cell, station
+        Number and name.
+    bypass_share
+        Of the water that an open bypass lets past.
+    error_K
+        RMSE of the fit.
+    sd
+        Of the Merkel number's logarithm and of the exponent.
+    revision
+        Origin and evidence.
     """
     inputs: dict[str, Any] = {}
     for name, nominal, low, high, unit in _INPUTS:
@@ -121,8 +129,10 @@ def cell_network(
 def cell_of(network: Network) -> int:
     """Return the number of the cell of a twin.
 
-    Raises:
-        TwinFileError: it is the twin of no tower cell.
+    Raises
+    ------
+    TwinFileError
+        It is the twin of no tower cell.
     """
     found = re.search(r"cell(\d+)$", network.name)
     if found is None or "cell.merkel" not in network.ids:

@@ -24,10 +24,20 @@ BLOCK_MIN = 10.0
 class TargetWindow:
     """A target interval and the day up to its end.
 
-    Attributes:
-        start_s, end_s: of the target interval. told: what the day tells. excited: it passes the excitation thresholds.
-        features: mean operating point of the target interval: wet bulb degC, inlet over wet bulb K, speed, flow as
-        shares. share_known: of its minutes with all inputs. half: mean half width of the outlet's interval, K.
+    Attributes
+    ----------
+    start_s, end_s
+        Of the target interval.
+    told
+        What the day tells.
+    excited
+        It passes the excitation thresholds.
+    features
+        Mean operating point of the target interval: wet bulb degC, inlet over wet bulb K, speed, flow as shares.
+    share_known
+        Of its minutes with all inputs.
+    half
+        Mean half width of the outlet's interval, K.
     """
 
     start_s: float
@@ -44,9 +54,14 @@ def windows_of(
 ) -> list[TargetWindow]:
     """Return the windows of a record in the order of time.
 
-    Parameters:
-        hidden: share of hidden required channels by minute (n,). second: a basin thermometer is in use. makeup: the
-        station's evaporation is.
+    Parameters
+    ----------
+    hidden
+        Share of hidden required channels by minute (n,).
+    second
+        A basin thermometer is in use.
+    makeup
+        The station's evaporation is.
     """
     blocks, posterior = calibrated.blocks, calibrated.posterior
     slopes = _scaled(calibrated, second, makeup)

@@ -371,7 +371,7 @@ def trial() -> plt.Figure:
 
 def tower() -> plt.Figure:
     """Draw the rise of a cell's outlet for a loss of 10 % of each deviation, over the water flow and the fan speed."""
-    from twin.tower.cell import CellDeviations, Design, Inputs, solve
+    from twin.tower.cell import CellDeviations, Design, Inputs, solve_cell
 
     design = Design(250.0, 200.0, 1.5, 0.6, 45.0, 1.13)
     figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.2), sharey=True)
@@ -383,14 +383,14 @@ def tower() -> plt.Figure:
         (axes[1], one, speed, speed, "fan speed"),
     ):
         u = Inputs(36.0 * one, 250.0 * flow, fan, 30.0 * one, 24.0 * one, 99.0 * one)
-        clean = solve(u, design).t_out
+        clean = solve_cell(u, design).t_out
         for lost, colour, name in (
             (CellDeviations(fill=0.9), BLUE, "fill"),
             (CellDeviations(air=0.9), ORANGE, "air"),
             (CellDeviations(uniformity=0.9), GREEN, "uniformity"),
         ):
             dashes = (4, 3) if name == "uniformity" else (None, None)
-            axis.plot(x, solve(u, design, lost).t_out - clean, color=colour, label=name, dashes=dashes)
+            axis.plot(x, solve_cell(u, design, lost).t_out - clean, color=colour, label=name, dashes=dashes)
         axis.set(xlabel=label)
     axes[0].set(ylabel="rise of the outlet, K")
     axes[0].set_ylim(bottom=0.0)

@@ -63,13 +63,30 @@ def import_csv(
     encoding: str | None = None,
     is_device_given: bool = False,
 ) -> Draft:
-    """Return the draft of a vendor's table; raise ImportFileError with the line and the remedy.
+    """Return the draft of a vendor's table.
 
-    `addressing` is the table's first address: `zero` counts from 0 as the wire does, `one` from 1, `modicon` has the
-    table as leading digit (40001 is the first holding register). `bus` are the keys of the bus in the rig file, `order`
-    is that of values of more than one register where the table has no column for it. Without `encoding` UTF-8 and
-    cp1252 are tried. A column of unit ids makes a bus for each device, and is refused where `is_device_given`, as the
-    user named the device of `bus`. A line that cannot be used is left out with a note.
+    A line that cannot be used is left out with a note. A column of unit ids makes a bus for each device.
+
+    Parameters
+    ----------
+    path
+        The table, as CSV.
+    addressing
+        First address of the table: ``zero`` counts from 0 as the wire does, ``one`` from 1, ``modicon`` has the table
+        as leading digit (40001 is the first holding register). None is refused: no table shows it safely.
+    bus
+        Keys of the bus in the rig file.
+    order
+        Order of values of more than one register, where the table has no column for it.
+    encoding
+        Encoding of the file; without it, UTF-8 and cp1252 are tried.
+    is_device_given
+        True if the user named the device of `bus`; a column of unit ids is refused then.
+
+    Raises
+    ------
+    ImportFileError
+        The table cannot be used; the message has the line and the remedy.
     """
     if addressing is None:
         raise ImportFileError(

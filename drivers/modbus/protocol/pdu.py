@@ -89,7 +89,22 @@ def write_request(block: Block, raw: Sequence[int]) -> bytes:
 
 
 def check_written(block: Block, raw: Sequence[int], request: bytes, reply: bytes, where: str) -> None:
-    """Raise ProtocolError where a device confirms another write than the one that was sent."""
+    """Check that a device confirms the write that was sent.
+
+    Parameters
+    ----------
+    block, raw
+        Registers or bits that were written, and their values.
+    request, reply
+        PDUs that were sent and received.
+    where
+        Device and point, for the message.
+
+    Raises
+    ------
+    ProtocolError
+        The device confirms another write.
+    """
     code = block.write_code
     _check_function(code, block, reply, where)
     address, said = codec.confirmation_of(reply)

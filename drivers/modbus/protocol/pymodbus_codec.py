@@ -111,8 +111,10 @@ def has_right_crc(frame: bytes) -> bool:
 def rtu_size(start: bytes) -> int | None:
     """Return the length of the RTU reply that begins with `start`, at least two bytes; None where it takes more bytes.
 
-    Raises:
-        KeyError: no reply has this function.
+    Raises
+    ------
+    KeyError
+        No reply has this function.
     """
     kind = ExceptionResponse if start[1] & 0x80 else _REPLIES[start[1]]
     return kind.calculateRtuFrameSize(start) or None

@@ -18,8 +18,10 @@ _LONGEST = 256  # Modbus over serial line V1.02, 2.5.1
 def size_of(start: bytes) -> int | None:
     """Return the length of the reply that begins with `start`, or None while too few bytes are here.
 
-    Raises:
-        ProtocolError: no reply begins so.
+    Raises
+    ------
+    ProtocolError
+        No reply begins so.
     """
     if len(start) < 2:
         return None

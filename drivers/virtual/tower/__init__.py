@@ -13,11 +13,29 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from drivers.virtual.tower.device import Replay, load_station, rig_text, serve_station, write_dictionary
-    from drivers.virtual.tower.export import key_of, write_station
-    from drivers.virtual.tower.sites import SITES
-    from drivers.virtual.tower.station import SimulationPlan, simulate
+    from drivers.virtual.tower.effects import EFFECTS
+    from drivers.virtual.tower.export import (
+        COMMISSIONING,
+        commissioning_rows,
+        datasheet,
+        event_rows,
+        key_of,
+        write_station,
+    )
+    from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, SITES, StationDesign
+    from drivers.virtual.tower.station import Simulated, SimulationPlan, simulate, state_by_minute
 
 _HOME = {
+    "state_by_minute": "drivers.virtual.tower.station",
+    "Simulated": "drivers.virtual.tower.station",
+    "StationDesign": "drivers.virtual.tower.sites",
+    "MIAMI_SITE": "drivers.virtual.tower.sites",
+    "CHICAGO_SITE": "drivers.virtual.tower.sites",
+    "event_rows": "drivers.virtual.tower.export",
+    "datasheet": "drivers.virtual.tower.export",
+    "commissioning_rows": "drivers.virtual.tower.export",
+    "COMMISSIONING": "drivers.virtual.tower.export",
+    "EFFECTS": "drivers.virtual.tower.effects",
     "SimulationPlan": "drivers.virtual.tower.station",
     "Replay": "drivers.virtual.tower.device",
     "SITES": "drivers.virtual.tower.sites",
@@ -31,14 +49,24 @@ _HOME = {
 }
 
 __all__ = [
+    "CHICAGO_SITE",
+    "COMMISSIONING",
+    "EFFECTS",
+    "MIAMI_SITE",
     "SITES",
     "Replay",
+    "Simulated",
     "SimulationPlan",
+    "StationDesign",
+    "commissioning_rows",
+    "datasheet",
+    "event_rows",
     "key_of",
     "load_station",
     "rig_text",
     "serve_station",
     "simulate",
+    "state_by_minute",
     "write_dictionary",
     "write_station",
 ]

@@ -226,8 +226,19 @@ async def serve_station(replay: Replay, host: str, port: int, ready: Callable[[i
 
 
 def rig_text(tags: tuple[Served, ...], name: str, host: str, port: int, speed: float) -> str:
-    """Return a rig file of the station: one bus, its clock, a point for each tag; a period is a minute of station
-    time."""
+    """Return a rig file of the station: one bus, its clock, and a point for each tag.
+
+    Parameters
+    ----------
+    tags
+        Tags that the station serves.
+    name
+        Name of the rig.
+    host, port
+        Address of the station's Modbus/TCP server.
+    speed
+        Seconds of station time in a second; a period of the rig is a minute of station time.
+    """
     about = f"Cooling-tower station, replayed at {speed:g} times real time"
     period = max(round(60.0 / speed, 3), 0.1)
     parts = [

@@ -23,8 +23,10 @@ def hidden_effects(
 ) -> tuple[NDArray[np.float64], dict[str, object]]:
     """Return the plant's row of undeclared effects, drawn by `rng`, and the answer for scoring.
 
-    Raises:
-        ValueError: a name is not in `EFFECTS`.
+    Raises
+    ------
+    ValueError
+        A name is not in `EFFECTS`.
     """
     row = np.zeros(len(HIDDEN))
     at = HIDDEN.index

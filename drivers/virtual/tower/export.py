@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 
 from drivers.virtual.tower.degradation import WRITTEN
 from drivers.virtual.tower.physics import ratios, wet_bulb
-from drivers.virtual.tower.sites import StationDesign
+from drivers.virtual.tower.sites import EnteringAir, StationDesign
 from drivers.virtual.tower.station import Simulated, state_by_minute
 
 TESTS = (
@@ -180,8 +180,9 @@ def commissioning_rows(made: Simulated) -> list[tuple[Any, ...]]:
             ratio = float(ratios(np.array([dry]), np.array([humidity]), np.array([pressure]))[0])
             hot, m_w = site.hot + rng.uniform(-3.5, 2.5), site.water * flow * rng.normal(1.0, 0.015)
             wind = rng.uniform(0.3, 3.0)
+            entering = EnteringAir(dry, ratio, pressure, wind)
             out, _, air, _, _, power, lost = made.built.steady(
-                cell - 1, made.built.clean_state(), m_w, speed, hot, dry, ratio, pressure, wind
+                cell - 1, made.built.clean_state(), m_w, speed, hot, entering
             )
             wet = wet_bulb(dry, ratio, pressure)
             rows.append(

@@ -6,6 +6,7 @@ A datasheet states the design. The station as built deviates from it: each cell 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,15 @@ from drivers.virtual.tower.physics import cell as physics
 from drivers.virtual.tower.weather import CHICAGO, MIAMI, Climate
 
 Array = NDArray[np.float64]
+
+
+class EnteringAir(NamedTuple):
+    """Air that enters a cell: dry bulb degC, humidity ratio kg/kg, pressure kPa, wind m/s."""
+
+    dry: float
+    ratio: float
+    pressure: float
+    wind: float
 
 
 @dataclass(frozen=True)
@@ -150,12 +160,10 @@ class BuiltStation:
         m_w: float,
         speed: float,
         t_in: float,
-        dry: float,
-        ratio: float,
-        p: float,
-        wind: float,
+        air: EnteringAir,
     ) -> physics.Leaving:
         """Return what leaves a cell at rest, as `cell_step` does."""
+        dry, ratio, p, wind = air
         sectors = self.shares.shape[2]
         memory = np.concatenate(
             [np.full(sectors, t_in - 4.0), np.full(sectors, ratio + 0.015), [dry + 3.0, ratio + 0.01]]
@@ -242,7 +250,8 @@ def _size_fill(built: BuiltStation, cell: int, cold: float) -> None:
     for _ in range(30):
         middle = 0.5 * (low + high)
         built.cells[cell, physics.FILL] = middle
-        out = built.steady(cell, built.clean_state(), site.water, 1.0, site.hot, dry, ratio, site.pressure, 0.0)[0]
+        air = EnteringAir(dry, ratio, site.pressure, 0.0)
+        out = built.steady(cell, built.clean_state(), site.water, 1.0, site.hot, air)[0]
         low, high = (middle, high) if out > cold else (low, middle)
 
 

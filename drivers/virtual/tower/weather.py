@@ -95,8 +95,10 @@ def find_file(folder: Path | None, words: tuple[str, ...]) -> Path | None:
 def read_year(path: Path) -> Year:
     """Return the typical year of an EnergyPlus (.epw) or TMY2 (.tm2) file.
 
-    Raises:
-        WeatherError: the file cannot be read, is cut short, or a line holds no number where one must be.
+    Raises
+    ------
+    WeatherError
+        The file cannot be read, is cut short, or a line holds no number where one must be.
     """
     try:
         lines = path.read_text(encoding="latin-1").splitlines()

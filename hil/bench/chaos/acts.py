@@ -56,9 +56,6 @@ def _send(pid: int, number: signal.Signals) -> None:
         os.kill(pid, number)
 
 
-# Processes -----------------------------------------------------------------------------------------
-
-
 def sent(number: signal.Signals) -> Act:
     """Return the act that sends a signal to the harness."""
 
@@ -129,9 +126,6 @@ async def clock_stepped(stage: ChaosStage) -> None:
     stage.clock.step(stage.generator.choice((-1, 1)) * stage.generator.choice(CLOCK_STEPS_S))
 
 
-# Terminal ------------------------------------------------------------------------------------------
-
-
 async def reader_gone(stage: ChaosStage) -> None:
     """End the reader of the run's output."""
     assert stage.terminal is not None
@@ -155,9 +149,6 @@ async def terminal_lost(stage: ChaosStage) -> None:
     assert stage.terminal is not None
     stage.terminal.hang_up()
     _send(stage.pid, signal.SIGHUP)
-
-
-# Files ---------------------------------------------------------------------------------------------
 
 
 async def journal_locked(stage: ChaosStage) -> None:
@@ -231,9 +222,6 @@ async def disk_full(stage: ChaosStage) -> None:
     stage.fill_disk()
 
 
-# Limits --------------------------------------------------------------------------------------------
-
-
 async def link_blip(stage: ChaosStage) -> None:
     """Reset the Modbus connection; the port is back after 0.05 to 0.3 s."""
     stage.plc.drop()
@@ -257,9 +245,6 @@ async def memory_gone(stage: ChaosStage) -> None:
 def _limit(pid: int, what: int, value: int) -> None:
     with contextlib.suppress(ProcessLookupError):
         resource.prlimit(pid, what, (value, resource.prlimit(pid, what)[1]))
-
-
-# The rig -------------------------------------------------------------------------------------------
 
 
 def device_is(mode: Mode) -> Act:

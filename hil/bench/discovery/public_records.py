@@ -44,8 +44,10 @@ class EvaluationRecord:
 def measure(data: Path, seed: int) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
     """Return a ladder for each record, the effects not added, and a line if there is no record.
 
-    Raises:
-        PublicRecordError: a record is absent or not what it should be.
+    Raises
+    ------
+    PublicRecordError
+        A record is absent or not what it should be.
     """
     del seed
     real = data / "real"

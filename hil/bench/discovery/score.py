@@ -31,20 +31,40 @@ SECONDS_PER_MINUTE = 60.0
 class AnswerScore:
     """Score of one opened case; None if a question does not apply.
 
-    Attributes:
-        z, confidence: of the answer's first effect. z_truth: forecast for the true effect, see `discovery_ablation`.
-        z_least: of two true effects the lesser forecast, each with the other's size fitted along.
-        exact: the kinds and places named are those of the truth, and no others. top1: the first one is.
-        class1: it is, or is indistinguishable from it by the answer's own words or by physics. in_set: the truth is
-            among those that the answer does not exclude. set_size: how many these are.
-        in_words: something outside the catalogue was described by several effects of the right kind at the right place,
-            as a loss that ends is by two opposite steps, or as what it is, a thermometer that stands still, or not
-            told from what it is, a switch that a temperature turned.
-        onset_min: error of the onset, minutes. size: relative error. errors_K: RMSE on the held-out part, re-tuned,
-            with the effects, and the thermometers' noise, over all sensors.
-        seconds, cpu_s: duration of the diagnosis by the clock, and processor time.
-        excess: share of the squared error above the floor that the effects took away.
-        size_held, onset_held: the answer's 90 % interval holds the true one.
+    Attributes
+    ----------
+    z, confidence
+        Of the answer's first effect.
+    z_truth
+        Forecast for the true effect, see `discovery_ablation`.
+    z_least
+        Of two true effects the lesser forecast, each with the other's size fitted along.
+    exact
+        The kinds and places named are those of the truth, and no others.
+    top1
+        The first one is.
+    class1
+        It is, or is indistinguishable from it by the answer's own words or by physics.
+    in_set
+        The truth is among those that the answer does not exclude.
+    set_size
+        How many these are.
+    in_words
+        Something outside the catalogue was described by several effects of the right kind at the right place, as a loss
+        that ends is by two opposite steps, or as what it is, a thermometer that stands still, or not told from what it
+        is, a switch that a temperature turned.
+    onset_min
+        Error of the onset, minutes.
+    size
+        Relative error.
+    errors_K
+        RMSE on the held-out part, re-tuned, with the effects, and the thermometers' noise, over all sensors.
+    seconds, cpu_s
+        Duration of the diagnosis by the clock, and processor time.
+    excess
+        Share of the squared error above the floor that the effects took away.
+    size_held, onset_held
+        The answer's 90 % interval holds the true one.
     """
 
     case: str
@@ -107,9 +127,12 @@ def judge(
 ) -> AnswerScore:
     """Score an answer, `diagnosis.json`, against a sealed truth.
 
-    Args:
-        took: s, by the clock and of processors.
-        sizes: and units of the true effects in the catalogue, at the end of the record, None where it has no such.
+    Parameters
+    ----------
+    took
+        s, by the clock and of processors.
+    sizes
+        And units of the true effects in the catalogue, at the end of the record, None where it has no such.
     """
     group, verdict = str(hidden["group"]), str(answer["verdict"])
     effects = list(answer["effects"])

@@ -70,7 +70,8 @@ class BlindTrial:
     def __init__(self, size: TrialSize, seed: int, work: Path) -> None:
         self.size, self.seed = size, seed
         how = "direct" if size.direct else "wire"
-        rig_key = sources(PROJECT / "drivers", [PROJECT / "hil" / "synthetic" / "hidden_effects.py", COMMISSIONING])
+        drawn = [PROJECT / "hil" / "synthetic" / name for name in ("hidden_effects.py", "settings.py")]
+        rig_key = sources(PROJECT / "drivers", [*drawn, COMMISSIONING])
         twin_key = sources(PROJECT / "twin", [PROJECT / "profiles" / "twins" / f"{size.twin}.toml"])
         base = work / f"{how}-{size.twin}-{size.hours:g}h-seed{seed}-rig{rig_key}"
         self._rigs = base / "rigs"

@@ -34,10 +34,20 @@ INSULATION_W_PER_K = 6.0
 class Campaign:
     """Record and the twins for it.
 
-    Attributes:
-        rig: name in the tables. change: one of `CHANGES`. onset_s: when it begins.
-        commissioned: twin fitted to a healthy record of the same rig. by_hand: the twin before that.
-        time (n,) s, inputs (n, c), measured (n, m) degC in the order of the twin.
+    Attributes
+    ----------
+    rig
+        Name in the tables.
+    change
+        One of `CHANGES`.
+    onset_s
+        When it begins.
+    commissioned
+        Twin fitted to a healthy record of the same rig.
+    by_hand
+        The twin before that.
+    time
+        (n,) s, inputs (n, c), measured (n, m) degC in the order of the twin.
     """
 
     rig: str

@@ -100,13 +100,21 @@ def run(
 ) -> RecordsResult:
     """Simulate and fit all public records.
 
-    Args:
-        data: the folder that holds `real` (environment variable HIL_DATA).
-        seed: of the random starts of the fits. twins: folder of the twin files.
-        progress: told how many of `PARTS` are done, and which comes next.
+    Parameters
+    ----------
+    data
+        The folder that holds `real` (environment variable HIL_DATA).
+    seed
+        Of the random starts of the fits.
+    twins
+        Folder of the twin files.
+    progress
+        Told how many of `PARTS` are done, and which comes next.
 
-    Raises:
-        PublicRecordError: a record is absent or not what it should be.
+    Raises
+    ------
+    PublicRecordError
+        A record is absent or not what it should be.
     """
     real = data / "real"
     rows: list[Row] = []

@@ -36,9 +36,14 @@ PROTOTYPE = (
 class ModelError:
     """Model error of one twin on one rig: RMSE in K per sensor (m,).
 
-    Attributes:
-        held_out, campaign: free runs; `_10s` of means over `MEAN_S`. noise: declared, of single readings.
-        fit_s, forward_s: CPU time of commissioning and of simulating the campaign.
+    Attributes
+    ----------
+    held_out, campaign
+        Free runs; `_10s` of means over `MEAN_S`.
+    noise
+        Declared, of single readings.
+    fit_s, forward_s
+        CPU time of commissioning and of simulating the campaign.
     """
 
     rig: str

@@ -20,10 +20,16 @@ IN_A_ROW = 2
 class Tracked:
     """Result of a tracker.
 
-    Attributes:
-        rmse: sensor -> K, rows `static`, `tracked` (predicted ahead), `fitted` (same window).
-        static, ahead: (n, m) degC, predictions of both twins. calibrations: of all windows.
-        threshold_K: error below which a window is calibrated.
+    Attributes
+    ----------
+    rmse
+        Sensor -> K, rows `static`, `tracked` (predicted ahead), `fitted` (same window).
+    static, ahead
+        (n, m) degC, predictions of both twins.
+    calibrations
+        Of all windows.
+    threshold_K
+        Error below which a window is calibrated.
     """
 
     rmse: dict[str, dict[str, float]]
@@ -51,8 +57,10 @@ def follow(network: Network, campaign: Campaign, calibrator: str, seed: int) -> 
 def windows_to_recover(calibrations: list[Calibration], threshold_K: float, *, ahead: bool) -> int | None:
     """Return the number of windows until the error stays below the threshold, the first after the change counting as 1.
 
-    Args:
-        ahead: judge the prediction, made before the window was seen, rather than the fit.
+    Parameters
+    ----------
+    ahead
+        Judge the prediction, made before the window was seen, rather than the fit.
     """
     below = [(c.error_before_K if ahead else c.error_K) < threshold_K for c in calibrations]
     for k in range(len(below)):

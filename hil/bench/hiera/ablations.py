@@ -28,12 +28,22 @@ RESAMPLES = 400
 class TrainedVariant:
     """Variant trained without one part, on N held-out windows.
 
-    Attributes:
-        name: the piece that it lacks, or "nothing". weights, steps: how many. cpu_s: of its training.
-        outputs, online: (N,) K, mean absolute error, target hidden (symmetric branch) and seen (causal branch).
-        parameters, moved: (N,) mean absolute error of deviations, and of those that moved; NaN where no label counts.
-        inside, width: share inside raw 90 % intervals of the outputs, blind, and their mean width, K.
-        fit: outputs, parameters and moved of the Gauss-Newton fit alone.
+    Attributes
+    ----------
+    name
+        The piece that it lacks, or "nothing".
+    weights, steps
+        How many.
+    cpu_s
+        Of its training.
+    outputs, online
+        (N,) K, mean absolute error, target hidden (symmetric branch) and seen (causal branch).
+    parameters, moved
+        (N,) mean absolute error of deviations, and of those that moved; NaN where no label counts.
+    inside, width
+        Share inside raw 90 % intervals of the outputs, blind, and their mean width, K.
+    fit
+        Outputs, parameters and moved of the Gauss-Newton fit alone.
     """
 
     name: str
@@ -54,8 +64,14 @@ def measure(
 ) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
     """Return the table, and everything left out.
 
-    Args:
-        name: configuration. minutes: CPU time that every variant is trained for. say: called with each stage.
+    Parameters
+    ----------
+    name
+        Configuration.
+    minutes
+        CPU time that every variant is trained for.
+    say
+        Called with each stage.
     """
     pieces = ((), *((piece,) for piece in LEFT_OUT))
     trials = []

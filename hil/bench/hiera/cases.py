@@ -46,10 +46,18 @@ BENCH = 7_000_000
 class HieraCase:
     """Record of the benchmark.
 
-    Attributes:
-        rig: one of RIGS. kind: healthy, tracked (a parameter that the twin has moved) or other. seed: what made it.
-        targets: numbers of the ten-minute targets to predict, from 0 at the record's beginning.
-        onset: step of the change; the length of the record where there is none.
+    Attributes
+    ----------
+    rig
+        One of RIGS.
+    kind
+        Healthy, tracked (a parameter that the twin has moved) or other.
+    seed
+        What made it.
+    targets
+        Numbers of the ten-minute targets to predict, from 0 at the record's beginning.
+    onset
+        Step of the change; the length of the record where there is none.
     """
 
     name: str
@@ -137,8 +145,10 @@ def virtual(features: Features, seed: int, count: int) -> Iterator[HieraCase]:
 def strangers(features: Features, data: Path, names: tuple[str, ...] = STRANGERS) -> Iterator[HieraCase]:
     """Return rigs of another maker, each commissioned on its own healthy record.
 
-    Raises:
-        Absent: their records are not here.
+    Raises
+    ------
+    Absent
+        Their records are not here.
     """
     folder = data / "stranger"
     if not (folder / "KEY.json").is_file():

@@ -32,10 +32,18 @@ SAME = 0.03
 class CaseInputs:
     """Input of all contestants for one case, and data for the scorer alone.
 
-    Attributes:
-        frames, evidence: of each target, made without looking at it. known, floor: (n, P) which labels count, and the
-            Cramer-Rao bound of each. theta: (n, P) truth. labels: as in training.
-        cpu_s: for one frame, and for one evidence.
+    Attributes
+    ----------
+    frames, evidence
+        Of each target, made without looking at it.
+    known, floor
+        (n, P) which labels count, and the Cramer-Rao bound of each.
+    theta
+        (n, P) truth.
+    labels
+        As in training.
+    cpu_s
+        For one frame, and for one evidence.
     """
 
     case: HieraCase
@@ -52,10 +60,18 @@ class CaseInputs:
 class BlindPredictions:
     """Predictions of one case's n targets.
 
-    Attributes:
-        readings: (n, 120, Y) degC. theta: (n, P) deviations that it believed in, NaN where it has none.
-        half: (n, 120, Y) K, half widths of its own 90 % intervals, or None. calibrated: (n,) bool, what it said of
-            itself before. cpu_s: a window, features and all.
+    Attributes
+    ----------
+    readings
+        (n, 120, Y) degC.
+    theta
+        (n, P) deviations that it believed in, NaN where it has none.
+    half
+        (n, 120, Y) K, half widths of its own 90 % intervals, or None.
+    calibrated
+        (n,) bool, what it said of itself before.
+    cpu_s
+        A window, features and all.
     """
 
     readings: Array

@@ -13,8 +13,16 @@ from twin.calibrators.hiera_unet.device import ready
 class Latency:
     """Causal forward pass of one window, on one thread.
 
-    Attributes:
-        config: small or full. weights: how many it has. repetitions: timed forwards. minimum_ms, median_ms: of them.
+    Attributes
+    ----------
+    config
+        Small or full.
+    weights
+        How many it has.
+    repetitions
+        Timed forwards.
+    minimum_ms, median_ms
+        Of them.
     """
 
     config: str
@@ -27,8 +35,12 @@ class Latency:
 def latency(config: str, repetitions: int = 50) -> Latency:
     """Time the configuration ``small`` or ``full`` with the coolant loop's sizes and random weights.
 
-    Raises:
-        HieraError: torch is missing, or there is no such configuration. ValueError: no repetition is asked for.
+    Raises
+    ------
+    HieraError
+        Torch is missing, or there is no such configuration.
+    ValueError
+        No repetition is asked for.
     """
     ready()
     from twin.calibrators.hiera_unet.binding import config_for

@@ -26,8 +26,10 @@ Z90 = 1.645
 def contestants(card: Path, features: Features) -> dict[str, Contestant]:
     """Return the network alone, and the network with a fit, for the ensemble of a card.
 
-    Raises:
-        HieraError: there is none, or it belongs to another twin or channel table.
+    Raises
+    ------
+    HieraError
+        There is none, or it belongs to another twin or channel table.
     """
     parts = (features.network, features.table, features.deviations)
     net = _NetworkContestant(load_ensemble(card, identity_of(*parts)), physics_of(*parts))

@@ -22,15 +22,29 @@ CONFIDENCE = 0.90
 class HieraScore:
     """Score of one contestant on one case.
 
-    Attributes:
-        rmse: (n,) K of each target, over sensors. after: (n,) bool, targets with at least one whole window after the
-            change behind them. before: (n,) bool, those of a rig in which nothing has changed yet.
-        recovered: targets until its prediction was right again, the first whole one after the change being 1; infinite
-            for never, NaN where nothing was to recover from.
-        off: (n, P) parameter errors over their Cramer-Rao bounds, NaN where the label does not count. sure: (n, P) the
-            same over the half widths of the contestant's own 90 % intervals, NaN where it gives none.
-        error: (n, 120, Y) K, prediction minus truth. half: its own half widths, or None.
-        calibrated: (n,) bool. cpu_s: a window.
+    Attributes
+    ----------
+    rmse
+        (n,) K of each target, over sensors.
+    after
+        (n,) bool, targets with at least one whole window after the change behind them.
+    before
+        (n,) bool, those of a rig in which nothing has changed yet.
+    recovered
+        Targets until its prediction was right again, the first whole one after the change being 1; infinite for never,
+        NaN where nothing was to recover from.
+    off
+        (n, P) parameter errors over their Cramer-Rao bounds, NaN where the label does not count.
+    sure
+        (n, P) the same over the half widths of the contestant's own 90 % intervals, NaN where it gives none.
+    error
+        (n, 120, Y) K, prediction minus truth.
+    half
+        Its own half widths, or None.
+    calibrated
+        (n,) bool.
+    cpu_s
+        A window.
     """
 
     rig: str
@@ -136,9 +150,12 @@ def worse(scores: list[HieraScore], rival: list[HieraScore]) -> float:
 def over_bound(scores: Iterable[HieraScore], *, accepted: bool = False, told: bool = False) -> float:
     """Return the root mean square of parameter errors over their Cramer-Rao bounds: 1 is the optimum.
 
-    Args:
-        accepted: only of windows before which the contestant said that it was calibrated. told: only of parameters that
-            it gave an interval, so not of those that it held.
+    Parameters
+    ----------
+    accepted
+        Only of windows before which the contestant said that it was calibrated.
+    told
+        Only of parameters that it gave an interval, so not of those that it held.
     """
     values = _over_bound(scores, accepted, told)
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
@@ -203,8 +220,10 @@ def own_factors(scores: Iterable[HieraScore], seed: int) -> Array:
 def tally(s: HieraScore, widths: Array, *, own: bool = False) -> tuple[float, float, int]:
     """Return the number of errors inside half widths (Y,), K, the sum of full widths, and the number of errors.
 
-    Args:
-        own: `widths` are factors on the contestant's own half widths; without those, all is nought.
+    Parameters
+    ----------
+    own
+        `widths` are factors on the contestant's own half widths; without those, all is nought.
     """
     half = np.broadcast_to(widths, s.error.shape) if not own else None if s.half is None else s.half * widths
     if half is None:

@@ -72,9 +72,16 @@ def measure(
 ) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
     """Return the tables, and a line for everything left out.
 
-    Args:
-        seed: added to those of `size`. data: folder with the stranger rigs. say: called with each stage.
-        network: card of a trained ensemble; without, the network takes no part.
+    Parameters
+    ----------
+    seed
+        Added to those of `size`.
+    data
+        Folder with the stranger rigs.
+    say
+        Called with each stage.
+    network
+        Card of a trained ensemble; without, the network takes no part.
     """
     features = features_of()
     family = Family(features.network, features.deviations)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.bench.kernel.windows import drive, steady_start
 from twin import Array, Kernel, Network, mask_measurements, simulate
-from twin.calibrators import Window, make_window
+from twin.calibrators import Window, WindowSamples, make_window
 
 SIGMA_K = 0.05
 LEAST_RESISTANCE = 0.1
@@ -27,7 +27,9 @@ class Problem:
     window
         Of kind calibrated, so that everyone minimises the RMSE over all of it.
     tunables
-        Name of the twin's set. start: (q,) positions of the live twin.
+        Name of the twin's set.
+    start
+        (q,) positions of the live twin.
     truth
         (q,) positions that made the window, None for a measured one.
     """
@@ -157,5 +159,5 @@ def measured(network: Network, tunables: str, record: Path, count: int) -> list[
 
 def _window(network: Network, time: Array, inputs: Array, readings: Array, state: Array) -> Window:
     live = simulate(network, time, inputs, state)
-    window = make_window(0, time, inputs, readings, state, network.values.copy(), live, network.rules)
+    window = make_window(0, WindowSamples(time, inputs, readings), state, network.values.copy(), live, network.rules)
     return replace(window, kind="calibrated")

@@ -20,9 +20,17 @@ class Job:
     Attributes
     ----------
     ids
-        Parameters that differ between particles. particles: (P, p) full vectors in the network's order.
+        Parameters that differ between particles.
+    particles
+        (P, p) full vectors in the network's order.
     time
-        (n,) s. inputs: (n, c). measured, weight: (n, m). state: (k,) degC at the first sample.
+        (n,) s.
+    inputs
+        (n, c).
+    measured, weight
+        (n, m).
+    state
+        (k,) degC at the first sample.
     """
 
     network: Network

@@ -75,9 +75,6 @@ def measure(
     return tables, ()
 
 
-# In real time ----------------------------------------------------------------------------------
-
-
 async def _real_time(size: TimingSize, seed: int, path: Path) -> tuple[Outcome, NDArray[np.float64], Counts]:
     """Run the engine at 10 Hz, guarded; return its outcome, per tick (n, 3) its number, when its work began, s, and how
     long that took, s, and its processor time. Raises RuntimeError where the run does not end as done."""
@@ -128,9 +125,6 @@ def _timing_table(outcome: Outcome, timing: NDArray[np.float64]) -> ReportTable:
         f"{'met' if np.percentile(off_ms, 99) < GOAL_MS else 'not met'} here. The manifest has the machine's load.",
     )
     return ReportTable("timing", "10 Hz in real time", ("what", "median", "99 %", "longest"), rows, notes)
-
-
-# In lockstep -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,9 +195,6 @@ def _memory_table(memory: list[_Memory], size: TimingSize, wall_s: float) -> Rep
     columns = ("process", f"at {first.profile_s / 3600:.1f} h", f"at {last.profile_s / 3600:.1f} h", "grown")
     note = f"{size.hours:g} h in {wall_s:.0f} s with record, review and report: {3600 * size.hours / wall_s:.0f} times."
     return ReportTable("memory", f"Resident memory over {size.hours:g} h in lockstep, MB", columns, rows, (note,))
-
-
-# Killed and resumed ----------------------------------------------------------------------------
 
 
 def _hil(*arguments: object) -> dict[str, Any]:

@@ -69,12 +69,17 @@ class ResultsFolderError(ValueError):
 def check_results(folder: Path = RESULTS, project: Path = PROJECT) -> list[ResultState]:
     """Return the state of each result (`*.json` with its manifest) in `folder`, by name.
 
-    Parameters:
-        folder: results that `hil bench --out` wrote.
-        project: work tree of the git repository of the measured code.
+    Parameters
+    ----------
+    folder
+        Results that `hil bench --out` wrote.
+    project
+        Work tree of the git repository of the measured code.
 
-    Raises:
-        ResultsFolderError: the folder holds no result, or `project` is in no git repository.
+    Raises
+    ------
+    ResultsFolderError
+        The folder holds no result, or `project` is in no git repository.
     """
     names = sorted(path.stem for path in folder.glob("*.json") if not path.name.endswith(".manifest.json"))
     if not names:
@@ -90,7 +95,8 @@ def _problem(manifest: Path, project: Path) -> str | None:
     except (OSError, ValueError):
         return "has no manifest that can be read"
     if not isinstance(content, dict) or not isinstance(content.get("commit"), str):
-        return "its manifest has no commit of the measured code"
+        published = content.get("published") if isinstance(content, dict) else None
+        return "its manifest has no commit of the measured code" + (f"; published in {published}" if published else "")
     commit, _, changes = content["commit"].partition(" ")
     if changes:
         return f"was measured with uncommitted changes on {commit}"

@@ -263,18 +263,16 @@ def _twin(file: Path, _: Path, out: Console) -> None:
 
 def _catalogue(file: Path, out: Console) -> None:
     from twin import load
-    from twin.discovery.answer.blind_spots import spoken
-    from twin.discovery.effects.catalogue import catalogue
-    from twin.discovery.effects.lint import lint
+    from twin.discovery import ambiguity_groups, catalogue, label_text
 
     network = load(file)
     entries = {(c.kind, c.where, c.driver) for c in catalogue(network)}
     out.print(f"A diagnosis tests {len(entries)} effects that the twin may lack")
-    found = lint(network)
+    found = ambiguity_groups(network)
     for group in found.groups:
-        out.print(f"no input distinguishes: {'; '.join(spoken(x) for x in group)}", soft_wrap=True)
+        out.print(f"no input distinguishes: {'; '.join(label_text(x) for x in group)}", soft_wrap=True)
     for label in found.unseen:
-        out.print(f"no input shows: {spoken(label)}", soft_wrap=True)
+        out.print(f"no input shows: {label_text(label)}", soft_wrap=True)
 
 
 def _effects(file: Path, _: Path, out: Console) -> None:

@@ -67,8 +67,10 @@ def command(
 def recorded_events(record: Path) -> tuple[Event, ...]:
     """Return the events of an aligned record, as its station.json has them.
 
-    Raises:
-        RecordError: the record holds no station.json that can be read.
+    Raises
+    ------
+    RecordError
+        The record holds no station.json that can be read.
     """
     import datetime
     import json

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from hil.diagnosis import PreparedDiagnosis, Written
     from hil.record import ReadingOptions
     from twin import Network
-    from twin.discovery import Diagnosis
-    from twin.discovery.healthy.basis import Columns
+    from twin.discovery import Columns, Diagnosis
 
 STEPS = 6.0
 
@@ -238,13 +237,11 @@ def _bootstrap(network: Network, healthy: Columns, named: Path | None, draws: in
     """Draw, commission and diagnose healthy records, and store the results for this and later diagnoses."""
     from hil.run.session import ProgressBar
     from twin import TwinFileError
-    from twin.discovery.bootstrap import bootstrap
-    from twin.discovery.healthy.health import NotHealthyError
-    from twin.discovery.healthy.widening import keep
+    from twin.discovery import NotHealthyError, bootstrap_claims, keep_bootstrap
 
     with ProgressBar("drawing healthy records", float(draws), quiet=quiet) as steps:
         try:
-            found = bootstrap(
+            found = bootstrap_claims(
                 network,
                 healthy,
                 draws,
@@ -252,7 +249,7 @@ def _bootstrap(network: Network, healthy: Columns, named: Path | None, draws: in
             )
         except NotHealthyError as error:
             raise TwinFileError(f"{named}: {error}") from None
-    keep(found, network, healthy.time_s, healthy.inputs, healthy.measured)
+    keep_bootstrap(found, network, healthy.time_s, healthy.inputs, healthy.measured)
 
 
 def _review(folder: Path, *, quiet: bool) -> None:

@@ -107,6 +107,7 @@ def loop_command(
     from hil.training import (
         Stop,
         TrainingProgress,
+        TrainingRequest,
         complete,
         features_of,
         generate_windows,
@@ -139,18 +140,9 @@ def loop_command(
             windows = read(data, features_of())
             typed = again(name, plan, device, threads, less, anywhere(data), data_seed, count)
             with ProgressBar("training", steps, quiet=as_json, begun=training_begun(out / stem)) as bar:
-                done = train(
-                    windows,
-                    name,
-                    plan,
-                    out / stem,
-                    out / f"{stem}.safetensors",
-                    stop=stop,
-                    command=typed,
-                    say=bar.update,
-                    device=device,
-                    without=less,
-                )
+                weights = out / f"{stem}.safetensors"
+                request = TrainingRequest(name, plan, out / stem, weights, typed, device, less)
+                done = train(windows, request, stop=stop, say=bar.update)
                 bar.cut = done.card is None
     if as_json:
         click.echo(json.dumps(asdict(done), default=str, indent=1))

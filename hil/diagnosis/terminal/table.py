@@ -27,9 +27,12 @@ def errors_of(document: dict[str, Any]) -> Table:
 def error_table(sensors: Mapping[str, Mapping[str, float | None]], after: str) -> Table:
     """Return a row for each sensor: errors in K of the baseline twin, re-tuned and `after`, and the noise.
 
-    Args:
-        sensors: by name, with the keys of `SensorError`. after: heading of the last twin; "re-tuned" leaves
-            that column out.
+    Parameters
+    ----------
+    sensors
+        By name, with the keys of `SensorError`.
+    after
+        Heading of the last twin; "re-tuned" leaves that column out.
     """
     table = Table()
     columns = {"stale": "baseline", "before": "re-tuned", "after": after, "noise": "noise"}

@@ -26,8 +26,10 @@ def is_annotated(text: str) -> bool:
 def read_annotated(path: Path, text: str, digest: str) -> RawRecord:
     """Return all tables of an annotated CSV as one; columns that a table lacks are empty.
 
-    Raises:
-        RecordError: there is no row, or a line does not fit its header.
+    Raises
+    ------
+    RecordError
+        There is no row, or a line does not fit its header.
     """
     import pyarrow as pa
 

@@ -57,12 +57,21 @@ class Line:
 class Dialect:
     """Layout of a CSV.
 
-    Attributes:
-        delimiter: between columns. names: of the columns, as written.
-        header_line: number of the line that names them. rows_from: lines above the first row.
-        units: as written, by place of the column, where a line below or above the names gives them; `units_line` is its
+    Attributes
+    ----------
+    delimiter
+        Between columns.
+    names
+        Of the columns, as written.
+    header_line
+        Number of the line that names them.
+    rows_from
+        Lines above the first row.
+    units
+        As written, by place of the column, where a line below or above the names gives them; `units_line` is its
         number.
-        messages: lines that were left out.
+    messages
+        Lines that were left out.
     """
 
     delimiter: str

@@ -16,8 +16,10 @@ def by_later_headings(raw: RawRecord, written: Sequence[str]) -> RawRecord:
 
     The line of the heading stays, as a row without any number.
 
-    Raises:
-        RecordError: a later heading has other names or units.
+    Raises
+    ------
+    RecordError
+        A later heading has other names or units.
     """
     import pyarrow as pa
     import pyarrow.compute as pc

@@ -20,12 +20,19 @@ class TimeTextError(ValueError):
 def require_full_clock(micros: NDArray[np.int64], hours: NDArray[np.int64], shown: Callable[[int], str]) -> None:
     """Check that the times are not of a twelve-hour clock without AM and PM.
 
-    Args:
-        micros: microseconds (n,) in the order of the file. hours: hours (n,) as the clock shows them.
-        shown: names the time of a row for the message.
+    Parameters
+    ----------
+    micros
+        Microseconds (n,) in the order of the file.
+    hours
+        Hours (n,) as the clock shows them.
+    shown
+        Names the time of a row for the message.
 
-    Raises:
-        TimeTextError: hours are 1 to 12 alone, and a time steps back by twelve hours and goes on from there.
+    Raises
+    ------
+    TimeTextError
+        Hours are 1 to 12 alone, and a time steps back by twelve hours and goes on from there.
     """
     steps = np.diff(micros)
     if not (steps < 0).any() or not (steps > 0).any() or hours.min() < 1 or hours.max() > 12:

@@ -31,9 +31,14 @@ _DAY_S = 86400.0
 class DayCount:
     """Numbering of days with their fractions.
 
-    Attributes:
-        name, one: of several and of one, for messages. of_1970: the number of 1970-01-01 00:00.
-        first, last: numbers that are taken for it.
+    Attributes
+    ----------
+    name, one
+        Of several and of one, for messages.
+    of_1970
+        The number of 1970-01-01 00:00.
+    first, last
+        Numbers that are taken for it.
     """
 
     name: str
@@ -67,12 +72,19 @@ _REMEDY = "write the unit into the column's name (time_s, time_d), or give dates
 def count_of(middle: float, scale: float, unit_given: bool) -> tuple[float, str] | None:
     """Return seconds per count and its word for numbers that count from 1970; None for a time from the beginning.
 
-    Args:
-        middle: median of the numbers. scale: seconds per unit that the name or the file gives, 1 without one.
-        unit_given: True where the name or the file gives the unit; it wins over the size of the numbers.
+    Parameters
+    ----------
+    middle
+        Median of the numbers.
+    scale
+        Seconds per unit that the name or the file gives, 1 without one.
+    unit_given
+        True where the name or the file gives the unit; it wins over the size of the numbers.
 
-    Raises:
-        TimeTextError: the numbers are too large for a time since the beginning and are no date of 2000 to 2100.
+    Raises
+    ------
+    TimeTextError
+        The numbers are too large for a time since the beginning and are no date of 2000 to 2100.
     """
     seconds = middle * scale
     if unit_given and scale < _DAY_S and EPOCH_S[0] <= seconds < EPOCH_S[1]:
@@ -120,13 +132,21 @@ def day_count(middle: float) -> DayCount | None:
 def are_days(cells: Any, values: NDArray[np.float64], count: DayCount | None, unit_given: bool) -> bool:
     """Return True for day numbers, False for seconds.
 
-    Args:
-        cells: of the column as stored, which show how many decimals were written.
-        values: finite numbers of the column. count: numbering of days that they may be in, None for parts of a day.
-        unit_given: True where the name of the column says that they are seconds.
+    Parameters
+    ----------
+    cells
+        Of the column as stored, which show how many decimals were written.
+    values
+        Finite numbers of the column.
+    count
+        Numbering of days that they may be in, None for parts of a day.
+    unit_given
+        True where the name of the column says that they are seconds.
 
-    Raises:
-        TimeTextError: they may be days and seconds.
+    Raises
+    ------
+    TimeTextError
+        They may be days and seconds.
     """
     steps = np.abs(np.diff(values))
     steps = steps[steps > 0.0]

@@ -94,9 +94,10 @@ class _DateParts:
 def read_stamps(cells: Sequence[str | None], order: Order | None = None) -> Stamps:
     """Return the moments of text `cells`, None for missing ones; `order` is that of day, month and year, if given.
 
-    Raises:
-        TimeTextError: more than one order fits and the times between rows differ, or a clock of twelve hours lacks AM
-            and PM.
+    Raises
+    ------
+    TimeTextError
+        More than one order fits and the times between rows differ, or a clock of twelve hours lacks AM and PM.
     """
     stamps = _read_stamps(cells, order)
     _require_full_clock(cells, stamps.micros)
@@ -144,9 +145,11 @@ def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
 
     None where the cells are no times of day. Hours above 23 are those of a time since the beginning.
 
-    Raises:
-        TimeTextError: two numbers each, which may be hours and minutes or minutes and seconds; four, which may begin
-            with days or end with hundredths; or a clock of twelve hours without AM and PM.
+    Raises
+    ------
+    TimeTextError
+        Two numbers each, which may be hours and minutes or minutes and seconds; four, which may begin with days or end
+        with hundredths; or a clock of twelve hours without AM and PM.
     """
     if (four := _four_fields(cells)) is not None:
         return four

@@ -70,10 +70,14 @@ def with_unit_columns(raw: RawRecord) -> RawRecord:
 class RowUnits:
     """Unit of a column by the units of its rows.
 
-    Attributes:
-        unit: one for the column, None where its rows give none or one that is not known (`unknown`).
-        factor, offset: by which the numbers become those of `unit`, for all rows or (n,) row by row.
-        said: remark on a change of the unit, or "".
+    Attributes
+    ----------
+    unit
+        One for the column, None where its rows give none or one that is not known (`unknown`).
+    factor, offset
+        By which the numbers become those of `unit`, for all rows or (n,) row by row.
+    said
+        Remark on a change of the unit, or "".
     """
 
     unit: str | None

@@ -218,7 +218,11 @@ def decimal_signs(
     Parameters
     ----------
     columns
-        Cells by name of column. place: names a row of the file. delimiter: of the file's columns, if any.
+        Cells by name of column.
+    place
+        Names a row of the file.
+    delimiter
+        Of the file's columns, if any.
     given
         The sign that the user names, which then holds for all.
 

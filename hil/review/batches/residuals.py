@@ -34,8 +34,10 @@ class Residuals:
         """Return the ticks that all twins have answered, `time_s (n,)` and `residual (n, twins, m)`, NaN for a missing
         twin.
 
-        Args:
-            last: nothing more comes, so nothing is waited for.
+        Parameters
+        ----------
+        last
+            Nothing more comes, so nothing is waited for.
         """
         newest = max(self._last.values(), default=-1)
         waited = [tick for tick in self._last.values() if tick >= newest - LATE_TICKS]

@@ -24,9 +24,12 @@ _MOST = 1.2
 def with_room_for_legends(tab: Stack, labels: Mapping[str, tuple[str, ...]]) -> Stack:
     """Return `tab` with margins before the run for its legends.
 
-    Args:
-        tab: a tab of a review.
-        labels: of each entity's curves; an entity that is not there goes by its own name.
+    Parameters
+    ----------
+    tab
+        A tab of a review.
+    labels
+        Of each entity's curves; an entity that is not there goes by its own name.
     """
     return _stack(tab, labels, WINDOW_PX)
 

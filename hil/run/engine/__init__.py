@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from hil.run.engine.recording import Publisher
     from hil.run.engine.signals import RunSignals, cancelling, interrupted, stopping
     from hil.run.engine.status import Outcome, Status
-    from hil.run.engine.watch import Watch
 
 __all__ = [
     "LOCKSTEP_DEADLINE_S",
@@ -31,7 +30,6 @@ __all__ = [
     "Publisher",
     "RunSignals",
     "Status",
-    "Watch",
     "ask",
     "cancelling",
     "interrupted",
@@ -68,6 +66,5 @@ __getattr__, __dir__ = lazy_names(
             "Outcome",
             "Status",
         ),
-        "watch": ("Watch",),
     },
 )

@@ -14,8 +14,7 @@ from hil.run.engine.clock import LONGEST_WAIT_S, Clock
 from hil.run.engine.recording import Position, Publisher, Recorder
 from hil.run.engine.status import Status
 from hil.run.engine.supervisor import Supervisor
-from hil.run.engine.watch import GuardedWatch, Watch
-from hil.run.interlocks import Residuals
+from hil.run.interlocks import GuardedWatch, Residuals, Watch
 from hil.run.outputs import GoodReadings, Outputs, SetpointReadback, WriteConfirmation, safe_limits
 from hil.run.restore import Resumption
 

@@ -1,4 +1,4 @@
-"""Engine: fixed ticks; each reads all groups, judges, obeys, writes set-points, journals and publishes.
+"""Engine of a run: each tick reads all signals, checks the interlocks, obeys requests, writes set-points and records.
 
 The table in `hil.journal.states` has the states and what may follow; the outputs follow from the state alone. The
 heater ends at its safe value on every way out: normal end, stop request, interlock, lost link, exception. There is one
@@ -32,7 +32,7 @@ OBSERVE_EVERY_S = 0.2
 
 
 class Engine:
-    """One run of `profile` on an open-able `connection`, journaled in `journal`."""
+    """One run of a load profile on a rig; `connection` is opened by the run, and `journal` records it."""
 
     def __init__(
         self,
@@ -51,8 +51,6 @@ class Engine:
         self._ending = Ending(parts, self._work)
         self._found_safe = False
         self._shown_s = 0.0
-
-    # Requests of others ------------------------------------------------------------------------
 
     def request_stop(self, reason: str) -> None:
         """See `Supervisor.request_stop`."""
@@ -94,8 +92,6 @@ class Engine:
             {point.name: point.unit for point in self._parts.rig.point if point.kind == "measured"},
             self._ending.not_safe(),
         )
-
-    # A run from its beginning to its end -------------------------------------------------------
 
     async def run(self) -> Outcome:
         """Run to the end; whatever happens, the rig is made safe before this returns."""

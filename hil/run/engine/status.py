@@ -28,7 +28,7 @@ class Status:
     warnings: tuple[str, ...]
     units: dict[str, str] = field(default_factory=dict)
     not_safe: str = ""
-    """Of a run whose outputs are to be safe: the reading, or the read-back, that contradicts it; else empty."""
+    """Reading or read-back that contradicts safe outputs, in a run whose outputs are to be safe; else empty."""
 
 
 @dataclass(slots=True)
@@ -50,7 +50,7 @@ class Outcome:
     guardian: str = ""
     """Action of the guardian, where it acted."""
     deviations: list[str] = field(default_factory=list)
-    """Of a run that was done: set-points whose meters did not show what was asked, a sentence each."""
+    """Set-points of a run to the end whose meters did not show what was asked, a sentence each."""
 
     @property
     def in_order(self) -> bool:

@@ -63,8 +63,10 @@ class LockFolder:
     def take(self, name: str) -> LockFile | None:
         """Return the lock file `name`, locked; None where another process holds it.
 
-        Raises:
-            OSError: the file cannot be made, or the file system has no locks.
+        Raises
+        ------
+        OSError
+            The file cannot be made, or the file system has no locks.
         """
         while True:
             handle = os.open(name, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600, dir_fd=self._handle)

@@ -34,8 +34,10 @@ def take_name(name: str) -> socket.socket | NameHolder | None:
 
     Systems without such names give None.
 
-    Raises:
-        OSError: the socket cannot be made or bound.
+    Raises
+    ------
+    OSError
+        The socket cannot be made or bound.
     """
     if sys.platform != "linux":
         return None

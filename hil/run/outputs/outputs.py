@@ -19,10 +19,14 @@ _HELD = 0.01
 class Outputs:
     """Set-points of a rig from its safe values on.
 
-    Attributes:
-        values: what the rig was told last, or holds where a write was not confirmed and it could be asked, by point.
-        unknown: points whose value in the rig is one of two: a write of them was not confirmed.
-        unconfirmed: why the rig has not confirmed what it was told last; empty where it has.
+    Attributes
+    ----------
+    values
+        What the rig was told last, or holds where a write was not confirmed and it could be asked, by point.
+    unknown
+        Points whose value in the rig is one of two: a write of them was not confirmed.
+    unconfirmed
+        Why the rig has not confirmed what it was told last; empty where it has.
     """
 
     def __init__(self, connection: RigConnection) -> None:

@@ -56,10 +56,16 @@ class Safed:
 class Meanwhile:
     """Calls while the rig is made safe.
 
-    Attributes:
-        progress: before each attempt. failed: after each that failed; returns whether somebody else has made the rig
-            safe. stays: which meter does not come down, counted from when its heater was first told to be safe; None
-            counts from now. contested: returns whether another master has written to the rig of late.
+    Attributes
+    ----------
+    progress
+        Before each attempt.
+    failed
+        After each that failed; returns whether somebody else has made the rig safe.
+    stays
+        Which meter does not come down, counted from when its heater was first told to be safe; None counts from now.
+    contested
+        Returns whether another master has written to the rig of late.
     """
 
     progress: Callable[[], None] = lambda: None
@@ -78,10 +84,26 @@ async def make_safe(
     hurried: Callable[[], bool],
     meanwhile: Meanwhile | None = None,
 ) -> Safed:
-    """Write `safe_values` in their order, read them back, and wait until the measured values follow.
+    """Write the safe values in their order, read them back, and wait until the measured values follow.
 
-    A lost link is retried for `WRITE_DEADLINE_S` of wall time. `advance` lets one period of rig time pass. When
-    `hurried()` turns true the waits are cut short; the writing and its read-back never are. Raises nothing.
+    A lost link is retried for `WRITE_DEADLINE_S` of wall time. The function raises nothing.
+
+    Parameters
+    ----------
+    connection
+        Connection to the rig.
+    safe_values
+        Set-point -> safe value in its unit, in the order of writing.
+    heartbeat
+        Function that returns the values of the next heartbeat.
+    advance
+        Function that lets one period of rig time pass.
+    period_s
+        Period of the rig, s.
+    hurried
+        Function that turns true when the waits are to be cut short; writing and read-back never are.
+    meanwhile
+        Reports and checks while the function waits, or None for none.
     """
     meanwhile = meanwhile or Meanwhile()
     began = time.monotonic()

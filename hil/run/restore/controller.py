@@ -58,12 +58,18 @@ class ThermalController:
     ) -> None:
         """Update `correction` with one measurement.
 
-        Args:
-            deviation_K: mean deviation, K; positive where the plant is too hot.
-            passed_s: time since the last measurement, s.
-            held: an operator keeps the outputs, so that the integral stands.
-            low: no output can cool any more.
-            high: no output can warm any more.
+        Parameters
+        ----------
+        deviation_K
+            Mean deviation, K; positive where the plant is too hot.
+        passed_s
+            Time since the last measurement, s.
+        held
+            An operator keeps the outputs, so that the integral stands.
+        low
+            No output can cool any more.
+        high
+            No output can warm any more.
         """
         if not math.isfinite(self._smooth):
             self._smooth = self._before = deviation_K

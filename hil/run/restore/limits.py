@@ -51,12 +51,18 @@ class ThermalLimits:
     ) -> None:
         """Update the forecast with one tick.
 
-        Args:
-            now_s: rig time, s.
-            off_K: deviation of each temperature, K.
-            outputs: outputs as shares of their ranges, 0 to 1.
-            left_s: time left until the time-out, s.
-            full: the outputs cannot reduce the mean deviation any further.
+        Parameters
+        ----------
+        now_s
+            Rig time, s.
+        off_K
+            Deviation of each temperature, K.
+        outputs
+            Outputs as shares of their ranges, 0 to 1.
+        left_s
+            Time left until the time-out, s.
+        full
+            The outputs cannot reduce the mean deviation any further.
         """
         rows = self._rows
         rows.append((now_s, list(off_K), list(outputs)))

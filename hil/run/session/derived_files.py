@@ -103,15 +103,23 @@ def derive_files(
 ) -> DerivedFiles:
     """Write `manifest` as `run.json`, then every file that is derived from the journal of the run in `folder`.
 
-    Args:
-        folder: folder of an ended run. The files follow it if it was moved while this process held it.
-        manifest: content of `run.json`; its `missing` and `adoption` are set.
-        announce: gets a line for each file, and for those that could not be made.
-        there: names of files that are not made again.
-        signals: signals of the run; a deliberate one ends the making of files, and nothing else.
+    Parameters
+    ----------
+    folder
+        Folder of an ended run. The files follow it if it was moved while this process held it.
+    manifest
+        Content of `run.json`; its `missing` and `adoption` are set.
+    announce
+        Gets a line for each file, and for those that could not be made.
+    there
+        Names of files that are not made again.
+    signals
+        Signals of the run; a deliberate one ends the making of files, and nothing else.
 
-    Raises:
-        FolderLostError: the folder was deleted, or `run.json` cannot be written; the message names a copy of it.
+    Raises
+    ------
+    FolderLostError
+        The folder was deleted, or `run.json` cannot be written; the message names a copy of it.
     """
     try:
         place = folder.located()

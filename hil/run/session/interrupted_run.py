@@ -38,14 +38,21 @@ FILES = {
 def confirmed_position(folder: RunFolder, gap_s: float | None, announce: Callable[[str], None]) -> RunPosition:
     """Return the position of the run in `folder`, its gap checked against all clocks (`with_gap`).
 
-    Args:
-        folder: folder of an interrupted run.
-        gap_s: gap that a person states, s; None to take it from the clocks.
-        announce: gets a warning where the wall clock was set since.
+    Parameters
+    ----------
+    folder
+        Folder of an interrupted run.
+    gap_s
+        Gap that a person states, s; None to take it from the clocks.
+    announce
+        Gets a warning where the wall clock was set since.
 
-    Raises:
-        JournalError: the journal cannot be read.
-        RunFolderError: the run has no sample, or its gap is not plausible and `gap_s` is None.
+    Raises
+    ------
+    JournalError
+        The journal cannot be read.
+    RunFolderError
+        The run has no sample, or its gap is not plausible and `gap_s` is None.
     """
     was = position_of(folder)
     reader = _reader(folder)

@@ -12,8 +12,8 @@ from drivers.signals import ConfigurationError
 from hil.profile import WINDOW_S, Profile, SetpointLimit, read_profile, validate
 from hil.rig import unguarded
 from hil.run.outputs import setpoint_columns
-from hil.run.session.live_test import PreparedTest, prepared_test
 from hil.run_folder import Labels
+from hil.testing import PreparedTest, prepared_test
 from hil.tracking import DEFAULT, STATIC, NetworkMode, TrackingConfig
 
 if TYPE_CHECKING:
@@ -270,8 +270,10 @@ def setpoint_limits(rig: Rig) -> dict[str, SetpointLimit]:
 def _check_twin_columns(path: Path, network: Network, rig: Rig) -> list[str]:
     """Return notes on inputs of the twin that are not measured, so that a set-point replaces them.
 
-    Raises:
-        ConfigurationError: an input is neither measured nor a set-point, or a sensor is not measured.
+    Raises
+    ------
+    ConfigurationError
+        An input is neither measured nor a set-point, or a sensor is not measured.
     """
     measured = {point.as_signal().column for point in rig.point if point.is_polled}
     commanded = {point.as_signal().column for point in rig.setpoints} - measured

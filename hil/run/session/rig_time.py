@@ -21,8 +21,12 @@ async def rig_and_clock(
 
     A virtual rig starts `starts_s` seconds after the request's start in its time, and ends with the block.
 
-    Raises:
-        LinkError: the rig in lockstep cannot be reached. VirtualRigError: the virtual rig cannot be started.
+    Raises
+    ------
+    LinkError
+        The rig in lockstep cannot be reached.
+    VirtualRigError
+        The virtual rig cannot be started.
     """
     if request.control is not None:
         lockstep = LockstepClock(*request.control)

@@ -9,20 +9,19 @@ from collections.abc import Callable, Coroutine
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from drivers.rig import RigConnection
+from drivers.rig import RigConnection, rig_signals
 from hil.diagnosis import Reply
 from hil.journal import ENDED, Header, JournalError, JournalWriter, State
 from hil.run.engine import Engine, Options, Outcome, RunSignals, Status, interrupted, serving, stopping
 from hil.run.locks import RigClaim
 from hil.run.restore import Resumption, clocks_recorded, restore_calibrators
 from hil.run.session.derived_files import REVIEW, DerivedFiles, derive_files
-from hil.run.session.live_test import live_watch
 from hil.run.session.manifest import RUN_UID, end_entries
 from hil.run.session.request import RunInputs, RunRequest
-from hil.run.session.rig_signals import signals_of
 from hil.run.session.rig_time import rig_and_clock
 from hil.run.session.services import Publishers, guard_of, live_review, start_diagnosis, start_tracking
 from hil.run_folder import RunFolder
+from hil.testing import live_watch
 from hil.tracking import STATIC, Adoption, Comparison, Tracking
 
 
@@ -244,7 +243,7 @@ async def _restored(
 def _header(ready: RunInputs, calibrators: tuple[str, ...]) -> Header:
     network = ready.network
     return Header(
-        signals=signals_of(ready.rig),
+        signals=rig_signals(ready.rig),
         twin_sensors={} if network is None else dict(network.sensor_columns),
         twin_names=() if network is None else (STATIC, *calibrators),
         profile=ready.profile.name,

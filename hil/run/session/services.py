@@ -7,6 +7,7 @@ import contextlib
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 
+from drivers.rig import rig_signals
 from drivers.rig_file import Rig
 from hil.diagnosis import LiveConfig, LiveDiagnosis, commissioned_on
 from hil.guardian import Guard, GuardianClient, NoGuard
@@ -14,14 +15,13 @@ from hil.journal import JournalWriter
 from hil.run.engine import Publisher
 from hil.run.locks import RigClaim
 from hil.run.session.request import RunInputs, RunRequest, tracking_config
-from hil.run.session.rig_signals import signals_of
 from hil.run_folder import RunFolder
 from hil.tracking import Advice, Tracking
 
 
 async def start_tracking(request: RunRequest, ready: RunInputs) -> Tracking | None:
     """Start the calibrators of a run in processes of their own; return None without a twin."""
-    config = tracking_config(request, ready, tuple(signal.column for signal in signals_of(ready.rig)))
+    config = tracking_config(request, ready, tuple(signal.column for signal in rig_signals(ready.rig)))
     if config is None or ready.network is None:
         return None
     advise = None if request.network_mode == "shadow" else Advice(ready.network).news

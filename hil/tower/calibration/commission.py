@@ -8,17 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.record.raw import RecordError
+from hil.record import RecordError
 from hil.tower.calibration.healthy import Healthy
 from hil.tower.calibration.station_fit import priors_of, site_of
 from hil.tower.station import read_cell, read_notes, read_object, read_rows
 from twin.network import Network, Revision, digest
+from twin.tower import CellModel, Inputs, cell_network, cell_of, design_of, minutes_of, value_of
 from twin.tower.calibration import CalibrationError, fit_cell
-from twin.tower.cell import Inputs
-from twin.tower.clean_cell.commissioning import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
-from twin.tower.minutes import minutes_of
-from twin.tower.model import CellModel
-from twin.tower.twin_file import cell_network, cell_of, design_of, value_of
+from twin.tower.clean_cell import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
 
 REQUIRED = (
     "cell",
@@ -60,8 +57,10 @@ class CommissioningPoints:
 def read_points(path: Path, cell: int, site_kPa: float = 101.325) -> CommissioningPoints:
     """Return the test points of a cell.
 
-    Raises:
-        RecordError: a column or the cell is missing, or a value is no number or cannot be in the column's unit.
+    Raises
+    ------
+    RecordError
+        A column or the cell is missing, or a value is no number or cannot be in the column's unit.
     """
     rows, names, cells = [], [], set()
     for line, row in read_rows(path, REQUIRED):
@@ -92,8 +91,10 @@ def read_points(path: Path, cell: int, site_kPa: float = 101.325) -> Commissioni
 def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, CommissionedCell, CommissioningPoints]:
     """Return the twin of a clean cell, its fit and the test points.
 
-    Raises:
-        RecordError: a file cannot be used, or the fit describes no cooling tower.
+    Raises
+    ------
+    RecordError
+        A file cannot be used, or the fit describes no cooling tower.
     """
     sheet = read_object(datasheet)
     design = sheet.get("design", {})
@@ -127,8 +128,10 @@ def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, 
 def learn_healthy(record: Path, network: Network, span: tuple[float, float]) -> Healthy:
     """Return what the healthy span of a record teaches of a clean cell's constants and discrepancy.
 
-    Raises:
-        RecordError: the record cannot be used or has too little of the span.
+    Raises
+    ------
+    RecordError
+        The record cannot be used or has too little of the span.
     """
     cell, design = read_cell(record, cell_of(network)), design_of(network)
     share = value_of(network, "cell.bypass_share")

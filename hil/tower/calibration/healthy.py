@@ -9,16 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.files.atomic import replacing
-from hil.record.raw import RecordError
+from hil.files import replacing
+from hil.record import RecordError
 from hil.tower.station import read_object, seconds
 from twin.network import Network
-from twin.tower.air import Array
-from twin.tower.cell_observations.evidence import Label
-from twin.tower.clean_cell import discrepancy
-from twin.tower.minutes import Minutes
-from twin.tower.model import NAMES
-from twin.tower.smoother import DAY_S, Priors
+from twin.tower import DAY_S, NAMES, Array, Minutes, Priors
+from twin.tower.cell_observations import Label
+from twin.tower.clean_cell import FEATURES
 
 CLEAN = {"fill": 0.015, "air": 0.01, "uniformity": 0.01}
 """Standard deviation of the deviations of a cell that counts as clean: two to four weeks of scale, an air flow as it
@@ -44,8 +41,10 @@ class Healthy:
 def parse_span(text: str) -> tuple[float, float]:
     """Return the span of FROM..TO, s since 1970.
 
-    Raises:
-        RecordError: it is no span.
+    Raises
+    ------
+    RecordError
+        It is no span.
     """
     try:
         start, end = (seconds(part) for part in text.split(".."))
@@ -64,8 +63,10 @@ def path_beside(twin: Path, network: Network) -> Path:
 def write_healthy(healthy: Healthy, path: Path) -> None:
     """Write a healthy record.
 
-    Raises:
-        OSError: the file cannot be written.
+    Raises
+    ------
+    OSError
+        The file cannot be written.
     """
     text = json.dumps(
         {
@@ -84,13 +85,15 @@ def write_healthy(healthy: Healthy, path: Path) -> None:
 def read_healthy(path: Path) -> Healthy | None:
     """Return the healthy record beside a twin, None without one.
 
-    Raises:
-        RecordError: the file is damaged or of another version.
+    Raises
+    ------
+    RecordError
+        The file is damaged or of another version.
     """
     if not path.exists():
         return None
     found = read_object(path)
-    count = len(NAMES) + discrepancy.FEATURES
+    count = len(NAMES) + FEATURES
     try:
         healthy = Healthy(
             seconds(found["from"]),

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.files.atomic import replacing
+from hil.files import replacing
 from hil.tower.calibration.truth import TruthColumns
-from twin.historian.events import Event, influence_of
+from twin.historian import Event, influence_of
 
 TITLES = {
     "fill": "fill, share of clean",
@@ -40,8 +40,25 @@ def draw_cell(
 ) -> None:
     """Draw the calibration of a cell into `path` (.png or .svg).
 
-    Raises:
-        OSError: a file cannot be read or written.
+    Parameters
+    ----------
+    calibrated
+        Columns of the calibration, by day.
+    path
+        Picture to write.
+    cell
+        Number of the cell.
+    truth
+        True deviations of a simulated station, or None.
+    labels
+        File of tests of the fill, or None.
+    events
+        Entries of the maintenance record.
+
+    Raises
+    ------
+    OSError
+        A file cannot be read or written.
     """
     from matplotlib.figure import Figure
 

@@ -12,8 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from hil.files.atomic import replacing
-from hil.record.raw import RecordError
+from hil.files import replacing
+from hil.record import RecordError
 from hil.tower.calibration.healthy import known_by, path_beside, read_healthy
 from hil.tower.station import (
     CellRecord,
@@ -27,18 +27,28 @@ from hil.tower.station import (
     station_of,
 )
 from twin.network import Network, TwinFileError
-from twin.tower.air import Array
+from twin.tower import (
+    DEVIATIONS,
+    IDS,
+    MEASURED,
+    Array,
+    CellModel,
+    DesignPoint,
+    Minutes,
+    Opening,
+    Priors,
+    cell_of,
+    design_of,
+    minutes_of,
+    station_of_twin,
+    time_grid,
+    value_of,
+)
 from twin.tower.calibration import NORMAL, Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
-from twin.tower.cell_observations.evidence import Label
-from twin.tower.change_detection.changes import undeclared_changes
-from twin.tower.change_detection.steps import Step, find_steps
-from twin.tower.diagnosis.adoption import effects_of
-from twin.tower.minutes import MEASURED, Minutes, minutes_of
-from twin.tower.model import DEVIATIONS, CellModel, DesignPoint
-from twin.tower.shared_observations.basin import Drain, with_basin
-from twin.tower.shared_observations.evaporation import Balance, with_evaporation
-from twin.tower.smoother import Opening, Priors, time_grid
-from twin.tower.twin_file import IDS, cell_of, design_of, station_of_twin, value_of
+from twin.tower.cell_observations import Label
+from twin.tower.change_detection import Step, find_steps, undeclared_changes
+from twin.tower.diagnosis import effects_of
+from twin.tower.shared_observations import Balance, Drain, with_basin, with_evaporation
 from twin.twinfile import load
 
 TABLE = "calibrated.parquet"
@@ -73,8 +83,10 @@ def calibrate(
 ) -> tuple[list[CellResult], StationNotes]:
     """Calibrate the cells of these twins on a record.
 
-    Raises:
-        RecordError, TwinFileError: a file cannot be used, or the record cannot calibrate a cell.
+    Raises
+    ------
+    RecordError, TwinFileError
+        A file cannot be used, or the record cannot calibrate a cell.
     """
     drafts, notes = fitted_drafts(record, twins, labels, events)
     records = [draft.record for draft in drafts]
@@ -249,8 +261,10 @@ def _drain(fitted: Fitted, record: CellRecord) -> Drain:
 def load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Network]]:
     """Return file and network of each twin by its cell.
 
-    Raises:
-        RecordError, TwinFileError: a twin is of no cell of the record, or of the cell of another one.
+    Raises
+    ------
+    RecordError, TwinFileError
+        A twin is of no cell of the record, or of the cell of another one.
     """
     loaded: dict[int, tuple[Path, Network]] = {}
     there = cells_of(record)
@@ -333,8 +347,21 @@ def fit_with_steps(
 ) -> tuple[Fitted, tuple[Step, ...], tuple[Opening, ...]]:
     """Fit a cell; where its thermometer has stepped, or a deviation jumped undeclared, fit it again with that opened.
 
-    Raises:
-        CalibrationError: the record has too few steady minutes.
+    Parameters
+    ----------
+    model, priors
+        The cell, and the priors of its deviations.
+    minutes, record
+        Minutes of the cell, and the record that they are from.
+    labels
+        Tests of the fill and of the air flow.
+    openings
+        Times at which the maintenance record lets a deviation jump.
+
+    Raises
+    ------
+    CalibrationError
+        The record has too few steady minutes.
     """
     edges = time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1]))
     fitted = fit_cell(model, minutes, priors, labels, openings, edges)
@@ -384,8 +411,10 @@ def site_of(notes: StationNotes, bypass_share: float) -> DesignPoint:
 def openings_of(notes: StationNotes, cell: int) -> tuple[Opening, ...]:
     """Return the jumps that the station's events open for a cell.
 
-    Raises:
-        RecordError: an event of the record has no time.
+    Raises
+    ------
+    RecordError
+        An event of the record has no time.
     """
     found = []
     for event in notes.events:
@@ -435,8 +464,10 @@ def withheld(result: CellResult, j: int) -> tuple[Array, Array]:
 def write_table(results: Sequence[CellResult], out: Path) -> Path:
     """Write the minutes of all cells into the folder `out`, all or nothing.
 
-    Raises:
-        OSError: the folder cannot be written.
+    Raises
+    ------
+    OSError
+        The folder cannot be written.
     """
     out.mkdir(parents=True, exist_ok=True)
     with replacing(out / TABLE) as unfinished:

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from hil.record.raw import RecordError
+from hil.record import RecordError
 
 PARAMETERS = ("fill", "air", "uniformity", "bias")
 TruthColumns = dict[str, NDArray[Any]]
@@ -24,8 +24,10 @@ TruthColumns = dict[str, NDArray[Any]]
 def read_minutes(path: Path, needed: tuple[str, ...], remedy: str) -> dict[int, TruthColumns]:
     """Return the columns of a table of minutes by cell; `time` as datetime64[ms].
 
-    Raises:
-        RecordError: the file cannot be read or lacks a column; the message ends with `remedy`.
+    Raises
+    ------
+    RecordError
+        The file cannot be read or lacks a column; the message ends with `remedy`.
     """
     try:
         table = pq.read_table(path)
@@ -46,8 +48,10 @@ def read_minutes(path: Path, needed: tuple[str, ...], remedy: str) -> dict[int, 
 def read_truth(path: Path) -> dict[int, TruthColumns]:
     """Return the truth by cell.
 
-    Raises:
-        RecordError: the file cannot be read or lacks a column.
+    Raises
+    ------
+    RecordError
+        The file cannot be read or lacks a column.
     """
     return read_minutes(path, ("running", "t_out", *PARAMETERS), "use truth.parquet of hil tower simulate --score")
 

@@ -25,11 +25,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from twin.tower.air import Array
-from twin.tower.cell_observations.evidence import Label
-from twin.tower.identify import MOST_HIDDEN
-from twin.tower.model import DEVIATIONS
-from twin.tower.windows import TargetWindow
+from twin.tower import DEVIATIONS, MOST_HIDDEN, Array, TargetWindow
+from twin.tower.cell_observations import Label
 
 MOST_HALF_K = 0.8
 MOST_DROPPED = 0.25
@@ -75,9 +72,12 @@ def judge(
 ) -> list[Verdict]:
     """Return the verdict on each window.
 
-    Parameters:
-        distance: of each window from the envelope. dropped, bypass: share of its minutes without wet bulb, and with
-        bypass.
+    Parameters
+    ----------
+    distance
+        Of each window from the envelope.
+    dropped, bypass
+        Share of its minutes without wet bulb, and with bypass.
     """
     finite = distance[np.isfinite(distance)]
     limit = float(np.quantile(finite, ENVELOPE_QUANTILE)) if len(finite) else np.inf

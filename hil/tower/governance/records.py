@@ -25,12 +25,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.files.atomic import replacing
-from hil.record.raw import RecordError
+from hil.files import replacing
+from hil.record import RecordError
 from hil.tower.governance.gates import Verdict
 from hil.tower.station import iso
-from twin.tower.air import Array
-from twin.tower.windows import TargetWindow
+from twin.tower import Array, TargetWindow
 
 RECORDS, QUEUE = "records.jsonl", "review_queue.json"
 STATES = ("shadow", "advisory", "controlled")
@@ -106,9 +105,12 @@ def append_records(path: Path, cells: Sequence[CellLines], state: str) -> int:
     """Append the records of the cells to the file and return their number; times that it has already are not written
     again.
 
-    Raises:
-        RecordError: the file ends in the middle of a line or a line of it was changed.
-        OSError: the file cannot be written.
+    Raises
+    ------
+    RecordError
+        The file ends in the middle of a line or a line of it was changed.
+    OSError
+        The file cannot be written.
     """
     last, until = check_records(path)
     count, size = 0, path.stat().st_size if path.is_file() else 0
@@ -170,8 +172,10 @@ def _rounded(values: Array, digits: int) -> list[float | None]:
 def check_records(path: Path) -> tuple[str, dict[int, float]]:
     """Return the hash of the last line, and the last time of each cell s; "" and nothing of a file that is not there.
 
-    Raises:
-        RecordError: a line is damaged, or does not follow from the one before.
+    Raises
+    ------
+    RecordError
+        A line is damaged, or does not follow from the one before.
     """
     if not path.is_file():
         return "", {}

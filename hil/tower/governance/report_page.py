@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 
-from hil.record.raw import RecordError
+from hil.record import RecordError
 from hil.tower.calibration import TABLE
 from hil.tower.governance.records import QUEUE, RECORDS, check_records
-from twin.tower.model import DEVIATIONS
+from twin.tower import DEVIATIONS
 
 REPORT = "report.md"
 
@@ -35,8 +35,10 @@ class _Cell:
 def report(out: Path) -> str:
     """Return the report of a calibration's folder.
 
-    Raises:
-        RecordError: the folder holds no calibration, or its records were changed.
+    Raises
+    ------
+    RecordError
+        The folder holds no calibration, or its records were changed.
     """
     path = out / TABLE
     if not path.is_file():

@@ -27,12 +27,19 @@ from hil.tower.governance.records import (
 from hil.tower.station import StationNotes, iso, seconds
 from twin.network import Revision
 from twin.revisions import save_revision
-from twin.tower.air import Array
+from twin.tower import (
+    DEVIATIONS,
+    IDS,
+    MOST_CONDITION,
+    Array,
+    CellModel,
+    TargetWindow,
+    design_of,
+    distances,
+    value_of,
+    windows_of,
+)
 from twin.tower.calibration import WINDOW_S
-from twin.tower.identify import MOST_CONDITION
-from twin.tower.model import DEVIATIONS, CellModel
-from twin.tower.twin_file import IDS, design_of, value_of
-from twin.tower.windows import TargetWindow, distances, windows_of
 
 REQUIRED = ("t_in_C", "t_out_C", "m_w_kg_s", "fan_speed_pct", "fan_power_kW", "dry_C", "pressure_kPa")
 """Channels that a calibration needs, beside a wet bulb."""
@@ -75,9 +82,12 @@ class CellGovernance:
 def govern(results: Sequence[CellResult], notes: StationNotes, out: Path, state: str) -> list[CellGovernance]:
     """Write records and review queue of the cells into `out`, and revisions of their twins in the controlled state.
 
-    Raises:
-        RecordError: the records that are there were changed.
-        OSError, TwinFileError: a file cannot be written.
+    Raises
+    ------
+    RecordError
+        The records that are there were changed.
+    OSError, TwinFileError
+        A file cannot be written.
     """
     found, lines, queue = [], [], []
     for result in results:

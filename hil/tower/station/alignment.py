@@ -51,14 +51,22 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from drivers.historian import HistorianStore, Samples
-from hil.record.raw import RecordError
+from hil.record import RecordError
 from hil.tower.station.description import Station
 from hil.tower.station.errors import TowerOutputError
+from twin.historian import (
+    CellMinutes,
+    Defect,
+    Event,
+    Series,
+    cell_minutes,
+    disturbed,
+    in_usual_units,
+    influence_of,
+    order_and_silence,
+    shared_minutes,
+)
 from twin.historian.defects import Repaired, find_and_repair
-from twin.historian.events import Event, disturbed, influence_of
-from twin.historian.plausible import in_usual_units, order_and_silence
-from twin.historian.record import CellMinutes, cell_minutes, shared_minutes
-from twin.historian.tags import Defect, Series
 
 FORMAT = 1
 
@@ -77,10 +85,14 @@ class Aligned:
 def align(store: HistorianStore, station: Station, out: Path) -> Aligned:
     """Write the aligned record of the station's tags into the folder `out` and return the report.
 
-    Raises:
-        RecordError: the store has none of the tags, or no minute.
-        HistorianError: the store fails.
-        TowerOutputError: the folder cannot be written; nothing is left half written.
+    Raises
+    ------
+    RecordError
+        The store has none of the tags, or no minute.
+    HistorianError
+        The store fails.
+    TowerOutputError
+        The folder cannot be written; nothing is left half written.
     """
     raw, remarks = read_series(store, station)
     remarks = [*station.remarks, *remarks, *order_and_silence(raw, station.places)]

@@ -82,9 +82,27 @@ async def collect(
     number, so that a gap of the link is not taken for a value that stands still. What was collected is stored when the
     collection ends, however it ends.
 
-    Raises:
-        LinkError: the rig cannot be reached at the beginning; later failures are counted.
-        HistorianError: the store fails.
+    Parameters
+    ----------
+    rig
+        Rig of the station.
+    into
+        Store of a historian.
+    every_s
+        Interval of the polls, s.
+    minutes
+        Duration, or None for no end.
+    now
+        Clock, s since 1970.
+    progress
+        Function that gets the state after each poll.
+
+    Raises
+    ------
+    LinkError
+        The rig cannot be reached at the beginning; later failures are counted.
+    HistorianError
+        The store fails.
     """
     connection = RigConnection(rig, time.monotonic)
     await connection.connect()

@@ -8,12 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hil.record.raw import RecordError
+from hil.record import RecordError
 from hil.tower.station.input_files import read_object, read_rows
-from twin.historian.columns import OF_CELL, OF_STATION
-from twin.historian.events import Event
-from twin.historian.tags import Tag
-from twin.historian.units import UnitError, unit_of
+from twin.historian import OF_CELL, OF_STATION, Event, Tag, UnitError, unit_of
 
 REQUIRED = ("tag", "unit", "role")
 
@@ -62,10 +59,11 @@ class Station:
 def read_station(tags: Path, datasheet: Path | None = None, events: Path | None = None) -> Station:
     """Return the station of these files.
 
-    Raises:
-        RecordError: a file cannot be read, lacks a column, or a line of it has an unknown unit, role or time; the
-        message
-            names file, line, tag and remedy.
+    Raises
+    ------
+    RecordError
+        A file cannot be read, lacks a column, or a line of it has an unknown unit, role or time; the message names
+        file, line, tag and remedy.
     """
     dictionary, remarks, places = _tags(tags)
     sheet = _datasheet(datasheet) if datasheet is not None else {}
@@ -144,8 +142,10 @@ def _datasheet(path: Path) -> dict[str, Any]:
 def read_events(path: Path) -> tuple[Event, ...]:
     """Return the events of a station in the order of time.
 
-    Raises:
-        RecordError: a column is missing, or a line has no time or cell that can be read.
+    Raises
+    ------
+    RecordError
+        A column is missing, or a line has no time or cell that can be read.
     """
     found = []
     for line, row in read_rows(path, ("time", "event")):

@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from drivers.rig_file import read_regular
-from hil.record.raw import RecordError
+from hil.record import RecordError
 
 
 def read_rows(path: Path, required: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:
     """Return the rows of a CSV table with their line numbers; cells without the blanks around them.
 
-    Raises:
-        RecordError: the file cannot be read, is no UTF-8 text, or lacks a column.
+    Raises
+    ------
+    RecordError
+        The file cannot be read, is no UTF-8 text, or lacks a column.
     """
     reader = csv.DictReader(_text(path).splitlines())
     missing = [name for name in required if name not in (reader.fieldnames or ())]
@@ -28,8 +30,10 @@ def read_rows(path: Path, required: tuple[str, ...]) -> list[tuple[int, dict[str
 def read_object(path: Path) -> dict[str, Any]:
     """Return the object of a JSON file.
 
-    Raises:
-        RecordError: the file cannot be read, is not JSON or not an object.
+    Raises
+    ------
+    RecordError
+        The file cannot be read, is not JSON or not an object.
     """
     try:
         found = json.loads(_text(path))

@@ -16,13 +16,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from hil.record.raw import RecordError
+from hil.record import RecordError
 from hil.tower.station.alignment import event_entry
 from hil.tower.station.description import read_events
 from hil.tower.station.input_files import read_rows
-from twin.tower.air import Array
-from twin.tower.cell_observations.evidence import Label
-from twin.tower.twin_file import BOUNDS
+from twin.tower import BOUNDS, Array
+from twin.tower.cell_observations import Label
 
 NEEDED = ("t_in_C", "t_out_C", "m_w_kg_s", "dry_C")
 """Columns without which no outlet can be predicted; the fan's speed or its command, and a wet bulb, are needed as
@@ -69,8 +68,10 @@ def station_of(record: Path, cell: int) -> str:
 def read_cell(record: Path, cell: int) -> CellRecord:
     """Return the minutes of a cell.
 
-    Raises:
-        RecordError: the record has no such cell, its file is damaged, or a needed column is missing throughout.
+    Raises
+    ------
+    RecordError
+        The record has no such cell, its file is damaged, or a needed column is missing throughout.
     """
     path = record / f"cell{cell}.parquet"
     if not path.is_file():
@@ -118,8 +119,10 @@ def _refuse_empty(path: Path, columns: dict[str, Array]) -> None:
 def read_notes(record: Path) -> StationNotes:
     """Return datasheet and events of a record; nothing where it has none.
 
-    Raises:
-        RecordError: the file is damaged.
+    Raises
+    ------
+    RecordError
+        The file is damaged.
     """
     path = record / "station.json"
     if not path.is_file():
@@ -134,8 +137,10 @@ def read_notes(record: Path) -> StationNotes:
 def seconds(text: str) -> float:
     """Return a time in ISO 8601 as seconds since 1970; without an offset it is UTC.
 
-    Raises:
-        ValueError: it is no time.
+    Raises
+    ------
+    ValueError
+        It is no time.
     """
     found = datetime.datetime.fromisoformat(text.strip().replace("Z", "+00:00"))
     return (found if found.tzinfo else found.replace(tzinfo=datetime.UTC)).timestamp()
@@ -149,9 +154,10 @@ def event_entries(path: Path) -> tuple[dict[str, Any], ...]:
 def read_labels(path: Path, cells: tuple[int, ...]) -> tuple[Label, ...]:
     """Return the labels of these cells: inspections as intervals, traverses and certificates as points.
 
-    Raises:
-        RecordError: a column is missing, or a line has no time, an unknown parameter or kind, or bounds the wrong way
-        round.
+    Raises
+    ------
+    RecordError
+        A column is missing, or a line has no time, an unknown parameter or kind, or bounds the wrong way round.
     """
     found = [_label(path, line, row) for line, row in read_rows(path, ("time", "cell", "parameter", "kind"))]
     return tuple(label for label in found if label.cell in cells)

@@ -160,8 +160,8 @@ def _wait(running: dict[str, subprocess.Popen[bytes]], until: float, say: Any) -
 
 def _member(o: argparse.Namespace) -> int:
     from twin.calibrators.hiera_unet.device import ready
-    from twin.calibrators.hiera_unet.tower.member import LONGEST, MemberTraining, load_fleet
-    from twin.calibrators.hiera_unet.tower.plan import TowerPlan
+    from twin.calibrators.hiera_unet.tower import MemberTraining, TowerPlan, load_fleet
+    from twin.calibrators.hiera_unet.tower.member import LONGEST
     from twin.calibrators.hiera_unet.tower.predict import NOT_TESTED
 
     ready(o.device, 2 if o.device != "cpu" else 1)
@@ -186,8 +186,8 @@ def _member(o: argparse.Namespace) -> int:
 
 def _adapt(o: argparse.Namespace) -> int:
     from twin.calibrators.hiera_unet.device import ready
-    from twin.calibrators.hiera_unet.tower.member import LONGEST, adapt, load_fleet, load_member, own_rows
-    from twin.calibrators.hiera_unet.tower.plan import TowerPlan
+    from twin.calibrators.hiera_unet.tower import TowerPlan, adapt, load_fleet, load_member
+    from twin.calibrators.hiera_unet.tower.member import LONGEST, own_rows
     from twin.calibrators.hiera_unet.tower.predict import predict
     from twin.calibrators.hiera_unet.tower.score import believed, mixed, scores, targets_of
 
@@ -228,7 +228,7 @@ def _selftest(o: argparse.Namespace) -> int:
 
 def _boost(o: argparse.Namespace) -> int:
     from hil.training.tower.evaluate import boost, evenly, write_boosted
-    from twin.calibrators.hiera_unet.tower.member import load_fleet
+    from twin.calibrators.hiera_unet.tower import load_fleet
 
     began = time.time()
     test = load_fleet(tables(o.work / "data", TEST), "cpu")

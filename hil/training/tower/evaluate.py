@@ -32,16 +32,23 @@ def evaluate(
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return scores as plain data, and arrays by window of the test split.
 
-    Parameters:
-        members: weights by name; `ensemble_of` names those that make the ensemble. most: windows of the test
-        split at most, evenly taken; None for all. boosted: file of `boost`, made now without. half: bfloat16 in
-        the networks' products.
+    Parameters
+    ----------
+    members
+        Weights by name; `ensemble_of` names those that make the ensemble.
+    most
+        Windows of the test split at most, evenly taken; None for all.
+    boosted
+        File of `boost`, made now without.
+    half
+        bfloat16 in the networks' products.
 
-    Raises:
-        HieraError: the folder lacks a split, or a network does not fit.
+    Raises
+    ------
+    HieraError
+        The folder lacks a split, or a network does not fit.
     """
-    from twin.calibrators.hiera_unet.tower import score
-    from twin.calibrators.hiera_unet.tower.member import load_fleet, load_member
+    from twin.calibrators.hiera_unet.tower import load_fleet, load_member, score
     from twin.calibrators.hiera_unet.tower.predict import predict
 
     began = time.monotonic()
@@ -93,8 +100,10 @@ def evaluate(
 def ensemble_of(refused: Mapping[str, str]) -> list[str]:
     """Return the small members that the gate passed, or all small ones where it refused each.
 
-    Parameters:
-        refused: the gate's code, "" where it passed, by the name of a member.
+    Parameters
+    ----------
+    refused
+        The gate's code, "" where it passed, by the name of a member.
     """
     small = [name for name in refused if name.startswith("small")]
     return [name for name in small if not refused[name]] or small
@@ -113,11 +122,14 @@ def boost(
     """Return deviations (K, 4) and outlet (K, 120), degC, of Gauss-Newton corrected by gradient boosting, learned from
     the training split; None without scikit-learn.
 
-    Parameters:
-        test: fleet of the test split. rows: its cycles.
+    Parameters
+    ----------
+    test
+        Fleet of the test split.
+    rows
+        Its cycles.
     """
-    from twin.calibrators.hiera_unet.tower import score
-    from twin.calibrators.hiera_unet.tower.member import load_fleet
+    from twin.calibrators.hiera_unet.tower import load_fleet, score
 
     paths = [path for path in tables(folder, TRAIN) if _has_windows(path)]
     parts = []

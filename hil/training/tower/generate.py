@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.training.tower.stations import StationPlan
-from twin.calibrators.hiera_unet.config import HieraError
+from twin.calibrators.hiera_unet import HieraError
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
 
 MANIFEST = "manifest.json"
@@ -68,11 +68,15 @@ def generate(
 ) -> int:
     """Simulate the stations that `folder` lacks; return the number of stations that are there.
 
-    Parameters:
-        until: time.monotonic() after which no station is begun; those that then run have `GRACE_S`.
+    Parameters
+    ----------
+    until
+        Time.monotonic() after which no station is begun; those that then run have `GRACE_S`.
 
-    Raises:
-        HieraError: the folder holds stations of another plan.
+    Raises
+    ------
+    HieraError
+        The folder holds stations of another plan.
     """
     folder.mkdir(parents=True, exist_ok=True)
     wanted = plan.stations()
@@ -102,9 +106,7 @@ def _in_parallel(
     note: Note,
     stopped: Callable[[], bool],
 ) -> None:
-    from drivers.virtual.tower.export import commissioning_rows
-    from drivers.virtual.tower.sites import MIAMI_SITE
-    from drivers.virtual.tower.station import SimulationPlan, simulate
+    from drivers.virtual.tower import MIAMI_SITE, SimulationPlan, commissioning_rows, simulate
 
     # Compiled once, before the processes part.
     commissioning_rows(simulate(MIAMI_SITE, 1, SimulationPlan(months=0.06, cells=1)))
@@ -186,8 +188,10 @@ def _read(folder: Path) -> dict[str, Any] | None:
 def tables(folder: Path, split: str, station: str = "") -> list[Path]:
     """Return the tables of a split, of one station where it is named.
 
-    Raises:
-        HieraError: the folder has no manifest or none of the split.
+    Raises
+    ------
+    HieraError
+        The folder has no manifest or none of the split.
     """
     document = _read(folder)
     if document is None:

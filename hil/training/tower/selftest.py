@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.calibrators.hiera_unet.tower.cell_table import CellTable
+from twin.calibrators.hiera_unet.tower import CellTable
 from twin.calibrators.hiera_unet.tower.table import CHANNELS, SUBJECT, clock_of
 
 STEPS, TIMED = 12, 8
@@ -66,17 +66,19 @@ def random_table(seed: int) -> CellTable:
 def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:
     """Train, judge, write and read a network of each size on random windows; return a sentence for each.
 
-    Parameters:
-        batches: windows of a step by size.
+    Parameters
+    ----------
+    batches
+        Windows of a step by size.
 
-    Raises:
-        HieraError, RuntimeError: the device cannot do it.
+    Raises
+    ------
+    HieraError, RuntimeError
+        The device cannot do it.
     """
     from twin.calibrators.hiera_unet.device import ready
-    from twin.calibrators.hiera_unet.tower.member import MemberTraining, adapt, load_member
-    from twin.calibrators.hiera_unet.tower.plan import TowerPlan
+    from twin.calibrators.hiera_unet.tower import Fleet, MemberTraining, TowerPlan, adapt, load_member
     from twin.calibrators.hiera_unet.tower.predict import predict
-    from twin.calibrators.hiera_unet.tower.windows import Fleet
 
     ready(device, 1 if device == "cpu" else 2)
     fleet = Fleet([random_table(0), random_table(1)], device)

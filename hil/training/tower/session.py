@@ -36,8 +36,25 @@ def simulate_stations(
 ) -> TowerProgress:
     """Simulate the stations that `folder` lacks, until it has all or the work is stopped.
 
-    Raises:
-        HieraError: the folder holds stations of another plan.
+    Parameters
+    ----------
+    plan
+        Number and length of the stations.
+    folder
+        Folder of the stations.
+    workers
+        Number of processes.
+    minutes
+        Time limit, or None.
+    stopped
+        Function that turns true when the work is to end.
+    say
+        Function that gets the progress.
+
+    Raises
+    ------
+    HieraError
+        The folder holds stations of another plan.
     """
     wanted = len(plan.stations())
     until = None if minutes is None else time.monotonic() + 60.0 * minutes
@@ -64,14 +81,21 @@ def train_member(
 ) -> TowerProgress:
     """Continue the training of `out` until it is stopped, or to its end; then write weights and card.
 
-    Args:
-        folder: of the simulated stations. plan: `twin.calibrators.hiera_unet.tower.plan.TowerPlan`. out: the weights'
-            path; the state of a training that was cut lies in a folder of the same name without suffix.
+    Parameters
+    ----------
+    folder
+        Of the simulated stations.
+    plan
+        `twin.calibrators.hiera_unet.tower.plan.TowerPlan`.
+    out
+        The weights' path; the state of a training that was cut lies in a folder of the same name without suffix.
 
-    Raises:
-        HieraError: the stations cannot be used, or the training that was begun is another one.
+    Raises
+    ------
+    HieraError
+        The stations cannot be used, or the training that was begun is another one.
     """
-    from twin.calibrators.hiera_unet.tower.member import MemberTraining, load_fleet
+    from twin.calibrators.hiera_unet.tower import MemberTraining, load_fleet
 
     family, held_out = load_fleet(tables(folder, TRAIN), device), load_fleet(tables(folder, VALIDATION), device)
     training = MemberTraining(size, plan, family, held_out, out.with_suffix(""), digest_of(folder))

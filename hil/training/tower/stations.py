@@ -14,24 +14,43 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.virtual.tower.effects import EFFECTS
-from drivers.virtual.tower.export import COMMISSIONING, commissioning_rows, datasheet, event_rows
-from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, StationDesign
-from drivers.virtual.tower.station import Simulated, SimulationPlan, simulate, state_by_minute
-from twin.calibrators.hiera_unet.tower.cell_table import CellTable, cell_table
-from twin.historian.events import Event, disturbed, influence_of
-from twin.historian.record import CellMinutes, cell_minutes, shared_minutes
-from twin.historian.tags import Series, Tag
-from twin.tower.air import Array
+from drivers.virtual.tower import (
+    CHICAGO_SITE,
+    COMMISSIONING,
+    EFFECTS,
+    MIAMI_SITE,
+    Simulated,
+    SimulationPlan,
+    StationDesign,
+    commissioning_rows,
+    datasheet,
+    event_rows,
+    simulate,
+    state_by_minute,
+)
+from twin.calibrators.hiera_unet.tower import CellTable
+from twin.calibrators.hiera_unet.tower.cell_table import CellSources, cell_table
+from twin.historian import CellMinutes, Event, Series, Tag, cell_minutes, disturbed, influence_of, shared_minutes
+from twin.tower import (
+    BOUNDS,
+    DEVIATIONS,
+    NAMES,
+    SLOW,
+    Array,
+    CellModel,
+    DesignPoint,
+    Inputs,
+    Minutes,
+    Opening,
+    Priors,
+    Recursion,
+    blocks_of,
+    filter_cell,
+    minutes_of,
+)
 from twin.tower.calibration import fit_cell
-from twin.tower.cell import Inputs
-from twin.tower.cell_observations.evidence import Label
-from twin.tower.clean_cell.commissioning import CommissionedCell, TestPoints, fit_clean_cell
-from twin.tower.minutes import Minutes, blocks_of, minutes_of
-from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel, DesignPoint
-from twin.tower.recursive import Recursion, recursion
-from twin.tower.smoother import Opening, Priors
-from twin.tower.twin_file import BOUNDS
+from twin.tower.cell_observations import Label
+from twin.tower.clean_cell import CommissionedCell, TestPoints, fit_clean_cell
 
 HEALTHY_DAYS = 21
 """Days at the beginning in which a simulated cell is as good as clean: at most three weeks after its cleaning."""
@@ -62,10 +81,18 @@ class StationPlan:
 class CellData:
     """A cell with all that a calibrator may know, and `truth` by minute: water degC and deviations, NaN at rest.
 
-    Attributes:
-        sheet: datasheet. columns: of the aligned record. minutes, recursion, commissioned: as in `twin.tower`.
-        clean, log_clean: (n,) outlet degC and logarithm of the fan power by the commissioned twin. openings,
-        events: of the station's records.
+    Attributes
+    ----------
+    sheet
+        Datasheet.
+    columns
+        Of the aligned record.
+    minutes, recursion, commissioned
+        As in `twin.tower`.
+    clean, log_clean
+        (n,) outlet degC and logarithm of the fan power by the commissioned twin. openings,
+    events
+        Of the station's records.
     """
 
     name: str
@@ -129,8 +156,10 @@ def drawn_site(seed: int) -> tuple[StationDesign, tuple[str, ...]]:
 def station_cells(plan: StationPlan) -> list[CellData]:
     """Simulate a station and return its recorded cells.
 
-    Raises:
-        ValueError: a cell cannot be commissioned or calibrated.
+    Raises
+    ------
+    ValueError
+        A cell cannot be commissioned or calibrated.
     """
     site, hide = drawn_site(plan.seed) if plan.site == "F" else (CHICAGO_SITE if plan.site == OF_A else MIAMI_SITE, ())
     start = datetime.datetime(2022, 1 + plan.seed % 12, 1, tzinfo=datetime.UTC)
@@ -154,19 +183,20 @@ def station_cells(plan: StationPlan) -> list[CellData]:
 def table_of(cell: CellData) -> CellTable:
     """Return the arrays that windows of a simulated cell are cut from."""
     return cell_table(
-        cell.name,
-        cell.sheet,
-        cell.columns,
-        cell.minutes,
-        cell.commissioned.design,
-        cell.clean,
-        cell.log_clean,
-        cell.recursion,
-        cell.events,
-        cell.openings,
-        cell.healthy_end_s,
-        cell.truth_water,
-        cell.truth,
+        CellSources(
+            name=cell.name,
+            sheet=cell.sheet,
+            columns=cell.columns,
+            minutes=cell.minutes,
+            design=cell.commissioned.design,
+            clean=cell.clean,
+            log_clean=cell.log_clean,
+            beliefs=cell.recursion,
+            events=cell.events,
+            healthy_end_s=cell.healthy_end_s,
+            true_water=cell.truth_water,
+            true=cell.truth,
+        )
     )
 
 
@@ -203,7 +233,7 @@ def _cell(
     early = [one for one in labels if one.time_s <= end]
     healthy = fit_cell(model, first, priors, [*stated, *early], [o for o in openings if o.start_s < end]).posterior
     blocks, _ = blocks_of(minutes)
-    beliefs = recursion(model, minutes, blocks, priors, healthy, end, labels, openings)
+    beliefs = filter_cell(model, minutes, blocks, priors, healthy, end, labels, openings)
     state = state_by_minute(made, cell)
     bias = made.truth.held(made.truth.life.bias[:, cell - 1])
     truth = np.stack([*(state[name] - 1.0 for name in DEVIATIONS[:3]), bias], axis=1)
@@ -226,15 +256,14 @@ def _cell(
 
 
 def _clean(model: CellModel, minutes: Minutes) -> Array:
-    from twin.tower.cell import solve
-    from twin.tower.minutes import follow
+    from twin.tower import first_order_lag, solve_cell
 
     rows = np.flatnonzero(minutes.known)
     u = minutes.operation.inputs.take(rows)
-    out = solve(u, model.design).t_out
+    out = solve_cell(u, model.design).t_out
     clean = np.full(len(minutes.time_s), np.nan)
     clean[rows] = out + minutes.operation.bypass[rows] * (u.t_in - out)
-    return follow(clean, minutes.known)
+    return first_order_lag(clean, minutes.known)
 
 
 def _log_power(model: CellModel, minutes: Minutes) -> Array:

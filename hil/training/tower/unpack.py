@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from twin.calibrators.hiera_unet.config import HieraError
+from twin.calibrators.hiera_unet import HieraError
 
 PER_DEVIATION = ("fill", "air", "uniformity", "bias")
 
@@ -23,8 +23,10 @@ PER_DEVIATION = ("fill", "air", "uniformity", "bias")
 def unpack(source: Path, target: Path) -> list[Path]:
     """Copy each member of `source` with its card and a picture of its curves to `target`; return the written files.
 
-    Raises:
-        HieraError: there is no result, or weights do not belong to their card.
+    Raises
+    ------
+    HieraError
+        There is no result, or weights do not belong to their card.
     """
     path = source / "results.json"
     try:

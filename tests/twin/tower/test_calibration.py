@@ -11,9 +11,9 @@ from twin.tower.calibration import CalibrationError, fit_cell, predict_cell
 from twin.tower.cell import Inputs
 from twin.tower.cell_observations.evidence import Label, interval_as_gaussian
 from twin.tower.clean_cell.commissioning import CommissioningError, TestPoints, fit_clean_cell
+from twin.tower.estimates import Opening, Priors
 from twin.tower.minutes import Minutes, minutes_of
 from twin.tower.model import CellModel, DesignPoint
-from twin.tower.smoother import Opening, Priors
 from twin.tower.twin_file import BOUNDS
 
 SITE = DesignPoint(34.0, 24.0, 6.0)

@@ -15,8 +15,8 @@ from twin.tower.cell_observations.evidence import Label
 from twin.tower.change_detection.changes import undeclared_changes
 from twin.tower.clean_cell.commissioning import fit_clean_cell
 from twin.tower.clean_cell.discrepancy import AMPLITUDE_K, prior_sd
+from twin.tower.estimates import DAY_S, Opening, Priors, time_grid
 from twin.tower.model import CALM, NAMES, CellModel, Operation
-from twin.tower.smoother import DAY_S, Opening, Priors, time_grid
 from twin.tower.twin_file import BOUNDS
 
 

@@ -15,12 +15,12 @@ from twin.tower.clean_cell.commissioning import fit_clean_cell
 from twin.tower.diagnosis.adoption import adopted, effects_of
 from twin.tower.diagnosis.candidates import candidates, decoys, noons
 from twin.tower.diagnosis.evidence import gain
-from twin.tower.diagnosis.search import CellCase, search
+from twin.tower.diagnosis.search import CellCase, search_effects
 from twin.tower.diagnosis.validation import held_out_parts
 from twin.tower.effects import CellEffect, pattern, sun_height
+from twin.tower.estimates import Priors, time_grid
 from twin.tower.minutes import minutes_of
 from twin.tower.model import CellModel
-from twin.tower.smoother import Priors, time_grid
 from twin.tower.twin_file import BOUNDS, cell_network
 
 WEST = CellEffect("recirculation", "exhaust", "wind_direction", 270.0, size=0.1, sd=0.01)
@@ -113,9 +113,9 @@ def test_candidates_need_their_drivers_and_decoys_keep_the_spectrum() -> None:
 def test_search_names_hidden_recirculation_with_its_direction_and_nothing_on_a_healthy_cell() -> None:
     healthy = weathered(12.0, 11)
     assert made_points()  # the clean cell is commissioned on points of another solver
-    quiet = search([case(healthy)], "UTC")
+    quiet = search_effects([case(healthy)], "UTC")
     assert quiet.findings == ()
-    found = search([case(with_recirculation(healthy, 0.15, 240.0))], "UTC")
+    found = search_effects([case(with_recirculation(healthy, 0.15, 240.0))], "UTC")
     assert [f.hypothesis.candidate.forms[0].kind for f in found.findings] == ["recirculation"]
     effect = found.findings[0].effects[1]
     assert effect.driver == "wind_direction" and effect.form == pytest.approx(240.0, abs=15.0)

@@ -21,11 +21,11 @@ from tests.twin.tower.made_cell import (
 )
 from tests.twin.tower.test_calibration import SITE, clean, minutes
 from twin.tower.calibration import Fitted, fit_cell
-from twin.tower.cell import Inputs, solve
+from twin.tower.cell import Inputs, solve_cell
 from twin.tower.clean_cell.commissioning import fit_clean_cell
+from twin.tower.estimates import Priors
 from twin.tower.model import CellModel
 from twin.tower.shared_observations.evaporation import Balance, with_evaporation
-from twin.tower.smoother import Priors
 from twin.tower.twin_file import BOUNDS
 
 VOLUME_M3, BLOWN_KG_S = 120.0, 0.8
@@ -69,7 +69,7 @@ def model() -> CellModel:
     """The clean cell, its evaporation commissioned at one point of full flow and air."""
     design = fit_clean_cell(clean(), M_W0).design
     u = Inputs(*(np.array([v]) for v in (34.0, M_W0, 1.0, 29.0, 24.0, PRESSURE)))
-    own = solve(u, design)
+    own = solve_cell(u, design)
     rho = PRESSURE / (0.287 * (29.0 + 273.15)) / 1.13
     true = evaporated(u.t_in, own.t_out, u.m_w, np.array([M_A0 * rho]), u.dry, u.wet)
     return CellModel(replace(design, evaporation=float((true / own.evaporation)[0])), SITE)

@@ -13,8 +13,9 @@ from twin.tower.cell_observations.evidence import Label
 from twin.tower.cell_observations.fan_power import PowerErrors, PowerRows
 from twin.tower.change_detection.changes import undeclared_changes
 from twin.tower.clean_cell.commissioning import fit_clean_cell
+from twin.tower.estimates import DAY_S, Estimate, Priors, time_grid
 from twin.tower.model import NAMES, CellModel
-from twin.tower.smoother import DAY_S, Estimate, Priors, estimate, time_grid
+from twin.tower.smoother import estimate
 from twin.tower.twin_file import BOUNDS
 
 AIR = 0.89

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.tower.cell import CellDeviations, Design, Inputs, solve
+from twin.tower.cell import CellDeviations, Design, Inputs, solve_cell
 from twin.tower.identify import cell_sensitivities, excited, identifiability
 from twin.tower.planning import plan_tests
 
@@ -27,7 +27,7 @@ def day(fan: float = 0.0, flow: float = 0.0, load: float = 0.0, seed: int = 0, w
     t_in = wet + 12.0
     fixed = np.full(len(t), 99.0)
     for _ in range(30):
-        t_in = t_in + 1.2 * (fall - (t_in - solve(Inputs(t_in, m_w, speed, dry, wet, fixed), CELL, AT).t_out))
+        t_in = t_in + 1.2 * (fall - (t_in - solve_cell(Inputs(t_in, m_w, speed, dry, wet, fixed), CELL, AT).t_out))
     return Inputs(t_in, m_w, speed, dry, wet, fixed)
 
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from twin.tower import air as moist
-from twin.tower.cell import WETTED, CellDeviations, Design, Inputs, solve
+from twin.tower.cell import WETTED, CellDeviations, Design, Inputs, solve_cell
 from twin.tower.clean_cell.merkel import entering_enthalpy, merkel_number
 
 
@@ -109,7 +109,7 @@ def test_effectiveness_form_inverts_merkels_integral() -> None:
     u = Inputs(
         (wet + fall).ravel(), np.full(30, 250.0), np.ones(30), (wet + 4.0).ravel(), wet.ravel(), np.full(30, 99.0)
     )
-    out = solve(u, design, CellDeviations(uniformity=1.0 / WETTED))
+    out = solve_cell(u, design, CellDeviations(uniformity=1.0 / WETTED))
     back = merkel_number(u.t_in, out.t_out, entering_enthalpy(u.dry, u.wet, u.pressure), u.m_w / out.m_a, 99.0)
     assert back == pytest.approx(np.full(30, 1.4), rel=0.14)
     mild = fall.ravel() <= 10.0
@@ -126,7 +126,7 @@ def test_energyplus_tower_is_followed_to_a_twentieth_of_a_degree() -> None:
 
     def error(p: np.ndarray, part: np.ndarray) -> np.ndarray:
         design = Design(d[:, 5].max(), p[2] * d[:, 5].max(), p[0], p[1], 1.0, 1.15)
-        return solve(u.take(part), design, CellDeviations(uniformity=1.0 / WETTED)).t_out - d[part, 4]
+        return solve_cell(u.take(part), design, CellDeviations(uniformity=1.0 / WETTED)).t_out - d[part, 4]
 
     found = least_squares(error, [1.5, 0.6, 0.8], args=(fitted,)).x
     assert np.abs(error(found, held)).max() < 0.05
@@ -149,7 +149,9 @@ def test_real_tower_calibrated_on_one_test_predicts_another() -> None:
         m_a = -0.0014 * half**2 + 0.1743 * half - 0.7251  # the published fan curve, kg/s
         fill = p[0] * (v["Tin"] / 40.0) ** p[2] * (m_a / 3.0) ** p[3]
         u = Inputs(v["Tin"], v["q"] / 3.6 * 0.992, m_a / 3.0 / rho, v["Tamb"], wet, np.full(len(wet), 95.4))
-        return solve(u, Design(4.0, 3.0, 1.0, p[1], 1.0, 1.0), CellDeviations(fill=fill, uniformity=1.0 / WETTED)), m_a
+        return solve_cell(
+            u, Design(4.0, 3.0, 1.0, p[1], 1.0, 1.0), CellDeviations(fill=fill, uniformity=1.0 / WETTED)
+        ), m_a
 
     one, other = read("wct_exp1_exp.csv"), read("wct_exp3_exp.csv")
     found = least_squares(lambda p: run(one, p)[0].t_out - one["Tout"], [1.5, 0.6, 0.0, 0.0]).x

@@ -12,10 +12,10 @@ from tests.twin.tower.test_calibration import SITE, clean, minutes
 from twin.tower.calibration import fit_cell
 from twin.tower.cell_observations.evidence import Label
 from twin.tower.clean_cell.commissioning import fit_clean_cell
+from twin.tower.estimates import DAY_S, Estimate, Opening, Priors
 from twin.tower.minutes import blocks_of
 from twin.tower.model import CellModel
-from twin.tower.recursive import Recursion, recursion
-from twin.tower.smoother import DAY_S, Estimate, Opening, Priors
+from twin.tower.recursive import Recursion, filter_cell
 from twin.tower.twin_file import BOUNDS
 
 DAYS, HEALTHY = 9.0, 3.0
@@ -53,7 +53,7 @@ def beliefs(
 ) -> Recursion:
     m = minutes(made)
     end = float(m.time_s[0]) + HEALTHY * DAY_S
-    return recursion(model, m, blocks_of(m)[0], Priors(BOUNDS), healthy, end, labels, openings)
+    return filter_cell(model, m, blocks_of(m)[0], Priors(BOUNDS), healthy, end, labels, openings)
 
 
 def test_a_belief_knows_no_reading_of_its_own_target_or_later(model: CellModel, made: Made, healthy: Estimate) -> None:

@@ -8,9 +8,9 @@ from scipy.optimize import least_squares
 
 from drivers.virtual.tower.physics import cell as physics
 from drivers.virtual.tower.physics.moist_air import CP_WATER, enthalpy, saturation, wet_bulb
-from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, BuiltStation, build, design_air
+from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, BuiltStation, EnteringAir, build, design_air
 from twin.tower import air as other_air
-from twin.tower.cell import Design, Inputs, solve
+from twin.tower.cell import Design, Inputs, solve_cell
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,8 @@ def at_design(built: BuiltStation, state: list[float], speed: float = 1.0, wind:
     """Return what leaves the first cell at design conditions."""
     site = built.site
     dry, ratio = design_air(site)
-    return built.steady(0, np.array(state), site.water, speed, site.hot, dry, ratio, site.pressure, wind)
+    air = EnteringAir(dry, ratio, site.pressure, wind)
+    return built.steady(0, np.array(state), site.water, speed, site.hot, air)
 
 
 CLEAN = [1.0, 1.0, 0.0, 0.0, 0.0]
@@ -103,12 +104,13 @@ def test_a_fitted_merkel_twin_keeps_a_gap_to_the_plant(built: BuiltStation) -> N
     wet = other_air.wet_bulb(dry, humidity, site.pressure)
     rows = np.flatnonzero(t_in > wet + 4.0)
     clean, p = np.array(CLEAN), site.pressure
-    out = np.array([built.steady(0, clean, m_w[k], speed[k], t_in[k], dry[k], ratio[k], p, 2.0)[0] for k in rows])
+    air = [EnteringAir(dry[k], ratio[k], p, 2.0) for k in range(n)]
+    out = np.array([built.steady(0, clean, m_w[k], speed[k], t_in[k], air[k])[0] for k in rows])
     u = Inputs(t_in, m_w, speed, dry, wet, np.full(n, site.pressure)).take(rows)
 
     def miss(p: np.ndarray) -> np.ndarray:
         design = Design(site.water, site.air * p[2], p[0], p[1], site.power, 1.1)
-        return np.asarray(solve(u, design).t_out - out)
+        return np.asarray(solve_cell(u, design).t_out - out)
 
     fitted = least_squares(miss, [1.5, 0.6, 1.0])
     assert 0.08 < np.abs(fitted.fun).mean() < 0.6

@@ -1,6 +1,7 @@
 """Hiera-UNet calibrator: a network that reads two hours of a record and corrects the twin's parameters and outputs.
 
 The names below are the package's interface; they are loaded on first use, because most of them need the extra ``ml``.
+Modules among them are for the training of a network. Everything else is private to the package.
 Modules without torch: `windows`, `channels`, `features`, `regimes`, `evidence`, `campaigns`.
 """
 
@@ -45,6 +46,28 @@ _MODULES = {
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
+_PUBLIC_MODULES = (
+    "batches",
+    "binding",
+    "campaigns",
+    "channels",
+    "checkpoint",
+    "conformal",
+    "device",
+    "ensemble",
+    "envelope",
+    "evidence",
+    "gaps",
+    "gates",
+    "leakage",
+    "members",
+    "parameters",
+    "score",
+    "series",
+    "store",
+)
+"""Parts that `hil.training` puts together: each is public as a whole."""
+
 __all__ = [
     "ContextFit",
     "Deviations",
@@ -64,12 +87,32 @@ __all__ = [
     "Trainer",
     "TrainingPlan",
     "Windows",
+    "batches",
+    "binding",
+    "campaigns",
+    "channels",
+    "checkpoint",
+    "conformal",
+    "device",
+    "ensemble",
+    "envelope",
+    "evidence",
+    "gaps",
+    "gates",
+    "leakage",
     "load_ensemble",
+    "members",
+    "parameters",
+    "score",
+    "series",
+    "store",
 ]
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name from its module on first use."""
+    if name in _PUBLIC_MODULES:
+        return import_module(f"{__name__}.{name}")
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_HOME[name]), name)

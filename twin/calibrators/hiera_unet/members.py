@@ -36,10 +36,16 @@ AGAIN = "have `hil train loop` write it again, with the command of one of its me
 class Said:
     """What an ensemble says of one window on its causal branch.
 
-    Attributes:
-        theta, theta_sd: (P,) deviations and standard deviations, aleatoric and epistemic together, calibrated.
-        delta, scale: (120, Y) corrections, and Laplace scales of the members' mixture, K.
-        distance: from the training envelope, 1 at its limit, the mean over members. attention: (Q, 12) for audit.
+    Attributes
+    ----------
+    theta, theta_sd
+        (P,) deviations and standard deviations, aleatoric and epistemic together, calibrated.
+    delta, scale
+        (120, Y) corrections, and Laplace scales of the members' mixture, K.
+    distance
+        From the training envelope, 1 at its limit, the mean over members.
+    attention
+        (Q, 12) for audit.
     """
 
     theta: Array
@@ -63,9 +69,11 @@ class Ensemble:
     def ask(self, windows: Windows, *, corrected: int | None = None) -> tuple[Said, ...]:
         """Return what is said of each of N windows, on the causal branch with everything measured in sight.
 
-        Args:
-            corrected: of so many windows, the first ones, corrections and scales are wanted; None for all. Of the
-                others both are empty (0, Y).
+        Parameters
+        ----------
+        corrected
+            Of so many windows, the first ones, corrections and scales are wanted; None for all. Of the others both are
+            empty (0, Y).
         """
         count = len(windows.x)
         wanted = count if corrected is None else corrected
@@ -96,8 +104,12 @@ class Ensemble:
     def calibrated(self, sd: Array, meta: np.ndarray) -> Array:
         """Standard deviations (N, P) of deviations, `NORMAL90` of which hold 90 % on windows that no training saw.
 
-        Args:
-            sd: (N, P) as the members say. meta: (N, M), their static numbers.
+        Parameters
+        ----------
+        sd
+            (N, P) as the members say.
+        meta
+            (N, M), their static numbers.
         """
         if self.parameters is None:
             return sd
@@ -122,9 +134,11 @@ def chances(config: Config, meta: np.ndarray, count: int) -> Array:
 def load_ensemble(card: Path, identity: Identity) -> Ensemble:
     """The ensemble of a card, for the twin and table that `identity` names.
 
-    Raises:
-        HieraError: there is none, or too few members; its factors are not one for each output, and one for parameters;
-            a member is missing or altered, belongs elsewhere or is of another configuration, or its parameters leak.
+    Raises
+    ------
+    HieraError
+        There is none, or too few members; its factors are not one for each output, and one for parameters; a member is
+        missing or altered, belongs elsewhere or is of another configuration, or its parameters leak.
     """
     try:
         document: dict[str, Any] = dict(json.loads(read_regular(card)))

@@ -27,7 +27,7 @@ from twin.calibrators.hiera_unet.service import CYCLE_S, HieraUNetCalibrator
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
 from twin.calibrators.least_squares import LeastSquares
 from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
-from twin.calibrators.windows import make_window
+from twin.calibrators.windows import WindowSamples, make_window
 from twin.network import Array, Network
 
 BETTER = 3.0
@@ -101,7 +101,12 @@ class RefinedCalibrator(LeastSquares):
         state = self.kernel.trace(left.parameters, left.state, time, inputs)[1][0]
         live = self.kernel.trace(left.parameters, state, window.time, window.inputs)[0][0]
         found = make_window(
-            window.number, window.time, window.inputs, window.measured, state, left.parameters, live, rules, window.read
+            window.number,
+            WindowSamples(window.time, window.inputs, window.measured, window.read),
+            state,
+            left.parameters,
+            live,
+            rules,
         )
         return replace(found, kind=window.kind)
 

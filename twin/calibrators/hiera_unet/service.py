@@ -32,7 +32,7 @@ from twin.calibrators.hiera_unet.series import STEP_S, ResampledSeries
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows, joined
 from twin.calibrators.posterior import STATE_SD, window_data
 from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
-from twin.calibrators.windows import make_window
+from twin.calibrators.windows import WindowSamples, make_window
 from twin.gauss_newton import fit_initial_state
 from twin.network import Array, Network
 
@@ -133,14 +133,11 @@ class HieraUNetCalibrator:
         left = contradicted.without(window.time, window.measured, self._aside)
         found = make_window(
             window.number,
-            window.time,
-            window.inputs,
-            left,
+            WindowSamples(window.time, window.inputs, left, window.read),
             window.state,
             window.parameters,
             window.live,
             self.network.rules,
-            window.read,
         )
         return replace(found, kind=window.kind) if found.kind == "skipped" else found
 

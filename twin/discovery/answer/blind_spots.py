@@ -1,4 +1,4 @@
-"""What this record, and what no record of the rig, can tell from one another, in words."""
+"""Effects that this record, or any record of the rig, does not separate, in words."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def always_alike(finding: Finding, groups: Lint) -> tuple[str, ...]:
         label = _own(entry)
         same = [x for x in groups.beside(label) if x[:2] != label[:2]]
         if same:
-            names = " and ".join(spoken(x) for x in (label, *same))
+            names = " and ".join(label_text(x) for x in (label, *same))
             out.append(f"{names} cannot be told apart on any record of this rig")
     return tuple(dict.fromkeys(out))
 
@@ -57,7 +57,7 @@ def alike_here(finding: Finding) -> tuple[str, ...]:
         for j in range(i + 1, len(entries)):
             a, b = entries[i], entries[j]
             if abs(rho[i, j]) > ALIKE and a.label != b.label:
-                out.append(f"{spoken(a.label)} and {spoken(b.label)} cannot be told apart on this record")
+                out.append(f"{label_text(a.label)} and {label_text(b.label)} cannot be told apart on this record")
     return tuple(dict.fromkeys(out))[:MOST]
 
 
@@ -66,7 +66,7 @@ def _own(entry: Entry) -> EffectLabel:
     return c.kind, c.where, c.driver
 
 
-def spoken(label: EffectLabel) -> str:
+def label_text(label: EffectLabel) -> str:
     """An entry as it is said."""
     kind, where, driver = label
     return f"{kind.replace('_', ' ')} at {where} ({driver.replace('_', ' ')})"

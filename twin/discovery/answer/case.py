@@ -1,4 +1,4 @@
-"""What a diagnosis is concluded from: a finding, and what it rests on."""
+"""Data that a diagnosis is concluded from: a finding and its evidence."""
 
 from __future__ import annotations
 

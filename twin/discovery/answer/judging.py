@@ -9,14 +9,14 @@ from twin.discovery.evidence.held_out import contradicted
 
 
 def good(case: AssessedFinding) -> bool:
-    """Return True where effects are claimed and the part that no fit saw does not contradict them."""
+    """Return True where effects are claimed and the held-out segment does not contradict them."""
     return case.finding.fit is not None and not contradicted(case.errors, case.known.probe.network)
 
 
 def adequate(case: AssessedFinding) -> bool:
     """Return True where nothing asks for an effect: the odds of any are too low, or the twin is as good as always.
 
-    Effects that the part that no fit saw contradicts are refuted; what remains is nothing, or an unlisted effect.
+    Effects that the held-out segment contradicts are refuted; what remains is nothing, or an unlisted effect.
     """
     finding = case.finding
     named = finding.odds if finding.fit is None else -math.inf

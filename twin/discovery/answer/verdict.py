@@ -15,7 +15,7 @@ from twin.discovery.answer.switches import switched
 from twin.discovery.answer.telling import grown_by_end, near_misses, rivals, told
 from twin.discovery.answer.words import summarise
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Verdict
-from twin.discovery.effects.lint import lint
+from twin.discovery.effects.lint import ambiguity_groups
 from twin.discovery.effects.open_laws import adopted
 from twin.discovery.effects.phrases import clock
 from twin.discovery.effects.probe import FreeRun
@@ -36,7 +36,7 @@ from twin.discovery.thermometers.at_fault import placed, standing
 from twin.network import Array, Network
 
 _USUAL = (
-    "re-tuned, the twin is off on the part that no fit saw by no more than one as good as when it was commissioned may "
+    "re-tuned, the twin is off on the held-out segment by no more than one as good as when it was commissioned may "
     "be under another load; whether what it left as it was means anything, only a healthy record could tell"
 )
 
@@ -86,7 +86,7 @@ def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
         held_out_s=(float(grid.time[case.split]), float(grid.time[-1])),
         errors=case.errors,
         moved=_moved(finding, known),
-        blind_spots=(*always_alike(finding, lint(network)), *alike_here(finding)),
+        blind_spots=(*always_alike(finding, ambiguity_groups(network)), *alike_here(finding)),
         ladder=finding.ladder,
         courses=case.free,
         hours=whole.hours + start / 3600.0,
@@ -167,7 +167,7 @@ def _named(case: AssessedFinding) -> Answer:
     assert finding.fit is not None
     verdict, effects = told(finding, grid)
     others, alternatives = rivals(finding, verdict)
-    others = (*others, *twins_of(finding, lint(network), others))
+    others = (*others, *twins_of(finding, ambiguity_groups(network), others))
     switches = switched(finding, grid, float(grid.time[0]))
     notes = tuple(says for _, says in switches)
     passing = any(e.shape.name in TIMED for e in finding.fit.entries)

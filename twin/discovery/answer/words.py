@@ -70,7 +70,7 @@ def summarise(
     if verdict == "adequate":
         stale = max(errors, key=lambda n: errors[n].stale / errors[n].noise) if errors else ""
         moved = bool(stale) and errors[stale].stale > RETUNED * errors[stale].before
-        off = f" On the part that no fit saw, {stale} is off by {errors[stale].stale:.2g} K" if moved else ""
+        off = f" On the held-out segment, {stale} is off by {errors[stale].stale:.2g} K" if moved else ""
         return (
             f"{'Re-tuned, the' if moved else 'The'} twin is adequate: nothing in this record asks for an effect that "
             f"it lacks ({odds_of_best(finding)})."
@@ -80,7 +80,7 @@ def summarise(
     if worst and finding.fit is not None:
         e = errors[worst]
         fit_text = (
-            f" On the part that the fit never saw, {worst} is off by {e.stale:.2g} K, by {e.before:.2g} K when "
+            f" On the held-out segment, {worst} is off by {e.stale:.2g} K, by {e.before:.2g} K when "
             f"re-tuned, by {e.after:.2g} K with the new term, at a noise of {e.noise:.2g} K."
         )
     if verdict == "unexplained":
@@ -88,7 +88,7 @@ def summarise(
             e = errors[worst := max(errors, key=lambda n: errors[n].after / errors[n].noise)]
             return (
                 "The twin does not fit this record, and nothing is told of why: the best effect that was tried leaves "
-                f"{worst} off by {e.after:.2g} K on the part that the fit never saw, re-tuning alone by {e.before:.2g} "
+                f"{worst} off by {e.after:.2g} K on the held-out segment, re-tuning alone by {e.before:.2g} "
                 f"K, at a noise of {e.noise:.2g} K, so the weights by which it was found let slow error pass for noise."
             )
         if not effects:

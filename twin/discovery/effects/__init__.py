@@ -1,1 +1,1 @@
-"""What a twin may lack: candidates, their laws and shapes, and what each would do to the readings."""
+"""Effects that a twin may lack: candidates, their laws and time courses, and their influence on the readings."""

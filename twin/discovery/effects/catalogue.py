@@ -15,7 +15,7 @@ from types import MappingProxyType
 from typing import Any
 
 from twin.elements import KINDS, Element, Parameter
-from twin.elements.base import Candidate, Sites
+from twin.elements.candidates import Candidate, Sites
 from twin.network import InputSpec, Network, TwinFileError
 
 _NUMBERED = re.compile(r"^(?P<stem>\D+)\d+$")
@@ -114,8 +114,10 @@ def with_columns(network: Network, columns: Sequence[str]) -> Network:
 def extended(network: Network, candidate: Candidate) -> Network:
     """The network with a candidate's elements, still without effect: sizes at their neutral values.
 
-    Raises:
-        TwinFileError: the element does not fit this network.
+    Raises
+    ------
+    TwinFileError
+        The element does not fit this network.
     """
     network = with_columns(network, [candidate.column] if candidate.column else [])
     elements = list(network.elements)

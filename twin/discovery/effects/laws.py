@@ -1,4 +1,4 @@
-"""What each candidate does to a rig, at size 1, at the temperatures that the rig had: heat into nodes, or a reading.
+"""Laws of the candidates: heat into nodes, or a reading error, at size 1 and the temperatures that the rig had.
 
 The law is evaluated on measured temperatures, which makes it linear in its size and independent of how wrong the
 twin is; nodes that nothing reads take the twin's.
@@ -15,7 +15,7 @@ from twin.discovery.effects.catalogue import catalogue, extended, sized
 from twin.discovery.effects.formulas import Formulas, follow
 from twin.discovery.effects.probe import FreeRun
 from twin.discovery.records.grid import Grid, filled
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.elements.flow import Flow
 from twin.network import Array, Network
 

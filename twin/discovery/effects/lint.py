@@ -13,9 +13,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from twin.commissioning import weak_prior
+from twin.discovery.cache import store, stored
 from twin.discovery.effects.laws import Book
 from twin.discovery.effects.probe import Probe
-from twin.discovery.kept import store, stored
 from twin.discovery.records.grid import BIN_S, Grid
 from twin.elements.flow import Flow
 from twin.network import Array, Network
@@ -48,7 +48,7 @@ class Lint:
         return tuple(dict.fromkeys(x for g in self.groups if label in g for x in g if x != label))
 
 
-def lint(network: Network) -> Lint:
+def ambiguity_groups(network: Network) -> Lint:
     """Groups of a twin's catalogue; from the cache where this very twin has been looked at before."""
     held = stored("lint", network)
     if held is not None:
@@ -63,8 +63,10 @@ def lint(network: Network) -> Lint:
 def examine(network: Network) -> Lint:
     """Groups of a twin's catalogue, found anew.
 
-    Raises:
-        TwinFileError: the twin has no tunables.
+    Raises
+    ------
+    TwinFileError
+        The twin has no tunables.
     """
     ids = network.tunables("commission" if "commission" in network.sets else None)
     probe, book = Probe(network, ids), Book(network)

@@ -22,7 +22,8 @@ import numpy as np
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.records.grid import Grid
 from twin.elements import KINDS
-from twin.elements.base import STAMP, Candidate
+from twin.elements.base import STAMP
+from twin.elements.candidates import Candidate
 from twin.elements.law_forms import FORMS
 from twin.laws import law_values
 from twin.network import Array, Network
@@ -442,5 +443,5 @@ def adopted(network: Network, candidate: Candidate, size: float) -> Network:
         weight = candidate.changes[f"{name}.gain"]
         parameters = {**law, strength: size * weight * law[strength]}
         driver = {} if column is None else {"driver": network.input_columns[column]}
-        network = adopt_law(network, site, driver, form, parameters)
+        network = adopt_law(network, {**site, **driver, "form": form}, parameters)
     return network

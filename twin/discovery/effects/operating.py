@@ -1,4 +1,4 @@
-"""What a law of powers hides of how a rig works at each pair of speeds.
+"""Operating points: heat that a law of powers hides at each pair of speeds.
 
 A radiator follows fan and pump by two powers in a twin, and by films, fins and air in a rig; a pump is not quite in
 proportion to its speed. At any one pair of speeds such a law is off by a few per cent, and by the same for as long as

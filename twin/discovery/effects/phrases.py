@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from twin.discovery.effects.shapes import Shape
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 
 SHORT_S = 120.0
 """A time below this is told in seconds."""

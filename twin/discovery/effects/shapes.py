@@ -1,4 +1,4 @@
-"""How an effect comes in: at once, growing in proportion to time for a while, or growing towards a final size.
+"""Time courses of an effect: at once, growing in proportion to time for a while, or growing towards a final size.
 
 Amplitudes are relative to the effect's size: 1 after a step, 1 where a ramp has ended, 1 in the limit for a saturating
 growth. What is put in with a temperature of its own is there at once, and what it does fades.
@@ -6,6 +6,7 @@ growth. What is put in with a temperature of its own is there at once, and what 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,31 +42,8 @@ class Shape:
 
     def block_means(self, edges_s: Array) -> Array:
         """Mean amplitude (b,) between `edges_s` (b + 1,), s from the record's beginning."""
-        low, high = edges_s[:-1], edges_s[1:]
-        a = np.maximum(low - self.onset_s, 0.0)
-        b = np.maximum(high - self.onset_s, 0.0)
-        width = np.maximum(high - low, 1e-9)
-        if self.name == "step":
-            return (b - a) / width
-        growth = max(self.growth_s, 1.0)
-        if self.name == "spell":
-            there: Array = (np.minimum(b, growth) - np.minimum(a, growth)) / width
-            return there
-        if self.name == "periodic":
-            on = self.duty * growth
-            upto = [on * (x // growth) + np.minimum(x % growth, on) for x in (a, b)]
-            back: Array = (upto[1] - upto[0]) / width
-            return back
-        if self.name in ("put in", "pulse"):
-            faded: Array = growth * (np.exp(-a / growth) - np.exp(-b / growth)) / width
-            return faded
-        if self.name == "ramp":
-            up = 0.5 * (np.minimum(b, growth) ** 2 - np.minimum(a, growth) ** 2) / growth
-            held = np.maximum(b - growth, 0.0) - np.maximum(a - growth, 0.0)
-            rising: Array = (up + held) / width
-            return rising
-        mean: Array = (b - a + growth * (np.exp(-b / growth) - np.exp(-a / growth))) / width
-        return mean
+        means: Array = courses_of([self], edges_s)[0]
+        return means
 
     @property
     def grows(self) -> bool:
@@ -99,6 +77,40 @@ class Shape:
         return self.name in ("saturating", "periodic", "pulse") or (
             self.name == "ramp" and self.onset_s + self.growth_s < 0.98 * span_s
         )
+
+
+def courses_of(shapes: Sequence[Shape], edges_s: Array) -> Array:
+    """Mean amplitudes (n, b) of n shapes between `edges_s` (b + 1,), s from the record's beginning."""
+    low, high = edges_s[:-1], edges_s[1:]
+    width = np.maximum(high - low, 1e-9)
+    rows: dict[str, list[int]] = {}
+    for row, shape in enumerate(shapes):
+        rows.setdefault(shape.name, []).append(row)
+    found = np.empty((len(shapes), len(width)))
+    for name, those in rows.items():
+        times = [(shapes[i].onset_s, shapes[i].growth_s, shapes[i].duty) for i in those]
+        onset, growth, duty = np.array(times).T[..., None]
+        a, b = np.maximum(low - onset, 0.0), np.maximum(high - onset, 0.0)
+        found[those] = _amplitudes(name, a, b, np.maximum(growth, 1.0), duty) / width
+    return found
+
+
+def _amplitudes(name: str, a: Array, b: Array, growth: Array, duty: Array) -> Array:
+    """Integrals (n, b) of the amplitude of shapes of one name from `a` to `b`, s since the onset."""
+    if name == "step":
+        return b - a
+    if name == "spell":
+        return np.asarray(np.minimum(b, growth) - np.minimum(a, growth))
+    if name == "periodic":
+        on = duty * growth
+        upto = [on * turns + np.minimum(rest, on) for turns, rest in (np.divmod(a, growth), np.divmod(b, growth))]
+        return np.asarray(upto[1] - upto[0])
+    if name in ("put in", "pulse"):
+        return np.asarray(growth * (np.exp(-a / growth) - np.exp(-b / growth)))
+    if name == "ramp":
+        up = 0.5 * (np.minimum(b, growth) ** 2 - np.minimum(a, growth) ** 2) / growth
+        return np.asarray(up + (np.maximum(b - growth, 0.0) - np.maximum(a - growth, 0.0)))
+    return np.asarray(b - a + growth * (np.exp(-b / growth) - np.exp(-a / growth)))
 
 
 def family(name: str, span_s: float) -> tuple[float, ...]:

@@ -15,7 +15,8 @@ from types import MappingProxyType
 
 from twin.discovery.effects.catalogue import LATE, catalogue, extended, with_columns
 from twin.elements import KINDS, Parameter
-from twin.elements.base import Candidate, Status
+from twin.elements.base import Status
+from twin.elements.candidates import Candidate
 from twin.elements.heat_source import HeatSource
 from twin.kernel import Kernel
 from twin.network import Network

@@ -21,7 +21,7 @@ from twin.segments import find_segments
 FAR_OFF, UNUSUAL, FAR_SHARE = 3.0, 1.5, 0.25
 """Times a thermometer's noise, and what is usual there, that block means may be off where a fit was not shown them, and
 the share of the squares that re-tuning alone leaves: beyond all of them an answer is contradicted."""
-WORSE, MUCH_WORSE = 1.04, 4.0
+HELD_OUT_WORSE, MUCH_WORSE = 1.04, 4.0
 """Times the squares that re-tuning alone leaves there, from which an answer does worse than none, and from which the
 weights by which it was found are in doubt: without a healthy record they may let slow error pass for noise."""
 KEPT = 4
@@ -36,7 +36,7 @@ def contradicted(found: Mapping[str, SensorError], network: Network, share: floa
     return far and after > share * before
 
 
-def worse(found: Mapping[str, SensorError], times: float = WORSE) -> bool:
+def worse(found: Mapping[str, SensorError], times: float = HELD_OUT_WORSE) -> bool:
     """Whether an answer leaves more squares than re-tuning alone where no fit saw the record, all sensors together, and
     more than the noise."""
     before = sum((e.before / e.noise) ** 2 for e in found.values())

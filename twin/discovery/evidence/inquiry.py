@@ -1,4 +1,4 @@
-"""How much of a record the fits may see, and what of the hypotheses is told."""
+"""Choice of the part of a record that the fits may see, and the finding from it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import validate
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.gauss_newton import SE90
 from twin.network import Network
 

@@ -27,7 +27,7 @@ from scipy.special import log_ndtr, logsumexp
 from twin.discovery.evidence.priors import FORM_ERRORS, FORM_S, SPREAD
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 FEWEST_KNOTS = 3
@@ -200,9 +200,7 @@ def form_quadratic(contest: Contest, entries: Sequence[Entry], share: float) -> 
     """Return twice the logarithm's part of the data that errors of form of fitted effects gain at the contest's run."""
     columns = _form_errors(contest, np.stack([e.vector for e in entries]))
     scale = np.repeat(share * np.abs([e.size for e in entries]), len(columns) // len(entries))
-    there = columns.any(axis=0)
-    few = columns[:, there]
-    gram, score = few @ contest.gram[np.ix_(there, there)] @ few.T, few @ contest.score[there]
+    gram, score = columns @ _onto(contest, columns), columns @ contest.score
     inner = np.eye(len(scale)) + gram * np.outer(scale, scale)
     pull = scale * score
     return float(pull @ np.linalg.solve(inner, pull))

@@ -26,7 +26,7 @@ from twin.discovery.refit.fitting import AGAIN, ROUNDS, Fit, fit
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 SIDE_BY_SIDE = 4
@@ -126,6 +126,17 @@ def fitted(part: Part, groups: list[tuple[Entry, ...]], rounds: int = ROUNDS) ->
     new = {key: group for key, group in zip(keys, groups, strict=True) if key not in part.fits}
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
         found = pool.map(lambda g: _fit(part, part.contest, g, rounds=rounds), new.values())
+        part.fits.update(zip(new, found, strict=True))
+    return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
+
+
+def followed(part: Part, groups: list[tuple[Entry, ...]], moved: Array) -> list[tuple[Fit, tuple[Entry, ...]]]:
+    """Each group of effects fitted from `moved`, where a fit of the same effects with other times ended: its minimum
+    is near, and a few rounds tell whether it is lower."""
+    keys = [("followed", moved.tobytes(), *_named(group)) for group in groups]
+    new = {key: group for key, group in zip(keys, groups, strict=True) if key not in part.fits}
+    with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
+        found = pool.map(lambda g: _fit(part, part.contest, g, moved, AGAIN), new.values())
         part.fits.update(zip(new, found, strict=True))
     return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
 

@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.effects.shapes import EARLY_S, TIMED, Shape
+from twin.discovery.effects.shapes import EARLY_S, TIMED, Shape, courses_of
 from twin.discovery.evidence.marginal import Joint, log_bayes_of_sizes
 from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE, Courses, LawSquares, returning, rows_by_name
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 STEADY = ("constant", "temperature_difference")
@@ -99,7 +99,7 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
 
     def at(shapes: Sequence[Shape]) -> tuple[float, float, float, Shape, Array]:
         """Return log B, size and squares of the best of these shapes, that shape and its course."""
-        tried = np.stack([shape.block_means(edges_s) for shape in shapes])
+        tried = courses_of(shapes, edges_s)
         bottoms = np.maximum(((tried @ gram) * tried).sum(axis=1), least)
         odds, sizes = log_bayes_of_sizes(entry.candidate, tried @ own, bottoms)
         k = int(np.argmax(odds))

@@ -14,7 +14,7 @@ from twin.discovery.diagnosis import Rung
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.evidence.marginal import form_quadratic, joint
-from twin.discovery.evidence.part import Part, continued, fitted, slower
+from twin.discovery.evidence.part import Part, continued, fitted, followed, slower
 from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, SPREAD, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK
@@ -194,10 +194,11 @@ def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[Can
         for entry in _leading(scanned, prior)[:BESIDE]:
             if entry.log_bayes + prior.of(entry) <= 0.0:
                 break
-            further = refined(part.contest, entry, beside)
-            hypothesis = _set(part, _settled(part, _at_first_order(part, one), further), prior)
+            hypothesis = _set(part, (*_at_first_order(part, one), refined(part.contest, entry, beside)), prior)
             grown.setdefault(_key(hypothesis), hypothesis)
-    return sorted(grown.values(), key=lambda h: -h.odds)[: 2 * LEADING]
+    leading = sorted(grown.values(), key=lambda h: -h.odds)[: 2 * LEADING]
+    settled = [_set(part, _settled(part, h.entries[:-1], h.entries[-1]), prior) for h in leading]
+    return sorted(settled, key=lambda h: -h.odds)
 
 
 def _at_first_order(part: Part, h: Hypothesis) -> tuple[Entry, ...]:
@@ -338,7 +339,7 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
         groups = [(*best.entries[:i], entry, *best.entries[i + 1 :]) for entry in entries]
         new = [
             _with_fit(part, replace(_set(part, group, prior), entries=group), fit, misfit)
-            for fit, group in fitted(part, groups)
+            for fit, group in (followed(part, groups, best.fit.moved) if best.fit is not None else [])
         ]
         tried += new
         best = max((best, *new), key=lambda h: h.odds)

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from twin.elements.ambient_loss import AmbientLoss
-from twin.elements.base import Candidate, Sites
+from twin.elements.candidates import Candidate, Sites
 from twin.network import Network
 
 

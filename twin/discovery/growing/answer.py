@@ -63,13 +63,21 @@ def diagnose_grown(
 ) -> Diagnosis:
     """What a twin lacks from the beginning of a record, with nothing healthy to compare with.
 
-    Args:
-        network: with tunables, values as its file has them. more: further records, which choose between sets of
-            effects that this one cannot tell apart. at_rest: each row is a steady state of its own. most, beam: as
-            `grow`.
+    Parameters
+    ----------
+    network
+        With tunables, values as its file has them.
+    more
+        Further records, which choose between sets of effects that this one cannot tell apart.
+    at_rest
+        Each row is a steady state of its own.
+    most, beam
+        As `grow`.
 
-    Raises:
-        TwinFileError: a record too short or without readings, a twin without tunables, further records of states.
+    Raises
+    ------
+    TwinFileError
+        A record too short or without readings, a twin without tunables, further records of states.
     """
     if at_rest and more:
         raise TwinFileError("steady states are grown from one record alone; put all of them into one file")
@@ -265,7 +273,7 @@ class _GrownDiagnosis:
     def _summary(self, verdict: Verdict, effects: tuple[Effect, ...], errors: dict[str, SensorError]) -> str:
         if verdict == "adequate":
             return "Re-tuned, the twin explains this record: nothing is missing that it could show."
-        part = "On states that no fit saw" if self.whole.at_rest else "On the part that the fit never saw"
+        part = "On states that were held out" if self.whole.at_rest else "On the held-out segment"
         if verdict == "unexplained":
             return self._unexplained(part, errors)
         worst, e = max(errors.items(), key=lambda item: item[1].before / item[1].noise)

@@ -12,13 +12,13 @@ import numpy as np
 
 from twin.discovery.effects.lint import EffectLabel
 from twin.discovery.evidence.priors import plausibility
+from twin.discovery.growing.candidate_superset import name_of, unsized
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.masses import kin
 from twin.discovery.growing.scoring import Scored, scores
 from twin.discovery.growing.unaided import GrowthFit, GrowthProblem
-from twin.discovery.growing.wardrobe import name_of, unsized
 from twin.discovery.scoring.search import Entry
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 BEAM = 3
@@ -59,7 +59,7 @@ class Beam:
     def __init__(self, empty: GrowthProblem, width: int) -> None:
         self.empty, self.width = empty, width
         self._price = math.log(max(int(np.isfinite(empty.samples.measured).sum()), 2))
-        slow = [c.slow_s for c in empty.wardrobe.candidates if c.slow_s]
+        slow = [c.slow_s for c in empty.superset.candidates if c.slow_s]
         self._slow = (0.99 * min(slow), 1.01 * max(slow)) if slow else (0.0, 0.0)
         self.known: dict[frozenset[str], FittedSet] = {}
         self.levels: list[list[FittedSet]] = [self._fitted([[(empty, empty.start())]])]
@@ -150,7 +150,7 @@ class Beam:
     def _neighbours(self, chosen: Iterable[FittedSet], fitted: Mapping[frozenset[str], FittedSet]) -> list[FittedSet]:
         """Beside each set, of each mass the time constants next to the one that leaves least, and of each wall."""
         family: dict[Any, list[Candidate]] = defaultdict(list)
-        for candidate in self.empty.wardrobe.candidates:
+        for candidate in self.empty.superset.candidates:
             if len(candidate.changes) > 1 and candidate.driver == "history":
                 family[_family(candidate)].append(candidate)
         starts = []
@@ -167,7 +167,7 @@ class Beam:
         return self._fitted(starts)
 
     def _scored(self, old: FittedSet) -> list[Scored]:
-        found = scores(self.empty.wardrobe, old.problem, old.fit)
+        found = scores(self.empty.superset, old.problem, old.fit)
         # One mass with two time constants is one mass with another.
         there = {_family(e.candidate) for e in old.fit.entries if e.candidate.slow_s}
         return [s for s in found if _family(s.entry.candidate) not in there]

@@ -1,4 +1,4 @@
-"""How much the best of all effects gains by chance: records drawn with nothing missing, searched like the real one.
+"""Gain of the best effect by chance: records drawn with nothing missing, searched like the real one.
 
 The null is the fit without the effect: its residual's spectrum, corrected for what fitting took, makes new residuals,
 and each is offered every candidate, to first order, with the spectrum found anew as for the real record. A slow error
@@ -43,7 +43,7 @@ class Chance:
 
 def by_chance(problem: GrowthProblem, fit: GrowthFit, seed: int = 0) -> Chance:
     """What the best effect brings by chance on records like this one, in which nothing is missing that `fit` lacks."""
-    found = [one.entry for one in scores(problem.wardrobe, problem, fit) if max(one.squares, one.likely) > 0.0]
+    found = [one.entry for one in scores(problem.superset, problem, fit) if max(one.squares, one.likely) > 0.0]
     if not found:
         return Chance(0.0, 0.0)
     sigma = problem.samples.sigma

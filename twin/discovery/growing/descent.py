@@ -28,7 +28,7 @@ def descend(starts: Sequence[tuple[GrowthProblem, Array]]) -> list[Array]:
     """Where damped Gauss-Newton steps on the squares of the free run and the prior end, for each start.
 
     Args:
-        starts: problems of one wardrobe and with the same inputs, each with its variables (count,).
+        starts: problems of one superset and with the same inputs, each with its variables (count,).
     """
     return [v for first in range(0, len(starts), AT_ONCE) for v in _together(starts[first : first + AT_ONCE])]
 

@@ -21,9 +21,9 @@ from twin.discovery.diagnosis import Fold
 from twin.discovery.effects.lint import EffectLabel
 from twin.discovery.effects.phrases import interval
 from twin.discovery.growing.beam import BEAM, Beam, FittedSet, by_score
+from twin.discovery.growing.candidate_superset import CandidateSuperset, name_of
 from twin.discovery.growing.merit import LEFT, Merit, RejectedEffect
 from twin.discovery.growing.unaided import GrowthFit, GrowthProblem, SampledRecord
-from twin.discovery.growing.wardrobe import Wardrobe, name_of
 from twin.discovery.records.grid import bridged, on_grid
 from twin.discovery.scoring.equivalence import width
 from twin.discovery.scoring.search import Entry
@@ -159,8 +159,10 @@ def grow_samples(
     if not ids:
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
     say("fitting the twin as it is")
-    wardrobe = Wardrobe.of(network, ids, float(np.median(np.diff(samples.time))), samples.span_s, samples.at_rest)
-    search = Beam(GrowthProblem(wardrobe, samples, ids), beam)
+    superset = CandidateSuperset.of(
+        network, ids, float(np.median(np.diff(samples.time))), samples.span_s, samples.at_rest
+    )
+    search = Beam(GrowthProblem(superset, samples, ids), beam)
     for effects in range(1, most + 1):
         say(f"looking for {effects} effects that are missing")
         if not search.deepen():
@@ -283,7 +285,7 @@ def _others(beam: Beam, merit: Merit, best: FittedSet, without: FittedSet) -> di
 
 
 def _rung(beam: Beam, at: FittedSet, added: Added | None) -> GrowthRung:
-    network = beam.empty.wardrobe.plain(at.fit.entries, at.fit.values)
+    network = beam.empty.superset.plain(at.fit.entries, at.fit.values)
     return GrowthRung(network, added, at.fit.rms, at.fit)
 
 

@@ -1,4 +1,4 @@
-"""What a residual is worth when nothing is known of the noise but the thermometers': its own spectrum, profiled out.
+"""Likelihood of a residual whose noise is not known: its own spectrum, profiled out.
 
 The noise of a record without a healthy one beside it is not known beforehand. Cosine coefficients (DCT-II, per sensor)
 are taken as independent, with the spectrum of white noise and of an error that dies away exponentially,

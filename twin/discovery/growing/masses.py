@@ -12,7 +12,7 @@ import math
 from dataclasses import replace
 from functools import partial
 
-from twin.elements.base import Candidate, Sites
+from twin.elements.candidates import Candidate, Sites
 from twin.elements.hidden_mass import LEAST_S, HiddenMass
 
 LEAST_PERIODS, RECORDS = 4.0, 3.0

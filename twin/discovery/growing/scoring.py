@@ -1,4 +1,4 @@
-"""What each candidate could take of a residual that re-tuning cannot, by its answer to a finite size."""
+"""Scores of candidates for a residual that re-tuning cannot explain, by the response to a finite size."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from itertools import islice
 
 import numpy as np
 
+from twin.discovery.growing.candidate_superset import CandidateSuperset, unsized
 from twin.discovery.growing.likelihood import Spectrum
 from twin.discovery.growing.unaided import GrowthFit, GrowthProblem, readings_of
-from twin.discovery.growing.wardrobe import Wardrobe, unsized
 from twin.discovery.scoring.search import Entry
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.kernel import FEW_LANES
 from twin.network import Array
 
@@ -40,17 +40,17 @@ class Scored:
     likely: float
 
 
-def scores(wardrobe: Wardrobe, problem: GrowthProblem, fit: GrowthFit) -> list[Scored]:
+def scores(superset: CandidateSuperset, problem: GrowthProblem, fit: GrowthFit) -> list[Scored]:
     """Every candidate that does anything that re-tuning cannot."""
     white = Spectrum.white(problem.samples.sigma, len(problem.samples.time))
     metrics = [_Metric(problem, fit, spectrum) for spectrum in (white, fit.spectrum)]
     rms = float(np.sqrt(np.nanmean(fit.residual**2)))
     known = {name for e in fit.entries for name in e.candidate.changes}
-    elements = {e.name for e in wardrobe.original.elements} | {n for e in fit.entries for n in e.candidate.adds}
+    elements = {e.name for e in superset.original.elements} | {n for e in fit.entries for n in e.candidate.adds}
     candidates = []
-    for candidate in wardrobe.candidates:
+    for candidate in superset.candidates:
         stands_on = {name.rsplit(".", 1)[0] for name in candidate.changes} - set(candidate.adds)
-        stands_on |= {wardrobe.after[name] for name in candidate.adds if name in wardrobe.after}
+        stands_on |= {superset.after[name] for name in candidate.adds if name in superset.after}
         if not known & set(candidate.changes) and stands_on <= elements:
             candidates.append(candidate)
     answers = _Answers(problem, fit, candidates)

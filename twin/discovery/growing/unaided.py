@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.discovery.growing.candidate_superset import CandidateSuperset
 from twin.discovery.growing.likelihood import Spectrum, cosines, judged
-from twin.discovery.growing.wardrobe import Wardrobe
 from twin.discovery.records.grid import centred
 from twin.discovery.scoring.search import Entry
 from twin.gauss_newton import Scaling
@@ -96,11 +96,11 @@ class GrowthProblem:
     """
 
     def __init__(
-        self, wardrobe: Wardrobe, samples: SampledRecord, ids: tuple[str, ...], entries: tuple[Entry, ...] = ()
+        self, superset: CandidateSuperset, samples: SampledRecord, ids: tuple[str, ...], entries: tuple[Entry, ...] = ()
     ) -> None:
-        self.wardrobe, self.samples, self.ids, self.entries = wardrobe, samples, ids, entries
-        network = self.network = wardrobe.original
-        self.model = wardrobe.model(entries)
+        self.superset, self.samples, self.ids, self.entries = superset, samples, ids, entries
+        network = self.network = superset.original
+        self.model = superset.model(entries)
         self.scaling = Scaling.of(network, ids)
         self.q, self.k, self.e = len(ids), 0 if samples.at_rest else len(network.nodes), len(entries)
         self.z0 = self.scaling.to_z(network.values[self.scaling.index])
@@ -131,7 +131,7 @@ class GrowthProblem:
 
     def with_entries(self, entries: tuple[Entry, ...], samples: SampledRecord | None = None) -> GrowthProblem:
         """Other effects, or another record."""
-        return GrowthProblem(self.wardrobe, samples or self.samples, self.ids, entries)
+        return GrowthProblem(self.superset, samples or self.samples, self.ids, entries)
 
     def start(self, like: GrowthFit | None = None) -> Array:
         """Where a fit begins: the network's own values, or those of another fit; effects at the sizes given."""
@@ -149,7 +149,7 @@ class GrowthProblem:
         return v
 
     def point(self, v: Array) -> tuple[Array, Array]:
-        """Full parameter vectors (P, p) of the wardrobe's network and states (P, k) at v (P, count)."""
+        """Full parameter vectors (P, p) of the superset's network and states (P, k) at v (P, count)."""
         values = np.tile(self.network.values, (len(v), 1))
         values[:, self.scaling.index] = self.scaling.to_values(self.z0 + v[:, : self.q])
         state = self.state0 + v[:, self.q : self.q + self.k]
@@ -211,11 +211,11 @@ class GrowthProblem:
 
 
 def readings_of(asked: Sequence[tuple[GrowthProblem, Array]]) -> Array:
-    """Readings (all P, n, m) of runs of problems of one wardrobe and with the same inputs, each at v (P, count)."""
+    """Readings (all P, n, m) of runs of problems of one superset and with the same inputs, each at v (P, count)."""
     points = [problem.point(v) for problem, v in asked]
     full, state = (np.concatenate(rows) for rows in zip(*points, strict=True))
-    samples, wardrobe = asked[0][0].samples, asked[0][0].wardrobe
+    samples, superset = asked[0][0].samples, asked[0][0].superset
     if samples.at_rest:
-        return wardrobe.resting.readings(samples.inputs, full)
-    found = wardrobe.kernel.trace(full, state, samples.time, samples.inputs, FEW_LANES)[0]
+        return superset.resting.readings(samples.inputs, full)
+    found = superset.kernel.trace(full, state, samples.time, samples.inputs, FEW_LANES)[0]
     return np.stack([centred(one) for one in found]) if samples.means else found

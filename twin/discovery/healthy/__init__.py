@@ -1,1 +1,1 @@
-"""What a healthy record says of noise and of the twin's own error."""
+"""Noise and model error that a healthy record shows."""

@@ -1,4 +1,4 @@
-"""What is known before a record is looked at: the noise, the tunables and how far they are trusted."""
+"""Prior knowledge of a diagnosis: noise, tunables and their uncertainty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a record's inputs go that the healthy one never went: of that nobody knows what it was like in health."""
+"""Inputs of a record outside the range of the healthy record, where the healthy rig is not known."""
 
 from __future__ import annotations
 

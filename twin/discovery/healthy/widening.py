@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from twin.discovery.kept import store, stored
+from twin.discovery.cache import store, stored
 from twin.discovery.scoring.null import FALSE_ALARMS, Null
 from twin.network import Array, Network
 
@@ -19,9 +19,14 @@ FEWEST = 10
 class Bootstrap:
     """Diagnoses of healthy records drawn from a twin.
 
-    Attributes:
-        odds: log posterior odds of the likeliest effect in each record. needed: those from which one was claimed.
-        alarms: records whose verdict was not `adequate`.
+    Attributes
+    ----------
+    odds
+        Log posterior odds of the likeliest effect in each record.
+    needed
+        Those from which one was claimed.
+    alarms
+        Records whose verdict was not `adequate`.
     """
 
     odds: tuple[float, ...]
@@ -47,7 +52,7 @@ class Bootstrap:
         )
 
 
-def keep(found: Bootstrap, network: Network, *healthy: Array) -> None:
+def keep_bootstrap(found: Bootstrap, network: Network, *healthy: Array) -> None:
     """Keep a bootstrap for later diagnoses with this twin and the arrays of its healthy record, if there is a cache."""
     store("bootstrap", asdict(found), network, *healthy)
 

@@ -1,1 +1,1 @@
-"""Where something acts that the catalogue does not know."""
+"""Places of effects that the catalogue does not have."""

@@ -106,7 +106,7 @@ def offer(
     worst = max(pairs, key=lambda n: pairs[n][0] / sigma[n])
     says = (
         f"as a curve of {name} the heat at {node} ({heats.min():.3g} to {heats.max():.3g} W) brings {worst} from "
-        f"{pairs[worst][0]:.2g} K, re-tuned, to {pairs[worst][1]:.2g} K on the part that no fit saw"
+        f"{pairs[worst][0]:.2g} K, re-tuned, to {pairs[worst][1]:.2g} K on the held-out segment"
     )
     return Empirical(node, name, tuple(knots.tolist()), tuple(heats.tolist()), bigger, pairs, says)
 

@@ -1,4 +1,4 @@
-"""Where and when, without a catalogue: one unknown quantity at one site, free to change from block to block.
+"""Localisation without a catalogue: one unknown quantity at one site, free to change from block to block.
 
 A random walk at the site, given all readings, is the smoother of an augmented Kalman filter (Rauch, Tung & Striebel,
 AIAA J. 3 (1965) 1445) written in one step, since the contest already holds the whole record as a quadratic form. Its

@@ -1,4 +1,4 @@
-"""What a record, or a planned profile, could show: the smallest effect of each kind, and the pairs it cannot separate.
+"""Forecast of detectability: the smallest effect of each kind that a record shows, and pairs that it does not separate.
 
 No reading is needed: signatures follow from the inputs and from what the twin does with them. The usual condition
 number of the tunables says next to nothing about this; the matrix of pairs does.
@@ -16,7 +16,7 @@ from twin.discovery.healthy.basis import Basis
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.null import FALSE_ALARMS, null_scores
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array, Network
 
 CONFUSED = 0.98

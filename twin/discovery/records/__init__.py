@@ -1,1 +1,1 @@
-"""What a record holds: blocks of it, its noise, which of its readings may be used."""
+"""Records as a diagnosis sees them: blocks, noise, and the readings that may be used."""

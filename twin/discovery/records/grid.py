@@ -61,12 +61,21 @@ def on_grid(
 ) -> Grid:
     """Means over bins of `least_s`, or of the record's own step where that is longer; of a record of days, of several.
 
-    Args:
-        time_s: (N,) s. inputs: (N, c); in a gap temperatures follow a straight line, all else holds. measured: (N, m)
-            degC; NaN is left out.
+    Parameters
+    ----------
+    time_s
+        (N,) s.
+    inputs
+        (N, c); in a gap temperatures follow a straight line, all else holds.
+    measured
+        (N, m) degC; NaN is left out.
 
-    Raises:
-        TooShortError: it is too short. TwinFileError: not a single reading, or the twin has meters.
+    Raises
+    ------
+    TooShortError
+        It is too short.
+    TwinFileError
+        Not a single reading, or the twin has meters.
     """
     if network.meters:
         raise TwinFileError(
@@ -99,8 +108,12 @@ def on_grid(
 def require_enough(network: Network, time_s: ArrayLike, measured: ArrayLike, least_s: float = BIN_S) -> None:
     """Check a record before it is put on a grid, with the arguments of `on_grid`.
 
-    Raises:
-        TooShortError: it is too short. TwinFileError: not a single reading.
+    Raises
+    ------
+    TooShortError
+        It is too short.
+    TwinFileError
+        Not a single reading.
     """
     _bins(network, clean_time(time_s), least_s)
     _require_readings(np.asarray(measured, dtype=np.float64))
@@ -159,9 +172,11 @@ def _held_means(t: Array, u: Array, where: np.ndarray, grid_time: Array) -> Arra
 def filled(values: Array, present: np.ndarray, anchor: int = 1) -> Array:
     """`values` (n, m, ...) where `present` (n, m), straight lines between; 0 for a column that is never present.
 
-    Args:
-        anchor: rows on either side of a gap whose mean the line begins and ends at. One noisy row at the end of a
-            long gap would otherwise count as often as the gap has rows.
+    Parameters
+    ----------
+    anchor
+        Rows on either side of a gap whose mean the line begins and ends at. One noisy row at the end of a long gap
+        would otherwise count as often as the gap has rows.
     """
     out = np.array(values, dtype=np.float64)
     rows = np.arange(len(values))

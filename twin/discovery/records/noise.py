@@ -1,4 +1,4 @@
-"""What a residual looks like when nothing is wrong, and how to weigh it: one covariance per band of periods.
+"""Noise of a healthy residual, and its weights: one covariance for each band of periods.
 
 A residual of a healthy twin is not white: the twin is lumped and the rig is not. In the cosine transform (DCT-II,
 along time, per sensor) its coefficients are nearly independent, and their covariance across sensors depends on the

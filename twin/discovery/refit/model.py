@@ -13,10 +13,9 @@ from twin.discovery.effects.probe import Probe
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.effects.shared_kernels import injection
 from twin.discovery.scoring.search import Entry
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.kernel import FEW_LANES, Kernel
 from twin.network import Array, Network
-from twin.network.assembly import NetworkEquations
 from twin.segments import restarted_states, segment_rows
 
 SETTLE_S, FIRST_ROWS, STATE_STEP_K = 900.0, 6, 1.0e-2
@@ -76,7 +75,7 @@ class Model:
     def _masses(self) -> list[tuple[int, int, int, str]]:
         """Effects that bring a temperature of their own: effect, its place in a full state, the node beside it, and the
         input that it begins at instead, if any."""
-        names = NetworkEquations(self.network, self.kernel.lane_ids).states
+        names = self.kernel.states
         found = []
         for i, entry in enumerate(self.entries):
             for element in self.network.elements:

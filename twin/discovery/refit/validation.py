@@ -1,4 +1,4 @@
-"""Whether effects predict parts of the record that their sizes were not taken from: blocks of time, one left out at a
+"""Cross-validation of effects: they must predict blocks of time that their sizes were not fitted to, one block at a
 time, with an embargo on either side for as long as the rig remembers.
 
 Everything is linear about the fit: for each block the tunables and the sizes are solved from the

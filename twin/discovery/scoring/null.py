@@ -1,4 +1,4 @@
-"""How high the best of all scores gets where there is nothing: the threshold that keeps false alarms rare.
+"""Threshold of the score that keeps false alarms rare: the highest score in records without an effect.
 
 Every law, shape and onset is one try, and they are many and correlated; a score that would be rare for one of them is
 common for the best. So records of noise alone, of the very kind that the record is weighed by, go through the same

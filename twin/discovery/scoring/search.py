@@ -11,7 +11,7 @@ from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.scoring.contest import Contest, JointEstimate
 from twin.discovery.scoring.sweep import LAST_SHARE, Courses, Given, LawSquares
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.gauss_newton import SE90
 from twin.network import Array
 

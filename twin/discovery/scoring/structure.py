@@ -1,4 +1,4 @@
-"""What a twin's structure leaves of a rig, in the words of the catalogue, as far as a healthy record says.
+"""Model error of a twin in the terms of the catalogue, estimated from the healthy record.
 
 A twin is lumped and its rig is not: water on its way through a tank of three zones reads like two litres of hose, a
 heater's element like a late heater. All of that is there in health, so it is no finding; left out, it would be found in
@@ -22,7 +22,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.phrases import said
 from twin.discovery.scoring.contest import Contest
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)

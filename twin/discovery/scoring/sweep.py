@@ -1,4 +1,4 @@
-"""What a scan works out once: courses of time, squares of laws along them, what known effects take from them."""
+"""Quantities that a scan computes once: time courses, squares of laws along them, and the share of known effects."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.effects.shapes import EARLY_S, Shape, family
+from twin.discovery.effects.shapes import EARLY_S, Shape, courses_of, family
 from twin.discovery.scoring.contest import Contest
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 LAST_SHARE = 0.95
@@ -63,8 +63,7 @@ class Courses:
     @cached_property
     def returns(self) -> Array:
         """Courses (b, k) of the `timed` shapes."""
-        courses = [shape.block_means(self.edges_s) for shape in self.timed]
-        return np.stack(courses, axis=1) if courses else np.empty((len(self.edges_s) - 1, 0))
+        return courses_of(self.timed, self.edges_s).T.copy()
 
     def beyond(self, candidate: Candidate) -> tuple[list[Shape], Array]:
         """The shapes of a candidate other than steps, and their courses (b, j)."""
@@ -75,10 +74,7 @@ class Courses:
         if candidate.slow_s not in self._fading:
             # What was put in before the record begins is as warm as its place may be: no reading tells.
             shapes = [Shape("put in", float(t), candidate.slow_s) for t in self.onsets if t > EARLY_S]
-            courses = [shape.block_means(self.edges_s) for shape in shapes]
-            # A record of an hour has no such moments.
-            stacked = np.stack(courses, axis=1) if courses else np.empty((len(self.edges_s) - 1, 0))
-            self._fading[candidate.slow_s] = shapes, stacked
+            self._fading[candidate.slow_s] = shapes, courses_of(shapes, self.edges_s).T.copy()
         return self._fading[candidate.slow_s]
 
 
@@ -153,7 +149,7 @@ def _courses(contest: Contest) -> Courses:
     edges_s = contest.edges * contest.grid.step_s
     onsets = edges_s[: max(int(contest.b * LAST_SHARE), 1)]
     begins = [Shape("step", float(t)) for t in onsets]
-    steps = np.stack([shape.block_means(edges_s) for shape in begins], axis=1)
+    steps = courses_of(begins, edges_s).T.copy()
     # Growth begins so gently that every third block is enough; `refine` looks between them.
     grown = [
         Shape(name, float(t), growth).going_on(float(edges_s[-1]))
@@ -161,7 +157,7 @@ def _courses(contest: Contest) -> Courses:
         for growth in family(name, float(edges_s[-1]))
         for t in onsets[::3]
     ]
-    growths = np.stack([shape.block_means(edges_s) for shape in grown], axis=1)
+    growths = courses_of(grown, edges_s).T.copy()
     return Courses(onsets, steps, grown, growths, edges_s, begins)
 
 

@@ -237,7 +237,7 @@ def _share_of(group: Members, column: str, faults: AbstractSet[str], time_s: Arr
 def _leaves(left: Diagnosis) -> str:
     worst = max(left.errors, key=lambda n: left.errors[n].before / left.errors[n].noise)
     e = left.errors[worst]
-    return f"at most {e.before:.2g} K on {worst} at a noise of {e.noise:.2g} K, on the part that no fit saw"
+    return f"at most {e.before:.2g} K on {worst} at a noise of {e.noise:.2g} K, on the held-out segment"
 
 
 def _late(one: Members, odd: Odd, start: float) -> Effect:

@@ -1,4 +1,4 @@
-"""What is the matter where one thermometer of several differs: it errs, or its place is warmer or colder than others.
+"""Classification of one deviating thermometer among several: it errs, or its place is warmer or colder than others.
 
 A thermometer errs at once; a place has a mass, and comes to its new temperature within a minute. A thermometer errs by
 as much whatever the rig does, or more the warmer it is; a place that loses heat, or whose contact is poor, differs by

@@ -73,10 +73,14 @@ def communication_gaps(
 ) -> list[Defect]:
     """Return the gaps of communication: of everything first, then of each interface.
 
-    Parameters:
-        series: usable samples.
-        groups: tags by interface.
-        known: spans by tag that have no samples for another reason.
+    Parameters
+    ----------
+    series
+        Usable samples.
+    groups
+        Tags by interface.
+    known
+        Spans by tag that have no samples for another reason.
     """
     by_name = {one.tag.name: one for one in series if len(one.time_s)}
     found: list[Defect] = []

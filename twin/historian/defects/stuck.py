@@ -36,8 +36,10 @@ REST_RUNS = 2
 def stuck_values(series: Series) -> list[Defect]:
     """Return the spans in which a measured quantity stood still for longer than it ever does otherwise.
 
-    Parameters:
-        series: good samples of a tag, in its own unit; a hole ends a run.
+    Parameters
+    ----------
+    series
+        Good samples of a tag, in its own unit; a hole ends a run.
     """
     measured = (
         unit_of(series.tag.unit).dimension in MEASURED

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.calibration.cell_fit import WINDOW_S
-from twin.tower.cell import STARVING, solve
+from twin.tower.cell import STARVING, solve_cell
 from twin.tower.cell_observations import Label
+from twin.tower.estimates import DAY_S, Blocks, Estimate, Opening, Priors
 from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel
-from twin.tower.smoother import DAY_S, Blocks, Estimate, Opening, Priors, estimate
 from twin.tower.smoother import WALK as DAILY
+from twin.tower.smoother import estimate
 
 TRAIN, GAP_S = 9.0 / 14.0, DAY_S
 TEST = 3.0 / 14.0
@@ -64,7 +65,7 @@ def split(blocks: Blocks) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 def clean_reading(case: CellDataset) -> Array:
     """Return the readings by the clean cell."""
     u = case.blocks.operation.inputs
-    out = solve(u, case.model.design).t_out
+    out = solve_cell(u, case.model.design).t_out
     return np.asarray(out + case.blocks.operation.bypass * (u.t_in - out))
 
 

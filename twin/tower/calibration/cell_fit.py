@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.cell_observations import Label
-from twin.tower.minutes import Minutes, blocks_of, follow
+from twin.tower.estimates import Blocks, Estimate, Opening, Priors
+from twin.tower.minutes import Minutes, blocks_of, first_order_lag
 from twin.tower.model import DEVIATIONS, SLOW, CellModel
-from twin.tower.smoother import Blocks, Estimate, Opening, Priors, estimate
+from twin.tower.smoother import estimate
 
 WINDOW_S = 7200.0
 """Target interval of the paper: 120 minutes, whose outlet readings are hidden from the prediction in them."""
@@ -41,10 +42,18 @@ class CalibrationError(ValueError):
 class Calibrated:
     """Result of a cell's calibration, arrays over its minutes (n,), NaN where withheld.
 
-    Attributes:
-        t_out, low, high: outlet of the flume, degC, with its 90 % interval. commissioned: by the clean cell.
-        deviations: (n, 4) fill, air, uniformity as deviations from 1, bias K. sd: theirs (n, 4).
-        posterior, blocks: of the fit.
+    Attributes
+    ----------
+    t_out, low, high
+        Outlet of the flume, degC, with its 90 % interval.
+    commissioned
+        By the clean cell.
+    deviations
+        (n, 4) fill, air, uniformity as deviations from 1, bias K.
+    sd
+        Theirs (n, 4).
+    posterior, blocks
+        Of the fit.
     """
 
     t_out: Array
@@ -79,8 +88,23 @@ def fit_cell(
 ) -> Fitted:
     """Fit the deviations of a cell to its steady blocks, from the estimate `start` on the same time grid if given.
 
-    Raises:
-        CalibrationError: the record has too few steady minutes with an outlet reading.
+    Parameters
+    ----------
+    model, priors
+        The cell, and the priors of its deviations.
+    minutes
+        Minutes of its record.
+    labels, openings
+        Tests of the fill, and times at which a deviation may jump.
+    edges_s
+        (k + 1,) s, edges of the time grid; None for that of `time_grid`.
+    start
+        Estimate on the same grid to begin at.
+
+    Raises
+    ------
+    CalibrationError
+        The record has too few steady minutes with an outlet reading.
     """
     blocks, of_minute = blocks_of(minutes)
     usable = int(np.isfinite(blocks.outlet).sum())
@@ -102,7 +126,7 @@ def predict_cell(fitted: Fitted) -> Calibrated:
     predicted, commissioned = np.full(len(slow), np.nan), np.full(len(slow), np.nan)
     predicted[known] = model.outlet(minutes.operation.take(known), slow[known], posterior.constant)
     commissioned[known] = _clean_outlet(model, minutes, known)
-    predicted, commissioned = follow(predicted, minutes.known), follow(commissioned, minutes.known)
+    predicted, commissioned = first_order_lag(predicted, minutes.known), first_order_lag(commissioned, minutes.known)
     t_out = predicted + _without_own_window(posterior, fitted.blocks, minutes)
     half = _half_width(minutes, t_out, slow[:, 3], posterior)
     sd = posterior.sd()[posterior.cells_at(minutes.time_s)]
@@ -113,10 +137,10 @@ def predict_cell(fitted: Fitted) -> Calibrated:
 
 def _clean_outlet(model: CellModel, minutes: Minutes, rows: NDArray[np.intp]) -> Array:
     """Return the outlet by the clean cell as commissioned, without what a record teaches."""
-    from twin.tower.cell import solve
+    from twin.tower.cell import solve_cell
 
     u = minutes.operation.inputs.take(rows)
-    out = solve(u, model.design).t_out
+    out = solve_cell(u, model.design).t_out
     return np.asarray(out + minutes.operation.bypass[rows] * (u.t_in - out))
 
 

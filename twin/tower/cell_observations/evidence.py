@@ -35,9 +35,12 @@ class Label:
 def interval_as_gaussian(low: float, high: float, mean: float, sd: float) -> tuple[float, float]:
     """Return value and standard deviation of the Gaussian observation that moment-matches an interval.
 
-    Parameters:
-        low, high: the interval.
-        mean, sd: of what is known without it.
+    Parameters
+    ----------
+    low, high
+        The interval.
+    mean, sd
+        Of what is known without it.
     """
     tail = TAIL * (high - low)
     x = np.linspace(min(low - 8.0 * tail, mean - 6.0 * sd), max(high + 8.0 * tail, mean + 6.0 * sd), 2001)

@@ -68,8 +68,10 @@ class PowerErrors:
     def normal(self, rows: PowerRows, target: Array) -> tuple[Array, Array]:
         """Return normal matrix (k + 1, k + 1) and right side of [air of each cell, gain], errors marginalised.
 
-        Parameters:
-            target: of the linear equations (n,), 0 where the weight is 0.
+        Parameters
+        ----------
+        target
+            Of the linear equations (n,), 0 where the weight is 0.
         """
         w, k, f = rows.weights, self.cells, self.features.shape[1]
         seen, level = rows.shaft[:, None] * self.features, rows.shaft

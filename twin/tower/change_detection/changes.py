@@ -22,8 +22,9 @@ import numpy as np
 
 from twin.tower.air import Array
 from twin.tower.cell_observations import Label
+from twin.tower.estimates import DAY_S, Blocks, Estimate, Opening, Priors
 from twin.tower.model import SLOW, CellModel
-from twin.tower.smoother import DAY_S, JUMP, Blocks, Estimate, Opening, Priors, estimate, walk_variance
+from twin.tower.smoother import JUMP, estimate, walk_variance
 
 RATE_D = {"fill": 1.0 / 1200.0, "air": 1.0 / 1200.0, "uniformity": 1.0 / 1200.0, "bias": 1.0 / 120.0}
 """Undeclared changes a day. One thermometer in a plant steps or is exchanged some three times a year; a cell is cleaned
@@ -43,8 +44,12 @@ def undeclared_changes(
 ) -> tuple[Opening, ...]:
     """Return the jumps that the record shows and no event announces, in the order of time.
 
-    Parameters:
-        openings: jumps that are known. start: an estimate of the record without the others.
+    Parameters
+    ----------
+    openings
+        Jumps that are known.
+    start
+        An estimate of the record without the others.
     """
     found: list[Opening] = []
     for _ in range(ROUNDS):

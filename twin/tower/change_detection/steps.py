@@ -54,9 +54,14 @@ class Step:
 def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> list[Step]:
     """Return the steps of a thermometer's residuals.
 
-    Parameters:
-        time_s: of the readings (n,), s, rising. residual: of the readings, K; NaN is left out.
-        second: residual of a second thermometer of the same water at the same times, K, or None.
+    Parameters
+    ----------
+    time_s
+        Of the readings (n,), s, rising.
+    residual
+        Of the readings, K; NaN is left out.
+    second
+        Residual of a second thermometer of the same water at the same times, K, or None.
     """
     there = np.isfinite(residual)
     t, r = time_s[there], residual[there]

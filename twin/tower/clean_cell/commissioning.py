@@ -13,7 +13,7 @@ from scipy.optimize import least_squares, nnls
 
 from twin.tower import air as moist
 from twin.tower.air import Array
-from twin.tower.cell import Design, Inputs, solve
+from twin.tower.cell import Design, Inputs, solve_cell
 
 FEWEST = 4
 """Test points: two for the Merkel number and its exponent, as many to see how well they fit."""
@@ -70,13 +70,19 @@ class CommissionedCell:
 def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None = None) -> CommissionedCell:
     """Fit a clean cell to its test points.
 
-    Parameters:
-        points: at least `FEWEST` of them.
-        water_flow: design water flow, kg/s.
-        air_flow: design air flow, kg/s; taken where no point has a measured one.
+    Parameters
+    ----------
+    points
+        At least `FEWEST` of them.
+    water_flow
+        Design water flow, kg/s.
+    air_flow
+        Design air flow, kg/s; taken where no point has a measured one.
 
-    Raises:
-        CommissioningError: too few points, or constants outside those of cooling towers.
+    Raises
+    ------
+    CommissioningError
+        Too few points, or constants outside those of cooling towers.
     """
     u, remarks = points.inputs, []
     if len(points.t_out) < FEWEST:
@@ -104,13 +110,13 @@ def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None
     power, idle = _fan_law(points.power, u.speed, rho / rho0, remarks)
     merkel, exponent, sd = _fill_law(points, water_flow, m_a0, rho0)
     design = Design(water_flow, m_a0, merkel, exponent, power, rho0, idle=idle)
-    factor = _median(points.evaporation / solve(u, design).evaporation)
+    factor = _median(points.evaporation / solve_cell(u, design).evaporation)
     if factor is None:
         factor = 1.08
         remarks.append("no test point has an evaporation; 1.08 times Merkel's is assumed, as Poppe's method has it")
     _within("evaporation over that of Merkel's method", factor, EVAPORATION)
     design = replace(design, evaporation=factor)
-    result = CommissionedCell(design, solve(u, design).t_out - points.t_out, tuple(remarks), sd)
+    result = CommissionedCell(design, solve_cell(u, design).t_out - points.t_out, tuple(remarks), sd)
     if result.rmse > LARGEST_ERROR_K:
         worst = int(np.argmax(np.abs(result.residual)))
         raise CommissioningError(
@@ -129,7 +135,7 @@ def _fill_law(
 
     def misfit(p: Array) -> Array:
         cell = Design(water_flow, m_a0, float(np.exp(p[0])), float(p[1]), 0.0, rho0)
-        return np.append((solve(points.inputs, cell).t_out - points.t_out) / 0.1, (p[1] - 0.6) / 0.3)
+        return np.append((solve_cell(points.inputs, cell).t_out - points.t_out) / 0.1, (p[1] - 0.6) / 0.3)
 
     low, high = [np.log(0.02), -1.0], [np.log(30.0), 3.0]
     fit = least_squares(misfit, [np.log(1.5), 0.6], bounds=(low, high), loss="soft_l1")

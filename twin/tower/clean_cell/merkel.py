@@ -21,8 +21,14 @@ def merkel_number(
 ) -> Array:
     """Return the Merkel number of counter-flow.
 
-    Parameters:
-        hot_C, cold_C: water in and out. air_in: enthalpy of the entering air, J/kg. loading: water over air, kg/kg.
+    Parameters
+    ----------
+    hot_C, cold_C
+        Water in and out.
+    air_in
+        Enthalpy of the entering air, J/kg.
+    loading
+        Water over air, kg/kg.
 
     The number is infinite where the operating line meets saturation.
     """

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.tower.diagnosis.adoption import adopted, effects_of
-    from twin.tower.diagnosis.search import CellCase, CellHypothesis, ClaimedEffect, TowerDiagnosis
+    from twin.tower.diagnosis.search import CellCase, CellHypothesis, ClaimedEffect, TowerDiagnosis, search_effects
     from twin.tower.diagnosis.validation import HeldOutBlocks
 
 _MODULES = {
@@ -19,6 +19,7 @@ _MODULES = {
         "effects_of",
     ),
     "search": (
+        "search_effects",
         "CellCase",
         "ClaimedEffect",
         "CellHypothesis",
@@ -28,7 +29,16 @@ _MODULES = {
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
-__all__ = ["CellCase", "CellHypothesis", "ClaimedEffect", "HeldOutBlocks", "TowerDiagnosis", "adopted", "effects_of"]
+__all__ = [
+    "CellCase",
+    "CellHypothesis",
+    "ClaimedEffect",
+    "HeldOutBlocks",
+    "TowerDiagnosis",
+    "adopted",
+    "effects_of",
+    "search_effects",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -43,8 +43,10 @@ def effects_of(network: Network) -> tuple[CellEffect, ...]:
 def adopted(network: Network, effects: Sequence[CellEffect], revision: Revision) -> Network:
     """Return a cell's twin with more effects.
 
-    Raises:
-        TwinFileError: a check of the twin file fails.
+    Raises
+    ------
+    TwinFileError
+        A check of the twin file fails.
     """
     taken = {element.name for element in network.elements}
     tables: dict[str, dict[str, Any]] = {}

@@ -73,9 +73,14 @@ DECOYS = {"decoy_wind": "wind_m_s", "decoy_air": "dry_C"}
 class EffectClass:
     """A class of effects: the forms that compete within it, and the prior of the size of each.
 
-    Attributes:
-        size_sd: standard deviation of each form's size (m,). sign: 1 or -1 where physics allows one sign only, else 0.
-        says: meaning of a size.
+    Attributes
+    ----------
+    size_sd
+        Standard deviation of each form's size (m,).
+    sign
+        1 or -1 where physics allows one sign only, else 0.
+    says
+        Meaning of a size.
     """
 
     name: str
@@ -88,9 +93,12 @@ class EffectClass:
 def candidates(columns: Mapping[str, Array], time_s: Array, timezone: str | None) -> tuple[EffectClass, ...]:
     """Return the classes whose drivers the columns hold, the readings that follow a column last.
 
-    Parameters:
-        columns: of the cell's aligned record, decoys among them. timezone: of the station, for the sun; None tries
-        every hour of noon.
+    Parameters
+    ----------
+    columns
+        Of the cell's aligned record, decoys among them.
+    timezone
+        Of the station, for the sun; None tries every hour of noon.
     """
     found: list[EffectClass] = []
 

@@ -107,8 +107,10 @@ class Evidence:
     def score(self, h: Array, size_sd: Array, sign: int, offset: Array | None = None) -> Forms:
         """Return the evidence for columns h (n, m).
 
-        Parameters:
-            offset: h'S^-1 of what is added to the data, as that of an effect that the model has (m,).
+        Parameters
+        ----------
+        offset
+            h'S^-1 of what is added to the data, as that of an effect that the model has (m,).
         """
         weighted = h * self.weights[:, None]
         u = self.jacobian.T @ weighted
@@ -144,8 +146,10 @@ def structural_error(fitted: Fitted) -> Array:
 def gain(a: Array, b: Array, size_sd: Array, sign: int) -> Forms:
     """Return log Bayes factor, size and standard deviation from the quadratic form of each column.
 
-    Parameters:
-        sign: 1 or -1 where only one half of the size's prior is possible, else 0.
+    Parameters
+    ----------
+    sign
+        1 or -1 where only one half of the size's prior is possible, else 0.
     """
     total = 1.0 + size_sd**2 * a
     size, sd = size_sd**2 * b / total, size_sd / np.sqrt(total)

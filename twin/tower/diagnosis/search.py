@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,9 @@ from twin.tower.diagnosis.candidates import DECOYS, FAULT, FREE, EffectClass, ca
 from twin.tower.diagnosis.evidence import Evidence
 from twin.tower.diagnosis.validation import HeldOutBlocks, TimeSpans, held_out, held_out_parts, inside, predictive_gain
 from twin.tower.effects import CellEffect, pattern, patterns
+from twin.tower.estimates import Opening, Priors
 from twin.tower.minutes import Minutes
 from twin.tower.model import CellModel
-from twin.tower.smoother import Opening, Priors
 
 CLAIM = 5.0
 """Posterior log odds from which an effect is claimed, if the checks below hold too: 150 to 1, very strong evidence by
@@ -100,10 +101,20 @@ class ClaimedEffect:
 class TowerDiagnosis:
     """Result of a search.
 
-    Attributes:
-        findings: claimed effects, strongest first. rejected: sentence for each class that failed a check.
-        leading: classes of the last scan, by their log odds. decoy: log odds of the best decoy in the first scan.
-        held_s: start and end of each held-out part. before, after: errors of the outlet on them by cell.
+    Attributes
+    ----------
+    findings
+        Claimed effects, strongest first.
+    rejected
+        Sentence for each class that failed a check.
+    leading
+        Classes of the last scan, by their log odds.
+    decoy
+        Log odds of the best decoy in the first scan.
+    held_s
+        Start and end of each held-out part.
+    before, after
+        Errors of the outlet on them by cell.
     """
 
     findings: tuple[ClaimedEffect, ...]
@@ -115,7 +126,7 @@ class TowerDiagnosis:
     after: Mapping[int, HeldOutBlocks]
 
 
-def search(
+def search_effects(
     cases: Sequence[CellCase],
     timezone: str | None,
     steps: Callable[[int, Fitted], tuple[Opening, ...]] = lambda cell, fitted: (),
@@ -123,12 +134,19 @@ def search(
 ) -> TowerDiagnosis:
     """Return the undeclared effects of the cells of one station.
 
-    Parameters:
-        timezone: of the station, for the sun. steps: jumps that the first fit of a cell shows to be needed. say:
-        called with each stage.
+    Parameters
+    ----------
+    timezone
+        Of the station, for the sun.
+    steps
+        Jumps that the first fit of a cell shows to be needed.
+    say
+        Called with each stage.
 
-    Raises:
-        CalibrationError: the record is too short to calibrate a cell without its held-out weeks.
+    Raises
+    ------
+    CalibrationError
+        The record is too short to calibrate a cell without its held-out weeks.
     """
     parts = held_out_parts(cases[0].minutes.time_s)
     held = {c.cell: inside(c.minutes.time_s, parts) for c in cases}
@@ -155,7 +173,7 @@ def search(
         for one in [h for h in ranked if h.log_odds >= CLAIM][:TRIED]:
             say(f"refitting with {one.candidate.name}")
             claimed, why, fits_new, errors_new = _checked(
-                cases, parts, held, fits, errors, known, evidence, one, ranked
+                cases, parts, held, _Round(fits, errors, known, evidence, ranked), one
             )
             if claimed is not None:
                 break
@@ -246,18 +264,25 @@ def _hypotheses(
     return found
 
 
+class _Round(NamedTuple):
+    """One round of a search: fits, errors, effects and evidence so far by cell, and the classes of its scan."""
+
+    fits: Mapping[int, Fitted]
+    errors: Mapping[int, HeldOutBlocks]
+    known: Mapping[int, tuple[CellEffect, ...]]
+    evidence: Mapping[int, Evidence]
+    ranked: Sequence[CellHypothesis]
+
+
 def _checked(
     cases: Sequence[CellCase],
     parts: TimeSpans,
     held: Mapping[int, NDArray[np.bool_]],
-    fits: Mapping[int, Fitted],
-    errors: Mapping[int, HeldOutBlocks],
-    known: Mapping[int, tuple[CellEffect, ...]],
-    evidence: Mapping[int, Evidence],
+    so_far: _Round,
     one: CellHypothesis,
-    ranked: Sequence[CellHypothesis],
 ) -> tuple[ClaimedEffect | None, str, dict[int, Fitted], dict[int, HeldOutBlocks]]:
     """Return the finding, or None and the reason, with fits and errors that include it."""
+    fits, errors, known, evidence, ranked = so_far
     new_fits, new_errors = dict(fits), dict(errors)
     if _is_decoy(one):
         return None, "it is a decoy, so chance reaches this far", new_fits, new_errors

@@ -20,9 +20,10 @@ from scipy.sparse import csr_matrix
 
 from twin.tower.air import Array
 from twin.tower.calibration import Fitted
+from twin.tower.estimates import Estimate
 from twin.tower.minutes import blocks_of
 from twin.tower.model import SLOW
-from twin.tower.smoother import HUBER, JUMP, Estimate
+from twin.tower.smoother import HUBER, JUMP
 
 WEEK_S = 7 * 86400.0
 TimeSpans = tuple[tuple[float, float], ...]
@@ -82,8 +83,10 @@ def part_of(time_s: Array, parts: Sequence[tuple[float, float]]) -> NDArray[np.i
 def held_out(fitted: Fitted, outlet: Array, parts: TimeSpans) -> HeldOutBlocks:
     """Return the errors of a fit in its held-out parts.
 
-    Parameters:
-        outlet: readings by minute, held-out ones too, degC (n,).
+    Parameters
+    ----------
+    outlet
+        Readings by minute, held-out ones too, degC (n,).
     """
     blocks, _ = blocks_of(replace(fitted.minutes, outlet=outlet))
     p = fitted.posterior
@@ -96,8 +99,10 @@ def held_out(fitted: Fitted, outlet: Array, parts: TimeSpans) -> HeldOutBlocks:
 def predictive_gain(fitted: Fitted, old: HeldOutBlocks, new: HeldOutBlocks) -> float:
     """Return the log predictive density of the held-out blocks that the errors `new` gain over `old`.
 
-    Parameters:
-        fitted: fit without the effect, whose covariance both share.
+    Parameters
+    ----------
+    fitted
+        Fit without the effect, whose covariance both share.
     """
     p = fitted.posterior
     if not len(old.rows):

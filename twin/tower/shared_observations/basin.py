@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.tower.air import Array
+from twin.tower.estimates import Estimate
 from twin.tower.model import DEVIATIONS, SLOW
 from twin.tower.shared_observations.joint import joint_update
-from twin.tower.smoother import Estimate
 
 OFFSET_K = 0.25
 """Standard deviation of a basin thermometer's offset: a thermometer, stratification and the basin's own loss of
@@ -75,11 +75,16 @@ def with_basin(
 ) -> list[Estimate]:
     """Return the posteriors of a compartment's cells updated by its basin thermometers.
 
-    Parameters:
-        posteriors: of all cells that drain into the compartment, with one time grid.
-        drains, time_s, makeup: by minute (n,); makeup kg/s, of the whole basin.
-        volume_m3: of the compartment.
-        changes_s: times at which a basin thermometer may have been exchanged.
+    Parameters
+    ----------
+    posteriors
+        Of all cells that drain into the compartment, with one time grid.
+    drains, time_s, makeup
+        By minute (n,); makeup kg/s, of the whole basin.
+    volume_m3
+        Of the compartment.
+    changes_s
+        Times at which a basin thermometer may have been exchanged.
     """
     rows = _rows(posteriors[0], drains, time_s, makeup, volume_m3, changes_s)
     if rows is None:

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.calibration import Fitted
-from twin.tower.cell import CP_WATER, CellDeviations, Inputs, solve
+from twin.tower.cell import CP_WATER, CellDeviations, Inputs, solve_cell
+from twin.tower.estimates import Estimate
 from twin.tower.model import NAMES, SLOW
 from twin.tower.shared_observations.joint import joint_update
-from twin.tower.smoother import Estimate
 
 SUM_S = 6 * 3600.0
 GAIN = 0.03
@@ -75,8 +75,12 @@ def with_evaporation(
     It is not used without a whole sum (`NO_WHOLE_SUM`), nor where most sums contradict the cells (`NOT_CLOSED`), as
     with a meter that stands still or a basin that overflows.
 
-    Parameters:
-        off: of each cell, by minute (n,) bool: it has no water.
+    Parameters
+    ----------
+    off
+        Of each cell, by minute (n,)
+    bool
+        It has no water.
     """
     number = np.floor(water.time_s / SUM_S).astype(np.int64)
     number -= number[0]
@@ -163,5 +167,5 @@ def _sums(one: Fitted, off: NDArray[np.bool_], number: NDArray[np.int64], count:
 
 def _per_kelvin(one: Fitted, u: Inputs, slow: Array) -> Array:
     """Return what evaporates for a kelvin of the water's fall, kg/(s K) (n,)."""
-    out = solve(u, one.model.design, CellDeviations(1.0 + slow[:, 0], 1.0 + slow[:, 1], 1.0 + slow[:, 2]))
+    out = solve_cell(u, one.model.design, CellDeviations(1.0 + slow[:, 0], 1.0 + slow[:, 1], 1.0 + slow[:, 2]))
     return np.asarray(out.evaporation / np.maximum(out.heat, 1.0) * u.m_w * CP_WATER)

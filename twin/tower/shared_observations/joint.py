@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin.tower.air import Array
-from twin.tower.smoother import Estimate
+from twin.tower.estimates import Estimate
 
 
 def joint_update(
@@ -19,9 +19,14 @@ def joint_update(
 ) -> list[Estimate]:
     """Return the posteriors after r shared observations.
 
-    Parameters:
-        crosses: of each cell, its covariance with the observations (unknowns, r). covariance: of the innovation (r, r),
-        noise included. innovation: observed less expected (r,).
+    Parameters
+    ----------
+    crosses
+        Of each cell, its covariance with the observations (unknowns, r).
+    covariance
+        Of the innovation (r, r), noise included.
+    innovation
+        Observed less expected (r,).
     """
     right = np.column_stack([innovation, *(cross.T for cross in crosses)])
     gain = np.asarray(np.linalg.solve(covariance, right), dtype=np.float64)

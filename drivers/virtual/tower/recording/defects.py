@@ -188,7 +188,21 @@ def seed_archive(
     start: datetime.datetime,
     rng: np.random.Generator,
 ) -> None:
-    """Change stored samples as networks, interfaces and archives do, in place."""
+    """Change stored samples as networks, interfaces and archives do, in place.
+
+    Parameters
+    ----------
+    kept
+        Stored samples by tag.
+    tags
+        Instruments of the station.
+    seeding
+        Defects to seed.
+    start
+        Beginning of the record.
+    rng
+        Source of random numbers.
+    """
     for one in seeding.of("comms_gap"):
         for tag in one.tags:
             kept[tag] = kept[tag].rows(~kept[tag].within(one.span))

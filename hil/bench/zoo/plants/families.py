@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.zoo.plants.parts import BuiltPart, Loop, PlantPart, assemble
+from hil.bench.zoo.plants.parts import Loop, PlantPart, assemble
 from hil.bench.zoo.plants.plant import Thermometer, ZooPlant
 
 Draw = Callable[[np.random.Generator, float], tuple[list[Loop], tuple[str, str, float] | None]]
@@ -247,7 +247,7 @@ def draw_plant(family: str, seed: int) -> ZooPlant:
         if b.part.reads
     )
     sigma = float(np.exp(rng.uniform(np.log(0.01), np.log(0.2))))
-    return ZooPlant(
+    plant = ZooPlant(
         family=family,
         seed=seed,
         network=network,
@@ -257,28 +257,22 @@ def draw_plant(family: str, seed: int) -> ZooPlant:
         heat_columns=columns,
         full_w=full,
         pumps=tuple(loop.pump for loop in loops),
-        sheet=_sheet(family, loops, exchanger, built, thermometers, sigma, full, columns, rng),
+        sheet={},
         ballast=body,
         ballast_group=group,
     )
+    return replace(plant, sheet=_sheet(plant, loops, exchanger, rng))
 
 
 def _sheet(
-    family: str,
-    loops: Sequence[Loop],
-    exchanger: tuple[str, str, float] | None,
-    built: Sequence[BuiltPart],
-    thermometers: Sequence[Thermometer],
-    sigma: float,
-    full: np.ndarray,
-    columns: Sequence[str],
-    rng: np.random.Generator,
+    plant: ZooPlant, loops: Sequence[Loop], exchanger: tuple[str, str, float] | None, rng: np.random.Generator
 ) -> dict[str, Any]:
     """Return the data sheet: what a maker knows of the rig, each number off by some per cent."""
 
     def nominal(value: float) -> float:
         return float(value * np.exp(SHEET_ERROR * rng.normal()))
 
+    built, columns = plant.parts, plant.heat_columns
     nodes: dict[str, dict[str, Any]] = {}
     for b in built:
         p, loop = b.part, loops[b.loop]
@@ -293,7 +287,7 @@ def _sheet(
         for station, litres in zip(loop.stations, loop.pipe_litres, strict=True):
             after = path[(path.index(station[0].node) + 1) % len(path)]
             pipes[after] = pipes.get(after, 0.0) + litres
-        if family in PIPED:
+        if plant.family in PIPED:
             pipes = {name: nominal(litres) for name, litres in pipes.items()}
         else:
             for name, litres in pipes.items():
@@ -316,8 +310,8 @@ def _sheet(
         "nodes": nodes,
         "loops": paths,
         "exchanger": link,
-        "sensors": {n: [t.column for t in thermometers if t.node == n] for n in nodes},
-        "sigma_K": sigma,
+        "sensors": {n: [t.column for t in plant.thermometers if t.node == n] for n in nodes},
+        "sigma_K": plant.sigma_K,
         "heaters": {c: sorted({b.part.node for b in built if b.part.heat == c}) for c in columns},
-        "rated_W": dict(zip(columns, (float(x) for x in full), strict=True)),
+        "rated_W": dict(zip(columns, (float(x) for x in plant.full_w), strict=True)),
     }

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -75,6 +76,26 @@ class BuiltPart:
     fan_group: int
 
 
+class Link(NamedTuple):
+    """Conductance between the cells `a` and `b`, W/K, in the order of the kernel's columns.
+
+    `loop`, `flow` and `fan` are the loop whose flow counts, its exponent and that of the fan; `warmth` is the growth
+    with mean temperature in 1/K. `natural` is 1 for natural convection, `layer` 1 for a link from an upper layer to
+    the one below it.
+    """
+
+    a: int
+    b: int
+    conductance: float
+    group: int
+    loop: int = -1
+    flow: float = 0.0
+    fan: float = 0.0
+    warmth: float = 0.0
+    natural: int = 0
+    layer: int = 0
+
+
 @dataclass
 class Assembly:
     """Growing lists of a network's cells, streams and links."""
@@ -82,7 +103,7 @@ class Assembly:
     capacity: list[float] = field(default_factory=list)
     curvature: list[float] = field(default_factory=list)
     streams: list[tuple[int, int, int, float, int, int]] = field(default_factory=list)
-    links: list[tuple[int, int, float, int, int, float, float, float, int, int]] = field(default_factory=list)
+    links: list[Link] = field(default_factory=list)
     heats: list[tuple[int, str, float]] = field(default_factory=list)
     gates: list[float] = field(default_factory=list)
     groups: int = 0
@@ -97,23 +118,6 @@ class Assembly:
         """Return the index of a new group of links."""
         self.groups += 1
         return self.groups - 1
-
-    def link(
-        self,
-        a: int,
-        b: int,
-        conductance: float,
-        group: int,
-        *,
-        loop: int = -1,
-        flow: float = 0.0,
-        fan: float = 0.0,
-        warmth: float = 0.0,
-        natural: bool = False,
-        layer: int = 0,
-    ) -> None:
-        """Add a link."""
-        self.links.append((a, b, conductance, group, loop, flow, fan, warmth, int(natural), layer))
 
 
 def assemble(
@@ -147,10 +151,10 @@ def assemble(
         for k, wall in enumerate(hot.metal):
             water = cold.water[-1 - k * len(cold.water) // len(hot.metal)]
             each = conductance / len(hot.metal)
-            a.link(wall, water, each, cold.film_group, loop=cold.loop, flow=0.7, warmth=0.004)
+            a.links.append(Link(wall, water, each, cold.film_group, loop=cold.loop, flow=0.7, warmth=0.004))
     beside = by_name[ballast[0]]
     body, body_group = a.cell(ballast[1]), a.group()
-    a.link(body, beside.water[-1], NOTHING, body_group)
+    a.links.append(Link(body, beside.water[-1], NOTHING, body_group))
     return _network(a, loops, columns, pump_cells), tuple(built), body, body_group
 
 
@@ -168,8 +172,8 @@ def _loop(a: Assembly, q: int, loop: Loop, built: list[BuiltPart], pump_cells: l
             outside = water
             if loop.pipe_metal > 0.0:
                 outside = a.cell(loop.pipe_metal * litres / count)
-                a.link(water, outside, 30.0 * loop.kg_s * 60.0 / count, loss, loop=q, flow=0.8)
-            a.link(outside, ROOM, loop.pipe_loss * litres / count, loss, natural=True)
+                a.links.append(Link(water, outside, 30.0 * loop.kg_s * 60.0 / count, loss, loop=q, flow=0.8))
+            a.links.append(Link(outside, ROOM, loop.pipe_loss * litres / count, loss, natural=1))
             if k:
                 a.streams.append((q, cells[k - 1], water, 1.0, -1, 0))
         tees.append(cells)
@@ -193,20 +197,20 @@ def _part(a: Assembly, q: int, loop: Loop, part: PlantPart, share: float, mixing
     for k in range(1, n):
         strength = MIXING * loop.kg_s * share * loop.cp
         if part.layered:
-            a.link(water[k - 1], water[k], 0.02 * strength, mixing, layer=1)
+            a.links.append(Link(water[k - 1], water[k], 0.02 * strength, mixing, layer=1))
         else:
-            a.link(water[k - 1], water[k], strength, mixing, loop=q, flow=1.0)
+            a.links.append(Link(water[k - 1], water[k], strength, mixing, loop=q, flow=1.0))
     metal: tuple[int, ...] = ()
     if part.metal > 0.0:
         metal = tuple(a.cell(part.metal / n) for _ in range(n))
         for one, wall in zip(water, metal, strict=True):
-            a.link(one, wall, part.film / n, film, loop=q, flow=0.7, warmth=0.004)
+            a.links.append(Link(one, wall, part.film / n, film, loop=q, flow=0.7, warmth=0.004))
     outer = metal or water
     for cell in outer:
         if part.loss > 0.0:
-            a.link(cell, ROOM, part.loss / n, loss, natural=True)
+            a.links.append(Link(cell, ROOM, part.loss / n, loss, natural=1))
         if part.fan > 0.0:
-            a.link(cell, ROOM, part.fan / n, fan, fan=0.62)
+            a.links.append(Link(cell, ROOM, part.fan / n, fan, fan=0.62))
         if part.heat:
             a.heats.append((cell, part.heat, 1.0 / n))
     a.gates.append(part.leak)

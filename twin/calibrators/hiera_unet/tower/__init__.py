@@ -1,6 +1,7 @@
 """The network calibrator's subject "cooling-tower cell": channels, memory, windows, training, gate and scores.
 
 The names below are the package's interface; they are loaded on first use, because most of them need the extra ``ml``.
+Modules among them are for the training of a network. Everything else is private to the package.
 """
 
 from __future__ import annotations
@@ -25,6 +26,15 @@ _MODULES = {
 }
 _HOME = {public: (f"{__name__}.{module}", own) for module, names in _MODULES.items() for public, own in names.items()}
 
+_PUBLIC_MODULES = (
+    "cell_table",
+    "member",
+    "predict",
+    "score",
+    "table",
+)
+"""Parts that `hil.training` puts together: each is public as a whole."""
+
 __all__ = [
     "Blindness",
     "CellTable",
@@ -33,14 +43,21 @@ __all__ = [
     "Predicted",
     "TowerPlan",
     "adapt",
+    "cell_table",
     "load_fleet",
     "load_member",
+    "member",
+    "predict",
     "predict_windows",
+    "score",
+    "table",
 ]
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name from its module on first use."""
+    if name in _PUBLIC_MODULES:
+        return import_module(f"{__name__}.{name}")
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, own = _HOME[name]

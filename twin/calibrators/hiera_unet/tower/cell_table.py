@@ -19,10 +19,10 @@ from twin.calibrators.hiera_unet.tower.table import SUBJECT, channels_of, clock_
 from twin.historian.events import Event
 from twin.tower.air import Array
 from twin.tower.cell import Design
+from twin.tower.estimates import DAY_S
 from twin.tower.minutes import Minutes
 from twin.tower.model import DEVIATIONS
 from twin.tower.recursive import Recursion
-from twin.tower.smoother import DAY_S, Opening
 
 FORMAT = 1
 STABLE, STAGING, RAMP, HOT, MAINTAINED = range(5)
@@ -111,30 +111,47 @@ class CellTable:
         return cls(**values)
 
 
-def cell_table(
-    name: str,
-    sheet: Mapping[str, Any],
-    columns: Mapping[str, NDArray[Any]],
-    minutes: Minutes,
-    design: Design,
-    clean: Array,
-    log_clean: Array,
-    beliefs: Recursion,
-    events: Sequence[Event],
-    openings: Sequence[Opening],
-    healthy_end_s: float,
-    true_water: Array,
-    true: Array,
-) -> CellTable:
-    """Return the table of a cell.
+@dataclass(frozen=True)
+class CellSources:
+    """Data of a cell that its table is made of; n minutes.
 
-    Parameters:
-        clean, log_clean: outlet degC and logarithm of the fan power by the commissioned twin (n,). true_water (n,)
-        degC, true (n, 4): truth of a simulated cell; NaN where it is not known.
+    Attributes
+    ----------
+    name, sheet, columns
+        Name, datasheet, and columns of the aligned record.
+    minutes, design, beliefs
+        As in `twin.tower`.
+    clean, log_clean
+        (n,) outlet degC and logarithm of the fan power by the commissioned twin.
+    events
+        Entries of the station's maintenance record.
+    healthy_end_s
+        End of the healthy record, s since 1970.
+    true_water, true
+        (n,) degC and (n, 4), truth of a simulated cell; NaN where it is not known.
     """
+
+    name: str
+    sheet: Mapping[str, Any]
+    columns: Mapping[str, NDArray[Any]]
+    minutes: Minutes
+    design: Design
+    clean: Array
+    log_clean: Array
+    beliefs: Recursion
+    events: Sequence[Event]
+    healthy_end_s: float
+    true_water: Array
+    true: Array
+
+
+def cell_table(of: CellSources) -> CellTable:
+    """Return the table of a cell."""
+    sheet, columns, minutes, design, clean = of.sheet, of.columns, of.minutes, of.design, of.clean
+    beliefs = of.beliefs
     t = minutes.time_s
-    healthy_end = int(np.searchsorted(t, healthy_end_s))
-    x, m = channels_of(columns, minutes, design, sheet, clean, log_clean, events, slice(0, healthy_end))
+    healthy_end = int(np.searchsorted(t, of.healthy_end_s))
+    x, m = channels_of(columns, minutes, design, sheet, clean, of.log_clean, of.events, slice(0, healthy_end))
     sizes, u = sheet["design"], minutes.operation.inputs
     fall, wet0 = float(sizes["water_inlet_C"]) - float(sizes["water_outlet_C"]), float(sizes["wet_bulb_C"])
     point = np.stack(
@@ -150,7 +167,7 @@ def cell_table(
     known = (minutes.known & np.isfinite(beliefs.water))[inside].mean(axis=1)
     middle = np.minimum(start + span // 2, len(t) - 1)
     return CellTable(
-        name=name,
+        name=of.name,
         x=x,
         m=m,
         regime=minutes.regime,
@@ -162,20 +179,20 @@ def cell_table(
         chunk=beliefs.chunk.astype(np.int32),
         reference=beliefs.reference.astype(np.float32),
         commissioned=clean.astype(np.float32),
-        true_water=true_water.astype(np.float32),
+        true_water=of.true_water.astype(np.float32),
         point=np.clip(point, -6.0, 6.0).astype(np.float16),
         start=start.astype(np.int64),
         mean=beliefs.mean.astype(np.float32),
         sd=beliefs.sd.astype(np.float32),
         fit=beliefs.fit.astype(np.float32),
         fit_sd=beliefs.fit_sd.astype(np.float32),
-        true=true[middle].astype(np.float32),
+        true=of.true[middle].astype(np.float32),
         condition=beliefs.condition.astype(np.float32),
         age_h=(beliefs.age_s / 3600.0).astype(np.float32),
         seen=beliefs.seen.astype(np.float32),
-        kind=_kinds(point, x, inside, beliefs.start_s, events),
+        kind=_kinds(point, x, inside, beliefs.start_s, of.events),
         valid=whole & (known >= LEAST_KNOWN) & (beliefs.seen >= LEAST_SEEN),
-        jumped=_jumped(true, inside),
+        jumped=_jumped(of.true, inside),
         statics=statics_of(sheet, design).astype(np.float32),
         design=np.array([fall, float(sizes["water_outlet_C"]) - wet0], dtype=np.float32),
         memory=memory_of(minutes, clean, design.m_w0, fall, wet0, slice(0, healthy_end)),

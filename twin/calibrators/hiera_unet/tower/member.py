@@ -38,8 +38,10 @@ Say = Callable[[int, int, str], None]
 def load_fleet(paths: Sequence[Path], device: str) -> Fleet:
     """Return the windows of these tables on a device.
 
-    Raises:
-        HieraError: a table cannot be read, or there is no window.
+    Raises
+    ------
+    HieraError
+        A table cannot be read, or there is no window.
     """
     return Fleet([CellTable.load(path) for path in paths], device)
 
@@ -53,8 +55,12 @@ def own_rows(fleet: Fleet, first: float, last: float) -> torch.Tensor:
 class MemberTraining:
     """A training that goes on from `folder`, until its steps are done, a time is over or `stopped` says so.
 
-    Args:
-        size: ``small`` or ``full``. digest: of the data. steps of `plan` are those wanted without a time limit.
+    Parameters
+    ----------
+    size
+        ``small`` or ``full``.
+    digest
+        Of the data. steps of `plan` are those wanted without a time limit.
     """
 
     def __init__(
@@ -74,9 +80,13 @@ class MemberTraining:
     def run(self, until: float | None, stopped: Callable[[], bool], say: Say) -> bool:
         """Train; return True when all steps are done.
 
-        Parameters:
-            until: time.monotonic() at which the training ends, with the learning rate brought down by then; None for
-            the plan's steps. say: called with steps done, steps in all, and a note.
+        Parameters
+        ----------
+        until
+            Time.monotonic() at which the training ends, with the learning rate brought down by then; None for the
+            plan's steps.
+        say
+            Called with steps done, steps in all, and a note.
         """
         began = last_kept = time.monotonic()
         gathered: list[dict[str, float]] = []
@@ -201,6 +211,22 @@ def adapt(
     """Return a network adapted to readings of the station itself, and the steps that it took.
 
     Half of the steps see windows of the family with their truth, half those of the station with its readings alone.
+
+    Parameters
+    ----------
+    network
+        Trained on the family.
+    family, own
+        Windows of simulated stations, and of this one.
+    until
+        End of the training, in s of `time.monotonic`.
+    first, last
+        Range of the station's record that is used, as shares of it.
+
+    Raises
+    ------
+    HieraError
+        The station has no window there.
     """
     rows = own_rows(own, first, last)
     if not len(rows):
@@ -229,8 +255,10 @@ def identity() -> checkpoint.Identity:
 def load_member(path: Path, *, blind_too: bool = False) -> checkpoint.Member:
     """Return a trained member.
 
-    Raises:
-        HieraError: it is of another subject, table or format, or was refused as blind.
+    Raises
+    ------
+    HieraError
+        It is of another subject, table or format, or was refused as blind.
     """
     member = checkpoint.load(path, identity())
     if member.card.get("refused") and not blind_too:

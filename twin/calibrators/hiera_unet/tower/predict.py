@@ -26,9 +26,16 @@ BLIND = "BLIND"
 class Predicted:
     """Predictions of K windows, with what they are judged by.
 
-    Attributes:
-        rows: (K,) cycles. theta, log_variance: (K, 4), the latter in units of the bounds. delta, log_scale: (K, 120),
-        K and logarithm of tolerances. attention: (K, 4, 12) of each query.
+    Attributes
+    ----------
+    rows
+        (K,) cycles.
+    theta, log_variance
+        (K, 4), the latter in units of the bounds.
+    delta, log_scale
+        (K, 120), K and logarithm of tolerances.
+    attention
+        (K, 4, 12) of each query.
     """
 
     rows: NDArray[np.int64]
@@ -56,8 +63,10 @@ def predict(
 ) -> Predicted:
     """Return the predictions of cycles `rows` (K,).
 
-    Parameters:
-        lost: share of the channels that each window loses, drawn by a fixed seed.
+    Parameters
+    ----------
+    lost
+        Share of the channels that each window loses, drawn by a fixed seed.
     """
     generator = torch.Generator(device=fleet.device).manual_seed(0)
     parts: list[tuple[Array, ...]] = []

@@ -1,4 +1,4 @@
-"""Whether what one record told holds in another: free runs over records that no effect was fitted to."""
+"""Test of a diagnosis on further records: free runs over records that no effect was fitted to."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SETTLE_S, SETTLE_SHARE, FIRST_ROWS = 900.0, 0.1, 6
 """Readings of a stretch, and the share of it at most, that tell its first temperatures; those for a first guess."""
 
 
-def elsewhere(diagnosis: Diagnosis, network: Network, record: Columns, name: str) -> Elsewhere:
+def errors_on_further_record(diagnosis: Diagnosis, network: Network, record: Columns, name: str) -> Elsewhere:
     """Errors of the twin as it was, re-tuned and, where effects were found, with them, over a further record.
 
     Nothing is fitted to it but the temperatures that it begins at; effects are there throughout.

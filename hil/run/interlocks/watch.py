@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from hil.run.interlocks import TickValues
+from hil.run.interlocks.conditions import TickValues
 
 
 class Watch(Protocol):

@@ -1,4 +1,4 @@
-"""Where what takes long to find out about a twin is kept: beside its kernels, until twin or code change."""
+"""Cache of results that take long to compute for a twin: beside its kernels, until twin or code change."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from twin.discovery.growing.masses import masses
 from twin.discovery.growing.resting import Resting
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
-from twin.elements.base import Candidate
+from twin.elements.candidates import Candidate
 from twin.kernel import Kernel
 from twin.network import Array, Network
 
@@ -33,7 +33,7 @@ commissioned, larger ones would stand for any law that is missing."""
 
 
 @dataclass(frozen=True)
-class Wardrobe:
+class CandidateSuperset:
     """`original`, what it may lack, the `network` with all of it, and a kernel in which all sizes are free.
 
     `after`: element that a candidate adds -> element without which it is not asked for.
@@ -48,7 +48,7 @@ class Wardrobe:
     @classmethod
     def of(
         cls, network: Network, tunables: tuple[str, ...], period_s: float, record_s: float, at_rest: bool = False
-    ) -> Wardrobe:
+    ) -> CandidateSuperset:
         """Everything that a network lacks altogether.
 
         Args:

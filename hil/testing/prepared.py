@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drivers.rig import rig_signals
 from drivers.rig_file import Rig, file_sha256
 from hil.profile import Profile
-from hil.run.session.rig_signals import signals_of
-from hil.testing import BoundLimit, LiveTest, Plan, RigSignals, TestPlanError, bind, read_plan
+from hil.testing.bound_limits import BoundLimit, RigSignals, bind
+from hil.testing.live import LiveTest
+from hil.testing.plan import Plan, TestPlanError, read_plan
 
 if TYPE_CHECKING:
-    from hil.run.engine import Watch
     from twin import Network
 
 
@@ -30,7 +31,20 @@ class PreparedTest:
 def prepared_test(
     file: Path, rig: Rig, profile: Profile, network: Network | None, twins: tuple[str, ...]
 ) -> PreparedTest:
-    """Return the test plan in `file` for a run of `profile` on `rig`, with `twins` by name.
+    """Return the test plan in `file` for a run, with its limits checked against rig and profile.
+
+    Parameters
+    ----------
+    file
+        Test plan.
+    rig
+        Rig of the run.
+    profile
+        Profile that the run replays.
+    network
+        Network of the twin; None for a run without a twin.
+    twins
+        Names of the twins that run.
 
     Raises
     ------
@@ -44,7 +58,7 @@ def prepared_test(
         )
     moves = profile.time_s[1:][(np.diff(profile.values, axis=0) != 0.0).any(axis=1)]
     known = RigSignals(
-        signals_of(rig),
+        rig_signals(rig),
         {} if network is None else dict(network.sensor_columns),
         twins,
         profile.duration_s,
@@ -55,8 +69,8 @@ def prepared_test(
     return PreparedTest(plan, bind(plan, known))
 
 
-def live_watch(test: PreparedTest | None, rig: Rig, announce: Callable[[str], None]) -> Watch | None:
+def live_watch(test: PreparedTest | None, rig: Rig, announce: Callable[[str], None]) -> LiveTest | None:
     """Return the watch that judges a test while its run goes on; `announce` gets a line for each limit."""
     if test is None:
         return None
-    return LiveTest(test.plan, test.limits, signals_of(rig), announce)
+    return LiveTest(test.plan, test.limits, rig_signals(rig), announce)

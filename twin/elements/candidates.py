@@ -1,0 +1,140 @@
+"""Candidate effects that an element offers to a diagnosis, and the sites at which they may act."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from twin.elements.base import Element
+
+SHAPES = ("step", "ramp", "saturating")
+"""Time courses of an effect: at once, growing in proportion to time, or growing to a final size."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that a twin may lack, or a parameter of it that may have changed.
+
+    Attributes
+    ----------
+    kind, where, driver, change
+        Labels in the vocabulary of a diagnosis.
+    changes
+        Parameter id -> weight. At size s a parameter is its neutral (or present) value plus weight times s; with
+        `inverse`, weight over s.
+    unit, typical, lower, upper
+        Unit of the size, a size of interest, and bounds, which contain its possible signs.
+    says
+        The effect in words, with ``{value}`` for the size and its unit, ``{share}`` for it in percent, and ``{slow}``
+        for the time constant. "more" and "too high" right after it turn into their opposites where it is negative.
+    adds
+        Name -> table of the elements that are added.
+    replaces
+        Element -> keys of its table that differ.
+    shapes
+        Possible time courses.
+    lumped
+        Size that a twin of mixed volumes may seem to lack, more without pipes, without any fault.
+    near
+        Function that makes similar forms, which are tested where this one scores.
+    begins
+        Input column whose temperature an added mass has at its onset, or "" for that of its place.
+    slow_s, slower
+        Time constant of a temperature of its own, s, or 0, and a function that makes the same with another one.
+    column, follows, injects, reads, adopts
+        Of an open law: the column that its elements follow, a function of stamps (n,) and inputs (n, c) that makes its
+        values (n,), the nodes and the sensors on which a value of 1 acts with these weights, if it acts on nothing
+        else, and what an adopted law's element has.
+    """
+
+    kind: str
+    where: str
+    driver: str
+    change: Literal["new", "existing"]
+    changes: Mapping[str, float]
+    unit: str
+    typical: float
+    lower: float
+    upper: float
+    says: str
+    adds: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    replaces: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    inverse: bool = False
+    shapes: tuple[str, ...] = SHAPES
+    lumped: float = 0.0
+    near: Callable[[], tuple[Candidate, ...]] | None = None
+    begins: str = ""
+    slow_s: float = 0.0
+    slower: Callable[[float], Candidate] | None = None
+    column: str = ""
+    follows: Callable[[Any, Any], Any] | None = None
+    injects: Mapping[str, float] = field(default_factory=dict)
+    reads: Mapping[str, float] = field(default_factory=dict)
+    adopts: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def id(self) -> str:
+        """Return a text that is unique within a catalogue."""
+        weights = ",".join(f"{name}*{weight:.4g}" for name, weight in self.changes.items())
+        others = "".join(f"|{key}={value}" for keys in self.replaces.values() for key, value in keys.items())
+        others += f"|from {self.begins}" if self.begins else ""
+        others += f"|{sorted(self.adopts.items())}" if self.adopts else ""
+        return f"{self.kind}@{self.where}~{self.driver}[{weights}{others}]{self.typical:.3g}"
+
+
+@dataclass(frozen=True)
+class EffectSize:
+    """Size of an effect: its unit, a size of interest, and bounds."""
+
+    unit: str
+    typical: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class Sites:
+    """The places of a network at which an element may be missing.
+
+    Attributes
+    ----------
+    nodes, inputs
+        Names.
+    room, clock
+        Input columns of the room temperature and the time of day, or "".
+    before
+        Node -> the node before it on a flow path.
+    places
+        Node -> the operator's name of the place.
+    groups
+        Place -> nodes that are alike and are named together.
+    elements, values
+        Every element, and id -> present value.
+    litres_per_s
+        Largest nominal flow, L/s.
+    scales
+        Input column -> its declared range.
+    """
+
+    nodes: tuple[str, ...]
+    inputs: tuple[str, ...]
+    room: str
+    clock: str
+    before: Mapping[str, str]
+    places: Mapping[str, str]
+    groups: Mapping[str, tuple[str, ...]]
+    elements: tuple[Element, ...]
+    values: Mapping[str, float]
+    litres_per_s: float = 0.0
+    scales: Mapping[str, float] = field(default_factory=dict)
+
+    def having(self, kind: str) -> tuple[Any, ...]:
+        """Return the network's elements of a kind."""
+        return tuple(e for e in self.elements if e.kind == kind)
+
+
+def input_target(column: str) -> str:
+    """Return the name under which `Element.changes` names an input column; no element can have it."""
+    return f"input {column}"
