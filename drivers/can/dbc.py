@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 from collections.abc import Sequence
@@ -23,6 +24,7 @@ from drivers.can.dbc_text import DbcText, usable
 from drivers.rig_file import MOST_DESCRIPTION, CanBus, IdMatch, Point, by_id, by_j1939, decoded, pgn_of, read_regular
 from drivers.signals import ConfigurationError, canonical_unit, known_unit
 
+logging.getLogger("cantools").addHandler(logging.NullHandler())  # Its warnings come as notes, with their line.
 _LONGEST = 8
 """Bytes of a frame of classical CAN."""
 _LONGEST_CYCLE_MS = 1e9
@@ -129,7 +131,7 @@ def _load_dbc(path: Path, encoding: str | None) -> tuple[Any, DbcText, str]:
     else:
         usable_text, kind = usable(text), "dbc"
     try:
-        return cantools.database.load_string(usable_text.text, kind, strict=False), usable_text, found
+        return _without_bad_comments(usable_text, kind), usable_text, found
     except RecursionError:
         raise ConfigurationError(f"{path}: is not a DBC file that can be used (it is nested too deeply)") from None
     except Exception as error:  # cantools raises parse errors of several unrelated types
@@ -137,6 +139,27 @@ def _load_dbc(path: Path, encoding: str | None) -> tuple[Any, DbcText, str]:
             line, why = usable_text.left_out[0]
             raise ConfigurationError(f"{path}, line {line}: is not a DBC file that can be used ({why})") from None
         raise ConfigurationError(f"{path}{_where(error)}") from error
+
+
+_MOST_COMMENTS = 50
+"""Comments that may be left out of a file, each at the cost of reading it again."""
+
+
+def _without_bad_comments(text: DbcText, kind: str | None) -> Any:
+    """Return cantools' database, without the comments of one line that it cannot read: they change no value."""
+    for _ in range(_MOST_COMMENTS):
+        try:
+            return cantools.database.load_string(text.text, kind, strict=False)
+        except Exception as error:
+            lines = text.text.split("\n")
+            found = re.search(r"line (\d+), column", str(error))
+            at = int(found[1]) - 1 if found is not None and kind == "dbc" else -1
+            if not 0 <= at < len(lines) or re.match(r"\s*CM_ .*;\s*$", lines[at]) is None:
+                raise
+            lines[at] = ""
+            text.text = "\n".join(lines)
+            text.left_out.append((at + 1, "a comment: is none as DBC files have them; correct the line"))
+    return cantools.database.load_string(text.text, kind, strict=False)
 
 
 def _where(error: Exception) -> str:
@@ -159,7 +182,7 @@ def read_dbc(path: Path, encoding: str | None = None) -> DbcContents:
     Without `encoding` UTF-8 and cp1252 are tried.
     """
     database, text, named = _load_dbc(path, encoding)
-    contents = DbcContents([], named, list(text.left_out), [])
+    contents = DbcContents([], named, list(text.left_out), list(text.renamed))
     twice = _of_one_frame(database)
     for message in database.messages:
         line = text.messages.get(message.name, 1)

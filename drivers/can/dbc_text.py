@@ -9,6 +9,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
+from drivers.signals import in_ascii
+
 _NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _MESSAGE = re.compile(r"\s*BO_\s+(?P<id>\d{1,10})\s+(?P<name>\w+)\s*:\s*(?P<length>\d{1,4})\s+\w+\s*")
 _SIGNAL = re.compile(
@@ -29,7 +31,8 @@ class DbcText:
     """Text of a DBC file with blanks for the lines that cannot be used, and the lines of everything else.
 
     `left_out` has line and reason of each that was taken out, `messages` and `signals` the lines of the others;
-    `multiplexing` has the mark behind a signal's name by message and name: M, m2 or m2M.
+    `multiplexing` has the mark behind a signal's name by message and name: M, m2 or m2M. `renamed` has line and
+    sentence of each name that had other letters than a to z, which no name of the format has.
     """
 
     text: str = ""
@@ -37,6 +40,7 @@ class DbcText:
     messages: dict[str, int] = field(default_factory=dict)
     signals: dict[tuple[str, str], int] = field(default_factory=dict)
     multiplexing: dict[tuple[str, str], str] = field(default_factory=dict)
+    renamed: list[tuple[int, str]] = field(default_factory=list)
 
 
 def usable(text: str) -> DbcText:
@@ -46,6 +50,11 @@ def usable(text: str) -> DbcText:
     message: str | None = None
     in_text = False
     for number, line in enumerate(re.split(r"\r\n|\r|\n", text), 1):
+        if not line.isascii():
+            written, line = line, _with_ascii_names(line, in_text)
+            was, now = _name(written), _name(line)
+            if was != now and written.split()[:1] == ["SG_"]:
+                found.renamed.append((number, f"{now} is called {was!r} in the file; its names are written in a to z"))
         word = "" if in_text else line.strip().split(maxsplit=1)[0] if line.strip() else ""
         in_text ^= len(re.findall(r'(?<!\\)"', line)) % 2 == 1
         if word == "BO_":
@@ -70,6 +79,15 @@ def usable(text: str) -> DbcText:
         kept.append("" if unused else line)
     found.text = "\n".join(kept)
     return found
+
+
+def _with_ascii_names(line: str, in_text: bool) -> str:
+    """Return a line whose words outside quotes are in the letters a to z."""
+    parts = re.split(r'(?<!\\)"', line)
+    return '"'.join(
+        part if (number % 2 == 1) != in_text else re.sub(r"[^\x00-\x7f]", "_", in_ascii(part))
+        for number, part in enumerate(parts)
+    )
 
 
 def _message(line: str, found: DbcText) -> tuple[str | None, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +14,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from drivers.rig_file import MOST_DESCRIPTION, Layout, Point, decoded, mistake, read_regular, shown, unwritable
-from drivers.signals import ConfigurationError, canonical_unit, known_unit
+from drivers.signals import ConfigurationError, canonical_unit, in_ascii, known_unit
+
+_BY_ONE, _BY_MANY = frozenset((5, 6)), frozenset((15, 16))
+"""Modbus functions that write one value, and those that write several."""
 
 
 class ImportFileError(ConfigurationError):
@@ -44,6 +47,26 @@ class DraftBus:
     name: str
     keys: dict[str, Any]
     points: list[DraftPoint] = field(default_factory=list)
+    _by_many: list[int] = field(default_factory=list)
+    _by_one: list[int] = field(default_factory=list)
+
+    def written_with(self, line: int, codes: Collection[int], collector: Collector) -> None:
+        """Declare functions that write a single register or bit in the source's `line`, and note a contradiction.
+
+        A device whose values are all written with functions 15 and 16 alone gets `write_multiple`.
+        """
+        one, many = not _BY_ONE.isdisjoint(codes), not _BY_MANY.isdisjoint(codes)
+        if one == many:
+            return
+        (self._by_one if one else self._by_many).append(line)
+        if self._by_many and self._by_one:
+            first = self._by_many[0] if one else self._by_one[0]
+            said = "see which functions the device has, and give the bus write_multiple = true where it lacks 5 and 6"
+            if len(self._by_one if one else self._by_many) == 1:
+                collector.note(line, f"is written with another function than line {first}; {said}")
+            self.keys.pop("write_multiple", None)
+        elif self._by_many:
+            self.keys["write_multiple"] = True
 
 
 @dataclass(slots=True)
@@ -172,7 +195,7 @@ class Collector:
 
     def name(self, wanted: str) -> str:
         """Return a valid, unused name of a rig file's point, made of its name in the source."""
-        stem = re.sub(r"[^A-Za-z0-9_]+", "_", wanted).strip("_") or "point"
+        stem = re.sub(r"[^A-Za-z0-9_]+", "_", in_ascii(wanted)).strip("_") or "point"
         if not stem[0].isalpha():
             stem = f"p_{stem}"
         count = self._names.get(stem, 0) + 1

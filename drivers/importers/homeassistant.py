@@ -58,7 +58,7 @@ def import_homeassistant(path: Path) -> Draft:
 
 def draft_of(path: Path, document: Placed) -> Draft:
     """Return the draft of a configuration that has been read: the whole file, or the list below its `modbus:`."""
-    hubs = document.get("modbus") or document
+    hubs = document.get("modbus") or _of_packages(document) or document
     if hubs.tag:
         raise ImportFileError(path, hubs.line, f"modbus is {hubs.tag} {hubs.value}; give that file")
     if isinstance(hubs.value, dict):
@@ -76,6 +76,17 @@ def draft_of(path: Path, document: Placed) -> Draft:
         said = "has hubs without sensors or switches; there is nothing to import"
         raise importing.collector.nothing(hubs.line, said)
     return Draft(path, buses, importing.collector.notes)
+
+
+def _of_packages(document: Placed) -> Placed | None:
+    """Return the hubs of the packages of a configuration as one list, None where it has none."""
+    core = document.get("homeassistant")
+    packages = None if core is None or not isinstance(core.value, dict) else core.get("packages")
+    if packages is None or packages.tag or not isinstance(packages.value, dict):
+        return None
+    found = [package.get("modbus") for package in packages.value.values() if isinstance(package.value, dict)]
+    lists = [hubs for hubs in found if hubs is not None and isinstance(hubs.value, list)]
+    return Placed([hub for hubs in lists for hub in hubs.value], lists[0].line) if lists else None
 
 
 class _YamlTable:
@@ -185,6 +196,9 @@ class _HomeAssistantImport:
         if section == "switches":
             keys |= {"access": "rw", "kind": "status"}
             more = self._switch(item, keys)
+            writes = item.plain("write_type", default)
+            codes = (15, 16) if writes in ("holdings", "coils") else (5, 6)
+            bus.written_with(item.line_of("write_type"), codes, self.collector)
         elif section == "binary_sensors":
             keys |= {"kind": "status"} | ({"bits": [0, 0]} if table in ("holding", "input") else {})
         elif table in ("coil", "discrete"):

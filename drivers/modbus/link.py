@@ -211,7 +211,9 @@ class ModbusLink:
         if self._wire is None and self._closes_itself:
             was, self._closed_by_device = self._answered_s, False
             with contextlib.suppress(LinkError, TimeoutError):
-                await asyncio.wait_for(self.open(where), timeout_s + self.config.connect_delay_s)
+                # Python 3.11's wait_for loses a cancellation that comes when the connection stands.
+                async with asyncio.timeout(timeout_s + self.config.connect_delay_s):
+                    await self.open(where)
                 if steady_s() - was > RECONNECT_EVERY_S:
                     self._tell_reopened()
         if self._wire is None and self.devices > 1:

@@ -7,7 +7,7 @@ are the protocol's (Modbus application protocol V1.1b3, 6.1 to 6.4, 6.11 and 6.1
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Protocol
 
@@ -39,12 +39,16 @@ class AddressHole(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)  # compared by identity: comparing and hashing points takes long
 class Block:
-    """One request: `count` registers (or bits) of `table` from `address`, holding `points` in address order."""
+    """One request: `count` registers (or bits) of `table` from `address`, holding `points` in address order.
+
+    With `multiple` a single value is written by the functions for several, 15 and 16.
+    """
 
     table: str
     address: int
     count: int
     points: tuple[Point, ...]
+    multiple: bool = False
 
     @property
     def unused(self) -> int:
@@ -58,14 +62,14 @@ class Block:
 
     @property
     def write_code(self) -> int:
-        """Function code that writes this block: 5 and 6 for a single bit or register, 15 and 16 for anything wider.
+        """Function code that writes this block: 5 and 6 for a single bit or register, 15 and 16 for all others.
 
         A value of several registers goes in one request of function 16: in two of function 6 a device would act on
         half of it.
         """
         if self.table in BIT_TABLES:
-            return 5 if self.count == 1 else 15
-        return 6 if self.count == 1 else 16
+            return 5 if self.count == 1 and not self.multiple else 15
+        return 6 if self.count == 1 and not self.multiple else 16
 
     @property
     def read_bytes(self) -> tuple[int, int]:
@@ -103,10 +107,18 @@ def plan_reads(
 
 
 def plan_writes(
-    points: Iterable[Point], *, max_write: int = MAX_WRITE, max_write_bits: int = MAX_WRITE_BITS
+    points: Iterable[Point],
+    *,
+    max_write: int = MAX_WRITE,
+    max_write_bits: int = MAX_WRITE_BITS,
+    multiple: bool = False,
 ) -> list[Block]:
-    """Return the fewest write requests for `points`; only adjacent registers are joined, so none is written unasked."""
-    return _plan(points, max_write, max_write_bits, 0, ())
+    """Return the fewest write requests for `points`; only adjacent registers are joined, so none is written unasked.
+
+    `multiple` is True for a device that has functions 15 and 16 alone.
+    """
+    blocks = _plan(points, max_write, max_write_bits, 0, ())
+    return [replace(block, multiple=True) for block in blocks] if multiple else blocks
 
 
 def _start(point: Point) -> int:

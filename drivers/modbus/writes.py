@@ -29,6 +29,7 @@ class Writes:
                 (self._points[name] for name in names),
                 max_write=self._config.max_write,
                 max_write_bits=self._config.max_write_bits,
+                multiple=self._config.write_multiple,
             )
             plan = [(b, [(p.name, p.offset, p.scale, encoder(p.type, p.order)) for p in b.points]) for b in blocks]
             self._plans[names] = plan

@@ -49,7 +49,7 @@ class ModbusBusSection(Section, ABC):
     time after connecting in which no request is sent, since the device would lose it. `uptime` names the point that
     carries the device's own clock. `serial_baud` is the speed in bit/s of the serial line, or of that behind a gateway:
     all polling must fit on it (`hil check`). `read_write` declares function 23: a write and its read-back are then one
-    request.
+    request. `write_multiple` declares a device without functions 5 and 6: single values too are written with 15 and 16.
     """
 
     device_id: Annotated[int, Field(ge=0, le=255)] = 1
@@ -64,6 +64,7 @@ class ModbusBusSection(Section, ABC):
     hole: tuple[Hole, ...] = ()
     serial_baud: Annotated[int, Field(ge=300, le=4_000_000)] | None = None
     read_write: bool = False
+    write_multiple: bool = False
     uptime: str | None = None
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from drivers.rig_file.bus_sections import TRANSPORTS
 from drivers.rig_file.interlock_specs import KINDS
 from drivers.rig_file.text import line_of
+from drivers.signals import in_ascii
 
 _TAGS = (*TRANSPORTS, *KINDS)
 """Tags of union members: pydantic puts the tag into the place of a mistake."""
@@ -80,10 +82,10 @@ def mistake(item: Any) -> str:
         key, words = _BOUND[kind]
         return f"{words} {context[key]:g}, got {shown(given)}; correct it"
     if kind == "string_pattern_mismatch":
-        letters = "letters, digits and underscores" + (
+        letters = "letters a to z, digits and underscores" + (
             ", starting with a letter" if "A-Z" in context["pattern"] else ""
         )
-        return f"{shown(given)} must be {letters}; rename it"
+        return f"{shown(given)} must be {letters}; rename it{_proposed(given)}"
     if kind in ("too_short", "too_long", "missing_argument"):
         least, most = context.get("min_length"), context.get("max_length")
         count = least if least is not None else most
@@ -92,6 +94,14 @@ def mistake(item: Any) -> str:
     if needed is None:
         return f"cannot be {shown(given)}; look the key up in docs/reference"
     return f"{needed}, got {shown(given)}; correct it"
+
+
+def _proposed(given: Any) -> str:
+    """Return a name in the letters a to z in place of one with others, as the end of a sentence, or ""."""
+    if not isinstance(given, str) or given.isascii():
+        return ""
+    name = re.sub(r"[^A-Za-z0-9_]+", "_", in_ascii(given)).strip("_")
+    return f", for example to {name}" if name[:1].isalpha() else ""
 
 
 def shown(value: Any) -> str:

@@ -3,6 +3,7 @@
 The names below are the package's interface. Other modules are private to the package.
 """
 
+from drivers.signals.ascii_names import in_ascii
 from drivers.signals.codec import (
     UNSIGNED,
     WIDTH,
@@ -72,6 +73,7 @@ __all__ = [
     "encode",
     "encode_text",
     "encoder",
+    "in_ascii",
     "known_unit",
     "nearest_role",
     "plausible_range",

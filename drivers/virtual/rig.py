@@ -175,6 +175,10 @@ class VirtualRigOptions:
         True for a third one on a pseudo-terminal.
     effects
         File of effects that no twin knows of.
+    fmu
+        FMU in the place of the plant (see `drivers.virtual.fmu.FmuPlant`); it takes no `effects`.
+    fmu_variables
+        Pairs of a signal of the rig and a variable of the FMU, where their names differ.
     host
         Address to listen on.
     unit
@@ -204,6 +208,8 @@ class VirtualRigOptions:
     rtu_port: int | None = None
     serial: bool = False
     effects: Path | None = None
+    fmu: Path | None = None
+    fmu_variables: tuple[tuple[str, str], ...] = ()
     host: str = "127.0.0.1"
     unit: int | None = None
     truth: Path | None = None
@@ -222,6 +228,10 @@ class VirtualRigOptions:
             raise ValueError(f"speed is {self.speed}; give a factor above 0.")
         if not (math.isfinite(self.start_s) and self.start_s >= 0.0):
             raise ValueError(f"start_s is {self.start_s}; give 0 s or more.")
+        if self.fmu is not None and self.effects is not None:
+            raise ValueError("effects change the built-in plant, which an FMU replaces; leave one of the two out.")
+        if self.fmu is None and self.fmu_variables:
+            raise ValueError("variables of an FMU are named, but no FMU; give it, too.")
         for name in ("modbus_port", "can_port", "control_port", "rtu_port"):
             port = getattr(self, name) or 0
             if not 0 <= port <= 65535:
@@ -241,6 +251,9 @@ class VirtualRigOptions:
         words = ["--mode", self.mode, "--speed", repr(self.speed), "--period", repr(self.period_s)]
         words += ["--modbus-port", str(self.modbus_port), "--control-port", str(self.control_port)]
         words += ["--start", repr(self.start_s), "--server", self.server]
+        if self.fmu is not None:
+            words += ["--fmu", str(self.fmu)]
+        words += [word for pair in self.fmu_variables for word in ("--fmu-variable", "=".join(pair))]
         if self.truth is not None:
             words += ["--truth", str(self.truth)]
         if self.tls is not None:
@@ -264,7 +277,7 @@ async def start_virtual_rig(options: VirtualRigOptions | None = None, **changes:
 
     Raises
     ------
-    PortInUseError, EffectFileError, VirtualRigError
+    PortInUseError, EffectFileError, FmuPlantError, VirtualRigError
         The rig cannot be started; the message says why.
     ValueError
         Options that make no rig.
@@ -272,6 +285,10 @@ async def start_virtual_rig(options: VirtualRigOptions | None = None, **changes:
     options = replace(options or VirtualRigOptions(), **changes)
     if options.effects is not None:
         load_effects(options.effects)
+    if options.fmu is not None:
+        from drivers.virtual.fmu import fmu_ports
+
+        fmu_ports(options.fmu, dict(options.fmu_variables))
     common = options.common_arguments()
     near, far = socket.socketpair()
     children: list[_RigProcess] = []

@@ -24,6 +24,7 @@ VERBS = {
     "ctl": "Hold, pause, resume, abort or query a live run",
     "diagnose": "Trace the error of a twin to the effect that it lacks",
     "explain": "Run the experiments that settle an ambiguous diagnosis",
+    "export": "Write a run as CSV, Parquet, MF4, HDF5, TDMS; a twin as FMU",
     "init": "Write a rig file from options, a register table, Telegraf, DBC ...",
     "ls": "List runs: verdict, end, rig, duration, tags",
     "note": "Add a note or labels to a run, also while it goes on",
@@ -42,7 +43,7 @@ VERBS = {
 PACKAGES = {
     "hil.bench.commands": ("bench",),
     "hil.cli.rig_commands": ("check", "init", "profile", "rig"),
-    "hil.cli.run_commands": ("compare", "ctl", "ls", "note", "report", "resume", "review", "run", "test"),
+    "hil.cli.run_commands": ("compare", "ctl", "export", "ls", "note", "report", "resume", "review", "run", "test"),
     "hil.cli.tower_commands": ("tower",),
     "hil.cli.twin_commands": ("commission", "diagnose", "explain", "track", "train", "twin"),
 }
@@ -64,6 +65,12 @@ class _Verbs(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl(list(VERBS.items()))
+
+    def invoke(self, ctx: click.Context) -> Any:
+        from hil.cli.options import explained_extras
+
+        with explained_extras():
+            return super().invoke(ctx)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         import difflib
@@ -89,7 +96,7 @@ def group() -> None:
 def main() -> None:
     """Run `hil`: report errors of the user as one sentence with exit code 2, faults that were found with 1."""
     from hil.cli.options import OWN_PROCESS
-    from hil.errors import explained
+    from hil.errors import explained, warn_of_little_memory
     from hil.files import accept_any_name
 
     if (
@@ -100,5 +107,6 @@ def main() -> None:
         # is imported, and the run would heat.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     accept_any_name()
+    warn_of_little_memory()
     with explained():
         sys.exit(group.main(standalone_mode=True, obj=OWN_PROCESS))

@@ -11,12 +11,13 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.journal.check import require_alone
-    from hil.journal.export import ExportedRecord, export_record
+    from hil.journal.export import ExportedRecord, all_samples, export_record
     from hil.journal.profile_clock import profile_times
     from hil.journal.reader import JournalReader
     from hil.journal.rows import (
         BandRow,
         CalibrationRow,
+        EventRow,
         Header,
         JournalError,
         JournalSamples,
@@ -49,6 +50,7 @@ __all__ = [
     "WAITING",
     "BandRow",
     "CalibrationRow",
+    "EventRow",
     "ExportedRecord",
     "Header",
     "JournalError",
@@ -64,6 +66,7 @@ __all__ = [
     "Transition",
     "TransitionError",
     "TwinOutput",
+    "all_samples",
     "event_level",
     "export_record",
     "next_state",
@@ -77,6 +80,7 @@ __getattr__, __dir__ = lazy_names(
         "check": ("require_alone",),
         "export": (
             "ExportedRecord",
+            "all_samples",
             "export_record",
         ),
         "profile_clock": ("profile_times",),
@@ -84,6 +88,7 @@ __getattr__, __dir__ = lazy_names(
         "rows": (
             "BandRow",
             "CalibrationRow",
+            "EventRow",
             "Header",
             "JournalError",
             "ProposalRow",

@@ -56,7 +56,7 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
     reader = JournalReader(journal)
     try:
         header = reader.header
-        tick, time_s, values, quality = _all_samples(reader)
+        tick, time_s, values, quality = all_samples(reader)
         states = reader.states()
         profile_s = profile_times(states, tick, header.period_s) if states else time_s
         begins = [row.tick for row in reader.segments()]
@@ -100,10 +100,10 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
     )
 
 
-def _all_samples(
+def all_samples(
     reader: JournalReader,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:
-    """Return `tick (n,)`, `time_s (n,)`, `values (n, k)` and `quality (n, k)` of the whole journal."""
+    """Return `tick (n,)`, `time_s (n,)` in s, `values (n, k)` and `quality (n, k)` of the whole journal."""
     pages = []
     after = -1
     while True:

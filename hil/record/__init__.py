@@ -11,6 +11,7 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.record.csv_file import DialectError, beginning_of, find_dialect, is_annotated
+    from hil.record.file import foreign_kind
     from hil.record.long_format import VALUES
     from hil.record.public import (
         PIPE_TESTS,
@@ -40,6 +41,7 @@ __all__ = [
     "beginning_of",
     "dry_cooler",
     "find_dialect",
+    "foreign_kind",
     "heated_pipe",
     "held_steady",
     "is_annotated",
@@ -60,6 +62,7 @@ __getattr__, __dir__ = lazy_names(
             "find_dialect",
         ),
         "csv_file.encodings": ("beginning_of",),
+        "file": ("foreign_kind",),
         "units.headings": ("name_and_unit",),
         "long_format": ("VALUES",),
         "public": (

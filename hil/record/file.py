@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -24,6 +25,12 @@ _FOREIGN = (
     (b"TDSm", "is a TDMS file; export it as Parquet or CSV"),
     (b"ARROW1", "is a Feather file; save it as Parquet or CSV"),
 )
+_SNIFFED = 1000
+"""Bytes of a text that show its kind."""
+_FOREIGN_TEXT = (
+    (re.compile(rb"<(!doctype|\?xml|html|head|body|table)\b"), "is HTML or XML; save its table as CSV"),
+    (re.compile(rb'\{\s*"|\[\s*[\[{]\s*["\d]'), "is JSON; export it as CSV, with a column for each signal"),
+)
 
 
 def read_raw(path: Path) -> RawRecord:
@@ -40,9 +47,8 @@ def read_raw(path: Path) -> RawRecord:
     digest = hashlib.sha256(content).hexdigest()
     if content.startswith(b"PAR1"):
         return _with_rows(_with_units(_parquet(path, content, digest)))
-    for magic, what in _FOREIGN:
-        if content.startswith(magic):
-            raise RecordError(f"{path} {what}")
+    if (what := foreign_kind(content)) is not None:
+        raise RecordError(f"{path} {what}")
     if path.suffix == ".parquet":
         raise RecordError(f"{path} is not a Parquet file; if it is text, give it the suffix .csv")
     try:
@@ -52,6 +58,15 @@ def read_raw(path: Path) -> RawRecord:
     if b"\0" in content:
         raise RecordError(f"{path}{_zero_bytes(content)}")
     return _with_rows(_with_units(read_csv(path, content, digest)))
+
+
+def foreign_kind(content: bytes) -> str | None:
+    """Return the kind of a file that is neither Parquet nor a table of text, with the remedy; None for these."""
+    for magic, what in _FOREIGN:
+        if content.startswith(magic):
+            return what
+    beginning = content[:_SNIFFED].removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    return next((what for pattern, what in _FOREIGN_TEXT if pattern.match(beginning)), None)
 
 
 def _zero_bytes(content: bytes) -> str:

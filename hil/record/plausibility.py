@@ -56,6 +56,8 @@ _MOST_CODES = 4
 _LEVELS = re.compile(r"(^|_)(set|setpoint|sp|soll|target|ref|reference|demand|cmd)(_|\d|$)|setpoint|sollwert", re.I)
 """Names of set-points, which jump between levels."""
 
+_DRIVEN = ("W", "kW", "%", "V", "mV", "kV", "A", "mA", "VA", "var", "rpm", "Hz", "1")
+"""Units of quantities that a controller may switch for single rows; a pulse of them is no code."""
 FEW = 8
 """Fewest different values of a continuous quantity; fewer may be the levels of a switch."""
 FAR_FACTOR = 10.0
@@ -112,8 +114,9 @@ def without_implausible(
     found = extremes = _extremes(numbers)
     listed = (*CODES, *TEMPERATURE_CODES) if unit == "degC" and not converted else CODES
     found = [*found, *(code for code in np.unique(numbers[_equal(numbers, listed)]).tolist() if code not in found)]
-    if parts and unit in ("degC", "K") and _LEVELS.search(parts[0]) is None:
-        found += [code for code in _repeated(numbers) if code not in found]
+    if parts and _LEVELS.search(parts[0]) is None:
+        unlisted = _repeated(numbers) if unit in ("degC", "K") else [] if unit in _DRIVEN else _isolated(numbers)
+        found += [code for code in unlisted if code not in found]
     for code in 2 * found:  # The value farthest out hides the others from the first pass.
         apart = _far_extreme(numbers, code, parts is not None) if code in extremes else _stand_apart(numbers, code)
         if apart is not None:
@@ -186,6 +189,36 @@ def _repeated(values: Values) -> list[float]:
         else:
             break
     return found
+
+
+def _isolated(values: Values) -> list[float]:
+    """Return unlisted codes of a measured quantity that has no scale of its own: exact repetitions in isolated rows.
+
+    Each lies at an end, farther from all others than `FAR_FACTOR` times what those span. Before and after each of its
+    rows the quantity is the same, so that nothing happened in between. Zero is none, since a pump may stop.
+    """
+    known = values[np.isfinite(values)]
+    found: list[float] = []
+    for end in (float(known.min()), float(known.max())) if len(known) else ():
+        others = known[known != end]
+        if end == 0.0 or len(others) < 2 or (known == end).sum() < REPEATED:
+            continue
+        span = float(np.ptp(others))
+        rows = np.flatnonzero(known == end)
+        alone = (rows[0] > 0) and (rows[-1] < len(known) - 1) and bool((np.diff(rows) > 1).sum() >= REPEATED - 1)
+        if alone and float(np.abs(others - end).min()) > FAR_FACTOR * span and _carries_on(known, rows):
+            found.append(end)
+    return found
+
+
+def _carries_on(values: Values, rows: NDArray[np.int64]) -> bool:
+    """Return True where values go on after `rows` as before them, with no larger steps than between other rows."""
+    others = np.delete(values, rows)
+    joints = rows - np.arange(len(rows))  # Place in `others` of the first value after each row.
+    steps = np.abs(np.diff(others))
+    places, counts = np.unique(joints, return_counts=True)
+    between = np.delete(steps, places - 1)
+    return bool(len(between)) and bool((steps[places - 1] <= (counts + 1) * between.max()).all())
 
 
 def _equal(values: Values, marks: tuple[float, ...]) -> NDArray[np.bool_]:

@@ -3,6 +3,7 @@
 /tower/cell<N>/measured, /tower/cell<N>/twin   degC, (n, 1) and (n, 4): calibrated, interval, as commissioned
 /tower/cell<N>/error                           measured minus calibrated, and minus commissioned, K, (n, 2)
 /tower/cell<N>/<deviation>                     deviation with its 90 % interval, (n, 3)
+/tower/cell<N>/network/outlet, .../<deviation> the same of a network that was asked, degC and share or K, (n, 3)
 """
 
 from __future__ import annotations
@@ -27,12 +28,17 @@ DEVIATIONS = {
     "uniformity": "uniformity, share of clean",
     "bias": "bias of the outlet thermometer [K]",
 }
-BLUE = TRACKED["blue"]
+BLUE, VIOLET = TRACKED["blue"], TRACKED["violet"]
 TableColumns = dict[str, NDArray[np.float64]]
 
 
-def write_tower_review(table: Path, rrd: Path, name: str) -> None:
+def write_tower_review(table: Path, rrd: Path, name: str, network: Path | None = None) -> None:
     """Write the calibrated table of a station's cells to `rrd`, completely or not at all.
+
+    Parameters
+    ----------
+    network
+        Table of a network that was asked, whose curves are drawn beside.
 
     Raises
     ------
@@ -42,13 +48,17 @@ def write_tower_review(table: Path, rrd: Path, name: str) -> None:
         The file cannot be written.
     """
     cells = _cells(table)
+    asked = {} if network is None else _cells(network)
     start = min(float(c["time_s"][0]) for c in cells.values())
     end = max(float(c["time_s"][-1]) for c in cells.values()) - start
-    plan = _plan(cells, name, end)
+    plan = _plan(cells, name, end, frozenset(asked))
     with replacing(rrd) as unfinished, utf8_path(unfinished) as path:
         recording = Recording(plan, name, path=path)
         for cell, columns in cells.items():
             for entity, values in _curves(cell, columns):
+                recording.send(Rows(entity, columns["time_s"] - start, values))
+        for cell, columns in asked.items():
+            for entity, values in _network_curves(cell, columns):
                 recording.send(Rows(entity, columns["time_s"] - start, values))
         recording.layout(plan, end)
         recording.close()
@@ -102,7 +112,16 @@ def _curves(cell: int, c: TableColumns) -> list[tuple[str, NDArray[np.float64]]]
     return found
 
 
-def _plan(cells: dict[int, TableColumns], name: str, end_s: float) -> ReviewPlan:
+def _network_curves(cell: int, c: TableColumns) -> list[tuple[str, NDArray[np.float64]]]:
+    ends = ("", "_lo", "_hi")
+    named = {"outlet": "t_out", **{d: d for d in DEVIATIONS}}
+    return [
+        (f"/tower/cell{cell}/network/{entity}", np.stack([c[f"{column}{end}"] for end in ends], axis=1))
+        for entity, column in named.items()
+    ]
+
+
+def _plan(cells: dict[int, TableColumns], name: str, end_s: float, asked: frozenset[int] = frozenset()) -> ReviewPlan:
     lines: list[Lines] = []
     tabs = []
     for cell in cells:
@@ -113,8 +132,17 @@ def _plan(cells: dict[int, TableColumns], name: str, end_s: float) -> ReviewPlan
             Lines(f"{base}/error", ("minus calibrated", "minus commissioned"), (BLUE, ORANGE)),
             *(Lines(f"{base}/{d}", (d, "5 %", "95 %"), (BLUE, FAINT, FAINT)) for d in DEVIATIONS),
         ]
-        outlet = Panel("lines", "outlet [°C]", (f"{base}/measured", f"{base}/twin"), 2.0)
+        of_network = (f"{base}/network/outlet",) if cell in asked else ()
+        if cell in asked:
+            lines += [
+                Lines(f"{base}/network/{d}", ("network", "5 %", "95 %"), (VIOLET, FAINT, FAINT))
+                for d in ("outlet", *DEVIATIONS)
+            ]
+        outlet = Panel("lines", "outlet [°C]", (f"{base}/measured", f"{base}/twin", *of_network), 2.0)
         error = Panel("lines", "reading minus twin [K]", (f"{base}/error",))
-        panels = tuple(Panel("lines", title, (f"{base}/{d}",)) for d, title in DEVIATIONS.items())
+        panels = tuple(
+            Panel("lines", title, (f"{base}/{d}", *((f"{base}/network/{d}",) if cell in asked else ())))
+            for d, title in DEVIATIONS.items()
+        )
         tabs.append(Stack("rows", (outlet, error, *panels), title=f"Cell {cell}"))
     return ReviewPlan(Header((), {}, (), name, end_s, 1.0, {}), tuple(lines), (), tuple(tabs))

@@ -34,8 +34,25 @@ if TYPE_CHECKING:
     )
     from hil.tower.calibration import calibrate as calibrate_station
     from hil.tower.diagnose import adopt, diagnose_station, document, write_document
-    from hil.tower.governance import RECORDS, REPORT, CellGovernance, check_records, govern
+    from hil.tower.governance import (
+        NETWORK_RECORDS,
+        RECORDS,
+        REPORT,
+        CellGovernance,
+        NetworkGovernance,
+        check_records,
+        govern,
+    )
     from hil.tower.governance import report as report_text
+    from hil.tower.network import (
+        NETWORK_TABLE,
+        NetworkMode,
+        StationAnswers,
+        ask_network,
+        check_network,
+        write_network_table,
+    )
+    from hil.tower.network import remove_table as remove_network_table
     from hil.tower.plan import plan as plan_step_test
     from hil.tower.station import (
         Aligned,
@@ -43,6 +60,7 @@ if TYPE_CHECKING:
         Collected,
         StationNotes,
         cells_of,
+        events_of,
         iso,
         read_cell,
         read_notes,
@@ -54,6 +72,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DRIVEN",
+    "NETWORK_RECORDS",
+    "NETWORK_TABLE",
     "RECORDS",
     "REPORT",
     "TABLE",
@@ -62,12 +82,17 @@ __all__ = [
     "CellRecord",
     "CellResult",
     "Collected",
+    "NetworkGovernance",
+    "NetworkMode",
+    "StationAnswers",
     "StationNotes",
     "TruthColumns",
     "adopt",
     "align_station",
+    "ask_network",
     "calibrate_station",
     "cells_of",
+    "check_network",
     "check_records",
     "collect_points",
     "commission_cell",
@@ -75,6 +100,7 @@ __all__ = [
     "diagnose_station",
     "document",
     "draw_cell",
+    "events_of",
     "fit_with_steps",
     "govern",
     "iso",
@@ -90,11 +116,13 @@ __all__ = [
     "read_notes",
     "read_station",
     "read_truth",
+    "remove_network_table",
     "report_text",
     "site_of",
     "withheld",
     "write_document",
     "write_healthy",
+    "write_network_table",
     "write_table",
     "writing",
 ]
@@ -135,7 +163,9 @@ __getattr__, __dir__ = lazy_names(
             "write_document",
         ),
         "station.errors": ("writing",),
+        "governance.network_service": ("NetworkGovernance",),
         "governance.records": (
+            "NETWORK_RECORDS",
             "RECORDS",
             "check_records",
         ),
@@ -145,11 +175,23 @@ __getattr__, __dir__ = lazy_names(
             "write_healthy",
         ),
         "calibration.picture": ("draw_cell",),
+        "network.answers": (
+            "NetworkMode",
+            "StationAnswers",
+            "ask_network",
+            "check_network",
+        ),
+        "network.table_file": (
+            "NETWORK_TABLE",
+            "remove_network_table = remove_table",
+            "write_network_table",
+        ),
         "plan": ("plan_step_test = plan",),
         "station.record": (
             "CellRecord",
             "StationNotes",
             "cells_of",
+            "events_of",
             "read_cell",
             "read_notes",
         ),

@@ -259,7 +259,7 @@ def test_a_table_of_older_spreadsheets_is_read_and_its_encoding_named(tmp_path):
     source.write_bytes("Bezeichnung;Adresse;Tabelle;Typ;Einheit\nRücklauf;4;input;int16;°C\n".encode("cp1252"))
     draft = import_csv(source, "zero", BUS)
     (point,) = written(tmp_path, draft).point
-    assert (point.name, point.unit) == ("R_cklauf", "degC")
+    assert (point.name, point.unit) == ("Ruecklauf", "degC")
     assert draft.notes == ["it is no UTF-8 text and was read as cp1252; look at its names and units"]
 
 

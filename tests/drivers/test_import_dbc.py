@@ -168,3 +168,39 @@ def test_signals_that_no_message_carries_are_noted(tmp_path):
     points, notes = imported(tmp_path, GOOD + orphans + ' SG_ lost : 0|8@1+ (1,0) [0|0] "" Vector__XXX\n')
     assert points == ["T_wall"]
     assert notes == ["line 11: lost: no message carries it; move it into one (left out)"]
+
+
+ODD_NAMES = """VERSION ""
+
+NS_ :
+
+BS_:
+
+BU_: Gerät HMI
+
+BO_ 1008 Kühler: 4 Gerät
+ SG_ T_Rücklauf : 0|16@1- (0.1,0) [-40|200] "degC" HMI
+ SG_ flow : 16|16@1+ (0.1,0) [0|200] "L/min" HMI
+
+CM_ SG_ 1008 T_Rücklauf "Fühler im Rücklauf";
+"""
+
+
+def test_names_of_a_dbc_beyond_a_to_z_are_read_and_noted(tmp_path):
+    out = tmp_path / "rig.toml"
+    done = CliRunner().invoke(init, ["--from", str(table(tmp_path, ODD_NAMES, "x.dbc")), "--out", str(out)])
+    assert done.exit_code == 0, (done.output, done.exception)
+    assert "line 10: T_Ruecklauf is called 'T_Rücklauf'" in done.output
+    rig = load_rig(out)
+    assert [point.name for point in rig.point] == ["T_Ruecklauf", "flow"]
+    assert rig.get("T_Ruecklauf").doc == "Fühler im Rücklauf"
+    assert CliRunner().invoke(check, [str(out)]).exit_code == 0
+
+
+def test_a_comment_that_cannot_be_read_costs_no_signal(tmp_path):
+    out = tmp_path / "rig.toml"
+    text = ODD_NAMES.replace("im Rücklauf", 'im "kalten" Rücklauf')
+    done = CliRunner().invoke(init, ["--from", str(table(tmp_path, text, "x.dbc")), "--out", str(out)])
+    assert done.exit_code == 0, (done.output, done.exception)
+    assert "line 13: a comment: is none as DBC files have them; correct the line (left out)" in done.output
+    assert [point.name for point in load_rig(out).point] == ["T_Ruecklauf", "flow"]

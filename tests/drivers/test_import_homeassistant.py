@@ -225,3 +225,16 @@ def test_any_home_assistant_entry_is_imported_well_or_refused(tmp_path_factory, 
         assert "ha.yaml" in str(error)
     else:
         written(tmp_path_factory.mktemp("fuzz"), draft)
+
+
+@pytest.mark.parametrize(("kinds", "is_declared"), [(["holdings", "coils"], True), (["holding", "coil"], None)])
+def test_a_switch_that_is_written_with_function_16_declares_it(kinds, is_declared):
+    switches = [{"name": f"s{k}", "address": k, "write_type": kind} for k, kind in enumerate(kinds)]
+    draft = draft_of(Path("ha.yaml"), placed(hub(switches=switches)))
+    assert draft.buses[0].keys.get("write_multiple") is is_declared
+
+
+def test_hubs_of_packages_are_read():
+    packages = {"homeassistant": {"packages": {"a": hub({"name": "x", "address": 1}), "b": {"light": []}}}}
+    draft = draft_of(Path("ha.yaml"), placed(packages))
+    assert [point.name for bus in draft.buses for point in bus.points] == ["x"]

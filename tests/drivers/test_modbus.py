@@ -222,6 +222,48 @@ async def test_function_23_writes_at_most_121_registers_and_else_it_takes_two_re
     assert asked == codes
 
 
+def without_function(*missing):
+    """Return the behaviour of a device that lacks these functions."""
+
+    def behaviour(server, tid, unit, pdu):
+        return bytes((pdu[0] | 0x80, 1)) if pdu[0] in missing else correct(server, tid, unit, pdu)
+
+    return behaviour
+
+
+async def test_a_device_without_function_6_is_written_with_16_where_its_section_says_so():
+    async with FaultyServer(without_function(6)) as server:
+        refused, driver = bus(server), bus(server, write_multiple=True)
+        await refused.connect()
+        with pytest.raises(
+            DeviceExceptionError, match=r"function 6: exception 1, .*write_multiple = true.*function 16"
+        ):
+            await refused.write({"set": 5.0})
+        await refused.close()
+        await driver.connect()
+        await driver.write({"set": 5.0})
+        held = await driver.read_back(("set",))
+        await driver.close()
+    assert held == {"set": 5.0} and server.written == [(20, [50])]
+
+
+@pytest.mark.parametrize(
+    ("missing", "keys", "values", "remedy"),
+    [
+        (16, {}, {"set": 5.0, "beat": 1.0}, r"give the bus max_write = 1"),
+        (16, {"write_multiple": True}, {"set": 5.0}, r"take write_multiple out"),
+    ],
+)
+async def test_a_refused_function_16_names_its_remedy(missing, keys, values, remedy):
+    async with FaultyServer(without_function(missing)) as server:
+        driver = bus(server, **keys)
+        await driver.connect()
+        with pytest.raises(DeviceExceptionError, match=rf"function 16: exception 1.*{remedy}"):
+            await driver.write(values)
+        await driver.close()
+    assert not server.written
+
+
 async def test_a_write_that_is_confirmed_wrongly_is_an_error():
     async with FaultyServer(
         lambda s, tid, unit, pdu: struct.pack(">BHH", pdu[0], 20, 9) if pdu[0] > 4 else correct(s, tid, unit, pdu)

@@ -402,3 +402,26 @@ class Stopped:
             return behaviour(*arguments)
 
         return answer
+
+
+async def test_a_read_that_reconnects_is_cancelled_though_the_connection_stands():
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        tid, unit, pdu = await asked(reader)
+        writer.write(mbap(tid, unit, answer(pdu)))
+        await writer.drain()
+
+    async with listening(serve) as port:
+        bus = driver(port)
+        await bus.connect()
+        await asyncio.sleep(0.05)  # the device closes
+        opened = bus.link.open
+
+        async def opened_and_cancelled(where: str) -> None:
+            await opened(where)
+            reading.cancel()
+
+        bus.link.open = opened_and_cancelled
+        reading = asyncio.ensure_future(bus.read())
+        await asyncio.wait((reading,), timeout=5.0)
+        await bus.close()
+    assert reading.cancelled()

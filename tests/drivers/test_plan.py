@@ -168,6 +168,12 @@ def test_only_single_registers_and_bits_are_written_by_the_single_functions(kind
     assert block.write_code == code
 
 
+@pytest.mark.parametrize(("kind", "table", "code"), [("uint16", "holding", 16), ("bool", "coil", 15)])
+def test_a_device_with_write_multiple_gets_single_values_by_the_functions_for_several(kind, table, code):
+    (block,) = plan_writes([point(10, kind, table)], multiple=True)
+    assert (block.count, block.write_code) == (1, code)
+
+
 def test_bytes_of_a_request_and_its_reply():
     assert plan_reads([point(0, "float32")])[0].read_bytes == (5, 6)
     assert plan_reads([point(a, "bool", "coil") for a in range(9)])[0].read_bytes == (5, 4)

@@ -180,7 +180,12 @@ unit = "1"
         ("address = 1", "address = 1\nplausible = [1]", 12, "plausible of point p: has too few values"),
         ("address = 1", "address = 1\nlabels = 3", 12, "labels of point p: must be a table of keys, got 3"),
         ("address = 1", "address = 1\ninvalid = 4", 12, "invalid of point p: must be a list in square brackets"),
-        ('name = "p"', 'name = "1p"', 8, "name of point 1p: '1p' must be letters, digits and underscores, starting"),
+        (
+            'name = "p"',
+            'name = "1p"',
+            8,
+            "name of point 1p: '1p' must be letters a to z, digits and under",
+        ),
         ('transport = "modbus_tcp"', 'host = "h"', 4, "bus.plc: transport is missing; add it"),
         ('transport = "modbus_tcp"', 'transport = "modbus_tcp"\nhole = [{}]', 6, "bus.plc.hole.table: is missing"),
     ],

@@ -132,3 +132,35 @@ def test_an_end_of_a_raw_range_is_missing_where_the_rest_rests(tmp_path: Path, c
 def test_readings_that_resemble_an_end_of_a_raw_range_stay(tmp_path: Path, name: str, cells: list[str]) -> None:
     (values,) = _read(tmp_path, name, cells).columns.values()
     assert not np.isnan(values).any()
+
+
+STEADY = [f"{6.2 + 0.3 * np.sin(k / 9):.2f}" for k in range(100)]
+
+
+@pytest.mark.parametrize("code", ["2048", "150.0", "-1"])
+@pytest.mark.parametrize("name", ["flow_L_per_min", "p_bar"])
+def test_isolated_rows_of_one_value_far_from_a_measured_quantity_are_missing(
+    tmp_path: Path, name: str, code: str
+) -> None:
+    record = _read(tmp_path, name, _with(code, STEADY, AT))
+    assert np.flatnonzero(np.isnan(record.columns[name])).tolist() == AT
+
+
+STEPPED = [f"{level + 0.05 * np.sin(k / 3):.3f}" for k, level in enumerate([6.0] * 40 + [20.0] * 20 + [6.0] * 40)]
+
+
+@pytest.mark.parametrize(
+    ("name", "cells"),
+    [
+        ("flow_L_per_min", _with("0", STEADY, AT)),  # a pump that stops
+        ("flow_L_per_min", _with("8.5", STEADY, AT)),  # within reach
+        ("flow_L_per_min", _with("150.0", STEADY, [30, 31])),  # a value seen twice
+        ("flow_L_per_min", _with("150.0", STEADY, list(range(30, 60)))),  # one event
+        ("flow_L_per_min", STEPPED),  # a valve
+        ("fan_pct", _with("100.0", STEADY, AT)),  # a drive at its limit for single rows
+        ("flow_set_L_per_min", _with("150.0", STEADY, AT)),  # levels of a set-point
+    ],
+)
+def test_events_of_a_measured_quantity_stay(tmp_path: Path, name: str, cells: list[str]) -> None:
+    record = _read(tmp_path, name, cells)
+    assert np.isfinite(record.columns[name]).all()

@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from hil.bench.tower_network import read_results, tables_of
+from hil.training.tower.ensemble import assemble
 from hil.training.tower.evaluate import ensemble_of
 from hil.training.tower.generate import MANIFEST, TEST, TRAIN, VALIDATION, DataPlan, digest_of, generate, tables
 from hil.training.tower.stations import HIDDEN_SHARE, drawn_site
 from hil.training.tower.unpack import unpack
 from tests.hil.command_line import typed
+from tests.hil.tower.made_ensemble import write_ensemble
 from tests.twin.hiera.tower_tables import made_table
 from twin.calibrators.hiera_unet.config import HieraError
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
@@ -66,6 +68,17 @@ def test_a_damaged_manifest_is_named(tmp_path: Path) -> None:
     (tmp_path / MANIFEST).write_text("{")
     with pytest.raises(HieraError, match="cannot be read"):
         tables(tmp_path, TRAIN)
+
+
+def test_a_station_in_two_splits_is_named(tmp_path: Path) -> None:
+    manifest(tmp_path, splits=(TRAIN, TEST))
+    document = json.loads((tmp_path / MANIFEST).read_text())
+    document["stations"][1]["seed"] = document["stations"][0]["seed"]
+    (tmp_path / MANIFEST).write_text(json.dumps(document))
+    with pytest.raises(HieraError, match=r"^OVERLAPPING_SPLITS: .* station F0000 is in the train and the test split"):
+        tables(tmp_path, TEST)
+    with pytest.raises(HieraError, match=r"^OVERLAPPING_SPLITS: 8001 stations of the train split .* at most 8000"):
+        DataPlan(train=8001)
 
 
 def test_the_command_names_a_folder_of_another_plan_in_one_sentence(tmp_path: Path) -> None:
@@ -127,6 +140,29 @@ def test_the_command_trains_in_parts_and_refuses_a_blind_member(tmp_path: Path) 
     (out / "tower_small_0.safetensors").write_bytes(b"other weights")
     with pytest.raises(HieraError, match="is not the file that its card"):
         unpack(out, unpacked)
+
+
+def test_members_of_one_folder_and_data_become_an_ensemble(tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
+    pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
+    from twin.calibrators.hiera_unet.tower import load_tower_ensemble
+
+    manifest(tmp_path / "data", splits=(VALIDATION,))
+    for cell in (1, 2):
+        made_table(f"F0000_{cell}", seed=cell).save(tmp_path / "data" / f"F0000_{cell}.npz")
+    write_ensemble(tmp_path / "out", count=3)
+    stem = tmp_path / "out" / "tower_made"
+    assert assemble(tmp_path / "data", stem, most=4) is None
+    for seed, data in enumerate(("0123", "0123", "4567")):
+        path = stem.with_name(f"tower_made_{seed}.json")
+        path.write_text(json.dumps({**json.loads(path.read_text()), "data": data}))
+    card = assemble(tmp_path / "data", stem, most=4)
+    assert card == stem.with_suffix(".json")
+    document = json.loads(card.read_text())
+    assert list(document["members"]) == ["tower_made_0.safetensors", "tower_made_1.safetensors"]
+    assert document["left_out"] == {"tower_made_2.safetensors": "trained on other data"}
+    assert document["windows"] == 4 and document["data"] == "0123"
+    assert len(load_tower_ensemble(card).members) == 2
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"cards": {}}', '{"evaluation": null}', '{"evaluation": {"scores": {}}}'])

@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from twin.kernel.c_translator import CSource, c_source
     from twin.kernel.cache import cache_folder, numba_may_cache
     from twin.kernel.codegen import FEW_LANES, LANES
     from twin.kernel.generated_code import define_functions, evaluate_formula
@@ -18,6 +19,10 @@ _MODULES = {
     "cache": (
         "cache_folder",
         "numba_may_cache",
+    ),
+    "c_translator": (
+        "CSource",
+        "c_source",
     ),
     "codegen": (
         "FEW_LANES",
@@ -41,7 +46,9 @@ _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for 
 __all__ = [
     "FEW_LANES",
     "LANES",
+    "CSource",
     "Kernel",
+    "c_source",
     "cache_folder",
     "clean_time",
     "define_functions",

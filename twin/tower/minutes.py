@@ -46,6 +46,18 @@ class Minutes:
     steady: NDArray[np.bool_]
     regime: NDArray[np.uint8]
 
+    def part(self, rows: slice) -> Minutes:
+        """Return the minutes `rows`."""
+        return Minutes(
+            self.time_s[rows],
+            self.operation.take(rows),
+            self.outlet[rows],
+            self.power[rows],
+            self.known[rows],
+            self.steady[rows],
+            self.regime[rows],
+        )
+
 
 def minutes_of(
     time_s: Array,

@@ -14,6 +14,15 @@ Addressing = Literal["zero", "one", "modicon"]
 _OF_LEADING_DIGIT = {"0": "coil", "1": "discrete", "3": "input", "4": "holding"}
 
 
+def function_codes(cells: dict[str, str]) -> list[int]:
+    """Return the function codes of a line: `03/06/16`, `FC 16`, `0x10` or `10h`."""
+    text = cells.get("function", "").lower()
+    found = re.findall(r"0x([0-9a-f]{1,2})\b|\b([0-9a-f]{1,2})h\b|(\d{1,3})", text)
+    return [
+        int(prefixed or suffixed, 16) if prefixed or suffixed else int(plain) for prefixed, suffixed, plain in found
+    ]
+
+
 def table_of(path: Path, line: int, cells: dict[str, str]) -> tuple[str | None, str | None]:
     """Return table and access by the columns table and function; None where they say nothing."""
     named = squeezed(cells.get("table", ""))
@@ -24,7 +33,7 @@ def table_of(path: Path, line: int, cells: dict[str, str]) -> tuple[str | None, 
             raise ImportFileError(
                 path, line, f"table {cells['table']!r} is not known; use coil, discrete, holding or input"
             )
-    codes = [int(code) for code in re.findall(r"\d{1,3}", cells.get("function", ""))]
+    codes = function_codes(cells)
     if cells.get("function") and not codes:
         raise ImportFileError(path, line, f"function {cells['function']!r} is no function code; use 1 to 6, 15 or 16")
     for code in codes:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from drivers.importers.draft import ImportFileError
 from drivers.importers.vendor_table.cells import device_number
-from drivers.importers.vendor_table.headings import contents_that_matter, heading_key, is_harmless
+from drivers.importers.vendor_table.headings import FACTORS, contents_that_matter, heading_key, is_harmless
 from drivers.importers.vendor_table.scale import is_exponent_like
 from drivers.importers.vendor_table.words import NO, YES, squeezed
 
@@ -28,6 +28,7 @@ _RENAME = {
     "orders of bytes": "call it order",
     "signs of numbers": "call it signed",
     "tables": "call it table",
+    FACTORS: "give the value of one count in a column scale, and call this one remark",
 }
 _IN_SEVERAL = ("doc", "function")
 """Keys that several columns may have: their cells are put together."""
@@ -79,8 +80,10 @@ def columns_of(path: Path, line: int, head: Sequence[str], rows: Rows) -> Vendor
         if key == "?":
             if any(value not in ("", "-") for value in values):
                 unclear.append(f"column {called.lower()!r} has no agreed meaning; {_REMEDY}")
-        elif key is None:
-            matters = None if is_harmless(cell) else contents_that_matter(values)
+        elif key is None or (key == "range" and contents_that_matter(values) == FACTORS):
+            matters = contents_that_matter(values)
+            if is_harmless(cell) and matters != FACTORS:
+                matters = None
             if matters is not None:
                 unclear.append(f"column {called!r} is not known and holds {matters}; {_RENAME[matters]}")
             elif cell.strip() or any(values):

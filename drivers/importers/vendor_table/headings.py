@@ -174,6 +174,11 @@ def is_harmless(heading: str) -> bool:
     return heading.strip() == "#" or _HARMLESS.fullmatch(plain) is not None
 
 
+FACTORS = "factors of units"
+_FACTOR_OF_UNIT = re.compile(r"(?<![\d.,-])(?:0[.,]0*1|1/10+|[x×*]\s*10+)\s*(?:°\s*[CFK]|[A-Za-z%]+)")
+"""Value of one count before a unit within a text, as in `-400...1500 (0.1 °C)`."""
+
+
 def contents_that_matter(cells: Sequence[str]) -> str | None:
     """Return the likely meaning of the cells of an unknown column if it may change a value or its place, else None."""
     there = [cell for cell in cells if cell not in ("", "-", "–", "n/a", "N/A")]
@@ -181,6 +186,8 @@ def contents_that_matter(cells: Sequence[str]) -> str | None:
         return None
     if any(_is_number(cell) for cell in there):
         return "numbers"
+    if any(_FACTOR_OF_UNIT.search(cell) for cell in there):
+        return FACTORS
     words = [squeezed(cell) for cell in there]
     if all(_ORDER_CELL.fullmatch(cell) for cell in there):
         return "orders of bytes"

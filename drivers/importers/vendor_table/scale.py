@@ -98,6 +98,8 @@ def unit_and_factor(unit: str) -> tuple[str, float | None]:
         return canonical_unit(unit.strip()), None
     except ValueError:
         pass
+    if re.search(r"\d\s*[=:]\s*[A-Za-z]", unit) is not None:
+        raise ScaleError(f"unit {unit!r} lists states; leave the unit empty and put them in a column remark")
     said = f"unit {unit!r} holds a factor; give the unit alone, and 1/10 or 10/1 in a column scale"
     leading = _LEADING.fullmatch(unit.strip())
     if leading is not None and leading["times"] is None and not _has_number(leading["unit"]):

@@ -22,6 +22,7 @@ from drivers.importers.vendor_table.cells import (
     address_of,
     bits_of,
     device_of,
+    function_codes,
     invalid_of,
     number_of,
     order_of,
@@ -50,6 +51,7 @@ from drivers.importers.vendor_table.scale import (
     factor_of,
     unit_and_factor,
 )
+from drivers.signals import WIDTH
 
 _DELIMITERS = (";", "\t", ",", "|")
 
@@ -123,6 +125,8 @@ def import_csv(
                 owner = buses.of(path, line, bus if device is None else bus | {"device_id": device})
                 point = collector.point(owner.name, cells["name"], line, keys)
                 owner.points.append(point)
+                if WIDTH.get(point.keys.get("type", "uint16")) == 1:  # One register, or one bit.
+                    owner.written_with(line, function_codes(cells), collector)
                 ranges.add(point, cells)
     ranges.settle()
     draft = Draft(path, buses.with_points(), collector.notes)
@@ -283,6 +287,8 @@ class _VendorTable:
             keys["order"] = self._order_of(line, cells, kind)
             keys["length"] = length
         keys["bits"] = bits_of(path, line, cells)
+        if kind == "bool" and keys["bits"] is not None and "type" in keys:
+            keys["type"] = "uint16"  # The type of the bit; its register is read as a whole.
         keys["access"] = access_of(path, line, cells) or access
         if keys["access"] == "r" or keys["bits"] is not None or kind == "string":
             keys["access"] = None

@@ -19,6 +19,10 @@ _VALUE = 3
 OF_CONTENT = frozenset({2, 3, 4, 8})
 """Exceptions that one address of a request, or their number, may cause: a smaller request may be answered."""
 _WRITE_CODES = frozenset({5, 6, 15, 16, 23})
+_SISTERS = {1: "discrete", 2: "coil", 3: "input", 4: "holding"}
+"""Table that a device without a function to read may mean, by that function."""
+_SINGLE = {5: 15, 6: 16}
+"""Functions that write a single value, and those that write several."""
 GATEWAY_SILENCE = 11
 EXCEPTIONS = {
     1: "function not supported",
@@ -118,6 +122,20 @@ def check_written(block: Block, raw: Sequence[int], request: bytes, reply: bytes
         raise ProtocolError(f"{where} echoed [{said}] at {address} to a write of {list(raw)} at {block.address}")
 
 
+def _remedy_of(code: int, block: Block) -> str:
+    """Return the remedy for a device that lacks the function which writes `block`, or ""."""
+    if code in _SINGLE:
+        return f" (give the bus write_multiple = true where the device writes with function {_SINGLE[code]} alone)"
+    if code not in _SINGLE.values():
+        return ""
+    if block.multiple and block.count == 1:
+        return " (take write_multiple out of the bus)"
+    if any(point.width > 1 for point in block.points):
+        return " (its value of several registers goes in one request; write it to a device that has function 16)"
+    key = "max_write_bits" if block.table in BIT_TABLES else "max_write"
+    return f" (give the bus {key} = 1 where the device writes single values alone)"
+
+
 def _check_function(code: int, block: Block, reply: bytes, where: str) -> None:
     if len(reply) < 2:
         raise ProtocolError(f"{where} answered nothing that is a reply")
@@ -127,7 +145,11 @@ def _check_function(code: int, block: Block, reply: bytes, where: str) -> None:
         asked = str(block)
         if exception == _VALUE and code not in _WRITE_CODES:
             what = "it does not read so many at once (give the bus max_read or max_read_bits)"
+        elif exception == NO_SUCH_FUNCTION and code in _SISTERS:
+            what += f" (are these points in table '{_SISTERS[code]}'?)"
         elif code in _WRITE_CODES:
+            if exception == NO_SUCH_FUNCTION:
+                what += _remedy_of(code, block)
             asked = f"to write {block} with function {code}"
         raise DeviceExceptionError(f"{where} refused {asked}: exception {exception}, {what}", exception)
     if reply[0] != code:

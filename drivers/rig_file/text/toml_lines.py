@@ -33,11 +33,21 @@ def tables_of(raw: bytes) -> tuple[str, dict[str, Any]]:
     try:
         return text, tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"is not valid TOML: {error}; correct it there") from None
+        raise ValueError(f"is not valid TOML: {error}; {_remedy_of(text, error)}") from None
     except (ValueError, RecursionError):  # a number of thousands of digits, lists in lists without end
         raise ValueError(
             "is not valid TOML: it holds a number that is too long or lists that are too deep; correct it"
         ) from None
+
+
+def _remedy_of(text: str, error: tomllib.TOMLDecodeError) -> str:
+    """Return the remedy for a mistake: names outside quotes are letters a to z."""
+    place = re.search(r"at line (\d+)", str(error))
+    line = text.split("\n")[int(place[1]) - 1] if place is not None else ""
+    odd = re.search(r"\w*[^\x00-\x7f]\w*", re.split(r"[#=\"']", line, maxsplit=1)[0])
+    if odd is None:
+        return "correct it there"
+    return f"put '{odd[0]}' in quotes, or write it with the letters a to z"
 
 
 def line_of(text: str, place: Sequence[Any]) -> int:

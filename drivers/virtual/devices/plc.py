@@ -21,7 +21,8 @@ from drivers.virtual.devices.modbus_server import ModbusServer, tls_context
 from drivers.virtual.devices.registers import Registers
 from drivers.virtual.devices.supervision import end_with_parent, listen, port_of, say
 from drivers.virtual.devices.truth import TruthLog
-from drivers.virtual.plant import Instruments, Plant, PlantEffect, load_effects
+from drivers.virtual.fmu import FmuPlant, FmuPlantError
+from drivers.virtual.plant import Instruments, Plant, PlantEffect, SimulatedPlant, load_effects
 
 if TYPE_CHECKING:
     from drivers.virtual.devices.pymodbus_server import PymodbusServer
@@ -45,11 +46,13 @@ class Plc:
         effects: tuple[PlantEffect, ...],
         unit: int | None = None,
         start_s: float = 0.0,
+        plant: SimulatedPlant | None = None,
     ) -> None:
         self.mode, self.period_s = mode, period_s
         self._wall_period_s = period_s / speed if mode == "scaled" else period_s
         self.registers = Registers()
-        self.plant = Plant(seed=seed, period_s=period_s, effects=effects, start_s=start_s)
+        own = plant is None
+        self.plant = plant or Plant(seed=seed, period_s=period_s, effects=effects, start_s=start_s)
         self._instruments = Instruments(seed, period_s, effects, unit)
         self.stop = asyncio.Event()
         self.controller: ControlConnection | None = None
@@ -58,17 +61,26 @@ class Plc:
         self.server: ModbusServer | PymodbusServer | None = None
         self.missed_records = 0
         self.ended_because = "stopped"
+        self.failed = False
         self._timer: asyncio.TimerHandle | None = None
         self._opening: asyncio.Task[None] | None = None
         self._due = 0.0
-        # Compile or load the physics before the ports open.
-        Plant(seed=seed, period_s=period_s).step(0.0, 0.0, 0.0)
+        if own:  # compile or load the physics before the ports open
+            Plant(seed=seed, period_s=period_s).step(0.0, 0.0, 0.0)
         self.registers.publish(self._instruments.read(self.plant), 0)
 
     def cycle(self) -> None:
         """Advance rig time by one period."""
         registers, plant = self.registers, self.plant
-        plant.step(registers.heater_W, registers.pump_fraction, registers.fan_fraction)
+        try:
+            plant.step(registers.heater_W, registers.pump_fraction, registers.fan_fraction)
+        except FmuPlantError as error:
+            if not self.failed:
+                print(f"hil rig: {error}; the rig ends", file=sys.stderr)
+            self.failed = True
+            self.hold()
+            self.stop.set()
+            return
         # Temperatures leave first: the other process works while this one packs its registers.
         sender = self.link
         if sender is not None:
@@ -104,6 +116,8 @@ class Plc:
     def _tick(self) -> None:
         self.cycle()
         loop = asyncio.get_running_loop()
+        if self.failed:
+            return
         self._due = max(self._due + self._wall_period_s, loop.time() - LARGEST_BACKLOG_S)
         self._timer = loop.call_at(self._due, self._tick)
 
@@ -118,6 +132,8 @@ class Plc:
         if self.mode != "lockstep":
             return f"error the rig runs in {self.mode} time; steps are granted in lockstep only.\n"
         self.cycle()
+        if self.failed:
+            return "error the plant has failed; the rig ends.\n"
         return f"t {self.plant.time_s:.3f}\n"
 
     def congested(self) -> bool:
@@ -171,8 +187,25 @@ class Plc:
 async def run(arguments: argparse.Namespace) -> int:
     """Serve until told to stop."""
     effects = load_effects(arguments.effects) if arguments.effects else ()
+    plant = None
+    if arguments.fmu is not None:
+        names = dict(pair.split("=", 1) for pair in arguments.fmu_variable)
+        try:
+            plant = FmuPlant(
+                arguments.fmu, names, seed=arguments.seed, period_s=arguments.period, start_s=arguments.start
+            )
+        except FmuPlantError as error:
+            print(f"hil rig: {error}", file=sys.stderr)
+            return 1
     plc = Plc(
-        arguments.mode, arguments.period, arguments.speed, arguments.seed, effects, arguments.unit, arguments.start
+        arguments.mode,
+        arguments.period,
+        arguments.speed,
+        arguments.seed,
+        effects,
+        arguments.unit,
+        arguments.start,
+        plant,
     )
     if arguments.truth is not None:
         plc.keep_truth(arguments.truth)
@@ -213,7 +246,7 @@ async def run(arguments: argparse.Namespace) -> int:
         plc.link.transport.abort()
     await asyncio.sleep(0)
     say(event="ended", reason=plc.ended_because, t=plc.plant.time_s, missed_records=plc.missed_records)
-    return 0
+    return int(plc.failed)
 
 
 def main() -> int:
@@ -226,6 +259,8 @@ def main() -> int:
     parser.add_argument("--start", type=float, default=0.0, help="rig time in s at which it is switched on, cold")
     parser.add_argument("--unit", type=int, help="specimen whose sensors' offsets these are; default: the seed's")
     parser.add_argument("--with", dest="effects", type=Path, help="file of effects")
+    parser.add_argument("--fmu", type=Path, help="FMU in the place of the plant")
+    parser.add_argument("--fmu-variable", action="append", default=[], metavar="SIGNAL=VARIABLE")
     parser.add_argument("--truth", type=Path, help="record the true state in this file")
     parser.add_argument("--tls-certificate", type=Path, help="serve Modbus over TLS with this certificate (PEM) ...")
     parser.add_argument("--tls-key", type=Path, help="... and key, ...")

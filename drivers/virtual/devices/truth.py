@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from drivers.virtual.devices.registers import Registers
-from drivers.virtual.plant import CHANNELS, Plant
+from drivers.virtual.plant import CHANNELS, SimulatedPlant
 
 _RECORD = struct.Struct(f"<dddH5d{len(CHANNELS)}d")
 
@@ -35,7 +35,7 @@ class Moment(NamedTuple):
 class TruthLog:
     """Writer of the file; unbuffered, so that it is whole whenever the rig is killed."""
 
-    def __init__(self, path: Path, plant: Plant) -> None:
+    def __init__(self, path: Path, plant: SimulatedPlant) -> None:
         self._file = path.open("wb", buffering=0)
         self._plant = plant
         self._heater_W = -1.0

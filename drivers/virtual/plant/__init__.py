@@ -9,11 +9,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from drivers.virtual.plant.ambient import Room
     from drivers.virtual.plant.compiled_cache import may_cache
     from drivers.virtual.plant.effects import FORMS, EffectFileError, Form, PlantEffect, load_effects
     from drivers.virtual.plant.geometry import CHANNELS, MODULES, PLACES, Array, Cells, build_cells
     from drivers.virtual.plant.instruments import Instruments
+    from drivers.virtual.plant.kernel import NOMINAL_FLOW_L_PER_MIN
     from drivers.virtual.plant.plant import Plant
+    from drivers.virtual.plant.simulated_plant import SimulatedPlant
     from drivers.virtual.plant.thermocouple_module import FRAME_IDS, OPEN_CIRCUIT, ThermocoupleModule
 
 _HOME = {
@@ -27,9 +30,12 @@ _HOME = {
     "Form": "drivers.virtual.plant.effects",
     "Instruments": "drivers.virtual.plant.instruments",
     "MODULES": "drivers.virtual.plant.geometry",
+    "NOMINAL_FLOW_L_PER_MIN": "drivers.virtual.plant.kernel",
     "OPEN_CIRCUIT": "drivers.virtual.plant.thermocouple_module",
     "PLACES": "drivers.virtual.plant.geometry",
     "Plant": "drivers.virtual.plant.plant",
+    "Room": "drivers.virtual.plant.ambient",
+    "SimulatedPlant": "drivers.virtual.plant.simulated_plant",
     "ThermocoupleModule": "drivers.virtual.plant.thermocouple_module",
     "build_cells": "drivers.virtual.plant.geometry",
     "load_effects": "drivers.virtual.plant.effects",
@@ -41,6 +47,7 @@ __all__ = [
     "FORMS",
     "FRAME_IDS",
     "MODULES",
+    "NOMINAL_FLOW_L_PER_MIN",
     "OPEN_CIRCUIT",
     "PLACES",
     "Array",
@@ -50,6 +57,8 @@ __all__ = [
     "Instruments",
     "Plant",
     "PlantEffect",
+    "Room",
+    "SimulatedPlant",
     "ThermocoupleModule",
     "build_cells",
     "load_effects",

@@ -3,8 +3,8 @@
 import numpy as np
 
 from drivers.virtual.plant.effects import READINGS, PlantEffect
-from drivers.virtual.plant.plant import Plant
 from drivers.virtual.plant.sensor_faults import SensorFaults
+from drivers.virtual.plant.simulated_plant import SimulatedPlant
 
 _BLOCK = 2048
 AMBIENT_SIGMA_K, POWER_SIGMA_W, FLOW_SIGMA, PUMP_SIGMA_PCT, FAN_SIGMA_PCT = 0.03, 0.8, 0.006, 0.05, 0.08
@@ -33,7 +33,7 @@ class Instruments:
         self._ambient: float | None = None
         self._faults = SensorFaults(effects, READINGS)
 
-    def read(self, plant: Plant) -> list[float]:
+    def read(self, plant: SimulatedPlant) -> list[float]:
         """Return the readings of this period: ambient degC, heater power W, flow L/min, pump and fan speed %."""
         if not self._noise:
             self._noise = (self._random.standard_normal((_BLOCK, 5)) * self._sigma).tolist()

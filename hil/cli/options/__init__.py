@@ -10,16 +10,18 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from hil.cli.options.extra_arguments import explained_extras
     from hil.cli.options.init_questions import ask
     from hil.cli.options.labels import label_options
     from hil.cli.options.own_process import OWN_PROCESS, owns_process
-    from hil.cli.options.paths import INPUT_FILE, INPUT_PATH, PROJECT, VIRTUAL_RIG
+    from hil.cli.options.paths import INPUT_CARD, INPUT_FILE, INPUT_PATH, PROJECT, VIRTUAL_RIG
     from hil.cli.options.record_reading import reading
     from hil.cli.options.subject import record_of, subject_of
     from hil.cli.options.tracking import CALIBRATORS, NETWORK, NETWORK_MODE
 
 __all__ = [
     "CALIBRATORS",
+    "INPUT_CARD",
     "INPUT_FILE",
     "INPUT_PATH",
     "NETWORK",
@@ -28,6 +30,7 @@ __all__ = [
     "PROJECT",
     "VIRTUAL_RIG",
     "ask",
+    "explained_extras",
     "label_options",
     "owns_process",
     "reading",
@@ -38,6 +41,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "extra_arguments": ("explained_extras",),
         "init_questions": ("ask",),
         "labels": ("label_options",),
         "own_process": (
@@ -45,6 +49,7 @@ __getattr__, __dir__ = lazy_names(
             "owns_process",
         ),
         "paths": (
+            "INPUT_CARD",
             "INPUT_FILE",
             "INPUT_PATH",
             "PROJECT",

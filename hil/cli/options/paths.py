@@ -42,6 +42,19 @@ class InputFile(click.ParamType[Path]):
         return self.fail(f"{path}: there is no such file; check the path", param, ctx)
 
 
+class InputCard(InputFile):
+    """Path of a network's card; `.json` may be left out, and weights stand for the card beside them."""
+
+    name = "card"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        path = Path(value)
+        if path.suffix != ".json" and not path.is_dir():
+            path = path.with_suffix(".json") if path.suffix == ".safetensors" else path.with_name(f"{path.name}.json")
+        return super().convert(path, param, ctx)
+
+
 INPUT_FILE = InputFile()
+INPUT_CARD = InputCard()
 INPUT_PATH = InputPath()
 VIRTUAL_RIG = "profiles/rigs/virtual.toml"

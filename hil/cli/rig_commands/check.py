@@ -171,9 +171,14 @@ def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
             if key in keys:
                 return checker
         return _rig
+    from hil.record import RecordError, foreign_kind
+
     with file.open("rb") as content:
-        if content.read(4) == b"PAR1" or file.suffix in (".parquet", ".pq"):
-            return _record
+        beginning = content.read(_SAMPLE_BYTES)
+    if beginning.startswith(b"PAR1") or file.suffix in (".parquet", ".pq"):
+        return _record
+    if (what := foreign_kind(beginning)) is not None:
+        raise RecordError(f"{file} {what}")
     if file.suffix in (".csv", ".tsv", ".tab", ".txt", ".dat", ".asc", ".prn", ".lvm", ".log"):
         return _record if _readings(file, rig) else _profile
     raise click.UsageError(f"{file}: is no .toml, .csv, .tsv or .parquet file; give a file of one of these types")

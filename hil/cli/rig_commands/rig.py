@@ -21,6 +21,14 @@ from hil.cli.options import INPUT_FILE
 @click.option("--period", default=1.0, show_default=True, help="Seconds between samples.")
 @click.option("--seed", default=0, show_default=True, help="Seed of noise, offsets and draughts.")
 @click.option("--with", "effects", type=INPUT_FILE, help="TOML file of effects that the twin does not model.")
+@click.option("--fmu", type=INPUT_FILE, help="FMU (FMI 2.0, co-simulation) in the place of the plant: a program.")
+@click.option(
+    "--fmu-variable",
+    "fmu_variables",
+    metavar="SIGNAL=VARIABLE",
+    multiple=True,
+    help="Variable of the FMU for a signal of the rig, where their names differ.",
+)
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option(
     "--server",
@@ -45,6 +53,8 @@ def command(
     period: float,
     seed: int,
     effects: Path | None,
+    fmu: Path | None,
+    fmu_variables: tuple[str, ...],
     host: str,
     server: str,
     tls_certificate: Path | None,
@@ -67,6 +77,9 @@ def command(
         tls = (tls_certificate, tls_key, tls_ca)
     elif tls_certificate is not None or tls_key is not None or tls_ca is not None:
         raise click.UsageError("TLS needs --tls-certificate, --tls-key and --tls-ca; give all three or none")
+    wrong = [pair for pair in fmu_variables if "=" not in pair]
+    if wrong:
+        raise click.UsageError(f"--fmu-variable {wrong[0]!r} has no '='; write SIGNAL=VARIABLE")
     try:
         code = serve(
             modbus_port=modbus_port,
@@ -79,6 +92,8 @@ def command(
             period_s=period,
             seed=seed,
             effects=effects,
+            fmu=fmu,
+            fmu_variables=tuple(tuple(pair.split("=", 1)) for pair in fmu_variables),
             host=host,
             server=server,
             tls=tls,

@@ -82,15 +82,16 @@ def _tower_review(folder: Path) -> Path:
     from hil.record import RecordError
     from hil.review import write_tower_review
     from hil.run_folder import RunFolder
-    from hil.tower import TABLE
+    from hil.tower import NETWORK_TABLE, TABLE
 
     if not (folder / TABLE).is_file():
         raise RecordError(
             f"{folder}: holds no {TABLE} to show; calibrate with hil tower calibrate and review its folder"
         )
     rrd = RunFolder(folder).review
+    network = folder / NETWORK_TABLE
     try:
-        write_tower_review(folder / TABLE, rrd, folder.resolve().name)
+        write_tower_review(folder / TABLE, rrd, folder.resolve().name, network if network.is_file() else None)
     except ValueError as error:
         raise RecordError(str(error)) from error
     except OSError as error:

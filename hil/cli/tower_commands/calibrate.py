@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import INPUT_FILE
+from hil.cli.options import INPUT_CARD, INPUT_FILE
 
 if TYPE_CHECKING:
-    from hil.tower import CellGovernance
+    import numpy as np
+    from numpy.typing import NDArray
+    from rich.table import Table
+
+    from hil.tower import CellGovernance, NetworkGovernance, NetworkMode
 
 
 @click.command()
@@ -29,8 +33,30 @@ if TYPE_CHECKING:
     show_default=True,
     help="Records alone; the review queue too; revisions of the twins too.",
 )
+@click.option(
+    "--network",
+    "card",
+    type=INPUT_CARD,
+    metavar="CARD",
+    help="Card (.json) of a network ensemble for cooling-tower cells, such as profiles/trained/tower_small; its "
+    "proposals stand beside those of Gauss-Newton.",
+)
+@click.option(
+    "--network-mode",
+    type=click.Choice(("shadow", "advisory", "controlled")),
+    default="shadow",
+    show_default=True,
+    help="Use of the network's proposals, as --mode; one of both at most is controlled.",
+)
 def command(
-    record: Path, twins: tuple[Path, ...], out: Path, labels: Path | None, events: Path | None, mode: str
+    record: Path,
+    twins: tuple[Path, ...],
+    out: Path,
+    labels: Path | None,
+    events: Path | None,
+    mode: str,
+    card: Path | None,
+    network_mode: NetworkMode,
 ) -> None:
     """Calibrate cells on RECORD, the aligned record of their station.
 
@@ -38,19 +64,55 @@ def command(
     a record for every five minutes, and OUT/review_queue.json. In the controlled mode a deviation that passes all
     gates is saved as a revision of the twin; `hil twin revert` undoes it.
 
+    With --network, OUT/network.parquet holds the network's outlet and deviations with 90 % intervals by its symmetric
+    branch, OUT/network_records.jsonl those of its causal branch. The twins need a healthy record that RECORD holds. An
+    ensemble with a member that ignores its channels (BLIND) only runs in the shadow mode.
+
     \b
     Example:
       hil tower calibrate record --twin cell1.toml --twin cell2.toml --labels labels.csv --out out
+      hil tower calibrate record --twin cell1.toml --out out --network profiles/trained/tower_small
     """
-    from hil.tower import RECORDS, calibrate_station, check_records, govern, write_table, writing
+    from hil.tower import (
+        NETWORK_RECORDS,
+        RECORDS,
+        ask_network,
+        calibrate_station,
+        check_network,
+        check_records,
+        govern,
+        remove_network_table,
+        write_network_table,
+        write_table,
+        writing,
+    )
 
+    if mode == network_mode == "controlled":
+        raise click.UsageError(
+            "--mode controlled and --network-mode controlled would both revise the twins; choose one"
+        )
+    if card is None and network_mode != "shadow":
+        raise click.UsageError(f"--network-mode {network_mode} needs a network; name its card with --network")
+    if card is not None:
+        check_network(card, network_mode, record, twins)
     if out.is_dir():
         check_records(out / RECORDS)
+        check_records(out / NETWORK_RECORDS)
     results, notes = calibrate_station(record, twins, labels, events)
+    asked = None if card is None else ask_network(card, results, notes, network_mode, _note)
     with writing(out):
         path = write_table(results, out)
-        governed = govern(results, notes, out, mode)
+        if asked is None:
+            remove_network_table(out)
+        else:
+            write_network_table(asked, results, out)
+        governed = govern(results, notes, out, mode, asked)
     _show(governed, path)
+
+
+def _note(text: str) -> None:
+    """Print what goes on, beside the results."""
+    click.echo(text, err=True)
 
 
 def _show(cells: Sequence[CellGovernance], path: Path) -> None:
@@ -65,7 +127,7 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
     table = Table(
         title="Deviations at the end of the record, and the outlet's error against its readings", title_justify="left"
     )
-    for heading in ("cell", *DEVIATIONS, "error before K", "after K", "held back"):
+    for heading in ("cell", "calibrator", *DEVIATIONS, "error before K", "after K", "held back"):
         table.add_column(heading)
     for one in cells:
         c, m = one.result.calibrated, one.result.minutes
@@ -74,7 +136,9 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
         before = np.nanmean(np.abs(m.outlet - c.commissioned))
         after = np.nanmean(np.abs(m.outlet - c.deviations[:, 3] - c.t_out))
         held = ", ".join(f"{name} {100 * share:.0f} %" for name, share in one.withheld.items())
-        table.add_row(str(one.result.cell), *values, f"{before:.3f}", f"{after:.3f}", held)
+        table.add_row(str(one.result.cell), "Gauss-Newton", *values, f"{before:.3f}", f"{after:.3f}", held)
+        if one.network is not None:
+            _add_network(table, one.network, m.outlet - c.commissioned)
     terminal.print(table)
     for one in cells:
         for step in one.result.steps:
@@ -88,8 +152,28 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
             terminal.print(f"cell {one.result.cell}: drift alarm at {iso(time_s)}: {', '.join(names)}", markup=False)
         if refused := one.low_sensitivity:
             terminal.print(f"cell {one.result.cell}: {refused}", markup=False, soft_wrap=True)
+        if one.network is not None and one.network.blind:
+            terminal.print(
+                f"cell {one.result.cell}: the network's proposals are held back: {', '.join(one.network.blind)} "
+                "ignores its channels (BLIND)",
+                markup=False,
+                soft_wrap=True,
+            )
         if one.balance:
             terminal.print(f"cell {one.result.cell}: the water balance is not used: {one.balance}", markup=False)
         if one.revision is not None:
             terminal.print(f"written: {one.revision}", markup=False, soft_wrap=True)
     terminal.print(f"written: {path}", markup=False, soft_wrap=True)
+
+
+def _add_network(table: Table, network: NetworkGovernance, before: NDArray[np.float64]) -> None:
+    """Add the row of a network: its last answer, and its error on the minutes that it answered."""
+    import numpy as np
+
+    last = network.last
+    values = ["-"] * 4 if last is None else [f"{v:.3f} ± {sd:.3f}" for _, v, sd in network.proposals(last)]
+    residual = network.residual()
+    there = np.isfinite(residual) & np.isfinite(before)
+    errors = [f"{np.abs(e[there]).mean():.3f}" if there.any() else "-" for e in (before, residual)]
+    held = ", ".join(f"{name} {100 * share:.0f} %" for name, share in network.withheld.items())
+    table.add_row(str(network.result.cell), "network", *values, *errors, held)

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from hil.cli.options import INPUT_FILE
-
-if TYPE_CHECKING:
-    from twin.historian import Event
 
 INPUT_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
@@ -37,15 +33,29 @@ def command(
     from hil.files import replacing
     from hil.record import RecordError
     from hil.run.session import console
-    from hil.tower import REPORT, TABLE, compare, draw_cell, read_minutes, read_truth, report_text, writing
+    from hil.tower import (
+        NETWORK_TABLE,
+        REPORT,
+        TABLE,
+        compare,
+        draw_cell,
+        events_of,
+        read_minutes,
+        read_notes,
+        read_truth,
+        report_text,
+        writing,
+    )
 
     text = report_text(out)
     true = None if truth is None else read_truth(truth)
     remedy = "calibrate again"
     needed = ("t_out", "t_out_lo", "t_out_hi", "t_out_commissioned", "fill", "air", "uniformity", "bias")
-    found = {} if picture is None and true is None else read_minutes(out / TABLE, needed, remedy)
+    wanted = picture is not None or true is not None
+    found = read_minutes(out / TABLE, needed, remedy) if wanted else {}
+    network = read_minutes(out / NETWORK_TABLE, needed, remedy) if wanted and (out / NETWORK_TABLE).is_file() else {}
     if true is not None:
-        text += "\n" + "\n".join(compare(found, true)) + "\n"
+        text += "\n" + "\n".join(compare(found, true, network)) + "\n"
     with writing(out), replacing(out / REPORT) as unfinished:
         unfinished.write_text(text)
     console().print(text, markup=False)
@@ -58,39 +68,15 @@ def command(
         have = ", ".join(str(one) for one in found)
         raise RecordError(f"{out}: has no cell {drawn}; its cells are {have}")
     of_truth = None if true is None else true.get(drawn)
-    events = () if record is None else recorded_events(record)
+    events = () if record is None else events_of(read_notes(record))
     with writing(picture):
-        draw_cell(found[drawn], picture, cell=drawn, truth=of_truth, labels=labels, events=events)
-    click.echo(f"written: {picture}")
-
-
-def recorded_events(record: Path) -> tuple[Event, ...]:
-    """Return the events of an aligned record, as its station.json has them.
-
-    Raises
-    ------
-    RecordError
-        The record holds no station.json that can be read.
-    """
-    import datetime
-    import json
-
-    from hil.record import RecordError
-    from twin.historian import Event
-
-    path = record / "station.json"
-    try:
-        rows = json.loads(path.read_text())["events"]
-        return tuple(
-            Event(
-                datetime.datetime.fromisoformat(row["time"].replace("Z", "+00:00")).timestamp(),
-                bool(row["by_day"]),
-                int(row["cell"]),
-                row["kind"],
-                row["source"],
-                row["text"],
-            )
-            for row in rows
+        draw_cell(
+            found[drawn],
+            picture,
+            cell=drawn,
+            truth=of_truth,
+            labels=labels,
+            events=events,
+            network=network.get(drawn),
         )
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RecordError(f"{path}: holds no events that can be read ({error}); align the record again") from error
+    click.echo(f"written: {picture}")

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from hil.record.raw import RawRecord, ReadingOptions, RecordError
+from hil.record.times.digits import may_be_clock, may_be_dates
 from hil.record.times.names import SECONDS_PER, is_time_name, names_days, names_unit, seconds_per_unit
 from hil.record.times.numbers import day_count
+from hil.record.times.parts import find_parts
 from hil.record.times.text import is_date, is_moment, is_time_of_day
 from hil.record.values import Sign, parse, trimmed
 
@@ -30,7 +32,7 @@ def has_unit(raw: RawRecord, column: str) -> bool:
 
 
 def find_columns(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions) -> tuple[str, ...]:
-    """Return the column of times, or that of dates and that of times of day."""
+    """Return the column of times, those of dates and of times of day, or those of the parts of a date."""
     if choice.time_column is not None:
         wanted = (choice.time_column,) if choice.time_column in raw.names else tuple(choice.time_column.split(","))
         wanted = tuple(name.strip() for name in wanted)
@@ -42,6 +44,8 @@ def find_columns(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions)
         return wanted if len(wanted) == 2 else _with_partner(raw, wanted[0], signs)
     if "time_s" in raw.names:
         return ("time_s",)
+    if (parts := find_parts(raw.names)) is not None:
+        return tuple(parts.values())
     for name in raw.names:
         if is_time_name(name):
             return _with_partner(raw, name, signs)
@@ -100,6 +104,10 @@ def _kind(name: str, cells: Any, sign: Sign) -> str:
     values = numbers.values[np.isfinite(numbers.values)] if numbers is not None else np.zeros(0)
     if len(values) and names_days(name) and day_count(float(values.min())) and day_count(float(values.max())):
         return "date" if (values == np.round(values)).all() else ""
+    if may_be_dates(name, cells, sign):
+        return "date"
+    if may_be_clock(name, cells, sign):
+        return "time"
     return "time" if len(values) and (values >= 0.0).all() and (values < 1.0).all() else ""
 
 

@@ -35,17 +35,23 @@ _ELAPSED = ("time", "t", "elapsed", "elapsed time", "time elapsed", "run time", 
 _MOMENT = (
     *("timestamp", "time stamp", "datetime", "date time", "date/time", "date and time", "date", "epoch", "when"),
     *("local time", "utc", "time utc", "utc time", "timestamp utc", "last changed", "last updated", "recorded at"),
+    *("unix", "unix time", "unixtime", "unix timestamp", "unix epoch", "epoch time"),
     *("date&time", "date & time", "time string", "timestring", "sourcetimestamp", "source timestamp"),
     *("servertimestamp", "server timestamp"),
     *("modified julian date", "modified julian day", "mjd", "julian date", "julian day", "jd", "datenum"),
     *("datum", "zeit", "uhrzeit", "zeitstempel", "datum/zeit", "datum uhrzeit", "date heure", "heure", "horodatage"),
 )
+_FORMATS = {"hhmmss": "HHMMSS", "hhmm": "HHMM", "hh:mm:ss": "HHMMSS", "hh:mm": "HHMM"}
+"""Forms of a clock's digits, by their spelling in lower case."""
+_DATE_FORMATS = ("yyyymmdd", "ddmmyyyy", "mmddyyyy", "yymmdd", "ddmmyy", "mmddyy")
 _UNIT = re.compile(r"(.+?)[ _]*[\[(]\s*([a-zµ]+)\s*[\])]|(.+?)\s*[/_ ]\s*(?:in\s+)?([a-zµ]+)|([a-zµ]+)")
 
 
 def seconds_per_unit(name: str) -> float | None:
     """Return seconds per unit of the time column `name`, 1 if the name gives no unit; None if it names no time."""
     low = name.strip().lower()
+    if format_of(name) is not None or _date_format(low) is not None:
+        return 1.0
     if _spelt(low) in (*_ELAPSED, *_MOMENT) or _spelt(without_zone(name).lower()) in (*_ELAPSED, *_MOMENT):
         return 1.0
     parts = _UNIT.fullmatch(low)
@@ -64,7 +70,8 @@ def names_unit(name: str) -> bool:
     """Return True for the name of a time that gives its unit."""
     low = name.strip().lower()
     spelt = {_spelt(low), _spelt(without_zone(name).lower())}
-    return seconds_per_unit(name) is not None and not spelt & {*_ELAPSED, *_MOMENT}
+    is_clock = format_of(name) is not None or _date_format(low) is not None
+    return seconds_per_unit(name) is not None and not is_clock and not spelt & {*_ELAPSED, *_MOMENT}
 
 
 def is_time_name(name: str) -> bool:
@@ -81,7 +88,22 @@ def names_dates(name: str) -> bool:
 def names_days(name: str) -> bool:
     """Return True for a name of days, such as `Date` and `MJD`; whole numbers of a `timestamp` may be seconds."""
     low = name.strip().lower()
-    return is_time_name(name) and re.search(r"date|datum|julian|\bm?jd\b", low) is not None
+    named = re.search(r"date|datum|julian|\bm?jd\b", low) is not None or _date_format(low) is not None
+    return is_time_name(name) and named
+
+
+def format_of(name: str) -> str | None:
+    """Return HHMMSS or HHMM for a name that says so, alone or behind the name of a time (`Time (HHMM)`); else None."""
+    words = _spelt(name.strip().lower()).split(" ")
+    stem = " ".join(words[:-1])
+    return _FORMATS.get(words[-1]) if stem in ("", *_ELAPSED, *_MOMENT) else None
+
+
+def _date_format(low: str) -> str | None:
+    """Return the form of a date's digits, such as yyyymmdd, that a name in lower case states; else None."""
+    words = _spelt(low).split(" ")
+    is_time = " ".join(words[:-1]) in ("", *_ELAPSED, *_MOMENT)
+    return words[-1] if is_time and words[-1] in _DATE_FORMATS else None
 
 
 def _spelt(low: str) -> str:

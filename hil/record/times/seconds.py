@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from hil.record.raw import RawRecord, ReadingOptions
 from hil.record.times.columns import has_unit, scale_of
+from hil.record.times.digits import clock_texts, date_texts, may_be_clock, may_be_dates
 from hil.record.times.full_clock import require_full_clock
 from hil.record.times.names import names_days
 from hil.record.times.numbers import EPOCH_S, DayCount, are_days, compact_moments, count_of, day_count
+from hil.record.times.parts import find_parts, stamp_texts
 from hil.record.times.text import Stamps, TimeTextError, read_stamps, read_times_of_day
 from hil.record.values import Sign, parse, trimmed
 
@@ -43,6 +45,9 @@ class Seconds:
 def read_seconds(
     raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign], choice: ReadingOptions
 ) -> Seconds | None:
+    if (parts := find_parts(columns)) is not None:
+        cells = dict(zip(raw.names, raw.cells, strict=True))
+        return of_stamps(read_stamps(stamp_texts(parts, cells, signs)))
     if len(columns) == 2:
         return _pair(raw, columns, signs, choice)
     name = columns[0]
@@ -57,10 +62,29 @@ def _pair(raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign], choi
     if all(found is not None and found.present and not found.bad for found in numbers):
         day, hour = (found.values for found in numbers if found is not None)
         count = day_count(float(np.nanmedian(day)))
-        return None if count is None else _of_days(day + hour, count)
-    texts = [text_of(dates), text_of(times)]
+        if count is not None:
+            return _of_days(day + hour, count)
+    texts = [
+        _date_cells(columns[0], dates, signs.get(columns[0], ".")),
+        text_of(times),
+    ]
+    sign = signs.get(columns[1], ".")
+    if may_be_clock(columns[1], times, sign):
+        clock = clock_texts(columns[1], times, sign, texts[0])
+        if clock is None:
+            raise TimeTextError(
+                f"the numbers of '{columns[1]}' are no times of day; name it time_s if they are seconds"
+            )
+        texts[1] = clock
     both = [None if d is None or t is None else f"{d} {t}" for d, t in zip(*texts, strict=True)]
     return of_stamps(read_stamps(both, choice.dates))
+
+
+def _date_cells(name: str, cells: Any, sign: Sign) -> list[str | None]:
+    """Return the dates of a column as text, with separators where they are digits alone."""
+    numbers = parse(cells, sign) if may_be_dates(name, cells, sign) else None
+    made = None if numbers is None else date_texts(numbers.values)
+    return text_of(cells) if made is None else made
 
 
 def text_of(cells: Any) -> list[str | None]:
@@ -149,6 +173,10 @@ def _seconds(
             return of_stamps(stamps)
     if not (unit_given and middle * scale < EPOCH_S[1]) and (moments := compact_moments(values)) is not None:
         return of_stamps(read_stamps(moments, choice.dates))
+    if not unit_given and not numbers.bad and choice.time_scale == 1.0:
+        digits = _of_digits(name, cells, sign, values, choice)
+        if digits is not None:
+            return digits
     count = day_count(float(finite.min()))
     count = count if count == day_count(float(finite.max())) else None
     if choice.time_scale == 1.0 and count is not None:
@@ -160,6 +188,20 @@ def _seconds(
     if numbers.thousands:
         return replace(read, note=f"{numbers.thousands} numbers with marks between thousands read without them")
     return read
+
+
+def _of_digits(
+    name: str, cells: Any, sign: Sign, values: NDArray[np.float64], choice: ReadingOptions
+) -> Seconds | None:
+    """Return the times of a column of dates, or of times of day, that are digits alone; None for any other."""
+    dates = date_texts(values) if np.nanmin(values) >= 1e7 or names_days(name) else None
+    if dates is not None:
+        return of_stamps(read_stamps(dates, choice.dates))
+    clock = clock_texts(name, cells, sign, None)
+    if clock is None:
+        return None
+    stamps = read_times_of_day(clock)
+    return None if stamps is None else of_stamps(replace(stamps, how="a time of day in digits (hours, minutes ...)"))
 
 
 def _since_1970(cells: Any, values: NDArray[np.float64], scale: float, unit_given: bool) -> Seconds:

@@ -43,6 +43,11 @@ ALWAYS_LOST = 2
 
 _GROUPING = re.compile(r"(?<=[0-9])[ \u00a0\u2009\u202f'\u2019](?=[0-9]{3}(?![0-9]))")
 """Thousands separators: spaces and apostrophes, which are never decimal signs."""
+_USUAL = re.compile(r"[-+.,eE\d]*", re.ASCII)
+_APART = re.compile(r"^([+-])\s+(?=[\d.,])")
+"""Sign with blanks behind it, as loggers with columns of one width write it."""
+_FORTRAN = re.compile(r"^([+-]?\s*(?:\d+[.,]?\d*|[.,]\d+))[dD]([+-]?\d{1,3})$", re.ASCII)
+"""Number with the exponent of a double in Fortran, 2.21D+01."""
 _PLAIN = re.compile(r"[+-]?\d+([eE][+-]?\d+)?", re.ASCII)
 _ONE = re.compile(r"([+-]?)(\d*)([.,])(\d*)([eE][+-]?\d+)?", re.ASCII)
 _SEVERAL = re.compile(r"[+-]?[1-9]\d{0,2}(?:([.,])\d{2,3})*([.,])\d{3}", re.ASCII)
@@ -116,6 +121,8 @@ class DecimalSignEvidence:
 def readings(cell: str) -> tuple[float | None, float | None]:
     """Return the number in `cell` with a decimal point and with a decimal comma; None if it is no such number."""
     cell = _GROUPING.sub("", cell.replace("\u2212", "-"))
+    if not _USUAL.fullmatch(cell):
+        cell = _APART.sub(r"\1", _FORTRAN.sub(r"\1e\2", cell))
     if _PLAIN.fullmatch(cell):
         return float(cell), float(cell)
     if _ENDLESS.fullmatch(cell):

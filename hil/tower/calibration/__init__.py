@@ -11,7 +11,7 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.tower.calibration.commission import commission_cell, learn_healthy
-    from hil.tower.calibration.healthy import parse_span, path_beside, write_healthy
+    from hil.tower.calibration.healthy import Healthy, parse_span, path_beside, read_healthy, write_healthy
     from hil.tower.calibration.picture import draw_cell
     from hil.tower.calibration.station_fit import (
         DRIVEN,
@@ -36,6 +36,7 @@ __all__ = [
     "DRIVEN",
     "TABLE",
     "CellResult",
+    "Healthy",
     "PreparedCell",
     "TruthColumns",
     "calibrate",
@@ -50,6 +51,7 @@ __all__ = [
     "path_beside",
     "prepare_cells",
     "priors_of",
+    "read_healthy",
     "read_minutes",
     "read_truth",
     "site_of",
@@ -68,8 +70,10 @@ __getattr__, __dir__ = lazy_names(
             "learn_healthy",
         ),
         "healthy": (
+            "Healthy",
             "parse_span",
             "path_beside",
+            "read_healthy",
             "write_healthy",
         ),
         "picture": ("draw_cell",),

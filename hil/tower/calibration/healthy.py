@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import datetime
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -93,22 +95,27 @@ def read_healthy(path: Path) -> Healthy | None:
     if not path.exists():
         return None
     found = read_object(path)
-    count = len(NAMES) + FEATURES
     try:
-        healthy = Healthy(
-            seconds(found["from"]),
-            seconds(found["to"]),
-            np.array(found["mean"], dtype=float),
-            np.array(found["covariance"], dtype=float),
-        )
-        named = found["constants"][: len(NAMES)] == list(NAMES) and found["format"] == FORMAT
-        if not named or healthy.mean.shape != (count,) or healthy.covariance.shape != (count, count):
-            raise ValueError("its constants are those of another version")
-        np.linalg.cholesky(healthy.covariance)
+        return _healthy(found)
     except (KeyError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
         raise RecordError(
             f"{path}: is no healthy record ({error}); commission the cell again with --healthy"
         ) from error
+
+
+def _healthy(found: Mapping[str, Any]) -> Healthy:
+    """Return the healthy record of a file's content."""
+    count = len(NAMES) + FEATURES
+    healthy = Healthy(
+        seconds(found["from"]),
+        seconds(found["to"]),
+        np.array(found["mean"], dtype=float),
+        np.array(found["covariance"], dtype=float),
+    )
+    named = found["constants"][: len(NAMES)] == list(NAMES) and found["format"] == FORMAT
+    if not named or healthy.mean.shape != (count,) or healthy.covariance.shape != (count, count):
+        raise ValueError("its constants are those of another version")
+    np.linalg.cholesky(healthy.covariance)
     return healthy
 
 

@@ -24,7 +24,7 @@ TITLES = {
     "uniformity": "uniformity, share of clean",
     "bias": "bias of the outlet thermometer, K",
 }
-BLUE, BAND, DARK, ORANGE, GREEN = "#0072B2", "#bcd7ea", "#30343a", "#E69F00", "#009E73"
+BLUE, BAND, DARK, ORANGE, GREEN, PINK = "#0072B2", "#bcd7ea", "#30343a", "#E69F00", "#009E73", "#CC79A7"
 POINTS = 600
 """Points of a curve: a picture of 1100 pixels shows no more."""
 
@@ -37,8 +37,9 @@ def draw_cell(
     truth: TruthColumns | None = None,
     labels: Path | None = None,
     events: tuple[Event, ...] = (),
+    network: TruthColumns | None = None,
 ) -> None:
-    """Draw the calibration of a cell into `path` (.png or .svg).
+    """Draw the calibration of a cell into `path` (.png or .svg), with the curves of a network that was asked.
 
     Parameters
     ----------
@@ -65,9 +66,17 @@ def draw_cell(
     figure = Figure(figsize=(11.0, 9.0), layout="constrained")
     axes = figure.subplots(5, 1, sharex=True)
     time = calibrated["time"]
-    _outlet(axes[0], calibrated, truth)
+    _outlet(axes[0], calibrated, truth, network)
     for axis, (name, title) in zip(axes[1:], TITLES.items(), strict=True):
         _band(axis, time, calibrated, name)
+        if network is not None:
+            at, low = _thinned(network["time"], network[f"{name}_lo"])
+            high = _thinned(network["time"], network[f"{name}_hi"])[1]
+            for edge in (low, high):
+                axis.plot(at, edge, color=PINK, linewidth=0.6, linestyle=":")
+            axis.plot(
+                *_thinned(network["time"], network[name]), color=PINK, linewidth=1.0, label="network, 90 % dotted"
+            )
         if truth is not None:
             axis.plot(*_thinned(truth["time"], truth[name]), color=DARK, linewidth=1.2, linestyle="--", label="truth")
         axis.set_title(title, loc="left", fontsize=9)
@@ -100,17 +109,26 @@ def draw_cell(
         figure.savefig(unfinished, dpi=100, format=path.suffix.lstrip(".") or "png")
 
 
-def _outlet(axis: Any, calibrated: TruthColumns, truth: TruthColumns | None) -> None:
+def _outlet(
+    axis: Any, calibrated: TruthColumns, truth: TruthColumns | None, network: TruthColumns | None = None
+) -> None:
     """Draw the errors of the outlet against the truth; without one the correction that was made."""
     if truth is None:
         correction = calibrated["t_out"] - calibrated["t_out_commissioned"]
         axis.plot(*_thinned(calibrated["time"], correction), color=BLUE, linewidth=0.9, label="correction")
+        if network is not None:
+            correction = network["t_out"] - network["t_out_commissioned"]
+            axis.plot(*_thinned(network["time"], correction), color=PINK, linewidth=0.9, label="network")
         axis.set_title("outlet: calibrated minus commissioned, K", loc="left", fontsize=9)
         return
     _, mine, its = np.intersect1d(calibrated["time"], truth["time"], return_indices=True)
     for name, colour, label in (("t_out_commissioned", ORANGE, "as commissioned"), ("t_out", BLUE, "calibrated")):
         error = np.where(truth["running"][its], calibrated[name][mine] - truth["t_out"][its], np.nan)
         axis.plot(*_thinned(calibrated["time"][mine], error), color=colour, linewidth=0.9, label=label)
+    if network is not None:
+        _, mine, its = np.intersect1d(network["time"], truth["time"], return_indices=True)
+        error = np.where(truth["running"][its], network["t_out"][mine] - truth["t_out"][its], np.nan)
+        axis.plot(*_thinned(network["time"][mine], error), color=PINK, linewidth=0.9, label="network")
     axis.set_title("outlet: error against the truth, K", loc="left", fontsize=9)
 
 

@@ -309,9 +309,8 @@ def _prepare(
         )
     if flow > 2.0 * design.m_w0:
         raise RecordError(
-            f"{minutes_read.path}: the flow is {flow:.0f} kg/s at the median and the twin's design flow "
-            f"{design.m_w0:g} kg/s; "
-            f"give the twin of this station instead of {path}"
+            f"OTHER_UNITS: {minutes_read.path}: the flow is {flow:.0f} kg/s at the median and the twin's design flow "
+            f"{design.m_w0:g} kg/s; give the twin of this station instead of {path}, or the flow in kg/s"
         )
     healthy = read_healthy(path_beside(path, network))
     priors, stated = known_by(healthy, priors_of(network), minutes, cell)

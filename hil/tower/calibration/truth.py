@@ -56,29 +56,58 @@ def read_truth(path: Path) -> dict[int, TruthColumns]:
     return read_minutes(path, ("running", "t_out", *PARAMETERS), "use truth.parquet of hil tower simulate --score")
 
 
-def compare(calibrated: Mapping[int, TruthColumns], truth: Mapping[int, TruthColumns]) -> list[str]:
-    """Return a Markdown table of the mean absolute errors against the truth: outlet by minute, parameters by day."""
-    head = "| cell | outlet as commissioned K | calibrated K | within 90 % | fill % | air % | uniformity % | bias K |"
-    rows = [head, "|---|---|---|---|---|---|---|---|"]
+def compare(
+    calibrated: Mapping[int, TruthColumns],
+    truth: Mapping[int, TruthColumns],
+    network: Mapping[int, TruthColumns] | None = None,
+) -> list[str]:
+    """Return a Markdown table of the mean absolute errors against the truth: outlet by minute, parameters by day.
+
+    Parameters
+    ----------
+    network
+        Minutes of a network that was asked. Both calibrators are then compared on the minutes that it answered.
+    """
+    asked = network or {}
+    by = " calibrator |" if asked else ""
+    head = (
+        f"| cell |{by} outlet as commissioned K | calibrated K | within 90 % | fill % | air % | uniformity % | bias K |"
+    )
+    rows = [head, "|---" * (head.count("|") - 1) + "|"]
     for cell, found in calibrated.items():
         if cell not in truth:
             continue
-        true = truth[cell]
-        _, mine, its = np.intersect1d(found["time"], true["time"], return_indices=True)
-        runs = true["running"][its]
-        mine, its = mine[runs], its[runs]
-        got, real = found["t_out"][mine], true["t_out"][its]
-        inside = (found["t_out_lo"][mine] <= real) & (real <= found["t_out_hi"][mine])
-        known = np.isfinite(got)
-        before = np.nanmean(np.abs(found["t_out_commissioned"][mine] - real)) if known.any() else np.nan
-        figures = [f"{before:.2f}", f"{np.nanmean(np.abs(got - real)):.2f}" if known.any() else "-"]
-        figures.append(f"{100.0 * inside[known].mean():.0f} %" if known.any() else "-")
-        for name in PARAMETERS:
-            figures.append(
-                _daily(found["time"][mine], found[name][mine], true[name][its], 1.0 if name == "bias" else 100.0)
-            )
-        rows.append(f"| {cell} | {' | '.join(figures)} |")
+        answer = asked.get(cell)
+        if answer is None:
+            rows.append(f"| {cell} |{' Gauss-Newton |' if asked else ''} {_errors(found, truth[cell])} |")
+            continue
+        answered = np.isfinite(answer["t_out"])
+        rows.append(f"| {cell} | Gauss-Newton | {_errors(_taken(found, answer['time'][answered]), truth[cell])} |")
+        rows.append(f"| {cell} | network | {_errors(_taken(answer, answer['time'][answered]), truth[cell])} |")
     return ["Mean absolute errors against the truth of the simulated station:", "", *rows] if len(rows) > 2 else []
+
+
+def _taken(found: TruthColumns, time: NDArray[Any]) -> TruthColumns:
+    rows = np.isin(found["time"], time)
+    return {name: values[rows] for name, values in found.items()}
+
+
+def _errors(found: TruthColumns, true: TruthColumns) -> str:
+    """Return the errors of a calibrator's minutes of a cell as the cells of a row."""
+    _, mine, its = np.intersect1d(found["time"], true["time"], return_indices=True)
+    runs = true["running"][its]
+    mine, its = mine[runs], its[runs]
+    got, real = found["t_out"][mine], true["t_out"][its]
+    inside = (found["t_out_lo"][mine] <= real) & (real <= found["t_out_hi"][mine])
+    known = np.isfinite(got)
+    before = np.nanmean(np.abs(found["t_out_commissioned"][mine] - real)) if known.any() else np.nan
+    figures = [f"{before:.2f}", f"{np.nanmean(np.abs(got - real)):.2f}" if known.any() else "-"]
+    figures.append(f"{100.0 * inside[known].mean():.0f} %" if known.any() else "-")
+    for name in PARAMETERS:
+        figures.append(
+            _daily(found["time"][mine], found[name][mine], true[name][its], 1.0 if name == "bias" else 100.0)
+        )
+    return " | ".join(figures)
 
 
 def _daily(time: NDArray[Any], found: NDArray[Any], true: NDArray[Any], scale: float) -> str:

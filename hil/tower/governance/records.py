@@ -11,6 +11,9 @@ the line before, so a line that was changed or removed later is found. Its keys:
 | `r`, `k`, `h` | regime, condition number of the last day, share of hidden channels |
 | `f` | reason codes of the gates that did not hold, and of constraints that are switched off |
 | `src`, `tw`, `p` | hashes of the record and window, of the twin file, and of the line before |
+| `n` | hash of the network's card, in `network_records.jsonl` alone |
+
+`network_records.jsonl` has the same lines of a network that was asked, in a chain of its own.
 """
 
 from __future__ import annotations
@@ -32,6 +35,7 @@ from hil.tower.station import iso
 from twin.tower import Array, TargetWindow
 
 RECORDS, QUEUE = "records.jsonl", "review_queue.json"
+NETWORK_RECORDS = "network_records.jsonl"
 STATES = ("shadow", "advisory", "controlled")
 """Shadow writes records; advisory fills the review queue too; controlled saves accepted proposals as revisions of the
 twin."""
@@ -99,6 +103,7 @@ class CellLines:
     verdicts: Sequence[Verdict]
     source: str
     twin: str
+    network: str = ""
 
 
 def append_records(path: Path, cells: Sequence[CellLines], state: str) -> int:
@@ -139,7 +144,7 @@ def _lines(cell: CellLines, state: str, after_s: float) -> Iterator[dict[str, An
         if time_s <= after_s:
             continue
         k = int(cell.window[i])
-        yield {
+        line = {
             "t": iso(time_s),
             "c": cell.cell,
             "m": state,
@@ -154,6 +159,7 @@ def _lines(cell: CellLines, state: str, after_s: float) -> Iterator[dict[str, An
             "src": sources[k],
             "tw": cell.twin[:HASH],
         }
+        yield line | ({"n": cell.network[:HASH]} if cell.network else {})
 
 
 def _flags(verdict: Verdict) -> list[str]:

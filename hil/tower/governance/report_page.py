@@ -13,7 +13,8 @@ import pyarrow.parquet as pq
 
 from hil.record import RecordError
 from hil.tower.calibration import TABLE
-from hil.tower.governance.records import QUEUE, RECORDS, check_records
+from hil.tower.governance.records import NETWORK_RECORDS, QUEUE, RECORDS, check_records
+from hil.tower.network import NETWORK, NETWORK_TABLE, read_about
 from twin.tower import DEVIATIONS
 
 REPORT = "report.md"
@@ -24,6 +25,7 @@ class _Cell:
     """Figures of one cell."""
 
     cell: int
+    calibrator: str
     minutes: int
     answered: float
     width: float
@@ -40,32 +42,42 @@ def report(out: Path) -> str:
     RecordError
         The folder holds no calibration, or its records were changed.
     """
-    path = out / TABLE
-    if not path.is_file():
+    if not (out / TABLE).is_file():
         raise RecordError(f"{out}: holds no {TABLE}; make it with hil tower calibrate")
+    check_records(out / RECORDS)
+    check_records(out / NETWORK_RECORDS)
+    cells, columns = _read(out / TABLE)
+    found = [_of(columns, cells == c, int(c), "Gauss-Newton") for c in np.unique(cells)]
+    network = out / NETWORK_TABLE
+    asked = network.is_file()
+    if asked:
+        cells, answered = _read(network)
+        found += [_of(answered, cells == c, int(c), "network") for c in np.unique(cells)]
+    found.sort(key=lambda one: one.cell)
+    text = ["# Calibration", "", _span(columns["time"]), "", *_outlet_table(found)]
+    if asked:
+        text += ["", read_about(network).sentence()]
+    text += ["", *_flags(out / RECORDS)]
+    if asked:
+        text += ["", "## Records of the network", "", *_flags(out / NETWORK_RECORDS)]
+    text += ["", *_proposals(out / QUEUE)]
+    return "\n".join(text).rstrip() + "\n"
+
+
+def _read(path: Path) -> tuple[Any, dict[str, Any]]:
+    """Return the cell of each row of a table, and its other columns."""
     try:
         table = pq.read_table(path)
-    except (OSError, ValueError) as error:
+        return table["cell"].to_numpy(), {n: table[n].to_numpy() for n in table.schema.names if n != "cell"}
+    except (OSError, ValueError, KeyError) as error:
         raise RecordError(f"{path}: cannot be read ({error}); calibrate again") from error
-    check_records(out / RECORDS)
-    cells = table["cell"].to_numpy()
-    columns = {name: table[name].to_numpy() for name in table.schema.names if name != "cell"}
-    text = [
-        "# Calibration",
-        "",
-        _span(columns["time"]),
-        "",
-        *_outlet_table([_of(columns, cells == c, int(c)) for c in np.unique(cells)]),
-    ]
-    text += ["", *_flags(out / RECORDS), "", *_proposals(out / QUEUE)]
-    return "\n".join(text).rstrip() + "\n"
 
 
 def _span(time: Any) -> str:
     return f"From {str(time.min())[:16]} to {str(time.max())[:16]} UTC. Intervals are 90 %; a dash is a withheld value."
 
 
-def _of(columns: dict[str, Any], rows: Any, cell: int) -> _Cell:
+def _of(columns: dict[str, Any], rows: Any, cell: int, calibrator: str) -> _Cell:
     there = np.isfinite(columns["t_out"][rows])
     width = columns["t_out_hi"][rows] - columns["t_out_lo"][rows]
     correction = columns["t_out"][rows] - columns["t_out_commissioned"][rows]
@@ -77,6 +89,7 @@ def _of(columns: dict[str, Any], rows: Any, cell: int) -> _Cell:
             end[name] = float(told[at]) if len(told) else float("nan")
     return _Cell(
         cell,
+        calibrator,
         int(rows.sum()),
         float(there.mean()),
         float(np.nanmean(width)) if there.any() else float("nan"),
@@ -88,8 +101,8 @@ def _of(columns: dict[str, Any], rows: Any, cell: int) -> _Cell:
 
 def _outlet_table(cells: list[_Cell]) -> list[str]:
     lines = [
-        "| cell | minutes | predicted | width K | correction K | fill | air | uniformity | bias K |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| cell | calibrator | minutes | predicted | width K | correction K | fill | air | uniformity | bias K |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for c in cells:
         moved = " | ".join(
@@ -97,7 +110,8 @@ def _outlet_table(cells: list[_Cell]) -> list[str]:
             for name in DEVIATIONS
         )
         lines.append(
-            f"| {c.cell} | {c.minutes} | {100 * c.answered:.1f} % | {c.width:.2f} | {c.correction:.2f} | {moved} |"
+            f"| {c.cell} | {c.calibrator} | {c.minutes} | {100 * c.answered:.1f} % | {c.width:.2f} | "
+            f"{c.correction:.2f} | {moved} |"
         )
     return lines
 
@@ -128,11 +142,12 @@ def _proposals(path: Path) -> list[str]:
     lines = ["## Review queue", ""]
     for e in entries:
         if "parameter" in e:
+            by = ", network" if e.get("calibrator") == NETWORK else ""
             verdict = "all gates hold" if e["accepted"] else f"held back: {', '.join(e['codes'])}"
             if any(code.startswith("LOW_SENSITIVITY") for code in e["codes"]):
                 verdict += f"; condition {e['condition']:g}, known least: {e['combined']}"
             lines.append(
-                f"- {e['time']} cell {e['cell']}: {e['parameter']} {e['value']:.3f} ± {e['sd']:.3f}; {verdict}"
+                f"- {e['time']} cell {e['cell']}{by}: {e['parameter']} {e['value']:.3f} ± {e['sd']:.3f}; {verdict}"
             )
         else:
             further = f" of {e['size_K']:+.2f} K" if "size_K" in e else f" by {', '.join(e.get('indicators', []))}"

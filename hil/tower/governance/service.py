@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.tower.calibration import CellResult, site_of
+from hil.tower.governance.adoption import save_accepted
 from hil.tower.governance.gates import GateEvidence, Verdict, judge
+from hil.tower.governance.network_service import NetworkGovernance, network_governance
 from hil.tower.governance.records import (
     EVERY_S,
+    NETWORK_RECORDS,
     QUEUE,
     RECORDS,
     CellLines,
@@ -24,12 +27,10 @@ from hil.tower.governance.records import (
     drift_alarms,
     write_queue,
 )
+from hil.tower.network import StationAnswers
 from hil.tower.station import StationNotes, iso, seconds
-from twin.network import Revision
-from twin.revisions import save_revision
 from twin.tower import (
     DEVIATIONS,
-    IDS,
     MOST_CONDITION,
     Array,
     CellModel,
@@ -48,7 +49,8 @@ INSPECTIONS = ("inspection",)
 
 @dataclass(frozen=True)
 class CellGovernance:
-    """Windows, verdicts and alarms of a cell, and the revision of its twin where one was saved."""
+    """Windows, verdicts and alarms of a cell, and the revision of its twin where one was saved; `network`: the same of
+    a network that was asked."""
 
     result: CellResult
     windows: Sequence[TargetWindow]
@@ -56,6 +58,7 @@ class CellGovernance:
     alarms: Sequence[tuple[float, tuple[str, ...]]]
     revision: Path | None
     balance: str
+    network: NetworkGovernance | None = None
 
     @property
     def withheld(self) -> dict[str, float]:
@@ -79,8 +82,23 @@ class CellGovernance:
         )
 
 
-def govern(results: Sequence[CellResult], notes: StationNotes, out: Path, state: str) -> list[CellGovernance]:
+def govern(
+    results: Sequence[CellResult], notes: StationNotes, out: Path, state: str, asked: StationAnswers | None = None
+) -> list[CellGovernance]:
     """Write records and review queue of the cells into `out`, and revisions of their twins in the controlled state.
+
+    Parameters
+    ----------
+    results
+        Calibrated cells.
+    notes
+        Datasheet and events of the station.
+    out
+        Folder of the calibration.
+    state
+        Use of the calibration: shadow, advisory or controlled.
+    asked
+        Answers of a network, which are governed in their own mode.
 
     Raises
     ------
@@ -88,18 +106,32 @@ def govern(results: Sequence[CellResult], notes: StationNotes, out: Path, state:
         The records that are there were changed.
     OSError, TwinFileError
         A file cannot be written.
+    ValueError
+        Both calibrators would revise the twins.
     """
+    mode = "shadow" if asked is None else asked.mode
+    if state == mode == "controlled":
+        raise ValueError("Gauss-Newton and the network cannot both revise a twin; choose one")
     found, lines, queue = [], [], []
     for result in results:
         windows, verdicts, balance = _judged(result, notes)
         alarms = drift_alarms(_indicators(result, windows, verdicts))
         lines.append(_lines(result, windows, verdicts))
-        found.append(CellGovernance(result, windows, verdicts, alarms, None, balance))
-        queue += _queue(result, windows, verdicts, alarms, state)
+        network = None if asked is None else network_governance(result, windows, verdicts, asked)
+        found.append(CellGovernance(result, windows, verdicts, alarms, None, balance, network))
+        if state != "shadow":
+            queue += _queue(result, windows, verdicts, alarms, state)
+        if network is not None and mode != "shadow":
+            queue += network.queue(mode)
     append_records(out / RECORDS, lines, state)
+    if asked is not None:
+        governed = [one.network.lines(_twin_digest(one.result)) for one in found if one.network is not None]
+        append_records(out / NETWORK_RECORDS, governed, mode)
     if state == "controlled":
         found = [_controlled(one) for one in found]
-    if state != "shadow":
+    if mode == "controlled":
+        found = [_controlled_by_network(one) for one in found]
+    if state != "shadow" or mode != "shadow":
         write_queue(out / QUEUE, queue)
     return found
 
@@ -136,7 +168,6 @@ def _lines(result: CellResult, windows: Sequence[TargetWindow], verdicts: Sequen
     window = np.clip(((m.time_s[rows] - windows[0].start_s) // WINDOW_S).astype(int), 0, len(windows) - 1)
     deviations, sd = c.deviations[rows].copy(), c.sd[rows].copy()
     deviations[:, :3] += 1.0
-    twin = hashlib.sha256(result.twin.read_bytes()).hexdigest()
     return CellLines(
         result.cell,
         m.time_s[rows],
@@ -149,8 +180,12 @@ def _lines(result: CellResult, windows: Sequence[TargetWindow], verdicts: Sequen
         windows,
         verdicts,
         result.record.digest,
-        twin,
+        _twin_digest(result),
     )
+
+
+def _twin_digest(result: CellResult) -> str:
+    return hashlib.sha256(result.twin.read_bytes()).hexdigest()
 
 
 def _indicators(result: CellResult, windows: Sequence[TargetWindow], verdicts: Sequence[Verdict]) -> Indicators:
@@ -234,40 +269,27 @@ def _proposals(result: CellResult, window: TargetWindow) -> list[tuple[str, floa
 
 def _controlled(one: CellGovernance) -> CellGovernance:
     """Save the deviations of the last windows that passed all gates as a revision of the twin."""
-    from dataclasses import replace
-
-    result, values, notes = one.result, {}, []
-    for name in DEVIATIONS:
-        passed = [k for k, v in enumerate(one.verdicts) if v.accepts(name) and one.windows[k].share_known > 0.5]
-        if not passed:
-            codes = sorted({c for v in one.verdicts for c in (*v.codes, *v.of.get(name, ()))})
-            notes.append(f"{name} stays: {', '.join(codes) or 'no window ran'}")
-            continue
-        value, sd = next((v, s) for n, v, s in _proposals(result, one.windows[passed[-1]]) if n == name)
-        low, high = (float(b[0]) for b in result.network.bounds([IDS[name]]))
-        if not low < value < high:
-            notes.append(f"{name} stays: {value:.3f} is outside its bounds {low:g} to {high:g}")
-            continue
-        values[IDS[name]] = float(f"{value:.5g}")
-        notes.append(f"{name} {value:.4g} +- {sd:.2g} at {iso(one.windows[passed[-1]].end_s)}")
-    if not values:
-        return one
-    residual = result.calibrated.posterior.residual
-    before = result.minutes.outlet - result.calibrated.commissioned
-    revision = Revision(
-        made_by="hil tower calibrate",
-        notes=tuple(notes),
-        record=result.record.digest,
-        record_file=result.record.path.name,
-        error_before_K={"outlet": _rms(before)},
-        error_after_K={"outlet": _rms(residual)},
-        window_s=(float(result.minutes.time_s[0]), float(result.minutes.time_s[-1])),
-        effects=tuple(f"{name} {values[name]:.4g}" for name in values),
-        evidence="windows that passed all gates",
+    revision = save_accepted(
+        one.result,
+        one.windows,
+        one.verdicts,
+        lambda k: _proposals(one.result, one.windows[k]),
+        "hil tower calibrate",
+        one.result.calibrated.posterior.residual,
     )
-    return replace(one, revision=save_revision(result.network.with_values(values, revision), result.twin))
+    return one if revision is None else replace(one, revision=revision)
 
 
-def _rms(values: Array) -> float:
-    there = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(there**2))) if len(there) else float("nan")
+def _controlled_by_network(one: CellGovernance) -> CellGovernance:
+    """Save the network's deviations of the last windows that passed all gates as a revision of the twin."""
+    assert one.network is not None
+    network = one.network
+    revision = save_accepted(
+        one.result,
+        one.windows,
+        network.verdicts,
+        network.proposals,
+        "hil tower calibrate --network-mode controlled",
+        network.residual(),
+    )
+    return one if revision is None else replace(one, revision=revision)

@@ -20,6 +20,8 @@ from hil.record import RecordError
 from hil.tower.station.alignment import event_entry
 from hil.tower.station.description import read_events
 from hil.tower.station.input_files import read_rows
+from hil.tower.station.plausibility import refuse_implausible
+from twin.historian import Event
 from twin.tower import BOUNDS, Array
 from twin.tower.cell_observations import Label
 
@@ -71,7 +73,8 @@ def read_cell(record: Path, cell: int) -> CellRecord:
     Raises
     ------
     RecordError
-        The record has no such cell, its file is damaged, or a needed column is missing throughout.
+        The record has no such cell, its file is damaged, a needed column is missing throughout, or it is no record of
+        a plant.
     """
     path = record / f"cell{cell}.parquet"
     if not path.is_file():
@@ -91,8 +94,24 @@ def read_cell(record: Path, cell: int) -> CellRecord:
     columns = {n: v for n, v in columns.items() if not n.endswith(("_how", "_age_min"))}
     time_s = table["time"].cast(pa.int64()).to_numpy().astype(np.float64) / 1e3
     _refuse_empty(path, columns)
+    refuse_implausible(path, time_s, columns, origin)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     return CellRecord(cell, time_s, columns, origin, digest, path)
+
+
+def read_channels(path: Path) -> dict[str, NDArray[Any]]:
+    """Return all numeric columns of a cell's file, origins and ages of the values too.
+
+    Raises
+    ------
+    RecordError
+        The file cannot be read.
+    """
+    try:
+        table = pq.read_table(path)
+    except (OSError, ValueError, pa.ArrowInvalid) as error:
+        raise RecordError(f"{path}: cannot be read as an aligned record ({error}); align the store again") from error
+    return {name: table[name].to_numpy() for name in table.schema.names if _is_number(table, name)}
 
 
 def _is_number(table: pa.Table, name: str) -> bool:
@@ -132,6 +151,32 @@ def read_notes(record: Path) -> StationNotes:
         return StationNotes(dict(found.get("datasheet", {})), tuple(found.get("events", ())))
     except (OSError, ValueError, AttributeError) as error:
         raise RecordError(f"{path}: cannot be read ({error}); align the store again") from error
+
+
+def events_of(notes: StationNotes) -> tuple[Event, ...]:
+    """Return the events of a record.
+
+    Raises
+    ------
+    RecordError
+        An event lacks a key or has no time that can be read.
+    """
+    try:
+        return tuple(
+            Event(
+                seconds(row["time"]),
+                bool(row["by_day"]),
+                int(row["cell"]),
+                row["kind"],
+                row["source"],
+                row.get("text", ""),
+            )
+            for row in notes.events
+        )
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise RecordError(
+            f"station.json: holds no events that can be read ({error}); align the record again"
+        ) from error
 
 
 def seconds(text: str) -> float:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from hil.training.tower.ensemble import assemble
     from hil.training.tower.evaluate import BOOSTED, ENSEMBLE, GAUSS_NEWTON
     from hil.training.tower.evaluate import evaluate as score_members
     from hil.training.tower.generate import DataPlan
@@ -22,6 +23,7 @@ __all__ = [
     "GAUSS_NEWTON",
     "DataPlan",
     "TowerProgress",
+    "assemble",
     "random_table",
     "score_members",
     "simulate_stations",
@@ -31,6 +33,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "ensemble": ("assemble",),
         "evaluate": ("BOOSTED", "ENSEMBLE", "GAUSS_NEWTON", "score_members = evaluate"),
         "generate": ("DataPlan",),
         "selftest": ("random_table",),

@@ -7,6 +7,7 @@ each split and the digest of the data.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import multiprocessing
 import os
@@ -40,6 +41,17 @@ class DataPlan:
     test: int = 3
     months: float = FAMILY_MONTHS
     site_months: float = PAPER_MONTHS
+
+    def __post_init__(self) -> None:
+        """Raises HieraError: a split would reach into the seeds of the next."""
+        counts = {TRAIN: self.train, VALIDATION: self.validation, TEST: self.test}
+        for split, following in itertools.pairwise(FIRST):
+            if FIRST[split] + counts[split] > FIRST[following]:
+                raise HieraError(
+                    f"{counts[split]} stations of the {split} split reach into the {following} split; give at most "
+                    f"{FIRST[following] - FIRST[split]}",
+                    code="OVERLAPPING_SPLITS",
+                )
 
     def stations(self) -> list[tuple[str, StationPlan]]:
         """Return splits and stations in the order in which they are simulated: the longest and most needed first."""
@@ -180,9 +192,19 @@ def _read(folder: Path) -> dict[str, Any] | None:
         return None
     try:
         found = json.loads(path.read_text())
-        return {"months": float(found["months"]), "table": str(found["table"]), **found}
+        document = {"months": float(found["months"]), "table": str(found["table"]), **found}
+        named = [(f"{row['site']}{int(row['seed']):04d}", str(row["split"])) for row in found["stations"]]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise HieraError(f"{path}: cannot be read ({error}); remove the folder and simulate anew") from error
+    splits: dict[str, str] = {}
+    for station, split in named:
+        if splits.setdefault(station, split) != split:
+            raise HieraError(
+                f"{path}: station {station} is in the {splits[station]} and the {split} split, so scores would be of "
+                "plants that the training saw; remove the folder and simulate anew",
+                code="OVERLAPPING_SPLITS",
+            )
+    return document
 
 
 def tables(folder: Path, split: str, station: str = "") -> list[Path]:

@@ -78,6 +78,7 @@ def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:
     """
     from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.tower import Fleet, MemberTraining, TowerPlan, adapt, load_member
+    from twin.calibrators.hiera_unet.tower.member import MONTH_MIN
     from twin.calibrators.hiera_unet.tower.predict import predict
 
     ready(device, 1 if device == "cpu" else 2)
@@ -98,6 +99,7 @@ def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:
         training.write(path, gate, {})
         network = load_member(path, blind_too=True).network.to(fleet.device)
         predict(network, fleet, fleet.rows[:4], half=plan.half)
-        adapt(network, fleet, fleet, replace(plan, steps=2), time.monotonic() + 5.0, 0.0, 1.0)
+        months = float(fleet.minutes.min()) / MONTH_MIN
+        adapt(network, fleet, fleet, replace(plan, steps=2), time.monotonic() + 5.0, months)
         said.append(f"{size}: {1e3 * pace:.0f} ms a step of {batch} windows, {network.count()} weights")
     return said

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.training.tower.ensemble import assemble
 from hil.training.tower.generate import TRAIN, VALIDATION, DataPlan, digest_of, generate, tables
 
 Say = Callable[[float, str], None]
@@ -81,6 +82,8 @@ def train_member(
 ) -> TowerProgress:
     """Continue the training of `out` until it is stopped, or to its end; then write weights and card.
 
+    With a second member of the same data beside it, the card of their ensemble is written too.
+
     Parameters
     ----------
     folder
@@ -105,5 +108,6 @@ def train_member(
         return TowerProgress(0, 0, trainer.done, plan.steps)
     gate = training.gate()
     card = training.write(out, gate, {"command": command})
+    assemble(folder, out.with_name(out.stem.rpartition("_")[0]), device=device)
     note = training.note() if training.curves else ""
     return TowerProgress(0, 0, trainer.done, plan.steps, card, gate.code, gate.document(), note)

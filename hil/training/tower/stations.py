@@ -28,14 +28,12 @@ from drivers.virtual.tower import (
     simulate,
     state_by_minute,
 )
-from twin.calibrators.hiera_unet.tower import CellTable
+from twin.calibrators.hiera_unet.tower import CellTable, commissioned_log_power, commissioned_outlet
 from twin.calibrators.hiera_unet.tower.cell_table import CellSources, cell_table
 from twin.historian import CellMinutes, Event, Series, Tag, cell_minutes, disturbed, influence_of, shared_minutes
 from twin.tower import (
     BOUNDS,
     DEVIATIONS,
-    NAMES,
-    SLOW,
     Array,
     CellModel,
     DesignPoint,
@@ -225,7 +223,7 @@ def _cell(
     end = float(minutes.time_s[0]) + HEALTHY_DAYS * 86400.0
     until = int(np.searchsorted(minutes.time_s, end))
     openings = _openings(events, cell)
-    first = _part(minutes, until)
+    first = minutes.part(slice(0, until))
     middle = 0.5 * (float(minutes.time_s[0]) + end)
     stated = [Label(middle, cell, name, 0.0, 0.0, one, "healthy record") for name, one in CLEAN.items()]
     zero = made.plan.start.timestamp()
@@ -244,48 +242,14 @@ def _cell(
         columns,
         minutes,
         fitted,
-        _clean(model, minutes),
-        _log_power(model, minutes),
+        commissioned_outlet(model, minutes),
+        commissioned_log_power(model, minutes),
         beliefs,
         openings,
         tuple(e for e in events if e.cell in (0, cell)),
         end,
         np.where(on, made.truth.cell("t_out", cell), np.nan),
         truth,
-    )
-
-
-def _clean(model: CellModel, minutes: Minutes) -> Array:
-    from twin.tower import first_order_lag, solve_cell
-
-    rows = np.flatnonzero(minutes.known)
-    u = minutes.operation.inputs.take(rows)
-    out = solve_cell(u, model.design).t_out
-    clean = np.full(len(minutes.time_s), np.nan)
-    clean[rows] = out + minutes.operation.bypass[rows] * (u.t_in - out)
-    return first_order_lag(clean, minutes.known)
-
-
-def _log_power(model: CellModel, minutes: Minutes) -> Array:
-    """Return the logarithm of the commissioned twin's fan power, kW; NaN where the inputs are not known."""
-    rows = np.flatnonzero(minutes.known)
-    found = np.full(len(minutes.time_s), np.nan)
-    neutral = np.zeros(len(NAMES))
-    neutral[NAMES.index("kappa")] = -1.3  # any: at zero deviation the air's power has no effect
-    found[rows] = model.log_power(minutes.operation.take(rows), np.zeros((len(rows), len(SLOW))), neutral)
-    return found
-
-
-def _part(m: Minutes, until: int) -> Minutes:
-    rows = slice(0, until)
-    return Minutes(
-        m.time_s[rows],
-        m.operation.take(rows),
-        m.outlet[rows],
-        m.power[rows],
-        m.known[rows],
-        m.steady[rows],
-        m.regime[rows],
     )
 
 

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import FrozenInstanceError
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
 
 from twin.calibrators import make_calibrator  # noqa: E402
-from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
+from twin.calibrators.hiera_unet.binding import subject_of  # noqa: E402
+from twin.calibrators.hiera_unet.channels import table  # noqa: E402
+from twin.calibrators.hiera_unet.config import Config, HieraError  # noqa: E402
+from twin.calibrators.hiera_unet.parameters import Deviations  # noqa: E402
 from twin.calibrators.hiera_unet.service import TRAINED, HieraUNetCalibrator  # noqa: E402
 from twin.calibrators.hiera_unet.tower.member import load_member  # noqa: E402
 from twin.twinfile import load  # noqa: E402
@@ -37,6 +42,21 @@ def test_the_shipped_ensemble_fits_the_shipped_twins_and_says_where_it_comes_fro
         assert all(a < b for a, b in zip(after, before, strict=True))
     assert sum(p.stat().st_size for p in TRAINED.glob("loop_*")) < MOST_MB * 1e6
     assert not re.search(r"/(tmp|home|root)/", "".join(p.read_text() for p in TRAINED.glob("*.json")))
+
+
+@pytest.mark.skipif(not CARD.exists(), reason="no trained network is shipped")
+def test_the_loop_is_a_subject_whose_configuration_is_that_of_its_shipped_weights() -> None:
+    network = load(PROFILES / "twins" / "loop.toml")
+    channels, deviations = table(network), Deviations.of(network, "nine")
+    subject = subject_of(network, channels, deviations)
+    assert (subject.name, subject.step_s, subject.context) == ("loop", 5.0, 1440)
+    assert [one.name for one in subject.deviations] == list(deviations.ids)
+    for name in json.loads(CARD.read_text())["members"]:
+        card = json.loads((TRAINED / name).with_suffix(".json").read_text())
+        assert subject.config("small") == Config.of(card["config"])
+    assert np.flatnonzero(subject.told).tolist() == channels.indices("y", "r").tolist()
+    with pytest.raises(FrozenInstanceError):
+        subject.step_s = 60.0  # type: ignore[misc]
 
 
 def test_a_twin_without_a_trained_network_is_refused_with_the_reason() -> None:

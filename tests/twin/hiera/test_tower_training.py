@@ -72,7 +72,7 @@ def test_a_training_that_was_cut_ends_as_one_that_was_not(fleet: Fleet) -> None:
     for a, b in zip(whole.network.parameters(), second.network.parameters(), strict=True):
         assert torch.equal(a, b)
     other = TowerTrainer(SUBJECT.config("small"), fleet, replace(PLAN, steps=7), "data")
-    with pytest.raises(HieraError, match="another configuration, plan or data"):
+    with pytest.raises(HieraError, match=r"^OTHER_PLAN: .* another configuration, plan or data: steps was 6, is 7;"):
         other.restore(first.state())
 
 
@@ -94,10 +94,10 @@ def test_a_network_that_ignores_its_channels_is_refused_and_its_card_says_so(fle
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [
-        ("table", "another", "another channel table"),
-        ("format", 1, "format 1, not"),
-        ("parameters", ["fill", "air"], "tell fill, air"),
-        ("twin", "loop", "another structure"),
+        ("table", "another", "^OTHER_TABLE: .* another channel table"),
+        ("format", 1, "^OTHER_FORMAT: .* format 1, not"),
+        ("parameters", ["fill", "air"], "^OTHER_PARAMETERS: .* tell fill, air"),
+        ("twin", "loop", "^OTHER_SUBJECT: .* another structure"),
     ],
 )
 def test_a_member_of_another_table_format_or_twin_is_refused(
@@ -114,14 +114,16 @@ def test_a_member_of_another_table_format_or_twin_is_refused(
 def test_a_member_without_its_weights_is_refused(member_file: Path, tmp_path: Path) -> None:
     path = tmp_path / member_file.name
     path.with_suffix(".json").write_text(member_file.with_suffix(".json").read_text())
-    with pytest.raises(HieraError, match=r"are missing; put them beside the card"):
+    with pytest.raises(HieraError, match=r"^MISSING_MEMBER: .* are missing; put them beside the card"):
         load_member(path, blind_too=True)
 
 
-def test_a_station_without_windows_in_its_first_months_adapts_nothing(fleet: Fleet) -> None:
+def test_a_station_without_nine_months_or_without_a_window_in_them_adapts_nothing(fleet: Fleet) -> None:
     network = TowerTrainer(SUBJECT.config("small"), fleet, PLAN).network
-    with pytest.raises(HieraError, match="no window in its first nine months; give a longer record"):
-        adapt(network, fleet, fleet, PLAN, 0.0, last=0.0)
+    with pytest.raises(HieraError, match=r"^FEW_MONTHS: the station's record has 0\.1 months, .* its first 9; give a"):
+        adapt(network, fleet, fleet, PLAN, 0.0)
+    with pytest.raises(HieraError, match=r"^NO_WINDOW: the station has no window in its first 0\.02 months"):
+        adapt(network, fleet, fleet, PLAN, 0.0, months=0.02)
 
 
 def test_the_gate_opens_only_where_both_are_surely_worse() -> None:

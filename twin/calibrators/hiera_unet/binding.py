@@ -10,15 +10,35 @@ from twin.calibrators.hiera_unet import evidence
 from twin.calibrators.hiera_unet.balance import balance_of
 from twin.calibrators.hiera_unet.channels import ChannelTable
 from twin.calibrators.hiera_unet.checkpoint import Identity
-from twin.calibrators.hiera_unet.config import Config, named
+from twin.calibrators.hiera_unet.config import Config
 from twin.calibrators.hiera_unet.parameters import REACH, Deviations, kernel_of, rated_power
 from twin.calibrators.hiera_unet.regimes import COUNT
 from twin.calibrators.hiera_unet.series import STEP_S
 from twin.calibrators.hiera_unet.store import structure
+from twin.calibrators.hiera_unet.subject import Channel, Deviation, Output, Subject
 from twin.calibrators.hiera_unet.train import Physics
 from twin.calibrators.hiera_unet.twin_layer import TwinLayer
 from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, Windows
 from twin.network import Network
+
+
+def subject_of(network: Network, table: ChannelTable, deviations: Deviations) -> Subject:
+    """Return the subject of a rig: its channels, deviations and outputs, as `tower.table.SUBJECT` is that of a cell."""
+    told = set(table.indices("y", "r").tolist())
+    return Subject(
+        name=table.name,
+        step_s=STEP_S,
+        channels=tuple(Channel(c.name, c.group, c.unit, k in told) for k, c in enumerate(table.channels)),
+        regimes=COUNT,
+        outputs=tuple(Output(name, "degC", network.rules.calibrated_K) for name in network.sensor_names),
+        deviations=tuple(
+            Deviation(name, "1", REACH, float(sd)) for name, sd in zip(deviations.ids, deviations.prior_sd, strict=True)
+        ),
+        # The fit's two own numbers stand before its figures of each deviation and the condition number.
+        statics=len(table.figures) + evidence.tokens(0) - 1,
+        context=CONTEXT,
+        target=TARGET,
+    )
 
 
 def config_for(name: str, network: Network, table: ChannelTable, deviations: Deviations) -> Config:
@@ -27,18 +47,7 @@ def config_for(name: str, network: Network, table: ChannelTable, deviations: Dev
     Raises:
         HieraError: no such configuration.
     """
-    return named(
-        name,
-        groups=tuple(table.groups.values()),
-        bounds=(REACH,) * len(deviations),
-        tolerances=(network.rules.calibrated_K,) * len(network.sensors),
-        meta=len(table.figures) + evidence.tokens(len(deviations)),
-        regimes=COUNT,
-        evidence=True,
-        step_s=STEP_S,
-        context=CONTEXT,
-        target=TARGET,
-    )
+    return subject_of(network, table, deviations).config(name)
 
 
 def identity_of(network: Network, table: ChannelTable, deviations: Deviations) -> Identity:
@@ -57,6 +66,5 @@ def physics_of(network: Network, table: ChannelTable, deviations: Deviations) ->
         out: Tensor = layer(theta, state, inputs, nominal)
         return out
 
-    told = np.zeros(len(table), dtype=bool)
-    told[table.indices("y", "r")] = True
+    told = np.array(subject_of(network, table, deviations).told)
     return Physics(simulate, told, balance_of(network), rated_power(network))

@@ -22,6 +22,8 @@ from twin.calibrators.hiera_unet.envelope import Envelope
 from twin.calibrators.hiera_unet.network import HieraUNet
 from twin.regular_file import MOST_WEIGHTS, read_regular
 
+TOWER_CELL = "tower_cell"
+"""`Identity.twin` of weights for cells of cooling towers, whose twins all have one structure."""
 FORMAT = 3
 """2: evidence holds what is believed if few parameters have moved, and heads correct that. 3: each group's first block
 is one like any other, and half kernels have the oldest step first."""
@@ -101,13 +103,18 @@ def load(path: Path, identity: Identity | None = None, config: Config | None = N
         raise HieraError(f"model card {card} cannot be read ({error}); train again") from error
     _refuse_others(path, found, own, identity, config)
     if not path.exists():
-        raise HieraError(f"the weights {path} of model card {card} are missing; put them beside the card")
+        raise HieraError(
+            f"the weights {path} of model card {card} are missing; put them beside the card", code="MISSING_MEMBER"
+        )
     try:
         found_digest = _digest(path)
     except OSError as error:
         raise HieraError(f"the weights {path} cannot be read ({error.strerror}); train again") from error
     if found_digest != digest:
-        raise HieraError(f"the weights {path} are not those of model card {card}: their checksum differs; train again")
+        raise HieraError(
+            f"the weights {path} are not those of model card {card}: their checksum differs; train again",
+            code="OTHER_MEMBER",
+        )
     try:
         tensors = load_file(path)
         network = HieraUNet(own)
@@ -128,7 +135,9 @@ def _document(card: Path) -> dict[str, Any]:
     try:
         document: dict[str, Any] = dict(json.loads(read_regular(card)))
     except FileNotFoundError as error:
-        raise HieraError(f"there is no model card {card}; train a network with `hil train`") from error
+        raise HieraError(
+            f"there is no model card {card}; train a network with `hil train`", code="MISSING_MEMBER"
+        ) from error
     except OSError as error:
         raise HieraError(f"model card {card} cannot be read ({error.strerror}); give a model card") from error
     except (ValueError, TypeError, RecursionError) as error:
@@ -136,7 +145,8 @@ def _document(card: Path) -> dict[str, Any]:
     if document.get("format") != FORMAT:
         raise HieraError(
             f"model card {card} has format {document.get('format')}, not {FORMAT}: its network is of another version; "
-            "train again"
+            "train again",
+            code="OTHER_FORMAT",
         )
     return document
 
@@ -154,14 +164,19 @@ def _refuse_others(path: Path, found: Identity, own: Config, identity: Identity 
         raise HieraError(
             f"the weights {path} were trained for a twin of another structure, with other {other}; `hil train loop` "
             "trains for the shipped loop's structure alone and `hil train tower` for cooling-tower cells, so choose "
-            "weights of this structure or another calibrator, such as least_squares"
+            "weights of this structure or another calibrator, such as least_squares",
+            code="OTHER_SUBJECT" if TOWER_CELL in (found.twin, identity.twin) else "OTHER_TWIN",
         )
     if found.table != identity.table:
-        raise HieraError(f"the weights {path} were trained with another channel table; train again with `hil train`")
+        raise HieraError(
+            f"the weights {path} were trained with another channel table; train again with `hil train`",
+            code="OTHER_TABLE",
+        )
     if found.parameters != identity.parameters:
         raise HieraError(
             f"the weights {path} tell {', '.join(found.parameters)}, not {', '.join(identity.parameters)}; calibrate "
-            "those, as `hil train` trains for no others"
+            "those, as `hil train` trains for no others",
+            code="OTHER_PARAMETERS",
         )
 
 

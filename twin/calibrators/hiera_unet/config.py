@@ -10,7 +10,17 @@ TOWER_GROUPS = (6, 9, 10, 6, 12, 9)
 
 
 class HieraError(ValueError):
-    """A configuration, checkpoint or batch that cannot be used; the message is one plain sentence."""
+    """A configuration, checkpoint, record or batch that cannot be used; the message is one plain sentence.
+
+    Parameters
+    ----------
+    code
+        Reason code before the sentence, "" for none.
+    """
+
+    def __init__(self, sentence: str, code: str = "") -> None:
+        super().__init__(f"{code}: {sentence}" if code else sentence)
+        self.code = code
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.calibrators.hiera_unet.tower.cell_table import CellTable
+    from twin.calibrators.hiera_unet.tower.commissioned import commissioned_log_power, commissioned_outlet
+    from twin.calibrators.hiera_unet.tower.ensemble import (
+        BRANCHES,
+        CAUSAL,
+        SYMMETRIC,
+        EnsembleAnswer,
+        TowerEnsemble,
+    )
+    from twin.calibrators.hiera_unet.tower.ensemble import load_ensemble as load_tower_ensemble
     from twin.calibrators.hiera_unet.tower.member import MemberTraining, adapt, load_fleet, load_member
     from twin.calibrators.hiera_unet.tower.plan import TowerPlan
     from twin.calibrators.hiera_unet.tower.predict import Blindness, Predicted
@@ -19,6 +28,11 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "cell_table": {"CellTable": "CellTable"},
+    "commissioned": {n: n for n in ("commissioned_log_power", "commissioned_outlet")},
+    "ensemble": {
+        **{n: n for n in ("BRANCHES", "CAUSAL", "SYMMETRIC", "EnsembleAnswer", "TowerEnsemble")},
+        "load_tower_ensemble": "load_ensemble",
+    },
     "member": {n: n for n in ("MemberTraining", "adapt", "load_fleet", "load_member")},
     "plan": {"TowerPlan": "TowerPlan"},
     "predict": {"Blindness": "Blindness", "Predicted": "Predicted", "predict_windows": "predict"},
@@ -28,6 +42,7 @@ _HOME = {public: (f"{__name__}.{module}", own) for module, names in _MODULES.ite
 
 _PUBLIC_MODULES = (
     "cell_table",
+    "ensemble",
     "member",
     "predict",
     "score",
@@ -36,16 +51,25 @@ _PUBLIC_MODULES = (
 """Parts that `hil.training` puts together: each is public as a whole."""
 
 __all__ = [
+    "BRANCHES",
+    "CAUSAL",
+    "SYMMETRIC",
     "Blindness",
     "CellTable",
+    "EnsembleAnswer",
     "Fleet",
     "MemberTraining",
     "Predicted",
+    "TowerEnsemble",
     "TowerPlan",
     "adapt",
     "cell_table",
+    "commissioned_log_power",
+    "commissioned_outlet",
+    "ensemble",
     "load_fleet",
     "load_member",
+    "load_tower_ensemble",
     "member",
     "predict",
     "predict_windows",

@@ -32,6 +32,8 @@ FIRST_LOOK = 50
 LONGEST = 1_000_000
 KEEP_EVERY_S = 60.0
 HULL = 256
+OWN_MONTHS, MONTH_MIN = 9.0, 365.25 / 12.0 * 1440.0
+"""Months of its own record that a station teaches (the paper's), and minutes of a month."""
 Say = Callable[[int, int, str], None]
 
 
@@ -205,8 +207,7 @@ def adapt(
     own: Fleet,
     plan: TowerPlan,
     until: float,
-    first: float = 0.0,
-    last: float = 9.0 / 14.0,
+    months: float = OWN_MONTHS,
 ) -> tuple[HieraUNet, int]:
     """Return a network adapted to readings of the station itself, and the steps that it took.
 
@@ -218,19 +219,30 @@ def adapt(
         Trained on the family.
     family, own
         Windows of simulated stations, and of this one.
+    plan
+        Steps, batch and rate of the adaptation.
     until
         End of the training, in s of `time.monotonic`.
-    first, last
-        Range of the station's record that is used, as shares of it.
+    months
+        Length of the station's own record that it learns from, from the beginning.
 
     Raises
     ------
     HieraError
-        The station has no window there.
+        The record is shorter than these months, or has no window in them.
     """
-    rows = own_rows(own, first, last)
+    length = float(own.minutes.min()) / MONTH_MIN
+    if length < months:
+        raise HieraError(
+            f"the station's record has {length:.1f} months, and an adaptation learns from its first {months:g}; give a "
+            "longer record",
+            code="FEW_MONTHS",
+        )
+    rows = own_rows(own, 0.0, months / length)
     if not len(rows):
-        raise HieraError("the station has no window in its first nine months; give a longer record")
+        raise HieraError(
+            f"the station has no window in its first {months:g} months; give a longer record", code="NO_WINDOW"
+        )
     trainer = TowerTrainer(network.config, family, plan, "adapted", own, rows, 0.5, network.state_dict())
     began = time.monotonic()
     while time.monotonic() < until and trainer.done < trainer.plan.steps:
@@ -245,7 +257,7 @@ def adapt(
 def identity() -> checkpoint.Identity:
     """Return what weights of a tower belong to."""
     return checkpoint.Identity(
-        "tower_cell",
+        checkpoint.TOWER_CELL,
         SUBJECT.digest(),
         tuple(one.name for one in SUBJECT.deviations),
         tuple(one.name for one in SUBJECT.outputs),
@@ -263,8 +275,9 @@ def load_member(path: Path, *, blind_too: bool = False) -> checkpoint.Member:
     member = checkpoint.load(path, identity())
     if member.card.get("refused") and not blind_too:
         raise HieraError(
-            f"{path}: {member.card['refused']}: its answers are hardly worse with another window's channels, see its "
-            "card; train longer or with other data"
+            f"{path}: its answers are hardly worse with another window's channels, see its card; train longer or with "
+            "other data",
+            code=str(member.card["refused"]),
         )
     return member
 

@@ -29,6 +29,8 @@ JUMPS = (0.1, 0.0, 0.08, 0.5)
 BURST = (2, 120)
 REFERENCE_BATCHES = 16
 MOST_EVEN = 10.0
+IDENTITY = ("configuration", "plan", "channel table", "data", "number of windows")
+"""Parts of `TowerTrainer.identity`."""
 
 
 class TowerTrainer:
@@ -249,8 +251,10 @@ class TowerTrainer:
         """
         if state["identity"] != self.identity():
             raise HieraError(
-                "the training that was begun here has another configuration, plan or data; use another folder, or "
-                "remove its training.pt to begin anew"
+                f"the training that was begun here has another configuration, plan or data: "
+                f"{_differences(str(state['identity']), self.identity())}; use another folder, or remove its "
+                "training.pt to begin anew",
+                code="OTHER_PLAN",
             )
         self.done, self.even = int(state["done"]), float(state["even"])
         self.network.load_state_dict(state["network"])
@@ -264,3 +268,14 @@ class TowerTrainer:
             (self.config.document(), self.plan.document(), SUBJECT.digest(), self.digest, len(self.fleet)),
             sort_keys=True,
         )
+
+
+def _differences(begun: str, now: str) -> str:
+    """Return in words what differs between the identities of two trainings."""
+    found = []
+    for name, a, b in zip(IDENTITY, json.loads(begun), json.loads(now), strict=True):
+        if isinstance(a, dict) and isinstance(b, dict):
+            found += [f"{k} was {a.get(k)}, is {b.get(k)}" for k in sorted(a.keys() | b.keys()) if a.get(k) != b.get(k)]
+        elif a != b:
+            found.append(f"{name} was {str(a)[:12]}, is {str(b)[:12]}")
+    return ", ".join(found)

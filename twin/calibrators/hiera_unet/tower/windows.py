@@ -79,7 +79,7 @@ class Fleet:
             raise HieraError("there is no table of a cell; simulate stations first with `hil train tower`")
         self.device = torch.device(device)
         self.names = [one.name for one in tables]
-        sizes = np.array([len(one.regime) for one in tables])
+        self.minutes = sizes = np.array([len(one.regime) for one in tables])
         offsets = np.r_[0, np.cumsum(sizes)[:-1]]
         self.arrays = {name: self._joined([getattr(t, name) for t in tables]) for name in MINUTELY}
         chunks = np.array([len(t.reference) for t in tables])
