@@ -84,6 +84,7 @@ def test_a_pair_leaves_harness_or_guardian_able_to_act_and_has_one_terminal():
     assert not compatible("guardian stopped", "memory gone")
     assert not compatible("Ctrl-S", "reader gone")
     assert not compatible("both killed", "SIGTERM")
+    assert not compatible("folder read-only", "guardian's file deleted")
     assert compatible("device lies", "harness killed")
     assert all(case.names[0] != "harness killed" for case in chaos_cases(500, 3) if len(case.names) > 1)
     assert all(case.apart_s <= 0.4 for case in chaos_cases(300, 3) if case.names[0] == "SIGTERM")

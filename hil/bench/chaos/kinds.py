@@ -31,6 +31,7 @@ class ChaosKind:
     names the agents that cannot act any more. `early`: it may come before anything heats. `spoils`: record and report
     cannot be demanded. `alarm`: an event of level WARN or ERROR with one of these words must be recorded within
     `verdict.ALARM_S`. `last` is the signal that ends a run which rode through. `watched`: only with the rig's watchdog.
+    `deletes`: it needs a folder in which files can be deleted; `protects`: afterwards none can.
     """
 
     about: str
@@ -44,6 +45,8 @@ class ChaosKind:
     alarm: tuple[str, ...] = ()
     last: signal.Signals = signal.SIGTERM
     watched: bool = False
+    deletes: bool = False
+    protects: bool = False
     alone: bool = False
     """True for a kind that makes no pair."""
     status: str = ""
@@ -159,6 +162,7 @@ CHAOS_KINDS: dict[str, ChaosKind] = {
         acts.folder_read_only,
         "files",
         spoils=True,
+        protects=True,
     ),
     "journal deleted": ChaosKind(
         "journal.sqlite and its log deleted",
@@ -166,9 +170,12 @@ CHAOS_KINDS: dict[str, ChaosKind] = {
         acts.deleted("journal.sqlite*", samples=True),
         "files",
         spoils=True,
+        deletes=True,
     ),
-    "socket deleted": ChaosKind("control.sock deleted", "rides", acts.deleted("control.sock"), "control"),
-    "guardian's file deleted": ChaosKind("guardian.* deleted", "rides", acts.deleted("guardian*"), "guardian file"),
+    "socket deleted": ChaosKind("control.sock deleted", "rides", acts.deleted("control.sock"), "control", deletes=True),
+    "guardian's file deleted": ChaosKind(
+        "guardian.* deleted", "rides", acts.deleted("guardian*"), "guardian file", deletes=True
+    ),
     "disk full": ChaosKind(
         "no byte can be written any more",
         "stops",

@@ -100,7 +100,9 @@ def compatible(one: str, other: str) -> bool:
     a, b = CHAOS_KINDS[one], CHAOS_KINDS[other]
     terminals = (a.needs | b.needs) & _TERMINALS
     nobody_left = {"harness", "guardian"} <= a.disables | b.disables
-    return a.group != b.group and not (a.alone or b.alone) and len(terminals) < 2 and not nobody_left
+    protected = (a.protects or b.protects) and (a.deletes or b.deletes)
+    possible = len(terminals) < 2 and not nobody_left and not protected
+    return a.group != b.group and not (a.alone or b.alone) and possible
 
 
 def order(ending: Ending) -> int:

@@ -113,7 +113,7 @@ def judged(result: ChaosResult, case: ChaosCase, stage: ChaosStage, strikes: lis
     result.reason = "" if manifest is None else str(manifest.get("reason"))[:300]
     result.readable = not (problems := _unreadable(case, stage, ending, raw, manifest))
     result.failures += problems
-    result.failures += _power(result, case, stage, ending, truth, event_s)
+    result.failures += _power(result, case, stage, ending, truth, counted_s)
     result.failures += _claims(result, case, stage, ending, truth, manifest)
     result.failures += _records(result, strikes, journal, stage.asked_s)
     if not case.early and (error := traceback_in(stage.harness.said())):
@@ -222,7 +222,7 @@ def _unreadable(
 def _power(
     result: ChaosResult, case: ChaosCase, stage: ChaosStage, ending: Ending, truth: list[Moment], event_s: float
 ) -> list[str]:
-    """Return the limits on the heater that were exceeded."""
+    """Return the limits on the heater that were exceeded; `event_s` is the time from which seconds count."""
     if not result.heated:
         wrong = [] if case.early else ["nothing heated when the attack came"]
         result.struck = case.early

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.bench.faults.campaign import fingerprint
+    from hil.bench.faults.campaign import fingerprint, hear_sigint
     from hil.bench.faults.case import STALL_S
     from hil.bench.faults.disk import OwnDisk
     from hil.bench.faults.kinds import KINDS
@@ -32,6 +32,7 @@ __all__ = [
     "Stage",
     "campaign",
     "fingerprint",
+    "hear_sigint",
     "judge",
     "last_words",
     "prepare",
@@ -47,7 +48,7 @@ __getattr__, __dir__ = lazy_names(
             "campaign",
             "judge",
         ),
-        "campaign": ("fingerprint",),
+        "campaign": ("fingerprint", "hear_sigint"),
         "case": ("STALL_S",),
         "disk": ("OwnDisk",),
         "kinds": ("KINDS",),

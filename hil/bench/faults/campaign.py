@@ -11,6 +11,7 @@ import asyncio
 import hashlib
 import json
 import resource
+import signal
 import statistics
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -25,14 +26,7 @@ from hil.bench.measure import Cell, ReportTable
 from hil.files import replacing
 
 ROOT = Path(__file__).resolve().parents[3]
-_SOURCES = (
-    "hil/*.py",
-    "hil/bench/faults*.py",
-    "hil/bench/chaos*.py",
-    "drivers/*.py",
-    "drivers/virtual/*.py",
-    "profiles/rigs/*",
-)
+_SOURCES = ("hil/**/*.py", "drivers/**/*.py", "profiles/rigs/*")
 
 
 async def campaign(
@@ -101,6 +95,7 @@ def measure(
         progress(len(finished) / len(cases), f"{result.kind}: {said}")
 
     before = _cpu_s()
+    hear_sigint()
     results = asyncio.run(campaign(cases, seed, jobs=jobs, keep=keep, done=done))
     spent_s = (_cpu_s() - before) / max(len(results), 1)
     found = pair_tables(results, seed) if two else tables(results, spent_s)
@@ -304,3 +299,10 @@ def _need_openssl() -> None:
 def _cpu_s() -> float:
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(usage.ru_utime + usage.ru_stime for usage in used)
+
+
+def hear_sigint() -> None:
+    """Undo what a shell does to a command in its background: it is deaf to SIGINT, and so would be every run that it
+    starts, until that run attends to the signal."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -16,7 +16,13 @@ _SHOWN = 3
 
 @contextlib.contextmanager
 def explained_extras() -> Iterator[None]:
-    """Raise click's error on extra arguments again, with the command for each of them."""
+    """Raise click's error on extra arguments again, with the command for each of them.
+
+    Raises
+    ------
+    click.UsageError
+        In place of the one that the block raised.
+    """
     try:
         yield
     except click.UsageError as error:

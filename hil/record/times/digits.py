@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.record.times.full_clock import TimeTextError
 from hil.record.times.names import format_of, is_time_name, names_days, names_unit
+from hil.record.times.wall_clock import TimeTextError
 from hil.record.values import Sign, parse, trimmed
 
 Values = NDArray[np.float64]

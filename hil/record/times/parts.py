@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.record.times.digits import clock_texts
-from hil.record.times.full_clock import TimeTextError
 from hil.record.times.names import is_time_name
 from hil.record.times.text import is_time_of_day
+from hil.record.times.wall_clock import TimeTextError
 from hil.record.values import Sign, parse, trimmed
 
 _WORDS = {

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from hil.record.raw import RawRecord, ReadingOptions
 from hil.record.times.columns import has_unit, scale_of
 from hil.record.times.digits import clock_texts, date_texts, may_be_clock, may_be_dates
-from hil.record.times.full_clock import require_full_clock
 from hil.record.times.names import names_days
 from hil.record.times.numbers import EPOCH_S, DayCount, are_days, compact_moments, count_of, day_count
 from hil.record.times.parts import find_parts, stamp_texts
 from hil.record.times.text import Stamps, TimeTextError, read_stamps, read_times_of_day
+from hil.record.times.wall_clock import require_full_clock
 from hil.record.values import Sign, parse, trimmed
 
 ZONELESS = "without a time zone, taken as UTC"

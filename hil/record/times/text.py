@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.record.times.full_clock import TimeTextError, require_full_clock
+from hil.record.times.wall_clock import TimeTextError, require_full_clock
 from hil.record.times.zones import CELL, minutes_of
 
 Order = Literal["ymd", "dmy", "mdy"]
