@@ -48,9 +48,10 @@ def exit_code(error: BaseException) -> int | None:
         "ExplanationError",
         "ExportError",
         "HieraError",
+        "TestPlanError",
     }:
         return USAGE
-    if names & {"VirtualRigError", "ViewerError", "ControlError", "TowerOutputError"}:
+    if names & {"VirtualRigError", "ViewerError", "ControlError", "PdfError", "TowerOutputError"}:
         return FOUND
     return None
 

@@ -3,7 +3,7 @@
 The names below are the package's interface. Other modules are private to the package.
 """
 
-from drivers.rig.connection import RigConnection
+from drivers.rig.connection import RigConnection, rig_signals
 from drivers.rig.watch import BusWatch, PointState, RigWatch
 
 __all__ = [
@@ -11,4 +11,5 @@ __all__ = [
     "PointState",
     "RigConnection",
     "RigWatch",
+    "rig_signals",
 ]

@@ -146,3 +146,8 @@ class RigConnection:
     async def close(self) -> None:
         """Close all buses; never raise."""
         await asyncio.gather(*(bus.close() for bus in self._all), return_exceptions=True)
+
+
+def rig_signals(rig: Rig) -> tuple[Signal, ...]:
+    """Return the signals of a rig that are polled, then those that are commanded."""
+    return RigConnection(rig, lambda: 0.0).signals + tuple(point.as_signal() for point in rig.setpoints)

@@ -18,19 +18,23 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 VERBS = {
     "bench": "Measure speed and fits, repeat the paper's experiments",
-    "check": "Check a rig file, twin, profile, scenario or record",
+    "check": "Check a rig file, twin, profile, test plan or record",
     "commission": "Fit a twin to a healthy record",
+    "compare": "Compare runs on profile time: table, overlaid plots, drift",
     "ctl": "Hold, pause, resume, abort or query a live run",
     "diagnose": "Trace the error of a twin to the effect that it lacks",
     "explain": "Run the experiments that settle an ambiguous diagnosis",
     "export": "Write a run as CSV, Parquet, MF4, HDF5, TDMS; a twin as FMU",
     "init": "Write a rig file from options, a register table, Telegraf, DBC ...",
+    "ls": "List runs: verdict, end, rig, duration, tags",
+    "note": "Add a note or labels to a run, also while it goes on",
     "profile": "Build and draw load profiles",
     "report": "Make the record, review and report of a run, if missing",
     "resume": "Continue a run that a crash or a fault interrupted",
     "review": "Show a run in Rerun: measured against twin",
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",
+    "test": "Judge a run by a test plan: verdicts, JUnit XML",
     "tower": "Cooling towers: historian, aligned record, calibration",
     "track": "Replay the calibrators on a record",
     "train": "Train the network calibrator",
@@ -39,7 +43,7 @@ VERBS = {
 PACKAGES = {
     "hil.bench.commands": ("bench",),
     "hil.cli.rig_commands": ("check", "init", "profile", "rig"),
-    "hil.cli.run_commands": ("ctl", "export", "report", "resume", "review", "run"),
+    "hil.cli.run_commands": ("compare", "ctl", "export", "ls", "note", "report", "resume", "review", "run", "test"),
     "hil.cli.tower_commands": ("tower",),
     "hil.cli.twin_commands": ("commission", "diagnose", "explain", "track", "train", "twin"),
 }
@@ -95,7 +99,10 @@ def main() -> None:
     from hil.errors import explained, warn_of_little_memory
     from hil.files import accept_any_name
 
-    if sys.argv[1:2] in (["run"], ["resume"]) and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    if (
+        sys.argv[1:2] in (["run"], ["resume"], ["test"])
+        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    ):
         # Until a run listens to signals, Ctrl-C ends the process at once: an exception in its place may be lost in what
         # is imported, and the run would heat.
         signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -12,7 +12,7 @@ from hil.lazy_names import lazy_names
 if TYPE_CHECKING:
     from hil.files.atomic import replacing
     from hil.files.folder_check import read_json, require_plain, require_unshared
-    from hil.files.html import Html, document, element, image, joined, table
+    from hil.files.html import Html, document, element, image, joined, plot_data, table
     from hil.files.limits import TEXT_COPIES, Failure, read_parquet, require_cells, require_columns, require_size
     from hil.files.names import (
         ENDINGS,
@@ -42,6 +42,7 @@ __all__ = [
     "longest_name",
     "on_terminal",
     "plain",
+    "plot_data",
     "printable",
     "read_json",
     "read_parquet",
@@ -71,6 +72,7 @@ __getattr__, __dir__ = lazy_names(
             "element",
             "image",
             "joined",
+            "plot_data",
             "table",
         ),
         "limits": (

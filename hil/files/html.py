@@ -1,16 +1,20 @@
 """Escaped HTML: only this module turns text into markup, the type `Html`.
 
 Run folders, records and diagnoses may come from anywhere. A page is therefore composed by `element` and `joined`, which
-take plain text and `Html`; they admit no ready markup. A page loads nothing and runs nothing: its
-Content-Security-Policy admits its own style and embedded pictures only.
+take plain text and `Html`; they admit no ready markup. A page loads nothing, and runs nothing but a script of this
+project where it has plots: its Content-Security-Policy admits its own style, embedded pictures, and this script by its
+hash only.
 """
 
 from __future__ import annotations
 
 import base64
+import hashlib
 import html
+import json
 import re
 from collections.abc import Iterable
+from typing import Any
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 """Content-Security-Policy: no script, no frame, no form, and nothing from anywhere else."""
@@ -88,7 +92,21 @@ def table(head: Iterable[HtmlPart], rows: Iterable[Iterable[HtmlPart]], **attrib
     return element("table", top, *lines, **attributes)
 
 
-def document(title: str, style: str, body: Iterable[HtmlPart]) -> str:
+def plot_data(data: Any) -> Html:
+    """Return a block of data for the script of a page; no browser runs it.
+
+    Raises
+    ------
+    ValueError
+        The data hold a number that is not finite.
+    """
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    for mark in "<>&":  # so that no text of it can end the element
+        text = text.replace(mark, f"\\u{ord(mark):04x}")
+    return Html(f'<script type="application/json" class="plot">{text}</script>', _SECRET)
+
+
+def document(title: str, style: str, body: Iterable[HtmlPart], script: str = "") -> str:
     """Return a whole page.
 
     Parameters
@@ -99,20 +117,25 @@ def document(title: str, style: str, body: Iterable[HtmlPart]) -> str:
         CSS of this project.
     body
         Parts of the page.
+    script
+        JavaScript of this project, never text from a file; the policy of the page admits no other.
 
     Raises
     ------
     ValueError
-        The style holds a `<`, which could end its element.
+        The style or the script holds a `<`, which could end its element.
     """
-    if "<" in style:
-        raise ValueError("a style with < in it could end its own element")
+    if "<" in style or "<" in script:
+        raise ValueError("a style or script with < in it could end its own element")
+    digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+    policy = POLICY + (f"; script-src 'sha256-{digest}'" if script else "")
     head = (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
         f"<title>{_escaped(title)}</title><style>{style}</style></head><body>"
     )
-    return head + "\n".join(_markup(part) for part in body if part) + "</body></html>\n"
+    end = f"<script>{script}</script>" if script else ""
+    return head + "\n".join(_markup(part) for part in body if part) + f"{end}</body></html>\n"
 
 
 def _attribute(name: str, value: str) -> str:

@@ -12,13 +12,46 @@ from hil.lazy_names import lazy_names
 if TYPE_CHECKING:
     from hil.report.actuators import pair_actuators
     from hil.report.page import write_report
+    from hil.report.pdf import PdfError, write_pdf
+    from hil.report.plot_script import SCRIPT
+    from hil.report.statistics import number, symbol, time_unit
+    from hil.report.zoom import HINT, PLOT_STYLE, ZoomCurve, zoom_plot
 
-__all__ = ["pair_actuators", "write_report"]
+__all__ = [
+    "HINT",
+    "PLOT_STYLE",
+    "SCRIPT",
+    "PdfError",
+    "ZoomCurve",
+    "number",
+    "pair_actuators",
+    "symbol",
+    "time_unit",
+    "write_pdf",
+    "write_report",
+    "zoom_plot",
+]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "actuators": ("pair_actuators",),
         "page": ("write_report",),
+        "pdf": (
+            "PdfError",
+            "write_pdf",
+        ),
+        "plot_script": ("SCRIPT",),
+        "statistics": (
+            "number",
+            "symbol",
+            "time_unit",
+        ),
+        "zoom": (
+            "HINT",
+            "PLOT_STYLE",
+            "ZoomCurve",
+            "zoom_plot",
+        ),
     },
 )

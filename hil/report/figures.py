@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,7 @@ from hil.files import Html, element, image, joined
 from hil.journal import Header, JournalSamples
 from hil.report.actuators import pair_actuators
 from hil.report.statistics import TimeUnit, good_values, symbol
+from hil.report.zoom import HINT, ZoomCurve, zoom_plot
 
 MEASURED, STATIC = "#30343a", "#e07b1f"
 TRACKED = ("#1f77c9", "#2a9d6f", "#8a4fbf", "#b03a5b")
@@ -76,6 +78,19 @@ def _pictures(drawn: RunCurves) -> Iterator[Html]:
         yield _picture(f"Residual (measured - twin), means of {length}", residuals[1], drawn, residuals[0])
     yield _picture("Signals", _others(drawn), drawn)
     yield _picture("Set-points and read-backs", _actuators(drawn), drawn)
+
+
+def zoom_plots(drawn: RunCurves) -> Html:
+    """Return the same curves, except residuals, as plots that zoom; nothing for a run of fewer than two ticks."""
+    time_s = drawn.samples.time_s
+    if len(time_s) < 2:
+        return joined([])
+    groups = [_against_twin(drawn) if drawn.measured else iter(()), _others(drawn), _actuators(drawn)]
+    parts = [element("h2", "Curves that zoom, over record time / s"), element("p", HINT, class_="note")]
+    for plot in itertools.chain(*groups):
+        curves = [ZoomCurve(curve.label, curve.colour, time_s, curve.values) for curve in plot.curves]
+        parts.append(zoom_plot(plot.title, curves, float(time_s[-1])))
+    return joined(parts)
 
 
 def twin_colours(names: Sequence[str]) -> dict[str, str]:

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from drivers.signals import Quality
 from hil.files import Html, document, element, joined, replacing, table
 from hil.journal import JournalReader, JournalSamples, TwinOutput
-from hil.report.figures import RunCurves, pictures
+from hil.report.about import label_section, note_section, quality_section
+from hil.report.figures import RunCurves, pictures, zoom_plots
+from hil.report.plot_script import SCRIPT
 from hil.report.statistics import (
     NONE,
     SETTLED_AFTER_S,
@@ -21,7 +23,9 @@ from hil.report.statistics import (
     signal_statistics,
     time_unit,
 )
-from hil.run_folder import RunFolder
+from hil.report.verdict import verdict_section
+from hil.report.zoom import PLOT_STYLE
+from hil.run_folder import RunFolder, labels_of, read_diagnosis_verdict, read_notes, read_verdict
 from hil.tracking import Proposed, accepted, closed_gates, parameter_cell, window_kind
 
 LEVELS = ("ERROR", "WARN")
@@ -32,7 +36,8 @@ h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem } img { width
 table { border-collapse: collapse }
 td, th { padding: .25rem .8rem; border-bottom: 1px solid #d8dce0; text-align: right }
 td:first-child, th:first-child { text-align: left; white-space: nowrap } td.text { text-align: left }
-.ERROR { color: #b3261e } .WARN { color: #9a6700 }
+.ERROR { color: #b3261e } .WARN { color: #9a6700 } .PASS { color: #1b6e3c }
+table.verdict td, table.verdict th, table.about td, table.about th { text-align: left; vertical-align: top }
 p.note { color: #5b636b; font-size: .9rem }
 """
 
@@ -56,17 +61,23 @@ def write_report(folder: RunFolder, missing: Mapping[str, str] | None = None) ->
     `missing` are the files that could not be made, with reasons; those of `run.json` by default.
     """
     manifest = folder.read_manifest() | ({} if missing is None else {"missing": dict(missing)})
+    notes = read_notes(folder)
     reader = JournalReader(folder.journal)
     try:
         samples = reader.samples()
+        wall_s = reader.timing()[:, 1] if notes else np.zeros(0)
         unit = time_unit(float(np.ptp(samples.time_s)) if len(samples.tick) else 0.0)
         body = [
+            verdict_section(read_verdict(folder)),
             _summary(manifest),
+            label_section(labels_of(manifest, notes), manifest, read_diagnosis_verdict(folder)),
+            note_section(notes, wall_s, samples.time_s if notes else wall_s, unit),
             _segments(manifest, unit),
             _error_table(manifest),
             _band_table(manifest),
             _parameter_table(manifest),
             _pictures(reader, samples, unit),
+            quality_section(reader.header, samples),
             _signals(reader, samples),
             _calibrations(reader),
             _gates(reader, unit),
@@ -76,7 +87,7 @@ def write_report(folder: RunFolder, missing: Mapping[str, str] | None = None) ->
         ]
     finally:
         reader.close()
-    page = document(folder.path.name, _STYLE, [element("h1", folder.path.name), *body])
+    page = document(folder.path.name, _STYLE + PLOT_STYLE, [element("h1", folder.path.name), *body], SCRIPT)
     with replacing(folder.report) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
@@ -180,7 +191,8 @@ def _pictures(reader: JournalReader, samples: JournalSamples, unit: TimeUnit) ->
     measured = measured_sensors(reader, samples)
     twins = {name: _at_ticks(reader.twin_outputs(name), samples) for name in reader.header.twin_names}
     twins = {name: values for name, values in twins.items() if np.isfinite(values).any()}
-    return pictures(RunCurves(reader.header, samples, measured if twins else {}, twins, cuts, unit))
+    drawn = RunCurves(reader.header, samples, measured if twins else {}, twins, cuts, unit)
+    return joined([pictures(drawn), zoom_plots(drawn)])
 
 
 def _at_ticks(output: TwinOutput, samples: JournalSamples) -> NDArray[np.float64]:

@@ -18,15 +18,25 @@ if TYPE_CHECKING:
         new_manifest,
         require_room,
     )
-    from hil.run_folder.manifest_check import DocumentShape, require_settings, wrong_place
+    from hil.run_folder.manifest_check import DocumentShape, Labels, require_settings, wrong_place
+    from hil.run_folder.notes import LONGEST_NOTE, Note, add_note, labels_of, read_notes
+    from hil.run_folder.verdict import read_diagnosis_verdict, read_verdict
 
 __all__ = [
+    "LONGEST_NOTE",
     "DocumentShape",
     "FolderLostError",
+    "Labels",
+    "Note",
     "RunFolder",
     "RunFolderError",
+    "add_note",
     "create_run_folder",
+    "labels_of",
     "new_manifest",
+    "read_diagnosis_verdict",
+    "read_notes",
+    "read_verdict",
     "require_room",
     "require_settings",
     "wrong_place",
@@ -45,8 +55,20 @@ __getattr__, __dir__ = lazy_names(
         ),
         "manifest_check": (
             "DocumentShape",
+            "Labels",
             "require_settings",
             "wrong_place",
+        ),
+        "notes": (
+            "LONGEST_NOTE",
+            "Note",
+            "add_note",
+            "labels_of",
+            "read_notes",
+        ),
+        "verdict": (
+            "read_diagnosis_verdict",
+            "read_verdict",
         ),
     },
 )

@@ -73,6 +73,21 @@ class RunFolder:
         return self.path / "report.html"
 
     @property
+    def notes(self) -> Path:
+        """Notes on the run, and changes of its labels, a line of JSON each."""
+        return self.path / "notes.jsonl"
+
+    @property
+    def verdict(self) -> Path:
+        """Results of test plans on the run, where it was judged."""
+        return self.path / "verdict.json"
+
+    @property
+    def junit(self) -> Path:
+        """The same as JUnit XML, for other programs."""
+        return self.path / "junit.xml"
+
+    @property
     def diagnosis(self) -> Path:
         """Folder with the diagnosis of the run, where there is one."""
         return self.path / "diagnosis"

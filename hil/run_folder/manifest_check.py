@@ -5,6 +5,7 @@ A manifest may come from anywhere. Other keys may hold anything.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +22,33 @@ class DocumentShape(BaseModel):
     """Base of the shapes of JSON documents: values of the declared types exactly, other keys with any value."""
 
     model_config = ConfigDict(extra="allow", strict=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """Labels of a run, as its operator gives them; empty where unknown."""
+
+    test_object: str = ""
+    serial_number: str = ""
+    operator: str = ""
+    tags: tuple[str, ...] = ()
+
+    def given(self) -> dict[str, str | list[str]]:
+        """Return the labels that are not empty, as plain data."""
+        texts: dict[str, str | list[str]] = {
+            "test_object": self.test_object,
+            "serial_number": self.serial_number,
+            "operator": self.operator,
+            "tags": list(self.tags),
+        }
+        return {name: value for name, value in texts.items() if value}
+
+
+class _Labels(DocumentShape):
+    test_object: str = ""
+    serial_number: str = ""
+    operator: str = ""
+    tags: list[str] = []
 
 
 class _ManifestFile(DocumentShape):
@@ -87,6 +115,9 @@ class _Manifest(DocumentShape):
     bands: dict[str, dict[str, tuple[float | None, float | None]]] | None = None
     parameters: dict[str, dict[str, tuple[float, float | None, bool]]] | None = None
     adoption: _ManifestAdoption | None = None
+    labels: _Labels = Field(default_factory=_Labels)
+    verdict: Literal["pass", "fail", "inconclusive"] | None = None
+    diagnosis: str | None = None
 
 
 _LONGEST_SHOWN = 40
@@ -149,4 +180,4 @@ def _as_tuples(document: Any) -> Any:
     return found
 
 
-__all__ = ["DocumentShape", "checked_manifest", "require_settings"]
+__all__ = ["DocumentShape", "Labels", "checked_manifest", "require_settings"]

@@ -12,6 +12,7 @@ from hil.lazy_names import lazy_names
 if TYPE_CHECKING:
     from hil.cli.options.extra_arguments import explained_extras
     from hil.cli.options.init_questions import ask
+    from hil.cli.options.labels import label_options
     from hil.cli.options.own_process import OWN_PROCESS, owns_process
     from hil.cli.options.paths import INPUT_CARD, INPUT_FILE, INPUT_PATH, PROJECT, VIRTUAL_RIG
     from hil.cli.options.record_reading import reading
@@ -30,6 +31,7 @@ __all__ = [
     "VIRTUAL_RIG",
     "ask",
     "explained_extras",
+    "label_options",
     "owns_process",
     "reading",
     "record_of",
@@ -41,6 +43,7 @@ __getattr__, __dir__ = lazy_names(
     {
         "extra_arguments": ("explained_extras",),
         "init_questions": ("ask",),
+        "labels": ("label_options",),
         "own_process": (
             "OWN_PROCESS",
             "owns_process",

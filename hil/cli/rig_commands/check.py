@@ -55,9 +55,10 @@ def command(
     picture: Path | None,
     choice: ReadingOptions,
 ) -> None:
-    """Check FILE: a rig file, twin, load profile, scenario, effects file or record. Nothing is moved or written.
+    """Check FILE: a rig file, twin, load profile, test plan, scenario, effects file or record.
 
-    If FILE is a run folder, its record is checked. A run that ended without a record gets one from its journal.
+    Nothing is moved or written. If FILE is a run folder, its record is checked. A run that ended without a record gets
+    one from its journal.
 
     --online exits with 1 if a bus is down or a point is not good at the end.
 
@@ -70,6 +71,7 @@ def command(
       hil check my_load.csv --rig my_rig.toml
       hil check profiles/twins/loop_six.toml --picture network.svg
       hil check my_twin.toml --catalogue
+      hil check profiles/tests/cooling_steps.toml
       hil check runs/<a run>
       hil check --kinds
     """
@@ -303,6 +305,20 @@ def _scenario(file: Path, _: Path, out: Console) -> None:
     )
 
 
+def _test_plan(file: Path, rig: Path, out: Console) -> None:
+    from hil.run.session import RunRequest, check_session
+    from hil.testing import read_plan
+
+    plan = read_plan(file)
+    if plan.profile is not None:
+        check_session(RunRequest(plan.profile, plan.rig or rig, plan.twin, Path("runs"), test=file))
+    for limit in plan.limits:
+        step = f" ({limit.step})" if limit.step else ""
+        out.print(f"  {limit.id}: {limit.text}{step}, {limit.severity}, for {limit.requirement}", markup=False)
+    fits = "which fit its rig and profile" if plan.profile is not None else "for runs of any profile"
+    out.print(f"{file}: {len(plan.limits)} limits, {fits}; no mistakes found", style="green")
+
+
 def _profile(file: Path, rig: Path, out: Console) -> None:
     from drivers.rig_file import load_rig
     from hil.profile import WINDOW_S, read_profile, validate
@@ -342,6 +358,7 @@ _CHECKERS: dict[str, Callable[[Path, Path, Console], None]] = {
     "where": _effects,
     "system": _scenario,
     "systems": _scenario,
+    "limit": _test_plan,
 }
 """Key at the top of a TOML file -> its checker; a file without any of them is a rig file."""
 

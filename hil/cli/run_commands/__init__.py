@@ -1,3 +1,3 @@
-"""Commands about runs: `hil run`, `resume`, `ctl`, `report`, `review`."""
+"""Commands about runs: `hil run`, `test`, `resume`, `ctl`, `note`, `report`, `review`, `ls`, `compare`."""
 
 __all__: list[str] = []

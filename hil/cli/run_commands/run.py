@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import CALIBRATORS, INPUT_FILE, NETWORK, NETWORK_MODE, VIRTUAL_RIG
+from hil.cli.options import CALIBRATORS, INPUT_FILE, NETWORK, NETWORK_MODE, VIRTUAL_RIG, label_options
 
 if TYPE_CHECKING:
     from hil.run.session import RunResult
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 )
 @click.option("--healthy", type=INPUT_FILE, help="Healthy record of the rig, for --diagnose.")
 @click.option("--adopt", is_flag=True, help="Save a confident finding of --diagnose as the twin's next revision.")
+@label_options
 @click.option("--check-only", is_flag=True, help="Validate everything, move nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
@@ -70,6 +71,10 @@ def command(
     diagnose: str | None,
     healthy: Path | None,
     adopt: bool,
+    test_object: str,
+    serial_number: str,
+    operator: str,
+    tags: tuple[str, ...],
     check_only: bool,
     as_json: bool,
 ) -> None:
@@ -87,6 +92,7 @@ def command(
     """
     from hil.diagnosis import interval_of
     from hil.run.session import RunRequest, check_session, run_session
+    from hil.run_folder import Labels
 
     if lockstep and speed is not None:
         raise click.UsageError("--lockstep and --speed exclude each other; choose one")
@@ -117,6 +123,7 @@ def command(
         healthy=healthy,
         adopt=adopt,
         guardian=not no_guardian,
+        labels=Labels(test_object, serial_number, operator, tags),
     )
     if check_only:
         ready = check_session(request)

@@ -14,7 +14,7 @@ from hil.run.engine.clock import LONGEST_WAIT_S, Clock
 from hil.run.engine.recording import Position, Publisher, Recorder
 from hil.run.engine.status import Status
 from hil.run.engine.supervisor import Supervisor
-from hil.run.interlocks import Residuals
+from hil.run.interlocks import GuardedWatch, Residuals, Watch
 from hil.run.outputs import GoodReadings, Outputs, SetpointReadback, WriteConfirmation, safe_limits
 from hil.run.restore import Resumption
 
@@ -25,7 +25,8 @@ class Options:
 
     `observer` is given a status a few times a second, `told` every transition as a sentence; `residuals` returns how
     far twins are off, K. With `resumption` the run goes on where an earlier one was cut, once the rig is back where it
-    was. `rearm` acknowledges a trip that the rig brings along. `lockstep`: the rig steps only when it is told.
+    was. `watch` gets the values of each tick and may trip the run. `rearm` acknowledges a trip that the rig brings
+    along. `lockstep`: the rig steps only when it is told.
     """
 
     publisher: Publisher | None = None
@@ -36,6 +37,7 @@ class Options:
     resumption: Resumption | None = None
     rearm: bool = False
     guard: Guard = field(default_factory=NoGuard)
+    watch: Watch | None = None
 
 
 class Components:
@@ -68,6 +70,9 @@ class Components:
         self.readback = SetpointReadback(connection, self.recorder.event, lockstep=options.lockstep)
         self.interlocks.add_alarm(self.readback)
         self.interlocks.add_alarm(WriteConfirmation(self.outputs, self.rig.abort_after_s), self.rig.abort_after_s)
+        self.watch = None if options.watch is None else GuardedWatch(options.watch, self.recorder.event)
+        if self.watch is not None:
+            self.interlocks.add_alarm(self.watch)
         self.limits = safe_limits(self.rig)
         self.heater_meters = GoodReadings(connection.points, (limit.meter for limit in self.limits))
         timeouts_s = sum(bus.timeout_s for bus in self.rig.bus.values() if not isinstance(bus, CanBus))

@@ -18,6 +18,17 @@ BACKLOG_IN_LOCKSTEP = 2000
 BEHIND_S = 1.0
 
 
+def with_commands(
+    snapshot: Snapshot, commanded: Mapping[str, float], unknown: Collection[str]
+) -> tuple[list[float], list[int]]:
+    """Return values and quality of a tick in the order of the journal's signals: readings, then commands.
+
+    A command is no good value where the rig did not confirm it (`unknown`).
+    """
+    quality = snapshot.quality + [_LOST if name in unknown else _GOOD for name in commanded]
+    return [*snapshot.values, *commanded.values()], quality
+
+
 class Publisher(Protocol):
     """Receiver of blocks of ticks for calibration; must not delay a tick in real time."""
 
@@ -89,8 +100,7 @@ class Recorder:
 
         Raises JournalError.
         """
-        values = [*snapshot.values, *commanded.values()]
-        quality = snapshot.quality + [_LOST if name in unknown else _GOOD for name in commanded]
+        values, quality = with_commands(snapshot, commanded, unknown)
         source = snapshot.source_time_s + [now_s] * len(commanded)
         latency = time.perf_counter() - began
         self._journal.sample(self._at.tick, self._at.time_s, wall_s, latency, values, quality, source)

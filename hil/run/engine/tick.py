@@ -11,6 +11,7 @@ from drivers.signals import DeviceExceptionError, DriverError, Quality, Snapshot
 from hil.journal import HEATED, WAITING, RunEvent, State
 from hil.run.engine.attended import Finished, attended
 from hil.run.engine.components import Components
+from hil.run.engine.recording import with_commands
 from hil.run.engine.supervisor import End
 from hil.run.outputs import Descent, GoodReadings, ReadbackDeviations, bind, still_hot
 from hil.run.restore import ThermalRestore
@@ -98,7 +99,8 @@ class TickWork:
         ended = self._supervisor.step(snapshot, now, self._outputs.values, self._residuals())
         if ended is None and self.restore is not None:
             ended = self._lead_back(self.restore, snapshot, now)
-        if was_running and machine.state is State.RUNNING:
+        goes_on = was_running and machine.state is State.RUNNING
+        if goes_on:
             at.profile_ticks += passed
             self.deviations.tick(self._outputs.values, self._setpoint_meters.of(snapshot))
         over = machine.state is State.RUNNING and at.profile_s >= self._profile.duration_s
@@ -108,6 +110,8 @@ class TickWork:
             ended = (RunEvent.COMPLETE, "the profile is over") if over else self._never_safe(now)
             if ended is None:
                 clock.release()
+        if goes_on and parts.watch is not None:
+            parts.watch.tick(at.profile_s, *with_commands(snapshot, self._outputs.values, self._outputs.unknown))
         self._recorder.sample(snapshot, self._outputs.values, now, wall_s, began, self._outputs.unknown)
         self._show()
         await self._recorder.publish_if_due()

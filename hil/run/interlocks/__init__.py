@@ -12,8 +12,9 @@ from hil.lazy_names import lazy_names
 if TYPE_CHECKING:
     from hil.run.interlocks.conditions import Residuals, TickValues
     from hil.run.interlocks.interlocks import Interlocks, InterlockStatus
+    from hil.run.interlocks.watch import GuardedWatch, Watch
 
-__all__ = ["InterlockStatus", "Interlocks", "Residuals", "TickValues"]
+__all__ = ["GuardedWatch", "InterlockStatus", "Interlocks", "Residuals", "TickValues", "Watch"]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
@@ -25,6 +26,10 @@ __getattr__, __dir__ = lazy_names(
         "interlocks": (
             "InterlockStatus",
             "Interlocks",
+        ),
+        "watch": (
+            "GuardedWatch",
+            "Watch",
         ),
     },
 )

@@ -12,7 +12,7 @@ from hil.lazy_names import lazy_names
 if TYPE_CHECKING:
     from hil.run.session.event_loop import session_result
     from hil.run.session.interrupted_run import request_of, resume_notices
-    from hil.run.session.regenerate import regenerate_files
+    from hil.run.session.regenerate import judge_recorded, regenerate_files
     from hil.run.session.request import RunRequest, check_calibrators, chosen_calibrators, setpoint_limits
     from hil.run.session.run import RunResult
     from hil.run.session.session import check_session, resume_session, run_session
@@ -29,6 +29,7 @@ __all__ = [
     "console",
     "hours",
     "invocation",
+    "judge_recorded",
     "regenerate_files",
     "request_of",
     "resume_notices",
@@ -47,7 +48,10 @@ __getattr__, __dir__ = lazy_names(
             "request_of",
             "resume_notices",
         ),
-        "regenerate": ("regenerate_files",),
+        "regenerate": (
+            "judge_recorded",
+            "regenerate_files",
+        ),
         "request": (
             "RunRequest",
             "check_calibrators",

@@ -26,6 +26,7 @@ from hil.run_folder import FolderLostError, RunFolder
 from hil.tracking import Adoption, Proposed, adopt, adoption_manifest, closed_gates
 
 RECORD, REVIEW, REPORT, REVISION = "record.parquet", "review.rrd", "report.html", "adopted revision"
+VERDICT = "verdict.json"
 _NOT_YET = "not made yet"
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
@@ -188,6 +189,18 @@ def _steps(manifest: dict[str, Any], derived: DerivedFiles) -> dict[str, Callabl
 
         write_review(folder.journal, folder.review)
 
+    def verdict() -> None:
+        from hil.testing import TestPlanError, judge_run, read_plan
+
+        test = manifest["files"]["test"]
+        path = Path(test["path"])
+        plan = read_plan(path)
+        if plan.sha256 != test["sha256"]:
+            raise TestPlanError(
+                f"{path} is not what it was when the run began; judge the run with `hil test {path} --on {folder.path}`"
+            )
+        manifest["verdict"] = judge_run(plan, folder).verdict
+
     def report() -> None:
         from hil.report import write_report
 
@@ -196,7 +209,13 @@ def _steps(manifest: dict[str, Any], derived: DerivedFiles) -> dict[str, Callabl
         write_report(folder, missing=left)
 
     adopts = manifest["settings"].get("network_mode") == "controlled" and folder.twin.is_file()
-    return {RECORD: record} | ({REVISION: revision} if adopts else {}) | {REVIEW: review, REPORT: report}
+    tests = "test" in manifest["files"]
+    return (
+        {RECORD: record}
+        | ({REVISION: revision} if adopts else {})
+        | ({VERDICT: verdict} if tests else {})
+        | {REVIEW: review, REPORT: report}
+    )
 
 
 def _proposals(folder: RunFolder) -> list[Proposed]:

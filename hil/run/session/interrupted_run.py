@@ -181,6 +181,7 @@ def request_of(
         healthy=files.get("healthy"),
         adopt=settings.get("adopt", False),
         guardian=guardian,
+        test=files.get("test"),
     )
 
 

@@ -30,6 +30,7 @@ def files_of(request: RunRequest, ready: RunInputs) -> dict[str, Path | None]:
         "effects": request.effects,
         "healthy": request.healthy,
         "network": request.card,
+        "test": request.test,
         **dbc,
     }
 

@@ -1,14 +1,17 @@
-"""Regeneration of a run's files from its journal after the run, for `hil report`."""
+"""Files of a run made from its journal after the run: for `hil report`, and the verdict of a recorded run."""
 
 from __future__ import annotations
 
 import datetime
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hil.journal import ENDED, JournalReader
-from hil.run.session.derived_files import RECORD, REVIEW, REVISION, DerivedFiles, derive_files
-from hil.run_folder import RunFolder, RunFolderError
+from hil.run.session.derived_files import RECORD, REVIEW, REVISION, VERDICT, DerivedFiles, derive_files
+from hil.run_folder import RunFolder, RunFolderError, read_verdict
+
+if TYPE_CHECKING:
+    from hil.testing import Plan, TestResult
 
 
 def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) -> DerivedFiles:
@@ -34,11 +37,32 @@ def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str],
     with folder.owned():
         manifest = completed_manifest(folder, folder.read_manifest())
         wanted = manifest.get("missing", {})
-        there = [] if REVISION in wanted else [REVISION]
+        there = [name for name in (REVISION, VERDICT) if name not in wanted]
         if not rebuild:
             files = {RECORD: folder.record, REVIEW: folder.review}
             there += [name for name, path in files.items() if folder.is_current(path)]
         return derive_files(folder, manifest, announce, there=there)
+
+
+def judge_recorded(plan: Plan, folder: RunFolder) -> TestResult:
+    """Judge the run in `folder`; write `verdict.json`, `junit.xml` and the report.
+
+    Raises
+    ------
+    RunFolderError
+        This is no run folder, or its run still goes on.
+    TestPlanError, JournalError
+        A limit does not fit the run; the journal is missing or damaged.
+    """
+    from hil.report import write_report
+    from hil.testing import judge_run
+
+    folder.read_manifest()  # refuse a folder of something else before it is locked
+    with folder.owned():
+        result = judge_run(plan, folder)
+        folder.write_manifest(folder.read_manifest() | {"verdict": read_verdict(folder)["verdict"]})
+        write_report(folder)
+    return result
 
 
 def completed_manifest(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:

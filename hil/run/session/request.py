@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -12,6 +12,8 @@ from drivers.signals import ConfigurationError
 from hil.profile import WINDOW_S, Profile, SetpointLimit, read_profile, validate
 from hil.rig import unguarded
 from hil.run.outputs import setpoint_columns
+from hil.run_folder import Labels
+from hil.testing import PreparedTest, prepared_test
 from hil.tracking import DEFAULT, STATIC, NetworkMode, TrackingConfig
 
 if TYPE_CHECKING:
@@ -73,6 +75,10 @@ class RunRequest:
         Run although the locks of the rig cannot be taken.
     start_s
         Rig time at which a virtual rig starts, s: the age of its effects.
+    test
+        Test plan whose limits are judged, live and at the end.
+    labels
+        Test object, serial number, operator and tags.
     """
 
     profile: Path
@@ -97,17 +103,20 @@ class RunRequest:
     guardian: bool = True
     no_lock: bool = False
     start_s: float = 0.0
+    test: Path | None = None
+    labels: Labels = field(default_factory=Labels)
 
 
 @dataclass(frozen=True, slots=True)
 class RunInputs:
-    """Checked files of a run, with notes for the operator."""
+    """Checked files of a run, with its test, if any, and notes for the operator."""
 
     rig: Rig
     profile: Profile
     twin: Path | None
     network: Network | None
     notes: tuple[str, ...]
+    test: PreparedTest | None = None
 
 
 def prepare(request: RunRequest) -> RunInputs:
@@ -159,7 +168,16 @@ def prepare(request: RunRequest) -> RunInputs:
         notes = [*notes, *_check_effects(request.effects, profile, request.start_s)]
     if request.diagnose_s is not None:
         notes = [*notes, *_check_diagnosis(request, twin, network)]
-    return RunInputs(rig, profile, twin, network, tuple(notes))
+    test = None
+    if request.test is not None:
+        twins = () if network is None or request.calibrators == () else _twins(request)
+        test = prepared_test(request.test, rig, profile, network, twins)
+    return RunInputs(rig, profile, twin, network, tuple(notes), test)
+
+
+def _twins(request: RunRequest) -> tuple[str, ...]:
+    """Return the names of the twins that run."""
+    return (STATIC, *(DEFAULT if request.calibrators is None else request.calibrators))
 
 
 def _check_effects(file: Path, profile: Profile, start_s: float) -> list[str]:
@@ -183,7 +201,7 @@ def _check_residuals(request: RunRequest, rig: Rig, network: Network | None) -> 
         if spec.sensor not in network.sensor_names:
             known = ", ".join(network.sensor_names)
             raise ConfigurationError(f"{request.rig}: residual: the twin has no sensor {spec.sensor!r}; it has {known}")
-        running = (STATIC, *(DEFAULT if request.calibrators is None else request.calibrators))
+        running = _twins(request)
         if spec.twin not in running:
             raise ConfigurationError(
                 f"{request.rig}: residual: no twin {spec.twin!r} runs; there are {', '.join(running)}"

@@ -9,7 +9,7 @@ from collections.abc import Callable, Coroutine
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from drivers.rig import RigConnection
+from drivers.rig import RigConnection, rig_signals
 from hil.diagnosis import Reply
 from hil.journal import ENDED, Header, JournalError, JournalWriter, State
 from hil.run.engine import Engine, Options, Outcome, RunSignals, Status, interrupted, serving, stopping
@@ -19,8 +19,9 @@ from hil.run.session.derived_files import REVIEW, DerivedFiles, derive_files
 from hil.run.session.manifest import RUN_UID, end_entries
 from hil.run.session.request import RunInputs, RunRequest
 from hil.run.session.rig_time import rig_and_clock
-from hil.run.session.services import Publishers, guard_of, live_review, signals_of, start_diagnosis, start_tracking
+from hil.run.session.services import Publishers, guard_of, live_review, start_diagnosis, start_tracking
 from hil.run_folder import RunFolder
+from hil.testing import live_watch
 from hil.tracking import STATIC, Adoption, Comparison, Tracking
 
 
@@ -154,6 +155,7 @@ async def _run_in(run: PreparedRun) -> RunResult:
                 resumption=resumption,
                 rearm=request.rearm,
                 guard=guard_of(request, folder, run.claim, rig),
+                watch=live_watch(ready.test, ready.rig, announce),
             ),
         )
         async with serving(folder.control, engine, announce):
@@ -241,7 +243,7 @@ async def _restored(
 def _header(ready: RunInputs, calibrators: tuple[str, ...]) -> Header:
     network = ready.network
     return Header(
-        signals=signals_of(ready.rig),
+        signals=rig_signals(ready.rig),
         twin_sensors={} if network is None else dict(network.sensor_columns),
         twin_names=() if network is None else (STATIC, *calibrators),
         profile=ready.profile.name,

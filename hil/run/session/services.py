@@ -7,9 +7,8 @@ import contextlib
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 
-from drivers.rig import RigConnection
+from drivers.rig import rig_signals
 from drivers.rig_file import Rig
-from drivers.signals import Signal
 from hil.diagnosis import LiveConfig, LiveDiagnosis, commissioned_on
 from hil.guardian import Guard, GuardianClient, NoGuard
 from hil.journal import JournalWriter
@@ -22,7 +21,7 @@ from hil.tracking import Advice, Tracking
 
 async def start_tracking(request: RunRequest, ready: RunInputs) -> Tracking | None:
     """Start the calibrators of a run in processes of their own; return None without a twin."""
-    config = tracking_config(request, ready, tuple(signal.column for signal in signals_of(ready.rig)))
+    config = tracking_config(request, ready, tuple(signal.column for signal in rig_signals(ready.rig)))
     if config is None or ready.network is None:
         return None
     advise = None if request.network_mode == "shadow" else Advice(ready.network).news
@@ -30,11 +29,6 @@ async def start_tracking(request: RunRequest, ready: RunInputs) -> Tracking | No
     tracking = Tracking(config, wait=lockstep, in_step=lockstep and watched, advise=advise)
     await tracking.start()
     return tracking
-
-
-def signals_of(rig: Rig) -> tuple[Signal, ...]:
-    """Return the signals that are polled, then those that are commanded."""
-    return RigConnection(rig, lambda: 0.0).signals + tuple(point.as_signal() for point in rig.setpoints)
 
 
 @dataclass(frozen=True, slots=True)

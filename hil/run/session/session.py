@@ -72,6 +72,7 @@ async def run_session(
         stack.enter_context(folder.owned())
         claim.record_holder(folder.path)
         manifest = new_manifest(files_of(request, ready), **settings_of(request, tracking))
+        manifest["labels"] = request.labels.given()
         folder.write_manifest(manifest)
         if ready.twin is not None:
             folder.copy_twin([entry.path for entry in chain(ready.twin)])

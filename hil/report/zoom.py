@@ -1,0 +1,62 @@
+"""Plots of a page that zoom without a network: curves as data, drawn by the script of `hil.report.plot_script`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.files import Html, element, joined, plot_data
+
+MOST_POINTS = 4000
+"""Most points of a curve: a plot shows the least and the greatest value of each piece of it."""
+PLOT_STYLE = """
+canvas { width: 100%; height: 220px; touch-action: none; cursor: crosshair }
+h3 { font-size: 1rem; margin-bottom: .2rem } .plotbox p { min-height: 1.3em; margin: .2rem 0 }
+"""
+"""Style of the plots, beside that of their page."""
+HINT = "Drag to zoom, turn the wheel, double-click for all."
+
+
+@dataclass(frozen=True, slots=True)
+class ZoomCurve:
+    """Curve of a plot: values (n,) at `time_s` (n,), NaN for a gap."""
+
+    name: str
+    colour: str
+    time_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+
+def zoom_plot(title: str, curves: Sequence[ZoomCurve], end_s: float) -> Html:
+    """Return a heading and a plot of curves over 0 to `end_s` s; the page needs `SCRIPT` and `PLOT_STYLE`."""
+    series = []
+    for curve in curves:
+        time_s, values = thinned(curve.time_s, curve.values)
+        y = [float(f"{value:.6g}") if np.isfinite(value) else None for value in values.tolist()]
+        series.append({"name": curve.name, "colour": curve.colour, "x": time_s.tolist(), "y": y})
+    data = {"title": title, "range": [0.0, max(end_s, 1e-9)], "series": series}
+    return joined([element("h3", title), plot_data(data)])
+
+
+def thinned(
+    time_s: NDArray[np.float64], values: NDArray[np.float64], most: int = MOST_POINTS
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return times (m,) and values (m,) of at most `most` points of a curve (n,): least and greatest of each piece.
+
+    A piece with a missing value also keeps that, as a gap.
+    """
+    if len(time_s) <= most:
+        return time_s, values
+    kept: set[int] = {0, len(time_s) - 1}
+    for piece in np.array_split(np.arange(len(time_s)), most // 3 - 1):  # three points of each, and the two ends
+        x = values[piece]
+        known = np.isfinite(x)
+        if known.any():
+            kept |= {int(piece[np.nanargmin(x)]), int(piece[np.nanargmax(x)])}
+        if not known.all():
+            kept.add(int(piece[np.argmin(known)]))
+    rows = np.array(sorted(kept))
+    return time_s[rows], values[rows]

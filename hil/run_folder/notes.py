@@ -1,0 +1,116 @@
+"""Labels of a run (test object, serial number, operator, tags), and notes that are added at any time, live too.
+
+Notes are lines of JSON in `notes.jsonl` beside the journal, which are only ever appended: a run that goes on is not
+disturbed, and nobody's note is changed later. A line may also change labels.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from hil.files import plain
+from hil.run_folder.folder import RunFolder, RunFolderError
+from hil.run_folder.manifest_check import DocumentShape, Labels, wrong_place
+
+LONGEST_NOTE = 2000
+"""Most characters of a note."""
+MOST_NOTES = 8 * 10**6
+"""Most bytes of the file: some ten thousand notes."""
+
+
+class _Line(DocumentShape):
+    time: str
+    by: str = ""
+    text: str = ""
+    labels: dict[str, str | list[str]] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Note on a run at `time`, an ISO 8601 time; `labels` are those that it changes."""
+
+    time: str
+    by: str
+    text: str
+    labels: Mapping[str, str | list[str]] = field(default_factory=dict)
+
+    @property
+    def wall_s(self) -> float:
+        """Return the time in s since 1970."""
+        return datetime.datetime.fromisoformat(self.time).timestamp()
+
+
+def add_note(folder: RunFolder, text: str, by: str, labels: Labels | None = None) -> Note:
+    """Append a note to a run, live or ended; labels that are not empty replace those of the run.
+
+    Raises
+    ------
+    RunFolderError
+        This is no run folder, the note is empty, or the file cannot be written.
+    """
+    folder.read_manifest()
+    changed = {} if labels is None else labels.given()
+    if not text.strip() and not changed:
+        raise RunFolderError("the note is empty; write what you saw, or give a label such as --serial")
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    note = Note(now, plain(by, 200), plain(text.strip(), LONGEST_NOTE), changed)
+    line = json.dumps({"time": note.time, "by": note.by, "text": note.text, "labels": changed}) + "\n"
+    try:
+        handle = os.open(folder.notes, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
+        with open(handle, "r+b", buffering=0) as file:
+            size = file.seek(0, os.SEEK_END)
+            torn = size > 0 and os.pread(handle, 1, size - 1) != b"\n"
+            file.write(b"\n" * torn + line.encode("utf-8"))  # in one call, so that two writers do not mix
+            os.fsync(handle)
+    except OSError as error:
+        raise RunFolderError(f"{folder.notes} cannot be written ({error.strerror}); make room or writable") from None
+    return note
+
+
+def read_notes(folder: RunFolder) -> list[Note]:
+    """Return the notes of a run in order; none for a run without any. A last line that a crash cut is left out.
+
+    Raises
+    ------
+    RunFolderError
+        A line is damaged; the message names it.
+    """
+    try:
+        with open(os.open(folder.notes, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+            content = file.read(MOST_NOTES)
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise RunFolderError(f"{folder.notes} cannot be read ({error.strerror}); take it away") from None
+    found = []
+    for number, line in enumerate(content.split(b"\n")[:-1], 1):
+        if not line.strip():
+            continue
+        place = f"{folder.notes}, line {number}"
+        try:
+            read = _Line.model_validate(json.loads(line))
+            datetime.datetime.fromisoformat(read.time)
+        except ValidationError as error:
+            raise RunFolderError(f"{place} is not a note: {wrong_place(error)}; take the line out") from None
+        except (ValueError, RecursionError) as error:
+            raise RunFolderError(f"{place} is not a note ({plain(str(error), 100)}); take the line out") from None
+        found.append(Note(read.time, read.by, read.text, read.labels))
+    return found
+
+
+def labels_of(manifest: Mapping[str, Any], notes: Sequence[Note]) -> Labels:
+    """Return the labels of a run: those of its beginning, each replaced by the last note that changes it."""
+    known: dict[str, Any] = dict(manifest.get("labels") or {})
+    for note in notes:
+        known |= note.labels
+    return Labels(
+        **{name: str(known.get(name, "")) for name in ("test_object", "serial_number", "operator")},
+        tags=tuple(str(tag) for tag in known.get("tags", ())),
+    )

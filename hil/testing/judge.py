@@ -1,0 +1,307 @@
+"""Judgement of limits on the data of a run: pass, fail, or inconclusive where values are missing.
+
+A limit passes only with all values of its time. With missing values it fails where the known ones prove that, and is
+inconclusive otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.testing.bound_limits import BoundLimit
+from hil.testing.limits import Bound, Compared, Follows, NoEffect, NoTrip, Settles, TwinError
+from hil.testing.plan import Limit
+from hil.testing.run_data import Floats, RunData
+from hil.testing.settling import judge_settling
+from hil.testing.verdicts import Finding, Verdict, shown, worst
+
+Bools = NDArray[np.bool_]
+_FEEDS = 1e-6
+"""Share of a tick by which two times may differ and still be the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """Verdict on one limit.
+
+    `value` is the measured quantity in `unit`, None where none was found, `at_s` the profile time of the worst value,
+    s, `text` a sentence with both.
+    """
+
+    limit: Limit
+    verdict: Verdict
+    text: str
+    value: float | None = None
+    unit: str = ""
+    at_s: float | None = None
+    column: str = ""
+
+
+def judge(bound: BoundLimit, data: RunData) -> Judgement:
+    """Return the judgement of a limit on a run; that of a limit of several columns is the worst of theirs."""
+    statement = bound.statement
+    if isinstance(statement, NoEffect):
+        return _said(bound, _no_effect(data))
+    if isinstance(statement, NoTrip):
+        return _said(bound, _no_trip(data))
+    if isinstance(statement, TwinError):
+        residual = data.measured(statement.sensor) - data.twins[statement.twin][statement.sensor]
+        return _said(bound, _twin_error(_Times.of(bound, data, residual), statement, bound))
+    found = [(_column(bound, data, column), column) for column in bound.columns]
+    chosen, column = worst(found)
+    judged = _said(bound, chosen)
+    return replace(judged, column=column, text=f"{column}: {judged.text}" if len(found) > 1 else judged.text)
+
+
+def judge_all(limits: Sequence[BoundLimit], data: RunData) -> tuple[Judgement, ...]:
+    """Return the judgements of all limits."""
+    return tuple(judge(limit, data) for limit in limits)
+
+
+def _said(bound: BoundLimit, found: Finding) -> Judgement:
+    unit = found.unit or bound.unit
+    return Judgement(bound.limit, found.verdict, found.text, found.value, unit, found.at_s)
+
+
+@dataclass(frozen=True, slots=True)
+class _Times:
+    """Ticks of a limit: `time_s` (n,) and the values `x` (n,), NaN where missing.
+
+    `gap_s` is the longest time without a value, s, and `gap_from_s` its beginning.
+    """
+
+    time_s: Floats
+    x: Floats
+    period_s: float
+    gap_s: float
+    gap_from_s: float
+    at_most_s: float
+
+    @classmethod
+    def of(cls, bound: BoundLimit, data: RunData, values: Floats) -> _Times:
+        """Return the ticks on which `values` (n,) of the run count for a limit."""
+        inside = (data.time_s >= bound.from_s - _FEEDS) & (data.time_s <= bound.to_s + _FEEDS)
+        time_s, x = data.time_s[inside], values[inside]
+        covered, counts = np.isfinite(x), np.ones(len(x), dtype=np.bool_)
+        if bound.condition is not None and bound.while_ is not None:
+            on = data.columns[bound.condition][inside]
+            counts = np.isfinite(on) & within(on, bound.while_)
+            covered = np.isfinite(on) & (covered | ~counts)
+        edges = np.concatenate([[bound.from_s - data.period_s], time_s[covered], [bound.to_s]])
+        longest = int(np.argmax(np.diff(edges)))
+        gap_s = float(edges[longest + 1] - edges[longest]) - data.period_s
+        gap_from_s = float(edges[longest]) + data.period_s
+        return cls(time_s[counts], x[counts], data.period_s, gap_s, gap_from_s, bound.limit.gap_at_most_s)
+
+    @property
+    def is_missing(self) -> bool:
+        """True where values are missing for longer than the limit admits."""
+        return self.gap_s > self.at_most_s + 0.5 * self.period_s
+
+    @property
+    def known(self) -> Bools:
+        """Ticks (n,) with a value."""
+        return np.isfinite(self.x)
+
+    def missing(self, value: float | None = None, unit: str = "") -> Finding:
+        """Return the finding that values are missing; `value` in `unit` is that of the known ones."""
+        for_s = max(self.gap_s, self.period_s)
+        text = f"values are missing, at the longest for {for_s:g} s from {self.gap_from_s:g} s on"
+        return Finding("inconclusive", text, value, unit)
+
+
+def within(x: Floats, bound: Bound) -> Bools:
+    """Return which of `x` (n,) are within a bound."""
+    number = bound.amount.number
+    if bound.upper is not None:
+        return np.asarray((x >= number) & (x <= bound.upper.number))
+    compare = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}[bound.operator]
+    return np.asarray(compare(x, number))
+
+
+def _margins(x: Floats, bound: Bound) -> Floats:
+    """Return the distances (n,) of `x` (n,) from a bound, positive inside."""
+    if bound.upper is not None:
+        return np.minimum(x - bound.amount.number, bound.upper.number - x)
+    return bound.amount.number - x if bound.operator in ("<", "<=") else x - bound.amount.number
+
+
+def _column(bound: BoundLimit, data: RunData, column: str) -> Finding:
+    statement = bound.statement
+    if isinstance(statement, Settles):
+        return judge_settling(bound, statement, data, column)
+    if isinstance(statement, Follows):
+        return _follows(bound, statement, data, column)
+    assert isinstance(statement, Compared)
+    times = _Times.of(bound, data, data.columns[column])
+    if not times.known.any():
+        is_never = not times.is_missing and bound.condition is not None
+        text = "its condition was never fulfilled" if is_never else "it has no good value"
+        return Finding("inconclusive", text)
+    if statement.measure == "value":
+        return _values(times, statement.bound, bound.unit)
+    return _statistic(times, statement, bound.unit)
+
+
+def _values(times: _Times, bound: Bound, unit: str) -> Finding:
+    """Return the finding on a bound that holds for every value."""
+    known = np.flatnonzero(times.known)
+    margins = _margins(times.x[known], bound)
+    at = known[int(np.argmin(margins))]
+    value, at_s, margin = float(times.x[at]), float(times.time_s[at]), float(margins.min())
+    wrong = known[~within(times.x[known], bound)]
+    if len(wrong):
+        for_s, first_s = len(wrong) * times.period_s, times.time_s[wrong[0]]
+        text = (
+            f"{shown(value, unit)} at {at_s:g} s, the limit is {bound}; beyond it for {for_s:g} s from {first_s:g} s on"
+        )
+        return Finding("fail", text, value, at_s=at_s, margin=margin)
+    if times.is_missing:
+        return times.missing(value)
+    return Finding("pass", f"at worst {shown(value, unit)} at {at_s:g} s", value, at_s=at_s, margin=margin)
+
+
+def _statistic(times: _Times, said: Compared, unit: str) -> Finding:
+    """Return the finding on a statistic of all values; more values could only worsen those that prove a failure."""
+    x, grows = times.x[times.known], False
+    at_s: float | None = None
+    if said.measure in ("max", "min"):
+        pick = np.argmax if said.measure == "max" else np.argmin
+        at = np.flatnonzero(times.known)[int(pick(x))]
+        value, at_s = float(times.x[at]), float(times.time_s[at])
+        grows = said.bound.upper is None and said.bound.operator.startswith("<" if said.measure == "max" else ">")
+    elif said.measure in ("time", "longest"):
+        assert said.threshold is not None
+        value, at_s = _time_beyond(times, said.threshold, longest=said.measure == "longest")
+        grows = said.bound.upper is None and said.bound.operator.startswith("<")
+    elif said.measure == "ramp":
+        steepest = _steepest(times, said)
+        if steepest is None:
+            return times.missing()
+        value, at_s = steepest
+        grows = said.bound.upper is None and said.bound.operator.startswith("<")
+    else:
+        value = _plain_statistic(x, said)
+    margin = float(_margins(np.array([value]), said.bound)[0])
+    text = f"{shown(value, unit)}" + (f" at {at_s:g} s" if at_s is not None else "")
+    if not within(np.array([value]), said.bound)[0] and (grows or not times.is_missing):
+        return Finding("fail", f"{text}, the limit is {said.bound}", value, at_s=at_s, margin=margin)
+    if times.is_missing:
+        return times.missing(value)
+    return Finding("pass", text, value, at_s=at_s, margin=margin)
+
+
+def _plain_statistic(x: Floats, said: Compared) -> float:
+    if said.measure == "mean":
+        return float(np.mean(x))
+    if said.measure == "deviation":
+        return float(np.std(x))
+    if said.measure == "range":
+        return float(np.ptp(x))
+    return float(np.percentile(x, said.percent))
+
+
+def _time_beyond(times: _Times, threshold: Bound, *, longest: bool) -> tuple[float, float | None]:
+    """Return the time beyond a threshold, s, in all or at the longest, and when it began."""
+    beyond = times.known & within(times.x, threshold)
+    where = np.flatnonzero(beyond)
+    if not len(where):
+        return 0.0, None
+    if not longest:
+        return len(where) * times.period_s, float(times.time_s[where[0]])
+    breaks = np.diff(where) > 1
+    breaks |= np.diff(times.time_s[where]) > 1.5 * times.period_s
+    pieces = np.split(where, np.flatnonzero(breaks) + 1)
+    piece = max(pieces, key=len)
+    return len(piece) * times.period_s, float(times.time_s[piece[0]])
+
+
+def _steepest(times: _Times, said: Compared) -> tuple[float, float] | None:
+    """Return the steepest change over `over_s` in units a minute, and its beginning in s; None without a pair."""
+    assert said.over_s is not None
+    later = np.searchsorted(times.time_s, times.time_s + said.over_s - 0.5 * times.period_s)
+    there = later < len(times.time_s)
+    first, last = np.flatnonzero(there), later[there]
+    apart = times.time_s[last] - times.time_s[first]
+    change = (times.x[last] - times.x[first]) / said.over_s * 60.0
+    change = np.where(np.abs(apart - said.over_s) < 0.5 * times.period_s, change, np.nan)
+    change = np.abs(change) if said.direction == 0 else said.direction * change
+    if not np.isfinite(change).any():
+        return None
+    at = int(np.nanargmax(change))
+    return float(change[at]), float(times.time_s[first[at]])
+
+
+def _follows(bound: BoundLimit, said: Follows, data: RunData, column: str) -> Finding:
+    assert bound.setpoint is not None and said.constant_s is not None
+    wanted, read = data.columns[bound.setpoint], data.columns[column]
+    changed = np.concatenate([[True], ~(wanted[1:] == wanted[:-1])]) if len(wanted) else np.zeros(0, dtype=np.bool_)
+    since = np.maximum.accumulate(np.where(changed, np.arange(len(wanted)), 0))
+    constant = data.time_s - data.time_s[since] >= said.constant_s - _FEEDS
+    relative = said.band.unit == "%" and bound.unit != "%"
+    off = read - wanted
+    if relative:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.where(wanted != 0.0, 100.0 * off / np.abs(wanted), 0.0)
+            off = np.where(np.isfinite(read) & np.isfinite(wanted), off, np.nan)
+        constant &= wanted != 0.0
+    # A tick counts where its set-point is constant; one without a set-point is missing.
+    unknown = ~np.isfinite(wanted)
+    times = _Times.of(bound, data, np.where(constant | unknown, off, 0.0))
+    inside = _Times.of(bound, data, np.where(constant, off, np.nan))
+    if not inside.known.any():
+        if times.is_missing:
+            return times.missing()
+        text = f"its set-point was at no time constant for {said.constant_s:g} s" + (" and not 0" if relative else "")
+        return Finding("inconclusive", text)
+    at = int(np.nanargmax(np.abs(inside.x)))
+    value, at_s = float(inside.x[at]), float(inside.time_s[at])
+    unit = "%" if relative else said.band.unit or ""
+    margin = said.band.number - abs(value)
+    text = f"at worst {shown(value, unit)} off its set-point at {at_s:g} s"
+    if margin < 0.0:
+        return Finding("fail", f"{text}, the limit is {said.band}", value, unit, at_s, margin)
+    if times.is_missing:
+        return times.missing(value, unit)
+    return Finding("pass", text, value, unit, at_s, margin)
+
+
+def _twin_error(times: _Times, said: TwinError, bound: BoundLimit) -> Finding:
+    off = times.x[times.known]
+    if not len(off):
+        return times.missing()
+    if said.kind == "rmse":
+        value, at_s = float(np.sqrt(np.mean(off**2))), None
+    elif said.kind == "bias":
+        value, at_s = float(np.mean(off)), None
+    else:
+        at = np.flatnonzero(times.known)[int(np.argmax(np.abs(off)))]
+        value, at_s = float(abs(times.x[at])), float(times.time_s[at])
+    text = f"{shown(value, bound.unit)} of twin {said.twin}" + (f" at {at_s:g} s" if at_s is not None else "")
+    is_inside = bool(within(np.array([value]), said.bound)[0])
+    proves = said.kind == "largest" and said.bound.operator.startswith("<")
+    if not is_inside and (proves or not times.is_missing):
+        return Finding("fail", f"{text}, the limit is {said.bound}", value, at_s=at_s)
+    return times.missing(value) if times.is_missing else Finding("pass", text, value, at_s=at_s)
+
+
+def _no_effect(data: RunData) -> Finding:
+    if data.diagnosis is None:
+        return Finding("inconclusive", "the run has no diagnosis; make one with `hil diagnose RUN`, then judge again")
+    verdict, sentence = data.diagnosis
+    text = f"the diagnosis is {verdict}" + (f": {sentence}" if sentence else "")
+    if verdict == "adequate":
+        return Finding("pass" if data.has_ended else "inconclusive", text)
+    return Finding("fail" if verdict in ("effect found", "ambiguous") else "inconclusive", text)
+
+
+def _no_trip(data: RunData) -> Finding:
+    if data.trips:
+        return Finding("fail", data.trips[0])
+    if not data.has_ended:
+        return Finding("inconclusive", "the run did not go to its end")
+    return Finding("pass", "nothing tripped")

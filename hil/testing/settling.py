@@ -1,0 +1,79 @@
+"""Settling of a signal after changes of set-points, or within one step of a test."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.testing.bound_limits import BoundLimit
+from hil.testing.limits import Settles
+from hil.testing.run_data import RunData
+from hil.testing.verdicts import Finding, shown, worst
+
+FINAL_SHARE = 0.1
+"""Last share of a hold whose mean is the final value, where a limit names no target: shorter is noise, and longer would
+take the approach to it for the end."""
+
+
+def holds(data: RunData) -> list[tuple[float, float]]:
+    """Return begin and end, s of profile time, of the pieces between changes of set-points.
+
+    Changes on successive ticks are one ramp, and its hold begins with it.
+    """
+    if not len(data.time_s):
+        return []
+    commanded = np.column_stack([data.columns[name] for name in data.setpoints] or [np.zeros(len(data.time_s))])
+    moved = np.flatnonzero((commanded[1:] != commanded[:-1]).any(axis=1)) + 1
+    begins = [float(data.time_s[0])]
+    last = -np.inf
+    for index in moved:
+        time_s = float(data.time_s[index])
+        if time_s - last > 1.5 * data.period_s and time_s - begins[-1] > 1.5 * data.period_s:
+            begins.append(time_s)
+        last = time_s
+    return list(zip(begins, [*begins[1:], data.duration_s], strict=True))
+
+
+def judge_settling(bound: BoundLimit, said: Settles, data: RunData, column: str) -> Finding:
+    """Return the finding on a column: of its step, or the worst of all holds that are long enough."""
+    window = bound.limit.sentence.window
+    if window.from_s is not None or window.to_s is not None:
+        return _hold(said, bound, data, column, (bound.from_s, bound.to_s))
+    pieces = holds(data)
+    long = [piece for piece in pieces if piece[1] - piece[0] > said.within_s]
+    left_out = f"; {len(pieces) - len(long)} of {len(pieces)} holds are shorter" if len(long) < len(pieces) else ""
+    if not long:
+        return Finding("inconclusive", f"no set-points were held for more than {said.within_s:g} s")
+    found, _ = worst([(_hold(said, bound, data, column, piece), "") for piece in long])
+    return Finding(found.verdict, found.text + left_out, found.value, found.unit, found.at_s, found.margin)
+
+
+def _hold(said: Settles, bound: BoundLimit, data: RunData, column: str, piece: tuple[float, float]) -> Finding:
+    begin_s, end_s = piece
+    # The tick at the end belongs to the next hold, except for the last of the profile.
+    last_s = end_s if end_s >= data.duration_s else end_s - data.period_s
+    inside = (data.time_s >= begin_s - 1e-6) & (data.time_s <= last_s + 1e-6)
+    time_s, x = data.time_s[inside], data.columns[column][inside]
+    known = np.isfinite(x)
+    edges = np.concatenate([[begin_s - data.period_s], time_s[known], [last_s + data.period_s]])
+    gap_s = float(np.diff(edges).max()) - data.period_s
+    is_missing = gap_s > bound.limit.gap_at_most_s + 0.5 * data.period_s
+    missing = Finding("inconclusive", f"values are missing after {begin_s:g} s, for {gap_s:g} s at the longest")
+    final = known & (time_s >= end_s - FINAL_SHARE * (end_s - begin_s))
+    if not known.any() or (said.target is None and (is_missing or not final.any())):
+        return missing
+    target = float(np.mean(x[final])) if said.target is None else said.target.number
+    relative = said.band.unit == "%" and bound.unit != "%"
+    half = said.band.number * (abs(target) / 100.0 if relative else 1.0)
+    outside = np.flatnonzero(known & (np.abs(x - target) > half))
+    settled_s = float(time_s[outside[-1]]) + data.period_s - begin_s if len(outside) else 0.0
+    margin = said.within_s - settled_s
+    about = f"about {shown(target, bound.unit)}"
+    if settled_s > said.within_s:
+        last = int(outside[-1])
+        never = "not settled" if last == np.flatnonzero(known)[-1] else f"settled after {settled_s:g} s"
+        text = f"{never} {about} after the change at {begin_s:g} s, the limit is {said.within_s:g} s"
+        return Finding("fail", text, settled_s, "s", begin_s, margin)
+    if is_missing:
+        return missing
+    text = f"settled within {settled_s:g} s {about} after the change at {begin_s:g} s"
+    return Finding("pass", text, settled_s, "s", begin_s, margin)

@@ -1,0 +1,151 @@
+"""Results of tests: `verdict.json`, JUnit XML as others read it, the report's first section, requirements by run."""
+
+from __future__ import annotations
+
+import json
+import re
+import xml.etree.ElementTree as ET
+
+import pytest
+
+from hil.run_folder import RunFolderError, read_verdict
+from hil.testing import judge_run, junit, read_plan, requirement_matrix
+from tests.hil.command_line import typed
+from tests.hil.ended_run import ended_run
+from tests.hil.made_plan import plan_text
+
+FORGED = json.dumps(
+    {
+        "verdict": "pass",
+        "tests": [
+            {
+                "id": "p",
+                "title": "",
+                "sha256": "",
+                "verdict": "pass",
+                "judged": "",
+                "limits": [{"id": "L", "limit": "", "requirement": "", "severity": "", "verdict": "pass", "text": ""}],
+            }
+        ],
+    }
+)
+"""A limit without its value."""
+SENTENCES = ("T_heater_C < 300", "T_heater_C < 1", "T_pm3_C < 300", "T_modules_C < 1")
+
+
+@pytest.fixture
+def judged(tmp_path):
+    """A run with a fault of T_pm3, judged by a plan with a passed, two failed and an inconclusive limit."""
+    folder, manifest = ended_run(tmp_path / "a <b> run")
+    folder.write_manifest(manifest)
+    plan = tmp_path / "plan.toml"
+    text = plan_text(*SENTENCES, head='title = "Heat & <cold>"').replace('"REQ-4"', '"REQ-2"')
+    plan.write_text(text.replace("T_heater_C < 300", "T_heater_C < 300 before 200 s"), encoding="utf-8")
+    return folder, plan
+
+
+def test_every_limit_is_in_the_files_and_first_in_the_report(judged):
+    folder, plan = judged
+    done = typed("test", plan, "--on", folder.path)
+    assert done.returncode == 1
+    words = [line.split()[0] for line in done.stdout.splitlines()[:5]]
+    assert words == ["pass", "FAIL", "inconclusive", "FAIL", "FAIL:"]
+    document = json.loads(folder.verdict.read_text(encoding="utf-8"))
+    assert document["verdict"] == folder.read_manifest()["verdict"] == "fail"
+    (test,) = document["tests"]
+    assert [limit["verdict"] for limit in test["limits"]] == ["pass", "fail", "inconclusive", "fail"]
+    assert test["limits"][1]["value"] > 1.0 and test["limits"][1]["unit"] == "degC"
+    page = folder.report.read_text(encoding="utf-8")
+    headings = re.findall(r"<h2>(.*?)</h2>", page)
+    assert headings[0].startswith("Test: Heat &amp; &lt;cold&gt;") and "FAILED" in headings[0]
+    assert "INCONCLUSIVE" in page and "T_heater_C &lt; 1" in page
+
+
+def test_junit_is_read_by_a_program_of_others(judged):
+    reader = pytest.importorskip("junitparser")
+    folder, plan = judged
+    judge_run(read_plan(plan), folder)
+    (suite,) = reader.JUnitXml.fromfile(str(folder.junit))
+    assert (suite.name, suite.tests, suite.failures, suite.errors, suite.skipped) == ("small", 4, 2, 1, 0)
+    cases = list(suite)
+    assert [case.is_passed for case in cases] == [True, False, False, False]
+    assert "the limit is < 1 degC" in cases[1].result[0].message
+    assert isinstance(cases[2].result[0], reader.Error)
+    assert {p.name: p.value for p in suite.properties()}["requirement.L4"] == "REQ-2"
+
+
+def test_junit_keeps_to_the_schema_of_ant(judged):
+    """Rules of JUnit.xsd: attributes that must be there, and the order of elements."""
+    folder, plan = judged
+    judge_run(read_plan(plan), folder)
+    root = ET.fromstring(folder.junit.read_bytes())
+    assert root.tag == "testsuites"
+    for suite in root:
+        assert {"name", "timestamp", "hostname", "tests", "failures", "errors", "time", "id", "package"} == set(
+            suite.attrib
+        )
+        assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d", suite.attrib["timestamp"])
+        tags = [child.tag for child in suite]
+        assert tags == ["properties", *["testcase"] * len(suite.findall("testcase")), "system-out", "system-err"]
+        for case in suite.findall("testcase"):
+            assert set(case.attrib) == {"name", "classname", "time"}
+            assert [child.tag for child in case] in ([], ["failure"], ["error"])
+            assert all("type" in child.attrib for child in case)
+
+
+def test_text_that_xml_cannot_hold_is_replaced():
+    limit = {"id": "L", "limit": "x\x00\x1b < \ud800\ufffe", "requirement": "\x07", "severity": "major", "step": None}
+    limit |= {"verdict": "fail", "text": "\x0b"}
+    test = {"id": "p", "title": "\x01", "sha256": "", "verdict": "fail", "limits": [limit]}
+    assert ET.fromstring(junit({"tests": [test]}, {})) is not None
+
+
+def test_plans_are_kept_side_by_side_and_replaced_by_id(judged):
+    folder, plan = judged
+    judge_run(read_plan(plan), folder)
+    good = plan.with_name("good.toml")
+    good.write_text(plan_text("T_heater_C < 300 before 200 s").replace('"small"', '"good"'), encoding="utf-8")
+    done = typed("test", good, "--on", folder.path, "--json")
+    assert done.returncode == 0  # of this plan alone
+    assert [test["id"] for test in json.loads(done.stdout)["tests"]] == ["small", "good"]
+    judge_run(read_plan(plan), folder)
+    document = read_verdict(folder)
+    assert [test["id"] for test in document["tests"]] == ["good", "small"] and document["verdict"] == "fail"
+
+
+def test_requirements_have_the_worst_verdict_of_their_limits_in_each_run(judged, tmp_path):
+    folder, plan = judged
+    judge_run(read_plan(plan), folder)
+    other, manifest = ended_run(tmp_path / "other")
+    other.write_manifest(manifest)
+    with pytest.raises(RunFolderError, match="was not judged"):
+        requirement_matrix([folder, other])
+    good = plan.with_name("good.toml")
+    good.write_text(plan_text("T_heater_C < 300 before 200 s"), encoding="utf-8")
+    judge_run(read_plan(good), other)
+    made = requirement_matrix([folder, other])
+    assert made.runs == ("a <b> run", "other")
+    assert made.rows == {"REQ-1": ("pass", "pass"), "REQ-2": ("fail", None), "REQ-3": ("inconclusive", None)}
+    assert made.limits["REQ-2"] == ("small/L2", "small/L4")
+    done = typed("test", "--matrix", folder.path, other.path)
+    assert done.returncode == 1 and "REQ-2" in done.stdout
+    assert typed("test", "--matrix", other.path, "--json").returncode == 0
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["{", "[]", '{"verdict": "good", "tests": []}', '{"verdict": "pass", "tests": [{"id": "<"}]}', FORGED],
+)
+def test_a_forged_verdict_is_refused_in_a_sentence(judged, content):
+    folder, _ = judged
+    folder.verdict.write_text(content, encoding="utf-8")
+    done = typed("test", "--matrix", folder.path)
+    assert done.returncode == 2 and "verdict.json" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_live_run_is_not_judged(judged):
+    folder, plan = judged
+    with folder.owned():
+        done = typed("test", plan, "--on", folder.path)
+    assert done.returncode == 2 and "still goes on" in done.stderr
