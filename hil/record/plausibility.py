@@ -140,7 +140,7 @@ def _extremes(numbers: Values) -> list[float]:
 
 
 def _is_nines(code: float) -> bool:
-    return set(f"{code:.10g}") <= set("9.-")
+    return set(f"{abs(code):.10g}".lstrip("0.")) <= set("9.")
 
 
 def _far_extreme(numbers: Values, code: float, has_unit: bool) -> NDArray[np.bool_] | None:

@@ -121,6 +121,7 @@ def test_an_end_of_a_raw_range_is_missing_where_the_rest_rests(tmp_path: Path, c
         ("valve_pct", _with("99.9", FLOWS, [30])),  # a valve that opens
         ("x", _with("999", FLOWS, [30])),
         ("n_rpm", [f"{k * 9999 / 59:.1f}" for k in range(60)]),  # passes through it
+        ("fan_speed_pct", ["0.99999", "0.0625"]),  # nines, and no full field of them
         ("x", [str((65000 + 9 * k) % 65536) for k in range(120)] + ["65535"]),  # a counter that wraps
         ("heater_power_W", ["0", "9999"] * 30),  # a switch
         ("heater_power_W", [*["0", "500", "9999"] * 20]),
