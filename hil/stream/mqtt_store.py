@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
@@ -47,6 +48,8 @@ class MqttStore:
         Identity of the run.
     positions
         File for the confirmed position.
+    start
+        Position of a run of which nothing was sent yet.
     stride
         Ticks from a message of a signal to the next.
 
@@ -60,9 +63,11 @@ class MqttStore:
 
     longest_block = 1000
 
-    def __init__(self, address: Address, run: RunIdentity, positions: PositionFile, stride: int) -> None:
+    def __init__(
+        self, address: Address, run: RunIdentity, positions: PositionFile, *, start: Position, stride: int
+    ) -> None:
         self._address, self._run, self._stride = address, run, stride
-        self._positions = positions
+        self._positions, self._start = positions, start
         self._base = f"{address.prefix}/{_topic_part(run.name)}"
         self._topics = [f"{self._base}/{_signal_topic(signal.column)}" for signal in run.signals]
         self._state: RunState | None = None
@@ -72,8 +77,11 @@ class MqttStore:
         self._lost = False
         self._client = self._connected()
 
-    def position(self) -> Position | None:
-        return self._positions.read()
+    def position(self) -> Position:
+        found = self._positions.read()
+        if found is None:
+            self._positions.write(self._start)  # so that a run that ends meanwhile is continued from here
+        return found or self._start
 
     def send(self, block: Block) -> Position:
         at = block.before
@@ -98,10 +106,8 @@ class MqttStore:
 
     def close(self, *, ended: bool) -> None:
         if not ended and not self._lost:
-            try:
+            with contextlib.suppress(StoreDownError):  # the broker publishes the last will then
                 self._publish([self._offline()])
-            except StoreDownError:
-                pass  # the broker publishes the last will
         self._client.disconnect()
         self._client.loop_stop()
 
@@ -138,7 +144,7 @@ class MqttStore:
         named = f"{self._run.uid} {self._address.shown}".encode("utf-8", "replace")
         client = mqtt.Client(
             CallbackAPIVersion.VERSION2,
-            # The same after a crash: the broker then drops what is left of the former connection. 23 characters at most.
+            # The same after a crash: the broker then drops the former connection. Every broker takes 23 characters.
             client_id=f"hil-{hashlib.sha256(named).hexdigest()[:18]}",
             reconnect_on_failure=False,
         )

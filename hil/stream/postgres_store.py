@@ -33,8 +33,8 @@ _PERMANENT = ("authentication failed", "no password supplied", "does not exist",
 class PostgresStore:
     """Connection to the tables `hil_runs`, `hil_signals`, `hil_samples` and `hil_events` for one run.
 
-    The position of the run is a part of its row in `hil_runs`, which each transaction locks. A sample is therefore stored
-    once, also if two processes stream the same run.
+    The position of the run is a part of its row in `hil_runs`, which each transaction locks. A sample is therefore
+    stored once, also if two processes stream the same run.
 
     Raises
     ------
@@ -61,11 +61,11 @@ class PostgresStore:
             self._base.close()
             raise
 
-    def position(self) -> Position | None:
+    def position(self) -> Position:
         with self._explained():
             found = self._locked_position()
             self._base.rollback()
-        return None if found == Position() else found
+        return found
 
     def send(self, block: Block) -> Position:
         with self._explained():

@@ -28,9 +28,9 @@ EVERY_S = 1.0
 class StreamOptions:
     """Options of a stream.
 
-    `every_s` is the time from a message of a signal to the next, s of rig time, and `everything` sends a finished run in
-    full; a database gets every sample in any case. A store that is down for `give_up_s` seconds ends the stream; None
-    for never.
+    `every_s` is the time from a message of a signal to the next, s of rig time, and `everything` sends a finished run
+    in full; a database gets every sample in any case. A store that is down for `give_up_s` seconds ends the stream;
+    None for never.
     """
 
     every_s: float | None = None
@@ -93,7 +93,6 @@ class _Stream:
     ) -> None:
         self._source, self._address, self._open = source, address, opened
         self._give_up_s, self._announce = options.give_up_s, announce
-        self._only_last = address.is_broker and not options.everything
         self._down_since: float | None = None
         self._said = ""
         self._first: Position | None = None
@@ -119,11 +118,8 @@ class _Stream:
         return StreamResult(self._address.shown, self._state, self._at.tick - first.tick, self._at.event - first.event)
 
     def _send_all(self, store: Store) -> None:
-        known = store.position()
-        self._at = known or Position()
+        self._at = store.position()
         if self._first is None:
-            if known is None and self._only_last and self._source.ended():
-                self._at = self._source.last_position()
             self._first = self._at
         state: RunState | None = None
         while True:
@@ -170,8 +166,12 @@ def _opener(
 
         positions = PositionFile(run, address)
         stack.callback(positions.close)
-        stride = _stride(options, source.run.period_s)
-        return lambda: module.MqttStore(address, source.run, positions, stride)  # type: ignore[no-any-return]
+        start, stride = Position(), _stride(options, source.run.period_s)
+        if not options.everything and positions.read() is None and source.ended():
+            start, stride = source.last_position(), 1  # the last values of a run that nobody followed
+        return lambda: module.MqttStore(  # type: ignore[no-any-return]
+            address, source.run, positions, start=start, stride=stride
+        )
     if options.every_s is not None or options.everything:
         raise StreamError("a database gets every sample of a run; leave out --every and --all, which are for MQTT")
     module = _library("postgres_store", "psycopg", "psycopg")

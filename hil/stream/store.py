@@ -85,8 +85,8 @@ class Store(Protocol):
     longest_block: int
     """Ticks of a block at most."""
 
-    def position(self) -> Position | None:
-        """Return the confirmed position, None where nothing of the run is there."""
+    def position(self) -> Position:
+        """Return the confirmed position, after which the stream goes on."""
 
     def send(self, block: Block) -> Position:
         """Send a block and return the position that the store has confirmed."""
