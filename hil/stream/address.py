@@ -80,13 +80,15 @@ def parse_address(text: str) -> Address:
 
 def _parts(text: str) -> tuple[SplitResult, int]:
     """Return the parts of a broker's address and its port; raises StreamError without repeating a password."""
-    wrong = "the address of the broker cannot be read; write mqtt://HOST:PORT/PREFIX, a password with %40 for @"
+    wrong = (
+        "the address of the broker cannot be read: use mqtt://HOST:PORT/PREFIX without ? and #; %40 is @ in a password"
+    )
     try:
         parts = urlsplit(text)
         port = parts.port or PORTS[parts.scheme]
     except ValueError:
         raise StreamError(wrong) from None
-    if not parts.hostname or parts.query or parts.fragment:
+    if not parts.hostname or any(c in text for c in "?#"):
         raise StreamError(wrong)
     return parts, port
 
