@@ -94,7 +94,6 @@ class _Stream:
         self._source, self._address, self._open = source, address, opened
         self._give_up_s, self._announce = options.give_up_s, announce
         self._down_since: float | None = None
-        self._said = ""
         self._first: Position | None = None
         self._at = Position()
         self._state = ""
@@ -134,17 +133,16 @@ class _Stream:
             state, self._state = block.state, block.state.name
             if self._down_since is not None:
                 self._announce(f"{self._address.shown} is back; the stream catches up")
-                self._down_since, self._said = None, ""
+                self._down_since = None
 
     def _wait(self, error: StoreDownError) -> None:
         """Announce a store that is down, and wait until it is called again; raises StoreDownError to give up."""
         now = time.monotonic()
-        if self._down_since is None:
-            self._down_since = now
+        first = self._down_since is None
+        self._down_since = now if self._down_since is None else self._down_since
         if self._give_up_s is not None and now - self._down_since >= self._give_up_s:
             raise StoreDownError(f"{error}; given up after {self._give_up_s:g} s, start the stream again to go on")
-        if str(error) != self._said:
-            self._said = str(error)
+        if first:
             self._announce(f"{error}; the stream goes on when it is back")
         time.sleep(RETRY_S)
 

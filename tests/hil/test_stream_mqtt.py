@@ -103,7 +103,6 @@ def test_a_live_run_is_thinned_to_a_message_a_signal_and_period(
     run.write(5)
     stream = InThread(run, _to(broker), StreamOptions(every_s=every_s))
     until(lambda: heard.of("/T_tank_C"), "the stream follows")
-    assert heard.of("/state")[-1:] in ([], [heard.of("/state")[0]])
     run.write(18)
     run.finish()
     assert stream.result().state == "done"
@@ -119,7 +118,7 @@ def test_a_killed_stream_goes_on_and_repeats_one_tick_at_most(
     run = live_run(tmp_path, 400)
     run.write(300)
     with killed_at_the_end(run, "--to", _to(broker), "--all"):
-        until(lambda: len(_samples(heard)) > 500, "messages came")
+        until(lambda: len(_samples(heard)) > 100, "messages came")
     until(lambda: heard.of("/state")[-1:] and heard.of("/state")[-1]["state"] == "offline", "the last will came")
     assert len(_samples(heard)) < 300 * 19, "it was killed in the middle"
     run.finish()
