@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import math
+import socket
 import ssl
 import threading
 from collections.abc import Callable, Iterable
@@ -28,6 +29,8 @@ KEEPALIVE_S = 15
 OWN_TOPICS = ("state", "events")
 _REFUSED = {4, 5, 134, 135}
 """Return codes of MQTT 3.1.1 and 5 for a wrong user or password, and a client that may not connect."""
+_QUICK_ACK: int | None = getattr(socket, "TCP_QUICKACK", None)
+"""Option of Linux; it lasts until the next packet."""
 _QUALITY = {int(member): member.name.lower() for member in Quality}
 
 Message = tuple[str, str, bool]
@@ -156,6 +159,7 @@ class MqttStore:
         client.on_connect = lambda _client, _data, _flags, code, _properties: self._note_answer(code)
         client.on_publish = lambda _client, _data, mid, _code, _properties: self._note_acknowledgement(mid)
         client.on_disconnect = lambda *_arguments: self._note_loss()
+        client.on_socket_open = lambda _client, _data, wire: _send_at_once(wire, socket.TCP_NODELAY)
         client.connect_timeout = ANSWER_WITHIN_S
         try:
             client.connect(self._address.host, self._address.port, KEEPALIVE_S)
@@ -193,10 +197,19 @@ class MqttStore:
         self._note(lambda: setattr(self, "_answer", int(code.value)))
 
     def _note_acknowledgement(self, mid: int) -> None:
+        # A broker that collects small packets (Nagle, RFC 896) waits for our delayed acknowledgement: 40 ms a tick.
+        if _QUICK_ACK is not None and (wire := self._client.socket()) is not None:
+            _send_at_once(wire, _QUICK_ACK)
         self._note(lambda: self._acknowledged.add(mid))
 
     def _note_loss(self) -> None:
         self._note(lambda: setattr(self, "_lost", True))
+
+
+def _send_at_once(wire: Any, option: int) -> None:
+    """Set an option of TCP that keeps small packets from waiting."""
+    with contextlib.suppress(OSError):  # the wire was closed meanwhile
+        wire.setsockopt(socket.IPPROTO_TCP, option, 1)
 
 
 def _topic_part(name: str) -> str:
