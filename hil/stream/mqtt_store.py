@@ -153,8 +153,6 @@ class MqttStore:
         )
         if self._address.user is not None:
             client.username_pw_set(self._address.user, self._address.password)
-        if self._address.scheme == "mqtts":
-            client.tls_set()
         client.will_set(*self._offline()[:2], qos=1, retain=True)
         client.on_connect = lambda _client, _data, _flags, code, _properties: self._note_answer(code)
         client.on_publish = lambda _client, _data, mid, _code, _properties: self._note_acknowledgement(mid)
@@ -162,7 +160,11 @@ class MqttStore:
         client.on_socket_open = lambda _client, _data, wire: _send_at_once(wire, socket.TCP_NODELAY)
         client.connect_timeout = ANSWER_WITHIN_S
         try:
+            if self._address.scheme == "mqtts":
+                client.tls_set_context(self._checked_context())
             client.connect(self._address.host, self._address.port, KEEPALIVE_S)
+        except ssl.SSLEOFError:
+            raise self._down("the connection was lost") from None
         except ssl.SSLError as error:
             why = error.verify_message if isinstance(error, ssl.SSLCertVerificationError) else error.reason
             raise StreamError(
@@ -184,6 +186,15 @@ class MqttStore:
                 f"{self._address.shown}: the broker refused user or password; check them, or set HIL_MQTT_PASSWORD"
             )
         raise self._down("no answer of a broker" if answer is None else f"the broker refused with code {answer}")
+
+    def _checked_context(self) -> ssl.SSLContext:
+        """Return the TLS context after a handshake of its own: paho-mqtt leaves the socket of a failed one open."""
+        context, place = ssl.create_default_context(), (self._address.host, self._address.port)
+        with (
+            socket.create_connection(place, ANSWER_WITHIN_S) as wire,
+            context.wrap_socket(wire, server_hostname=self._address.host),
+        ):
+            return context
 
     def _down(self, why: str) -> StoreDownError:
         return StoreDownError(f"{self._address.shown} cannot be reached: {why}")

@@ -28,14 +28,23 @@ def free_port() -> int:
 
 
 class Broker:
-    """Broker that `start` begins; with a password only `plant` gets in."""
+    """Broker that `start` begins; with a password only `plant` gets in. `tls` is certificate and key."""
 
-    def __init__(self, folder: Path, password: str | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        password: str | None = None,
+        *,
+        host: str = "127.0.0.1",
+        tls: tuple[Path, Path] | None = None,
+    ) -> None:
         if BINARY is None:
             raise NoBroker("mosquitto is not installed (Debian: mosquitto)")
-        self.port = free_port()
+        self.host, self.port = host, free_port()
         self._process: subprocess.Popen[bytes] | None = None
-        lines = [f"listener {self.port} 127.0.0.1", "persistence false", "user root", "max_queued_messages 0"]
+        lines = [f"listener {self.port} {host}", "persistence false", "user root", "max_queued_messages 0"]
+        if tls is not None:
+            lines += [f"certfile {tls[0]}", f"keyfile {tls[1]}"]
         if password is None:
             lines.append("allow_anonymous true")
         else:
@@ -51,7 +60,7 @@ class Broker:
         self._process = subprocess.Popen(
             [BINARY, "-c", self._config], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
-        until(lambda: _listens(self.port), "the broker listens")
+        until(lambda: _listens(self.host, self.port), "the broker listens")
 
     def stop(self) -> None:
         """Kill the broker."""
@@ -97,6 +106,6 @@ def until(condition: Callable[[], object], what: str, within_s: float = 30.0) ->
         time.sleep(0.02)
 
 
-def _listens(port: int) -> bool:
+def _listens(host: str, port: int) -> bool:
     with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
+        return probe.connect_ex((host, port)) == 0

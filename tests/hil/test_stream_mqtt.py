@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import shutil
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from hil.bench.faults.tls import authority, signed
 from hil.stream import StreamOptions
 from hil.stream.address import parse_address
 from tests.hil.command_line import typed
@@ -189,6 +191,34 @@ def test_a_password_is_asked_and_in_no_message_and_no_file(tmp_path: Path, monke
     assert json.loads(stored[0].read_text()) == {"to": address, "tick": 4, "event": 2}
     for text in (wrong.stderr, right.stdout, *(path.read_text() for path in run.path.glob("stream-*"))):
         assert "s3cret" not in text and "n0t" not in text
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="certificates are made by openssl")
+@pytest.mark.parametrize(
+    ("host", "is_known", "said"),
+    [
+        ("127.0.0.1", True, ""),
+        ("127.0.0.1", False, "TLS failed (unable to get local issuer certificate)"),
+        ("127.0.0.2", True, "TLS failed (IP address mismatch"),
+    ],
+)
+def test_tls_takes_no_certificate_of_a_stranger_or_another_host(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, host: str, is_known: bool, said: str
+) -> None:
+    ours, strange = authority(tmp_path, "ours"), authority(tmp_path, "strange")
+    try:
+        broker = Broker(tmp_path, host=host, tls=signed(tmp_path, "broker", ours))
+    except NoBroker as error:
+        pytest.skip(str(error))
+    monkeypatch.setenv("SSL_CERT_FILE", str(ours[0] if is_known else strange[0]))
+    run = finished_run(tmp_path, 3)
+    broker.start()
+    try:
+        done = typed("stream", run.path, "--to", f"mqtts://{host}:{broker.port}/lab")
+    finally:
+        broker.stop()
+    assert done.returncode == (2 if said else 0)
+    assert said in done.stderr and len(done.stderr.splitlines()) == bool(said)
 
 
 def test_a_second_stream_to_the_same_broker_is_refused(broker: Broker, heard: Subscriber, tmp_path: Path) -> None:
