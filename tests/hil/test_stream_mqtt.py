@@ -5,9 +5,11 @@ from __future__ import annotations
 import datetime
 import json
 import shutil
+import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -244,6 +246,23 @@ def test_a_run_that_was_killed_is_streamed_as_interrupted(broker: Broker, heard:
     assert heard.of("/state")[-1]["state"] == "interrupted"
     assert run.writer is not None
     run.writer.close()
+
+
+def test_an_operator_who_stops_the_stream_leaves_the_state_offline(
+    broker: Broker, heard: Subscriber, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(_seconds: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hil.stream.session.time", SimpleNamespace(sleep=interrupted, monotonic=time.monotonic))
+    run = live_run(tmp_path, 10)
+    run.write(5)
+    done = typed("stream", run.path, "--to", _to(broker))
+    assert done.returncode == 130
+    assert "was stopped; start it again to go on" in done.stderr
+    until(lambda: len(heard.of("/state")) == 2, "both states came")
+    assert [document["state"] for document in heard.of("/state")] == ["running", "offline"]
+    run.finish()
 
 
 def test_giving_up_is_a_sentence_with_exit_code_1(tmp_path: Path) -> None:

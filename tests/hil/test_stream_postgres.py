@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import socket
 import threading
 from collections import Counter
 from collections.abc import Iterator
@@ -177,6 +178,15 @@ def test_a_wrong_password_or_database_is_one_sentence(
     assert said in done.stderr and len(done.stderr.splitlines()) == 1
     for secret in ("correct", "battery"):
         assert secret not in done.stderr
+
+
+def test_an_unknown_host_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(*_arguments: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", lost)
+    done = typed("stream", finished_run(tmp_path, 3).path, "--to", "postgresql://u:s3cret@lost.example.org/rigs")
+    assert (done.returncode, done.stderr) == (2, "hil: there is no host 'lost.example.org'; check the address\n")
 
 
 def test_options_of_mqtt_and_tables_of_others_are_refused(database: str, tmp_path: Path) -> None:
