@@ -26,7 +26,14 @@ _WIRE = {"keepalives_idle": 10, "tcp_user_timeout": 30_000}
 """Times by which a dead wire is noticed: s without data until the first probe, ms without acknowledgement."""
 _LOCK = 0x68696C
 """Key of the advisory lock under which tables are made: two streams may be the first at the same time."""
-_PERMANENT = ("authentication failed", "no password supplied", "does not exist", "pg_hba.conf", "certificate", "support SSL")
+_PERMANENT = (
+    "authentication failed",
+    "no password supplied",
+    "does not exist",
+    "pg_hba.conf",
+    "certificate",
+    "support SSL",
+)
 """Words of the server and of libpq for a refusal that trying again cannot help."""
 
 
