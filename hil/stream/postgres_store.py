@@ -22,7 +22,7 @@ ROWS = 200_000
 """Rows of a transaction at most: some 8 MB, so that little is sent again when the server goes away."""
 ANSWER_WITHIN_S = 10
 """Longest time to connect, s."""
-_WIRE = {"keepalives_idle": 10, "tcp_user_timeout": 30_000}
+_WIRE: dict[str, Any] = {"keepalives_idle": 10, "tcp_user_timeout": 30_000}
 """Times by which a dead wire is noticed: s without data until the first probe, ms without acknowledgement."""
 _LOCK = 0x68696C
 """Key of the advisory lock under which tables are made: two streams may be the first at the same time."""

@@ -167,14 +167,12 @@ def _opener(
         start, stride = Position(), _stride(options, source.run.period_s)
         if not options.everything and positions.read() is None and source.ended():
             start, stride = source.last_position(), 1  # the last values of a run that nobody followed
-        return lambda: module.MqttStore(  # type: ignore[no-any-return]
-            address, source.run, positions, start=start, stride=stride
-        )
+        return lambda: module.MqttStore(address, source.run, positions, start=start, stride=stride)
     if options.every_s is not None or options.everything:
         raise StreamError("a database gets every sample of a run; leave out --every and --all, which are for MQTT")
     module = _library("postgres_store", "psycopg", "psycopg")
     _unless_down(lambda: module.require_known_database_host(address))
-    return lambda: module.PostgresStore(address, source.run)  # type: ignore[no-any-return]
+    return lambda: module.PostgresStore(address, source.run)
 
 
 def _stride(options: StreamOptions, period_s: float) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 import shutil
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -135,35 +136,45 @@ def test_a_killed_stream_goes_on_and_repeats_one_tick_at_most(
     assert len({row[1] for row in doubled}) <= 1 and max(counted.values()) <= 2
 
 
-def test_a_broker_that_is_down_at_the_start_and_goes_away_later_gets_everything(tmp_path: Path) -> None:
+def test_a_broker_that_is_down_at_the_start_and_goes_away_later_gets_everything(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     try:
         broker = Broker(tmp_path)
     except NoBroker as error:
         pytest.skip(str(error))
+    may_call = threading.Event()  # the stream calls the broker again only after the subscriber is there
+    paced = SimpleNamespace(monotonic=time.monotonic, sleep=lambda _s: (time.sleep(0.05), may_call.wait(30)))
+    monkeypatch.setattr("hil.stream.session.time", paced)
     run = live_run(tmp_path, 30)
     run.write(10)
     stream = InThread(run, _to(broker))
     until(lambda: stream.said, "it says that the broker is down")
     assert stream.said[0].startswith(f"{_to(broker)} cannot be reached: ")
     broker.start()
-    seen: list[Any] = []
     try:
         heard = Subscriber(broker.port)
-        until(lambda: "is back" in stream.said[-1], "it is back")
+        may_call.set()
+        until(lambda: stream.said[-1].endswith("catches up"), "the backlog was sent")
         until(lambda: len(_samples(heard)) >= 10 * 19, "the backlog came")
-        seen += _samples(heard)
+        seen = _samples(heard)
         heard.close()
+        may_call.clear()
         broker.stop()
         run.write(10)
+        may_call.set()
         until(lambda: len(stream.said) == 3, "it says that the broker went away")
+        may_call.clear()
         broker.start()
         heard = Subscriber(broker.port)
+        may_call.set()
         run.finish()
         assert stream.result().ticks == 30
         until(lambda: heard.of("/state")[-1:] and heard.of("/state")[-1]["state"] == "done", "the end came")
         seen += _samples(heard)
         heard.close()
     finally:
+        may_call.set()
         broker.stop()
     assert set(seen) == set(_expected(run)), "nothing is missing"
     assert len(stream.said) == 4, "one sentence each: down, back, lost, back"
