@@ -49,9 +49,10 @@ def exit_code(error: BaseException) -> int | None:
         "ExportError",
         "HieraError",
         "TestPlanError",
+        "StreamError",
     }:
         return USAGE
-    if names & {"VirtualRigError", "ViewerError", "ControlError", "PdfError", "TowerOutputError"}:
+    if names & {"VirtualRigError", "ViewerError", "ControlError", "PdfError", "TowerOutputError", "StoreDownError"}:
         return FOUND
     return None
 

@@ -7,7 +7,6 @@ the last sample that came.
 from __future__ import annotations
 
 import io
-import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
@@ -18,6 +17,7 @@ import psycopg
 from psycopg import sql
 
 from drivers.historian.protocol import COLUMNS, HistorianError, Samples, empty
+from drivers.historian.server import index_by_time, without_password
 
 TABLE = "samples"
 PATIENCE_S = 60.0
@@ -160,11 +160,7 @@ class PostgresStore:
             "value double precision, quality smallint NOT NULL DEFAULT 0)"
         )
         self._base.execute(f"CREATE INDEX IF NOT EXISTS {TABLE}_tag_time ON {TABLE} (tag, timestamp)")
-        timescale = self._base.execute("SELECT 1 FROM pg_extension WHERE extname = 'timescaledb'").fetchone()
-        if timescale:
-            self._base.execute("SELECT create_hypertable(%s, 'timestamp', if_not_exists => true)", [TABLE])
-        else:
-            self._base.execute(f"CREATE INDEX IF NOT EXISTS {TABLE}_time ON {TABLE} USING brin (timestamp)")
+        index_by_time(self._base, TABLE, "timestamp")
         self._base.commit()
 
     def _connect(self) -> psycopg.Connection[Any]:
@@ -207,12 +203,6 @@ class PostgresStore:
                         f"{self.name}: went away and did not come back within {self._patience_s:g} s"
                     ) from error
             time.sleep(PAUSE_S)
-
-
-def without_password(url: str) -> str:
-    """Return the URL without its password, in its place before the host or among the parameters."""
-    shown = re.sub(r"^(\w+://[^:/@]*):[^/]*@(?=[^@]*$)", r"\1@", url)
-    return re.sub(r"([?&]password=)[^&]*", r"\1...", shown)
 
 
 def _first_line(error: Exception) -> str:

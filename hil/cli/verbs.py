@@ -34,6 +34,7 @@ VERBS = {
     "review": "Show a run in Rerun: measured against twin",
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",
+    "stream": "Send a live or finished run to MQTT or PostgreSQL",
     "test": "Judge a run by a test plan: verdicts, JUnit XML",
     "tower": "Cooling towers: historian, aligned record, calibration",
     "track": "Replay the calibrators on a record",
@@ -43,7 +44,19 @@ VERBS = {
 PACKAGES = {
     "hil.bench.commands": ("bench",),
     "hil.cli.rig_commands": ("check", "init", "profile", "rig"),
-    "hil.cli.run_commands": ("compare", "ctl", "export", "ls", "note", "report", "resume", "review", "run", "test"),
+    "hil.cli.run_commands": (
+        "compare",
+        "ctl",
+        "export",
+        "ls",
+        "note",
+        "report",
+        "resume",
+        "review",
+        "run",
+        "stream",
+        "test",
+    ),
     "hil.cli.tower_commands": ("tower",),
     "hil.cli.twin_commands": ("commission", "diagnose", "explain", "track", "train", "twin"),
 }
