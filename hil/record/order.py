@@ -57,7 +57,8 @@ def order(raw: RawRecord, axis: TimeAxis, signs: dict[str, Sign]) -> tuple[NDArr
             at = int(np.argmax(second))
             place = raw.place(int(rows[at]))
             if second.sum() > may_be_lost(len(rows)):
-                passed = span(float(stamps[:at].max() - stamps[at]))
+                # Where the newest row stands first, the segment may be the beginning of the file.
+                passed = span(float(stamps[:at].max() - stamps[at] if at else back))
                 raise RecordError(
                     f"{raw.path} {place}: the time goes back by {passed} to times that the file has already, and "
                     f"{second.sum()} rows would interleave with those before; if these are two records in one file, "

@@ -71,6 +71,11 @@ def test_a_restart_in_a_file_with_the_newest_row_first_is_refused(tmp_path: Path
         _read(tmp_path, list(reversed([*_from(0, 30), *_from(3, 30)])))
 
 
+def test_a_segment_that_begins_a_file_with_the_newest_row_first_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="goes back by .* to times that the file has already"):
+        _read(tmp_path, [*_from(0, 30), *_from(3, 25)][::-1])
+
+
 def test_columns_with_rows_of_their_own_may_follow_each_other(tmp_path: Path) -> None:
     rows = "".join(f"{t:g},{t / 10},\n" for t in _from(0, 30)) + "".join(f"{t:g},,500\n" for t in _from(3, 30))
     record = _text(tmp_path, f"time_s,T_in_C,fan_W\n{rows}")

@@ -6,6 +6,8 @@ import datetime
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from hil.record.reader import Record, RecordError, read_record
@@ -132,3 +134,10 @@ def test_signs_apart_and_exponents_of_fortran_are_numbers(tmp_path: Path, cells:
     record = read_record(path)
     assert record.columns["T_in_C"].tolist() == [20.5, -3.0, 21.0]
     assert record.start == datetime.datetime(2026, 3, 4, 9, 30, 15, tzinfo=datetime.UTC)
+
+
+def test_numbers_beyond_a_day_are_no_clock_however_large(tmp_path: Path) -> None:
+    table = pa.table({"clock": [1e308, 93015.0, 93016.0], "T_in_C": [20.0, 21.0, 22.0]})
+    pq.write_table(table, tmp_path / "record.parquet")
+    with pytest.raises(RecordError, match="record.parquet"):
+        read_record(tmp_path / "record.parquet")

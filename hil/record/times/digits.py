@@ -38,13 +38,15 @@ class _Clock:
 
     def seconds(self, values: Values) -> Values | None:
         """Return seconds after midnight of `values (n,)`, None where one is no time of day; 2400 ends the day."""
+        known = np.isfinite(values)
+        if not ((values[known] >= 0.0) & (values[known] <= 24.0 * self.hour)).all():
+            return None
         rest = values % self.hour
         hours, minutes = values // self.hour, rest // self.minute
         seconds = rest % self.minute if self.minute > 1 else np.zeros_like(values)
         made = hours * 3600.0 + minutes * 60.0 + seconds
-        known = np.isfinite(values)
         whole = self.minute > 1 or (values[known] == np.round(values[known])).all()
-        fits = (values >= 0) & (minutes < 60) & (seconds < 60) & (made <= _DAY_S)
+        fits = (minutes < 60) & (seconds < 60) & (made <= _DAY_S)
         return made if whole and bool(fits[known].all()) else None
 
 
