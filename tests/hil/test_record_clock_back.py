@@ -72,7 +72,7 @@ def test_a_restart_in_a_file_with_the_newest_row_first_is_refused(tmp_path: Path
 
 
 def test_a_segment_that_begins_a_file_with_the_newest_row_first_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match="goes back by .* to times that the file has already"):
+    with pytest.raises(RecordError, match=r"goes back by .* to times that the file has already"):
         _read(tmp_path, [*_from(0, 30), *_from(3, 25)][::-1])
 
 

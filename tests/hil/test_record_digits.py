@@ -139,5 +139,5 @@ def test_signs_apart_and_exponents_of_fortran_are_numbers(tmp_path: Path, cells:
 def test_numbers_beyond_a_day_are_no_clock_however_large(tmp_path: Path) -> None:
     table = pa.table({"clock": [1e308, 93015.0, 93016.0], "T_in_C": [20.0, 21.0, 22.0]})
     pq.write_table(table, tmp_path / "record.parquet")
-    with pytest.raises(RecordError, match="record.parquet"):
+    with pytest.raises(RecordError, match=r"record\.parquet"):
         read_record(tmp_path / "record.parquet")
