@@ -118,6 +118,8 @@ def _cells(cells: Any) -> list[str | None]:
 
     if kinds.is_floating(cells.type):
         return [None if cell is None else repr(cell) for cell in cells.to_pylist()]
+    if kinds.is_nested(cells.type):  # a structure or a list names no series
+        return [None] * len(cells)
     text: list[str | None] = cells.cast(pa.string()).to_pylist()
     return text
 

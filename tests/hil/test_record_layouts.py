@@ -151,3 +151,13 @@ def test_check_takes_a_record_for_one_in_every_layout(tmp_path: Path, text: str)
     path.write_text(text, encoding="utf-8")
     code, printed = hil("check", path)
     assert code == 0 and f"{path}: " in printed and " samples over " in printed
+
+
+def test_a_column_of_structures_is_refused_or_left_out(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.table({"time": ["a", "b"] * 3, "series": [{"a": 1}] * 6, "value": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]})
+    pq.write_table(table, tmp_path / "nested.parquet")
+    with pytest.raises(RecordError, match=r"nested\.parquet"):
+        read_record(tmp_path / "nested.parquet")
