@@ -100,8 +100,10 @@ def simulate_fine_steps(
     TwinFileError
         The network has actuators, or elements with a memory of samples.
 
-    Notes ----- Heun's method. Water is followed by the volume that has been pushed in behind it, on a straight line
-    between its values at the ends of steps: the error is of second order in the step.
+    Notes
+    -----
+    Heun's method. Water is followed by the volume that has been pushed in behind it, on a straight line between its
+    values at the ends of steps: the error is of second order in the step.
     """
     system = NetworkEquations(network, ())
     if system.drives or system.memories:

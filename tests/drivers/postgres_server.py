@@ -7,7 +7,10 @@ import pwd
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
 
 BINARIES = sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
 
@@ -98,3 +101,23 @@ class Server:
             done = subprocess.run(command, cwd="/tmp", stdout=output, stderr=output, timeout=120, check=False)
         if done.returncode:
             raise NoServer(f"{program} failed: {(self.folder / 'output').read_text()[-300:]}")
+
+
+def serving() -> Iterator[Server]:
+    """Yield a server for a fixture, and skip its tests where none can be started."""
+    try:
+        running = Server()
+    except NoServer as error:
+        pytest.skip(str(error))
+    yield running
+    running.remove()
+
+
+def emptied(server: Server, name: str) -> str:
+    """Return the URL of a database of this name that is made anew."""
+    import psycopg
+
+    with psycopg.connect(server.url(), autocommit=True) as base:
+        base.execute(f"DROP DATABASE IF EXISTS {name} WITH (FORCE)")
+        base.execute(f"CREATE DATABASE {name}")
+    return server.url(database=name)

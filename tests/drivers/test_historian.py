@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from drivers.historian import HistorianError, HistorianStore, Samples, open_store
-from tests.drivers.postgres_server import NoServer, Server
+from tests.drivers.postgres_server import Server, emptied, serving
 
 duckdb = pytest.importorskip("duckdb", reason="duckdb is not installed")
 psycopg = pytest.importorskip("psycopg", reason="psycopg is not installed")
@@ -22,21 +22,13 @@ psycopg = pytest.importorskip("psycopg", reason="psycopg is not installed")
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:
-    try:
-        running = Server()
-    except NoServer as error:
-        pytest.skip(str(error))
-    yield running
-    running.remove()
+    yield from serving()
 
 
 @pytest.fixture
 def database(server: Server) -> str:
     """URL of an empty database."""
-    with psycopg.connect(server.url(), autocommit=True) as base:
-        base.execute("DROP DATABASE IF EXISTS plant WITH (FORCE)")
-        base.execute("CREATE DATABASE plant")
-    return server.url(database="plant")
+    return emptied(server, "plant")
 
 
 @pytest.fixture(params=["folder", "duckdb", "postgres"])

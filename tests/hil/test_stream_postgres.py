@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.drivers.postgres_server import NoServer, Server
+from tests.drivers.postgres_server import Server, emptied, serving
 from tests.hil.command_line import typed
 from tests.hil.mosquitto_broker import until
 from tests.hil.streamed_run import NAME, InThread, StreamedRun, finished_run, killed_at_the_end, live_run
@@ -24,21 +24,13 @@ PROJECT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:
-    try:
-        running = Server()
-    except NoServer as error:
-        pytest.skip(str(error))
-    yield running
-    running.remove()
+    yield from serving()
 
 
 @pytest.fixture
 def database(server: Server) -> str:
     """URL of an empty database."""
-    with psycopg.connect(server.url(), autocommit=True) as base:
-        base.execute("DROP DATABASE IF EXISTS rigs WITH (FORCE)")
-        base.execute("CREATE DATABASE rigs")
-    return server.url(database="rigs")
+    return emptied(server, "rigs")
 
 
 def _rows(url: str, query: str) -> list[tuple[Any, ...]]:

@@ -31,8 +31,10 @@ class Kernel:
         Include in a full state all memory that the parameters in `lane_ids` may bring along, such as a lag that is 0 in
         the network. Only this kernel can then take up that state.
 
-    Notes ----- Parameter vectors are always full, (p,) or (P, p) in the order of ``network.ids``; columns outside
-    `lane_ids` must be the same for all particles of a call.
+    Notes
+    -----
+    Parameter vectors are always full, (p,) or (P, p) in the order of ``network.ids``; columns outside `lane_ids` must
+    be the same for all particles of a call.
 
     Arrays: time (n,) s, not decreasing; inputs (n, c); measured (n, m) degC with NaN where masked. Inputs hold from
     a sample to the next; NaN in an input holds the last good value (the network's nominal before the first).

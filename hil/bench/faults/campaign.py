@@ -72,10 +72,9 @@ def measure(
     jobs: int = 2,
     two: bool = False,
 ) -> tuple[tuple[ReportTable, ...], tuple[str, ...], bool]:
-    """Return the campaign's tables, everything left out, and True if no requirement was broken. `progress`: share done,
-    last case. `two`: `runs` pairs of faults.
+    """Return the campaign's tables, everything left out, and True if no requirement was broken.
 
-    `two`: `runs` pairs of faults.
+    `progress` gets the share done and the last case. `two`: `runs` pairs of faults.
     """
     keep = work / f"{fingerprint()}_{seed}"
     keep.mkdir(parents=True, exist_ok=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -94,13 +94,9 @@ def command(
     from hil.run.session import RunRequest, check_session, run_session
     from hil.run_folder import Labels
 
-    if lockstep and speed is not None:
-        raise click.UsageError("--lockstep and --speed exclude each other; choose one")
-    if control is not None and virtual:
-        raise click.UsageError("--control and --virtual exclude each other; use the running rig or start a virtual one")
+    mode = mode_of(virtual=virtual, lockstep=lockstep, speed=speed, control=control)
     if diagnose is None and (healthy is not None or adopt):
         raise click.UsageError("--healthy and --adopt belong to --diagnose; add --diagnose end, or hourly")
-    mode = "lockstep" if lockstep or control is not None else "scaled" if speed is not None else "real"
     request = RunRequest(
         profile=profile,
         rig=rig,
@@ -108,7 +104,7 @@ def command(
         use_twin=not no_twin,
         runs=runs,
         virtual=virtual,
-        mode=mode,  # type: ignore[arg-type]
+        mode=mode,
         speed=1.0 if speed is None else speed,
         seed=seed,
         effects=effects,
@@ -145,6 +141,17 @@ def command(
             live.show_result(result)
     if result.exit_code:
         sys.exit(result.exit_code)
+
+
+def mode_of(
+    *, virtual: bool, lockstep: bool, speed: float | None, control: str | None
+) -> Literal["real", "scaled", "lockstep"]:
+    """Return the mode that options ask for; raise click.UsageError if they exclude each other."""
+    if lockstep and speed is not None:
+        raise click.UsageError("--lockstep and --speed exclude each other; choose one")
+    if control is not None and virtual:
+        raise click.UsageError("--control and --virtual exclude each other; use the running rig or start a virtual one")
+    return "lockstep" if lockstep or control is not None else "scaled" if speed is not None else "real"
 
 
 def address(text: str) -> tuple[str, int]:

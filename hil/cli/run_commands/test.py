@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.options import CALIBRATORS, INPUT_FILE, INPUT_PATH, VIRTUAL_RIG, label_options
-from hil.cli.run_commands.run import address, as_json_document
+from hil.cli.run_commands.run import address, as_json_document, mode_of
 
 if TYPE_CHECKING:
     from hil.run.session import RunRequest
@@ -85,16 +85,12 @@ def command(
         if virtual or lockstep or control is not None or effects is not None:
             raise click.UsageError("--on judges a recorded run, and moves no rig; take --virtual and the like out")
         _judge(plan, run, check_only, as_json)
-    if lockstep and speed is not None:
-        raise click.UsageError("--lockstep and --speed exclude each other; choose one")
-    if control is not None and virtual:
-        raise click.UsageError("--control and --virtual exclude each other; use the running rig or start a virtual one")
+    mode = mode_of(virtual=virtual, lockstep=lockstep, speed=speed, control=control)
     from hil.run.session import RunRequest
     from hil.run_folder import Labels
     from hil.testing import read_plan
 
     read = read_plan(plan)
-    mode = "lockstep" if lockstep or control is not None else "scaled" if speed is not None else "real"
     request = RunRequest(
         profile=_profile(read),
         rig=rig or read.rig or INPUT_FILE.convert(VIRTUAL_RIG, None, None),
@@ -102,7 +98,7 @@ def command(
         use_twin=not no_twin,
         runs=runs,
         virtual=virtual,
-        mode=mode,  # type: ignore[arg-type]
+        mode=mode,
         speed=1.0 if speed is None else speed,
         seed=seed,
         effects=effects,

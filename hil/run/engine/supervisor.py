@@ -2,8 +2,8 @@
 
 Operators come first, interlocks have the last word. A trip ends the run, unless the rig file lets it wait for an
 acknowledgement (`acknowledge_within_s`): then the run is paused, and nothing moves until the trip is acknowledged with
-its cause gone, the rig armed again, and the run resumed. A trip during a
-thermal restore waits for nobody: the run can be resumed again. Hold, pause and resume are obeyed there, too.
+its cause gone, the rig armed again, and the run resumed. A trip during a thermal restore waits for nobody: the run can
+be resumed again. Hold, pause and resume are obeyed there, too.
 """
 
 from __future__ import annotations

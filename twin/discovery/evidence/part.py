@@ -120,23 +120,20 @@ class Part:
         self.contest.look_at(self.run)
 
 
-def fitted(part: Part, groups: list[tuple[Entry, ...]], rounds: int = ROUNDS) -> list[tuple[Fit, tuple[Entry, ...]]]:
-    """Each group of effects fitted, from the commissioned values, side by side; the part's contest is left alone."""
-    keys = [(rounds, *_named(group)) for group in groups]
+def fitted(
+    part: Part, groups: list[tuple[Entry, ...]], rounds: int = ROUNDS, moved: Array | None = None
+) -> list[tuple[Fit, tuple[Entry, ...]]]:
+    """Each group of effects fitted, side by side; the part's contest is left alone.
+
+    Args:
+        moved: (q + s * k,) of tunables and state from where the fits begin, by default the commissioned values. Where a
+            fit of the same effects with other times ended the minimum is near, and a few rounds find it.
+    """
+    begun = b"" if moved is None else moved.tobytes()
+    keys = [(rounds, begun, *_named(group)) for group in groups]
     new = {key: group for key, group in zip(keys, groups, strict=True) if key not in part.fits}
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-        found = pool.map(lambda g: _fit(part, part.contest, g, rounds=rounds), new.values())
-        part.fits.update(zip(new, found, strict=True))
-    return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
-
-
-def followed(part: Part, groups: list[tuple[Entry, ...]], moved: Array) -> list[tuple[Fit, tuple[Entry, ...]]]:
-    """Each group of effects fitted from `moved`, where a fit of the same effects with other times ended: its minimum
-    is near, and a few rounds tell whether it is lower."""
-    keys = [("followed", moved.tobytes(), *_named(group)) for group in groups]
-    new = {key: group for key, group in zip(keys, groups, strict=True) if key not in part.fits}
-    with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-        found = pool.map(lambda g: _fit(part, part.contest, g, moved, AGAIN), new.values())
+        found = pool.map(lambda g: _fit(part, part.contest, g, moved, rounds), new.values())
         part.fits.update(zip(new, found, strict=True))
     return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
 

@@ -14,11 +14,11 @@ from twin.discovery.diagnosis import Rung
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.evidence.marginal import form_quadratic, joint
-from twin.discovery.evidence.part import Part, continued, fitted, followed, slower
+from twin.discovery.evidence.part import Part, continued, fitted, slower
 from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, SPREAD, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK
-from twin.discovery.refit.fitting import Fit, look_at
+from twin.discovery.refit.fitting import AGAIN, Fit, look_at
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
@@ -336,10 +336,11 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
 
     def fit_each(i: int, entries: list[Entry]) -> None:
         nonlocal best, tried
+        assert best.fit is not None  # only fitted hypotheses are tried at other times
         groups = [(*best.entries[:i], entry, *best.entries[i + 1 :]) for entry in entries]
         new = [
             _with_fit(part, replace(_set(part, group, prior), entries=group), fit, misfit)
-            for fit, group in (followed(part, groups, best.fit.moved) if best.fit is not None else [])
+            for fit, group in fitted(part, groups, AGAIN, best.fit.moved)
         ]
         tried += new
         best = max((best, *new), key=lambda h: h.odds)
