@@ -86,9 +86,8 @@ def diagnose(
         if alone.settled or left.verdict != "unexplained":
             return apart
     say("scanning")
-    inquiry = Inquiry(network, record, known, grid, say)
-    whole = inquiry.whole
-    answer = inquiry.answer(held_out)
+    inquiry, answer = Inquiry.of(network, record, known, grid, say).settled(held_out)
+    known, whole = inquiry.known, inquiry.whole
     finding, split = answer.finding, answer.split
     notes = [*unread, *_said(known, gaps, stood), *answer.notes]
     answers = [e.candidate for r in finding.ranked for e in r.entries]
@@ -141,7 +140,7 @@ def diagnose(
 
 def _said(known: Basis, *others: Segments | Standstill | None) -> list[str]:
     """What is to say of a healthy record and of a record's gaps and standstills."""
-    said = (known, known.structure, known.bootstrap, *others)
+    said = (known, known.structure, known.missing, known.bootstrap, *others)
     return [told.sentence for told in said if told is not None and told.sentence]
 
 

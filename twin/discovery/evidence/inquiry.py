@@ -16,10 +16,11 @@ from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.held_out import HeldOutRecord
 from twin.discovery.evidence.marginal import joint
+from twin.discovery.evidence.missing_in_health import with_missing, with_missing_beside
 from twin.discovery.evidence.part import Part, fitted, plainly
 from twin.discovery.evidence.priors import CLAIM, FAULT, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
-from twin.discovery.evidence.search import Found, Hypothesis, Prior, apart, ladder_of, searched
+from twin.discovery.evidence.search import MOST_EFFECTS, Found, Hypothesis, Prior, apart, ladder_of, searched
 from twin.discovery.healthy.basis import Basis, Columns
 from twin.discovery.records.grid import Grid
 from twin.discovery.refit.fitting import AGAIN, Fit, look_at
@@ -58,11 +59,19 @@ class Inquiry:
     record: Columns
     known: Basis
     grid: Grid
+    begun: Part
     say: Callable[[str], None]
+
+    @classmethod
+    def of(cls, network: Network, record: Columns, known: Basis, grid: Grid, say: Callable[[str], None]) -> Inquiry:
+        """Return the inquiry of a record, beside what the twin lacked in health already."""
+        begun = Part.of(known, grid)
+        more = with_missing(begun)
+        return cls(network, record, more, grid, begun if more is known else Part.of(more, grid), say)
 
     @cached_property
     def _scanned(self) -> tuple[Part, tuple[Candidate, ...]]:
-        whole = Part.of(self.known, self.grid)
+        whole = self.begun
         forms = _nearer(whole)
         whole.add(forms)
         return whole, forms
@@ -85,6 +94,21 @@ class Inquiry:
     @cached_property
     def _held_out(self) -> HeldOutRecord:
         return HeldOutRecord(self.network, self.record, self.grid, self.known.plain)
+
+    def settled(self, held_out: float) -> tuple[Inquiry, SplitFinding]:
+        """Return the answer, and the inquiry that it is of: beside what the twin lacked in health already.
+
+        Args:
+            held_out: share of the record, at its end, that no fit sees, unless it holds what the rest does not show.
+        """
+        inquiry = self
+        for _ in range(MOST_EFFECTS):
+            answer = inquiry.answer(held_out)
+            more = with_missing_beside(answer.train, answer.finding.entries)
+            if more is inquiry.known:
+                break
+            inquiry = replace(inquiry, known=more, begun=Part.of(more, self.grid))
+        return inquiry, answer
 
     def answer(self, held_out: float) -> SplitFinding:
         """Return the effects that are told, and what was kept out of their fit.

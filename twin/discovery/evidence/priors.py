@@ -12,6 +12,9 @@ from twin.discovery.scoring.search import Entry
 FAULT = 0.05
 """Probability of a fault in a record, and of each further independent one. A judgement: a factor of 2 in it shifts all
 odds by 0.7, little beside `CLAIM`."""
+MISSING_IN_HEALTH = 0.5
+"""Probability that a twin lacks a law which its rig has always had, and of each further one. A judgement: every lumped
+twin lacks some, but only what a record shows again matters."""
 UNLISTED = 0.1
 """Share of faults that are of no named law. A judgement, not a count."""
 SPREAD = 5.0

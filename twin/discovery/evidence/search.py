@@ -23,6 +23,7 @@ from twin.discovery.refit.model import Model
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
+from twin.elements.candidates import Candidate
 
 LEADING = 24
 """Single effects that are tried as one of a pair; a prototype missed true pairs with five."""
@@ -114,11 +115,15 @@ class Prior:
 
     def of(self, entry: Entry) -> float:
         """Return the log probability of an effect, apart from its time course and size."""
-        place, is_open = class_of(entry), bool(entry.candidate.column)
+        return math.log(FAULT) + self.share(entry.candidate)
+
+    def share(self, candidate: Candidate) -> float:
+        """Return the log probability that a fault is one of this law."""
+        place, is_open = (candidate.kind, candidate.where), bool(candidate.column)
         alike, others = self._each[is_open].get(place, 1.0), self._each[not is_open].get(place, 0.0)
         share = (UNLISTED if is_open else 1.0 - UNLISTED) if others else 1.0
-        weight = DRIVERS.get(entry.candidate.driver, 1.0) / alike
-        return math.log(FAULT * share * weight * KINDS.get(place[0], 0.5) / self._total)
+        weight = DRIVERS.get(candidate.driver, 1.0) / alike
+        return math.log(share * weight * KINDS.get(place[0], 0.5) / self._total)
 
 
 def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
@@ -132,8 +137,8 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
     part.reset()
     say("scanning by evidence")
     scanned = sorted([*part.scanned, *scan(contest, part.opened)], key=lambda e: -e.log_bayes)
-    leading = [refined(contest, e) for e in _leading(scanned, prior)]
-    level = sorted((_set(part, (e,), prior) for e in leading), key=lambda h: -h.odds)
+    first = [refined(contest, e) for e in leading(scanned, prior)]
+    level = sorted((_set(part, (e,), prior) for e in first), key=lambda h: -h.odds)
     misfit = contest.misfit
     found: list[Hypothesis] = []
     for count in range(1, MOST_EFFECTS + 1):
@@ -144,7 +149,7 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
         if _explained(found, contest):
             break
         if count == 1:
-            found = _late(part, found, prior, misfit)
+            found = late_ones(part, found, prior, misfit)
         found = _retimed(part, found, prior, misfit)
         if _explained(found, contest):
             break
@@ -162,7 +167,7 @@ def _explained(found: list[Hypothesis], contest: Contest) -> bool:
     return found[0].fit is not None and found[0].fit.chi <= contest.expected
 
 
-def _leading(entries: list[Entry], prior: Prior) -> list[Entry]:
+def leading(entries: list[Entry], prior: Prior) -> list[Entry]:
     """Return the likeliest entries, some of each class, one of each candidate and shape."""
     entries = sorted(entries, key=lambda e: -(e.log_bayes + prior.of(e)))
     taken: Counter[Class] = Counter()
@@ -191,13 +196,13 @@ def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[Can
     for rank, one in enumerate(known[: LEADING if len(known[0].entries) == 1 else FITTED]):
         beside = joint(part.contest, _at_first_order(part, one))
         scanned = [e for e in scan(part.contest, laws, beside, timed=rank < PER_CLASS) if apart(e, one.entries)]
-        for entry in _leading(scanned, prior)[:BESIDE]:
+        for entry in leading(scanned, prior)[:BESIDE]:
             if entry.log_bayes + prior.of(entry) <= 0.0:
                 break
             hypothesis = _set(part, (*_at_first_order(part, one), refined(part.contest, entry, beside)), prior)
             grown.setdefault(_key(hypothesis), hypothesis)
-    leading = sorted(grown.values(), key=lambda h: -h.odds)[: 2 * LEADING]
-    settled = [_set(part, _settled(part, h.entries[:-1], h.entries[-1]), prior) for h in leading]
+    likeliest = sorted(grown.values(), key=lambda h: -h.odds)[: 2 * LEADING]
+    settled = [_set(part, _settled(part, h.entries[:-1], h.entries[-1]), prior) for h in likeliest]
     return sorted(settled, key=lambda h: -h.odds)
 
 
@@ -296,7 +301,7 @@ def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
     )
 
 
-def _late(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
+def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
     """Return the hypotheses with lags and delays, fitted from a large size: they are not linear in it."""
     onset = found[0].entries[0].shape.onset_s if found else 0.0
     known = {e.candidate.id for h in found if h.fit is not None for e in h.entries}
@@ -313,7 +318,8 @@ def _late(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> l
     gained = [(f, e) for f, (_, (e,)) in zip(begun, first, strict=True) if misfit - f.total > 2.0 * CLAIM]
     gained.sort(key=lambda g: g[0].total)
     late = [_with_fit(part, replace(_set(part, (e,), prior), entries=(e,)), fit, misfit) for fit, e in gained[:FITTED]]
-    return _settled_fits(part, sorted([*found, *late], key=lambda h: -h.odds), misfit)
+    every = sorted([*found, *late], key=lambda h: -h.odds)
+    return _settled_fits(part, every, misfit) if every else []
 
 
 def _retimed(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:

@@ -14,6 +14,7 @@ from twin.discovery.effects.laws import Book, CandidateLaw
 from twin.discovery.effects.operating import offsets
 from twin.discovery.effects.probe import FreeRun, Probe, free_run
 from twin.discovery.healthy.health import Health
+from twin.discovery.healthy.in_health import InHealth, MissingInHealth
 from twin.discovery.healthy.widening import Bootstrap, kept
 from twin.discovery.records import noise as noises
 from twin.discovery.records.grid import Grid, on_grid
@@ -73,6 +74,7 @@ class Basis:
             that is known.
         bootstrap: what healthy records drawn from this twin came to, where that was found out (`bootstrap`).
         earlier: the twin that the healthy record belongs to, where it is not the one at hand, or None.
+        health: the healthy record, or None. missing: laws that it and a record say the twin lacked in health already.
     """
 
     probe: Probe
@@ -85,6 +87,8 @@ class Basis:
     structure: Structure | None = None
     bootstrap: Bootstrap | None = None
     earlier: Network | None = None
+    health: InHealth | None = None
+    missing: MissingInHealth | None = None
 
     @property
     def sentence(self) -> str:
@@ -149,6 +153,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
             structure=health.structure,
             bootstrap=kept(network, healthy.time_s, healthy.inputs, healthy.measured),
             earlier=None if of is probe else of.network,
+            health=health.itself,
         )
     state, _, residual, _ = free_run(probe, record)
     prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state[: probe.k], 0.3)

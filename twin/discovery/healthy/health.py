@@ -11,6 +11,7 @@ from twin.commissioning import variance_inflation
 from twin.discovery.effects.laws import Book, CandidateLaw
 from twin.discovery.effects.operating import offsets
 from twin.discovery.effects.probe import FreeRun, Probe, free_run, posterior
+from twin.discovery.healthy.in_health import InHealth
 from twin.discovery.records import noise as noises
 from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.records.noise import Noise
@@ -41,7 +42,8 @@ class NotHealthyError(TwinFileError):
 class Health:
     """What a healthy record says: noise as it is, `less` of it where the structure is known, and the rest.
 
-    `rough` says what the twin leaves of it, where that is far more than noise, else "".
+    `itself` is the record for further questions; `rough` says what the twin leaves of it, where that is far more than
+    noise, else "".
     """
 
     grid: Grid
@@ -49,6 +51,7 @@ class Health:
     less: Noise
     prior: GaussianPrior
     structure: Structure
+    itself: InHealth
     rough: str = ""
 
     @classmethod
@@ -71,7 +74,7 @@ class Health:
         amount = _readings(structure, probe, grid, state, run, noise, held, [*laws, *here])
         less = noises.learn(residual - FORETOLD * amount, grid.sigma, grid.step_s, run.readings)
         structure = structure_of(Contest(probe, grid, state, run, less, held), laws, here)
-        return cls(grid, noise, less, prior, structure, rough)
+        return cls(grid, noise, less, prior, structure, InHealth(probe, book, grid, state, run, noise), rough)
 
 
 def _rough(network: Network, rms: Array) -> str:

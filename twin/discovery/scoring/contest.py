@@ -140,10 +140,11 @@ class Contest:
         # Columns go place by place, blocks within a place.
         columns = np.concatenate([heat, onto], axis=3).transpose(0, 1, 3, 2).reshape(self.b, self.m, -1)
         self._columns = self._white(filled(columns, self.known, ANCHOR)).reshape(self.b * self.m, -1)
-        self._open, self._less = self._left_by(structure, laws)
-        self._columns = self._narrowed(self._columns)
+        self._open: tuple[Array, Array] | None = None
         sensitivities = self.seen(np.moveaxis(probe.sensitivities(grid, state), 2, 0))
         self.slopes = self.features(np.moveaxis(sensitivities, 0, 2))
+        self._open, self._less = self._left_by(structure, laws)
+        self._columns, self.slopes = self._narrowed(self._columns), self._narrowed(self.slopes)
         self._normal = self.slopes.T @ self.slopes + self.prior.precision
         cross = self.slopes.T @ self._columns
         self._taken = np.linalg.solve(self._normal, cross)
@@ -204,7 +205,7 @@ class Contest:
         if structure is None or not here:
             return None, np.zeros(self.b * self.m)
         vectors = np.stack([self.vector(known[structure.candidates[i].id]) for i in here])
-        signatures = self.signatures(vectors)
+        signatures = self.signatures(vectors) + self.slopes[:, : self.probe.q] @ structure.moved(here, self.probe.q)
         values, axes = np.linalg.eigh(structure.covariance[np.ix_(here, here)])
         spread = signatures @ (axes * np.sqrt(np.maximum(values, 0.0)))
         directions, singular, _ = np.linalg.svd(spread, full_matrices=False)
@@ -305,9 +306,18 @@ class Contest:
 
     def across(self, signatures: Array) -> Array:
         """Gram matrix (e, e) of whitened signatures (b * m, e), tunables and initial state projected out."""
+        return self.beside_tunables(signatures)[1]
+
+    def beside_tunables(self, signatures: Array) -> tuple[Array, Array, Array]:
+        """Tunables and initial state projected out of whitened signatures (b * m, e).
+
+        Returns moves (q + s * k, e) of tunables and state with a unit of each, the Gram matrix (e, e) and score (e,).
+        """
         pull = self.slopes.T @ signatures
-        gram: Array = signatures.T @ signatures - pull.T @ np.linalg.solve(self._normal, pull)
-        return gram
+        moves = np.asarray(-np.linalg.solve(self._normal, pull), dtype=np.float64)
+        gram: Array = signatures.T @ signatures + pull.T @ moves
+        score: Array = signatures.T @ self.residual + moves.T @ (self.slopes.T @ self.residual)
+        return moves, gram, score
 
     def moved(self, vectors: Array, sizes: Array) -> Array:
         """Change of [tunables z, initial state] (q + s * k,) that goes with effects of these sizes."""

@@ -13,8 +13,8 @@ of physical laws; the width by type II maximum likelihood (Rasmussen & Williams,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
@@ -42,6 +42,7 @@ class Structure:
         candidates: l of them. sizes: (l,) in their units. covariance: (l, l).
         width: standard deviation of offsets at operating points before the record was seen, in typical sizes; 0 where
             it speaks for none. evidence: logarithm of the record's probability.
+        moves: candidate id -> (q,) move of the tunables, z, that goes with a unit of it; none for most.
     """
 
     candidates: tuple[Candidate, ...]
@@ -49,6 +50,28 @@ class Structure:
     covariance: Array
     width: float = 0.0
     evidence: float = -np.inf
+    moves: Mapping[str, Array] = field(default_factory=dict)
+
+    def moved(self, which: Sequence[int], q: int) -> Array:
+        """Return the moves (q, n) of the tunables with a unit of each of n candidates."""
+        none = np.zeros(q)
+        return np.array([self.moves.get(self.candidates[i].id, none) for i in which]).reshape(-1, q).T
+
+    def with_laws(self, candidates: Sequence[Candidate], sizes: Array, covariance: Array, moves: Array) -> Structure:
+        """Return the same with laws (n,) of which a healthy record says so much for itself.
+
+        Args:
+            sizes: (n,). covariance: (n, n). moves: (q, n) of the tunables with a unit of each.
+        """
+        ids = [c.id for c in candidates]
+        rest = [i for i, c in enumerate(self.candidates) if c.id not in ids]
+        return replace(
+            self,
+            candidates=(*(self.candidates[i] for i in rest), *candidates),
+            sizes=np.concatenate([self.sizes[rest], sizes]),
+            covariance=block_diag(self.covariance[np.ix_(rest, rest)], covariance),
+            moves={**self.moves, **dict(zip(ids, moves.T, strict=True))},
+        )
 
     def beyond(self, offsets: Sequence[CandidateLaw]) -> Structure:
         """The same with offsets at points of another record that the healthy one could say nothing of."""
@@ -58,7 +81,8 @@ class Structure:
         new = tuple(law.candidate for law in offsets if law.candidate.id not in known)
         alone = np.array([self.width * c.typical for c in new]) ** 2
         covariance = block_diag(self.covariance, np.diag(alone)) if new else self.covariance
-        return Structure((*self.candidates, *new), np.append(self.sizes, np.zeros(len(new))), covariance, self.width)
+        sizes = np.append(self.sizes, np.zeros(len(new)))
+        return replace(self, candidates=(*self.candidates, *new), sizes=sizes, covariance=covariance)
 
     @property
     def sentence(self) -> str:

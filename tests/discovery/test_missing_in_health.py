@@ -1,0 +1,93 @@
+"""Laws that a twin lacked in health already are no change, as far as the healthy record says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.discovery.conftest import Bench
+from twin.discovery.engine import diagnose
+from twin.discovery.evidence.missing_in_health import with_missing
+from twin.discovery.evidence.part import Part
+from twin.discovery.healthy.basis import Basis, Columns, basis
+from twin.discovery.records.grid import on_grid
+from twin.kernel import Kernel
+
+LAG_S = 60.0
+"""Of the tank's thermometer, which the twin lacks; four times what a lumped twin is thought to lack anyway."""
+
+
+def calm(bench: Bench, rig: Bench, hours: float = 10.0) -> Columns:
+    """A healthy record in which the power stays, so that it hardly tells how late the thermometers are."""
+    t, u = bench.inputs(hours, 7)
+    u[:, 0] = 740.0
+    return read(rig, t, u, seed=107)
+
+
+def read(rig: Bench, t: np.ndarray, u: np.ndarray, seed: int) -> Columns:
+    net = rig.network
+    y, _ = Kernel(net, ()).trace(net.values, np.array([37.0, 36.8, 34.5, 34.0]), t, u)
+    noise = net.sigma * np.random.default_rng(seed).normal(0.0, 1.0, y[0].shape)
+    return Columns(t, u, y[0] + noise)
+
+
+@pytest.fixture(scope="module")
+def late(bench: Bench) -> Bench:
+    """The rig, whose tank is read late."""
+    return replace(bench, network=bench.with_values(T_tank_C__lag_s=LAG_S))
+
+
+def known_of(bench: Bench, healthy: Columns, record: Columns) -> tuple[Basis, Part]:
+    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
+    known = basis(bench.network, healthy, grid)
+    return known, Part.of(known, grid)
+
+
+def test_a_lag_that_the_healthy_record_leaves_open_is_no_change(bench: Bench, late: Bench) -> None:
+    healthy, record = calm(bench, late), late.record(16.0, seed=4)
+    found = diagnose(bench.network, record, healthy)
+    assert found.verdict == "adequate"
+    assert any("healthy record" in note and "T_tank_C" in note for note in found.notes), found.notes
+
+
+def test_a_lag_that_the_healthy_record_rules_out_is_told(bench: Bench, late: Bench, healthy: Columns) -> None:
+    found = diagnose(bench.network, late.record(16.0, seed=4), healthy)
+    assert [(e.kind, e.where, e.driver) for e in found.effects] == [("sensor", "T_tank_C", "rate_of_change")]
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_a_healthy_record_tells_a_lag_within_its_own_error(bench: Bench, late: Bench, moving: bool) -> None:
+    healthy = late.record(10.0, seed=7) if moving else calm(bench, late)
+    known, part = known_of(bench, healthy, late.record(16.0, seed=4))
+    assert known.health is not None
+    wanted = ("T_tank_C", "rate_of_change", 60.0)
+    (lag,) = [c for law in part.laws if ((c := law.candidate).where, c.driver, c.typical) == wanted]
+    told = known.health.amplitudes([lag], known.probe.scaling.ids)
+    size, sd = told.score[0] / told.precision[0, 0], told.precision[0, 0] ** -0.5
+    # To first order about no lag, which takes one of 60 s for some less.
+    assert size == pytest.approx(LAG_S, abs=3.0 * sd + 0.2 * LAG_S)
+    assert sd < 0.2 * LAG_S
+
+
+def test_an_effect_that_begins_later_is_not_taken_for_what_was_missing(bench: Bench, late: Bench) -> None:
+    """Heat since six hours, beside a lag that was there in health too: the heat is told, and it alone."""
+    healthy = calm(bench, late)
+    warmed = replace(late, network=late.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 40.0}))
+    found = diagnose(bench.network, late.record(16.0, seed=4, changed=warmed.network, onset_h=6.0), healthy)
+    assert [(e.kind, e.where) for e in found.effects] == [("heat_source", "modules")]
+    assert found.effects[0].value == pytest.approx(40.0, rel=0.1)
+
+
+def test_a_twin_that_is_its_rig_lacks_nothing(bench: Bench, healthy: Columns) -> None:
+    known, part = known_of(bench, healthy, bench.record(16.0, seed=4))
+    assert with_missing(part) is known
+
+
+def test_laws_of_an_earlier_twin_that_has_none_of_them_say_nothing(bench: Bench, healthy: Columns) -> None:
+    known, part = known_of(bench, healthy, bench.record(16.0, seed=4))
+    assert known.health is not None
+    strange = replace(part.laws[0].candidate, where="elsewhere")
+    told = known.health.amplitudes([strange], known.probe.scaling.ids)
+    assert told.candidates == () and told.moves.shape == (known.probe.q, 0)
