@@ -100,10 +100,19 @@ def test_beside_heat_that_is_there_at_once_a_lesser_effect_is_told(bench: Bench,
 
 
 def test_two_things_at_one_moment_are_one_cause_that_no_law_describes(bench: Bench, healthy: Columns) -> None:
-    both = bench.with_values(modules_power__power=150.0, T_tank_C__bias_K=0.4)
+    both = bench.with_values(modules_power__power=150.0, T_tank_C__bias_K=2.0)
     found = diagnose(bench.network, bench.record(changed=both, onset_h=3.0), healthy)
     assert found.verdict == "unexplained" and found.network is None
-    assert any("both begin at 3 h 00 min: one cause" in note for note in found.notes)
+    assert any("both begin at 3 h 00 min: one cause that no law" in note for note in found.notes)
+
+
+def test_what_one_leaves_at_its_own_beginning_may_be_its_form(bench: Bench, healthy: Columns) -> None:
+    """A second effect that begins with the first, and adds little beside it, is a note."""
+    both = bench.with_values(modules_power__power=150.0, T_tank_C__bias_K=0.4)
+    found = diagnose(bench.network, bench.record(changed=both, onset_h=3.0), healthy)
+    assert [(e.kind, e.where) for e in found.effects] == [("heat_source", "modules")]
+    assert found.effects[0].value == pytest.approx(150.0, rel=0.1)
+    assert any("both begin at 3 h 00 min: one cause is likelier" in note for note in found.notes)
 
 
 def test_beside_lost_rejection_a_lesser_effect_is_told_by_its_own_beginning(bench: Bench, healthy: Columns) -> None:

@@ -86,8 +86,9 @@ def diagnose(
         if alone.settled or left.verdict != "unexplained":
             return apart
     say("scanning")
-    inquiry, answer = Inquiry.of(network, record, known, grid, say).settled(held_out)
+    inquiry = Inquiry.of(network, record, known, grid, say)
     known, whole = inquiry.known, inquiry.whole
+    answer = inquiry.answer(held_out)
     finding, split = answer.finding, answer.split
     notes = [*unread, *_said(known, gaps, stood), *answer.notes]
     answers = [e.candidate for r in finding.ranked for e in r.entries]

@@ -6,7 +6,7 @@ import numpy as np
 
 from twin.discovery.diagnosis import Carried, Diagnosis, Elsewhere, SensorError
 from twin.discovery.effects.phrases import amount
-from twin.discovery.evidence.held_out import FAR_OFF, FAR_SHARE, UNUSUAL, binned
+from twin.discovery.evidence.held_out import FAR_OFF, UNUSUAL, binned
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.grid import bridged, on_grid
 from twin.gauss_newton import FitData, fit_initial_state
@@ -14,6 +14,9 @@ from twin.kernel import Kernel
 from twin.network import Array, Network
 from twin.segments import find_segments, segment_rows, simulate_segments
 
+FAR_SHARE = 0.25
+"""Share of the squares that re-tuning alone leaves, up to which effects that are far off carry over in part: a twin
+with them serves then, though their form is not quite right."""
 GROWN_FAR_OFF = 4.0
 """The same as `FAR_OFF` of a twin of which nothing healthy is known."""
 SETTLE_S, SETTLE_SHARE, FIRST_ROWS = 900.0, 0.1, 6

@@ -131,14 +131,15 @@ def _unknown(case: AssessedFinding) -> Answer:
 
 def _at_one_moment(case: AssessedFinding) -> tuple[str, ...]:
     """Return what is to say of two effects that would explain the record and begin at one moment."""
-    if case.finding.together is None:
+    finding = case.finding
+    if finding.together is None:
         return ()
-    one, other = (f"{e.candidate.kind} at {e.candidate.where}".replace("_", " ") for e in case.finding.together)
-    moment = clock(float(case.grid.time[0]) + case.finding.together[0].shape.onset_s)
-    return (
-        f"{one} and {other} would explain the record together, but both begin at {moment}: one cause that no law "
-        "describes is likelier than two",
-    )
+    one, other = (f"{e.candidate.kind} at {e.candidate.where}".replace("_", " ") for e in finding.together)
+    moment = clock(float(case.grid.time[0]) + finding.together[0].shape.onset_s)
+    both = f"{one} and {other} would explain the record together, but both begin at {moment}: one cause"
+    if finding.fit is None:
+        return (f"{both} that no law describes is likelier than two",)
+    return (f"{both} is likelier than two, and what the one that is told leaves may be an error of its form",)
 
 
 def _one_curve(case: AssessedFinding) -> Empirical | None:
@@ -169,7 +170,7 @@ def _named(case: AssessedFinding) -> Answer:
     others, alternatives = rivals(finding, verdict)
     others = (*others, *twins_of(finding, ambiguity_groups(network), others))
     switches = switched(finding, grid, float(grid.time[0]))
-    notes = tuple(says for _, says in switches)
+    notes = (*_at_one_moment(case), *(says for _, says in switches))
     passing = any(e.shape.name in TIMED for e in finding.fit.entries)
     if passing:
         notes += ("an effect that ends, comes back or fades is named and not added to the twin",)

@@ -36,8 +36,30 @@ def catalogue(network: Network) -> tuple[Candidate, ...]:
         for candidate in element.changed_candidates(sites):
             free = {name for name in candidate.changes if not _bound_to_another(network, name)}
             if len(free) == len(candidate.changes):
-                found.setdefault(candidate.id, candidate)
+                possible = _within_bounds(network, candidate)
+                found.setdefault(possible.id, possible)
     return tuple(found.values())
+
+
+def _within_bounds(network: Network, candidate: Candidate) -> Candidate:
+    """Return a change of parameters with sizes that these may have, and no typical one that is none of them.
+
+    Sizes of interest are those of rigs of some hundred watts. A parameter of a smaller rig says by its bounds how far
+    it may change; beyond them `sized` would hold it, and a law of size 1 would be less than 1.
+    """
+    if candidate.inverse or not candidate.changes:
+        return candidate
+    low, high = candidate.lower, candidate.upper
+    for name, weight in candidate.changes.items():
+        p = network.parameters.get(name)
+        if p is None or not weight:
+            return candidate
+        ends = sorted(((p.lower - p.value) / weight, (p.upper - p.value) / weight))
+        low, high = max(low, ends[0]), min(high, ends[1])
+    widest = max(abs(low), abs(high))
+    if not low < high or not widest:
+        return candidate
+    return replace(candidate, lower=low, upper=high, typical=min(candidate.typical, widest))
 
 
 def _bound_to_another(network: Network, name: str) -> bool:

@@ -100,11 +100,12 @@ class Book:
                 law = CandidateLaw(candidate, _delay(network, self._base, candidate, grid, known, base), None)
             else:
                 bigger = extended(network, candidate)
-                changed = bigger.with_values(sized(bigger, candidate, candidate.typical))
+                step = candidate.typical if candidate.typical <= candidate.upper else -candidate.typical
+                changed = bigger.with_values(sized(bigger, candidate, step))
                 formulas = self._formulas(candidate, changed)
                 heat = formulas.heats(known, grid.inputs, changed.values, grid.step_s)
                 heat -= _taken_up(bigger, changed, known, grid.step_s)
-                law = CandidateLaw(candidate, (heat - base) / candidate.typical, None)
+                law = CandidateLaw(candidate, (heat - base) / step, None)
             size = law.heat if law.heat is not None else law.reading
             if size is not None and np.isfinite(size).all() and float(np.abs(size).max()) * candidate.typical > LEAST_W:
                 found.append(law)

@@ -18,9 +18,10 @@ from twin.discovery.scoring.search import Entry
 from twin.network import Array, Network
 from twin.segments import find_segments
 
-FAR_OFF, UNUSUAL, FAR_SHARE = 3.0, 1.5, 0.25
-"""Times a thermometer's noise, and what is usual there, that block means may be off where a fit was not shown them, and
-the share of the squares that re-tuning alone leaves: beyond all of them an answer is contradicted."""
+FAR_OFF, UNUSUAL = 3.0, 1.5
+"""Times a thermometer's noise, and what is usual there, that block means may be off where a fit was not shown them."""
+MOST = 0.5
+"""Share of the squares that an effect may not leave where it acts: what leaves more is not what made them."""
 HELD_OUT_WORSE, MUCH_WORSE = 1.04, 4.0
 """Times the squares that re-tuning alone leaves there, from which an answer does worse than none, and from which the
 weights by which it was found are in doubt: without a healthy record they may let slow error pass for noise."""
@@ -28,12 +29,18 @@ KEPT = 4
 """Free runs that are kept."""
 
 
-def contradicted(found: Mapping[str, SensorError], network: Network, share: float = FAR_SHARE) -> bool:
-    """Whether an answer is far off, and leaves more than a share of the squares that re-tuning alone does: its form, or
-    what it follows, is another."""
-    before, after = (sum((e.means[k] / e.noise) ** 2 for e in found.values()) for k in (1, 2))
+def contradicted(found: Mapping[str, SensorError], network: Network) -> bool:
+    """Whether an answer is far off, and leaves most of the squares that re-tuning alone does where it foretells others.
+
+    Sensors count as they are foretold to differ: what a lumped twin leaves at the others under a new load is no matter
+    of the answer. One that foretells no difference above the noise is not contradicted.
+    """
+    weights = {name: (e.moved / e.noise) ** 2 for name, e in found.items()}
+    if sum(weights.values()) < len(found):
+        return False
+    before, after = (sum(w * (found[n].means[k] / found[n].noise) ** 2 for n, w in weights.items()) for k in (1, 2))
     far = any(_far(network, name, e.means[2], e.usual) for name, e in found.items())
-    return far and after > share * before
+    return far and after > MOST * before
 
 
 def worse(found: Mapping[str, SensorError], times: float = HELD_OUT_WORSE) -> bool:
@@ -77,7 +84,8 @@ class HeldOutRecord:
             if np.isfinite(raw[0]):
                 of_means = (means[0], means[1], means[2])
                 noise = float(self.network.sigma[j])
-                out[name] = SensorError(raw[0], raw[1], raw[2], noise, of_means, float(usual[j]))
+                apart = self._mean(off[2] - off[1])
+                out[name] = SensorError(raw[0], raw[1], raw[2], noise, of_means, float(usual[j]), apart)
         return out
 
     def far_off(self, finding: Finding, split: int) -> bool:

@@ -16,16 +16,17 @@ from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.held_out import HeldOutRecord
 from twin.discovery.evidence.marginal import joint
-from twin.discovery.evidence.missing_in_health import with_missing, with_missing_beside
+from twin.discovery.evidence.missing_in_health import with_missing
 from twin.discovery.evidence.part import Part, fitted, plainly
-from twin.discovery.evidence.priors import CLAIM, FAULT, SURE, UNLISTED
+from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
-from twin.discovery.evidence.search import MOST_EFFECTS, Found, Hypothesis, Prior, apart, ladder_of, searched
+from twin.discovery.evidence.search import Found, Hypothesis, Prior, apart, ladder_of, searched
 from twin.discovery.healthy.basis import Basis, Columns
 from twin.discovery.records.grid import Grid
 from twin.discovery.refit.fitting import AGAIN, Fit, look_at
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import validate
+from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
 from twin.elements.candidates import Candidate
@@ -48,6 +49,7 @@ class SplitFinding:
     finding: Finding
     train: Part
     split: int
+    found: Found
     notes: tuple[str, ...] = ()
 
 
@@ -95,21 +97,6 @@ class Inquiry:
     def _held_out(self) -> HeldOutRecord:
         return HeldOutRecord(self.network, self.record, self.grid, self.known.plain)
 
-    def settled(self, held_out: float) -> tuple[Inquiry, SplitFinding]:
-        """Return the answer, and the inquiry that it is of: beside what the twin lacked in health already.
-
-        Args:
-            held_out: share of the record, at its end, that no fit sees, unless it holds what the rest does not show.
-        """
-        inquiry = self
-        for _ in range(MOST_EFFECTS):
-            answer = inquiry.answer(held_out)
-            more = with_missing_beside(answer.train, answer.finding.entries)
-            if more is inquiry.known:
-                break
-            inquiry = replace(inquiry, known=more, begun=Part.of(more, self.grid))
-        return inquiry, answer
-
     def answer(self, held_out: float) -> SplitFinding:
         """Return the effects that are told, and what was kept out of their fit.
 
@@ -154,6 +141,8 @@ class Inquiry:
                     "beside the answer, the part that was to be kept out of the fit showed more; so the fit was given "
                     f"the record up to {self._hours(later)}",
                 )
+        if found.finding.together is not None:
+            found = replace(found, finding=finding_of(found.found, found.train, fewer=True))
         return replace(found, notes=notes)
 
     def _beside(self, finding: Finding, prior: Prior, claim: float) -> Entry | None:
@@ -188,7 +177,8 @@ class Inquiry:
     def _searched(self, split: int) -> SplitFinding:
         whole = split >= len(self.grid.time)
         train = self.whole if whole else self.part(self.grid.part(0, split))
-        return SplitFinding(finding_of(searched(train, self.say), train), train, split)
+        found = searched(train, self.say)
+        return SplitFinding(finding_of(found, train), train, split, found)
 
 
 def _nearer(part: Part) -> tuple[Candidate, ...]:
@@ -212,16 +202,22 @@ def _nearer(part: Part) -> tuple[Candidate, ...]:
     return tuple(found)
 
 
-def finding_of(found: Found, part: Part) -> Finding:
-    """Return what is told of hypotheses: the likeliest, where its odds allow a claim."""
+def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
+    """Return what is told of hypotheses: the likeliest, where its odds allow a claim.
+
+    Args:
+        fewer: tell, of effects that begin at one moment, the one that leaves no more than an error of its form may.
+    """
     contest, claim = part.contest, max(CLAIM, part.basis.claim)
     part.reset()
     best = found.told
-    claimed = best is not None and best.odds >= claim and best.odds >= found.unlisted
-    together = None
-    if claimed and best is not None and best.fit is not None:
-        together = coinciding(best.fit.entries, contest.grid.span_s, contest.grid.step_s)
-    claimed = claimed and together is None
+    together = _at_one_moment(best, contest)
+    if fewer and together is not None and best is not None:
+        enough = best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)
+        others = [h for h in found.hypotheses if h.fit is not None and len(h.entries) < len(best.entries)]
+        others = [h for h in others if h.odds >= enough and _at_one_moment(h, contest) is None]
+        best = others[0] if others else best
+    claimed = best is not None and best.odds >= max(claim, found.unlisted) and _at_one_moment(best, contest) is None
     ranked = _ranked(found, best) if claimed and best is not None else ()
     finding = Finding(
         entries=(),
@@ -245,6 +241,11 @@ def finding_of(found: Found, part: Part) -> Finding:
     folds = validate(contest, Model.of(part.basis.probe, best.fit.entries), best.fit)
     part.reset()
     return replace(finding, entries=best.fit.entries, fit=_as_used(best, part), folds=folds)
+
+
+def _at_one_moment(h: Hypothesis | None, contest: Contest) -> tuple[Entry, Entry] | None:
+    """Return two effects of a hypothesis that are likelier one of no listed form; or None."""
+    return None if h is None else coinciding(h.entries, contest.grid.span_s, contest.grid.step_s)
 
 
 def coinciding(entries: Sequence[Entry], span_s: float, step_s: float) -> tuple[Entry, Entry] | None:

@@ -9,7 +9,6 @@ slow, as far as it was as slow in health.
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,17 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from twin.discovery.effects.shapes import EARLY_S
 from twin.discovery.evidence.marginal import joint
-from twin.discovery.evidence.part import Part, fitted
+from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.priors import MISSING_IN_HEALTH, SPREAD
 from twin.discovery.evidence.scan import scan
-from twin.discovery.evidence.search import Prior, apart, late_ones, leading
+from twin.discovery.evidence.search import Prior, apart, late_ones, leading, log_odds_unlisted
 from twin.discovery.healthy.basis import Basis
-from twin.discovery.healthy.in_health import MissingInHealth
-from twin.discovery.refit.fitting import AGAIN, look_at
-from twin.discovery.refit.model import Model
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.healthy.in_health import Amplitudes, MissingInHealth
 from twin.discovery.scoring.search import Entry
 from twin.network import Array
 
@@ -87,74 +82,48 @@ def with_missing(part: Part) -> Basis:
     Args:
         part: all of the record.
     """
-    effects = _leading_effects(part) if part.scanned else []
-    return _beside(part, part.contest, effects, 0) if effects else part.basis
-
-
-def with_missing_beside(part: Part, entries: Sequence[Entry]) -> Basis:
-    """Return what is known of a rig, with laws that the twin lacked in health already where they are likelier than one
-    of several effects that are there all along.
-
-    Args:
-        part: a part of a record. entries: effects found in it, with their sizes.
-    """
-    for i, entry in enumerate(entries):
-        if len(entries) > 1 and entry.shape.onset_s <= EARLY_S:
-            rest = (*entries[:i], *entries[i + 1 :])
-            ((fit, _),) = fitted(part, [rest], AGAIN)
-            contest = copy.copy(part.contest)
-            look_at(contest, Model.of(contest.probe, fit.entries), fit)
-            effects = [e.refreshed(contest) for e in (*fit.entries, entry)]
-            found = _beside(part, contest, effects, len(rest))
-            if found is not part.basis:
-                return found
-    return part.basis
-
-
-def _beside(part: Part, contest: Contest, effects: Sequence[Entry], given: int) -> Basis:
-    """Return what is known, with the laws that beside the first effects are likelier than the other effects."""
     known = part.basis
-    if known.health is None or known.structure is None:
+    if known.health is None or known.structure is None or not part.scanned:
         return known
-    prior = Prior(part.laws)
+    prior, effects = Prior(part.laws), _leading_effects(part)
     amounts = known.health.amplitudes([law.candidate for law in part.laws], known.probe.scaling.ids)
-    by = {law.candidate.id: law for law in part.laws}
-    laws = [by[c.id] for c in amounts.candidates]
-    if not laws:
+    if not amounts.candidates:
         return known
-    here = contest.signatures(np.stack([contest.vector(law) for law in laws]))
-    here += contest.slopes[:, : known.probe.q] @ amounts.moves
+    columns, count = _columns(part, effects, amounts, prior), len(effects)
+    laws, odds = columns.likeliest((), range(count, len(columns.score)))
+    if odds <= max(columns.likeliest((), range(count))[1], 0.0) or odds < max(
+        log_odds_unlisted(part), _odds_of_late(part, prior)
+    ):
+        return known
+    every, _ = columns.likeliest(laws, range(count))
+    at, which = list(laws), [i - count for i in laws]
+    covariance = np.asarray(np.linalg.inv(columns.precision[np.ix_(at, at)]), dtype=np.float64)
+    missing = tuple(amounts.candidates[i] for i in which)
+    structure = known.structure.with_laws(missing, covariance @ columns.pull[at], covariance, amounts.moves[:, which])
+    sizes = columns.sizes(every)[[every.index(i) for i in laws]]
+    return replace(known, structure=structure, missing=MissingInHealth(missing, sizes))
+
+
+def _columns(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior: Prior) -> _Columns:
+    contest, by = part.contest, {law.candidate.id: law for law in part.laws}
+    here = contest.signatures(np.stack([contest.vector(by[c.id]) for c in amounts.candidates]))
+    here += contest.slopes[:, : part.basis.probe.q] @ amounts.moves
     there = contest.signatures(np.stack([e.vector for e in effects]))
     _, gram, score = contest.beside_tunables(np.concatenate([there, here], axis=1))
     wide = [(SPREAD * c.typical) ** -2.0 for c in (*(e.candidate for e in effects), *amounts.candidates)]
     count = len(effects)
+    missing = [math.log(MISSING_IN_HEALTH) + prior.share(c) for c in amounts.candidates]
     columns = _Columns(
         gram=gram,
         score=score,
         precision=block_diag(np.zeros((count, count)), amounts.precision) + np.diag(wide),
         pull=np.concatenate([np.zeros(count), amounts.score]),
-        log_prior=np.array(
-            [prior.of(e) for e in effects] + [math.log(MISSING_IN_HEALTH) + prior.share(c) for c in amounts.candidates]
-        ),
+        log_prior=np.array([prior.of(e) for e in effects] + missing),
     )
-    for i, entry in enumerate(effects[given:], given):
+    for i, entry in enumerate(effects):
         # What bounds and unknown times make of an effect's evidence is no matter of its neighbours.
-        columns.log_prior[i] += entry.log_occam if given else entry.log_bayes + prior.of(entry) - columns.odds((i,))
-    held, more = range(given), range(given, count)
-    by_laws, odds_of_laws = columns.likeliest(held, range(count, len(columns.score)))
-    odds_of_effects = columns.likeliest(held, more)[1]
-    if odds_of_laws <= max(odds_of_effects, 0.0) or (not given and odds_of_laws < _odds_of_late(part, prior)):
-        return known
-    best, _ = columns.likeliest(by_laws, more)
-    laws_of = [i for i in best if i >= count]
-    which = [i - count for i in laws_of]
-    covariance = np.asarray(np.linalg.inv(columns.precision[np.ix_(laws_of, laws_of)]), dtype=np.float64)
-    missing = [amounts.candidates[i] for i in which]
-    structure = known.structure.with_laws(
-        missing, covariance @ columns.pull[laws_of], covariance, amounts.moves[:, which]
-    )
-    found = MissingInHealth(tuple(missing), columns.sizes(best)[[best.index(i) for i in laws_of]])
-    return replace(known, structure=structure, missing=found)
+        columns.log_prior[i] += entry.log_bayes + prior.of(entry) - columns.odds((i,))
+    return columns
 
 
 def _odds_of_late(part: Part, prior: Prior) -> float:

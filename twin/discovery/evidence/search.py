@@ -159,7 +159,7 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
     # Where the tunables bend, re-tuning alone comes to other squares than to first order.
     nothing = 0.5 * (misfit - retuned.total)
     found = [replace(h, log_bayes=h.log_bayes - nothing) for h in found]
-    return Found(tuple(found), scanned, retuned, _unlisted(part) - nothing)
+    return Found(tuple(found), scanned, retuned, log_odds_unlisted(part) - nothing)
 
 
 def _explained(found: list[Hypothesis], contest: Contest) -> bool:
@@ -366,7 +366,7 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
     return tried
 
 
-def _unlisted(part: Part) -> float:
+def log_odds_unlisted(part: Part) -> float:
     """Return the log odds of one unknown quantity, free from block to block, at any place."""
     free = part.free
     if not free:

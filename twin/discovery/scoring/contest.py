@@ -208,9 +208,12 @@ class Contest:
         signatures = self.signatures(vectors) + self.slopes[:, : self.probe.q] @ structure.moved(here, self.probe.q)
         values, axes = np.linalg.eigh(structure.covariance[np.ix_(here, here)])
         spread = signatures @ (axes * np.sqrt(np.maximum(values, 0.0)))
-        directions, singular, _ = np.linalg.svd(spread, full_matrices=False)
+        # By the eigenvectors of its square: LAPACK's divide and conquer fails on some finite matrices.
+        squares, turned = np.linalg.eigh(spread.T @ spread)
+        singular = np.sqrt(np.maximum(squares, 0.0))
         kept = singular > NARROW
-        opened = directions[:, kept], 1.0 - 1.0 / np.sqrt(1.0 + singular[kept] ** 2)
+        directions = spread @ (turned[:, kept] / singular[kept])
+        opened = directions, 1.0 - 1.0 / np.sqrt(1.0 + singular[kept] ** 2)
         return opened, narrowed(signatures @ structure.sizes[here], opened)
 
     def _narrowed(self, whitened: Array) -> Array:
