@@ -76,7 +76,8 @@ class Addresses:
         if (letters := _LETTERS.fullmatch(bare)) is not None and not bare.lower().startswith("0x"):
             what = (
                 "the place in the memory of a PLC; write the Modbus address that its manual gives for it"
-                if letters[1].startswith("%") or letters[1].upper() in ("D", "M", "DB", "MW", "MD", "MX", "VW", "QW", "IW")
+                if letters[1].startswith("%")
+                or letters[1].upper() in ("D", "M", "DB", "MW", "MD", "MX", "VW", "QW", "IW")
                 else f"a number behind letters; write the number alone, and what {letters[1]!r} means in a column table"
             )
             raise ImportFileError(self._path, line, f"address {text!r} is {what}")

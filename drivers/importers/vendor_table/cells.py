@@ -10,7 +10,6 @@ from drivers.importers.vendor_table.words import ACCESS, NO, OF_FUNCTION, SIGNS,
 from drivers.signals import UNSIGNED
 
 
-
 def function_codes(cells: dict[str, str]) -> list[int]:
     """Return the function codes of a line: `03/06/16`, `FC 16`, `0x10` or `10h`."""
     text = cells.get("function", "").lower()

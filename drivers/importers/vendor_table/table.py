@@ -112,7 +112,9 @@ def import_csv(
     ranges = PlausibleRanges(path, collector, columns.decimal_comma)
     addresses = Addresses(path, _cells_of(columns, "address", rows[1:]), addressing, columns.is_hex)
     if addresses.are_fractions:
-        collector.note(head_line, "all addresses end in .0: they were read as whole numbers, as a spreadsheet writes them")
+        collector.note(
+            head_line, "all addresses end in .0: they were read as whole numbers, as a spreadsheet writes them"
+        )
     table = _VendorTable(path, columns, addresses, order, collector, ranges)
     buses = Sections()
     for line, row in rows[1:]:
@@ -299,7 +301,9 @@ class _VendorTable:
             keys["type"] = "uint16"  # The type of the bit; its register is read as a whole.
         keys["access"] = access_of(path, line, cells) or access
         if keys["bits"] is not None and "w" in (keys["access"] or ""):
-            self.collector.note(line, f"{cells['name']}: a bit of a register is read only here; its access was not used")
+            self.collector.note(
+                line, f"{cells['name']}: a bit of a register is read only here; its access was not used"
+            )
         if keys["access"] == "r" or keys["bits"] is not None or kind == "string":
             keys["access"] = None
         keys["kind"] = "status" if kind in ("bool", "string") or keys["bits"] is not None else None

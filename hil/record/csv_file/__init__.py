@@ -16,7 +16,16 @@ if TYPE_CHECKING:
     from hil.record.csv_file.labview import is_labview
     from hil.record.csv_file.table import read_csv
 
-__all__ = ["DialectError", "EncodingError", "beginning_of", "find_dialect", "is_annotated", "is_labview", "read_csv", "utf8"]
+__all__ = [
+    "DialectError",
+    "EncodingError",
+    "beginning_of",
+    "find_dialect",
+    "is_annotated",
+    "is_labview",
+    "read_csv",
+    "utf8",
+]
 
 __getattr__, __dir__ = lazy_names(
     __name__,

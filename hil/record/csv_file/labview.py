@@ -225,7 +225,9 @@ def _blocks(segment: _Segment, layout: _Layout) -> list[_Block]:
         at = 2 * place + 1 if layout.x_columns == "multi" else place + 1
         cells = [row[at] or None if at < len(row) else None for _, row in segment.rows]
         timed = 0 if layout.x_columns == "one" else place
-        block = _Block(_x(segment, place, layout), _moment(segment.cell("Date", timed), segment.cell("Time", timed)), {})
+        block = _Block(
+            _x(segment, place, layout), _moment(segment.cell("Date", timed), segment.cell("Time", timed)), {}
+        )
         same = next((one for one in found if one.holds(block)), None)
         if same is None and found and not any(cells):  # A channel without samples has a step of its own.
             same = found[0]
@@ -274,8 +276,8 @@ def _put_in_time(
         other = next((kind for kind in kinds if kind.lower() not in ("", "time")), None)
         if other is not None:
             raise RecordError(
-                f"{path} line {line} gives '{other}' for the x of the rows, where a record has times; write the channels "
-                "against time"
+                f"{path} line {line} gives '{other}' for the x of the rows, where a record has times; write the "
+                "channels against time"
             )
     every = [block for found in blocks for block in found if any(x is not None for x in block.x)]
     first = [next(x for x in block.x if x is not None) for block in every]
@@ -319,5 +321,7 @@ def _typed(cells: Sequence[str | None], layout: _Layout) -> Any:
     numbers = [None if cell is None else layout.number(cell) for cell in cells]
     if all(cell is None or number is not None for cell, number in zip(cells, numbers, strict=True)):
         return pa.chunked_array([pa.array(numbers, pa.float64())])
-    pointed = [cell if cell is None or layout.number(cell) is None else cell.replace(layout.sign, ".") for cell in cells]
+    pointed = [
+        cell if cell is None or layout.number(cell) is None else cell.replace(layout.sign, ".") for cell in cells
+    ]
     return pa.chunked_array([pa.array(pointed, pa.string())])

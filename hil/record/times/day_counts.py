@@ -102,7 +102,7 @@ def seconds_of_day(
             return None
         seconds = numbers.values * scale
         known = seconds[np.isfinite(seconds)]
-        if known.min() < 0.0 or known.max() > most or (most < _DAY_S and known.max() == most):
+        if not len(known) or known.min() < 0.0 or known.max() > most or (most < _DAY_S and known.max() == most):
             return None
         total = seconds if total is None else total + seconds
         most = scale

@@ -76,7 +76,9 @@ def stamp_texts(parts: Mapping[str, str], cells: Mapping[str, Any], signs: Mappi
     text = trimmed(cells[clock])
     times = None if text is None else text.to_pylist()
     if times is None or not all(cell is None or is_time_of_day(cell) for cell in times):
-        times = _clock_of_count(clock, cells[clock], signs.get(clock, ".")) or clock_texts(clock, cells[clock], signs.get(clock, "."), days)
+        times = _clock_of_count(clock, cells[clock], signs.get(clock, ".")) or clock_texts(
+            clock, cells[clock], signs.get(clock, "."), days
+        )
     if times is None:
         raise TimeTextError(f"the numbers of '{clock}' are no times of day beside dates; write hh:mm:ss")
     return [None if day is None or time is None else f"{day} {time}" for day, time in zip(days, times, strict=True)]

@@ -58,34 +58,24 @@ def read_seconds(
 
 def _pair(raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign], choice: ReadingOptions) -> Seconds | None:
     """Return the times of a column of dates and one of times of day: text, spreadsheet numbers, or counts in a day."""
-    dates = raw.cells[raw.names.index(columns[0])]
-    if names_count(columns[1]) is not None:
-        of_day = seconds_of_day(dict(zip(raw.names, raw.cells, strict=True)), columns[1:], signs)
-        days = _date_cells(columns[0], dates, signs.get(columns[0], "."))
-        if of_day is not None:
-            clock = [clock_text(float(value)) for value in of_day]
-            both = [None if d is None or t is None else f"{d} {t}" for d, t in zip(days, clock, strict=True)]
-            return of_stamps(read_stamps(both, choice.dates))
-    times = raw.cells[raw.names.index(columns[1])]
-    numbers = [parse(cells, signs.get(name, ".")) for name, cells in zip(columns, (dates, times), strict=True)]
+    cells = dict(zip(raw.names, raw.cells, strict=True))
+    dates, times = (cells[name] for name in columns[:2])
+    of_day = seconds_of_day(cells, columns[1:], signs) if names_count(columns[1]) is not None else None
+    numbers = [parse(one, signs.get(name, ".")) for name, one in zip(columns, (dates, times), strict=False)]
     if all(found is not None and found.present and not found.bad for found in numbers):
         day, hour = (found.values for found in numbers if found is not None)
         count = day_count(float(np.nanmedian(day)))
         if count is not None:
-            return _of_days(day + hour, count)
-    texts = [
-        _date_cells(columns[0], dates, signs.get(columns[0], ".")),
-        text_of(times),
-    ]
-    sign = signs.get(columns[1], ".")
-    if may_be_clock(columns[1], times, sign):
-        clock = clock_texts(columns[1], times, sign, texts[0])
-        if clock is None:
-            raise TimeTextError(
-                f"the numbers of '{columns[1]}' are no times of day; name it time_s if they are seconds"
-            )
-        texts[1] = clock
-    both = [None if d is None or t is None else f"{d} {t}" for d, t in zip(*texts, strict=True)]
+            return _of_days(day + (hour if of_day is None else of_day / _DAY_S), count)
+    days, sign = _date_cells(columns[0], dates, signs.get(columns[0], ".")), signs.get(columns[1], ".")
+    clock: list[str | None] | None = text_of(times)
+    if of_day is not None:
+        clock = [clock_text(float(value)) for value in of_day]
+    elif may_be_clock(columns[1], times, sign):
+        clock = clock_texts(columns[1], times, sign, days)
+    if clock is None:
+        raise TimeTextError(f"the numbers of '{columns[1]}' are no times of day; name it time_s if they are seconds")
+    both = [None if d is None or t is None else f"{d} {t}" for d, t in zip(days, clock, strict=True)]
     return of_stamps(read_stamps(both, choice.dates))
 
 
