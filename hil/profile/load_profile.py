@@ -56,6 +56,7 @@ WRITTEN_UNITS = {
     "sec": "s",
 }
 """Unit suffixes as users write them, lower case, and the unit that they mean."""
+_NUMBER = re.compile(r"[-+]?\d[\d.eE+-]*", re.ASCII)
 _USUAL_UNITS = {"power": "W", "speed": "%", "flow": "L/min"}
 
 
@@ -134,6 +135,10 @@ def read_profile(path: Path, unitless: Collection[str] = ()) -> Profile:
         content = path.read_bytes()
     except OSError as error:
         raise ProfileError(f"{path} cannot be read ({error.strerror}); give the path of a profile CSV") from error
+    if path.suffix == ".toml":
+        raise ProfileError(
+            f"{path} is no load profile; give a CSV, a rig file with --rig, and build a scenario with hil profile build"
+        )
     text, notes = _text(path, content)
     columns: tuple[str, ...] = ()
     times: list[float] = []
@@ -224,7 +229,12 @@ def _header(place: str, raw: str, unitless: Collection[str]) -> tuple[str, ...]:
             )
     columns = tuple(_fields(place, raw))
     if columns[0] != "time_s":
-        raise ProfileError(f"{place} begins with column '{columns[0]}'; the first column must be time_s")
+        if all(_NUMBER.fullmatch(column) for column in columns):
+            raise ProfileError(
+                f"{place} holds numbers where column names should stand; add a header such as time_s,heater_power_W"
+            )
+        what = "in seconds from the beginning; records are for hil check, track and diagnose"
+        raise ProfileError(f"{place} begins with column '{columns[0]}'; the first column must be time_s, {what}")
     if len(columns) < 2:
         raise ProfileError(f"{place} names no set-point; add a column such as heater_power_W")
     for index, column in enumerate(columns[1:], start=1):

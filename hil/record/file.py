@@ -23,6 +23,16 @@ _FOREIGN = (
     (b"\x1f\x8b", "is gzip-compressed; unpack it first"),
     (b"\x89HDF", "is an HDF5 file; export it as Parquet or CSV"),
     (b"TDSm", "is a TDMS file; export it as Parquet or CSV"),
+    (b"\xd0\xcf\x11\xe0", "is a spreadsheet of old Excel; save the sheet as CSV"),
+    (b"MDF  ", "is an MDF file; export its channels as CSV or Parquet"),
+    (b"MATLAB ", "is a MATLAB file; save its table as CSV (writetable)"),
+    (b"\x93NUMPY", "is a NumPy file; save it as CSV with the names of its columns"),
+    (b"\x80\x04", "is a Python pickle, which is not opened; save its table as CSV or Parquet"),
+    (b"%PDF", "is a PDF; export its table as CSV"),
+    (b"7z\xbc\xaf", "is a 7z archive; unpack it first"),
+    (b"Rar!", "is a RAR archive; unpack it first"),
+    (b"(\xb5/\xfd", "is compressed with zstd; unpack it first"),
+    (b"BZh", "is compressed with bzip2; unpack it first"),
     (b"ARROW1", "is a Feather file; save it as Parquet or CSV"),
 )
 _SNIFFED = 1000

@@ -142,10 +142,10 @@ def _named(file: Path, checker: Callable[[Path, Path, Console], None]) -> Iterat
 
 
 def _has_rig(file: Path) -> bool:
-    """Return True for a TOML file with a table that only rig files have."""
+    """Return True for a TOML file with a table that only rig files have, or that shows another program's file."""
     from drivers.rig_file import read_regular, tables_of
 
-    return not {"rig", "bus", "point"}.isdisjoint(tables_of(read_regular(file))[1])
+    return not {"rig", "bus", "point", "inputs"}.isdisjoint(tables_of(read_regular(file))[1])
 
 
 def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
@@ -182,7 +182,7 @@ def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
     if file.suffix in (".csv", ".tsv", ".tab", ".txt", ".dat", ".asc", ".prn", ".lvm", ".log"):
         return _record if _is_record(file, beginning, rig) else _profile
     if file.suffix in (".yaml", ".yml", ".dbc"):
-        raise click.UsageError(f"{file}: checked once it is a rig file; `hil init --from {file}` makes one of it")
+        raise ConfigurationError(f"{file}: is no rig file; `hil init --from {file}` makes one of it")
     raise click.UsageError(f"{file}: is no .toml, .csv, .tsv or .parquet file; give a file of one of these types")
 
 
@@ -206,8 +206,10 @@ def _is_record(file: Path, content: bytes, rig: Path) -> bool:
         return True
     try:
         names = list(find_dialect(beginning).names)
-    except DialectError:
-        return False  # The reader of profiles names the line.
+    except DialectError as error:
+        if not beginning.strip():
+            return False
+        raise ConfigurationError(f"{file}{error}") from error
     if names_registers(names):
         raise ConfigurationError(f"{file}: is a register table; `hil init --from {file}` makes a rig file of it")
     in_degC = ("degC", "degF")

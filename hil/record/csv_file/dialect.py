@@ -25,6 +25,8 @@ SAMPLE = 200
 MOST_BELOW = 3
 """Lines between names and rows: units, kinds of processing and places of sensors, as loggers write them."""
 
+_ON_ITS_SIDE = 4
+"""Lines, and fewest cells of a line, that show a table of signals in lines and not in columns."""
 _MAY_LACK = ("", "comment", "comments", "remark", "note", "notes")
 """Last name of a heading, lower case, whose cells rows may omit with their delimiter."""
 _FACTORS = (
@@ -96,12 +98,28 @@ def find_dialect(text: str) -> Dialect:
         No line names the columns.
     """
     lines, commented, only = _sample(text)
+    _require_upright(lines, only)
     if not lines:
         raise DialectError(" holds nothing but comments; give a record with a header and at least one row")
     found = [d for mark in only or (*DELIMITERS, BLANKS) if (d := _with(mark, lines, commented)) is not None]
     if found:
         return max(found, key=lambda d: (d.delimiter != BLANKS, len(d.names)))
     return _first_line(lines[0], only)
+
+
+def _require_upright(lines: Sequence[Line], only: Sequence[str]) -> None:
+    """Raise DialectError for a table on its side: the times in the first line, and a name before each row."""
+    for delimiter in only or DELIMITERS:
+        rows = [split(line.text, delimiter) for line in lines[:_ON_ITS_SIDE]]
+        if len(rows) < 2 or any(row is None or len(row) < _ON_ITS_SIDE for row in rows):
+            continue
+        cells = [row for row in rows if row is not None]
+        named = is_time_name(cells[0][0]) and not any(is_value(row[0]) for row in cells)
+        if named and all(is_value(cell) for row in cells for cell in row[1:] if cell):
+            raise DialectError(
+                f" line {lines[0].number} holds times behind '{cells[0][0]}', and each line begins with a name: the "
+                "table lies on its side; transpose it, so that each line is a sample"
+            )
 
 
 def _sample(text: str) -> tuple[list[Line], Line | None, tuple[str, ...]]:

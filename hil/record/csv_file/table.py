@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hil.files import require_columns
 from hil.record.csv_file.annotated import is_annotated, read_annotated
 from hil.record.csv_file.dialect import BLANKS, Dialect, DialectError, find_dialect, heading_cells, is_value, split
+from hil.record.csv_file.encodings import unwrapped
 from hil.record.csv_file.labview import is_labview, read_labview
 from hil.record.csv_file.repeated_headings import by_later_headings
 from hil.record.csv_file.units_line import named_columns
@@ -38,6 +39,9 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         encoding = "latin-1"
         text = content.decode(encoding)
         messages.append(f"line {content.count(bytes([10]), 0, error.start) + 1} is not UTF-8; read as Latin-1")
+    if (bare := unwrapped(text)) != text:
+        text, content, encoding = bare, bare.encode(), "utf-8"
+        messages.append("each line stands in quotes: read without them")
     if is_annotated(text):
         return read_annotated(path, text, digest)
     if is_labview(text):

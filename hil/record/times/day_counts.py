@@ -100,7 +100,7 @@ def seconds_of_day(
         numbers = None if scale is None else parse(cells[name], signs.get(name, "."))
         if scale is None or numbers is None or numbers.bad or not numbers.present:
             return None
-        seconds = numbers.values * scale
+        seconds = np.where(np.isfinite(numbers.values), numbers.values * scale, np.nan)
         known = seconds[np.isfinite(seconds)]
         if not len(known) or known.min() < 0.0 or known.max() > most or (most < _DAY_S and known.max() == most):
             return None
