@@ -117,12 +117,16 @@ class Profile:
 
 @dataclass(frozen=True, slots=True)
 class SetpointLimit:
-    """Limits of one set-point on the rig: values in [`low`, `high`] `unit`, at most `max_rate_per_s` unit/s."""
+    """Limits of one set-point on the rig: values in [`low`, `high`] `unit`, at most `max_rate_per_s` unit/s.
+
+    `setpoint` is the column of the set-point itself; profiles name the one of its readback where it has one.
+    """
 
     low: float
     high: float
     max_rate_per_s: float | None
     unit: str
+    setpoint: str = ""
 
 
 def read_profile(path: Path, unitless: Collection[str] = ()) -> Profile:
@@ -324,6 +328,11 @@ def validate(
                 f"{source} gives {name} in {unit} but the rig takes {limits[units_of[name]].unit}; "
                 f"convert the column to {units_of[name]}"
             )
+            continue
+        own = next((known for known, limit in limits.items() if column == limit.setpoint != known), None)
+        if own is not None:
+            meant.add(own)
+            problems.append(f"{source} names the set-point '{column}' itself; call the column {own}, its readback")
             continue
         # Another actuator is never meant, however near its name.
         alike = [known for known in limits if difflib.get_close_matches(_actuator(column), [_actuator(known)])]

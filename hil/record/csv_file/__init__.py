@@ -1,4 +1,4 @@
-"""CSV files to named columns of text: encoding, dialect, annotations, repeated headings.
+"""CSV files to named columns of text: encoding, dialect, annotations, LabVIEW's headers, repeated headings.
 
 The names below are the package's interface; they are loaded on first use.
 """

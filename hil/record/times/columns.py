@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hil.record.raw import RawRecord, ReadingOptions, RecordError
-from hil.record.times.day_counts import find_counts, names_count
+from hil.record.times.counts import find_counts, names_count
 from hil.record.times.digits import may_be_clock, may_be_dates
 from hil.record.times.names import SECONDS_PER, is_time_name, names_days, names_unit, seconds_per_unit
 from hil.record.times.numbers import day_count

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.record.times.day_counts import names_count, seconds_of_day
+from hil.record.times.counts import names_count, seconds_of_day
 from hil.record.times.digits import clock_text, clock_texts
 from hil.record.times.names import is_time_name
 from hil.record.times.text import is_time_of_day

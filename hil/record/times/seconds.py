@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hil.record.raw import RawRecord, ReadingOptions
 from hil.record.times.columns import has_unit, scale_of
-from hil.record.times.day_counts import names_count, seconds_of_day
+from hil.record.times.counts import names_count, seconds_of_day
 from hil.record.times.digits import clock_text, clock_texts, date_texts, may_be_clock, may_be_dates
 from hil.record.times.names import names_days
 from hil.record.times.numbers import EPOCH_S, DayCount, are_days, compact_moments, count_of, day_count

@@ -1,14 +1,16 @@
-"""Counts within a day beside dates: seconds of the day, or hours, minutes and seconds in columns of their own.
+"""Counts in columns of their own beside dates and times: seconds of the day, hours and minutes, parts of a second.
 
 `Date,Seconds` has a count that begins again with each date; a count that runs on over the dates is a time since the
-beginning, and the dates are not needed. `Date,Hour,Minute` has parts of a clock.
+beginning, and the dates are not needed. `Date,Hour,Minute` has parts of a clock, `Date,Time,ms` parts of a second.
 """
 
 from __future__ import annotations
 
+import datetime
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,9 @@ from numpy.typing import NDArray
 from hil.record.raw import RawRecord
 from hil.record.times.names import SECONDS_PER, is_time_name, names_unit, seconds_per_unit
 from hil.record.values import Sign, may_be_lost, parse
+
+if TYPE_CHECKING:
+    from hil.record.times.seconds import Seconds
 
 _DAY_S = 86400.0
 _WORDS = {
@@ -26,6 +31,14 @@ _WORDS = {
 }
 _BESIDE_HOURS = {"mm": 60.0, "min": 60.0, "ss": 1.0, "ms": 1e-3}
 """Names that are counts only beside hours: alone they are millimetres or a minimum."""
+_SUBSECONDS = (
+    (1e-3, r"ms|msecs?|millis?|milliseconds?|millisekunden?|millisecondes?|milisegundos|millisecondi"),
+    (1e-6, r"us|µs|usecs?|micros?|microseconds?|mikrosekunden?|microsecondes?"),
+    (1e-9, r"ns|nsecs?|nanos?|nanoseconds?|nanosekunden?"),
+    (1e-2, r"hundredths?|hundertstel|centi[eè]mes|centiseconds?"),
+    (1e-1, r"tenths?|zehntel|dixi[eè]mes"),
+)
+_SUBSECOND_NAME = r"(?:time|zeit|timestamp|sub|fraction|frac|fractional)?[\s_.\[(]*(?:{})[\])]?"
 _OF_DAY = r"(?:of(?:the)?day|(?:since|after|past|from)midnight|destages|seitmitternacht|dujour|depuisminuit)"
 _SHORT = r"sod|secofday|tod"
 
@@ -107,3 +120,38 @@ def seconds_of_day(
         total = seconds if total is None else total + seconds
         most = scale
     return total
+
+
+def with_subseconds(
+    raw: RawRecord, columns: tuple[str, ...], read: Seconds, signs: dict[str, Sign]
+) -> tuple[tuple[str, ...], Seconds, list[str]]:
+    """Return the columns and the times with the parts of a second that a column of its own gives, and messages.
+
+    Its name is a part of a second, and all its numbers are whole and below one second. Times that have fractions
+    themselves are complete.
+    """
+    known = np.isfinite(read.seconds)
+    whole = read.seconds[known]
+    if not len(whole) or (np.abs(whole - np.round(whole)) > 1e-6).any():
+        return columns, read, []
+    for name, cells in zip(raw.names, raw.cells, strict=True):
+        if name in columns or (part := _part_of(name)) is None:
+            continue
+        numbers = parse(cells, signs.get(name, "."))
+        if numbers is None or numbers.bad or not np.isfinite(numbers.values[known]).all():
+            continue
+        counts = numbers.values
+        there = counts[known]
+        if (there < 0.0).any() or (there * part >= 1.0).any() or (there != np.round(there)).any():
+            return columns, read, [f"column '{name}' has numbers that are no parts of a second: not added to the times"]
+        seconds = np.round((read.seconds + counts * part) / part) * part
+        first = float(np.nanmin(seconds)) if read.start is not None else 0.0
+        start = None if read.start is None else read.start + datetime.timedelta(seconds=first)
+        said = [f"column '{name}' gives the parts of a second of the times"] if there.any() else []
+        return (*columns, name), replace(read, seconds=seconds - first, start=start), said
+    return columns, read, []
+
+
+def _part_of(name: str) -> float | None:
+    bare = name.strip().lower()
+    return next((part for part, words in _SUBSECONDS if re.fullmatch(_SUBSECOND_NAME.format(words), bare)), None)
