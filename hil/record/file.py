@@ -37,7 +37,15 @@ _FOREIGN = (
 )
 _SNIFFED = 1000
 """Bytes of a text that show its kind."""
+_FRAMES = "is a log of CAN frames; decode it by its DBC, and save the signals as CSV with a column for each"
 _FOREIGN_TEXT = (
+    (re.compile(rb"\(\d+\.\d+\)\s+\w+\s+[0-9a-f]+#"), _FRAMES),
+    (re.compile(rb"date .*\nbase (?:hex|dec)|;\$fileversion=|\*\*\*busmaster"), _FRAMES),
+    (re.compile(rb"(?=[^\n]*\b(?:arbitration_)?id\b)(?=[^\n]*\b(?:len|dlc)\b)(?=[^\n]*\b(?:d1|data)\b)"), _FRAMES),
+    (
+        re.compile(rb"[\w.-]+(?:,[\w.-]+=[^,\s]+)* [\w.-]+=\S+ \d{10,19}\r?\n"),
+        "is line protocol of InfluxDB; query the data as CSV",
+    ),
     (re.compile(rb"<(!doctype|\?xml|html|head|body|table)\b"), "is HTML or XML; save its table as CSV"),
     (re.compile(rb'\{\s*"|\[\s*[\[{]\s*["\d]'), "is JSON; export it as CSV, with a column for each signal"),
 )

@@ -40,6 +40,8 @@ def named_columns(path: Path, dialect: Dialect) -> NamedColumns:
     found = NamedColumns(list(dialect.names), {}, {}, [])
     for place, cell in dialect.units.items():
         name = found.names[place]
+        if cell.lower() == name.lower():  # `ms` below `ms`, parts of a second
+            continue
         meaning = meaning_of(cell)
         if is_time_name(name) and (meaning is None or meaning[0] in SECONDS_PER or names_unit(name)):
             _name_time(path, dialect, place, found)
