@@ -104,7 +104,8 @@ def _summary(manifest: dict[str, Any]) -> Html:
     reason = f": {manifest['reason']}" if manifest["reason"] else ""
     is_safe = manifest.get("safe") and not manifest.get("away")
     safe = "The heater was left at its safe value, read back." if is_safe else "NOT confirmed safe."
-    problems = (element("p", problem, class_="WARN") for problem in manifest.get("problems", []))
+    found = [*manifest.get("problems", []), *manifest.get("deviations", [])]
+    problems = (element("p", problem, class_="WARN") for problem in found)
     return joined([element("p", element("b", manifest["exit_status"]), f"{reason}. {safe}"), *problems])
 
 
