@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.files import replacing
+from hil.files import read_parquet, replacing
 from hil.journal.profile_clock import profile_times
+from hil.journal.rows import JournalError
 from hil.journal.writer import JournalReader
 
 PAGE = 16_384
@@ -114,3 +116,38 @@ def all_samples(
         after = int(page.tick[-1])
     tick, time_s, values, quality = (np.concatenate(parts) for parts in zip(*pages, strict=True))
     return tick, time_s, values, quality
+
+
+def samples_sha256(time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]) -> str:
+    """Return the SHA-256 of the samples of a run, in hexadecimal.
+
+    Journal and record of a run have the same: it shows of which samples a result was made.
+
+    Parameters
+    ----------
+    time_s
+        Times of the rows (n,), s of rig time.
+    columns
+        Values (n,) by the columns of all signals, NaN where none is good.
+    """
+    digest = hashlib.sha256(np.ascontiguousarray(time_s, dtype="<f8").tobytes())
+    for name in sorted(columns):
+        values = np.asarray(columns[name], dtype="<f8")
+        digest.update(name.encode("utf-8", "backslashreplace") + b"\n")
+        digest.update(np.where(np.isnan(values), np.nan, values).tobytes())  # one NaN of the many
+    return digest.hexdigest()
+
+
+def record_sha256(record: Path) -> str | None:
+    """Return `samples_sha256` of a record that `export_record` wrote; None for a file of another origin."""
+    import pyarrow as pa
+
+    try:
+        table = read_parquet(record, pa.BufferReader(record.read_bytes()), JournalError)
+    except (OSError, pa.ArrowException, JournalError):
+        return None
+    if b"hil" not in (table.schema.metadata or {}) or "time_s" not in table.column_names:
+        return None
+    signals = [field.name for field in table.schema if b"kind" in (field.metadata or {})]
+    columns = {name: table.column(name).to_numpy(zero_copy_only=False) for name in signals}
+    return samples_sha256(table.column("time_s").to_numpy(zero_copy_only=False), columns)

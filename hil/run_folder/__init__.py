@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     )
     from hil.run_folder.manifest_check import DocumentShape, Labels, require_settings, wrong_place
     from hil.run_folder.notes import LONGEST_NOTE, Note, add_note, labels_of, read_notes
-    from hil.run_folder.verdict import read_diagnosis_verdict, read_verdict
+    from hil.run_folder.verdict import DiagnosisVerdict, read_diagnosis_verdict, read_verdict
 
 __all__ = [
     "LONGEST_NOTE",
+    "DiagnosisVerdict",
     "DocumentShape",
     "FolderLostError",
     "Labels",
@@ -67,6 +68,7 @@ __getattr__, __dir__ = lazy_names(
             "read_notes",
         ),
         "verdict": (
+            "DiagnosisVerdict",
             "read_diagnosis_verdict",
             "read_verdict",
         ),

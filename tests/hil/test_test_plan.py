@@ -53,6 +53,11 @@ def refused(tmp_path, text: str, duration_s: float = 400.0, hold_s: float | None
         ("T_tank_C < 60", "rmse of twin at T_tank_C < 1", "has 1 without a unit; write 1 K"),
         ("T_tank_C < 60", "no effect found after 10 s", "judges the whole run"),
         ("T_tank_C < 60", "T_tank_C < 60 while T_modules_C > 20", "several sensors"),
+        ("T_tank_C < 60", "heater_power < 1e308 kW", "has 1e+308 kW, which is too large in W"),
+        ("T_tank_C < 60", "heater_power between 900 W and 0.5 kW", "is between 900 W and 0.5 kW, which holds nothing"),
+        ("T_tank_C < 60", "ramp of T_tank_C between 3 K/min and 2 K/min", "which holds nothing"),
+        ("T_tank_C < 60", "T_tank_C < 60 while heater_power between 1 kW and 1 W", "which holds nothing"),
+        ('requirement = "REQ-1"', 'requirement = "R"\ngap_at_most = "1e999 s"', "gap_at_most has the number 1e999"),
     ],
 )
 def test_a_mistake_is_named_with_its_line(tmp_path, old, new, said):

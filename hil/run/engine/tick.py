@@ -76,7 +76,7 @@ class TickWork:
         parts.expect()
         if machine.state in WAITING:
             await clock.wait()
-        last, was_running = at.tick, machine.state is State.RUNNING
+        last, was, was_restoring = at.tick, machine.state, self._supervisor.restoring
         at.tick = parts.first_tick + await clock.next_tick()
         parts.expect()
         if self._lockstep:
@@ -99,7 +99,7 @@ class TickWork:
         ended = self._supervisor.step(snapshot, now, self._outputs.values, self._residuals())
         if ended is None and self.restore is not None:
             ended = self._lead_back(self.restore, snapshot, now)
-        goes_on = was_running and machine.state is State.RUNNING
+        goes_on = was is State.RUNNING and machine.state is State.RUNNING
         if goes_on:
             at.profile_ticks += passed
             self.deviations.tick(self._outputs.values, self._setpoint_meters.of(snapshot))
@@ -110,8 +110,13 @@ class TickWork:
             ended = (RunEvent.COMPLETE, "the profile is over") if over else self._never_safe(now)
             if ended is None:
                 clock.release()
-        if goes_on and parts.watch is not None:
-            parts.watch.tick(at.profile_s, *with_commands(snapshot, self._outputs.values, self._outputs.unknown))
+        if parts.watch is not None:
+            row = with_commands(snapshot, self._outputs.values, self._outputs.unknown)
+            if goes_on:
+                parts.watch.tick(at.profile_s, *row)
+            else:
+                as_profile = was is State.RUNNING or (was is State.HELD and not was_restoring)
+                parts.watch.standing(at.profile_s, *row, as_profile)
         self._recorder.sample(snapshot, self._outputs.values, now, wall_s, began, self._outputs.unknown)
         self._show()
         await self._recorder.publish_if_due()
