@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,7 +45,8 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
     profile's clock, s, and `segment`, from 1, the number of the segment.
 
     The unit, kind, role and bus of each column go into its field's metadata. `metadata` (run uid, hashes, ...) goes as
-    JSON into the schema's metadata under `hil`, with the journal's own header. Without `metadata` the `run.json` beside
+    JSON into the schema's metadata under `hil`, with the journal's own header and the wall time at which rig time began
+    (`start_wall_s`, s since 1970). Without `metadata` the `run.json` beside
     the journal is taken, where there is one.
 
     Raises
@@ -62,12 +64,19 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
         states = reader.states()
         profile_s = profile_times(states, tick, header.period_s) if states else time_s
         begins = [row.tick for row in reader.segments()]
+        start_s = reader.start_wall_s()
     finally:
         reader.close()
     if metadata is None:
         manifest = journal.with_name("run.json")
         metadata = json.loads(manifest.read_text(encoding="utf-8")) if manifest.is_file() else {}
-    about = {"profile": header.profile, "period_s": header.period_s, "noise_K": header.noise_K, "run": dict(metadata)}
+    about = {
+        "profile": header.profile,
+        "period_s": header.period_s,
+        "noise_K": header.noise_K,
+        "start_wall_s": start_s if math.isfinite(start_s) else None,
+        "run": dict(metadata),
+    }
     order = sorted(range(len(header.signals)), key=lambda index: _KIND_ORDER[header.signals[index].kind])
     fields = [pa.field("time_s", pa.float64(), nullable=False, metadata={"unit": "s"})]
     arrays = [pa.array(time_s)]

@@ -46,7 +46,7 @@ def note_section(notes: list[Note], wall_s: NDArray[np.float64], time_s: NDArray
         labels = "; ".join(f"{name}: {_plain(value)}" for name, value in note.labels.items())
         rows.append([note.time, at, note.by, element("span", "; ".join(filter(None, (note.text, labels))))])
     head = ["time", f"in the run / {unit.symbol}", "by", "note"]
-    return joined([element("h2", "Notes"), table(head, rows, class_="about")])
+    return joined([element("h2", "Notes"), table(head, rows, class_="about notes")])
 
 
 def quality_section(header: Header, samples: JournalSamples) -> Html:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from drivers.rig_file import file_sha256
 from hil.files import read_json
@@ -48,7 +48,7 @@ class _TestResult(DocumentShape):
     verdict: _Word
     judged: str
     limits: list[_LimitResult]
-    history: list[_EarlierVerdict] = []
+    history: list[_EarlierVerdict] = Field(default_factory=list)
 
 
 class _Verdict(DocumentShape):

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hil.testing.bound_limits import BoundLimit
 from hil.testing.limits import Bound, Compared, Follows, NoEffect, NoTrip, Settles, TwinError
 from hil.testing.plan import Limit
-from hil.testing.run_data import Floats, RunData, carried_on, longest_piece, ticks_within
+from hil.testing.run_data import Floats, RunData, carried_on, longest_piece, root_mean_square, ticks_within
 from hil.testing.settling import judge_settling
 from hil.testing.verdicts import Finding, Verdict, shown, worst
 
@@ -73,8 +73,9 @@ def judge_all(limits: Sequence[BoundLimit], data: RunData) -> tuple[Judgement, .
 def _said(bound: BoundLimit, found: Finding) -> Judgement:
     unit = found.unit or bound.unit
     if found.value is not None and not math.isfinite(found.value):  # values too large to be added
-        verdict: Verdict = "fail" if found.verdict == "fail" else "inconclusive"
-        return Judgement(bound.limit, verdict, f"a value is too large to be judged: {found.text}", None, unit)
+        if found.verdict == "fail":
+            return Judgement(bound.limit, "fail", found.text, None, unit)
+        return Judgement(bound.limit, "inconclusive", f"a value is too large to be judged: {found.text}", None, unit)
     return Judgement(bound.limit, found.verdict, found.text, found.value, unit, found.at_s)
 
 
@@ -367,8 +368,7 @@ def _twin_error(times: _Times, said: TwinError, bound: BoundLimit) -> Finding:
     if not len(off):
         return times.missing()
     if said.kind == "rmse":
-        most = float(np.max(np.abs(off)))  # a damaged value may be so large that its square has no number
-        value, at_s = most * float(np.sqrt(np.mean((off / most) ** 2))) if most > 0.0 else 0.0, None
+        value, at_s = root_mean_square(off), None
     elif said.kind == "bias":
         value, at_s = float(np.mean(off)), None
     else:

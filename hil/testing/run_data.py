@@ -90,6 +90,12 @@ def longest_piece(flags: NDArray[np.bool_]) -> tuple[int, int]:
     return int(lengths[at]), int(begins[at])
 
 
+def root_mean_square(x: Floats) -> float:
+    """Return the root mean square of `x` (n,), at least one; a damaged value may be too large to be squared."""
+    most = float(np.max(np.abs(x)))
+    return most * float(np.sqrt(np.mean((x / most) ** 2))) if 0.0 < most < math.inf else most
+
+
 def carried_on(values: Floats) -> Floats:
     """Return `values` (n,) with the last known one where one is missing; NaN before the first."""
     at = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), 0))

@@ -165,7 +165,7 @@ def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
         if not keys:
             raise ConfigurationError(
                 f"{file}: holds no key; a rig file has [rig], a twin [elements.NAME], an effects file [[effect]], a "
-                "scenario [[system]]"
+                "scenario [[system]], a test plan [[limit]]"
             )
         for key, checker in _CHECKERS.items():
             if key in keys:
@@ -359,11 +359,15 @@ _CHECKERS: dict[str, Callable[[Path, Path, Console], None]] = {
     "system": _scenario,
     "systems": _scenario,
     "limit": _test_plan,
+    "step": _test_plan,
+    "trip_on": _test_plan,
+    "id": _test_plan,
 }
 """Key at the top of a TOML file -> its checker; a file without any of them is a rig file."""
 
 _INFERRED: dict[Callable[[Path, Path, Console], None], str] = {
-    _rig: "a rig file, since it has no [elements] (twin), [[effect]] (effects file) or [[system]] (scenario)",
+    _rig: "a rig file, since it has no [elements] (twin), [[effect]] (effects file), [[system]] (scenario) or "
+    "[[limit]] (test plan)",
     _profile: "a load profile, since no column is a temperature; a record has columns such as T_tank_C",
     _record: "a record, since it is Parquet or has a column that is a temperature",
 }

@@ -13,7 +13,7 @@ from hil.run.engine.attended import Finished, attended
 from hil.run.engine.components import Components
 from hil.run.engine.recording import with_commands
 from hil.run.engine.supervisor import End
-from hil.run.outputs import Descent, GoodReadings, ReadbackDeviations, bind, still_hot
+from hil.run.outputs import Descent, GoodReadings, ReadbackDeviations, bind
 from hil.run.restore import ThermalRestore
 
 FIRST_SAMPLE_TIMEOUT_S = 10.0
@@ -177,17 +177,25 @@ class TickWork:
         return RunEvent.FAIL, f"not confirmed safe for {now_s - since_s:.1f} s: {self._outputs.unconfirmed}"
 
     async def meters_now(self) -> str:
-        """Return what the heaters' meters read now, to go on with a sentence."""
+        """Return what the heaters' meters read now, to go on with a sentence.
+
+        A meter follows its heater within the time that the rig file declares: until then a reading is no contradiction.
+        """
         rig, limits = self._parts.rig, self._parts.limits
         if not limits:
             return ""
         readings = self._parts.heater_meters.of(await self._connection.read())
-        hot = still_hot(rig, limits, readings)
-        if hot:
-            return f", but {hot}"
-        known = [limit.meter for limit in limits if limit.meter in readings]
-        listed = ", ".join(f"{name} reads {readings[name]:.1f} {rig.get(name).unit}" for name in known)
-        return f", {listed}" if known else ", but no meter can be read"
+        disobeyed = self.descent.stays(readings, self._clock.now())
+        if disobeyed:
+            return f", but {disobeyed}"
+        said = []
+        for limit in limits:
+            value, unit = readings.get(limit.meter, math.nan), rig.get(limit.meter).unit
+            if math.isnan(value):
+                continue
+            falls = f" and has {limit.within_s:g} s to come down to {limit.at_most:g} {unit}"
+            said.append(f"{limit.meter} reads {value:.1f} {unit}" + (falls if abs(value) > limit.at_most else ""))
+        return f", {', '.join(said)}" if said else ", but no meter can be read"
 
     async def _put_out(self, elapsed_s: float) -> None:
         """Write what the state asks for. A lost or garbled write is left to the interlocks of the next ticks and to the
