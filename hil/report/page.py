@@ -38,9 +38,11 @@ td, th { padding: .25rem .8rem; border-bottom: 1px solid #d8dce0; text-align: ri
 td:first-child, th:first-child { text-align: left; white-space: nowrap } td.text { text-align: left }
 .ERROR { color: #b3261e } .WARN { color: #9a6700 } .PASS { color: #1b6e3c }
 table.verdict td, table.verdict th, table.about td, table.about th { text-align: left; vertical-align: top }
-table.about td:last-child, table.verdict td.text, table.prose td:last-child { overflow-wrap: anywhere }
+table.about td:last-child, table.prose td:last-child { overflow-wrap: anywhere }
+table.verdict td.text { overflow-wrap: anywhere; min-width: 7rem } table.verdict td:last-child { min-width: 16rem }
 table.prose td, table.prose th { text-align: left; vertical-align: top }
 table.segments td:nth-child(n+6), table.segments th:nth-child(n+6) { text-align: left; overflow-wrap: anywhere }
+table.segments td:nth-child(n+6) { min-width: 8rem }
 table.notes td:nth-child(2), table.notes th:nth-child(2) { white-space: nowrap; text-align: right }
 table.notes td:last-child { white-space: pre-line }
 p.note { color: #5b636b; font-size: .9rem }

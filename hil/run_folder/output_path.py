@@ -22,9 +22,11 @@ _OWN = (
     "junit.xml",
     "control.sock",
     "stream-*",
+    "guardian.log",
 )
 """Names of files that a run and the commands on it write into its folder."""
-_DIAGNOSIS = "diagnosis"
+_RESULTS = ("diagnosis", "explanation")
+"""Folders of results in that of a run."""
 
 
 def require_output(path: Path, failure: Failure, sources: Iterable[Path] = ()) -> None:
@@ -60,7 +62,7 @@ def require_output(path: Path, failure: Failure, sources: Iterable[Path] = ()) -
 def _run_of(path: Path) -> Path | None:
     """Return the folder of the run whose own file has this path; None for any other path."""
     folder = path.parent
-    if folder.name == _DIAGNOSIS and (folder.parent / "run.json").exists():
+    if folder.name in _RESULTS and (folder.parent / "run.json").exists():
         return folder.parent
     is_own = any(fnmatch.fnmatchcase(path.name, pattern) for pattern in _OWN)
     return folder if is_own and (folder / "run.json").exists() else None

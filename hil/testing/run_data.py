@@ -23,8 +23,8 @@ _SAME = 1e-6
 class StandingTicks:
     """Values of the ticks on which the profile stood: at `time_s` (m,), s of profile time, by column (m,).
 
-    A run stands while it is held, paused, suspended or led back to where it was cut. `as_profile` (m,) is True where
-    the outputs were those of the profile, and not at their safe values or led by a thermal restore.
+    A run stands while it is held, paused, suspended or in a thermal restore. `as_profile` (m,) is True where
+    the outputs were those of the profile, and not at their safe values or those of a thermal restore.
     """
 
     time_s: Floats

@@ -116,3 +116,28 @@ def test_a_run_without_journal_and_one_of_another_profile_are_refused_in_a_sente
     done = typed("test", plan, "--on", folder.path)
     assert done.returncode == 1 and "journal.sqlite does not exist" in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('id = "p"\nrig = "r.toml"\ntitle = "x"\n', "line 2: limit: is missing"),
+        ('id = "p"\n[[limits]]\nid = "a"\n', "did you mean limit?"),
+        ('trip_on = "major"\n', "id: is missing"),
+        ('[[step]]\nname = "x"\nfrom = "1 s"\nto = "2 s"\n', "limit: is missing"),
+    ],
+)
+def test_a_plan_without_limits_is_checked_as_a_plan(tmp_path, text, said):
+    path = tmp_path / "plan.toml"
+    path.write_text(text, encoding="utf-8")
+    done = typed("check", path)
+    assert done.returncode == 2 and said in done.stderr and "rig file" not in done.stderr
+
+
+def test_a_check_shows_no_codes_that_a_terminal_obeys(tmp_path):
+    path = tmp_path / "plan.toml"
+    text = plan_text("T_tank_C < 60").replace('"REQ-1"', '"R \\u001b[2J\\u001b[31mred\\u202e"')
+    path.write_text(text, encoding="utf-8")
+    done = typed("check", path)
+    assert done.returncode == 0 and "\x1b" not in done.stdout and "\u202e" not in done.stdout
+    assert r"R \x1b[2J\x1b[31mred\u202e" in done.stdout
