@@ -47,16 +47,16 @@ def require_output(path: Path, failure: Failure, sources: Iterable[Path] = ()) -
         It is a folder, it has none, or it is a file of a run or a source; one sentence.
     """
     if path.is_dir():
-        raise failure(f"{path} is a folder; name a file with --out")
+        raise failure(f"{path} is a folder; name a file")
     if not path.parent.is_dir():
-        raise failure(f"{path.parent} is no folder that is there; make it, or choose another place with --out")
+        raise failure(f"{path.parent} is no folder that is there; make it, or choose another place")
     if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
-        raise failure(f"{path} is a file that this command reads; choose another name with --out")
+        raise failure(f"{path} is a file that this command reads; choose another name")
     place = path.resolve()  # a link leads to the file that would be lost
     for target in {place, path.parent.resolve() / path.name}:
         run = _run_of(target)
         if run is not None:
-            raise failure(f"{path} is a file of the run {run}; choose another name with --out")
+            raise failure(f"{path} is a file of the run {run}; choose another name")
 
 
 def _run_of(path: Path) -> Path | None:

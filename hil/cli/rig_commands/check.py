@@ -94,8 +94,14 @@ def command(
 
         file = record_of(file)
     checker = _checker(file, rig)
-    if picture is not None and checker is not _twin:
-        raise click.UsageError(f"--picture draws twins, and {file} is no twin")
+    if picture is not None:
+        from hil.run_folder import RunFolderError, require_output
+
+        if checker is not _twin:
+            raise click.UsageError(f"--picture draws twins, and {file} is no twin")
+        if picture.suffix.lower() not in (".svg", ".png", ".pdf"):
+            raise click.UsageError(f"{picture}: a picture is a .svg, a .png or a .pdf; choose one")
+        require_output(picture, RunFolderError, [file])
     if catalogue and checker is not _twin:
         raise click.UsageError(f"--catalogue lists the effects that a twin may lack, and {file} is no twin")
     if online and checker is not _rig:
