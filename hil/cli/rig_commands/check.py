@@ -94,8 +94,14 @@ def command(
 
         file = record_of(file)
     checker = _checker(file, rig)
-    if picture is not None and checker is not _twin:
-        raise click.UsageError(f"--picture draws twins, and {file} is no twin")
+    if picture is not None:
+        from hil.run_folder import RunFolderError, require_output
+
+        if checker is not _twin:
+            raise click.UsageError(f"--picture draws twins, and {file} is no twin")
+        if picture.suffix.lower() not in (".svg", ".png", ".pdf"):
+            raise click.UsageError(f"{picture}: a picture is a .svg, a .png or a .pdf; choose one")
+        require_output(picture, RunFolderError, [file])
     if catalogue and checker is not _twin:
         raise click.UsageError(f"--catalogue lists the effects that a twin may lack, and {file} is no twin")
     if online and checker is not _rig:
@@ -165,7 +171,7 @@ def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
         if not keys:
             raise ConfigurationError(
                 f"{file}: holds no key; a rig file has [rig], a twin [elements.NAME], an effects file [[effect]], a "
-                "scenario [[system]]"
+                "scenario [[system]], a test plan [[limit]]"
             )
         for key, checker in _CHECKERS.items():
             if key in keys:
@@ -380,11 +386,15 @@ _CHECKERS: dict[str, Callable[[Path, Path, Console], None]] = {
     "system": _scenario,
     "systems": _scenario,
     "limit": _test_plan,
+    "step": _test_plan,
+    "trip_on": _test_plan,
+    "id": _test_plan,
 }
 """Key at the top of a TOML file -> its checker; a file without any of them is a rig file."""
 
 _INFERRED: dict[Callable[[Path, Path, Console], None], str] = {
-    _rig: "a rig file, since it has no [elements] (twin), [[effect]] (effects file) or [[system]] (scenario)",
+    _rig: "a rig file, since it has no [elements] (twin), [[effect]] (effects file), [[system]] (scenario) or "
+    "[[limit]] (test plan)",
     _profile: "a load profile, since no column is a temperature; a record has columns such as T_tank_C",
     _record: "a record, since it is Parquet or has a column that no load profile has, such as a temperature or a date",
 }
