@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from drivers.importers.draft import Collector, Draft, DraftBus, DraftPoint, ImportFileError, rig_file_text
     from drivers.importers.homeassistant import import_homeassistant
     from drivers.importers.telegraf import import_telegraf
-    from drivers.importers.vendor_table import import_csv
+    from drivers.importers.vendor_table import import_csv, names_registers
 
 _HOME = {
     "DescribedActuator": "drivers.importers.described",
@@ -45,6 +45,7 @@ _HOME = {
     "import_dbc": "drivers.importers.dbc",
     "import_homeassistant": "drivers.importers.homeassistant",
     "import_telegraf": "drivers.importers.telegraf",
+    "names_registers": "drivers.importers.vendor_table.headings",
     "place_of": "drivers.importers.described",
     "rig_file_text": "drivers.importers.draft",
     "temperatures_of": "drivers.importers.described",
@@ -68,6 +69,7 @@ __all__ = [
     "import_dbc",
     "import_homeassistant",
     "import_telegraf",
+    "names_registers",
     "place_of",
     "rig_file_text",
     "temperatures_of",

@@ -106,6 +106,11 @@ def import_telegraf(path: Path) -> Draft:
     inputs = document.get("inputs")
     sections = inputs.get("modbus") if isinstance(inputs, dict) else None
     if not isinstance(sections, list) or not sections or not all(isinstance(item, dict) for item in sections):
+        if "rig" in document or "point" in document:
+            raise ImportFileError(path, None, "is a rig file already; hil check shows what it holds")
+        if inputs:
+            others = ", ".join(f"inputs.{name}" for name in inputs) if isinstance(inputs, dict) else "inputs"
+            raise ImportFileError(path, None, f"has {others} and no [[inputs.modbus]]; only Modbus is imported")
         raise ImportFileError(path, None, "has no [[inputs.modbus]]; is this a Telegraf configuration?")
     importing = _TelegrafImport(path, text)
     importing.other_tables(document)

@@ -50,7 +50,9 @@ def load_placed(path: Path, text: str) -> Placed:
         raise
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark is not None else None
-        raise ImportFileError(path, line, f"is not valid YAML: {error.problem}; correct the line") from None
+        said = text.splitlines()[line - 1] if line is not None and line <= len(text.splitlines()) else ""
+        remedy = "replace its tabs by blanks" if "\t" in said else "correct the line"
+        raise ImportFileError(path, line, f"is not valid YAML: {error.problem}; {remedy}") from None
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise ImportFileError(path, None, f"is not valid YAML: {' '.join(str(error).split())}; correct it") from None
 

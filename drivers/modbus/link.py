@@ -341,6 +341,8 @@ class ModbusLink:
 
     def _lost(self, why: str) -> None:
         self._closed_by_device = True
+        if self._waiting is not None and not self.has_answered:
+            why += " instead of answering; end its other clients, and see that it has this device_id"
         self._broken(why)
         self._wake()
 

@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 import tomllib
 from pathlib import Path
 from typing import Any
 
-from drivers.rig_file.bus_sections import TRANSPORTS
+from drivers.rig_file.bus_sections import (
+    TRANSPORTS,
+    CanBus,
+    ModbusRtuBus,
+    ModbusRtuTcpBus,
+    ModbusTcpBus,
+    ModbusTlsBus,
+    Section,
+)
 from drivers.rig_file.interlock_specs import KINDS
+from drivers.rig_file.model import Point, Rig
 from drivers.rig_file.text import line_of
 from drivers.signals import in_ascii
 
+_BUSES: dict[str, type[Section]] = {
+    "modbus_tcp": ModbusTcpBus,
+    "modbus_tls": ModbusTlsBus,
+    "modbus_rtu_tcp": ModbusRtuTcpBus,
+    "modbus_rtu": ModbusRtuBus,
+    **dict.fromkeys(TRANSPORTS[4:], CanBus),
+}
 _TAGS = (*TRANSPORTS, *KINDS)
 """Tags of union members: pydantic puts the tag into the place of a mistake."""
 _REMEDY = {
@@ -49,6 +66,8 @@ def sentence(path: Path, text: str, item: Any) -> str:
     if len(place) > 2 and place[0] in ("bus", "interlock") and place[2] in _TAGS:
         place = (*place[:2], *place[3:])
     what = mistake(item)
+    if item["type"] == "extra_forbidden":
+        what = _unknown_key(tuple(item["loc"]))
     if item["type"] == "missing" and len(place) > 2 and isinstance(place[-1], int):
         what = "has too few values; give all of them"
     names = [str(part) for part in place if not isinstance(part, int)]
@@ -61,6 +80,21 @@ def sentence(path: Path, text: str, item: Any) -> str:
         key = ".".join(names[1:]) or "point"
         owner = f" of point {name if isinstance(name, str) and name else place[1]}"
     return " ".join(f"{path}, line {line_of(text, place)}: {key}{owner}: {what}".split("\n"))
+
+
+def _unknown_key(place: tuple[Any, ...]) -> str:
+    """Return the mistake of a key that its section has not: one of another transport, a misspelt one, or any other."""
+    key, keys = str(place[-1]), set(Point.model_fields) if place[0] == "point" else set(Rig.model_fields)
+    if place[0] == "bus" and len(place) == 4:
+        tag = str(place[2])
+        keys = set(_BUSES[tag].model_fields)
+        others = [name for name, section in _BUSES.items() if key in section.model_fields]
+        if others:
+            return f"is no key of transport {tag!r}, but of {', '.join(others)}; correct the transport, or take it out"
+    elif len(place) != (3 if place[0] == "point" else 1):
+        keys = set()
+    close = difflib.get_close_matches(key, sorted(keys), 1, 0.75)
+    return f"is not a key of this section; did you mean {close[0]}?" if close else _REMEDY["extra_forbidden"]
 
 
 def mistake(item: Any) -> str:

@@ -196,7 +196,7 @@ class Point(Section):
     def as_signal(self) -> Signal:
         """Return the point without its address."""
         kind: Literal["measured", "setpoint", "status"] = "setpoint" if self.is_setpoint else self.kind
-        return Signal(self.name, self.unit, kind, self.role, self.bus, self.plausible, self.doc)
+        return Signal(self.name, self.unit, kind, self.role, self.bus, self.plausible, self.doc, self.readback)
 
 
 class Heartbeat(Section):

@@ -25,6 +25,14 @@ class RigFileError(ConfigurationError):
     """Rig file that cannot be used; one sentence a mistake, each with line, key and remedy."""
 
 
+_OTHER_KINDS = {
+    "elements": "a twin file and no rig file; give it with --twin",
+    "effect": "an effects file and no rig file; give it with --with",
+    "system": "a scenario and no rig file; `hil profile build {}` makes a load profile of it",
+    "limit": "a test plan and no rig file; give it with --test",
+    "inputs": "a Telegraf configuration; `hil init --from {}` makes a rig file of it",
+}
+"""Keys at the top of files of other kinds, with what to do with them."""
 _FILES = ("dbc", "ca", "certificate", "key")
 
 
@@ -38,6 +46,10 @@ def load_rig(path: Path) -> Rig:
         raise RigFileError(f"{path}: cannot be read ({error.strerror or error}); give the path of a rig file") from None
     except ValueError as error:
         raise RigFileError(f"{path}: {error}") from None
+    if document.keys().isdisjoint(("rig", "bus", "point")):
+        for key, kind in _OTHER_KINDS.items():
+            if key in document:
+                raise RigFileError(f"{path}, line {line_of(text, (key,))}: is {kind.format(path)}")
     mistakes = [f"{path}, line {line_of(text, place)}: {what}" for place, what in _misshapen(document)]
     if mistakes:
         raise RigFileError("\n".join(mistakes))

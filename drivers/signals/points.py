@@ -24,7 +24,8 @@ class Signal:
     """Named quantity of the rig, without its address.
 
     `kind` is `measured` for readings, `setpoint` for values that the harness writes, `status` for counters and bit
-    fields, which no twin and no plot uses. `plausible` is a range in `unit`.
+    fields, which no twin and no plot uses. `plausible` is a range in `unit`. `readback` is the name of the signal that
+    measures what a set-point moves.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Signal:
     bus: str = ""
     plausible: tuple[float, float] | None = None
     doc: str = ""
+    readback: str | None = None
 
     @property
     def column(self) -> str:

@@ -11,7 +11,7 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.comparison.differences import Comparison, Difference, compare_runs
-    from hil.comparison.page import difference_row, write_comparison
+    from hil.comparison.page import difference_head, difference_row, require_page, write_comparison
     from hil.comparison.summaries import RunSummary, run_summaries
 
 __all__ = [
@@ -19,7 +19,9 @@ __all__ = [
     "Difference",
     "RunSummary",
     "compare_runs",
+    "difference_head",
     "difference_row",
+    "require_page",
     "run_summaries",
     "write_comparison",
 ]
@@ -33,7 +35,9 @@ __getattr__, __dir__ = lazy_names(
             "compare_runs",
         ),
         "page": (
+            "difference_head",
             "difference_row",
+            "require_page",
             "write_comparison",
         ),
         "summaries": (

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from drivers.signals import Signal
 from hil.journal import JournalReader
 from hil.run_folder import RunFolder, RunFolderError
-from hil.testing import RunData, read_run
+from hil.testing import RunData, read_run, root_mean_square
 
 Floats = NDArray[np.float64]
 
@@ -143,20 +143,28 @@ def _difference(signal: Signal, name: str, reference: RunData, other: RunData) -
     share = float(common.mean()) if len(common) else 0.0
     if not common.any():
         return Difference(signal.column, signal.unit, name, share)
-    off = second[common] - first[common]
-    at = int(np.argmax(np.abs(off)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = second[common] - first[common]
+        at = int(np.argmax(np.abs(off)))
+        mean, bias = float(second[common].mean()), float(off.mean())
+        reference_mean, rms = float(first[common].mean()), root_mean_square(off)
     return Difference(
         signal.column,
         signal.unit,
         name,
         share,
-        float(first[common].mean()),
-        float(second[common].mean()),
-        float(off.mean()),
-        float(np.sqrt(np.mean(off**2))),
-        float(off[at]),
+        _known(reference_mean),
+        _known(mean),
+        _known(bias),
+        _known(rms),
+        _known(float(off[at])),
         float(reference.time_s[common][at]),
     )
+
+
+def _known(number: float) -> float | None:
+    """Return a number; None where damaged values were too large for a difference or a sum."""
+    return number if math.isfinite(number) else None
 
 
 def _drifts(parameters: Sequence[Mapping[str, Mapping[str, Any]]]) -> list[Drift]:

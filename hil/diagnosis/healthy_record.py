@@ -83,3 +83,15 @@ def copy_record(twin: Path, folder: Path) -> None:
     stored = commissioned_on(twin).path
     if stored is not None:
         shutil.copyfile(stored, folder / stored.name)
+
+
+def is_other_record(twin: Path, healthy: Path | None) -> bool:
+    """Return True for a healthy record with another content than the one that is stored with the twin file.
+
+    Raises
+    ------
+    TwinFileError
+        The twin file cannot be used.
+    """
+    stored = commissioned_on(twin).path
+    return healthy is not None and stored is not None and file_sha256(healthy) != file_sha256(stored)

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers.signals import ConfigurationError, Quality
-from hil.journal import JournalReader, JournalSamples, JournalWriter
+from hil.journal import JournalReader, JournalSamples, JournalWriter, samples_sha256
 from hil.record import Parts
 from hil.tracking import Child
 
@@ -178,6 +178,7 @@ class _DiagnosisWorker:
         rig = rig_of(config.journal.parent)
         self._limits = limits_of(rig) if rig is not None else None
         self._blocks: list[JournalSamples] = []
+        self._samples_sha256: str | None = None
         self._adopted: InterimFinding | None = None
         self._revision: Path | None = None
 
@@ -219,6 +220,7 @@ class _DiagnosisWorker:
         ticks = np.concatenate([b.tick for b in self._blocks])
         parts = Parts.of(time_s, np.searchsorted(begins, ticks, side="right"))
         good = np.concatenate([np.where(b.quality == Quality.GOOD, b.values, np.nan) for b in self._blocks])
+        self._samples_sha256 = samples_sha256(time_s, dict(zip(names, good.T, strict=True)))
         values = np.where(parts.aside[:, None], np.nan, good[parts.rows])
         return columns_of(self._network, Record(time_s[parts.rows], dict(zip(names, values.T, strict=True))), None)
 
@@ -237,6 +239,7 @@ class _DiagnosisWorker:
 
     def _write(self, diagnosis: Diagnosis, out: Path) -> Path:
         from hil.diagnosis.experiment_file import rig_of, write_experiment
+        from hil.diagnosis.healthy_record import is_other_record
         from hil.diagnosis.results import provenance, write
 
         run = self._config.journal.parent
@@ -245,7 +248,11 @@ class _DiagnosisWorker:
             "twin": str(self._config.twin),
             "revision": str(self._revision) if self._revision else None,
             "healthy": str(self._config.healthy) if self._config.healthy else None,
-            "provenance": provenance({"twin": self._config.twin, "healthy record": self._config.healthy}),
+            "provenance": provenance(
+                {"twin": self._config.twin, "healthy record": self._config.healthy},
+                self._samples_sha256,
+                ["--healthy"] if is_other_record(self._config.twin, self._config.healthy) else [],
+            ),
         }
         page = write(diagnosis, self._network.sensor_names, out, extra)
         write_experiment(diagnosis, out, rig_of(run))

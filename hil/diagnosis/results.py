@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import platform
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
@@ -13,12 +14,26 @@ from hil.diagnosis.store import CURVES, curves_of, write_curves, write_document
 from twin.discovery import Diagnosis
 
 
-def provenance(files: dict[str, Path | None]) -> dict[str, object]:
-    """Return the hash of each file, versions, host and time."""
+def provenance(
+    files: dict[str, Path | None], samples_sha256: str | None, options: Sequence[str] = ()
+) -> dict[str, object]:
+    """Return the hash of each file, versions, host and time.
+
+    Parameters
+    ----------
+    files
+        Files by their names in the document.
+    samples_sha256
+        Digest of the samples that were diagnosed (`hil.journal.samples_sha256`); None for a record of other origin.
+    options
+        Options of the command that change what the diagnosis can find.
+    """
     return {
         "files": {
             name: {"path": str(path), "sha256": file_sha256(path)} for name, path in files.items() if path is not None
         },
+        "samples_sha256": samples_sha256,
+        "options": list(options),
         "versions": {
             "hil": __version__,
             "python": platform.python_version(),

@@ -17,9 +17,10 @@ from hil.diagnosis.columns import (
     with_clock,
 )
 from hil.diagnosis.experiment_file import limits_of, write_experiment
-from hil.diagnosis.healthy_record import HealthyRecord, commissioned_on
+from hil.diagnosis.healthy_record import HealthyRecord, commissioned_on, is_other_record
 from hil.diagnosis.results import provenance, write
 from hil.diagnosis.revision import revise, write_proposal
+from hil.journal import record_sha256
 from hil.record import ReadingOptions
 from twin import Network, TwinFileError, load
 from twin.discovery import (
@@ -182,11 +183,27 @@ def write_results(
     extra = described(ready, revision, began)
     files = {"record": request.record, "twin": request.twin, "healthy record": ready.healthy_file}
     files |= {f"later record {number}": path for number, path in enumerate(request.more, start=1)}
-    extra["provenance"] = provenance(files)
+    extra["provenance"] = provenance(files, record_sha256(request.record), _options(ready))
     page = write(found, ready.network.sensor_names, folder, extra)
     extra["page"] = str(page)
     proposal = write_proposal(found, ready.twin, request.record, folder)
     return Written(page, revision, write_experiment(found, folder, request.rig), proposal), extra
+
+
+def _options(ready: PreparedDiagnosis) -> list[str]:
+    """Return the options of a request that change what its diagnosis can find.
+
+    A healthy record given for a twin that has none stored is none of them: without it, less is found.
+    """
+    request = ready.request
+    made = {
+        "--no-healthy": not request.use_healthy and commissioned_on(request.twin).path is not None,
+        "--healthy": is_other_record(request.twin, request.healthy),
+        "--with": bool(request.more),
+        "--at-rest": request.at_rest,
+        "options of reading": request.choice not in (None, ReadingOptions()),
+    }
+    return [name for name, is_made in made.items() if is_made]
 
 
 def described(ready: PreparedDiagnosis, revision: Path | None, began: float) -> dict[str, object]:

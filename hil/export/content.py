@@ -75,7 +75,7 @@ class Channel:
 class RunContent:
     """Content of a run: `time_s (n,)` in s of rig time, `channels`, `events`, and `about`, its identity as text.
 
-    `started` is the UTC time of the start where `run.json` states it.
+    `started` is the UTC time at which rig time began, by the wall time of the first tick.
     """
 
     time_s: NDArray[np.float64]
@@ -137,6 +137,7 @@ def read_run(folder: Path) -> RunContent:
         profile_s = profile_times(states, tick, header.period_s) if states else time_s
         begins = [row.tick for row in reader.segments()]
         events = tuple(reader.events())
+        started = _utc(reader.start_wall_s())
     finally:
         reader.close()
     if not len(time_s):
@@ -154,12 +155,12 @@ def read_run(folder: Path) -> RunContent:
     about = {
         "profile": header.profile,
         "run": str(manifest.get("uid", "")),
-        "started": str(manifest.get("started", "")),
+        "started": "" if started is None else started.isoformat(timespec="milliseconds"),
         "exit_status": str(manifest.get("exit_status", "")),
         "period_s": f"{header.period_s:g}",
         "software": f"hil {__version__}",
     }
-    return RunContent(time_s, tuple(channels), events, about, _utc(about["started"]))
+    return RunContent(time_s, tuple(channels), events, about, started)
 
 
 def _channel(
@@ -212,12 +213,12 @@ def _points(manifest: Mapping[str, Any]) -> dict[str, Point]:
     return {point.name: point for point in rig.point}
 
 
-def _utc(text: str) -> datetime.datetime | None:
+def _utc(wall_s: float) -> datetime.datetime | None:
+    """Return a time in s since 1970 as UTC; None for one that no calendar has."""
     try:
-        found = datetime.datetime.fromisoformat(text)
-    except ValueError:
+        return datetime.datetime.fromtimestamp(wall_s, datetime.UTC)
+    except (OverflowError, OSError, ValueError):
         return None
-    return found if found.tzinfo else found.replace(tzinfo=datetime.UTC)
 
 
 __all__ = ["QUALITY_CODES", "Channel", "ExportError", "RawCounts", "RunContent", "read_run"]

@@ -9,10 +9,10 @@ from typing import BinaryIO
 from hil.export.content import ExportError, RunContent, read_run
 from hil.export.measurement_files import write_hdf5, write_mf4, write_tdms
 from hil.export.tables import csv_files, write_parquet
-from hil.export.target import Writer, write_files
-from hil.run_folder import RunFolder
+from hil.export.target import ENDINGS, Writer, require_suffix, write_files
+from hil.run_folder import RunFolder, require_output
 
-SUFFIX = {"csv": ".csv", "parquet": ".parquet", "mf4": ".mf4", "hdf5": ".h5", "tdms": ".tdms"}
+SUFFIX = {name: endings[0] for name, endings in ENDINGS.items() if name != "fmu"}
 """Format -> ending of its files."""
 
 _WRITERS: dict[str, Callable[[RunContent, BinaryIO], None]] = {
@@ -52,13 +52,13 @@ def export_run(
     if to not in SUFFIX:
         raise ExportError(f"a run is exported to {', '.join(SUFFIX)}, not to {to!r}")
     path = out or Path(run.resolve().name + SUFFIX[to])
+    require_suffix(path, to)
+    require_output(path, ExportError)
     content = read_run(run)
     if names := tuple(signals):
         content = content.chosen(names)
     files: dict[Path, Writer] = {path: lambda file: _WRITERS[to](content, file)}
     if to == "csv":
         files = csv_files(content, path)
-    folder = RunFolder(run)
-    own = (folder.journal, folder.record, folder.review, folder.twin, folder.report, folder.manifest)
-    write_files(files, force, own)
+    write_files(files, force, (RunFolder(run).journal,))
     return tuple(files)

@@ -199,8 +199,6 @@ def _registers(wire: BlockingWire, step: dict[str, Any]) -> list[int]:
     reply = wire.ask(step["device"], bytes.fromhex(step["pdu"]))
     if step["type"] == "bit":
         return [reply[2] & 1]
-    if len(reply) < 2 + 2 * step["words"]:
-        raise WireError(f"{wire.place}: fewer registers than were asked for")
     return list(struct.unpack_from(f">{step['words']}H", reply, 2))
 
 

@@ -18,6 +18,8 @@ CONNECT_S = 0.5
 """Longest wait for a connection, s: two attempts fit into the second in which the rig has to be safe."""
 _QUIET_S = 0.03
 """Silence on a line that ends an exchange, s: the 3.5 characters of RTU (2.5.1.1) take 16 ms at 2400 bit/s."""
+_READ = (1, 2, 3, 4)
+"""Function codes that read; the request ends in the number of registers or bits."""
 _ECHOED = (5, 6, 15, 16)
 """Function codes whose reply repeats the head of the request."""
 
@@ -159,6 +161,13 @@ def _checked(reply: bytes, request: bytes, where: str) -> bytes:
         raise WireError(f"{where} answered another function than {request[0]}")
     if request[0] in _ECHOED and reply[:5] != request[:5]:
         raise WireError(f"{where} confirmed another write than the one that was sent")
+    if request[0] in _READ:
+        count = struct.unpack(">H", request[3:5])[0]
+        asked = -(-count // 8) if request[0] in (1, 2) else 2 * count
+        if reply == request:
+            raise WireError(f"{where} sends the request back (an echo), and no value")
+        if len(reply) != 2 + asked or reply[1] != asked:
+            raise WireError(f"{where} answered {len(reply) - 2} bytes of values where {asked} were asked")
     return reply
 
 

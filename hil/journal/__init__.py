@@ -11,7 +11,7 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.journal.check import require_alone
-    from hil.journal.export import ExportedRecord, all_samples, export_record
+    from hil.journal.export import ExportedRecord, all_samples, export_record, record_sha256, samples_sha256
     from hil.journal.profile_clock import profile_times
     from hil.journal.reader import JournalReader
     from hil.journal.rows import (
@@ -71,7 +71,9 @@ __all__ = [
     "export_record",
     "next_state",
     "profile_times",
+    "record_sha256",
     "require_alone",
+    "samples_sha256",
 ]
 
 __getattr__, __dir__ = lazy_names(
@@ -82,6 +84,8 @@ __getattr__, __dir__ = lazy_names(
             "ExportedRecord",
             "all_samples",
             "export_record",
+            "record_sha256",
+            "samples_sha256",
         ),
         "profile_clock": ("profile_times",),
         "reader": ("JournalReader",),

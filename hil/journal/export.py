@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.files import replacing
+from hil.files import read_parquet, replacing
 from hil.journal.profile_clock import profile_times
+from hil.journal.rows import JournalError
 from hil.journal.writer import JournalReader
 
 PAGE = 16_384
@@ -42,7 +45,8 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
     profile's clock, s, and `segment`, from 1, the number of the segment.
 
     The unit, kind, role and bus of each column go into its field's metadata. `metadata` (run uid, hashes, ...) goes as
-    JSON into the schema's metadata under `hil`, with the journal's own header. Without `metadata` the `run.json` beside
+    JSON into the schema's metadata under `hil`, with the journal's own header and the wall time at which rig time began
+    (`start_wall_s`, s since 1970). Without `metadata` the `run.json` beside
     the journal is taken, where there is one.
 
     Raises
@@ -60,12 +64,19 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
         states = reader.states()
         profile_s = profile_times(states, tick, header.period_s) if states else time_s
         begins = [row.tick for row in reader.segments()]
+        start_s = reader.start_wall_s()
     finally:
         reader.close()
     if metadata is None:
         manifest = journal.with_name("run.json")
         metadata = json.loads(manifest.read_text(encoding="utf-8")) if manifest.is_file() else {}
-    about = {"profile": header.profile, "period_s": header.period_s, "noise_K": header.noise_K, "run": dict(metadata)}
+    about = {
+        "profile": header.profile,
+        "period_s": header.period_s,
+        "noise_K": header.noise_K,
+        "start_wall_s": start_s if math.isfinite(start_s) else None,
+        "run": dict(metadata),
+    }
     order = sorted(range(len(header.signals)), key=lambda index: _KIND_ORDER[header.signals[index].kind])
     fields = [pa.field("time_s", pa.float64(), nullable=False, metadata={"unit": "s"})]
     arrays = [pa.array(time_s)]
@@ -114,3 +125,38 @@ def all_samples(
         after = int(page.tick[-1])
     tick, time_s, values, quality = (np.concatenate(parts) for parts in zip(*pages, strict=True))
     return tick, time_s, values, quality
+
+
+def samples_sha256(time_s: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]) -> str:
+    """Return the SHA-256 of the samples of a run, in hexadecimal.
+
+    Journal and record of a run have the same: it shows of which samples a result was made.
+
+    Parameters
+    ----------
+    time_s
+        Times of the rows (n,), s of rig time.
+    columns
+        Values (n,) by the columns of all signals, NaN where none is good.
+    """
+    digest = hashlib.sha256(np.ascontiguousarray(time_s, dtype="<f8").tobytes())
+    for name in sorted(columns):
+        values = np.asarray(columns[name], dtype="<f8")
+        digest.update(name.encode("utf-8", "backslashreplace") + b"\n")
+        digest.update(np.where(np.isnan(values), np.nan, values).tobytes())  # one NaN of the many
+    return digest.hexdigest()
+
+
+def record_sha256(record: Path) -> str | None:
+    """Return `samples_sha256` of a record that `export_record` wrote; None for a file of another origin."""
+    import pyarrow as pa
+
+    try:
+        table = read_parquet(record, pa.BufferReader(record.read_bytes()), JournalError)
+    except (OSError, pa.ArrowException, JournalError):
+        return None
+    if b"hil" not in (table.schema.metadata or {}) or "time_s" not in table.column_names:
+        return None
+    signals = [field.name for field in table.schema if b"kind" in (field.metadata or {})]
+    columns = {name: table.column(name).to_numpy(zero_copy_only=False) for name in signals}
+    return samples_sha256(table.column("time_s").to_numpy(zero_copy_only=False), columns)

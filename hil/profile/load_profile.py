@@ -56,6 +56,7 @@ WRITTEN_UNITS = {
     "sec": "s",
 }
 """Unit suffixes as users write them, lower case, and the unit that they mean."""
+_NUMBER = re.compile(r"[-+]?\d[\d.eE+-]*", re.ASCII)
 _USUAL_UNITS = {"power": "W", "speed": "%", "flow": "L/min"}
 
 
@@ -116,12 +117,16 @@ class Profile:
 
 @dataclass(frozen=True, slots=True)
 class SetpointLimit:
-    """Limits of one set-point on the rig: values in [`low`, `high`] `unit`, at most `max_rate_per_s` unit/s."""
+    """Limits of one set-point on the rig: values in [`low`, `high`] `unit`, at most `max_rate_per_s` unit/s.
+
+    `setpoint` is the column of the set-point itself; profiles name the one of its readback where it has one.
+    """
 
     low: float
     high: float
     max_rate_per_s: float | None
     unit: str
+    setpoint: str = ""
 
 
 def read_profile(path: Path, unitless: Collection[str] = ()) -> Profile:
@@ -134,6 +139,10 @@ def read_profile(path: Path, unitless: Collection[str] = ()) -> Profile:
         content = path.read_bytes()
     except OSError as error:
         raise ProfileError(f"{path} cannot be read ({error.strerror}); give the path of a profile CSV") from error
+    if path.suffix == ".toml":
+        raise ProfileError(
+            f"{path} is no load profile; give a CSV, a rig file with --rig, and build a scenario with hil profile build"
+        )
     text, notes = _text(path, content)
     columns: tuple[str, ...] = ()
     times: list[float] = []
@@ -224,7 +233,12 @@ def _header(place: str, raw: str, unitless: Collection[str]) -> tuple[str, ...]:
             )
     columns = tuple(_fields(place, raw))
     if columns[0] != "time_s":
-        raise ProfileError(f"{place} begins with column '{columns[0]}'; the first column must be time_s")
+        if all(_NUMBER.fullmatch(column) for column in columns):
+            raise ProfileError(
+                f"{place} holds numbers where column names should stand; add a header such as time_s,heater_power_W"
+            )
+        what = "in seconds from the beginning; records are for hil check, track and diagnose"
+        raise ProfileError(f"{place} begins with column '{columns[0]}'; the first column must be time_s, {what}")
     if len(columns) < 2:
         raise ProfileError(f"{place} names no set-point; add a column such as heater_power_W")
     for index, column in enumerate(columns[1:], start=1):
@@ -314,6 +328,11 @@ def validate(
                 f"{source} gives {name} in {unit} but the rig takes {limits[units_of[name]].unit}; "
                 f"convert the column to {units_of[name]}"
             )
+            continue
+        own = next((known for known, limit in limits.items() if column == limit.setpoint != known), None)
+        if own is not None:
+            meant.add(own)
+            problems.append(f"{source} names the set-point '{column}' itself; call the column {own}, its readback")
             continue
         # Another actuator is never meant, however near its name.
         alike = [known for known in limits if difflib.get_close_matches(_actuator(column), [_actuator(known)])]

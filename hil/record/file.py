@@ -23,11 +23,29 @@ _FOREIGN = (
     (b"\x1f\x8b", "is gzip-compressed; unpack it first"),
     (b"\x89HDF", "is an HDF5 file; export it as Parquet or CSV"),
     (b"TDSm", "is a TDMS file; export it as Parquet or CSV"),
+    (b"\xd0\xcf\x11\xe0", "is a spreadsheet of old Excel; save the sheet as CSV"),
+    (b"MDF  ", "is an MDF file; export its channels as CSV or Parquet"),
+    (b"MATLAB ", "is a MATLAB file; save its table as CSV (writetable)"),
+    (b"\x93NUMPY", "is a NumPy file; save it as CSV with the names of its columns"),
+    (b"\x80\x04", "is a Python pickle, which is not opened; save its table as CSV or Parquet"),
+    (b"%PDF", "is a PDF; export its table as CSV"),
+    (b"7z\xbc\xaf", "is a 7z archive; unpack it first"),
+    (b"Rar!", "is a RAR archive; unpack it first"),
+    (b"(\xb5/\xfd", "is compressed with zstd; unpack it first"),
+    (b"BZh", "is compressed with bzip2; unpack it first"),
     (b"ARROW1", "is a Feather file; save it as Parquet or CSV"),
 )
 _SNIFFED = 1000
 """Bytes of a text that show its kind."""
+_FRAMES = "is a log of CAN frames; decode it by its DBC, and save the signals as CSV with a column for each"
 _FOREIGN_TEXT = (
+    (re.compile(rb"\(\d+\.\d+\)\s+\w+\s+[0-9a-f]+#"), _FRAMES),
+    (re.compile(rb"date .*\nbase (?:hex|dec)|;\$fileversion=|\*\*\*busmaster"), _FRAMES),
+    (re.compile(rb"(?=[^\n]*\b(?:arbitration_)?id\b)(?=[^\n]*\b(?:len|dlc)\b)(?=[^\n]*\b(?:d1|data)\b)"), _FRAMES),
+    (
+        re.compile(rb"[\w.-]+(?:,[\w.-]+=[^,\s]+)* [\w.-]+=\S+ \d{10,19}\r?\n"),
+        "is line protocol of InfluxDB; query the data as CSV",
+    ),
     (re.compile(rb"<(!doctype|\?xml|html|head|body|table)\b"), "is HTML or XML; save its table as CSV"),
     (re.compile(rb'\{\s*"|\[\s*[\[{]\s*["\d]'), "is JSON; export it as CSV, with a column for each signal"),
 )

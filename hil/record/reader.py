@@ -140,6 +140,11 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
     last_of_stamp = np.append(np.flatnonzero(np.diff(stamps) > 0), len(stamps) - 1)
     time_s = stamps[last_of_stamp]
     repeats = len(stamps) - len(time_s)
+    if len(time_s) == 1 and repeats > 1:
+        raise RecordError(
+            f"{path}: all {len(stamps)} rows have one time in column '{axis.column}'; name the column that counts with "
+            "--time-column, or give --at-rest to hil diagnose where each row is a steady state"
+        )
     if repeats:
         messages.append(f"{repeats} repeated time stamps: the last value of each column is kept")
     messages += [] if at_rest else describe_steps(time_s)

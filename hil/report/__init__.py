@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from hil.report.pdf import PdfError, write_pdf
     from hil.report.plot_script import SCRIPT
     from hil.report.statistics import number, symbol, time_unit
+    from hil.report.verdict import earlier_verdicts
     from hil.report.zoom import HINT, PLOT_STYLE, ZoomCurve, zoom_plot
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "SCRIPT",
     "PdfError",
     "ZoomCurve",
+    "earlier_verdicts",
     "number",
     "pair_actuators",
     "symbol",
@@ -47,6 +49,7 @@ __getattr__, __dir__ = lazy_names(
             "symbol",
             "time_unit",
         ),
+        "verdict": ("earlier_verdicts",),
         "zoom": (
             "HINT",
             "PLOT_STYLE",

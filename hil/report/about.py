@@ -11,13 +11,13 @@ from drivers.signals import Quality
 from hil.files import Html, element, joined, table
 from hil.journal import Header, JournalSamples
 from hil.report.statistics import NONE, TimeUnit
-from hil.run_folder import Labels, Note
+from hil.run_folder import DiagnosisVerdict, Labels, Note
 
 
-def label_section(labels: Labels, manifest: dict[str, Any], diagnosis: tuple[str, str] | None) -> Html:
+def label_section(labels: Labels, manifest: dict[str, Any], diagnosis: DiagnosisVerdict | None) -> Html:
     """Return the table of test object, serial number, operator, tags, rig and profile; unknown ones are left out.
 
-    `diagnosis` is the verdict of a diagnosis of the run and its sentence.
+    `diagnosis` is the verdict of the diagnosis in the run's folder.
     """
     files = manifest["files"]
     rows = [
@@ -29,7 +29,7 @@ def label_section(labels: Labels, manifest: dict[str, Any], diagnosis: tuple[str
         ["profile", files["profile"]["path"] if "profile" in files else ""],
         ["started", manifest["started"]],
         ["ended", manifest.get("ended") or ""],
-        ["diagnosis", ": ".join(filter(None, diagnosis or (manifest.get("diagnosis") or "", "")))],
+        ["diagnosis", (manifest.get("diagnosis") or "") if diagnosis is None else str(diagnosis)],
     ]
     rows = [row for row in rows if row[1]]
     return table(["", ""], rows, class_="about") if rows else joined([])
@@ -46,7 +46,7 @@ def note_section(notes: list[Note], wall_s: NDArray[np.float64], time_s: NDArray
         labels = "; ".join(f"{name}: {_plain(value)}" for name, value in note.labels.items())
         rows.append([note.time, at, note.by, element("span", "; ".join(filter(None, (note.text, labels))))])
     head = ["time", f"in the run / {unit.symbol}", "by", "note"]
-    return joined([element("h2", "Notes"), table(head, rows, class_="about")])
+    return joined([element("h2", "Notes"), table(head, rows, class_="about notes")])
 
 
 def quality_section(header: Header, samples: JournalSamples) -> Html:

@@ -11,7 +11,9 @@ _SETPOINT_SUFFIX = re.compile(r"_(set|setpoint|sp|cmd|command|target|demand)$")
 
 
 def pair_actuators(signals: Sequence[Signal]) -> dict[str, tuple[Signal, ...]]:
-    """Return set-points by name without suffix, each with its read-back where one has that name or the same role."""
+    """Return set-points by name without suffix, each with its read-back: the declared one, else one of that name or of
+    the same role.
+    """
     measured = [signal for signal in signals if signal.kind == "measured"]
     pairs: dict[str, tuple[Signal, ...]] = {}
     for setpoint in (signal for signal in signals if signal.kind == "setpoint"):
@@ -20,7 +22,12 @@ def pair_actuators(signals: Sequence[Signal]) -> dict[str, tuple[Signal, ...]]:
             signal
             for signal in measured
             if signal.unit == setpoint.unit
-            and (signal.name.startswith(stem) or (signal.role is not None and signal.role == setpoint.role))
+            and setpoint.readback in (None, signal.name)
+            and (
+                signal.name == setpoint.readback
+                or signal.name.startswith(stem)
+                or (signal.role is not None and signal.role == setpoint.role)
+            )
         ]
         pairs[stem] = (setpoint, *found[:1])
     return pairs

@@ -86,10 +86,13 @@ def zoom_plots(drawn: RunCurves) -> Html:
     if len(time_s) < 2:
         return joined([])
     groups = [_against_twin(drawn) if drawn.measured else iter(()), _others(drawn), _actuators(drawn)]
-    parts = [element("h2", "Curves that zoom, over record time / s"), element("p", HINT, class_="note")]
+    parts = [
+        element("h2", f"Curves that zoom, over record time / {drawn.unit.symbol}"),
+        element("p", HINT, class_="note"),
+    ]
     for plot in itertools.chain(*groups):
         curves = [ZoomCurve(curve.label, curve.colour, time_s, curve.values) for curve in plot.curves]
-        parts.append(zoom_plot(plot.title, curves, float(time_s[-1])))
+        parts.append(zoom_plot(plot.title, curves, float(time_s[-1]), unit_s=drawn.unit.seconds))
     return joined(parts)
 
 

@@ -33,11 +33,18 @@ LEVELS = ("ERROR", "WARN")
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; color: #22262b }
 h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem } img { width: 100% }
-table { border-collapse: collapse }
+table { border-collapse: collapse; display: block; width: fit-content; max-width: 100%; overflow-x: auto }
 td, th { padding: .25rem .8rem; border-bottom: 1px solid #d8dce0; text-align: right }
 td:first-child, th:first-child { text-align: left; white-space: nowrap } td.text { text-align: left }
 .ERROR { color: #b3261e } .WARN { color: #9a6700 } .PASS { color: #1b6e3c }
 table.verdict td, table.verdict th, table.about td, table.about th { text-align: left; vertical-align: top }
+table.about td:last-child, table.prose td:last-child { overflow-wrap: anywhere }
+table.verdict td.text { overflow-wrap: anywhere; min-width: 7rem } table.verdict td:last-child { min-width: 16rem }
+table.prose td, table.prose th { text-align: left; vertical-align: top }
+table.segments td:nth-child(n+6), table.segments th:nth-child(n+6) { text-align: left; overflow-wrap: anywhere }
+table.segments td:nth-child(n+6) { min-width: 8rem }
+table.notes td:nth-child(2), table.notes th:nth-child(2) { white-space: nowrap; text-align: right }
+table.notes td:last-child { white-space: pre-line }
 p.note { color: #5b636b; font-size: .9rem }
 """
 
@@ -104,7 +111,8 @@ def _summary(manifest: dict[str, Any]) -> Html:
     reason = f": {manifest['reason']}" if manifest["reason"] else ""
     is_safe = manifest.get("safe") and not manifest.get("away")
     safe = "The heater was left at its safe value, read back." if is_safe else "NOT confirmed safe."
-    problems = (element("p", problem, class_="WARN") for problem in manifest.get("problems", []))
+    found = [*manifest.get("problems", []), *manifest.get("deviations", [])]
+    problems = (element("p", problem, class_="WARN") for problem in found)
     return joined([element("p", element("b", manifest["exit_status"]), f"{reason}. {safe}"), *problems])
 
 
@@ -129,7 +137,7 @@ def _segments(manifest: dict[str, Any], unit: TimeUnit) -> Html:
         "The run was interrupted and resumed. Curves and errors leave out the gaps. The profile's "
         "clock stood during the thermal restore; the samples of that time are in the record."
     )
-    return _part("Segments", table(head, rows), _note(note))
+    return _part("Segments", table(head, rows, class_="segments"), _note(note))
 
 
 def _error_table(manifest: dict[str, Any]) -> Html:
@@ -266,7 +274,7 @@ def _events(reader: JournalReader, unit: TimeUnit) -> Html:
         )
         for row in reader.events()
     )
-    return _part("Events", element("table", *lines))
+    return _part("Events", element("table", *lines, class_="prose"))
 
 
 def _provenance(manifest: dict[str, Any]) -> Html:
@@ -274,4 +282,4 @@ def _provenance(manifest: dict[str, Any]) -> Html:
     rows += [[name, f"{item['path']}  sha256 {item['sha256'][:16]}"] for name, item in manifest["files"].items()]
     rows += [[name, version] for name, version in manifest["versions"].items()]
     rows += [[name, str(value)] for name, value in manifest["settings"].items()]
-    return _part("Provenance", table(["", ""], rows))
+    return _part("Provenance", table(["", ""], rows, class_="prose"))

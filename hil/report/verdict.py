@@ -23,7 +23,21 @@ def _test(test: dict[str, Any]) -> Html:
     title = element("h2", "Test: ", test["title"] or test["id"], " ", _word(test["verdict"]))
     rows = (_row(limit) for limit in test["limits"])
     note = f"plan {test['id']}, sha256 {test['sha256'][:16]}, judged {test['judged']}"
-    return joined([title, element("table", head, *rows, class_="verdict"), element("p", note, class_="note")])
+    earlier = (element("p", line, class_="note") for line in earlier_verdicts(test))
+    return joined([title, element("table", head, *rows, class_="verdict"), element("p", note, class_="note"), *earlier])
+
+
+def earlier_verdicts(test: dict[str, Any]) -> list[str]:
+    """Return a sentence for each earlier verdict of a test that differs from the present one, or is of another plan."""
+    found = []
+    for one in test.get("history", []):
+        is_other = one["sha256"] != test["sha256"]
+        if not is_other and one["verdict"] == test["verdict"]:
+            continue
+        plan = f"a plan of the same id and other content (sha256 {one['sha256'][:16]})" if is_other else "the same plan"
+        failed = f"; failed: {', '.join(one['failed'])}" if one["failed"] else ""
+        found.append(f"judged before, at {one['judged']}, by {plan}: {WORDS[one['verdict']]}{failed}")
+    return found
 
 
 def _row(limit: dict[str, Any]) -> Html:

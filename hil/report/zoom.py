@@ -30,14 +30,17 @@ class ZoomCurve:
     values: NDArray[np.float64]
 
 
-def zoom_plot(title: str, curves: Sequence[ZoomCurve], end_s: float) -> Html:
-    """Return a heading and a plot of curves over 0 to `end_s` s; the page needs `SCRIPT` and `PLOT_STYLE`."""
+def zoom_plot(title: str, curves: Sequence[ZoomCurve], end_s: float, *, unit_s: float = 1.0) -> Html:
+    """Return a heading and a plot of curves over 0 to `end_s` s; the page needs `SCRIPT` and `PLOT_STYLE`.
+
+    The axis is in units of `unit_s` s.
+    """
     series = []
     for curve in curves:
         time_s, values = thinned(curve.time_s, curve.values)
         y = [float(f"{value:.6g}") if np.isfinite(value) else None for value in values.tolist()]
-        series.append({"name": curve.name, "colour": curve.colour, "x": time_s.tolist(), "y": y})
-    data = {"title": title, "range": [0.0, max(end_s, 1e-9)], "series": series}
+        series.append({"name": curve.name, "colour": curve.colour, "x": (time_s / unit_s).tolist(), "y": y})
+    data = {"title": title, "range": [0.0, max(end_s / unit_s, 1e-9)], "series": series}
     return joined([element("h3", title), plot_data(data)])
 
 

@@ -19,11 +19,14 @@ if TYPE_CHECKING:
         require_room,
     )
     from hil.run_folder.manifest_check import DocumentShape, Labels, require_settings, wrong_place
-    from hil.run_folder.notes import LONGEST_NOTE, Note, add_note, labels_of, read_notes
-    from hil.run_folder.verdict import read_diagnosis_verdict, read_verdict
+    from hil.run_folder.notes import LONGEST_LABEL, LONGEST_NOTE, Note, add_note, labels_of, read_notes
+    from hil.run_folder.output_path import require_output
+    from hil.run_folder.verdict import DiagnosisVerdict, read_diagnosis_verdict, read_verdict
 
 __all__ = [
+    "LONGEST_LABEL",
     "LONGEST_NOTE",
+    "DiagnosisVerdict",
     "DocumentShape",
     "FolderLostError",
     "Labels",
@@ -37,6 +40,7 @@ __all__ = [
     "read_diagnosis_verdict",
     "read_notes",
     "read_verdict",
+    "require_output",
     "require_room",
     "require_settings",
     "wrong_place",
@@ -60,13 +64,16 @@ __getattr__, __dir__ = lazy_names(
             "wrong_place",
         ),
         "notes": (
+            "LONGEST_LABEL",
             "LONGEST_NOTE",
             "Note",
             "add_note",
             "labels_of",
             "read_notes",
         ),
+        "output_path": ("require_output",),
         "verdict": (
+            "DiagnosisVerdict",
             "read_diagnosis_verdict",
             "read_verdict",
         ),

@@ -21,6 +21,8 @@ from hil.run_folder.manifest_check import DocumentShape, Labels, wrong_place
 
 LONGEST_NOTE = 2000
 """Most characters of a note."""
+LONGEST_LABEL = 200
+"""Most characters of a label, and of the name of an author."""
 MOST_NOTES = 8 * 10**6
 """Most bytes of the file: some ten thousand notes."""
 
@@ -53,14 +55,23 @@ def add_note(folder: RunFolder, text: str, by: str, labels: Labels | None = None
     Raises
     ------
     RunFolderError
-        This is no run folder, the note is empty, or the file cannot be written.
+        This is no run folder, the note is empty or too long, or the file cannot be written.
     """
     folder.read_manifest()
     changed = {} if labels is None else labels.given()
+    for what, given, longest in (
+        ("the note", text.strip(), LONGEST_NOTE),
+        ("the name of the author", by, LONGEST_LABEL),
+        *((f"the label {name}", part, LONGEST_LABEL) for name, part in _label_texts(changed)),
+    ):
+        if len(given) > longest:
+            raise RunFolderError(
+                f"{what} has {len(given)} characters, at most {longest} are kept; shorten it, or write several notes"
+            )
     if not text.strip() and not changed:
         raise RunFolderError("the note is empty; write what you saw, or give a label such as --serial")
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    note = Note(now, plain(by, 200), plain(text.strip(), LONGEST_NOTE), changed)
+    note = Note(now, plain(by, LONGEST_LABEL), plain(text.strip(), LONGEST_NOTE), changed)
     line = json.dumps({"time": note.time, "by": note.by, "text": note.text, "labels": changed}) + "\n"
     try:
         handle = os.open(folder.notes, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
@@ -72,6 +83,11 @@ def add_note(folder: RunFolder, text: str, by: str, labels: Labels | None = None
     except OSError as error:
         raise RunFolderError(f"{folder.notes} cannot be written ({error.strerror}); make room or writable") from None
     return note
+
+
+def _label_texts(labels: Mapping[str, str | list[str]]) -> list[tuple[str, str]]:
+    """Return name and text of each label."""
+    return [(name, part) for name, given in labels.items() for part in ([given] if isinstance(given, str) else given)]
 
 
 def read_notes(folder: RunFolder) -> list[Note]:

@@ -20,13 +20,16 @@ _SYNC_S = 1.0
 class PositionFile:
     """File `stream-<name>.json` of one run and one address, held by one process at a time.
 
+    With `everything` a position up to which not every sample was sent does not count.
+
     Raises
     ------
     StreamError
         Another process streams the run to this address, or the folder takes no file.
     """
 
-    def __init__(self, folder: Path, address: Address) -> None:
+    def __init__(self, folder: Path, address: Address, everything: bool = False) -> None:
+        self._everything = everything
         self._path = folder / f"stream-{address.file_name}.json"
         self._shown = address.shown
         self._synced_at = 0.0
@@ -44,8 +47,13 @@ class PositionFile:
         except OSError:
             pass  # a file system without locks
 
+    @property
+    def path(self) -> Path:
+        """Return the file."""
+        return self._path
+
     def read(self) -> Position | None:
-        """Return the stored position, None where there is none.
+        """Return the stored position, None where there is none that counts.
 
         Raises
         ------
@@ -57,6 +65,8 @@ class PositionFile:
             tick, event = document["tick"], document["event"]
             if type(tick) is not int or type(event) is not int:
                 raise TypeError
+            if self._everything and document.get("all") is not True:
+                return None
         except FileNotFoundError:
             return None
         except (OSError, ValueError, TypeError, KeyError, RecursionError):
@@ -71,7 +81,8 @@ class PositionFile:
         StreamError
             The folder takes no file.
         """
-        text = json.dumps({"to": self._shown, "tick": position.tick, "event": position.event}) + "\n"
+        document = {"to": self._shown, "tick": position.tick, "event": position.event, "all": self._everything}
+        text = json.dumps(document) + "\n"
         now = time.monotonic()
         try:
             if now - self._synced_at >= _SYNC_S:

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +40,16 @@ class StreamOptions:
 
 @dataclass(frozen=True, slots=True)
 class StreamResult:
-    """Result of a stream: address without password, state of the run, ticks and events that it advanced by."""
+    """Result of a stream: address without password, state of the run, ticks and events that it advanced by.
+
+    `positions` is the file with the position that a broker has confirmed, None for a database.
+    """
 
     to: str
     state: str
     ticks: int
     events: int
+    positions: Path | None = None
 
 
 def stream_run(run: Path, to: str, options: StreamOptions, announce: Callable[[str], None]) -> StreamResult:
@@ -76,8 +80,8 @@ def stream_run(run: Path, to: str, options: StreamOptions, announce: Callable[[s
     address = parse_address(to)
     with ExitStack() as stack:
         source = stack.enter_context(JournalSource(run))
-        opened = _opener(address, run, source, options, stack)
-        return _Stream(source, address, opened, options, announce).follow()
+        opened, positions = _opener(address, run, source, options, stack)
+        return replace(_Stream(source, address, opened, options, announce).follow(), positions=positions)
 
 
 class _Stream:
@@ -114,7 +118,8 @@ class _Stream:
                 if store is not None:
                     store.close(ended=ended)
         first = self._first or Position()
-        return StreamResult(self._address.shown, self._state, self._at.tick - first.tick, self._at.event - first.event)
+        ticks, events = self._at.tick - first.tick, self._at.event - first.event
+        return StreamResult(self._address.shown, self._state, ticks, events)
 
     def _send_all(self, store: Store) -> None:
         self._at = store.position()
@@ -149,8 +154,10 @@ class _Stream:
 
 def _opener(
     address: Address, run: Path, source: JournalSource, options: StreamOptions, stack: ExitStack
-) -> Callable[[], Store]:
-    """Return the function that connects to the store; what must be right before the first try is checked here.
+) -> tuple[Callable[[], Store], Path | None]:
+    """Return the function that connects to the store, and the file of its position where the run's folder has one.
+
+    What must be right before the first try is checked here.
 
     Raises
     ------
@@ -162,17 +169,17 @@ def _opener(
         _unless_down(lambda: require_known_host(address.host))
         from hil.stream.position_file import PositionFile
 
-        positions = PositionFile(run, address)
+        positions = PositionFile(run, address, options.everything)
         stack.callback(positions.close)
         start, stride = Position(), _stride(options, source.run.period_s)
         if not options.everything and positions.read() is None and source.ended():
             start, stride = source.last_position(), 1  # the last values of a run that nobody followed
-        return lambda: module.MqttStore(address, source.run, positions, start=start, stride=stride)
+        return lambda: module.MqttStore(address, source.run, positions, start=start, stride=stride), positions.path
     if options.every_s is not None or options.everything:
         raise StreamError("a database gets every sample of a run; leave out --every and --all, which are for MQTT")
     module = _library("postgres_store", "psycopg", "psycopg")
     _unless_down(lambda: module.require_known_database_host(address))
-    return lambda: module.PostgresStore(address, source.run)
+    return lambda: module.PostgresStore(address, source.run), None
 
 
 def _stride(options: StreamOptions, period_s: float) -> int:

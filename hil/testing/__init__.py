@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hil.testing.prepared import PreparedTest, live_watch, prepared_test
     from hil.testing.recorded import judge_run
     from hil.testing.results import TestResult, junit, write_results
-    from hil.testing.run_data import RunData, read_run
+    from hil.testing.run_data import RunData, read_run, root_mean_square
     from hil.testing.terminal import document_lines
 
 __all__ = [
@@ -43,6 +43,7 @@ __all__ = [
     "read_plan",
     "read_run",
     "requirement_matrix",
+    "root_mean_square",
     "write_results",
 ]
 
@@ -83,6 +84,7 @@ __getattr__, __dir__ = lazy_names(
         "run_data": (
             "RunData",
             "read_run",
+            "root_mean_square",
         ),
         "terminal": ("document_lines",),
     },

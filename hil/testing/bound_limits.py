@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -164,13 +165,23 @@ def _number(amount: Amount, unit: str, suffixed: bool, name: str, *, difference:
         return Amount(amount.number, shown)
     if amount.unit == "%" and unit != "%" and not difference:
         raise _MismatchError(f"is in %, and {name} is in {unit}; write the limit in {unit}")
-    return Amount(amount.number * factor_to(unit, amount.unit, difference=difference), shown)
+    number = amount.number * factor_to(unit, amount.unit, difference=difference)
+    if not math.isfinite(number):
+        raise _MismatchError(f"has {amount}, which is too large in {shown}; write a smaller number")
+    return Amount(number, shown)
 
 
 def _converted(bound: Bound, unit: str, suffixed: bool, name: str, *, difference: bool = False) -> Bound:
     amount = _number(bound.amount, unit, suffixed, name, difference=difference)
     upper = None if bound.upper is None else _number(bound.upper, unit, suffixed, name, difference=difference)
+    _require_order(bound, amount, upper)
     return Bound(bound.operator, amount, upper)
+
+
+def _require_order(bound: Bound, low: Amount, high: Amount | None) -> None:
+    """Check that something lies between the amounts of a bound, in one unit."""
+    if high is not None and not low.number < high.number:
+        raise _MismatchError(f"is {bound}, which holds nothing; write the lesser one first")
 
 
 def _compared(limit: Limit, said: Compared, known: RigSignals, from_s: float, to_s: float) -> BoundLimit:
@@ -208,6 +219,7 @@ def _ramp(limit: Limit, said: Compared, known: RigSignals, from_s: float, to_s: 
         amounts.append(None if number is None else Amount(number * 60.0, f"{shown}/min"))
     assert amounts[0] is not None
     bound = Bound(said.bound.operator, amounts[0], amounts[1])
+    _require_order(said.bound, amounts[0], amounts[1])
     return BoundLimit(limit, replace(said, bound=bound, over_s=over_s), columns, f"{shown}/min", from_s, to_s)
 
 

@@ -1,11 +1,13 @@
 """Judgement of limits on the data of a run: pass, fail, or inconclusive where values are missing.
 
 A limit passes only with all values of its time. With missing values it fails where the known ones prove that, and is
-inconclusive otherwise.
+inconclusive otherwise. A gap that a limit admits is left out, except where the limit measures a time: then it passes or
+fails only if it does so with the missing values on either side.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,13 +17,13 @@ from numpy.typing import NDArray
 from hil.testing.bound_limits import BoundLimit
 from hil.testing.limits import Bound, Compared, Follows, NoEffect, NoTrip, Settles, TwinError
 from hil.testing.plan import Limit
-from hil.testing.run_data import Floats, RunData
+from hil.testing.run_data import Floats, RunData, carried_on, longest_piece, root_mean_square, ticks_within
 from hil.testing.settling import judge_settling
 from hil.testing.verdicts import Finding, Verdict, shown, worst
 
 Bools = NDArray[np.bool_]
-_FEEDS = 1e-6
-"""Share of a tick by which two times may differ and still be the same."""
+_SAME_S = 1e-6
+"""Time by which two times may differ and still be the same, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,11 @@ class Judgement:
 
 def judge(bound: BoundLimit, data: RunData) -> Judgement:
     """Return the judgement of a limit on a run; that of a limit of several columns is the worst of theirs."""
+    with np.errstate(over="ignore", invalid="ignore"):  # `_said` takes care of values without a number
+        return _judged(bound, data)
+
+
+def _judged(bound: BoundLimit, data: RunData) -> Judgement:
     statement = bound.statement
     if isinstance(statement, NoEffect):
         return _said(bound, _no_effect(data))
@@ -52,9 +59,10 @@ def judge(bound: BoundLimit, data: RunData) -> Judgement:
         residual = data.measured(statement.sensor) - data.twins[statement.twin][statement.sensor]
         return _said(bound, _twin_error(_Times.of(bound, data, residual), statement, bound))
     found = [(_column(bound, data, column), column) for column in bound.columns]
+    found += [(stood, column) for column in bound.columns if (stood := _standing(bound, data, column)) is not None]
     chosen, column = worst(found)
     judged = _said(bound, chosen)
-    return replace(judged, column=column, text=f"{column}: {judged.text}" if len(found) > 1 else judged.text)
+    return replace(judged, column=column, text=f"{column}: {judged.text}" if len(bound.columns) > 1 else judged.text)
 
 
 def judge_all(limits: Sequence[BoundLimit], data: RunData) -> tuple[Judgement, ...]:
@@ -64,6 +72,10 @@ def judge_all(limits: Sequence[BoundLimit], data: RunData) -> tuple[Judgement, .
 
 def _said(bound: BoundLimit, found: Finding) -> Judgement:
     unit = found.unit or bound.unit
+    if found.value is not None and not math.isfinite(found.value):  # values too large to be added
+        if found.verdict == "fail":
+            return Judgement(bound.limit, "fail", found.text, None, unit)
+        return Judgement(bound.limit, "inconclusive", f"a value is too large to be judged: {found.text}", None, unit)
     return Judgement(bound.limit, found.verdict, found.text, found.value, unit, found.at_s)
 
 
@@ -71,46 +83,63 @@ def _said(bound: BoundLimit, found: Finding) -> Judgement:
 class _Times:
     """Ticks of a limit: `time_s` (n,) and the values `x` (n,), NaN where missing.
 
-    `gap_s` is the longest time without a value, s, and `gap_from_s` its beginning.
+    `unknown` (m,) tells of each tick that the profile has in the time of the limit, from number `first` on, whether its
+    value is missing; one on which the condition of the limit is known not to hold needs none.
     """
 
     time_s: Floats
     x: Floats
+    position: NDArray[np.int64]
+    unknown: Bools
+    first: int
     period_s: float
-    gap_s: float
-    gap_from_s: float
     at_most_s: float
 
     @classmethod
     def of(cls, bound: BoundLimit, data: RunData, values: Floats) -> _Times:
         """Return the ticks on which `values` (n,) of the run count for a limit."""
-        inside = (data.time_s >= bound.from_s - _FEEDS) & (data.time_s <= bound.to_s + _FEEDS)
-        time_s, x = data.time_s[inside], values[inside]
+        wanted = ticks_within(bound.from_s, bound.to_s, data.period_s)
+        position = data.positions()
+        inside = (position >= wanted.start) & (position < wanted.stop)
+        position, time_s, x = position[inside], data.time_s[inside], values[inside]
         covered, counts = np.isfinite(x), np.ones(len(x), dtype=np.bool_)
         if bound.condition is not None and bound.while_ is not None:
             on = data.columns[bound.condition][inside]
             counts = np.isfinite(on) & within(on, bound.while_)
             covered = np.isfinite(on) & (covered | ~counts)
-        edges = np.concatenate([[bound.from_s - data.period_s], time_s[covered], [bound.to_s]])
-        longest = int(np.argmax(np.diff(edges)))
-        gap_s = float(edges[longest + 1] - edges[longest]) - data.period_s
-        gap_from_s = float(edges[longest]) + data.period_s
-        return cls(time_s[counts], x[counts], data.period_s, gap_s, gap_from_s, bound.limit.gap_at_most_s)
+        unknown = np.ones(len(wanted), dtype=np.bool_)
+        unknown[position[covered] - wanted.start] = False
+        return cls(
+            time_s[counts],
+            x[counts],
+            position[counts],
+            unknown,
+            wanted.start,
+            data.period_s,
+            bound.limit.gap_at_most_s,
+        )
 
     @property
     def is_missing(self) -> bool:
         """True where values are missing for longer than the limit admits."""
-        return self.gap_s > self.at_most_s + 0.5 * self.period_s
+        return longest_piece(self.unknown)[0] * self.period_s > self.at_most_s + 0.5 * self.period_s
 
     @property
     def known(self) -> Bools:
         """Ticks (n,) with a value."""
         return np.isfinite(self.x)
 
+    def beyond(self, threshold: Bound) -> Bools:
+        """Return of each tick of the profile (m,) whether its value is known and within `threshold`."""
+        found = np.zeros(len(self.unknown), dtype=np.bool_)
+        found[self.position[self.known & within(self.x, threshold)] - self.first] = True
+        return found
+
     def missing(self, value: float | None = None, unit: str = "") -> Finding:
         """Return the finding that values are missing; `value` in `unit` is that of the known ones."""
-        for_s = max(self.gap_s, self.period_s)
-        text = f"values are missing, at the longest for {for_s:g} s from {self.gap_from_s:g} s on"
+        length, begin = longest_piece(self.unknown)
+        for_s, from_s = max(length, 1) * self.period_s, (self.first + begin) * self.period_s
+        text = f"values are missing, at the longest for {for_s:g} s from {from_s:g} s on"
         return Finding("inconclusive", text, value, unit)
 
 
@@ -142,9 +171,55 @@ def _column(bound: BoundLimit, data: RunData, column: str) -> Finding:
         is_never = not times.is_missing and bound.condition is not None
         text = "its condition was never fulfilled" if is_never else "it has no good value"
         return Finding("inconclusive", text)
-    if statement.measure == "value":
-        return _values(times, statement.bound, bound.unit)
-    return _statistic(times, statement, bound.unit)
+    if statement.measure in ("time", "longest"):
+        return _duration(times, statement, bound.unit)
+    if statement.measure != "value":
+        return _statistic(times, statement, bound.unit)
+    return _values(times, statement.bound, bound.unit)
+
+
+def _standing(bound: BoundLimit, data: RunData, column: str) -> Finding | None:
+    """Return the failure of a limit on a tick on which the profile stood; None where there is none.
+
+    The clock of the profile says nothing of these ticks, so that a limit with times is not for them.
+    """
+    said, ticks = bound.statement, data.standing
+    if ticks is None or not holds_always(bound):
+        return None
+    assert isinstance(said, Compared)
+    x = ticks.columns[column]
+    wrong = np.isfinite(x) & np.where(ticks.as_profile, ~within(x, said.bound), is_above(x, said.bound))
+    if bound.condition is not None and bound.while_ is not None:
+        wrong &= within(ticks.columns[bound.condition], bound.while_)
+    if not wrong.any():
+        return None
+    margins = np.where(wrong, _margins(x, said.bound), np.inf)
+    at = int(np.argmin(margins))
+    value, at_s = float(x[at]), float(ticks.time_s[at])
+    text = f"{shown(value, bound.unit)} while the profile stood at {at_s:g} s, the limit is {said.bound}"
+    return Finding("fail", text, value, at_s=at_s, margin=float(margins[at]))
+
+
+def holds_always(bound: BoundLimit) -> bool:
+    """Return True for a limit on every value, without times of its own: it also holds while the profile stands."""
+    said, window = bound.statement, bound.limit.sentence.window
+    if window.from_s is not None or window.to_s is not None or not isinstance(said, Compared):
+        return False
+    is_upper = said.bound.operator.startswith("<")
+    every = {"value": True, "max": is_upper, "min": not is_upper and said.bound.upper is None}
+    return every.get(said.measure, False)
+
+
+def is_above(x: Floats, bound: Bound) -> Bools:
+    """Return which of `x` (n,) are above the upper end of a bound; none where it has no upper end.
+
+    At the rig's safe values and in a thermal restore only this end holds: a heater that is off there is no failure.
+    """
+    if bound.upper is not None:
+        return np.asarray(x > bound.upper.number)
+    if not bound.operator.startswith("<"):
+        return np.zeros(np.shape(x), dtype=np.bool_)
+    return np.asarray(np.isfinite(x) & ~within(x, bound))
 
 
 def _values(times: _Times, bound: Bound, unit: str) -> Finding:
@@ -174,10 +249,6 @@ def _statistic(times: _Times, said: Compared, unit: str) -> Finding:
         at = np.flatnonzero(times.known)[int(pick(x))]
         value, at_s = float(times.x[at]), float(times.time_s[at])
         grows = said.bound.upper is None and said.bound.operator.startswith("<" if said.measure == "max" else ">")
-    elif said.measure in ("time", "longest"):
-        assert said.threshold is not None
-        value, at_s = _time_beyond(times, said.threshold, longest=said.measure == "longest")
-        grows = said.bound.upper is None and said.bound.operator.startswith("<")
     elif said.measure == "ramp":
         steepest = _steepest(times, said)
         if steepest is None:
@@ -205,19 +276,39 @@ def _plain_statistic(x: Floats, said: Compared) -> float:
     return float(np.percentile(x, said.percent))
 
 
-def _time_beyond(times: _Times, threshold: Bound, *, longest: bool) -> tuple[float, float | None]:
-    """Return the time beyond a threshold, s, in all or at the longest, and when it began."""
-    beyond = times.known & within(times.x, threshold)
-    where = np.flatnonzero(beyond)
-    if not len(where):
-        return 0.0, None
-    if not longest:
-        return len(where) * times.period_s, float(times.time_s[where[0]])
-    breaks = np.diff(where) > 1
-    breaks |= np.diff(times.time_s[where]) > 1.5 * times.period_s
-    pieces = np.split(where, np.flatnonzero(breaks) + 1)
-    piece = max(pieces, key=len)
-    return len(piece) * times.period_s, float(times.time_s[piece[0]])
+def _duration(times: _Times, said: Compared, unit: str) -> Finding:
+    """Return the finding on a time beyond a threshold, in all or at the longest.
+
+    It lies between the time without and with the ticks whose value is missing: each may have been beyond, or not.
+    """
+    assert said.threshold is not None
+    beyond = times.beyond(said.threshold)
+    ticks = [beyond, beyond | times.unknown]
+    if said.measure == "longest":
+        pieces = [longest_piece(flags) for flags in ticks]
+    else:
+        pieces = [(int(flags.sum()), int(np.argmax(flags))) for flags in ticks]
+    least, most = (length * times.period_s for length, _ in pieces)
+    at_s = (times.first + pieces[0][1]) * times.period_s if pieces[0][0] else None
+    inside = within(np.array([least, most]), said.bound)
+    text = f"{shown(least, unit)}" + (f" from {at_s:g} s on" if at_s is not None else "")
+    margin = float(_margins(np.array([least, most]), said.bound).min())
+    if not _reaches(least, most, said.bound):
+        proven = least if said.bound.operator.startswith("<") or said.bound.upper is not None else most
+        return Finding("fail", f"{text}, the limit is {said.bound}", proven, at_s=at_s, margin=margin)
+    if times.is_missing:
+        return times.missing(least)
+    if inside.all():
+        return Finding("pass", text, least, at_s=at_s, margin=margin)
+    text = f"between {shown(least, unit)} and {shown(most, unit)}, by the values that are missing"
+    return Finding("inconclusive", f"{text}; the limit is {said.bound}", least, at_s=at_s)
+
+
+def _reaches(least: float, most: float, bound: Bound) -> bool:
+    """Return True where a value between `least` and `most` is within a bound."""
+    if bound.upper is not None:
+        return least <= bound.upper.number and most >= bound.amount.number
+    return bool(within(np.array([least if bound.operator.startswith("<") else most]), bound)[0])
 
 
 def _steepest(times: _Times, said: Compared) -> tuple[float, float] | None:
@@ -239,9 +330,11 @@ def _steepest(times: _Times, said: Compared) -> tuple[float, float] | None:
 def _follows(bound: BoundLimit, said: Follows, data: RunData, column: str) -> Finding:
     assert bound.setpoint is not None and said.constant_s is not None
     wanted, read = data.columns[bound.setpoint], data.columns[column]
-    changed = np.concatenate([[True], ~(wanted[1:] == wanted[:-1])]) if len(wanted) else np.zeros(0, dtype=np.bool_)
+    # A set-point that is missing for a while, and then the same, has not changed: the ticks after it are judged.
+    last = carried_on(wanted)
+    changed = np.concatenate([[True], ~(last[1:] == last[:-1])]) if len(last) else np.zeros(0, dtype=np.bool_)
     since = np.maximum.accumulate(np.where(changed, np.arange(len(wanted)), 0))
-    constant = data.time_s - data.time_s[since] >= said.constant_s - _FEEDS
+    constant = data.time_s - data.time_s[since] >= said.constant_s - _SAME_S
     relative = said.band.unit == "%" and bound.unit != "%"
     off = read - wanted
     if relative:
@@ -275,7 +368,7 @@ def _twin_error(times: _Times, said: TwinError, bound: BoundLimit) -> Finding:
     if not len(off):
         return times.missing()
     if said.kind == "rmse":
-        value, at_s = float(np.sqrt(np.mean(off**2))), None
+        value, at_s = root_mean_square(off), None
     elif said.kind == "bias":
         value, at_s = float(np.mean(off)), None
     else:
@@ -292,11 +385,15 @@ def _twin_error(times: _Times, said: TwinError, bound: BoundLimit) -> Finding:
 def _no_effect(data: RunData) -> Finding:
     if data.diagnosis is None:
         return Finding("inconclusive", "the run has no diagnosis; make one with `hil diagnose RUN`, then judge again")
-    verdict, sentence = data.diagnosis
-    text = f"the diagnosis is {verdict}" + (f": {sentence}" if sentence else "")
-    if verdict == "adequate":
+    found = data.diagnosis
+    if found.doubts:
+        doubts = "; ".join(found.doubts)
+        text = f"the diagnosis, {found.verdict}, does not count: {doubts}; run `hil diagnose RUN`, then judge again"
+        return Finding("inconclusive", text)
+    text = f"the diagnosis is {found.verdict}" + (f": {found.summary}" if found.summary else "")
+    if found.verdict == "adequate":
         return Finding("pass" if data.has_ended else "inconclusive", text)
-    return Finding("fail" if verdict in ("effect found", "ambiguous") else "inconclusive", text)
+    return Finding("fail" if found.verdict in ("effect found", "ambiguous") else "inconclusive", text)
 
 
 def _no_trip(data: RunData) -> Finding:

@@ -1,8 +1,8 @@
 """Judgement of a test while its run goes on.
 
-A limit that one value can break is judged on every tick, one with times of its own when these are over. All others wait
-for the journal at the end of the run, as do limits on twins and on the diagnosis. The final verdict is always made from
-the journal.
+A limit that one value can break is judged on every tick, one with times of its own when these are over. A limit on
+every value without times is also judged while the profile stands. All others wait for the journal at the end of the
+run, as do limits on twins and on the diagnosis. The final verdict is always made from the journal.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.signals import Signal
 from hil.testing.bound_limits import BoundLimit
-from hil.testing.judge import Judgement, judge
+from hil.testing.judge import Judgement, holds_always, is_above, judge
 from hil.testing.limits import Bound, Compared, Follows, NoEffect, NoTrip, Settles, TwinError
 from hil.testing.plan import Plan
 from hil.testing.run_data import RunData
@@ -27,12 +27,20 @@ _OPEN = 1e-6
 
 
 class LiveTest:
-    """Watch of a run (`hil.run.interlocks.Watch`) that judges the limits of a plan; `announce` gets a line for each."""
+    """Watch of a run (`hil.run.interlocks.Watch`) that judges the limits of a plan; `announce` gets a line for each.
+
+    `period_s` is the length of a tick, s.
+    """
 
     def __init__(
-        self, plan: Plan, limits: Sequence[BoundLimit], signals: Sequence[Signal], announce: Callable[[str], None]
+        self,
+        plan: Plan,
+        limits: Sequence[BoundLimit],
+        signals: Sequence[Signal],
+        period_s: float,
+        announce: Callable[[str], None],
     ) -> None:
-        self._plan, self._announce = plan, announce
+        self._plan, self._period_s, self._announce = plan, period_s, announce
         self._index = {signal.column: position for position, signal in enumerate(signals)}
         self._quick = [_Quick(limit, self._index) for limit in limits if _Quick.takes(limit)]
         self._windowed = [limit for limit in limits if _has_window(limit)]
@@ -43,9 +51,27 @@ class LiveTest:
 
     def tick(self, profile_s: float, values: Sequence[float], quality: Sequence[int]) -> str | None:
         """Take a tick at `profile_s`, s, with `values` (k,) and their `quality` (k,); return why to trip, or None."""
+        reasons = self._broken(profile_s, [(quick, quick.tick(profile_s, values, quality)) for quick in self._quick])
+        if self._windowed:
+            reasons += self._windows(profile_s, values, quality)
+        return reasons[0] if reasons else None
+
+    def standing(
+        self, profile_s: float, values: Sequence[float], quality: Sequence[int], as_profile: bool
+    ) -> str | None:
+        """Take a tick on which the profile stands at `profile_s`, s; return why to trip, or None.
+
+        `as_profile` is False where the outputs are not those of the profile: then only upper ends of limits count.
+        """
+        always = [quick for quick in self._quick if holds_always(quick.bound)]
+        found = [(quick, quick.standing(values, quality, as_profile)) for quick in always]
+        reasons = self._broken(profile_s, found)
+        return reasons[0] if reasons else None
+
+    def _broken(self, profile_s: float, found: Sequence[tuple[_Quick, str | None]]) -> list[str]:
+        """Announce the limits that are broken for the first time, and return the reasons to trip."""
         reasons = []
-        for quick in self._quick:
-            said = quick.tick(profile_s, values, quality)
+        for quick, said in found:
             if said is None:
                 continue
             limit = quick.bound.limit
@@ -53,9 +79,7 @@ class LiveTest:
                 self._show(profile_s, Judgement(limit, "fail", said))
             if self._plan.trips(limit):
                 reasons.append(f"test {self._plan.id}: limit {limit.id} ({limit.text}) failed: {said}")
-        if self._windowed:
-            reasons += self._windows(profile_s, values, quality)
-        return reasons[0] if reasons else None
+        return reasons
 
     def _windows(self, profile_s: float, values: Sequence[float], quality: Sequence[int]) -> list[str]:
         """Keep the tick for the limits whose times have begun, and judge those whose times are over."""
@@ -68,12 +92,11 @@ class LiveTest:
         if not over:
             return []
         self._windowed = [limit for limit in self._windowed if limit not in over]
-        period_s = self._times[-1] - self._times[-2] if len(self._times) > 1 else 0.0
         data = RunData(
             np.array(self._times),
             {name: np.array(kept) for name, kept in self._store.items()},
             (),
-            period_s,
+            self._period_s,
             math.inf,
         )
         reasons = []
@@ -146,10 +169,8 @@ class _Quick:
         self._last_s = profile_s
         if not self.bound.from_s - _OPEN <= profile_s <= self.bound.to_s + _OPEN:
             return None
-        if self._condition is not None and self.bound.while_ is not None:
-            on = values[self._condition]
-            if quality[self._condition] != 0 or not holds(on, self.bound.while_):
-                return None
+        if not self._counts(values, quality):
+            return None
         for column, index in self._at:
             if quality[index] != 0:
                 continue
@@ -157,6 +178,25 @@ class _Quick:
             if said is not None:
                 return said if len(self._at) == 1 else f"{column}: {said}"
         return None
+
+    def standing(self, values: Sequence[float], quality: Sequence[int], as_profile: bool) -> str | None:
+        """Return the violation on a tick on which the profile stands as a sentence, or None."""
+        if not self._counts(values, quality):
+            return None
+        for column, index in self._at:
+            value = values[index]
+            if quality[index] != 0 or holds(value, self._said.bound):
+                continue
+            if as_profile or is_above(np.array([value]), self._said.bound)[0]:
+                said = f"{shown(value, self.bound.unit)} while the profile stands, the limit is {self._said.bound}"
+                return said if len(self._at) == 1 else f"{column}: {said}"
+        return None
+
+    def _counts(self, values: Sequence[float], quality: Sequence[int]) -> bool:
+        """Return True where the condition of the limit is fulfilled, or it has none."""
+        if self._condition is None or self.bound.while_ is None:
+            return True
+        return quality[self._condition] == 0 and holds(values[self._condition], self.bound.while_)
 
     def _violation(self, column: str, value: float, passed_s: float) -> str | None:
         said, threshold = self._said, self._said.threshold

@@ -73,4 +73,4 @@ def live_watch(test: PreparedTest | None, rig: Rig, announce: Callable[[str], No
     """Return the watch that judges a test while its run goes on; `announce` gets a line for each limit."""
     if test is None:
         return None
-    return LiveTest(test.plan, test.limits, rig_signals(rig), announce)
+    return LiveTest(test.plan, test.limits, rig_signals(rig), rig.period_s, announce)

@@ -60,7 +60,8 @@ class TestResult:
 def write_results(folder: RunFolder, result: TestResult) -> dict[str, Any]:
     """Write `verdict.json` and `junit.xml` of a run, and return the document of the former.
 
-    Results of other plans on the same run stay; one of the same id is replaced. The run's verdict is the worst of all.
+    Results of other plans on the same run stay. One of the same id is replaced, and its verdict is kept in `history`,
+    with the content of its plan: a looser plan must not hide a failure. The run's verdict is the worst of all.
 
     Raises
     ------
@@ -69,14 +70,26 @@ def write_results(folder: RunFolder, result: TestResult) -> dict[str, Any]:
     OSError
         A file cannot be written.
     """
-    tests = [test for test in read_verdict(folder)["tests"] if test["id"] != result.plan.id]
-    tests.append(result.document())
+    before = read_verdict(folder)["tests"]
+    tests = [test for test in before if test["id"] != result.plan.id]
+    same = next((test for test in before if test["id"] == result.plan.id), None)
+    tests.append(result.document() | {"history": [] if same is None else _history(same)})
     document = {"verdict": overall(test["verdict"] for test in tests), "tests": tests}
     with replacing(folder.verdict) as unfinished:
         unfinished.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     with replacing(folder.junit) as unfinished:
         unfinished.write_bytes(junit(document, folder.read_manifest()))
     return document
+
+
+def _history(test: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the earlier verdicts of a test with this one, oldest first; the same one again is one entry."""
+    failed = [limit["id"] for limit in test["limits"] if limit["verdict"] == "fail"]
+    entry = {key: test[key] for key in ("sha256", "judged", "verdict")} | {"failed": failed}
+    before = [*test.get("history", [])]
+    if before and all(before[-1][key] == entry[key] for key in ("sha256", "verdict", "failed")):
+        return before
+    return [*before, entry]
 
 
 def junit(document: dict[str, Any], manifest: dict[str, Any]) -> bytes:
@@ -106,6 +119,10 @@ def junit(document: dict[str, Any], manifest: dict[str, Any]) -> bytes:
         )
         properties = ET.SubElement(suite, "properties")
         about = {"run": manifest.get("uid", ""), "plan.sha256": test["sha256"], "verdict": test["verdict"]}
+        about |= {
+            f"verdict.before.{number}": f"{one['verdict']} at {one['judged']}, plan.sha256 {one['sha256']}"
+            for number, one in enumerate(test.get("history", []), 1)
+        }
         about |= {f"requirement.{limit['id']}": limit["requirement"] for limit in limits}
         about |= {f"severity.{limit['id']}": limit["severity"] for limit in limits}
         for name, value in about.items():

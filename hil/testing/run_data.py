@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.journal import JournalReader, RunEvent, State, StateRow, profile_times
-from hil.run_folder import RunFolder, read_diagnosis_verdict
+from hil.journal import JournalReader, RunEvent, State, StateRow, profile_times, samples_sha256
+from hil.run_folder import DiagnosisVerdict, RunFolder, read_diagnosis_verdict
 from hil.testing.bound_limits import RigSignals
 
 Floats = NDArray[np.float64]
+_SAME = 1e-6
+"""Share of a tick by which two times may differ and still be the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class StandingTicks:
+    """Values of the ticks on which the profile stood: at `time_s` (m,), s of profile time, by column (m,).
+
+    A run stands while it is held, paused, suspended or in a thermal restore. `as_profile` (m,) is True where
+    the outputs were those of the profile, and not at their safe values or those of a thermal restore.
+    """
+
+    time_s: Floats
+    columns: Mapping[str, Floats]
+    as_profile: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +38,8 @@ class RunData:
 
     `columns` are values (n,) by column in the units of their signals, NaN where none is good. `setpoints` names those
     that are commanded. `twins` are predictions (n,) in degC by twin and sensor. `diagnosis` is the verdict of the
-    diagnosis and its sentence, None without one. `trips` are the trips of the run, a sentence each. `has_ended` is True
-    for a run that went to its end.
+    diagnosis, None without one. `trips` are the trips of the run, a sentence each. `has_ended` is True for a run that
+    went to its end. `standing` are the ticks on which the profile stood, None where they are unknown.
     """
 
     time_s: Floats
@@ -33,15 +49,57 @@ class RunData:
     duration_s: float
     twins: Mapping[str, Mapping[str, Floats]] = field(default_factory=dict)
     sensors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    diagnosis: tuple[str, str] | None = None
+    diagnosis: DiagnosisVerdict | None = None
     trips: tuple[str, ...] = ()
     has_ended: bool = False
+    standing: StandingTicks | None = None
 
     def measured(self, sensor: str) -> Floats:
-        """Return the measured value (n,) of a twin sensor, degC: the mean of its good columns, NaN without one."""
-        block = np.array([self.columns[column] for column in self.sensors[sensor]])
-        count = np.isfinite(block).sum(axis=0)
-        return np.where(count > 0, np.nansum(block, axis=0) / np.maximum(count, 1), np.nan)
+        """Return the measured value (n,) of a twin sensor, degC: the mean of its columns, NaN where one is missing.
+
+        A twin predicts the mean of all of them: that of the rest is another quantity.
+        """
+        return np.mean([self.columns[column] for column in self.sensors[sensor]], axis=0)
+
+    def positions(self) -> NDArray[np.int64]:
+        """Return the numbers (n,) of the ticks, counted from 0 s of profile time."""
+        return np.rint(self.time_s / self.period_s).astype(np.int64)
+
+
+def ticks_within(from_s: float, to_s: float, period_s: float) -> range:
+    """Return the numbers of all ticks of the profile from `from_s` to `to_s`, s of profile time, with both ends.
+
+    Parameters
+    ----------
+    from_s, to_s
+        Profile times, s; they may lie between two ticks.
+    period_s
+        Length of a tick, s.
+    """
+    return range(math.ceil(from_s / period_s - _SAME), math.floor(to_s / period_s + _SAME) + 1)
+
+
+def longest_piece(flags: NDArray[np.bool_]) -> tuple[int, int]:
+    """Return the length of the longest run of True in `flags` (n,), and its beginning; 0 and 0 without any."""
+    padded = np.concatenate([[False], flags, [False]])
+    edges = np.flatnonzero(padded[1:] != padded[:-1])
+    begins, lengths = edges[::2], edges[1::2] - edges[::2]
+    if not len(begins):
+        return 0, 0
+    at = int(np.argmax(lengths))
+    return int(lengths[at]), int(begins[at])
+
+
+def root_mean_square(x: Floats) -> float:
+    """Return the root mean square of `x` (n,), at least one; a damaged value may be too large to be squared."""
+    most = float(np.max(np.abs(x)))
+    return most * float(np.sqrt(np.mean((x / most) ** 2))) if 0.0 < most < math.inf else most
+
+
+def carried_on(values: Floats) -> Floats:
+    """Return `values` (n,) with the last known one where one is missing; NaN before the first."""
+    at = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), 0))
+    return values[at] if len(values) else values
 
 
 def signals_of_run(reader: JournalReader, source: str) -> RigSignals:
@@ -63,7 +121,7 @@ def read_run(folder: RunFolder, reader: JournalReader) -> RunData:
     rows = np.flatnonzero(counts)
     # On a tick that stopped the clock it had not gone on.
     rows = rows[np.diff(time_s[rows], prepend=-np.inf) > 0.0]
-    good = np.where(samples.quality == Quality.GOOD, samples.values, np.nan)[rows]
+    good = np.where(samples.quality == Quality.GOOD, samples.values, np.nan)
     tick = samples.tick[rows]
     twins = {}
     for name in header.twin_names:
@@ -72,29 +130,64 @@ def read_run(folder: RunFolder, reader: JournalReader) -> RunData:
         known = np.isin(output.tick, tick)
         at[np.searchsorted(tick, output.tick[known])] = output.values[known]
         twins[name] = {sensor: at[:, index] for index, sensor in enumerate(header.twin_sensors)}
+    columns = {signal.column: good[:, index] for index, signal in enumerate(header.signals)}
+    stood = np.setdiff1d(np.arange(len(samples.tick)), rows)
     return RunData(
         time_s[rows],
-        {signal.column: good[:, index] for index, signal in enumerate(header.signals)},
+        {name: values[rows] for name, values in columns.items()},
         tuple(signal.column for signal in header.signals if signal.kind == "setpoint"),
         header.period_s,
         header.duration_s,
         twins,
         header.twin_sensors,
-        read_diagnosis_verdict(folder),
+        _diagnosis(folder, samples_sha256(samples.time_s, columns)),
         trips_of(states),
         any(row.target == State.DONE for row in states[-1:]),
+        StandingTicks(
+            time_s[stood],
+            {name: values[stood] for name, values in columns.items()},
+            _in_states(states, samples.tick[stood], _has_outputs_of_profile),
+        ),
     )
 
 
-def _on_profile(states: Sequence[StateRow], tick: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return the ticks (n,) that were read while the profile went on, or at its very beginning.
+def _diagnosis(folder: RunFolder, sha256: str) -> DiagnosisVerdict | None:
+    """Return the verdict of the diagnosis, with the doubt that it is not of all samples of the run."""
+    found = read_diagnosis_verdict(folder)
+    if found is None or found.samples_sha256 == sha256:
+        return found
+    doubt = (
+        "it does not state the samples that it is of"
+        if found.samples_sha256 is None
+        else "it is of other samples than the run has now"
+    )
+    return replace(found, doubts=(*found.doubts, doubt))
 
-    A tick is read before the transitions that it causes.
-    """
+
+def _in_states(
+    states: Sequence[StateRow], tick: NDArray[np.int64], wanted: Callable[[StateRow], bool]
+) -> NDArray[np.bool_]:
+    """Return the ticks (n,) that were read in a state that is `wanted`; a tick is read before its transitions."""
+    if not states:
+        return np.zeros(len(tick), dtype=np.bool_)
     before = np.searchsorted(np.array([row.tick for row in states]), tick, side="left") - 1
-    goes = np.array([row.target == State.RUNNING for row in states])
+    is_wanted = np.array([wanted(row) for row in states])
+    return np.asarray(np.where(before >= 0, is_wanted[np.maximum(before, 0)], False))
+
+
+def _goes_on(row: StateRow) -> bool:
+    return bool(row.target == State.RUNNING)
+
+
+def _has_outputs_of_profile(row: StateRow) -> bool:
+    """Return True where outputs are those of the profile; a thermal restore that is held keeps its own."""
+    return _goes_on(row) or (row.target == State.HELD and row.source == State.RUNNING)
+
+
+def _on_profile(states: Sequence[StateRow], tick: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return the ticks (n,) that were read while the profile went on, or at its very beginning."""
     first = next((row.tick for row in states if row.target == State.RUNNING), -1)
-    return np.asarray(np.where(before >= 0, goes[np.maximum(before, 0)], False) | (tick == first))
+    return np.asarray(_in_states(states, tick, _goes_on) | (tick == first))
 
 
 def trips_of(states: Sequence[StateRow]) -> tuple[str, ...]:

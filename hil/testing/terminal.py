@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from hil.files import on_terminal
+from hil.report import earlier_verdicts
 from hil.testing.judge import Judgement
 
 _WORDS = {"pass": "pass", "fail": "FAIL", "inconclusive": "inconclusive"}
@@ -18,7 +19,9 @@ def judgement_line(judgement: Judgement) -> str:
 
 
 def document_lines(document: dict[str, Any], plan_id: str | None = None) -> list[str]:
-    """Return the lines of a `verdict.json`, or of one plan in it: each limit, then the verdict with the counts."""
+    """Return the lines of a `verdict.json`, or of one plan in it: each limit, the verdict with the counts, and earlier
+    verdicts.
+    """
     lines = []
     for test in document["tests"]:
         if plan_id is not None and test["id"] != plan_id:
@@ -27,6 +30,7 @@ def document_lines(document: dict[str, Any], plan_id: str | None = None) -> list
         lines += [_line(item["verdict"], item["id"], item["limit"], item["step"], item["text"]) for item in limits]
         counts = [f"{sum(item['verdict'] == word for item in limits)} {said}" for word, said in _COUNTS]
         lines.append(f"{_WORDS[test['verdict']]}: {test['title']}: {', '.join(counts)}")
+        lines += earlier_verdicts(test)
     return [on_terminal(line) for line in lines]
 
 

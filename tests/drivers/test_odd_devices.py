@@ -116,6 +116,12 @@ STRANGERS: dict[str, tuple[Serve, str]] = {
         every(lambda t, u, p: mbap(t, u, answer(p), more=0)[:-1]),
         "announces 5 bytes and stopped after 4",
     ),
+    "an echo": (every(lambda t, u, p: mbap(t, u, p)), "the reply is the request itself, an echo"),
+    "no byte count": (every(lambda t, u, p: mbap(t, u, p[:1])), "function 3 without byte count and values"),
+    "registers for bytes": (
+        every(lambda t, u, p: mbap(t, u, p[:1] + b"\1" + answer(p)[2:])),
+        "byte count is 1 and that has 2 bytes of values; the device or its gateway is faulty",
+    ),
     "another unit": (every(lambda t, u, p: mbap(t, 9, answer(p))), "unit 9 answers where device_id 1 was asked"),
     "another transaction": (every(lambda t, u, p: mbap(t + 7, u, answer(p))), "transaction 8 where 1 was asked"),
     "transaction 0": (every(lambda t, u, p: mbap(0, u, answer(p))), "give transaction = 'zero'"),
@@ -154,6 +160,52 @@ async def test_what_answers_otherwise_on_an_rtu_line_is_named(reply, words, monk
             writer.write(reply(1, frame[0], frame[1:-2]))
 
     assert words in await refusal(serve, kind=ModbusRtuTcpBus)
+
+
+@pytest.mark.parametrize(
+    ("reply", "said"),
+    [
+        (lambda u, p: rtu_frame(u, p), "the reply is the request itself, an echo"),
+        (lambda u, p: rtu_frame(u, p) + rtu_frame(u, answer(p)), "the reply is the request itself, an echo"),
+        (lambda u, p: rtu_frame(u, p[:1] + b"\0"), "byte count 0 where 2 bytes were asked; the device has no values"),
+        (lambda u, p: rtu_frame(u, p[:1] + b"\1\5"), "1 bytes of values, which are no whole registers"),
+    ],
+    ids=["an echo", "an echo before the reply", "no values", "half a register"],
+)
+async def test_the_defect_of_a_reply_on_an_rtu_line_is_named(reply, said, monkeypatch):
+    monkeypatch.setattr("drivers.modbus.bus.CONNECT_PATIENCE_S", (0.2, 0.2))
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while frame := await reader.read(8):
+            writer.write(reply(frame[0], frame[1:-2]))
+
+    found = await refusal(serve, kind=ModbusRtuTcpBus)
+    assert said in found and "CRC" not in found
+
+
+@pytest.mark.parametrize(
+    ("pdu", "said"),
+    [
+        (b"\3\0", "answered no value (byte count 0) for holding 60; the reply is not used: the device has no values"),
+        (b"\3\1\5", "answered 1 byte for holding 60, where a register has two; the reply is not used: the device"),
+        (b"\3\4\0\0\0\0", "2 registers where 1 were asked (holding 60); the reply is not used: look for another"),
+        (b"\4\2\0\0", "answered function 4 to function 3; the reply is not used: look for another client"),
+        (b"\x83\x63", "refused holding 60: exception 99, which the protocol does not know"),
+    ],
+)
+async def test_a_defect_of_one_reply_takes_no_other_point(pdu, said):
+    def reply(tid: int, unit: int, asked_for: bytes) -> bytes:
+        return mbap(tid, unit, pdu if asked_for[1:3] == b"\0\x3c" else answer(asked_for))
+
+    async with listening(every(reply)) as port:
+        bus = driver(port)
+        with pytest.raises(DriverError, match=re.escape(said)):
+            await bus.connect()
+        readings = await bus.read()
+        assert readings.quality == [Quality.GOOD, Quality.LINK_FAULT]
+        assert said in (readings.fault or "")
+        assert bus.reconnects == 0
+        await bus.close()
 
 
 async def good(port: int, **changes: object) -> tuple[ModbusBus, list[float]]:

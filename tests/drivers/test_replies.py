@@ -99,7 +99,7 @@ def test_what_answers_with_transaction_0_is_told_from_what_answers_something_els
         (b"\0\x08" + GOOD[2:4] + b"\x01\x00" + GOOD[6:], "length 256"),
         (GOOD[:4] + b"\0\x02" + GOOD[6:], "announces 2 bytes and has 7; give frame_length = 'ignored'"),
         (GOOD[:4] + b"\x01\x00" + GOOD[6:], "announces 256 bytes and has 7; give frame_length = 'ignored'"),
-        (GOOD[:8] + b"\x02" + GOOD[9:], "announces 7 bytes and its content has 5"),
+        (GOOD[:8] + b"\x02" + GOOD[9:], "byte count is 2 and that has 4 bytes of values"),
         (GOOD[:4] + b"\0\x08" + GOOD[6:] + b"\0", "announces 8 bytes and its content has 7"),
         (GOOD[:4] + b"\0\x06" + GOOD[6:], "announces 6 bytes and its content has 7; give frame_length"),
         (GOOD[:7] + b"\x2b" + GOOD[8:], "function 43, which was not asked for"),

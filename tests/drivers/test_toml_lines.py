@@ -72,5 +72,25 @@ def test_text_that_is_no_toml_gives_the_lines_found_so_far():
 
 @pytest.mark.parametrize("raw", [b"a = " + b"9" * 5000, b"a = " + b"[" * 3000 + b"]" * 3000, b"a = 1\na = 2", b"\xff"])
 def test_text_that_cannot_be_read_is_a_value_error_with_a_remedy(raw):
-    with pytest.raises(ValueError, match=r"is not (valid TOML|UTF-8 text).*(correct it|save it)"):
+    with pytest.raises(ValueError, match=r"is not (valid TOML|UTF-8 text).*(correct it|save it|take one of them out)"):
         tables_of(raw)
+
+
+@pytest.mark.parametrize(
+    ("text", "remedy"),
+    [
+        ("name = \u201crig\u201d", 'write straight quotes, as in name = "rig"'),
+        ("[point]\na = 1\n[point]", "write [[point]] with two brackets where there are several"),
+        ("a = True", "write true in lower case"),
+        ("a = off  # for now", "write false in lower case"),
+        ("a = 0,5", "write a decimal point, 0.5"),
+        (r'dbc = "C:\data\bus.dbc"', "write / in paths, or put the text in single quotes"),
+        (r'ca = "C:\users\ca.pem"', "write / in paths, or put the text in single quotes"),
+        ("name = rig_2", 'put text in quotes, "rig_2"'),
+        ("a = ]", "correct it there"),
+    ],
+)
+def test_a_usual_mistake_in_toml_comes_with_its_own_remedy(text, remedy):
+    with pytest.raises(ValueError, match="is not valid TOML") as caught:
+        tables_of(text.encode())
+    assert str(caught.value).endswith(f"; {remedy}")

@@ -16,6 +16,7 @@ from hil.run.engine.components import Options
 from hil.run.engine.engine import Engine
 from hil.run.engine.operator import RefusedError, Verb
 from hil.run.engine.status import Outcome
+from hil.run.interlocks import Watch
 from hil.run.restore.resumption import Resumption, RunPosition
 from hil.run.restore.thermal_restore import RestoreRule
 from tests.hil.simulated_rig import MemoryJournal, RigTime, SimulatedClock, SimulatedRig
@@ -42,7 +43,12 @@ class EngineBench:
     """One run, as a context manager; `violations` of the safety property, a sentence each."""
 
     def __init__(
-        self, rig: Rig, duration_s: float = 600.0, resumption: Resumption | None = None, rearm: bool = False
+        self,
+        rig: Rig,
+        duration_s: float = 600.0,
+        resumption: Resumption | None = None,
+        rearm: bool = False,
+        watch: Watch | None = None,
     ) -> None:
         self._restores = resumption is not None
         self.loop = asyncio.new_event_loop()
@@ -67,7 +73,7 @@ class EngineBench:
             self.clock,
             profile(duration_s),
             journal,
-            Options(residuals=self._off, resumption=resumption, rearm=rearm),
+            Options(residuals=self._off, resumption=resumption, rearm=rearm, watch=watch),
         )
         self.rig.watch = self._look
         self.task = self.loop.create_task(self.engine.run())

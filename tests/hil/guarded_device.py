@@ -19,7 +19,7 @@ class Device:
     """Register 0 asks for heat in W, register 4 measures it. `obeys` False: it acknowledges and heats on.
 
     For `deaf_s` after connecting it drops every request, s. `stuck_W`, if set, is what the meter reads after a write.
-    Requests that begin at a register in `mute` get no reply.
+    Requests that begin at a register in `mute` get no reply. While it `echoes`, each request is sent back.
     """
 
     def __init__(self, *, single: bool = False, serial: bool = False, deaf_s: float = 0.0) -> None:
@@ -28,6 +28,7 @@ class Device:
         self.stuck_W: int | None = None
         self.refuses: set[int] = set()
         self.mute: set[int] = set()
+        self.echoes = False
         self.off_s: float | None = None
         self.connections = 0
         self._single = single
@@ -82,7 +83,7 @@ class Device:
                     continue
                 if struct.unpack(">H", pdu[1:3])[0] in self.mute:
                     continue
-                reply = self._answer(pdu)
+                reply = pdu if self.echoes else self._answer(pdu)
                 client.sendall(struct.pack(">HHHB", transaction, 0, len(reply) + 1, unit) + reply)
         except OSError:
             client.close()

@@ -153,7 +153,7 @@ def test_a_bad_effects_file_is_refused_before_anything_is_written(tmp_path, more
         ),
         (b"\xef\xbb\xbf" + EFFECT.encode(), "begins with a byte order mark (line 1); save it as UTF-8 without one"),
         (EFFECT.replace("tank", "t\u00e4nk").encode("latin-1"), "is not UTF-8 text (line 3); save it as UTF-8"),
-        (EFFECT.replace('"tank"', "tank").encode(), "(at line 3, column 9); correct it there"),
+        (EFFECT.replace('"tank"', "tank").encode(), '(at line 3, column 9); put text in quotes, "tank"'),
     ],
 )
 def test_check_refuses_what_is_no_effects_file_in_one_sentence(tmp_path, content, words):
@@ -408,3 +408,86 @@ def test_a_name_with_control_characters_is_refused_and_reaches_no_terminal(tmp_p
     rig = rig.rename(tmp_path / "rig.toml")
     done = typed("check", rig)
     assert done.returncode == 2 and "control character" in done.stderr and "\x1b" not in done.stderr
+
+
+ANY_RIG = '[rig]\nname = "r"\n[bus.b]\ntransport = "{}"\n{}\n[[point]]\nname = "t"\nbus = "b"\nunit = "1"\n{}\n'
+TELEGRAF = '[[inputs.modbus]]\nname = "d"\n'
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.toml", TELEGRAF, "is a Telegraf configuration; `hil init --from {path}` makes a rig file of it"),
+        ("a.yaml", "modbus:\n", "is no rig file; `hil init --from {path}` makes one of it"),
+        ("a.csv", "name,address,type\nt,1,int16\n", "is a register table; `hil init --from {path}`"),
+        ("a.csv", "0,20.5,700\n30,20.6,700\n", "holds numbers where column names should stand; add a header line"),
+        ("a.csv", "time_s,0,30,60\nT_in_C,20,21,22\n", "the table lies on its side; transpose it"),
+        ("a.xls", b"\xd0\xcf\x11\xe0\xa1\xb1", "is a spreadsheet of old Excel; save the sheet as CSV"),
+        ("a.mat", b"MATLAB 5.0 MAT-file", "is a MATLAB file; save its table as CSV (writetable)"),
+        ("a.mf4", b"MDF     4.10", "is an MDF file; export its channels as CSV or Parquet"),
+        (
+            "a.toml",
+            ANY_RIG.format(
+                "modbus_rtu", 'serial_port = "/dev/ttyS0"\nhost = "10.0.0.5"', 'table = "input"\naddress = 1'
+            ),
+            "host: is no key of transport 'modbus_rtu', but of modbus_tcp",
+        ),
+        (
+            "a.toml",
+            ANY_RIG.format("modbus_tcp", "", 'table = "input"\naddres = 1'),
+            "addres of point t: is not a key of this section; did you mean address?",
+        ),
+    ],
+)
+def test_check_names_what_a_file_is_and_what_to_do_with_it(tmp_path, name, content, said):
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    code, printed = hil("check", path)
+    assert code == 2
+    assert said.format(path=path) in printed
+    assert "checked as" not in printed
+
+
+@pytest.mark.parametrize(
+    ("names", "rows", "is_record"),
+    [
+        ("timestamp;A1;A2", "2026-03-04 10:{k:02}:00;20.5;7{k}", True),
+        ("Time\tFlow\tPressure", "{k}\t3.{k}\t1.2", True),
+        ("time_s,T1,T2", "{k},20.{k},21", True),
+        ("Time [s],Heater power [W]", "{k},700", False),
+        ("time,heater_power_W", "{k},700", False),
+    ],
+)
+def test_a_table_without_a_set_point_of_the_rig_is_a_record(tmp_path, names, rows, is_record):
+    path = tmp_path / "a.csv"
+    path.write_text(names + "\n" + "".join(rows.format(k=k) + "\n" for k in range(20)), encoding="utf-8")
+    code, printed = hil("check", path)
+    assert (code == 0 and "20 samples" in printed) if is_record else "checked as a load profile" in printed
+
+
+def test_lines_that_stand_in_quotes_as_a_whole_are_read_without_them(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = "".join(f'"{k},20.{k},""ok"""\n' for k in range(20))
+    path.write_text('"time_s,T_tank_C,remark"\n' + rows, encoding="utf-8")
+    code, printed = hil("check", path)
+    assert code == 0
+    assert "each line stands in quotes: read without them" in printed and "T_tank_C: 20 to 20.9" in printed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("run", "a.toml"), "is no load profile; give a CSV, a rig file with --rig"),
+        (("track", "a.toml"), "is no record; give a run folder or a record first, and a twin with --twin"),
+        (("init", "--from", "a.toml", "--out", "b.toml"), "is a rig file already"),
+        (("run", "load.csv", "--rig", "twin.toml"), "is a twin file and no rig file; give it with --twin"),
+    ],
+)
+def test_a_file_in_the_place_of_another_is_named_as_what_it_is(tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.toml").write_text(ANY_RIG.format("modbus_tcp", "", 'table = "input"\naddress = 1'), encoding="utf-8")
+    (tmp_path / "twin.toml").write_text('[inputs]\n[elements.tank]\nkind = "tank"\n', encoding="utf-8")
+    (tmp_path / "load.csv").write_text("time_s,heater_power_W\n0,0\n600,0\n", encoding="utf-8")
+    code, printed = hil(*arguments)
+    assert code == 2
+    assert said in printed

@@ -7,12 +7,14 @@ import hashlib
 import json
 import re
 import shutil
+import sqlite3
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from hil.comparison import compare_runs
-from hil.comparison.differences import aligned
+from hil.comparison import compare_runs, difference_row
+from hil.comparison.differences import Difference, aligned
 from hil.files import document, plot_data
 from hil.journal.writer import JournalWriter
 from hil.report import SCRIPT
@@ -118,6 +120,56 @@ def test_one_run_and_runs_without_a_common_signal_are_refused(runs, tmp_path):
     done = typed("compare", runs[0].path)
     assert done.returncode == 2 and "two or more" in done.stderr
     assert "is given twice" in typed("compare", runs[0].path, runs[0].path).stderr
+
+
+@pytest.mark.parametrize("name", ["journal.sqlite", "record.parquet", "notes.jsonl", "diagnosis/diagnosis.json"])
+def test_a_page_never_replaces_a_file_of_a_run(runs, name):
+    path = runs[1].path / name
+    path.parent.mkdir(exist_ok=True)
+    before = path.read_bytes() if path.exists() else b"mine"
+    path.write_bytes(before)
+    done = typed("compare", *(run.path for run in runs), "--out", path)
+    assert done.returncode == 2 and "is a file of the run" in done.stderr
+    assert path.read_bytes() == before
+
+
+def test_a_page_goes_to_no_folder_no_missing_one_and_no_other_file(runs, tmp_path):
+    notes = tmp_path / "notes.txt"
+    notes.write_text("mine", encoding="utf-8")
+    link = tmp_path / "page.html"
+    link.symlink_to(runs[0].journal)
+    for out, said in (
+        (tmp_path, "is a folder"),
+        (tmp_path / "none" / "c.html", "is no folder that is there"),
+        (notes, "is no page"),
+        (link, "is a file of the run"),
+    ):
+        done = typed("compare", *(run.path for run in runs), "--out", out)
+        assert done.returncode == 2 and said in done.stderr and len(done.stderr.splitlines()) == 1
+    assert notes.read_text(encoding="utf-8") == "mine"
+
+
+def test_runs_are_named_once_and_noise_is_no_mean_difference(runs, tmp_path):
+    done = typed("compare", *(run.path for run in runs), "--out", tmp_path / "c.html")
+    assert done.stdout.count("second <b>") == 2  # in the list, and with the parameter that has changed
+    assert "run 1: first (reference)" in done.stdout
+    item = Difference("T_C", "degC", "second <b>", 1.0, 20.0, 20.0, -6.305e-07, 0.05, 0.1, 3.0)
+    made = replace(compare_runs(runs), differences=(item,))
+    assert difference_row(made, item)[4] == "0"
+    assert difference_row(made, replace(item, bias=-0.0123456))[4] == "-0.01235"
+    assert difference_row(made, replace(item, rms=1e-7))[4] == "-6.305e-07"
+
+
+def test_values_too_large_to_be_squared_leave_a_document(runs, tmp_path):
+    database = sqlite3.connect(runs[1].journal)
+    database.execute("UPDATE samples SET T_tank_C = 1e300, T_pm1_C = 1.7e308 WHERE tick = 20")
+    database.execute("UPDATE samples SET T_pm1_C = -1.7e308 WHERE tick = 21")
+    database.commit()
+    database.close()
+    done = typed("compare", *(run.path for run in runs), "--out", tmp_path / "c.html", "--json")
+    assert done.returncode == 0 and done.stderr == ""
+    rows = {item["column"]: item for item in json.loads(done.stdout, parse_constant=pytest.fail)["differences"]}
+    assert rows["T_tank_C"]["rms"] > 1e298 and rows["T_tank_C"]["largest"] == 1e300
 
 
 def test_a_thinned_curve_keeps_its_extremes_and_gaps():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import datetime
 import json
 import resource
 import sys
@@ -21,6 +22,7 @@ from hil.export import SUFFIX, ExportError, export_run
 from hil.journal import Header, JournalWriter
 from hil.record import read_record
 from hil.run_folder import RunFolder, new_manifest
+from tests.docs.fences import PROJECT
 from tests.hil.command_line import typed
 
 RIG = """
@@ -269,11 +271,13 @@ def test_an_events_file_that_exists_is_not_replaced_either(run: MadeRun, tmp_pat
     assert [path.name for path in tmp_path.iterdir()] == ["out.events.csv"]
 
 
-@pytest.mark.parametrize("name", ["journal.sqlite", "run.json"])
+@pytest.mark.parametrize("name", ["journal.sqlite", "run.json", "notes.jsonl", "verdict.json", "twin.before-1.toml"])
 def test_a_file_of_the_run_itself_is_never_replaced(run: MadeRun, name: str) -> None:
-    before = (run.path / name).read_bytes()
+    is_there = (run.path / name).exists()
+    before = (run.path / name).read_bytes() if is_there else b"{}\n"
+    (run.path / name).write_bytes(before)
     result = typed("export", run.path, "--to", "csv", "--out", run.path / "." / name, "--force")
-    assert (result.returncode, "from which the export is made" in result.stderr) == (2, True)
+    assert (result.returncode, "is a file of the run" in result.stderr) == (2, True)
     assert (run.path / name).read_bytes() == before
 
 
@@ -334,3 +338,49 @@ def test_a_format_without_its_library_names_the_extra(
     with pytest.raises(ExportError, match=rf"needs {library}, .* pip install 'hil-rig\[export\]'"):
         export_run(run.path, to, tmp_path / f"out{SUFFIX[to]}")
     assert not list(tmp_path.iterdir())
+
+
+def test_absolute_time_is_that_of_the_first_tick(run: MadeRun, tmp_path: Path) -> None:
+    pytest.importorskip("asammdf")
+    pytest.importorskip("nptdms")
+    pytest.importorskip("h5py")
+    import asammdf
+    import h5py
+    import nptdms
+
+    first = datetime.datetime.fromtimestamp(1.7e9, datetime.UTC)
+    assert RunFolder(run.path).read_manifest()["started"] != first.isoformat()
+    made = {to: export_run(run.path, to, tmp_path / f"a{SUFFIX[to]}")[0] for to in ("mf4", "tdms", "hdf5", "parquet")}
+    with asammdf.MDF(made["mf4"]) as found:
+        assert found.header.start_time == first
+    assert nptdms.TdmsFile.read(made["tdms"]).properties["datetime"] == np.datetime64(first.replace(tzinfo=None))
+    with h5py.File(made["hdf5"]) as found:
+        assert datetime.datetime.fromisoformat(found.attrs["started"]) == first
+    about = json.loads(pq.read_schema(made["parquet"]).metadata[b"hil"])
+    assert datetime.datetime.fromisoformat(about["started"]) == first
+
+
+@pytest.mark.parametrize(
+    ("to", "name", "right"), [("mf4", "foo.csv", "foo.mf4"), ("csv", "foo.MF4", "foo.csv"), ("hdf5", "x.fmu", "x.h5")]
+)
+def test_a_name_with_the_ending_of_another_format_is_refused(
+    run: MadeRun, tmp_path: Path, to: str, name: str, right: str
+) -> None:
+    done = typed("export", run.path, "--to", to, "--out", tmp_path / name)
+    assert done.returncode == 2 and f"name it {right}" in done.stderr and not (tmp_path / name).exists()
+    other = tmp_path / "foo.dat"
+    assert typed("export", run.path, "--to", "csv", "--out", other).returncode == 0 and other.is_file()
+
+
+def test_a_folder_is_no_file_to_write(run: MadeRun, tmp_path: Path) -> None:
+    for out, said in ((tmp_path, "is a folder"), (tmp_path / "none" / "a.csv", "is no folder that is there")):
+        done = typed("export", run.path, "--to", "csv", "--out", out)
+        assert done.returncode == 2 and said in done.stderr and len(done.stderr.splitlines()) == 1
+
+
+def test_a_twin_never_replaces_a_file_of_a_run(run: MadeRun) -> None:
+    before = (run.path / "journal.sqlite").read_bytes()
+    twin = PROJECT / "profiles/twins/virtual.toml"
+    done = typed("export", twin, "--to", "fmu", "--out", run.path / "journal.sqlite", "--force")
+    assert done.returncode == 2 and "is a file of the run" in done.stderr
+    assert (run.path / "journal.sqlite").read_bytes() == before

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from hil.errors import explained
+from tests.docs.fences import PROJECT
 from tests.hil.command_line import typed
 
 
@@ -75,3 +76,12 @@ def test_a_record_is_not_blamed_for_a_limit_of_memory(tmp_path: Path) -> None:
     assert "`ulimit -v` allows 0.3 GB" in sentences[0]
     assert done.returncode == 1 and "there is not enough memory within the 0.3 GB" in sentences[-1]
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("verb", ["run", "track"])
+def test_a_file_that_is_no_card_is_refused_by_its_own_name(verb, tmp_path):
+    notes = tmp_path / "README.md"
+    notes.write_text("notes", encoding="utf-8")
+    done = typed(verb, PROJECT / "profiles/loads/battle_10h.csv", "--network", notes)
+    assert done.returncode == 2 and f"{notes} is no card of a network" in done.stderr
+    assert "README.md.json" not in done.stderr

@@ -406,6 +406,28 @@ async def test_the_guardian_acts_when_the_engine_asks(tmp_path):
     device.close()
 
 
+async def test_an_echo_of_the_read_back_is_no_safe_value(tmp_path):
+    device = Device()
+    (tmp_path / "rig.toml").write_text(device.rig_text().replace('readback = "heater"\nreadback_within_s = 1.0\n', ""))
+    guardian = GuardianClient(load_rig(tmp_path / "rig.toml"), tmp_path / "guardian.log")
+    await guardian.start()
+    guardian.watch()
+    device.registers[HEATER] = 500
+    device.echoes = True  # Address 0 and one register: the request has the bytes of a zero where values stand.
+    guardian.act()
+    end_s = time.monotonic() + WAIT_S
+    while "an echo" not in (tmp_path / "guardian.log").read_text() and time.monotonic() < end_s:
+        guardian.failure()
+        guardian.expect(5.0)
+        assert guardian.acted is None or not guardian.acted.safe
+        await asyncio.sleep(0.01)
+    assert time.monotonic() < end_s
+    assert device.registers[HEATER] == 500
+    device.echoes = False
+    await guardian.done(safe=True)
+    device.close()
+
+
 def test_a_read_back_may_be_one_count_off_and_no_more():
     step = {"type": "int16", "order": "ABCD", "scale": 0.1, "offset": 0.0, "words": 1, "bits": None}
     assert process.number([0xFFFF], step) == -1.0

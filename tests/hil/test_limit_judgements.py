@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hil.run_folder import DiagnosisVerdict
 from hil.testing.judge import judge
 from tests.hil.made_plan import bound, made_run
 
@@ -154,7 +155,10 @@ def test_a_ramp_of_a_set_point_is_one_change(tmp_path):
     [("adequate", "pass"), ("effect found", "fail"), ("ambiguous", "fail"), ("unexplained", "inconclusive")],
 )
 def test_a_diagnosis_is_judged_by_its_verdict(tmp_path, verdict, expected):
-    assert judged(tmp_path, "no effect found", replace(made_run(), diagnosis=(verdict, "why"))).verdict == expected
+    assert (
+        judged(tmp_path, "no effect found", replace(made_run(), diagnosis=DiagnosisVerdict(verdict, "why"))).verdict
+        == expected
+    )
     assert judged(tmp_path, "no effect found").verdict == "inconclusive"
 
 

@@ -84,6 +84,17 @@ def test_times_and_conditions_end_a_sentence():
         ("75 > x", "a signal first"),
         ("__import__('os').system('true') < 1", "no signal"),
         ("x < 1" + " " * 400, "characters long"),
+        (
+            "x < 5 W from 0 s to 9 s from 20 s to 30 s",
+            "has a second begin, 'from 20 s to 30 s' after 'from 0 s to 9 s'",
+        ),
+        ("x < 5 W after 10 s after 300 s", "has a second begin, 'after 300 s' after 'after 10 s'"),
+        ("x < 5 W from 0 s to 9 s before 8 s", "has a second end, 'before 8 s' after 'from 0 s to 9 s'"),
+        ("x < 5 W before 9 s after 1 s before 8 s", "has a second end"),
+        ("x < 5 W while y > 1 W while z > 2", "has a second condition, 'while z > 2' after 'while y > 1 W'"),
+        ("x < 1e999", "has the number 1e999, which is too large"),
+        ("x between -1e400 and 5 W", "too large"),
+        ("x settles within 1e308 h to 1 K", "which is too long"),
     ],
 )
 def test_a_refusal_names_the_place(text, place):

@@ -26,7 +26,7 @@ def live(tmp_path, *sentences: str, head: str = 'trip_on = "major"', more: str =
     path, lines = tmp_path / "plan.toml", []
     path.write_text(plan_text(*sentences, head=head, more=more), encoding="utf-8")
     plan = read_plan(path)
-    return LiveTest(plan, bind(plan, known()), SIGNALS, lines.append), lines
+    return LiveTest(plan, bind(plan, known()), SIGNALS, 1.0, lines.append), lines
 
 
 def fed(test: LiveTest, tank: Sequence[float], quality: int = 0, first: int = 0) -> list[str | None]:
@@ -90,6 +90,8 @@ def test_a_watch_that_fails_is_taken_off_and_harms_nothing():
         def tick(self, profile_s: float, values: Sequence[float], quality: Sequence[int]) -> str | None:
             raise ZeroDivisionError("in the test")
 
+        standing = tick
+
     notes: list[tuple[str, str]] = []
     guarded = GuardedWatch(Broken(), lambda level, text: notes.append((level, text)))
     for _ in range(3):
@@ -103,11 +105,13 @@ def test_a_violation_is_handed_to_the_interlocks_once():
         def tick(self, profile_s: float, values: Sequence[float], quality: Sequence[int]) -> str | None:
             return "too hot"
 
+        standing = tick
+
     guarded = GuardedWatch(Tripping(), lambda level, text: None)
     guarded.tick(0.0, [], [])
     tick = TickValues(0.0, {}, {}, {})
     assert guarded.judge(tick, False) == "too hot"
-    assert guarded.judge(tick, True) is None  # so that it can be acknowledged while the profile stands
+    assert guarded.judge(tick, True) is None  # so that it can be acknowledged when its cause is gone
 
 
 @pytest.fixture(scope="module")

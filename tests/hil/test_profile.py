@@ -270,3 +270,13 @@ def test_percentages_that_look_like_fractions_of_one_are_refused_unless_the_limi
     validate(fractions, limits | {"valve_pct": SetpointLimit(0, 1, None, "%")}, period_s=1.0)
     for first, second in ((0, 0), (1, 5)):  # closed, and a valve that opens further
         validate(read_profile(_write(tmp_path, text.format(first, second))), limits, period_s=1.0)
+
+
+def test_a_set_point_that_is_named_itself_is_referred_to_its_readback(tmp_path):
+    path = tmp_path / "load.csv"
+    path.write_text("time_s,heater_1_pct\n0,10\n600,20\n", encoding="utf-8")
+    limits = {"P1_pct": SetpointLimit(0, 100, None, "%", setpoint="heater_1_pct")}
+    with pytest.raises(ProfileError) as caught:
+        validate(read_profile(path), limits | {"heater_2_pct": SetpointLimit(0, 100, None, "%")}, period_s=1.0)
+    assert "names the set-point 'heater_1_pct' itself; call the column P1_pct, its readback" in str(caught.value)
+    assert "P1_pct; add it" not in str(caught.value)

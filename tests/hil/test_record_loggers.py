@@ -36,6 +36,7 @@ def _clock(k: int) -> str:
         ("103 (VDC)", "103_V"),
         ("rF [%rF]", "rF_pct"),
         ("T_in_C (°C)", "T_in_C"),
+        ("Temp, °C (LGR S/N: 17, SEN S/N: 17, LBL: Tank)", "Tank_C"),
     ],
 )
 def test_a_unit_in_a_heading_becomes_the_suffix(tmp_path: Path, heading: str, column: str) -> None:
@@ -170,3 +171,46 @@ def test_the_zone_in_a_heading_counts(tmp_path: Path, name: str, hour: int) -> N
 def test_kelvin_is_asked_about_only_where_a_liquid_may_have_it(tmp_path: Path, lowest: float, asked: bool) -> None:
     record = _read(tmp_path, ["time_s,T_in_C", *(f"{k},{lowest + k}" for k in range(60))])
     assert any("is it in kelvin?" in said for said in record.messages) == asked
+
+
+def test_parts_of_a_second_below_which_their_own_name_stands_belong_to_the_times(tmp_path: Path) -> None:
+    rows = [f"{k + 1},{_clock(k)},{500 * (k % 2)},{cell}" for k, cell in enumerate(WARM)]
+    record = _read(tmp_path, ["Number,Date&Time,ms,CH1", "NO.,Time,ms,degC", *rows])
+    np.testing.assert_allclose(record.time_s[:3], [0.0, 30.5, 60.0])
+    assert record.columns["CH1_C"][-1] == float(WARM[-1])
+
+
+def test_channels_called_by_numbers_keep_the_units_below_them(tmp_path: Path) -> None:
+    rows = [f"{-3e-3 + k * 1e-4:.6E},{cell},0.021" for k, cell in enumerate(WARM)]
+    record = _read(tmp_path, ["x-axis,1,2", "second,Volt,Volt", *rows])
+    assert len(record.time_s) == len(WARM) and list(record.columns) == ["1_V", "2_V"]
+
+
+def test_a_heading_of_units_takes_its_names_from_the_line_above(tmp_path: Path) -> None:
+    head = [" ,,System,System", "timezone: Europe/Berlin,,,", " ,,Tank temperature,AC power"]
+    rows = [f"{1772600000000 + 10000 * k},{_clock(k)},{cell},700" for k, cell in enumerate(WARM)]
+    record = _read(tmp_path, [*head, "ms since epoch,date,°C,W", *rows])
+    assert record.columns["Tank temperature_C"][-1] == float(WARM[-1])
+    assert record.columns["AC power_W"][0] == 700.0
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (
+            ["(1772600000.5) can0 123#00A0", "(1772600000.6) can0 124#00A0"],
+            "is a log of CAN frames; decode it by its DBC",
+        ),
+        (["date Wed Mar 4 10:00:00 2026", "base hex  timestamps absolute"], "is a log of CAN frames"),
+        ([";$FILEVERSION=2.0", ";$COLUMNS=N,O,T,I,d,l,D"], "is a log of CAN frames"),
+        (["Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2", "0,00000123,false,Rx,0,2,00,A0"], "is a log of CAN frames"),
+        (
+            ["timestamp,arbitration_id,extended,remote,error,dlc,data", "0.1,0x12,0,0,0,1,AA=="],
+            "is a log of CAN frames",
+        ),
+        (["rig,host=a T_tank=20.5,P=700 1772600000000000000"], "is line protocol of InfluxDB; query the data as CSV"),
+    ],
+)
+def test_logs_without_columns_of_signals_are_named(tmp_path: Path, lines: list[str], said: str) -> None:
+    with pytest.raises(RecordError, match=said):
+        _read(tmp_path, lines)

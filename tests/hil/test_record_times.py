@@ -105,7 +105,12 @@ def test_a_single_day_of_either_order_is_read_and_its_date_left_open(tmp_path: P
 
 
 def test_dates_without_times_are_refused_where_rows_would_be_lost(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match=r"29 of 30 values of column 'T_in_C' stand at a time that another row has"):
+    with pytest.raises(RecordError, match=r"29 of 32 values of column 'T_in_C' stand at a time that another row has"):
+        _read(tmp_path, "Date,T_in_C", ["2026-03-04"] * 30 + ["2026-03-05", "2026-03-06"])
+
+
+def test_a_column_of_one_time_is_named_as_such(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=r"all 30 rows have one time in column 'Date'; name the column that counts"):
         _read(tmp_path, "Date,T_in_C", ["2026-03-04"] * 30)
 
 

@@ -11,6 +11,7 @@ import pytest
 from drivers.signals.points import Quality, Signal
 from hil.journal.rows import JournalSamples
 from hil.journal.writer import Header, JournalWriter
+from hil.report.actuators import pair_actuators
 from hil.report.figures import MEASURED, RunCurves, pictures
 from hil.report.page import write_report
 from hil.report.statistics import NONE, number, set_against_read, signal_statistics, time_unit
@@ -112,6 +113,32 @@ def test_a_run_without_a_twin_shows_every_signal_in_numbers_and_pictures(tmp_pat
     assert "Measured against twin" not in page
     assert "nan" not in re.sub(r"base64,[^\"]*|Provenance", "", page)
     assert rows["0.00 min"][2] == "begun"
+
+
+def test_a_report_states_what_the_meters_did_not_follow(tmp_path):
+    folder = made(tmp_path / "run", samples(), header())
+    said = "heater_power_set asked for 100 W in the mean and heater_power read -0.4 W"
+    manifest = new_manifest({}, network_mode="shadow")
+    folder.write_manifest(manifest | {"exit_status": "done with deviations", "deviations": [said], "safe": True})
+    assert f'<p class="WARN">{said}</p>' in page_of(folder)
+
+
+def test_a_set_point_stands_beside_the_read_back_that_the_rig_file_declares():
+    signals = (
+        Signal("heater_1", "%", "setpoint", readback="P1"),
+        Signal("heater_2", "%", "setpoint"),
+        Signal("heater_1_old", "%"),
+        Signal("P1", "%"),
+    )
+    pairs = pair_actuators(signals)
+    assert [signal.name for signal in pairs["heater_1"]] == ["heater_1", "P1"]
+    assert [signal.name for signal in pairs["heater_2"]] == ["heater_2"]
+
+
+def test_curves_that_zoom_have_the_unit_of_the_pictures(tmp_path):
+    page = page_of(made(tmp_path / "run", samples(period_s=30.0), header(30.0)))
+    assert "<h2>Curves that zoom, over record time / min</h2>" in page
+    assert '"range":[0.0,99.5]' in page
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 2, 5])

@@ -55,6 +55,31 @@ def test_an_empty_note_and_a_folder_without_a_run_are_refused(run, tmp_path):
     assert not (tmp_path / "notes.jsonl").exists()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("x" * 2001,), "the note has 2001 characters, at most 2000 are kept"),
+        (("hello", "--by", "y" * 201), "the name of the author has 201 characters"),
+        (("hello", "--tag", "z" * 201), "it has 201 characters"),
+        (("hello", "--tag", ""), "it is empty"),
+        (("hello", "--serial", "  "), "it is empty"),
+        (("hello", "--object", ""), "it is empty"),
+    ],
+)
+def test_a_note_that_is_not_kept_whole_is_refused(run, arguments, said):
+    done = typed("note", run.path, *arguments)
+    assert done.returncode == 2 and said in done.stderr and not read_notes(run)
+    assert typed("note", run.path, "x" * 2000).returncode == 0 and read_notes(run)[0].text == "x" * 2000
+
+
+def test_a_list_without_runs_states_why(run, tmp_path):
+    assert f"is a run itself; give its parent, {run.path.parent}" in typed("ls", run.path).stderr
+    assert "no run in" in typed("ls", run.path.parent, "--tag", "none").stderr
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert "holds no run folder" in typed("ls", empty).stderr
+
+
 def test_notes_are_written_into_no_other_file(run, tmp_path):
     victim = tmp_path / "victim"
     victim.write_text("mine", encoding="utf-8")
@@ -93,7 +118,10 @@ def test_runs_are_listed_with_verdict_end_rig_duration_and_tags(run):
     damaged = run.path.with_name("damaged")
     damaged.mkdir()
     (damaged / "run.json").write_text("{", encoding="utf-8")
-    run.verdict.write_text(json.dumps({"verdict": "fail", "tests": []}), encoding="utf-8")
+    limit = dict.fromkeys(("id", "limit", "requirement", "severity", "unit", "text"), "x")
+    limit |= {"step": None, "verdict": "fail", "value": None, "at_s": None}
+    test = {"id": "p", "title": "", "sha256": "", "judged": "", "verdict": "fail", "limits": [limit]}
+    run.verdict.write_text(json.dumps({"verdict": "fail", "tests": [test]}), encoding="utf-8")
     done = typed("ls", run.path.parent, "--json")
     assert done.returncode == 0
     items = {item["folder"].rpartition("/")[2]: item for item in json.loads(done.stdout)}

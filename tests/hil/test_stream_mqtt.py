@@ -81,6 +81,19 @@ def test_a_finished_run_in_full_has_each_sample_once_with_unit_and_quality(
     again = typed("stream", run.path, "--to", _to(broker), "--all")
     assert "0 ticks and 0 events" in again.stdout
     assert _samples(heard) == [], "what was confirmed is not sent again"
+    assert "nothing was new" in again.stderr and "stream-mqtt-" in again.stderr
+
+
+def test_all_samples_are_sent_after_the_last_values_alone(broker: Broker, heard: Subscriber, tmp_path: Path) -> None:
+    run = finished_run(tmp_path, 60)
+    typed("stream", run.path, "--to", _to(broker))
+    until(lambda: heard.of("/state"), "the state came")
+    heard.messages.clear()
+    done = typed("stream", run.path, "--to", _to(broker), "--all")
+    assert (done.returncode, done.stderr) == (0, "") and "60 ticks" in done.stdout
+    until(lambda: heard.of("/state"), "the state came")
+    assert Counter(_samples(heard)) == _expected(run)
+    assert "nothing was new" in typed("stream", run.path, "--to", _to(broker)).stderr
 
 
 def test_a_finished_run_that_nobody_followed_is_sent_with_its_last_values(
@@ -201,7 +214,7 @@ def test_a_password_is_asked_and_in_no_message_and_no_file(tmp_path: Path, monke
         broker.stop()
     stored = list(run.path.glob("stream-*.json"))
     assert len(stored) == 1
-    assert json.loads(stored[0].read_text()) == {"to": address, "tick": 4, "event": 2}
+    assert json.loads(stored[0].read_text()) == {"to": address, "tick": 4, "event": 2, "all": True}
     for text in (wrong.stderr, right.stdout, *(path.read_text() for path in run.path.glob("stream-*"))):
         assert "s3cret" not in text and "n0t" not in text
 

@@ -53,6 +53,11 @@ def refused(tmp_path, text: str, duration_s: float = 400.0, hold_s: float | None
         ("T_tank_C < 60", "rmse of twin at T_tank_C < 1", "has 1 without a unit; write 1 K"),
         ("T_tank_C < 60", "no effect found after 10 s", "judges the whole run"),
         ("T_tank_C < 60", "T_tank_C < 60 while T_modules_C > 20", "several sensors"),
+        ("T_tank_C < 60", "heater_power < 1e308 kW", "has 1e+308 kW, which is too large in W"),
+        ("T_tank_C < 60", "heater_power between 900 W and 0.5 kW", "is between 900 W and 0.5 kW, which holds nothing"),
+        ("T_tank_C < 60", "ramp of T_tank_C between 3 K/min and 2 K/min", "which holds nothing"),
+        ("T_tank_C < 60", "T_tank_C < 60 while heater_power between 1 kW and 1 W", "which holds nothing"),
+        ('requirement = "REQ-1"', 'requirement = "R"\ngap_at_most = "1e999 s"', "gap_at_most has the number 1e999"),
     ],
 )
 def test_a_mistake_is_named_with_its_line(tmp_path, old, new, said):
@@ -111,3 +116,28 @@ def test_a_run_without_journal_and_one_of_another_profile_are_refused_in_a_sente
     done = typed("test", plan, "--on", folder.path)
     assert done.returncode == 1 and "journal.sqlite does not exist" in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('id = "p"\nrig = "r.toml"\ntitle = "x"\n', "line 2: limit: is missing"),
+        ('id = "p"\n[[limits]]\nid = "a"\n', "did you mean limit?"),
+        ('trip_on = "major"\n', "id: is missing"),
+        ('[[step]]\nname = "x"\nfrom = "1 s"\nto = "2 s"\n', "limit: is missing"),
+    ],
+)
+def test_a_plan_without_limits_is_checked_as_a_plan(tmp_path, text, said):
+    path = tmp_path / "plan.toml"
+    path.write_text(text, encoding="utf-8")
+    done = typed("check", path)
+    assert done.returncode == 2 and said in done.stderr and "rig file" not in done.stderr
+
+
+def test_a_check_shows_no_codes_that_a_terminal_obeys(tmp_path):
+    path = tmp_path / "plan.toml"
+    text = plan_text("T_tank_C < 60").replace('"REQ-1"', '"R \\u001b[2J\\u001b[31mred\\u202e"')
+    path.write_text(text, encoding="utf-8")
+    done = typed("check", path)
+    assert done.returncode == 0 and "\x1b" not in done.stdout and "\u202e" not in done.stdout
+    assert r"R \x1b[2J\x1b[31mred\u202e" in done.stdout

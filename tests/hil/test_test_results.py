@@ -149,3 +149,35 @@ def test_a_live_run_is_not_judged(judged):
     with folder.owned():
         done = typed("test", plan, "--on", folder.path)
     assert done.returncode == 2 and "still goes on" in done.stderr
+
+
+def test_a_verdict_of_another_plan_of_the_same_id_leaves_a_trace(judged):
+    folder, plan = judged
+    strict = plan.read_text(encoding="utf-8")
+    typed("test", plan, "--on", folder.path)
+    typed("test", plan, "--on", folder.path)
+    plan.write_text(plan_text("T_heater_C < 300 before 200 s"), encoding="utf-8")
+    done = typed("test", plan, "--on", folder.path)
+    assert done.returncode == 0 and done.stdout.startswith("pass")
+    assert "judged before, at " in done.stdout and "by a plan of the same id and other content" in done.stdout
+    assert "FAILED; failed: L2, L4" in done.stdout
+    assert "FAILED; failed: L2, L4" in folder.report.read_text(encoding="utf-8")
+    assert "fail at " in folder.junit.read_text(encoding="utf-8")
+    (test,) = read_verdict(folder)["tests"]
+    (before,) = test["history"]  # the same verdict again is one entry
+    assert before["verdict"] == "fail" and before["sha256"] != test["sha256"] and before["failed"] == ["L2", "L4"]
+    plan.write_text(strict, encoding="utf-8")
+    assert "by a plan of the same id" in typed("test", plan, "--on", folder.path).stdout
+    assert [one["verdict"] for one in read_verdict(folder)["tests"][0]["history"]] == ["fail", "pass"]
+
+
+@pytest.mark.parametrize("place", ["run", "test"])
+def test_a_verdict_that_its_limits_do_not_give_is_refused(judged, place):
+    folder, plan = judged
+    judge_run(read_plan(plan), folder)
+    document = json.loads(folder.verdict.read_text(encoding="utf-8"))
+    (document if place == "run" else document["tests"][0])["verdict"] = "pass"
+    folder.verdict.write_text(json.dumps(document), encoding="utf-8")
+    listed = typed("ls", folder.path.parent)
+    assert "damaged" in listed.stdout and "changed by hand" in listed.stderr
+    assert typed("ls", folder.path.parent, "--verdict", "pass", "--json").stdout.strip() == "[]"

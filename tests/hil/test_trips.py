@@ -339,3 +339,14 @@ def test_an_abort_a_bug_and_a_full_disk_end_safe():
         full.journal.broken = True
         full.ticks(1)
         assert (full.state, full.outcome.safe, full.rig.heater_W) == ("faulted", True, 0.0)
+
+
+def test_a_meter_that_has_just_been_told_has_its_time_to_follow():
+    with EngineBench(rig_with(WAITS_S)) as bench:
+        warm(bench)
+        bench.rig.readings["heater_power"] = 700.0
+        said = bench.ask(Verb.PAUSE)
+        assert "safe values read back, heater_power reads 700.0 W and has " in said and "s to come down to " in said
+        assert "but" not in said
+        bench.ticks(40)
+        assert "heater_power still reads 700.0 W" in bench.engine.status().not_safe

@@ -9,14 +9,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from drivers.importers.vendor_table.headings import names_registers
     from drivers.importers.vendor_table.table import import_csv
 
 _MODULES = {
+    "headings": ("names_registers",),
     "table": ("import_csv",),
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
-__all__ = ["import_csv"]
+__all__ = ["import_csv", "names_registers"]
 
 
 def __getattr__(name: str) -> Any:

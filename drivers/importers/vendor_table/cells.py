@@ -1,17 +1,13 @@
-"""Cells of a vendor's register table: table and function code, address, type, order, number, bits, access."""
+"""Cells of a vendor's register table: table and function code, type, order, number, bits, access."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Literal
 
 from drivers.importers.draft import ImportFileError, number
 from drivers.importers.vendor_table.words import ACCESS, NO, OF_FUNCTION, SIGNS, TABLES, TYPES, WRITES, YES, squeezed
 from drivers.signals import UNSIGNED
-
-Addressing = Literal["zero", "one", "modicon"]
-_OF_LEADING_DIGIT = {"0": "coil", "1": "discrete", "3": "input", "4": "holding"}
 
 
 def function_codes(cells: dict[str, str]) -> list[int]:
@@ -45,37 +41,6 @@ def table_of(path: Path, line: int, cells: dict[str, str]) -> tuple[str | None, 
         table = of_code
     writes, reads = bool(WRITES & set(codes)), bool(set(codes) - WRITES)
     return table, ("rw" if reads else "w") if writes else None
-
-
-def address_of(path: Path, line: int, text: str, addressing: Addressing, *, is_hex: bool) -> tuple[str | None, int]:
-    """Return the table of a Modicon address, or None, and the zero-based address."""
-    bare = text.strip().lower()
-    if re.fullmatch(r"0x[0-9a-f]{1,5}|[0-9a-f]{1,5}h", bare) or (is_hex and re.fullmatch(r"[0-9a-f]{1,5}", bare)):
-        value, digits = int(bare.removeprefix("0x").removesuffix("h"), 16), ""
-    elif re.fullmatch(r"\d{1,7}", bare):
-        value, digits = int(bare), bare
-    else:
-        raise ImportFileError(path, line, f"address {text!r} is no address; write it as 100 or 0x64, one a line")
-    if addressing == "modicon":
-        if len(digits) not in (5, 6) or digits[0] not in _OF_LEADING_DIGIT or int(digits[1:]) < 1:
-            raise ImportFileError(
-                path,
-                line,
-                f"address {text!r} is no Modicon address (40001 or 400001 is the first holding register); correct it, "
-                "or use --addressing zero or one",
-            )
-        table, value = _OF_LEADING_DIGIT[digits[0]], int(digits[1:]) - 1
-    else:
-        table = None
-        if addressing == "one":
-            if value < 1:
-                raise ImportFileError(path, line, "address 0 in a table that counts from one; use --addressing zero")
-            value -= 1
-    if value > 65535:
-        raise ImportFileError(
-            path, line, f"address {text} is beyond the last one, 65535; is the table --addressing modicon?"
-        )
-    return table, value
 
 
 _WIDTH_ALONE = {

@@ -92,11 +92,16 @@ def columns_of(path: Path, line: int, head: Sequence[str], rows: Rows) -> Vendor
             weak.append((key, index, called, values))
         else:
             _add(path, line, found, index, key, inside, called, values)
-    for key in ("name", "address", "type"):
-        if key not in found.at:
-            raise ImportFileError(
-                path, line, f"has no column for {key}; call one {key} (the first line must be the heading)"
-            )
+    lacking = [key for key in ("name", "address", "type") if key not in found.at]
+    if len(lacking) == 3:
+        raise ImportFileError(
+            path, line, "has no columns for name, address and type: it is no register table; hil check reads records"
+        )
+    if lacking:
+        key = lacking[0]
+        raise ImportFileError(
+            path, line, f"has no column for {key}; call one {key} (the first line must be the heading)"
+        )
     if unclear:
         raise ImportFileError(path, line, unclear[0])
     _settle_devices(path, line, found, weak, rows)

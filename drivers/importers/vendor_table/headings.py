@@ -210,3 +210,8 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def names_registers(names: Sequence[str]) -> bool:
+    """Return True for the headings of a register table: they name a point, its address and its type."""
+    return {"name", "address", "type"} <= {heading_key(name)[0] for name in names}

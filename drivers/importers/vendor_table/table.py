@@ -16,10 +16,9 @@ from drivers.importers.draft import (
     read_any_text,
 )
 from drivers.importers.sections import Sections
+from drivers.importers.vendor_table.addresses import Addresses, Addressing
 from drivers.importers.vendor_table.cells import (
-    Addressing,
     access_of,
-    address_of,
     bits_of,
     device_of,
     function_codes,
@@ -111,7 +110,12 @@ def import_csv(
     _number_base(path, head_line, columns, rows[1:], addressing, collector)
     _decimal_signs(columns, rows[1:])
     ranges = PlausibleRanges(path, collector, columns.decimal_comma)
-    table = _VendorTable(path, columns, addressing, order, collector, ranges)
+    addresses = Addresses(path, _cells_of(columns, "address", rows[1:]), addressing, columns.is_hex)
+    if addresses.are_fractions:
+        collector.note(
+            head_line, "all addresses end in .0: they were read as whole numbers, as a spreadsheet writes them"
+        )
+    table = _VendorTable(path, columns, addresses, order, collector, ranges)
     buses = Sections()
     for line, row in rows[1:]:
         cells = columns.cells(row)
@@ -257,7 +261,7 @@ def _decimal_signs(columns: VendorColumns, rows: Rows) -> None:
 class _VendorTable:
     path: Path
     columns: VendorColumns
-    addressing: Addressing
+    addresses: Addresses
     order: str
     collector: Collector
     ranges: PlausibleRanges
@@ -272,7 +276,8 @@ class _VendorTable:
                 raise ImportFileError(path, line, f"{key} is {placeholder}; write what that stands for")
         table, access = table_of(path, line, cells)
         self._decimal_signs_agree(line, cells, ("scale", "divisor", "offset"))
-        given, address = address_of(path, line, cells["address"], self.addressing, is_hex=self.columns.is_hex)
+        where = self.addresses.read(line, cells["address"])
+        given, address = where.table, where.address
         if table is not None and given is not None and table != given:
             raise ImportFileError(
                 path, line, f"address {cells['address']} is of table {given} and the line says {table}; correct one"
@@ -286,10 +291,19 @@ class _VendorTable:
             keys["type"] = kind
             keys["order"] = self._order_of(line, cells, kind)
             keys["length"] = length
-        keys["bits"] = bits_of(path, line, cells)
+        column = bits_of(path, line, cells)
+        keys["bits"] = self.addresses.bits(line, where, kind, table, column)
+        registers = (length or 0) if kind == "string" else WIDTH.get(kind, 1)
+        self.addresses.require_width(line, where, kind, registers)
+        if keys["bits"] is not None and column is None and (doubt := self.addresses.doubt(where)) is not None:
+            self.collector.note(line, f"{cells['name']}: {doubt}")
         if kind == "bool" and keys["bits"] is not None and "type" in keys:
             keys["type"] = "uint16"  # The type of the bit; its register is read as a whole.
         keys["access"] = access_of(path, line, cells) or access
+        if keys["bits"] is not None and "w" in (keys["access"] or ""):
+            self.collector.note(
+                line, f"{cells['name']}: a bit of a register is read only here; its access was not used"
+            )
         if keys["access"] == "r" or keys["bits"] is not None or kind == "string":
             keys["access"] = None
         keys["kind"] = "status" if kind in ("bool", "string") or keys["bits"] is not None else None

@@ -111,7 +111,8 @@ def _not_rtu(data: bytes) -> str | None:
 
 
 def _counted(dropped: int) -> str:
-    return f"{dropped} replies to another request or of another unit were not used"
+    """Return the beginning of a sentence about replies to another request or of another unit."""
+    return "a reply was not used" if dropped == 1 else f"{dropped} replies were not used"
 
 
 def frames_of(config: ModbusBusSection) -> TcpFrames | RtuFrames:

@@ -37,6 +37,9 @@ EXCEPTIONS = {
     11: "gateway target does not answer (is device_id right?)",
 }
 
+NO_VALUES = "the device has no values there: correct address and table, or take the points out"
+"""Remedy for a reply without values."""
+
 
 class ReadBack:
     """Request that writes a block of holding registers and then reads one (6.17), and the check of its reply."""
@@ -53,10 +56,7 @@ class ReadBack:
         _check_function(self.code, self._written, reply, where)
         count = self.read.count
         if reply[1] != 2 * count or len(reply) < 2 + 2 * count:
-            raise ProtocolError(
-                f"{where} answered {reply[1] // 2} registers where {count} were asked ({self.read}); the reply is not "
-                "used"
-            )
+            raise ProtocolError(_other_size(where, reply[1], 2 * count, self.read))
         return codec.values_of(reply, count)
 
 
@@ -80,11 +80,25 @@ class Read:
     def _refuse(self, reply: bytes, where: str) -> NoReturn:
         block = self.block
         _check_function(block.read_code, block, reply, where)
-        got = f"{8 * reply[1]} bits" if self._is_bits else f"{reply[1] // 2} registers"
-        raise ProtocolError(
-            f"{where} answered {got} where {block.count} were asked ({block.table} {block.address}); "
-            "the reply is not used"
-        )
+        raise ProtocolError(_other_size(where, reply[1], self._size - 2, block))
+
+
+def _other_size(where: str, got: int, asked: int, block: Block) -> str:
+    """Return a sentence about a reply with another number of bytes than was asked for."""
+    is_bits = block.table in BIT_TABLES
+    whole = (lambda size: f"{8 * size} bits") if is_bits else lambda size: f"{size // 2} registers"
+    if got == 0:
+        said, remedy = f"no value (byte count 0) for {block}", NO_VALUES
+    elif got % 2 and not is_bits:
+        size = "1 byte" if got == 1 else f"{got} bytes"
+        said, remedy = f"{size} for {block}, where a register has two", "the device or its gateway is faulty"
+    else:
+        said = f"{whole(got)} where {block.count if is_bits else asked // 2} were asked ({block})"
+        key = f"max_read_bits = {8 * got}" if is_bits else f"max_read = {got // 2}"
+        remedy = f"give the bus {key} where it reads no more at once"
+        if got > asked:
+            remedy = "look for another client of the device, whose replies its gateway mixes with these"
+    return f"{where} answered {said}; the reply is not used: {remedy}"
 
 
 def write_request(block: Block, raw: Sequence[int]) -> bytes:
@@ -141,7 +155,7 @@ def _check_function(code: int, block: Block, reply: bytes, where: str) -> None:
         raise ProtocolError(f"{where} answered nothing that is a reply")
     if reply[0] == code | 0x80:
         exception = codec.exception_of(reply)
-        what = EXCEPTIONS.get(exception, "an unknown exception")
+        what = EXCEPTIONS.get(exception, "which the protocol does not know; see the manual of the device")
         asked = str(block)
         if exception == _VALUE and code not in _WRITE_CODES:
             what = "it does not read so many at once (give the bus max_read or max_read_bits)"
@@ -153,4 +167,7 @@ def _check_function(code: int, block: Block, reply: bytes, where: str) -> None:
             asked = f"to write {block} with function {code}"
         raise DeviceExceptionError(f"{where} refused {asked}: exception {exception}, {what}", exception)
     if reply[0] != code:
-        raise ProtocolError(f"{where} answered function {reply[0] & 0x7F} to function {code}")
+        raise ProtocolError(
+            f"{where} answered function {reply[0] & 0x7F} to function {code}; the reply is not used: look for another "
+            "client of the device, whose replies its gateway mixes with these"
+        )

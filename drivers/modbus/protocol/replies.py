@@ -19,6 +19,7 @@ from drivers.modbus.protocol.reply_defects import (
     READS,
     SHORTEST,
     content_size,
+    defect_of,
     foreign_frame,
     is_exception_to,
     unfinished,
@@ -85,7 +86,7 @@ class FrameGuard:
                 self._owed = max(HEADER.size - 1 + length - len(self._buffer), 0)
                 frame = frame[:_EXCEPTION]
             elif is_ours and not self._by_content:
-                _check_length(length, frame[HEADER.size :], self._buffer[HEADER.size :])
+                _check_length(length, frame[HEADER.size :], self._buffer[HEADER.size :], request)
             self._buffer = self._buffer[size:]
             if is_ours:
                 passed.append(frame)
@@ -141,11 +142,13 @@ def answers(reply: bytes, request: bytes) -> bool:
     return reply == request[:5]
 
 
-def _check_length(length: int, pdu: bytes, arrived: bytes) -> None:
+def _check_length(length: int, pdu: bytes, arrived: bytes, request: bytes) -> None:
     """Raise ProtocolError where a reply is not as long as its function and byte count say.
 
     `arrived` are all its bytes, which may be more than its header announces.
     """
+    if (defect := defect_of(pdu, request)) is not None:
+        raise ProtocolError(defect)
     code, due = pdu[0], content_size(pdu)
     if due is None:
         raise ProtocolError(f"a reply of function {code}, which was not asked for")

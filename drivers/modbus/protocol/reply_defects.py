@@ -16,6 +16,10 @@ SHORTEST, LONGEST = 3, 254
 """Bounds of the header's `length`: unit, function and one byte; unit and a PDU of 253 bytes."""
 READS = (1, 2, 3, 4, 23)
 ECHOES = (5, 6, 15, 16)
+ECHO = (
+    "the reply is the request itself, an echo; switch the echo of the adapter or converter off, or correct host and "
+    "port where the other side is no Modbus device"
+)
 IGNORED = "give frame_length = 'ignored' where the device always does so"
 _GREETINGS = (
     (b"HTTP/", "a web server (HTTP)"),
@@ -107,6 +111,36 @@ def content_size(pdu: bytes) -> int | None:
     return 5 if code in ECHOES else None
 
 
+def reply_size(request: bytes) -> int | None:
+    """Return the bytes of values that a read asks for; None for any other request."""
+    if not request or request[0] not in READS or len(request) < 5:
+        return None
+    count = int.from_bytes(request[3:5], "big")
+    return -(-count // 8) if request[0] in (1, 2) else 2 * count
+
+
+def defect_of(pdu: bytes, request: bytes) -> str | None:
+    """Return a sentence about a reply to a read that repeats the request, or whose byte count is wrong; else None."""
+    asked = reply_size(request)
+    if asked is None or not pdu or pdu[0] != request[0]:
+        return None
+    if pdu == request:
+        return ECHO
+    if len(pdu) == 1:
+        return f"a reply of function {pdu[0]} without byte count and values; the device or its gateway is faulty"
+    count, has = pdu[1], len(pdu) - 2
+    if count != asked and has == asked:
+        return (
+            f"a reply whose byte count is {count} and that has {_bytes(has)} of values; the device or its gateway is "
+            "faulty, and its values are not used"
+        )
+    return None
+
+
+def _bytes(count: int) -> str:
+    return f"{count} byte" if count == 1 else f"{count} bytes"
+
+
 def is_exception_to(pdu: bytes, request: bytes) -> bool:
     """Return True where `pdu` begins with an exception reply to `request`, of a code that the protocol knows."""
     return len(pdu) >= 2 and bool(request) and pdu[0] == request[0] | 0x80 and pdu[1] in EXCEPTIONS
@@ -116,6 +150,8 @@ def wrong_length(length: int, pdu: bytes) -> str:
     """Return a sentence about a reply to our request whose header announces `length` bytes and whose PDU is `pdu`."""
     due = content_size(pdu)
     if due is None and pdu:
+        if pdu[0] in READS:
+            return f"a reply of function {pdu[0]} without byte count and values; the device or its gateway is faulty"
         return f"a reply of function {pdu[0]}, which was not asked for"
     has = 1 + (len(pdu) if due is None else due)
     why = f"the reply announces {length} bytes and has {has}"
@@ -138,6 +174,8 @@ def unfinished(data: bytes, transaction: int, unit: int) -> str | None:
     if tid not in (0, transaction) or sender != unit:
         return f"a reply that announces {length} bytes stopped after {len(pdu) + 1}"
     due = content_size(pdu)
+    if due is None and len(pdu) == length - 1 and pdu:
+        return wrong_length(length, pdu)
     if due is not None and len(pdu) < due:
         return f"the reply announces {length} bytes and stopped after {len(pdu) + 1}"
     return f"the reply announces {length} bytes and has {len(pdu) + 1}; {IGNORED}"

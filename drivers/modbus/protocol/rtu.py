@@ -8,8 +8,10 @@ device, function and length that the request admits, and came alone. `drivers.mo
 
 from __future__ import annotations
 
-from drivers.modbus.protocol.pymodbus_codec import has_right_crc, rtu_size
+from drivers.modbus.protocol.pdu import NO_VALUES
+from drivers.modbus.protocol.pymodbus_codec import has_right_crc, rtu_frame, rtu_size
 from drivers.modbus.protocol.replies import answers
+from drivers.modbus.protocol.reply_defects import ECHO, reply_size
 from drivers.signals import ProtocolError
 
 _LONGEST = 256  # Modbus over serial line V1.02, 2.5.1
@@ -57,20 +59,46 @@ class RtuGuard:
                 break
             if size > _LONGEST:
                 raise ProtocolError(f"a reply of {size} bytes, which is more than a frame may have")
-            frame, self._buffer = self._buffer[:size], self._buffer[size:]
+            frame = self._buffer[:size]
             if not has_right_crc(frame):
+                if self._may_be_echo(device, request):
+                    break
                 raise ProtocolError(
                     f"a reply with a wrong CRC: {frame[:8].hex(' ')}; look for noise, termination and the line's speed"
                 )
+            self._buffer = self._buffer[size:]
             if frame[0] == device and answers(frame[1:-2], request):
                 passed.append(frame[1:-2])
             else:
                 self.dropped += 1
-                self.others = (
-                    f"it came from device {frame[0]} where device_id {device} was asked; correct device_id"
-                    if frame[0] != device
-                    else f"it was of function {frame[1]} with {len(frame) - 4} bytes; raise timeout_s of a slow device"
-                )
+                self.others = _why_unused(frame, device, request)
         if passed and (self._buffer or len(passed) > 1):
             raise ProtocolError("more than one reply to one request: none of them is used")
         return passed
+
+    def _may_be_echo(self, device: int, request: bytes) -> bool:
+        """Return True while the bytes that came are the beginning of the request; raise ProtocolError where all are.
+
+        A write of one value is confirmed by its echo and has the right CRC.
+        """
+        asked = rtu_frame(device, request)
+        if self._buffer.startswith(asked):
+            raise ProtocolError(ECHO)
+        return asked.startswith(self._buffer)
+
+
+def _why_unused(frame: bytes, device: int, request: bytes) -> str:
+    """Return a sentence about a sound frame that does not answer `request` of `device`."""
+    if frame[0] != device:
+        return f"it came from device {frame[0]} where device_id {device} was asked; correct device_id"
+    asked, pdu = reply_size(request), frame[1:-2]
+    if asked is not None and pdu[0] == request[0]:
+        if pdu[1] == 0:
+            return f"it has byte count 0 where {asked} bytes were asked; {NO_VALUES}"
+        if pdu[1] % 2 and pdu[0] not in (1, 2):
+            return f"it has {pdu[1]} bytes of values, which are no whole registers; the device is faulty"
+        return (
+            f"it has {pdu[1]} bytes of values where {asked} were asked; raise timeout_s of a device that answers late, "
+            "or give the bus max_read where it reads no more at once"
+        )
+    return f"it was of function {pdu[0]} where {request[0]} was asked; raise timeout_s of a slow device"

@@ -18,6 +18,18 @@ _STRING = re.compile(
     re.DOTALL,
 )
 
+_REMEDIES = (
+    (re.compile("[\u201c\u201d\u201e\u00ab\u00bb\u2018\u2019]"), 'write straight quotes, as in name = "rig"'),
+    (re.compile(r"Cannot declare \('(\w+)',\) twice"), "write [[{0}]] with two brackets where there are several"),
+    (re.compile(r"Cannot overwrite a value"), "a key stands twice in this section; take one of them out"),
+    (re.compile(r"=\s*(?:True|TRUE|yes|on|On|Yes)\s*(?:#|$)"), "write true in lower case"),
+    (re.compile(r"=\s*(?:False|FALSE|no|off|Off|No)\s*(?:#|$)"), "write false in lower case"),
+    (re.compile(r"=\s*(-?\d+),(\d+)\s*(?:#|$)"), "write a decimal point, {0}.{1}"),
+    (re.compile(r"Unescaped '\\'|Invalid hex value"), "write / in paths, or put the text in single quotes"),
+    (re.compile(r"Invalid value[^=]*=\s*([A-Za-z_][\w./:-]*)"), 'put text in quotes, "{0}"'),
+)
+"""Mistakes with the remedy: patterns of the error and of the line behind it."""
+
 Place = tuple[str | int, ...]
 
 
@@ -44,6 +56,9 @@ def _remedy_of(text: str, error: tomllib.TOMLDecodeError) -> str:
     """Return the remedy for a mistake: names outside quotes are letters a to z."""
     place = re.search(r"at line (\d+)", str(error))
     line = text.split("\n")[int(place[1]) - 1] if place is not None else ""
+    for pattern, remedy in _REMEDIES:
+        if (found := pattern.search(f"{error}: {line}")) is not None:
+            return remedy.format(*found.groups())
     odd = re.search(r"\w*[^\x00-\x7f]\w*", re.split(r"[#=\"']", line, maxsplit=1)[0])
     if odd is None:
         return "correct it there"

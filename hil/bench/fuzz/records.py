@@ -113,7 +113,7 @@ def _possible(record: Record) -> bool:
 
 def mutated_csv(pick: random.Random) -> bytes:
     """Return the bytes of a record as a logger, a spreadsheet or a database writes it, with one to three mutations."""
-    layout = pick.choice(("plain", "plain", "german", "toa5", "two columns", "long", "annotated", "epoch", "blanks"))
+    layout = pick.choice(("plain", *_LAYOUTS))
     text = _LAYOUTS[layout](pick.randint(1, 24), pick)
     return _broken(text, pick)
 
@@ -212,6 +212,28 @@ def _blanks(n: int, pick: random.Random) -> str:
     return "time_s   T_tank_C  W\n" + "".join(f"{i:6d} {20 + pick.random():9.3f}   {i}\n" for i in range(n))
 
 
+def _labview(n: int, pick: random.Random) -> str:
+    kind = pick.choice(("One", "Multi", "No"))
+    text = f"LabVIEW Measurement\t\nDecimal_Separator\t.\nX_Columns\t{kind}\n***End_of_Header***\t\n"
+    for begun in range(pick.randint(1, 3)):
+        head = {"Channels": "2", "Date": "2026/03/04", "Time": f"10:{begun:02}:00.5", "Y_Unit_Label": "Deg C"}
+        head |= {"X_Dimension": "Time", "X0": "0.0E+0", "Delta_X": "1.000000"}
+        apart = "\t\t" if kind == "Multi" else "\t"
+        text += "\n" + "".join(f"{tag}\t{value}{apart}{value}\n" for tag, value in head.items())
+        text += "***End_of_Header***\nX_Value\tT_tank" + apart.replace("\t\t", "\tX_Value\t") + "T_room\tComment\n"
+        for i in range(n):
+            x = "" if kind == "No" else f"{i}.000000"
+            text += f"{x}\t{20 + pick.random():.6f}\t" + (f"{x}\t" if kind == "Multi" else "") + "21.000000\n"
+    return text
+
+
+def _seconds_of_day(n: int, pick: random.Random) -> str:
+    return "Date,Seconds,T_tank_C\n" + "".join(
+        f"2026-03-{4 + (86000 + 100 * i) // 86400:02},{(86000 + 100 * i) % 86400},{20 + pick.random():.2f}\n"
+        for i in range(n)
+    )
+
+
 _LAYOUTS: dict[str, Callable[[int, random.Random], str]] = {
     "plain": _plain,
     "german": _german,
@@ -221,6 +243,8 @@ _LAYOUTS: dict[str, Callable[[int, random.Random], str]] = {
     "annotated": _annotated,
     "epoch": _epoch,
     "blanks": _blanks,
+    "labview": _labview,
+    "seconds of the day": _seconds_of_day,
 }
 
 

@@ -49,6 +49,8 @@ class InputCard(InputFile):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         path = Path(value)
+        if path.suffix not in (".json", ".safetensors") and (path.is_file() or (PROJECT / path).is_file()):
+            self.fail(f"{path} is no card of a network; give its .json, or the .safetensors beside it", param, ctx)
         if path.suffix != ".json" and not path.is_dir():
             path = path.with_suffix(".json") if path.suffix == ".safetensors" else path.with_name(f"{path.name}.json")
         return super().convert(path, param, ctx)

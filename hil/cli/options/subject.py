@@ -56,6 +56,8 @@ def subject_of(target: Path, twin: Path | None) -> RecordAndTwin:
         A part is missing.
     """
     if not target.is_dir():
+        if target.suffix == ".toml":
+            raise SubjectError(f"{target} is no record; give a run folder or a record first, and a twin with --twin")
         if twin is None:
             raise SubjectError(f"{target} is a record and names no twin; name it with --twin")
         return RecordAndTwin(target, twin, None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from hil.cli.options.paths import INPUT_FILE
+from hil.cli.options.paths import INPUT_CARD
 
 CALIBRATORS = click.option(
     "--calibrator",
@@ -15,7 +15,7 @@ CALIBRATORS = click.option(
 NETWORK = click.option(
     "--network",
     "card",
-    type=INPUT_FILE,
+    type=INPUT_CARD,
     metavar="CARD",
     help="Card (.json) of the ensemble of hiera_unet and hiera_ls, as `hil train` writes it; default: the shipped one.",
 )

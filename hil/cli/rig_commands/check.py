@@ -94,8 +94,14 @@ def command(
 
         file = record_of(file)
     checker = _checker(file, rig)
-    if picture is not None and checker is not _twin:
-        raise click.UsageError(f"--picture draws twins, and {file} is no twin")
+    if picture is not None:
+        from hil.run_folder import RunFolderError, require_output
+
+        if checker is not _twin:
+            raise click.UsageError(f"--picture draws twins, and {file} is no twin")
+        if picture.suffix.lower() not in (".svg", ".png", ".pdf"):
+            raise click.UsageError(f"{picture}: a picture is a .svg, a .png or a .pdf; choose one")
+        require_output(picture, RunFolderError, [file])
     if catalogue and checker is not _twin:
         raise click.UsageError(f"--catalogue lists the effects that a twin may lack, and {file} is no twin")
     if online and checker is not _rig:
@@ -142,10 +148,10 @@ def _named(file: Path, checker: Callable[[Path, Path, Console], None]) -> Iterat
 
 
 def _has_rig(file: Path) -> bool:
-    """Return True for a TOML file with a table that only rig files have."""
+    """Return True for a TOML file with a table that only rig files have, or that shows another program's file."""
     from drivers.rig_file import read_regular, tables_of
 
-    return not {"rig", "bus", "point"}.isdisjoint(tables_of(read_regular(file))[1])
+    return not {"rig", "bus", "point", "inputs"}.isdisjoint(tables_of(read_regular(file))[1])
 
 
 def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
@@ -165,7 +171,7 @@ def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
         if not keys:
             raise ConfigurationError(
                 f"{file}: holds no key; a rig file has [rig], a twin [elements.NAME], an effects file [[effect]], a "
-                "scenario [[system]]"
+                "scenario [[system]], a test plan [[limit]]"
             )
         for key, checker in _CHECKERS.items():
             if key in keys:
@@ -180,41 +186,62 @@ def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
     if (what := foreign_kind(beginning)) is not None:
         raise RecordError(f"{file} {what}")
     if file.suffix in (".csv", ".tsv", ".tab", ".txt", ".dat", ".asc", ".prn", ".lvm", ".log"):
-        return _record if _readings(file, rig) else _profile
+        return _record if _is_record(file, beginning, rig) else _profile
+    if file.suffix in (".yaml", ".yml", ".dbc"):
+        raise ConfigurationError(f"{file}: is no rig file; `hil init --from {file}` makes one of it")
     raise click.UsageError(f"{file}: is no .toml, .csv, .tsv or .parquet file; give a file of one of these types")
 
 
-def _readings(file: Path, rig: Path) -> list[str]:
-    """Return the columns of a table that no load profile has. These are temperatures that are no set-points of the rig,
-    values of a long format, and columns beside a separate date column.
-    """
-    from hil.record import VALUES, DialectError, beginning_of, find_dialect, is_annotated, name_and_unit
-    from hil.record.times import names_dates
+def _is_record(file: Path, content: bytes, rig: Path) -> bool:
+    """Return True for the beginning of a record, False for that of a load profile.
 
-    with file.open("rb") as content:
-        beginning = beginning_of(content.read(_SAMPLE_BYTES))
-    if is_annotated(beginning):
-        return ["_value"]
+    A record has columns that no profile has: temperatures that are no set-points of the rig, values of a long format,
+    dates. A table whose first column is not time_s is a profile only if it has a set-point of the rig.
+
+    Raises ConfigurationError for a register table.
+    """
+    from drivers.importers import names_registers
+    from drivers.rig_file import load_rig
+    from drivers.signals import ConfigurationError
+    from hil.record import VALUES, DialectError, beginning_of, find_dialect, is_annotated, is_labview, name_and_unit
+    from hil.record.times import names_dates
+    from hil.run.session import setpoint_limits
+
+    beginning = beginning_of(content)
+    if is_annotated(beginning) or is_labview(beginning):
+        return True
     try:
         names = list(find_dialect(beginning).names)
-    except DialectError:
-        return []  # The reader of profiles names the line.
+    except DialectError as error:
+        if not beginning.strip():
+            return False
+        raise ConfigurationError(f"{file}{error}") from error
+    if names_registers(names):
+        raise ConfigurationError(f"{file}: is a register table; `hil init --from {file}` makes a rig file of it")
     in_degC = ("degC", "degF")
     found = [name for name in names if _TEMPERATURE.search(name) or (name_and_unit(name) or ("", ""))[1] in in_degC]
-    if found and names[0] == "time_s":
-        from drivers.rig_file import load_rig
-        from hil.run.session import setpoint_limits
+    if names[0] == "time_s":
+        return bool(found) and any(name not in setpoint_limits(load_rig(rig)) for name in found)
+    if found or any(name.lower() in VALUES or names_dates(name) for name in names):
+        return True
+    return len(names) > 1 and not any(_signal(name) in map(_signal, setpoint_limits(load_rig(rig))) for name in names)
 
-        limits = setpoint_limits(load_rig(rig))
-        return [name for name in found if name not in limits]
-    if names[0] != "time_s":
-        found += [name for name in names if name.lower() in VALUES or names_dates(name)]
-    return found
+
+def _signal(name: str) -> str:
+    """Return a column's name without its unit, as letters and digits: `Heater power [W]` is heaterpower."""
+    from drivers.signals import split_column
+    from hil.record import name_and_unit
+
+    found = split_column(name) or name_and_unit(name)
+    return re.sub(r"[\W_]+", "", found[0] if found else name).lower()
 
 
 _SAMPLE_BYTES = 200_000
 """Bytes from the beginning of a table that show its format."""
-_TEMPERATURE = re.compile(r"^T_|_C$|^T(_.+|\d+)_[KF]$|[\[(]\s*(°|deg)\s*[CFK]\s*[\])]$", re.IGNORECASE)
+_TEMPERATURE = re.compile(
+    r"^T_|_C$|^T(_.+|\d+)_[KF]$|[\[(]\s*(°|deg)\s*[CFK]\s*[\])]$|^(T|TC|PT|RTD|temp)[ _]?\d+$|^temp(erature|eratur)?$",
+    re.IGNORECASE,
+)
 
 
 def _rig(file: Path, _: Path, out: Console) -> None:
@@ -359,12 +386,16 @@ _CHECKERS: dict[str, Callable[[Path, Path, Console], None]] = {
     "system": _scenario,
     "systems": _scenario,
     "limit": _test_plan,
+    "step": _test_plan,
+    "trip_on": _test_plan,
+    "id": _test_plan,
 }
 """Key at the top of a TOML file -> its checker; a file without any of them is a rig file."""
 
 _INFERRED: dict[Callable[[Path, Path, Console], None], str] = {
-    _rig: "a rig file, since it has no [elements] (twin), [[effect]] (effects file) or [[system]] (scenario)",
+    _rig: "a rig file, since it has no [elements] (twin), [[effect]] (effects file), [[system]] (scenario) or "
+    "[[limit]] (test plan)",
     _profile: "a load profile, since no column is a temperature; a record has columns such as T_tank_C",
-    _record: "a record, since it is Parquet or has a column that is a temperature",
+    _record: "a record, since it is Parquet or has a column that no load profile has, such as a temperature or a date",
 }
 """Kind that a check infers for a file if no key names it, with the reason."""

@@ -25,10 +25,11 @@ def command(runs: tuple[Path, ...], out: Path, as_json: bool) -> None:
       hil compare runs/20260520T120000Z-battle_40h runs/20260601T080000Z-battle_40h
       hil compare runs/*-cooling_steps --out cooling.html
     """
-    from hil.comparison import compare_runs, write_comparison
+    from hil.comparison import compare_runs, require_page, write_comparison
     from hil.run_folder import RunFolder, read_verdict
     from hil.testing import requirement_matrix
 
+    require_page(out)
     folders = [RunFolder(path) for path in runs]
     made = compare_runs(folders)
     judged = [folder for folder in folders if read_verdict(folder)["tests"]]
@@ -41,15 +42,17 @@ def command(runs: tuple[Path, ...], out: Path, as_json: bool) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from hil.comparison import difference_row
+    from hil.comparison import difference_head, difference_row
     from hil.run.session import console
 
-    table = Table(title=f"run minus {escape(made.runs[0])}", title_justify="left")
-    for heading in ("signal", "run", "unit", "mean", "reference", "difference", "RMS", "largest", "at / s", "common"):
+    to = console()
+    for position, name in enumerate(made.runs, 1):
+        to.print(f"run {position}: {name}" + (" (reference)" if position == 1 else ""), markup=False, soft_wrap=True)
+    table = Table()
+    for heading in difference_head(made):
         table.add_column(heading, overflow="fold")
     for item in made.differences:
-        table.add_row(*map(escape, difference_row(item)))
-    to = console()
+        table.add_row(*map(escape, difference_row(made, item)))
     to.print(table)
     for drift in made.drifts:
         for name, beyond, value in zip(made.runs, drift.beyond, drift.values, strict=True):

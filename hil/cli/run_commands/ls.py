@@ -33,6 +33,9 @@ def command(runs: Path, tag: str | None, verdict: str | None, as_json: bool) -> 
     if as_json:
         click.echo(json.dumps([summary.document() for summary in found], indent=1))
         return
+    if not found:
+        click.echo(_none(runs, tag, verdict), err=True)
+        return
     from rich.markup import escape
     from rich.table import Table
 
@@ -53,3 +56,15 @@ def command(runs: Path, tag: str | None, verdict: str | None, as_json: bool) -> 
     for item in found:
         if item.problem:
             click.echo(item.problem, err=True)
+
+
+def _none(runs: Path, tag: str | None, verdict: str | None) -> str:
+    """Return why there is nothing to list, with the remedy."""
+    from hil.files import on_terminal
+
+    place = on_terminal(str(runs))
+    if (runs / "run.json").exists():
+        return f"{place} is a run itself; give its parent, {on_terminal(str(runs.absolute().parent))}"
+    if tag is not None or verdict is not None:
+        return f"no run in {place} has this tag or verdict; leave --tag and --verdict out to list all"
+    return f"{place} holds no run folder; give the parent of the runs"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import INPUT_FILE
+from hil.cli.options import INPUT_CARD, INPUT_FILE
 from hil.cli.run_commands.run import address, as_json_document
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 @click.option("--with", "effects", type=INPUT_FILE, help="Path of the effects of the virtual rig, if they were moved.")
 @click.option("--healthy", type=INPUT_FILE, help="Path of the healthy record, if it was moved.")
 @click.option(
-    "--network", "card", type=INPUT_FILE, help="Path of the card of the run's trained network, if it was moved."
+    "--network", "card", type=INPUT_CARD, help="Path of the card of the run's trained network, if it was moved."
 )
 @click.option("--control", help="host:port of a running `hil rig --mode lockstep`, if it has changed.")
 @click.option("--gap", help="Duration of the interruption, such as 12min, if this machine's clock is wrong.")

@@ -37,8 +37,10 @@ def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot:
     from hil.diagnosis import REVIEW, has_diagnosis
     from hil.files import require_plain
     from hil.review import has_display, write_review
-    from hil.run_folder import RunFolder, RunFolderError
+    from hil.run_folder import RunFolder, RunFolderError, require_output
 
+    if screenshot is not None:
+        require_output(screenshot, RunFolderError)
     folder = RunFolder(run)
     if not folder.manifest.is_file() and has_diagnosis(run):
         require_plain(run, RunFolderError)

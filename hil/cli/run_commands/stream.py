@@ -47,3 +47,5 @@ def command(run: Path, to: str, every: float | None, everything: bool, give_up: 
         announce(f"the stream of {run} was stopped; start it again to go on")
         raise SystemExit(130) from None
     click.echo(on_terminal(f"{done.to}: {done.ticks} ticks and {done.events} events, run {done.state}"))
+    if not done.ticks and not done.events and done.positions is not None:
+        announce(f"nothing was new: all was confirmed before; remove {done.positions} to send it again")

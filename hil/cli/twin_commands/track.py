@@ -57,6 +57,7 @@ def command(
     from hil.cli.options import subject_of
     from hil.record import read_record, require_record_suffix
     from hil.run.session import ProgressBar, check_calibrators, chosen_calibrators, console, show_comparison
+    from hil.run_folder import RunFolderError, require_output
     from hil.tracking import (
         Advice,
         TrackingConfig,
@@ -74,6 +75,8 @@ def command(
     check_calibrators(calibrators)
     names, optional = chosen_calibrators(calibrators or None, card)
     subject = subject_of(target, twin)
+    if out is not None:
+        require_output(out, RunFolderError, (subject.record, subject.twin))
     data = read_record(subject.record, choice=choice)
     twins = Twins(TrackingConfig(subject.twin, tuple(data.columns), names, seed, optional, card=card))
     data.require(*twins.network.recorded_inputs)

@@ -20,7 +20,7 @@ import numpy as np
 from hil.export.content import ExportError
 from hil.export.fmu.description import FmuVariable, description_xml, model_identifier
 from hil.export.fmu.interface import interface_source
-from hil.export.target import write_files
+from hil.export.target import require_suffix, write_files
 from twin import STAMP, Network, load
 from twin.kernel import CSource, c_source
 
@@ -66,6 +66,7 @@ def export_twin(twin: Path, out: Path | None = None, *, force: bool = False) -> 
     network = load(twin)
     identifier = model_identifier(network.name)
     path = out or Path(f"{identifier}.fmu")
+    require_suffix(path, "fmu")
     kernel = c_source(network)
     variables = list(_variables(network))
     guid = _guid(network, kernel)

@@ -1,4 +1,4 @@
-"""CSV files to named columns of text: encoding, dialect, annotations, repeated headings.
+"""CSV files to named columns of text: encoding, dialect, annotations, LabVIEW's headers, repeated headings.
 
 The names below are the package's interface; they are loaded on first use.
 """
@@ -13,9 +13,19 @@ if TYPE_CHECKING:
     from hil.record.csv_file.annotated import is_annotated
     from hil.record.csv_file.dialect import DialectError, find_dialect
     from hil.record.csv_file.encodings import EncodingError, beginning_of, utf8
+    from hil.record.csv_file.labview import is_labview
     from hil.record.csv_file.table import read_csv
 
-__all__ = ["DialectError", "EncodingError", "beginning_of", "find_dialect", "is_annotated", "read_csv", "utf8"]
+__all__ = [
+    "DialectError",
+    "EncodingError",
+    "beginning_of",
+    "find_dialect",
+    "is_annotated",
+    "is_labview",
+    "read_csv",
+    "utf8",
+]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
@@ -30,6 +40,7 @@ __getattr__, __dir__ = lazy_names(
             "beginning_of",
             "utf8",
         ),
+        "labview": ("is_labview",),
         "table": ("read_csv",),
     },
 )

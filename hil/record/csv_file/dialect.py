@@ -25,6 +25,8 @@ SAMPLE = 200
 MOST_BELOW = 3
 """Lines between names and rows: units, kinds of processing and places of sensors, as loggers write them."""
 
+_ON_ITS_SIDE = 4
+"""Lines, and fewest cells of a line, that show a table of signals in lines and not in columns."""
 _MAY_LACK = ("", "comment", "comments", "remark", "note", "notes")
 """Last name of a heading, lower case, whose cells rows may omit with their delimiter."""
 _FACTORS = (
@@ -96,12 +98,28 @@ def find_dialect(text: str) -> Dialect:
         No line names the columns.
     """
     lines, commented, only = _sample(text)
+    _require_upright(lines, only)
     if not lines:
         raise DialectError(" holds nothing but comments; give a record with a header and at least one row")
     found = [d for mark in only or (*DELIMITERS, BLANKS) if (d := _with(mark, lines, commented)) is not None]
     if found:
         return max(found, key=lambda d: (d.delimiter != BLANKS, len(d.names)))
     return _first_line(lines[0], only)
+
+
+def _require_upright(lines: Sequence[Line], only: Sequence[str]) -> None:
+    """Raise DialectError for a table on its side: the times in the first line, and a name before each row."""
+    for delimiter in only or DELIMITERS:
+        rows = [split(line.text, delimiter) for line in lines[:_ON_ITS_SIDE]]
+        if len(rows) < 2 or any(row is None or len(row) < _ON_ITS_SIDE for row in rows):
+            continue
+        cells = [row for row in rows if row is not None]
+        named = is_time_name(cells[0][0]) and not any(is_value(row[0]) for row in cells)
+        if named and all(is_value(cell) for row in cells for cell in row[1:] if cell):
+            raise DialectError(
+                f" line {lines[0].number} holds times behind '{cells[0][0]}', and each line begins with a name: the "
+                "table lies on its side; transpose it, so that each line is a sample"
+            )
 
 
 def _sample(text: str) -> tuple[list[Line], Line | None, tuple[str, ...]]:
@@ -162,6 +180,7 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     heading = _heading(above)
     line, names = above[heading]
     names = _told_apart(names, [row for _, row in above[:heading]])
+    names, own_units = _named_above(names, [row for _, row in above[:heading]])
     below = above[heading + 1 :]
     if len(below) > MOST_BELOW:
         return None
@@ -172,6 +191,8 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     units_line, units = next(
         ((one.number, found) for one, row in (*below, *over) if (found := _units(row, names))), (0, {})
     )
+    if own_units:
+        units_line, units = line.number, own_units
     said: tuple[str, ...] = ()
     if left_out:
         which = "line" if len(left_out) == 1 else "lines"
@@ -192,6 +213,27 @@ def _told_apart(names: list[str], over: Sequence[Sequence[str]]) -> list[str]:
         if all(cells) and len(set(cells)) == len(cells) > 1 and known < len(cells) and not any(map(is_value, cells)):
             return [row[place] if place in shared else name for place, name in enumerate(names)]
     return names
+
+
+def _named_above(names: list[str], over: Sequence[Sequence[str]]) -> tuple[list[str], dict[int, str]]:
+    """Return the names with those of the line above where all but the times are units; and these units by column."""
+    units = {place: name for place, name in enumerate(names) if not _may_be_time(name)}
+    if not units or not all(meaning_of(name) is not None for name in units.values()):
+        return names, {}
+    for row in reversed(over):
+        cells = [row[place] for place in units]
+        if (
+            all(cells)
+            and len(set(cells)) == len(cells)
+            and not any(map(is_value, cells))
+            and cells != list(units.values())
+        ):
+            return [row[place] if place in units else name for place, name in enumerate(names)], units
+    return names, {}
+
+
+def _may_be_time(name: str) -> bool:
+    return is_time_name(name) or "epoch" in name.lower()
 
 
 def _ended_alike(fields: Sequence[list[str] | None], k: int) -> list[list[str] | None]:
@@ -265,6 +307,8 @@ def _numeric(rows: Sequence[Sequence[str]], k: int) -> tuple[list[int], list[int
 def _is_row(row: Sequence[str], numeric: Sequence[int], moments: Sequence[int]) -> bool:
     """Return True for a line with values in at least half of the cells that it has there, and no word for a time."""
     if any(row[column] and not is_value(row[column]) for column in moments):
+        return False
+    if any(is_time_name(row[column]) for column in numeric):  # A heading of channels by number: `x-axis,1,2`.
         return False
     cells = [row[column] for column in numeric if row[column].lower() not in (*MISSING, *MARKS)]
     return bool(cells) and sum(is_value(cell) for cell in cells) >= len(cells) / 2

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
+_WRAPPED = re.compile(r'"(?:[^"]|"")*[,;\t](?:[^"]|"")*"')
+"""Line of one quoted cell that holds a delimiter."""
+_LINES = 5
+"""Lines that show the quotes around each line."""
 _BOMS = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
 _SAMPLE = 512
 """Bytes from the beginning that show UTF-16 without a byte order mark."""
@@ -36,9 +42,21 @@ def utf8(content: bytes) -> bytes:
 def beginning_of(content: bytes) -> str:
     """Return the text of a file's first bytes, which may end within a letter, for a look at its layout."""
     try:
-        return utf8(content).decode("utf-8-sig", "replace").replace("\r\n", "\n")
+        return unwrapped(utf8(content).decode("utf-8-sig", "replace").replace("\r\n", "\n"))
     except EncodingError:
         return ""
+
+
+def unwrapped(text: str) -> str:
+    """Return a table whose lines are each one quoted cell without these quotes; any other text unchanged.
+
+    A spreadsheet that opens a CSV in one column and saves it writes such lines.
+    """
+    lines = text.split("\n")
+    full = [line.rstrip("\r") for line in lines if line.strip()][:_LINES]
+    if not full or not all(_WRAPPED.fullmatch(line) for line in full):
+        return text
+    return "\n".join(line.strip().removeprefix('"').removesuffix('"').replace('""', '"') for line in lines)
 
 
 def _by_zeros(sample: bytes) -> str | None:

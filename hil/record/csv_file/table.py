@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import io
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from drivers.signals import split_column
 from hil.files import require_columns
 from hil.record.csv_file.annotated import is_annotated, read_annotated
 from hil.record.csv_file.dialect import BLANKS, Dialect, DialectError, find_dialect, heading_cells, is_value, split
+from hil.record.csv_file.encodings import unwrapped
+from hil.record.csv_file.labview import is_labview, read_labview
 from hil.record.csv_file.repeated_headings import by_later_headings
+from hil.record.csv_file.units_line import named_columns
 from hil.record.raw import RawRecord, RecordError, unique
-from hil.record.times import SECONDS_PER, is_time_name, names_unit, seconds_per_unit, zone_of
-from hil.record.units import fahrenheit_hint, has_open_factor, meaning_of, name_and_unit, suffixed
 from hil.record.values import may_be_lost, readings
 
 if TYPE_CHECKING:
@@ -40,8 +39,13 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         encoding = "latin-1"
         text = content.decode(encoding)
         messages.append(f"line {content.count(bytes([10]), 0, error.start) + 1} is not UTF-8; read as Latin-1")
+    if (bare := unwrapped(text)) != text:
+        text, content, encoding = bare, bare.encode(), "utf-8"
+        messages.append("each line stands in quotes: read without them")
     if is_annotated(text):
         return read_annotated(path, text, digest)
+    if is_labview(text):
+        return read_labview(path, text, digest, tuple(messages))
     try:
         dialect = find_dialect(text)
     except DialectError as error:
@@ -53,7 +57,7 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         text = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+(?=\r?$)", "", text))
         content, encoding, delimiter = text.encode(), "utf-8", "\t"
     require_columns(path, len(dialect.names), RecordError)
-    named = _named(path, dialect)
+    named = named_columns(path, dialect)
     messages += named.messages
     names, repeated = unique(named.names)
     messages += repeated
@@ -121,108 +125,6 @@ def _without_empty_end(
     if written[-1] or len(names) < 2 or table.column(len(names) - 1).null_count < table.num_rows:
         return names, table
     return names[:-1], table.select(range(len(names) - 1))
-
-
-_ENCLOSED = re.compile(r"^[\[({]\s*(.*?)\s*[\])}]$")
-
-
-@dataclass(frozen=True)
-class _Named:
-    """Names of the columns with the suffixes of the units that the file gives, and what follows from these units.
-
-    `units` are by column, `conversions` factor and offset of its numbers, `messages` remarks and hints.
-    """
-
-    names: list[str]
-    units: dict[str, str]
-    conversions: dict[str, tuple[float, float]]
-    messages: list[str]
-
-
-def _named(path: Path, dialect: Dialect) -> _Named:
-    """Return the names of the columns with the units of the dialect.
-
-    Raises
-    ------
-    RecordError
-        A name ends in the suffix of another unit than the line of units gives, or that line has a factor for it that
-        cannot be read.
-    """
-    found = _Named(list(dialect.names), {}, {}, [])
-    for place, cell in dialect.units.items():
-        name = found.names[place]
-        meaning = meaning_of(cell)
-        if is_time_name(name) and (meaning is None or meaning[0] in SECONDS_PER or names_unit(name)):
-            _name_time(path, dialect, place, found)
-            continue
-        own = _unit_of(name)
-        if own is not None and meaning != (own, 1.0):
-            raise RecordError(_contradiction(path, name, own, meaning, cell, dialect.units_line))
-        if not name or own is not None:
-            continue
-        if meaning is None:
-            symbol = _ENCLOSED.sub(r"\1", cell)
-            found.names[place] = f"{name} [{symbol}]"
-            if not has_open_factor(cell):  # `with_heading_units` reports one.
-                found.messages.append(
-                    f"line {dialect.units_line} gives '{cell}' for column '{name}', no known unit: kept as "
-                    f"'{found.names[place]}' without a unit"
-                )
-            continue
-        unit, factor = meaning
-        found.names[place] = named = suffixed(name, unit)
-        if unit == "degF":
-            found.names[place] = named = name if name.lower().endswith(("_f", "_degf")) else named
-            found.messages.extend(filter(None, [fahrenheit_hint(named)]))
-        else:
-            found.units[named] = unit
-        if factor != 1.0:
-            found.conversions[named] = (factor, 0.0)
-            found.messages.append(
-                f"line {dialect.units_line} gives '{cell}' for column '{name}': read as {named}, its numbers times "
-                f"{factor:.10g}"
-            )
-    return found
-
-
-def _name_time(path: Path, dialect: Dialect, place: int, found: _Named) -> None:
-    """Take the unit or the zone that a line of units gives for a column of times into its name or its unit."""
-    name, symbol = found.names[place], dialect.units[place].strip("[]() ")
-    if symbol.lower() in SECONDS_PER:
-        if names_unit(name) and SECONDS_PER[symbol.lower()] != seconds_per_unit(name):
-            raise RecordError(
-                f"{path}: column '{name}' is in {_unit_of(name)} by its name and in {symbol} by line "
-                f"{dialect.units_line}; correct one of them"
-            )
-        found.units[name] = symbol.lower()
-    elif any(letter.isdigit() for letter in symbol) and (symbol.lower().split() or [""])[-1] in SECONDS_PER:
-        raise RecordError(
-            f"{path} line {dialect.units_line} gives the unit '{symbol}' for the times '{name}'; write seconds"
-        )
-    elif zone_of(f"({symbol})") is not None:
-        found.names[place] = f"{name} ({symbol})"
-
-
-def _contradiction(path: Path, name: str, own: str, meaning: tuple[str, float] | None, cell: str, line: int) -> str:
-    if meaning is None:
-        return (
-            f"{path}: column '{name}' is in {own} by its name, and line {line} gives '{cell}' for it, which is another "
-            f"unit or has a factor; write {own} there and the numbers in {own}"
-        )
-    other = meaning[0] if meaning[1] == 1.0 else f"{meaning[1]:.10g} {meaning[0]}"
-    remedy = "correct one of them"
-    if meaning[0] == own:
-        remedy = f"write {own} there, or take the unit out of the name where the numbers are to be multiplied"
-    return f"{path}: column '{name}' is in {own} by its name and in {other} by line {line}; {remedy}"
-
-
-def _unit_of(name: str) -> str | None:
-    """Return the unit that a name ends in; None where it gives none."""
-    if is_time_name(name):
-        per = seconds_per_unit(name)
-        return next(unit for unit, seconds in SECONDS_PER.items() if seconds == per) if names_unit(name) else None
-    parts = split_column(name) or name_and_unit(name)
-    return None if parts is None else parts[1]
 
 
 def _require_closed_quotes(path: Path, content: bytes, table: pa.Table, dialect: Dialect) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hil.record.raw import RawRecord, ReadingOptions, RecordError
+from hil.record.times.counts import find_counts, names_count
 from hil.record.times.digits import may_be_clock, may_be_dates
 from hil.record.times.names import SECONDS_PER, is_time_name, names_days, names_unit, seconds_per_unit
 from hil.record.times.numbers import day_count
@@ -72,10 +73,17 @@ def _with_partner(raw: RawRecord, name: str, signs: dict[str, Sign]) -> tuple[st
     kinds = {other: kind for other, cells in pairs if (kind := _kind(other, cells, signs.get(other, ".")))}
     kind = kinds.get(name, "")
     if not kind:
-        return (name,)
+        dates = [other for other, its in kinds.items() if its == "date" and is_time_name(other)]
+        if names_count(name) is None or len(dates) != 1:
+            return (name,)
+        counts, of_day = find_counts(raw, dates[0], signs)
+        return (dates[0], *counts) if name in counts and of_day else (name,)
     partners = [other for other, its in kinds.items() if other != name and its and its != kind]
     named = [other for other in partners if is_time_name(other)]
     partners = named if len(named) == 1 else partners
+    if not partners and kind == "date":
+        counts, of_day = find_counts(raw, name, signs)
+        return (name, *counts) if of_day or not counts else counts
     if not partners:
         return (name,)
     if len(partners) > 1:

@@ -120,7 +120,7 @@ def clock_texts(name: str, cells: Any, sign: Sign, dates: Sequence[str | None] |
     if not fits:
         return None
     clock = next(iter(fits)) if asked is not None else _likeliest(values, fits, _day_starts(dates))
-    return None if clock is None else [_text(x) for x in fits[clock]]
+    return None if clock is None else [clock_text(x) for x in fits[clock]]
 
 
 def _numbers(cells: Any, sign: Sign) -> Values | None:
@@ -196,7 +196,8 @@ def _odd(steps: Values) -> int:
     return int((steps < 0.0).sum() + (np.abs(forward - middle) > _ODD * middle).sum())
 
 
-def _text(seconds: float) -> str | None:
+def clock_text(seconds: float) -> str | None:
+    """Return seconds of the day as hh:mm:ss, with the parts of a second where there are any; None for NaN."""
     if np.isnan(seconds):
         return None
     micros = round(float(seconds) * 1e6)

@@ -31,7 +31,19 @@ SECONDS_PER: dict[str, float] = {
 }
 """Seconds in a unit of time, by its symbol in lower case."""
 
-_ELAPSED = ("time", "t", "elapsed", "elapsed time", "time elapsed", "run time", "rel time", "relative time", "x value")
+_ELAPSED = (
+    "time",
+    "t",
+    "elapsed",
+    "elapsed time",
+    "time elapsed",
+    "run time",
+    "rel time",
+    "relative time",
+    "x value",
+    "x axis",
+    "x-axis",
+)
 _MOMENT = (
     *("timestamp", "time stamp", "datetime", "date time", "date/time", "date and time", "date", "epoch", "when"),
     *("local time", "utc", "time utc", "utc time", "timestamp utc", "last changed", "last updated", "recorded at"),

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from hil.record.raw import RawRecord, ReadingOptions
 from hil.record.times.columns import has_unit, scale_of
-from hil.record.times.digits import clock_texts, date_texts, may_be_clock, may_be_dates
+from hil.record.times.counts import names_count, seconds_of_day
+from hil.record.times.digits import clock_text, clock_texts, date_texts, may_be_clock, may_be_dates
 from hil.record.times.names import names_days
 from hil.record.times.numbers import EPOCH_S, DayCount, are_days, compact_moments, count_of, day_count
 from hil.record.times.parts import find_parts, stamp_texts
@@ -48,7 +49,7 @@ def read_seconds(
     if (parts := find_parts(columns)) is not None:
         cells = dict(zip(raw.names, raw.cells, strict=True))
         return of_stamps(read_stamps(stamp_texts(parts, cells, signs)))
-    if len(columns) == 2:
+    if len(columns) > 1:
         return _pair(raw, columns, signs, choice)
     name = columns[0]
     cells = raw.cells[raw.names.index(name)]
@@ -56,27 +57,25 @@ def read_seconds(
 
 
 def _pair(raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign], choice: ReadingOptions) -> Seconds | None:
-    """Return the times of a column of dates and one of times of day, as text or as spreadsheet numbers."""
-    dates, times = (raw.cells[raw.names.index(name)] for name in columns)
-    numbers = [parse(cells, signs.get(name, ".")) for name, cells in zip(columns, (dates, times), strict=True)]
+    """Return the times of a column of dates and one of times of day: text, spreadsheet numbers, or counts in a day."""
+    cells = dict(zip(raw.names, raw.cells, strict=True))
+    dates, times = (cells[name] for name in columns[:2])
+    of_day = seconds_of_day(cells, columns[1:], signs) if names_count(columns[1]) is not None else None
+    numbers = [parse(one, signs.get(name, ".")) for name, one in zip(columns, (dates, times), strict=False)]
     if all(found is not None and found.present and not found.bad for found in numbers):
         day, hour = (found.values for found in numbers if found is not None)
         count = day_count(float(np.nanmedian(day)))
         if count is not None:
-            return _of_days(day + hour, count)
-    texts = [
-        _date_cells(columns[0], dates, signs.get(columns[0], ".")),
-        text_of(times),
-    ]
-    sign = signs.get(columns[1], ".")
-    if may_be_clock(columns[1], times, sign):
-        clock = clock_texts(columns[1], times, sign, texts[0])
-        if clock is None:
-            raise TimeTextError(
-                f"the numbers of '{columns[1]}' are no times of day; name it time_s if they are seconds"
-            )
-        texts[1] = clock
-    both = [None if d is None or t is None else f"{d} {t}" for d, t in zip(*texts, strict=True)]
+            return _of_days(day + (hour if of_day is None else of_day / _DAY_S), count)
+    days, sign = _date_cells(columns[0], dates, signs.get(columns[0], ".")), signs.get(columns[1], ".")
+    clock: list[str | None] | None = text_of(times)
+    if of_day is not None:
+        clock = [clock_text(float(value)) for value in of_day]
+    elif may_be_clock(columns[1], times, sign):
+        clock = clock_texts(columns[1], times, sign, days)
+    if clock is None:
+        raise TimeTextError(f"the numbers of '{columns[1]}' are no times of day; name it time_s if they are seconds")
+    both = [None if d is None or t is None else f"{d} {t}" for d, t in zip(days, clock, strict=True)]
     return of_stamps(read_stamps(both, choice.dates))
 
 

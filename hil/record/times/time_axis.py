@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from hil.record.raw import RawRecord, ReadingOptions, RecordError
 from hil.record.times.columns import all_cells, find_columns, has_unit, scale_of
+from hil.record.times.counts import with_subseconds
 from hil.record.times.names import is_time_name
 from hil.record.times.seconds import ZONELESS, Seconds, of_stamps, read_seconds, text_of
-from hil.record.times.subseconds import with_subseconds
 from hil.record.times.text import TimeTextError, is_date, is_moment, read_stamps
 from hil.record.times.wall_clock import unfolded
 from hil.record.times.zone_column import with_zone_column

@@ -13,6 +13,8 @@ from twin import celsius_conversion
 
 _IN_BRACKETS = re.compile(r"(.+?)\s*[\[({<]\s*([^\[\](){}<>]+?)\s*[\])}>]")
 _BEHIND_A_SIGN = re.compile(r"([^/,;]+?)\s+/\s+([^/\s]+)|([^/,;]+?)\s*,\s*([^,\s]+)(?:\s+\(.*)?|(.+?)\s+in\s+(\S+)")
+_LABEL = re.compile(r"\(.*\bLBL:\s*([^,)]+)")
+"""Label of a sensor behind what it measures: `Temp, °C (LGR S/N: 1, SEN S/N: 2, LBL: Tank)`."""
 _NESTED = re.compile(r"(.+?)\s*\[\s*([^\[\]]+?)\s*\]")
 _SHOWN = 6
 """Columns that a message names one by one."""
@@ -27,7 +29,8 @@ def name_and_unit(heading: str) -> tuple[str, str] | None:
         name, symbol = (part for part in found.groups() if part)
         unit = "degF" if symbol == "F" and pattern is _IN_BRACKETS else unit_of(symbol)
         if unit is not None:
-            return name.strip(), unit
+            label = _LABEL.search(heading)
+            return name.strip() if label is None else label[1].strip(), unit
     return None
 
 

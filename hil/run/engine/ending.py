@@ -107,7 +107,9 @@ class Ending:
             outcome.away = result.problem
         else:
             by = "" if acted is None or not acted.safe else f"; the guardian had made it so ({acted.reason})"
-            note("INFO", f"safe: {listed}; read back, and the measured values have followed{by}")
+            is_measured = any(parts.rig.get(name).readback is not None for name in safe)
+            seen = "and the measured values have followed" if is_measured else "and no point measures what they move"
+            note("INFO", f"safe: {listed}; read back, {seen}{by}")
         return result.safe
 
     def _guard_has_made_safe(self) -> bool:

@@ -13,7 +13,7 @@ from hil.run.engine.attended import Finished, attended
 from hil.run.engine.components import Components
 from hil.run.engine.recording import with_commands
 from hil.run.engine.supervisor import End
-from hil.run.outputs import Descent, GoodReadings, ReadbackDeviations, bind, still_hot
+from hil.run.outputs import Descent, GoodReadings, ReadbackDeviations, bind
 from hil.run.restore import ThermalRestore
 
 FIRST_SAMPLE_TIMEOUT_S = 10.0
@@ -76,7 +76,7 @@ class TickWork:
         parts.expect()
         if machine.state in WAITING:
             await clock.wait()
-        last, was_running = at.tick, machine.state is State.RUNNING
+        last, was, was_restoring = at.tick, machine.state, self._supervisor.restoring
         at.tick = parts.first_tick + await clock.next_tick()
         parts.expect()
         if self._lockstep:
@@ -99,7 +99,7 @@ class TickWork:
         ended = self._supervisor.step(snapshot, now, self._outputs.values, self._residuals())
         if ended is None and self.restore is not None:
             ended = self._lead_back(self.restore, snapshot, now)
-        goes_on = was_running and machine.state is State.RUNNING
+        goes_on = was is State.RUNNING and machine.state is State.RUNNING
         if goes_on:
             at.profile_ticks += passed
             self.deviations.tick(self._outputs.values, self._setpoint_meters.of(snapshot))
@@ -110,8 +110,13 @@ class TickWork:
             ended = (RunEvent.COMPLETE, "the profile is over") if over else self._never_safe(now)
             if ended is None:
                 clock.release()
-        if goes_on and parts.watch is not None:
-            parts.watch.tick(at.profile_s, *with_commands(snapshot, self._outputs.values, self._outputs.unknown))
+        if parts.watch is not None:
+            row = with_commands(snapshot, self._outputs.values, self._outputs.unknown)
+            if goes_on:
+                parts.watch.tick(at.profile_s, *row)
+            else:
+                as_profile = was is State.RUNNING or (was is State.HELD and not was_restoring)
+                parts.watch.standing(at.profile_s, *row, as_profile)
         self._recorder.sample(snapshot, self._outputs.values, now, wall_s, began, self._outputs.unknown)
         self._show()
         await self._recorder.publish_if_due()
@@ -172,17 +177,25 @@ class TickWork:
         return RunEvent.FAIL, f"not confirmed safe for {now_s - since_s:.1f} s: {self._outputs.unconfirmed}"
 
     async def meters_now(self) -> str:
-        """Return what the heaters' meters read now, to go on with a sentence."""
+        """Return what the heaters' meters read now, to go on with a sentence.
+
+        A meter follows its heater within the time that the rig file declares: until then a reading is no contradiction.
+        """
         rig, limits = self._parts.rig, self._parts.limits
         if not limits:
             return ""
         readings = self._parts.heater_meters.of(await self._connection.read())
-        hot = still_hot(rig, limits, readings)
-        if hot:
-            return f", but {hot}"
-        known = [limit.meter for limit in limits if limit.meter in readings]
-        listed = ", ".join(f"{name} reads {readings[name]:.1f} {rig.get(name).unit}" for name in known)
-        return f", {listed}" if known else ", but no meter can be read"
+        disobeyed = self.descent.stays(readings, self._clock.now())
+        if disobeyed:
+            return f", but {disobeyed}"
+        said = []
+        for limit in limits:
+            value, unit = readings.get(limit.meter, math.nan), rig.get(limit.meter).unit
+            if math.isnan(value):
+                continue
+            falls = f" and has {limit.within_s:g} s to come down to {limit.at_most:g} {unit}"
+            said.append(f"{limit.meter} reads {value:.1f} {unit}" + (falls if abs(value) > limit.at_most else ""))
+        return f", {', '.join(said)}" if said else ", but no meter can be read"
 
     async def _put_out(self, elapsed_s: float) -> None:
         """Write what the state asks for. A lost or garbled write is left to the interlocks of the next ticks and to the

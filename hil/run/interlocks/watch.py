@@ -13,12 +13,21 @@ from hil.run.interlocks.conditions import TickValues
 
 
 class Watch(Protocol):
-    """Observer of the ticks on which the profile goes on."""
+    """Observer of the ticks of a run, of those on which the profile goes on and of those on which it stands."""
 
     def tick(self, profile_s: float, values: Sequence[float], quality: Sequence[int]) -> str | None:
         """Take the values of a tick at `profile_s`, s of profile time; return why the run has to trip, or None.
 
         `values` (k,) and their `quality` (k,) are in the order and units of the journal's signals.
+        """
+
+    def standing(
+        self, profile_s: float, values: Sequence[float], quality: Sequence[int], as_profile: bool
+    ) -> str | None:
+        """Take the values of a tick on which the profile stands: the run is held, paused, suspended or restored.
+
+        `as_profile` is True where the outputs are those of the profile, and not at their safe values or those of a
+        thermal restore.
         """
 
 
@@ -32,10 +41,17 @@ class GuardedWatch:
 
     def tick(self, profile_s: float, values: Sequence[float], quality: Sequence[int]) -> None:
         """Hand a tick to the watch."""
+        self._hand(lambda watch: watch.tick(profile_s, values, quality))
+
+    def standing(self, profile_s: float, values: Sequence[float], quality: Sequence[int], as_profile: bool) -> None:
+        """Hand a tick on which the profile stands to the watch."""
+        self._hand(lambda watch: watch.standing(profile_s, values, quality, as_profile))
+
+    def _hand(self, judged: Callable[[Watch], str | None]) -> None:
         if self._watch is None:
             return
         try:
-            self._violation = self._watch.tick(profile_s, values, quality)
+            self._violation = judged(self._watch)
         except Exception as error:
             self._watch = None
             self._note(
@@ -45,6 +61,6 @@ class GuardedWatch:
             )
 
     def judge(self, tick: TickValues, engaged: bool) -> str | None:
-        """Return the violation of the tick before, once: a trip can be acknowledged while the profile stands."""
+        """Return the violation of the tick before, once: a trip can be acknowledged when its cause is gone."""
         violation, self._violation = self._violation, None
         return violation

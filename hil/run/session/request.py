@@ -263,7 +263,8 @@ def setpoint_limits(rig: Rig) -> dict[str, SetpointLimit]:
     for column, point in setpoint_columns(rig).items():
         assert point.limits is not None
         low, high = point.limits
-        limits[column] = SetpointLimit(low=low, high=high, max_rate_per_s=point.max_rate, unit=point.unit)
+        own = point.as_signal().column
+        limits[column] = SetpointLimit(low, high, max_rate_per_s=point.max_rate, unit=point.unit, setpoint=own)
     return limits
 
 

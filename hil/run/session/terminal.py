@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import shlex
 import shutil
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.segment import Segment
 from rich.table import Table
 
 if TYPE_CHECKING:
@@ -31,11 +34,27 @@ PLAIN_WIDTH = 140
 _SHOWN = ("T_heater", "T_pm1", "T_radiator", "T_tank", "T_ambient")
 """Temperatures in the live line; for a rig without any of them, as many of its first ones."""
 
+_OBEYED = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+"""Characters that a terminal obeys, without line feed and tab."""
+
 
 def console(*, stderr: bool = False, quiet: bool = False) -> Console:
     """Return a console; where the output is no terminal, its lines have `PLAIN_WIDTH` characters."""
-    plain = Console(stderr=stderr, quiet=quiet, highlight=False)
-    return plain if plain.is_terminal else Console(stderr=stderr, quiet=quiet, highlight=False, width=PLAIN_WIDTH)
+    plain = _SafeConsole(stderr=stderr, quiet=quiet, highlight=False)
+    return plain if plain.is_terminal else _SafeConsole(stderr=stderr, quiet=quiet, highlight=False, width=PLAIN_WIDTH)
+
+
+class _SafeConsole(Console):
+    """Console that shows control characters in what it prints as escapes: text of a file may hold what a terminal
+    obeys."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Return the segments of `renderable`; the console's own control codes stay."""
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                yield Segment(_OBEYED.sub(lambda found: repr(found[0])[1:-1], segment.text), segment.style)
 
 
 def invocation() -> str:

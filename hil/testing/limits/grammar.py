@@ -12,7 +12,7 @@ quantity  = NAME
           | ( "time" | "longest" "time" ) "of" NAME ( "above" | "below" ) AMOUNT
           | ( "ramp" | "rise" | "fall" ) "of" NAME [ "over" TIME ]
 bound     = ( "<" | "<=" | ">" | ">=" ) AMOUNT | "between" AMOUNT "and" AMOUNT
-condition = "from" TIME "to" TIME | "after" TIME | "before" TIME | "while" NAME bound
+condition = "from" TIME "to" TIME | "after" TIME | "before" TIME | "while" NAME bound ; one begin, end and "while"
 AMOUNT    = NUMBER [ UNIT ]
 TIME      = NUMBER ( "ms" | "s" | "min" | "h" | "d" )
 
@@ -21,8 +21,10 @@ Words may begin with a capital letter; names and units are taken as they are.
 
 from __future__ import annotations
 
+import math
 import re
-from typing import Literal
+from dataclasses import dataclass
+from typing import Literal, NoReturn
 
 from hil.testing.limits.statements import (
     TIMES_S,
@@ -137,7 +139,10 @@ class _Parser:
     def _number(self, what: str = "a number") -> float:
         if self._kind() != "number":
             self._fail(what)
-        number = float(self._take())
+        written = self._take()
+        number = float(written)
+        if not math.isfinite(number):
+            raise SentenceError(f"has the number {written}, which is too large; write one below 1e308")
         if self._peek().startswith(","):
             raise SentenceError(
                 f"has a comma in {number:g}{self._peek()}; write a decimal point, without thousands marks"
@@ -160,7 +165,10 @@ class _Parser:
         self._take()
         if number < 0.0:
             raise SentenceError(f"has the negative time {number:g} {unit}; times count from the profile's beginning")
-        return number * TIMES_S[unit]
+        time_s = number * TIMES_S[unit]
+        if not math.isfinite(time_s):
+            raise SentenceError(f"has the time {number:g} {unit}, which is too long; write a shorter one")
+        return time_s
 
     def _name(self) -> str:
         if self._kind() != "word" or self._peek() in _KEYWORDS:
@@ -270,20 +278,49 @@ class _Parser:
         return Compared("value", self._name(), self._bound())
 
     def _window(self) -> Window:
-        from_s = to_s = None
-        condition = None
-        while self._peek().lower() in _CONDITIONS:
-            word = self._take().lower()
+        begin: _Clause | None = None
+        end: _Clause | None = None
+        condition: While | None = None
+        while (word := self._peek().lower()) in _CONDITIONS:
+            at = self._at
+            self._take()
             if word == "while":
-                condition = While(self._name(), self._bound())
+                said = While(self._name(), self._bound())
+                if condition is not None:
+                    self._refuse_second(at, f"while {condition.signal} {condition.bound}", "condition")
+                condition = said
                 continue
+            first = self.time()
+            last = first
+            if word == "from":
+                self._expect("to")
+                last = self.time()
             if word in ("from", "after"):
-                from_s = self.time()
-                if word == "from":
-                    self._expect("to")
-                    to_s = self.time()
-            else:
-                to_s = self.time()
+                if begin is not None:
+                    self._refuse_second(at, begin.text, "begin")
+                begin = _Clause(self._text(at), first)
+            if word in ("from", "before"):
+                if end is not None:
+                    self._refuse_second(at, end.text, "end")
+                end = _Clause(self._text(at), last)
+        from_s, to_s = (None if clause is None else clause.time_s for clause in (begin, end))
         if from_s is not None and to_s is not None and not from_s < to_s:
             raise SentenceError(f"ends at {to_s:g} s, not after its beginning at {from_s:g} s; correct the times")
         return Window(from_s, to_s, condition)
+
+    def _text(self, at: int) -> str:
+        """Return the words from token `at` up to the present one."""
+        return " ".join(text for _, text in self._tokens[at : self._at])
+
+    def _refuse_second(self, at: int, first: str, what: str) -> NoReturn:
+        raise SentenceError(
+            f"has a second {what}, {self._text(at)!r} after {first!r}; write one, and another limit for the other"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Clause:
+    """Clause of a sentence with a time, s."""
+
+    text: str
+    time_s: float
