@@ -210,14 +210,14 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     """
     contest, claim = part.contest, max(CLAIM, part.basis.claim)
     part.reset()
-    best = found.told
-    together = _at_one_moment(best, contest)
+    best, least = found.told, max(claim, found.unlisted)
+    together = _at_one_moment(best, contest) if best is not None and best.odds >= least else None
     if fewer and together is not None and best is not None:
         enough = best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)
         others = [h for h in found.hypotheses if h.fit is not None and len(h.entries) < len(best.entries)]
         others = [h for h in others if h.odds >= enough and _at_one_moment(h, contest) is None]
         best = others[0] if others else best
-    claimed = best is not None and best.odds >= max(claim, found.unlisted) and _at_one_moment(best, contest) is None
+    claimed = best is not None and best.odds >= least and _at_one_moment(best, contest) is None
     ranked = _ranked(found, best) if claimed and best is not None else ()
     finding = Finding(
         entries=(),
