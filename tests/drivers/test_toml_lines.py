@@ -83,10 +83,10 @@ def test_text_that_cannot_be_read_is_a_value_error_with_a_remedy(raw):
         ("[point]\na = 1\n[point]", "write [[point]] with two brackets where there are several"),
         ("a = True", "write true in lower case"),
         ("a = off  # for now", "write false in lower case"),
-        ("a = 0,5", "write a decimal point, 0.5"),
+        ("a = 0,5", "write a decimal point, as in 1.5"),
         (r'dbc = "C:\data\bus.dbc"', "write / in paths, or put the text in single quotes"),
         (r'ca = "C:\users\ca.pem"', "write / in paths, or put the text in single quotes"),
-        ("name = rig_2", 'put text in quotes, "rig_2"'),
+        ("name = rig_2", 'put text in quotes, as in name = "rig"'),
         ("a = ]", "correct it there"),
     ],
 )

@@ -153,7 +153,7 @@ def test_a_bad_effects_file_is_refused_before_anything_is_written(tmp_path, more
         ),
         (b"\xef\xbb\xbf" + EFFECT.encode(), "begins with a byte order mark (line 1); save it as UTF-8 without one"),
         (EFFECT.replace("tank", "t\u00e4nk").encode("latin-1"), "is not UTF-8 text (line 3); save it as UTF-8"),
-        (EFFECT.replace('"tank"', "tank").encode(), '(at line 3, column 9); put text in quotes, "tank"'),
+        (EFFECT.replace('"tank"', "tank").encode(), '(at line 3, column 9); put text in quotes, as in name = "rig"'),
     ],
 )
 def test_check_refuses_what_is_no_effects_file_in_one_sentence(tmp_path, content, words):

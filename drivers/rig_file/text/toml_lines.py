@@ -24,11 +24,14 @@ _REMEDIES = (
     (re.compile(r"Cannot overwrite a value"), "a key stands twice in this section; take one of them out"),
     (re.compile(r"=\s*(?:True|TRUE|yes|on|On|Yes)\s*(?:#|$)"), "write true in lower case"),
     (re.compile(r"=\s*(?:False|FALSE|no|off|Off|No)\s*(?:#|$)"), "write false in lower case"),
-    (re.compile(r"=\s*(-?\d+),(\d+)\s*(?:#|$)"), "write a decimal point, {0}.{1}"),
+    (re.compile(r"=\s*-?\d+,\d+\s*(?:#|$)"), "write a decimal point, as in 1.5"),
     (re.compile(r"Unescaped '\\'|Invalid hex value"), "write / in paths, or put the text in single quotes"),
-    (re.compile(r"Invalid value[^=]*=\s*([A-Za-z_][\w./:-]*)"), 'put text in quotes, "{0}"'),
+    (re.compile(r"Invalid value[^=]*=\s*[A-Za-z_]"), 'put text in quotes, as in name = "rig"'),
 )
-"""Mistakes with the remedy: patterns of the error and of the line behind it."""
+"""Mistakes with the remedy: patterns of the error and of the line behind it.
+
+A remedy shows no value: a run's folder may name any file as its rig file.
+"""
 
 Place = tuple[str | int, ...]
 

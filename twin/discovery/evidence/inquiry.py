@@ -206,7 +206,7 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     """Return what is told of hypotheses: the likeliest, where its odds allow a claim.
 
     Args:
-        fewer: tell, of effects that begin at one moment, the one that leaves no more than an error of its form may.
+        fewer: tell one of two effects that begin at one moment, where the other may be no more than an error of form.
     """
     contest, claim = part.contest, max(CLAIM, part.basis.claim)
     part.reset()
@@ -214,7 +214,7 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     together = _at_one_moment(best, contest) if best is not None and best.odds >= least else None
     if fewer and together is not None and best is not None:
         enough = best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)
-        others = [h for h in found.hypotheses if h.fit is not None and len(h.entries) < len(best.entries)]
+        others = [h for h in found.hypotheses if h.fit is not None and set(h.labels) < set(best.labels)]
         others = [h for h in others if h.odds >= enough and _at_one_moment(h, contest) is None]
         best = others[0] if others else best
     claimed = best is not None and best.odds >= least and _at_one_moment(best, contest) is None
