@@ -39,7 +39,7 @@ def test_what_lasts_is_not_said_to_have_ended(bench: Bench, healthy: Columns) ->
 
 
 def test_an_answer_that_the_held_out_part_contradicts_is_withdrawn(bench: Bench) -> None:
-    """Squares count where the answer foretells a difference; what the twin leaves elsewhere does not contradict."""
+    """Squares count where the answer predicts a difference; what the twin leaves elsewhere does not contradict."""
 
     def off(before: float, after: float, usual: float = 0.0, moved: float = 0.5) -> SensorError:
         return SensorError(before, before, after, 0.05, (before, before, after), usual, moved)
@@ -52,7 +52,7 @@ def test_an_answer_that_the_held_out_part_contradicts_is_withdrawn(bench: Bench)
     # A drift of one sensor, while a new load leaves all of them off: told by that sensor alone.
     assert not contradicted({one: off(0.63, 0.41), other: off(0.42, 0.41, moved=0.02)}, network)
     assert contradicted({one: off(0.68, 0.66, moved=0.2), other: off(0.42, 0.1, moved=0.02)}, network)
-    assert not contradicted({one: off(0.68, 0.68, moved=0.01)}, network)  # nothing foretold there
+    assert not contradicted({one: off(0.68, 0.68, moved=0.01)}, network)  # nothing predicted there
     # Where the rig moves more, its twin is usually off by more.
     assert not contradicted({one: off(0.5, 0.4, usual=0.3)}, network)
     assert contradicted({one: off(0.5, 0.4, usual=0.2)}, network)

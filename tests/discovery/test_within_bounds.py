@@ -55,8 +55,8 @@ def test_a_law_at_size_one_is_the_heat_of_one_unit(bench: Bench, value: float) -
     assert law.heat[:, tank] == pytest.approx(grid.inputs[:, 3] - 60.0, rel=1e-6)
 
 
-def test_a_loss_beyond_a_thousandth_of_a_typical_size_is_told(bench: Bench) -> None:
-    """A loss of 0.2 W/K that doubles, where 0.6 is the most that the parameter may be."""
+def test_a_change_smaller_than_a_typical_size_is_told(bench: Bench) -> None:
+    """A loss of 0.2 W/K becomes 0.6, the most that the parameter may be; a typical change of the catalogue is 1."""
     small = bounded(bench, 0.2, 0.05, 0.6)
     more = small.with_values(tank_loss__hA=0.6)
     healthy, record = small.record(10.0, seed=7, noise=0.1), small.record(16.0, seed=4, changed=more, noise=0.1)

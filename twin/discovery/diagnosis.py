@@ -61,7 +61,7 @@ class SensorError:
 
     stale: the twin as it was. before: its tunables fitted anew. after: with the effects. noise: of the thermometer.
     usual: of such means, what a healthy record lets expect where the rig moves as it does there; 0 without one.
-    moved: of such means, by how much the effects are foretold to change them, beside re-tuning.
+    moved: of such means, the change that the effects predict beside re-tuning.
     """
 
     stale: float

@@ -21,7 +21,7 @@ from twin.segments import find_segments
 FAR_OFF, UNUSUAL = 3.0, 1.5
 """Times a thermometer's noise, and what is usual there, that block means may be off where a fit was not shown them."""
 MOST = 0.5
-"""Share of the squares that an effect may not leave where it acts: what leaves more is not what made them."""
+"""Share of the squares that an effect may leave where it acts; one that leaves more is not what made most of them."""
 HELD_OUT_WORSE, MUCH_WORSE = 1.04, 4.0
 """Times the squares that re-tuning alone leaves there, from which an answer does worse than none, and from which the
 weights by which it was found are in doubt: without a healthy record they may let slow error pass for noise."""
@@ -30,10 +30,11 @@ KEPT = 4
 
 
 def contradicted(found: Mapping[str, SensorError], network: Network) -> bool:
-    """Whether an answer is far off, and leaves most of the squares that re-tuning alone does where it foretells others.
+    """Return True where an answer is far off, and most of the re-tuned twin's squares remain where it acts.
 
-    Sensors count as they are foretold to differ: what a lumped twin leaves at the others under a new load is no matter
-    of the answer. One that foretells no difference above the noise is not contradicted.
+    A sensor's weight is the square of the difference that the answer predicts there, beside re-tuning, in noise. What a
+    lumped twin leaves at other sensors under a new load does not count. An answer that predicts no difference above the
+    noise is not contradicted.
     """
     weights = {name: (e.moved / e.noise) ** 2 for name, e in found.items()}
     if sum(weights.values()) < len(found):

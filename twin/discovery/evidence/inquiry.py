@@ -55,7 +55,10 @@ class SplitFinding:
 
 @dataclass(frozen=True)
 class Inquiry:
-    """A record, what is known of its rig, and who is told what is being done."""
+    """A record, what is known of its rig, and who is told what is being done.
+
+    `begun` is all of the record as `known` has it, made by `of`.
+    """
 
     network: Network
     record: Columns

@@ -27,7 +27,8 @@ from twin.discovery.scoring.search import Entry
 from twin.network import Array
 
 MOST_LAWS, BEAM = 5, 6
-"""Members of a set beside given ones, and sets of as many members that are gone on with."""
+"""Members of a set at most, beside given ones, and sets of each count that are kept in the beam. Judgements that bound
+the time: sets of five are common on the zoo's development families, and more were not tried."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +90,11 @@ def with_missing(part: Part) -> Basis:
     amounts = known.health.amplitudes([law.candidate for law in part.laws], known.probe.scaling.ids)
     if not amounts.candidates:
         return known
-    columns, count = _columns(part, effects, amounts, prior), len(effects)
+    columns, count = _columns_of(part, effects, amounts, prior), len(effects)
     laws, odds = columns.likeliest((), range(count, len(columns.score)))
-    if odds <= max(columns.likeliest((), range(count))[1], 0.0) or odds < max(
-        log_odds_unlisted(part), _odds_of_late(part, prior)
-    ):
+    if odds <= max(columns.likeliest((), range(count))[1], 0.0, log_odds_unlisted(part)):
+        return known
+    if odds < _odds_of_late(part, prior):
         return known
     every, _ = columns.likeliest(laws, range(count))
     at, which = list(laws), [i - count for i in laws]
@@ -104,7 +105,8 @@ def with_missing(part: Part) -> Basis:
     return replace(known, structure=structure, missing=MissingInHealth(missing, sizes))
 
 
-def _columns(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior: Prior) -> _Columns:
+def _columns_of(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior: Prior) -> _Columns:
+    """Return effects, and then the laws of which the healthy record says `amounts`, as columns of one form."""
     contest, by = part.contest, {law.candidate.id: law for law in part.laws}
     here = contest.signatures(np.stack([contest.vector(by[c.id]) for c in amounts.candidates]))
     here += contest.slopes[:, : part.basis.probe.q] @ amounts.moves
