@@ -211,6 +211,23 @@ def test_the_event_is_the_attack_that_ends_the_run_or_the_signal_at_its_end():
     assert _event(("device lies", 10.0), asked_s=14.0, left_s=11.0) == ("lies", 11.0)
 
 
+def test_time_in_which_nothing_could_act_does_not_count_and_time_before_it_does():
+    paused = [(11.0, 15.0), (10.5, 12.0)]
+    assert verdict.active_s(paused, 10.0, 10.4) == pytest.approx(0.4)
+    assert verdict.active_s(paused, 10.0, 14.0) == pytest.approx(0.5)
+    assert verdict.active_s(paused, 10.0, 16.0) == pytest.approx(1.5)
+    assert verdict.active_s(paused, 12.0, 16.0) == pytest.approx(1.0)
+    assert verdict.active_s([], 10.0, 9.0) == 0.0
+
+
+def test_a_heartbeat_after_a_pause_is_late_by_the_time_in_which_the_run_could_act():
+    beats = [10.1, 11.4, 11.6, 15.2, 16.4, 16.7]
+    assert verdict.late_beats(beats, [], 10.0, math.inf) == [11.6, 15.2, 16.4, 16.7]
+    assert verdict.late_beats(beats, [(10.2, 15.1)], 10.0, math.inf) == [16.7]
+    assert verdict.late_beats(beats, [(12.0, 15.1)], 10.0, math.inf) == [11.6, 15.2, 16.4, 16.7]
+    assert verdict.late_beats(beats, [], 10.0, off_s=11.0) == []
+
+
 def test_the_tables_count_by_kind_and_list_what_was_broken():
     good = ChaosResult(["Ctrl-S"], 0, False, ending="rides", safe=0.1, heated=True, acknowledged=40)
     late = ChaosResult(

@@ -104,8 +104,7 @@ def judged(result: ChaosResult, case: ChaosCase, stage: ChaosStage, strikes: lis
     result.wrong = judge.wrong_values(journal, truth)
     result.misplaced = misplaced_rows(path, stage, began)
     safe = judge.safe_since(truth, event_s)
-    counted_s = max([event_s, *(b for a, b in stage.nobody if a <= event_s + LIMIT_S and (safe is None or safe > a))])
-    result.safe = None if safe is None else max(safe - counted_s, 0.0)
+    result.safe = None if safe is None else active_s(stage.nobody, event_s, safe)
     watchdog = judge.watchdog_at(truth, began)
     result.by_rig = watchdog is not None and safe is not None and abs(watchdog - safe) <= ROUGH_S
     manifest = read_manifest(stage)
@@ -113,7 +112,7 @@ def judged(result: ChaosResult, case: ChaosCase, stage: ChaosStage, strikes: lis
     result.reason = "" if manifest is None else str(manifest.get("reason"))[:300]
     result.readable = not (problems := _unreadable(case, stage, ending, raw, manifest))
     result.failures += problems
-    result.failures += _power(result, case, stage, ending, truth, counted_s)
+    result.failures += _power(result, case, stage, ending, truth, event_s, safe)
     result.failures += _claims(result, case, stage, ending, truth, manifest)
     result.failures += _records(result, strikes, journal, stage.asked_s)
     if not case.early and (error := traceback_in(stage.harness.said())):
@@ -154,6 +153,15 @@ def event_of(strikes: list[Strike], stage: ChaosStage, journal: judge.JournalCon
     if must:
         return ending, min(must)
     return ending, max([began, *journal.wall_s[-1:]])
+
+
+def active_s(nobody: list[tuple[float, float]], since_s: float, until_s: float) -> float:
+    """Return the time from `since_s` to `until_s` outside of the intervals `nobody`, in which nothing could act, s."""
+    total, at_s = 0.0, since_s
+    for begin, end in sorted(nobody):
+        total += max(min(begin, until_s) - at_s, 0.0)
+        at_s = max(at_s, end)
+    return total + max(until_s - at_s, 0.0)
 
 
 def _on_our_clock(journal: judge.JournalContent, stage: ChaosStage) -> judge.JournalContent:
@@ -220,27 +228,32 @@ def _unreadable(
 
 
 def _power(
-    result: ChaosResult, case: ChaosCase, stage: ChaosStage, ending: Ending, truth: list[Moment], event_s: float
+    result: ChaosResult,
+    case: ChaosCase,
+    stage: ChaosStage,
+    ending: Ending,
+    truth: list[Moment],
+    event_s: float,
+    safe_s: float | None,
 ) -> list[str]:
-    """Return the limits on the heater that were exceeded; `event_s` is the time from which seconds count."""
+    """Return the limits on the heater that were exceeded between the event and `safe_s`, when it was off for good."""
     if not result.heated:
         wrong = [] if case.early else ["nothing heated when the attack came"]
         result.struck = case.early
         return wrong + (["something heats after the attack"] if truth and truth[-1].heater_W > 0.0 else [])
     if ending == "lies":
-        return _lied(result, case, stage, truth, event_s)
+        return _lied(result, case, stage, event_s, math.inf if safe_s is None else safe_s)
     limit_s = WATCHDOG_S + ROUGH_S if ending == "unguarded" else LIMIT_S
     if result.safe is None:
         return ["the heater was never cut"]
     return [f"safe {result.safe:.2f} s after the event, the limit is {limit_s:g} s"] if result.safe > limit_s else []
 
 
-def _lied(result: ChaosResult, case: ChaosCase, stage: ChaosStage, truth: list[Moment], event_s: float) -> list[str]:
+def _lied(result: ChaosResult, case: ChaosCase, stage: ChaosStage, event_s: float, off_s: float) -> list[str]:
     """Return the broken requirements on a device that disobeys: only the rig's watchdog can cut there."""
     assert stage.device is not None
     broken = []
-    off_s = event_s + math.inf if result.safe is None else event_s + result.safe
-    late = [at_s for at_s in stage.device.beats if event_s + WITHHELD_AFTER_S < at_s < off_s]
+    late = late_beats(stage.device.beats, stage.nobody, event_s, off_s)
     if late:
         broken.append(f"{len(late)} heartbeats later than {WITHHELD_AFTER_S:g} s although the heater had power")
     limit_s = DELAY_S + LIMIT_S if stage.device.mode == "delay" else math.inf
@@ -252,6 +265,11 @@ def _lied(result: ChaosResult, case: ChaosCase, stage: ChaosStage, truth: list[M
     elif result.safe > limit_s:
         broken.append(f"safe {result.safe:.2f} s after the event, the limit is {limit_s:g} s")
     return broken
+
+
+def late_beats(beats: list[float], nobody: list[tuple[float, float]], event_s: float, off_s: float) -> list[float]:
+    """Return the heartbeats before `off_s` that held the rig's watchdog off for longer than a meter may take."""
+    return [at_s for at_s in beats if at_s < off_s and active_s(nobody, event_s, at_s) > WITHHELD_AFTER_S]
 
 
 def _claims(
