@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cantools.database
-
 from drivers.can.dbc_layout import (
     is_whole,
     layout_faults,
@@ -21,8 +19,12 @@ from drivers.can.dbc_layout import (
     shared_bits,
 )
 from drivers.can.dbc_text import DbcText, usable
+from drivers.can.imports import without
 from drivers.rig_file import MOST_DESCRIPTION, CanBus, IdMatch, Point, by_id, by_j1939, decoded, pgn_of, read_regular
 from drivers.signals import ConfigurationError, canonical_unit, known_unit
+
+with without("asammdf"):  # cantools imports python-can
+    import cantools.database
 
 logging.getLogger("cantools").addHandler(logging.NullHandler())  # Its warnings come as notes, with their line.
 _LONGEST = 8

@@ -10,10 +10,12 @@ import logging
 import socket
 from collections.abc import Sequence
 
-import can
-
+from drivers.can.imports import without
 from drivers.rig_file import CanBus, IdMatch
 from drivers.signals import LinkError
+
+with without("asammdf"):
+    import can
 
 logging.getLogger("can").setLevel(logging.CRITICAL)  # this module raises the errors that it logs
 
