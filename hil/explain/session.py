@@ -6,6 +6,7 @@ Each finished round is written before the next one begins, so that a stopped ses
 from __future__ import annotations
 
 import datetime
+import shlex
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -191,7 +192,8 @@ def _experiment(request: ExplainRequest, state: Explanation, operator: Operator)
     if earlier:
         folder, status = earlier[0]
         was = "was cut" if status == "running" else status
-        operator.note(f"{folder.path} {was}; a new run begins (`hil resume {folder.path}` would complete that one)")
+        resume = f"`hil resume {shlex.quote(str(folder.path))}`"
+        operator.note(f"{folder.path} {was}; a new run begins ({resume} would complete that one)")
     passed = sum(_duration_s(Path(one.path), request.diagnosis.choice) for one in state.last.records)
     run = run_request(choice, experiment, request.diagnosis.twin, passed)
     if not operator.approve(experiment, run, check_session(run).notes):
@@ -210,7 +212,9 @@ def _record_of(state: Explanation, run: RunFolder) -> Path | Explanation:
     """Return the record of a finished run, or the explanation with the reason for none."""
     if run.record.is_file():
         return run.record
-    return state.ended("stopped", f"{run.path} has no record.parquet yet; `hil report {run.path}` makes it")
+    return state.ended(
+        "stopped", f"{run.path} has no record.parquet yet; `hil report {shlex.quote(str(run.path))}` makes it"
+    )
 
 
 def _diagnosed(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from hil.explain.explanation import DOCUMENT, PAGE, Explanation
 from hil.explain.page import beliefs_text
@@ -26,8 +27,7 @@ def print_explanation(to: Console, explanation: Explanation, folder: Path, again
     """
     last = explanation.last
     to.print(_rounds(explanation))
-    to.print(f"[bold]{last.verdict}[/bold]: ", end="")
-    to.print(last.summary, soft_wrap=True, markup=False)
+    to.print(Text.assemble((last.verdict, "bold"), f": {last.summary}"), soft_wrap=True)
     to.print(_errors(explanation))
     if last.revision:
         to.print(f"revision of the twin: {shlex.quote(last.revision)}", soft_wrap=True, markup=False)

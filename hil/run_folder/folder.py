@@ -8,6 +8,7 @@ import fcntl
 import json
 import os
 import platform
+import shlex
 import shutil
 import sys
 import uuid
@@ -145,9 +146,8 @@ class RunFolder:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise RunFolderError(
-                    f"{self.path} is a run that still goes on; ask it with `hil ctl status {self.path}`"
-                ) from None
+                asked = f"ask it with `hil ctl status {shlex.quote(str(self.path))}`"
+                raise RunFolderError(f"{self.path} is a run that still goes on; {asked}") from None
             except OSError:
                 pass
             self._held.append(handle)

@@ -51,6 +51,25 @@ def test_a_path_that_is_told_can_be_pasted(monkeypatch, capsys):
     assert f"revision of the twin: '{path}'\n" in out and "held [everything] in 6 of 120\n" in out
 
 
+def test_square_brackets_in_reasons_and_paths_are_text(capsys):
+    path = Path("runs [old]") / "[/x] load"
+    outcome = Outcome("aborted", "[/x] [bold]smoke", ticks=10, safe=True)
+    folder = SimpleNamespace(path=path, review=path / "review.rrd", read_manifest=dict)
+    with RunProgress() as live:
+        live.show_result(RunResult(folder, outcome, None, 1.0, 1.0, False))
+    out = capsys.readouterr().out
+    assert ": [/x] [bold]smoke\n" in out and f"run folder: {path}\n" in out
+    assert f" review '{path}'\n" in out and f" review '{path}' --screenshot" in out and f" resume '{path}'\n" in out
+
+
+def test_square_brackets_in_a_progress_line_are_text(monkeypatch, capsys):
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")  # as in a terminal
+    with ProgressBar("replaying [/x]", 100.0) as steps:
+        steps.update(50.0, "RESTORING  [/x] is 9 K below")
+    said = capsys.readouterr().err
+    assert "replaying [/x]" in said and "[/x] is 9 K below" in said
+
+
 def test_a_run_that_was_diagnosed_ends_with_verdict_errors_and_files(tmp_path, capsys):
     review, page = tmp_path / "review.rrd", tmp_path / "diagnosis" / "diagnosis.html"
     review.touch()

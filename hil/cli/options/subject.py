@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,7 +43,9 @@ def record_of(target: Path) -> Path:
     folder = RunFolder(target)
     if not folder.record.is_file():
         if folder.was_cut:
-            raise SubjectError(f"{target} was interrupted and has no record yet; `hil resume {target}` continues it")
+            raise SubjectError(
+                f"{target} was interrupted and has no record yet; `hil resume {shlex.quote(str(target))}` continues it"
+            )
         _make_record(folder)
     return folder.record
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -239,4 +240,4 @@ def _write(draft: Draft, out: Path, name: str, period_s: float, source: Path | N
             raise click.UsageError(f"these options make an invalid rig file: {what}; nothing was written") from None
     for note in draft.notes:
         click.echo(f"note: {note}" if source is None else f"note: {source.name}, {note}")
-    click.echo(f"{out}: {len(rig.point)} points on {', '.join(rig.bus)}; next: hil check {out}")
+    click.echo(f"{out}: {len(rig.point)} points on {', '.join(rig.bus)}; next: hil check {shlex.quote(str(out))}")

@@ -39,7 +39,6 @@ def command(runs: tuple[Path, ...], out: Path, as_json: bool) -> None:
         verdicts = None if matrix is None else matrix.document()
         click.echo(json.dumps(made.document() | {"requirements": verdicts, "page": str(out)}, indent=1))
         return
-    from rich.markup import escape
     from rich.table import Table
 
     from hil.comparison import difference_head, difference_row
@@ -52,7 +51,7 @@ def command(runs: tuple[Path, ...], out: Path, as_json: bool) -> None:
     for heading in difference_head(made):
         table.add_column(heading, overflow="fold")
     for item in made.differences:
-        table.add_row(*map(escape, difference_row(made, item)))
+        table.add_row(*difference_row(made, item))
     to.print(table)
     for drift in made.drifts:
         for name, beyond, value in zip(made.runs, drift.beyond, drift.values, strict=True):

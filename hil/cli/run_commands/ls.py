@@ -36,7 +36,6 @@ def command(runs: Path, tag: str | None, verdict: str | None, as_json: bool) -> 
     if not found:
         click.echo(_none(runs, tag, verdict), err=True)
         return
-    from rich.markup import escape
     from rich.table import Table
 
     from hil.run.session import console, hours
@@ -46,12 +45,12 @@ def command(runs: Path, tag: str | None, verdict: str | None, as_json: bool) -> 
         table.add_column(heading, overflow="fold")
     for item in found:
         if item.problem:
-            table.add_row(escape(Path(item.folder).name), "-", "damaged")
+            table.add_row(Path(item.folder).name, "-", "damaged")
             continue
         duration = "-" if item.duration_s is None else hours(item.duration_s)
         cells = (Path(item.folder).name, item.verdict or "-", item.exit_status, item.rig, duration)
         labels = (item.test_object, item.serial_number, ", ".join(item.tags), str(item.notes or ""))
-        table.add_row(*map(escape, (*cells, *labels)))
+        table.add_row(*cells, *labels)
     console().print(table)
     for item in found:
         if item.problem:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,7 +66,7 @@ def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot:
         return
     # A live viewer closes the file before the journal gets its last rows about how the run ended.
     if rebuild or not folder.is_current(folder.review, LIVE_REVIEW_S if finished else 0.0) or _older(folder):
-        cut = f" (the run was interrupted: shown as far as it came; `hil resume {run}` continues it)"
+        cut = f" (the run was interrupted: shown as far as it came; `hil resume {shlex.quote(str(run))}` continues it)"
         so_far = "" if finished else cut if folder.was_cut else " (the run is live: shown as far as it has come)"
         click.echo(f"writing {folder.review}{so_far}", err=True)
         write_review(folder.journal, folder.review)
@@ -130,5 +131,5 @@ def _show(run: Path, rrd: Path, tab: str | None, screenshot: Path | None) -> Non
         show_review(rrd)
         return
     click.echo(f"{rrd} is ready, but there is no display here. On a machine with one:")
-    click.echo(f"  rerun {rrd}")
-    click.echo(f"or take a picture of it: hil review {run} --screenshot picture.png")
+    click.echo(f"  rerun {shlex.quote(str(rrd))}")
+    click.echo(f"or take a picture of it: hil review {shlex.quote(str(run))} --screenshot picture.png")

@@ -214,11 +214,13 @@ def _report(to: Console, ready: PreparedDiagnosis, found: Diagnosis, written: Wr
     print_diagnosis(to, found)
     request, revision = ready.request, written.revision if written else None
     if written and written.experiment:
-        to.print(f"run it: {invocation()} run {written.experiment}", soft_wrap=True)
-        healthy = f" --healthy {request.healthy}" if request.healthy else ""
-        again = f"{invocation()} diagnose {target} --twin {request.twin}{healthy}"
-        before = "".join(f" --with {path}" for path in request.more)
-        to.print(f"then:   {again}{before} --with <the new run>/record.parquet", soft_wrap=True)
+        run = f"{invocation()} run {shlex.quote(str(written.experiment))}"
+        to.print(f"run it: {run}", soft_wrap=True)
+        given = [str(target), "--twin", str(request.twin)]
+        given += ["--healthy", str(request.healthy)] if request.healthy else []
+        given += [word for path in request.more for word in ("--with", str(path))]
+        again = f"{invocation()} {shlex.join(['diagnose', *given])} --with <the new run>/record.parquet"
+        to.print(f"then:   {again}", soft_wrap=True)
     if found.empirical is not None:
         to.print(f"offered, {'and adopted' if revision else 'not adopted'}: {found.empirical.says}", soft_wrap=True)
         if written and written.proposal and not revision:

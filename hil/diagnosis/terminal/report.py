@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from hil.diagnosis.terminal.table import error_table, errors_of, held_out
 from hil.diagnosis.wording import reasons
@@ -23,7 +24,7 @@ def print_diagnosis(to: Console, d: Diagnosis) -> None:
     document = d.document()
     for warning in d.warnings:
         to.print(f"warning: {warning}", style="yellow", soft_wrap=True)
-    to.print(f"[bold]{d.verdict}[/bold]: {d.summary}", soft_wrap=True)
+    to.print(Text.assemble((d.verdict, "bold"), f": {d.summary}"), soft_wrap=True)
     for note in d.notes:
         to.print(note, soft_wrap=True)
     for lead in d.leads:

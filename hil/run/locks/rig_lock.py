@@ -20,6 +20,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import shlex
 import socket
 import time
 from collections.abc import Callable, Iterator
@@ -242,7 +243,7 @@ def _busy(place: str, peer: NameHolder | None, holder: LockHolder | None) -> str
         if holder.folder is None:
             return f"{place} is driven by a run that {process} is starting ({rule}); {_wait(f'kill {holder.pid}')}"
         return f"{place} is driven by the run {holder.folder} ({process}; {rule}); " + _wait(
-            f"hil ctl abort {holder.folder}"
+            f"hil ctl abort {shlex.quote(str(holder.folder))}"
         )
     if peer is None or peer.uid is None:
         return f"{place} is driven by another run ({rule}); {_wait('hil ctl abort')}"

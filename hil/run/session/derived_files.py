@@ -196,9 +196,8 @@ def _steps(manifest: dict[str, Any], derived: DerivedFiles) -> dict[str, Callabl
         path = Path(test["path"])
         plan = read_plan(path)
         if plan.sha256 != test["sha256"]:
-            raise TestPlanError(
-                f"{path} is not what it was when the run began; judge the run with `hil test {path} --on {folder.path}`"
-            )
+            judged = shlex.join(["hil", "test", str(path), "--on", str(folder.path)])
+            raise TestPlanError(f"{path} is not what it was when the run began; judge the run with `{judged}`")
         manifest["verdict"] = judge_run(plan, folder).verdict
 
     def report() -> None:

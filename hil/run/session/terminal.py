@@ -15,10 +15,10 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.segment import Segment
 from rich.table import Table
+from rich.text import Text
 
 if TYPE_CHECKING:
     from hil.diagnosis import Reply
@@ -40,13 +40,15 @@ _OBEYED = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 def console(*, stderr: bool = False, quiet: bool = False) -> Console:
     """Return a console; where the output is no terminal, its lines have `PLAIN_WIDTH` characters."""
-    plain = _SafeConsole(stderr=stderr, quiet=quiet, highlight=False)
-    return plain if plain.is_terminal else _SafeConsole(stderr=stderr, quiet=quiet, highlight=False, width=PLAIN_WIDTH)
+    plain = _SafeConsole(stderr=stderr, quiet=quiet, highlight=False, markup=False)
+    if plain.is_terminal:
+        return plain
+    return _SafeConsole(stderr=stderr, quiet=quiet, highlight=False, markup=False, width=PLAIN_WIDTH)
 
 
 class _SafeConsole(Console):
     """Console that shows control characters in what it prints as escapes: text of a file may hold what a terminal
-    obeys."""
+    obeys. Text in square brackets is text and no markup, since paths, names and reasons may have it."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         """Return the segments of `renderable`; the console's own control codes stay."""
@@ -143,13 +145,13 @@ class ProgressBar:
         self._console = console(stderr=True, quiet=quiet)
         self._what = what
         self._progress = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=30),
             TextColumn("{task.percentage:>3.0f} %"),
             TimeElapsedColumn(),
             TextColumn("ETA"),
             TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}", style="dim"),
+            TextColumn("{task.fields[note]}", style="dim", markup=False),
             console=self._console,
             transient=False,
             disable=quiet or not self._console.is_terminal,
@@ -251,12 +253,11 @@ class RunProgress:
         if result.adoption is not None:
             out.print(result.adoption.sentence, soft_wrap=True, markup=False)
         path = result.folder.path
+        review = f"{invocation()} review {shlex.quote(str(path))}"
         out.print(f"run folder: {path}", soft_wrap=True)
-        out.print(f"look at it: {invocation()} review {path}", soft_wrap=True)
+        out.print(f"look at it: {review}", soft_wrap=True)
         if not result.viewed:
-            out.print(
-                f"no display here; a picture: {invocation()} review {path} --screenshot review.png", soft_wrap=True
-            )
+            out.print(f"no display here; a picture: {review} --screenshot review.png", soft_wrap=True)
         if result.diagnosis is not None:
             show_diagnosis(out, result.diagnosis, result.folder.review)
         for line in closing_advice(outcome, path):
@@ -277,7 +278,7 @@ def closing_advice(outcome: Outcome, path: Path) -> list[str]:
     if outcome.status != "done" and outcome.ticks:
         when = "when its cause is gone, go on with it" if outcome.status == "faulted" else "go on with it"
         when = "once somebody has seen at the rig that nothing heats, and the cause is gone" if is_unsafe else when
-        lines.append(f"{when}: {invocation()} resume {path}")
+        lines.append(f"{when}: {invocation()} resume {shlex.quote(str(path))}")
     if is_unsafe:
         lines.append(f"{NOT_SAFE}: go to the rig now, and switch the heater off there if it is on.")
     return lines
@@ -293,7 +294,7 @@ def show_diagnosis(out: Console, reply: Reply, review: Path) -> None:
         out.print(f"no diagnosis: {reply.problem}", soft_wrap=True, markup=False)
     else:
         sentence = reply.found.sentence.rstrip(".")
-        out.print(f"[bold]{reply.found.verdict}[/bold]: {escape(sentence)}.", soft_wrap=True)
+        out.print(Text.assemble((reply.found.verdict, "bold"), f": {sentence}."), soft_wrap=True)
     if reply.document is not None:
         out.print(held_out(reply.document), style="italic", soft_wrap=True, markup=False)
         out.print(errors_of(reply.document))
