@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from twin.discovery import engine
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.healthy.health import Health
 from twin.network import Network
@@ -37,7 +38,13 @@ def _once(search: Callable[..., Any]) -> Callable[..., Any]:
     found: dict[bytes, Any] = {}
 
     def diagnose(
-        network: Network, record: Columns, healthy: Columns | None = None, *, more: Any = (), say: Any, limits: Any
+        network: Network,
+        record: Columns,
+        healthy: Columns | None = None,
+        *,
+        more: Any = (),
+        say: Any = lambda _: None,
+        limits: Any = None,
     ) -> Any:
         key = digest(network, record, healthy, *more, repr(limits))
         if key not in found:
@@ -61,3 +68,7 @@ def digest(*of: object) -> bytes:
         else:
             text.update(repr(one).encode())
     return text.digest()
+
+
+diagnose = _once(engine.diagnose)
+"""The search, once for tests of one process that ask the same: each looks at another part of its frozen answer."""

@@ -7,7 +7,7 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import STEADY, inputs_of, run, steady
-from twin.discovery.engine import diagnose
+from tests.same_questions import diagnose
 from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.planning.design import Runner, informed

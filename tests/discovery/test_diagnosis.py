@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench, stopped
-from twin.discovery.engine import diagnose, foresee
+from tests.same_questions import diagnose
+from twin.discovery.engine import foresee
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.standstill import standstill
 from twin.network import TwinFileError

@@ -151,13 +151,13 @@ def _columns(contest: Contest, entry: Entry) -> _EffectColumns:
 
 def _onto(contest: Contest, every: Array) -> Array:
     """Return what columns (c, sites * b), most of them zero at most sites, are to the Gram matrix: (sites * b, c)."""
-    b, found = contest.b, np.zeros((len(contest.gram), len(every)))
+    b, found = contest.b, np.zeros((len(every), len(contest.gram)))
     each = every.reshape(len(every), contest.sites, b)
     there: NDArray[np.bool_] = np.asarray(each.any(axis=2))
     for site in np.flatnonzero(there.any(axis=0)):
         rows = there[:, site]
-        found[:, rows] += contest.gram[:, site * b : (site + 1) * b] @ each[rows, site].T
-    return found
+        found[rows] += each[rows, site] @ contest.gram[site * b : (site + 1) * b]
+    return found.T
 
 
 def joint(contest: Contest, entries: Sequence[Entry]) -> Joint:

@@ -262,9 +262,13 @@ class Contest:
         active = np.flatnonzero(p.any(axis=1))
         sites = self.gram.reshape(self.sites, self.b, self.sites, self.b)
         gram = np.zeros((self.b, self.b))
-        for one in active:
-            for other in active:
-                gram += sites[one, :, other] * np.outer(p[one], p[other])
+        for k, one in enumerate(active):
+            for other in active[k:]:
+                part = sites[one, :, other] * p[other]
+                part *= p[one][:, None]
+                gram += part
+                if other != one:
+                    gram += part.T
         if scores is None:
             return gram, self.scored(p)
         drawn = scores.reshape(self.sites, self.b, -1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -98,7 +99,8 @@ class LawSquares:
             gram = contest.small(blocks)[0]
             steps = _late_sums(gram)[: len(courses.onsets)]
             beyond = courses.beyond(law.candidate)[1]
-            known = cls(blocks, steps, (beyond * (gram @ beyond)).sum(axis=0), np.flatnonzero(blocks.any(axis=1)))
+            growths = np.einsum("bj,bj->j", beyond, gram @ beyond)
+            known = cls(blocks, steps, growths, np.flatnonzero(blocks.any(axis=1)))
             contest.memo[law] = known
         return known
 
@@ -108,7 +110,7 @@ def returning(contest: Contest, law: CandidateLaw) -> Array:
     known: Array | None = contest.memo.get(("returning", law))
     if known is None:
         courses, gram = Courses.of(contest).returns, contest.small(contest.vector(law))[0]
-        known = contest.memo["returning", law] = (courses * (gram @ courses)).sum(axis=0)
+        known = contest.memo["returning", law] = np.einsum("bk,bk->k", courses, gram @ courses)
     return known
 
 
@@ -184,6 +186,16 @@ def _timed(onsets: Array, edges_s: Array) -> list[Shape]:
 
 
 def _late_sums(gram: Array) -> Array:
-    """Squares (b,) of steps that begin with each block: sums of the lower right corners of a Gram matrix (b, b)."""
-    sums: Array = np.diag(gram[::-1, ::-1].cumsum(axis=0).cumsum(axis=1))[::-1]
+    """Squares (b,) of steps that begin with each block: sums of the lower right corners of a Gram matrix (b, b).
+
+    The corner of a block has a row and a column more than that of the next one, and the matrix is symmetric.
+    """
+    more = np.einsum("ij,ij->i", gram, _row_and_column(len(gram)))
+    sums: Array = more[::-1].cumsum()[::-1]
     return sums
+
+
+@functools.cache
+def _row_and_column(b: int) -> Array:
+    """Weights (b, b) by which a row's sum from the diagonal on is that of the row and the column of its block."""
+    return np.triu(np.full((b, b), 2.0), 1) + np.eye(b)
