@@ -1,5 +1,6 @@
 """Packages of the drivers: importing them loads little, and their READMEs list each module."""
 
+import json
 import re
 import subprocess
 import sys
@@ -7,6 +8,8 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+
+from drivers.can.imports import without
 
 PROJECT = Path(__file__).resolve().parents[2]
 PACKAGES = tuple(
@@ -24,7 +27,7 @@ def test_an_unknown_name_is_an_attribute_error(name: str) -> None:
 
 
 def _heavy_modules(statement: str) -> set[str]:
-    heavy = {"cantools", "can", "pymodbus", "serial", "numba", "yaml"}
+    heavy = {"cantools", "can", "asammdf", "pandas", "sympy", "pymodbus", "serial", "numba", "yaml"}
     program = f"import sys\n{statement}\nprint(*{heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", program], cwd=PROJECT, check=True, capture_output=True, text=True)
     return set(done.stdout.split())
@@ -40,6 +43,20 @@ def test_a_public_name_loads_only_what_it_needs() -> None:
         _heavy_modules("from drivers.modbus import polling, plan_reads; from drivers.rig_file import load_rig") == set()
     )
     assert _heavy_modules("from drivers.virtual.plant import load_effects") == set()
+
+
+@pytest.mark.parametrize("module", ["wire", "dbc"])
+def test_receiving_frames_loads_no_reader_of_log_files(module: str) -> None:
+    assert {"can"} <= _heavy_modules(f"import drivers.can.{module}") <= {"can", "cantools"}
+
+
+def test_a_library_is_hidden_from_imports_of_a_block_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "this", raising=False)
+    with pytest.raises(ModuleNotFoundError), without("this"):
+        import_module("this")
+    assert "this" not in sys.modules
+    with without("json"):
+        assert import_module("json") is json
 
 
 @pytest.mark.parametrize("name", PACKAGES[1:])
