@@ -10,7 +10,7 @@ import pytest
 
 from twin.discovery.evidence.marginal import _onto
 from twin.discovery.scoring.contest import Contest
-from twin.discovery.scoring.sweep import _late_sums
+from twin.discovery.scoring.sweep import _late_sums, squares_of
 
 SITES, B = 4, 7
 
@@ -20,7 +20,7 @@ def contest() -> Any:
     rng = np.random.default_rng(3)
     columns = rng.normal(size=(40, SITES * B))
     score = rng.normal(size=SITES * B)
-    made = SimpleNamespace(sites=SITES, b=B, gram=columns.T @ columns, score=score)
+    made = SimpleNamespace(sites=SITES, b=B, gram=columns.T @ columns, score=score, memo={})
     made.scored = lambda p: Contest.scored(made, p)  # type: ignore[arg-type]
     return made
 
@@ -47,3 +47,14 @@ def test_columns_that_are_zero_at_most_sites_show_as_the_gram_matrix_says(contes
     every[1, 3], every[2, 0] = -1.0, np.arange(B)
     flat = every.reshape(3, -1)
     np.testing.assert_allclose(_onto(contest, flat), contest.gram @ flat.T, atol=1e-9)
+
+
+@pytest.mark.parametrize("b", [B, SITES * B])
+def test_courses_that_begin_later_have_the_squares_of_all_their_blocks(contest: Any, b: int) -> None:
+    gram = contest.gram[:b, :b]
+    courses = np.random.default_rng(5).normal(size=(b, 90))
+    for column in range(80):
+        courses[: column % (b + 1), column] = 0.0  # one of them is zero all along
+    for _ in range(2):
+        np.testing.assert_allclose(squares_of(contest, gram, courses), np.diag(courses.T @ gram @ courses), atol=1e-9)
+    assert squares_of(contest, gram, courses[:, :0]).shape == (0,)

@@ -27,6 +27,8 @@ DAY_S, DAYS, DAY_PHASES = 86_400.0, 1.25, 24
 """A day, s; days in a record from which a daily course is tried, which then shows six hours of it twice, and phases of
 a day, one an hour. Two whole turns are not asked for, as of other periods: rooms, shifts and the sun go by the day."""
 DUTIES = (0.25, 0.5, 0.75)
+BEGINNINGS = 8
+"""Groups of courses by their first block: with eight, a fifth more is multiplied than with one for each block."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ class LawSquares:
             gram = contest.small(blocks)[0]
             steps = _late_sums(gram)[: len(courses.onsets)]
             beyond = courses.beyond(law.candidate)[1]
-            growths = np.einsum("bj,bj->j", beyond, gram @ beyond)
+            growths = squares_of(contest, gram, beyond)
             known = cls(blocks, steps, growths, np.flatnonzero(blocks.any(axis=1)))
             contest.memo[law] = known
         return known
@@ -110,8 +112,42 @@ def returning(contest: Contest, law: CandidateLaw) -> Array:
     known: Array | None = contest.memo.get(("returning", law))
     if known is None:
         courses, gram = Courses.of(contest).returns, contest.small(contest.vector(law))[0]
-        known = contest.memo["returning", law] = np.einsum("bk,bk->k", courses, gram @ courses)
+        known = contest.memo["returning", law] = squares_of(contest, gram, courses)
     return known
+
+
+_Begun = tuple[int, NDArray[np.intp], Array]
+"""First row of some courses, their columns, and their rows from the first on."""
+
+
+def squares_of(contest: Contest, gram: Array, courses: Array) -> Array:
+    """Return the squares (j,) of courses (b, j), which the contest keeps, in a Gram matrix (b, b).
+
+    Most courses begin after the record does, and rows before that are not multiplied.
+    """
+    found = np.zeros(courses.shape[1])
+    if not len(found):
+        return found
+    known: tuple[Array, list[_Begun]] | None = contest.memo.get(("begun", id(courses)))
+    if known is None:  # with the courses, whose identity so stays their own
+        known = contest.memo["begun", id(courses)] = courses, _by_beginning(courses)
+    for first, columns, begun in known[1]:
+        found[columns] = np.einsum("bj,bj->j", begun, gram[first:, first:] @ begun)
+    return found
+
+
+def _by_beginning(courses: Array) -> list[_Begun]:
+    """Return the courses that begin in each eighth of the blocks."""
+    b = len(courses)
+    begins = np.where(courses.any(axis=0), (courses != 0.0).argmax(axis=0), b)
+    eighth = begins * BEGINNINGS // b
+    found = []
+    for one in range(BEGINNINGS):
+        columns = np.flatnonzero(eighth == one)
+        if len(columns):
+            first = int(begins[columns].min())
+            found.append((first, columns, courses[first:, columns]))
+    return found
 
 
 class Given:
