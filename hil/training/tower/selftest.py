@@ -6,12 +6,16 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.calibrators.hiera_unet.tower import CellTable
 from twin.calibrators.hiera_unet.tower.table import CHANNELS, SUBJECT, clock_of
+
+if TYPE_CHECKING:
+    from twin.calibrators.hiera_unet.trees import Trees
 
 STEPS, TIMED = 12, 8
 MINUTES = 4 * 1440
@@ -63,6 +67,21 @@ def random_table(seed: int) -> CellTable:
     )
 
 
+def random_trees(seed: int = 0) -> Trees:
+    """Return trees of one split each, of random numbers, for each figure that a network corrects."""
+    import torch
+
+    from twin.calibrators.hiera_unet.trees import Trees
+
+    rng = np.random.default_rng(seed)
+    found = Trees((1 + len(SUBJECT.deviations), 4, 3))
+    found.left[..., 0], found.right[..., 0] = 1.0, 2.0
+    found.left[..., 1:] = found.right[..., 1:] = torch.tensor([1.0, 2.0])
+    found.feature[..., 0] = torch.from_numpy(rng.integers(0, len(SUBJECT.deviations), found.feature.shape[:2]))
+    found.value[..., 1:] = torch.from_numpy(rng.normal(0.0, 0.002, (*found.value.shape[:2], 2)))
+    return found
+
+
 def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:
     """Train, judge, write and read a network of each size on random windows; return a sentence for each.
 
@@ -86,7 +105,7 @@ def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:
     said = []
     for size, batch in batches.items():
         plan = TowerPlan(steps=STEPS + TIMED, batch=batch, even_every=4, half=device != "cpu")
-        training = MemberTraining(size, plan, fleet, fleet, None, "selftest")
+        training = MemberTraining(size, plan, fleet, fleet, None, "selftest", random_trees().to(fleet.device))
         for _ in range(STEPS):
             training.trainer.step()
         began = time.monotonic()
