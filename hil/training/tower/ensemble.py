@@ -13,8 +13,7 @@ import re
 import sys
 from pathlib import Path
 
-from hil.training.tower.evaluate import evenly
-from hil.training.tower.generate import VALIDATION, digest_of, tables
+from hil.training.tower.generate import VALIDATION, digest_of, evenly, tables
 
 HELD_OUT = 1000
 """Windows of the validation split that set the factors: 100 of them lie outside, give or take 10."""

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.training.tower.generate import TEST, TRAIN, VALIDATION, digest_of, tables
+from hil.training.tower.generate import TEST, TRAIN, VALIDATION, digest_of, evenly, tables
+from hil.training.tower.starting import load_start
 
 BOOSTED_WINDOWS = 12_000
 """Windows of the training split that the booster learns from."""
@@ -48,7 +49,6 @@ def evaluate(
     HieraError
         The folder lacks a split, or a network does not fit.
     """
-    from hil.training.tower.starting import load_start
     from twin.calibrators.hiera_unet.tower import load_fleet, load_member, score
     from twin.calibrators.hiera_unet.tower.predict import predict
 
@@ -65,7 +65,7 @@ def evaluate(
         GAUSS_NEWTON: score.believed(t),
     }
     start = load_start(folder)
-    rival = boost(folder, unseen, rows, note) if start is None else boosted_by(start, unseen, rows, size)
+    rival = boost(folder, unseen, rows, note) if start is None else score.boosted(start, unseen, rows, size)
     if rival is not None:
         answers[BOOSTED] = rival
     loaded = {name: load_member(path, blind_too=True) for name, path in members.items()}
@@ -110,30 +110,6 @@ def ensemble_of(refused: Mapping[str, str]) -> list[str]:
     """
     small = [name for name in refused if name.startswith("small")]
     return [name for name in small if not refused[name]] or small
-
-
-def evenly(rows: np.ndarray, most: int | None) -> np.ndarray:
-    """Return at most so many rows, evenly taken."""
-    if most is None or len(rows) <= most:
-        return rows
-    return rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
-
-
-def boosted_by(trees: Any, test: Any, rows: np.ndarray, size: int = 64) -> Any:
-    """Return the answer (`score.MethodPrediction`) of trees that correct Gauss-Newton to cycles `rows` of a fleet."""
-    import torch
-
-    from twin.calibrators.hiera_unet.tower import score
-    from twin.calibrators.hiera_unet.tower.predict import corrections_of
-
-    trees.to(test.device)
-    theta, water = [], []
-    for at in range(0, len(rows), size):
-        batch = test.batch(torch.from_numpy(rows[at : at + size]))
-        begun = batch.begun(*corrections_of(trees, batch))
-        theta.append(begun.base_theta.cpu().numpy())
-        water.append(begun.base_water.cpu().numpy())
-    return score.MethodPrediction(np.concatenate(theta), np.concatenate(water))
 
 
 def boost(folder: Path, test: Any, rows: np.ndarray, note: Note = lambda _: None) -> Any:

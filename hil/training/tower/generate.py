@@ -17,6 +17,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hil.training.tower.stations import StationPlan
 from twin.calibrators.hiera_unet import HieraError
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
@@ -233,6 +235,13 @@ def tables(folder: Path, split: str, station: str = "") -> list[Path]:
     if not found:
         raise HieraError(f"{folder}: has no station of the {split} split; simulate more stations")
     return found
+
+
+def evenly(rows: np.ndarray, most: int | None) -> np.ndarray:
+    """Return at most so many rows, evenly taken."""
+    if most is None or len(rows) <= most:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
 
 
 def digest_of(folder: Path) -> str:

@@ -69,17 +69,15 @@ def random_table(seed: int) -> CellTable:
 
 def random_trees(seed: int = 0) -> Trees:
     """Return trees of one split each, of random numbers, for each figure that a network corrects."""
-    import torch
-
-    from twin.calibrators.hiera_unet.trees import Trees
+    from twin.calibrators.hiera_unet.trees import trees_from
 
     rng = np.random.default_rng(seed)
-    found = Trees((1 + len(SUBJECT.deviations), 4, 3))
-    found.left[..., 0], found.right[..., 0] = 1.0, 2.0
-    found.left[..., 1:] = found.right[..., 1:] = torch.tensor([1.0, 2.0])
-    found.feature[..., 0] = torch.from_numpy(rng.integers(0, len(SUBJECT.deviations), found.feature.shape[:2]))
-    found.value[..., 1:] = torch.from_numpy(rng.normal(0.0, 0.002, (*found.value.shape[:2], 2)))
-    return found
+    shape = (1 + len(SUBJECT.deviations), 4, 3)
+    arrays = {name: np.zeros(shape) for name in ("threshold", "missing", "feature", "value")}
+    arrays["feature"][..., 0] = rng.integers(0, len(SUBJECT.deviations), shape[:2])
+    arrays["value"][..., 1:] = rng.normal(0.0, 0.002, (*shape[:2], 2))
+    left, right = (np.broadcast_to(np.array(one), shape) for one in ([1.0, 1.0, 2.0], [2.0, 1.0, 2.0]))
+    return trees_from({**arrays, "left": left, "right": right, "base": np.zeros(shape[0])})
 
 
 def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:

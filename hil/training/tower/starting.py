@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.training.tower.evaluate import evenly
-from hil.training.tower.generate import TRAIN, digest_of, tables
+from hil.training.tower.generate import TRAIN, digest_of, evenly, tables
 from twin.calibrators.hiera_unet import HieraError
 
 FILE = "start.npz"
@@ -25,7 +24,6 @@ FOLDS = 4
 WINDOWS = 24_000
 """Windows of the training split that trees learn from."""
 ALL = "all"
-NAMES = ("feature", "threshold", "left", "right", "missing", "value", "base")
 
 
 def fit_start(folder: Path, workers: int = 1, threads: int = 1) -> Path | None:
@@ -94,7 +92,7 @@ def begin(folder: Path, fleet: Any) -> None:
 def _fitted(folder: Path, stations: Sequence[str]) -> dict[str, np.ndarray]:
     """Return the trees of a booster that learned from these stations."""
     from twin.calibrators.hiera_unet.tower import load_fleet, score
-    from twin.calibrators.hiera_unet.trees import trees_of
+    from twin.calibrators.hiera_unet.trees import NAMES, trees_of
 
     paths = [path for path in tables(folder, TRAIN) if _station(path.stem) in stations]
     parts = []
@@ -110,13 +108,9 @@ def _fitted(folder: Path, stations: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def _trees(found: dict[str, Any], name: str) -> Any:
-    import torch
+    from twin.calibrators.hiera_unet.trees import NAMES, trees_from
 
-    from twin.calibrators.hiera_unet.trees import Trees
-
-    trees = Trees(found[f"{name}.value"].shape)
-    trees.load_state_dict({key: torch.from_numpy(found[f"{name}.{key}"]) for key in NAMES})
-    return trees
+    return trees_from({key: found[f"{name}.{key}"] for key in NAMES})
 
 
 def _read(folder: Path) -> dict[str, Any] | None:

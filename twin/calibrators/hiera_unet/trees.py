@@ -5,15 +5,18 @@ They are fitted elsewhere (scikit-learn) and only evaluated here, so that a serv
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 MOST_DEPTH = 64
 """Levels of a tree at most; trees of 31 leaves have at most 30."""
+NAMES = ("feature", "threshold", "left", "right", "missing", "value", "base")
+"""Arrays: of nodes (models, trees, nodes), and the figure without any tree (models,)."""
 CHUNK = 4096
 """Rows that are evaluated together."""
 
@@ -60,6 +63,13 @@ class Trees(nn.Module):
                 break
             at = following
         return self.base[model] + value[tree, at].sum(1)
+
+
+def trees_from(arrays: Mapping[str, NDArray[Any]]) -> Trees:
+    """Return trees of arrays by the names of `NAMES`."""
+    found = Trees(arrays["value"].shape)
+    found.load_state_dict({name: torch.from_numpy(np.asarray(arrays[name], dtype=np.float32)) for name in NAMES})
+    return found
 
 
 def sizes_of(models: Sequence[Any]) -> tuple[int, int, int]:

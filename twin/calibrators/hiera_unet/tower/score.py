@@ -15,8 +15,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from twin.calibrators.hiera_unet.tower.predict import BLOCK_CYCLES, Predicted, interval
+from twin.calibrators.hiera_unet.tower.predict import BLOCK_CYCLES, Predicted, corrections_of, interval
 from twin.calibrators.hiera_unet.tower.windows import BLOCK_MIN, CONTEXT, LAST_MIN, TARGET, Fleet
+from twin.calibrators.hiera_unet.trees import Trees
 from twin.tower.air import Array
 from twin.tower.model import DEVIATIONS
 
@@ -141,11 +142,23 @@ def started(fleet: Fleet, t: Targets) -> MethodPrediction:
     return MethodPrediction(t.mean + theta, t.water + water.repeat(BLOCK_MIN, axis=1))
 
 
+def boosted(trees: Trees, fleet: Fleet, rows: NDArray[np.int64], size: int = 64) -> MethodPrediction:
+    """Return the answer to cycles `rows` (K,) of trees that correct the belief."""
+    trees.to(fleet.device)
+    theta, water = [], []
+    for at in range(0, len(rows), size):
+        batch = fleet.batch(torch.from_numpy(rows[at : at + size]))
+        begun = batch.begun(*corrections_of(trees, batch))
+        theta.append(begun.base_theta.cpu().numpy())
+        water.append(begun.base_water.cpu().numpy())
+    return MethodPrediction(np.concatenate(theta), np.concatenate(water))
+
+
 def shrink_factors(t: Targets, base: MethodPrediction, found: MethodPrediction) -> tuple[Array, float]:
     """Return the factors, 0 to 1, of the corrections of deviations (4,) and outlet with the least absolute error.
 
-    With e the error of the base and c a correction it is the median of e / c, weighted by |c|. So no mean error on these
-    windows is larger than the base's.
+    With e the error of the base and c a correction it is the median of e / c, weighted by |c|. So no mean error on
+    these windows is larger than the base's.
     """
     theta = [
         _least_absolute((t.true - base.theta)[:, j], (found.theta - base.theta)[:, j]) for j in range(len(DEVIATIONS))
