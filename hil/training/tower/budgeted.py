@@ -30,7 +30,7 @@ TESTED = 0.72
 """Share of the time after which no test station is begun."""
 TESTING = 0.3
 """Share of the workers that simulate test stations from the beginning: the two sites take longest."""
-START_S = 90.0
+START_S = 120.0
 """Seconds that a member waits for the trees it starts at, at most."""
 FINISH_S = 14.0
 """Seconds that a member needs for its gate and its files after the last step."""
@@ -281,13 +281,12 @@ def _selftest(o: argparse.Namespace) -> int:
 
 
 def _boost(o: argparse.Namespace) -> int:
-    from hil.training.tower.starting import FOLDS, fit_start
+    from hil.training.tower.starting import fit_start
 
     began = time.time()
-    data, cores = o.work / "data", os.cpu_count() or 1
+    data = o.work / "data"
     try:
-        workers = min(FOLDS + 1, cores)
-        found = fit_start(data, workers, max(cores // workers, 1))
+        found = fit_start(data, os.cpu_count() or 1)
         print(f"boosted in {time.time() - began:.0f} s: {found or 'scikit-learn is not installed'}", flush=True)
     finally:
         (data / STARTED).touch()

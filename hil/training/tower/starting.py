@@ -23,48 +23,56 @@ FILE = "start.npz"
 FOLDS = 4
 WINDOWS = 24_000
 """Windows of the training split that trees learn from."""
+LEAST = 50
+"""Windows of a table at least."""
 ALL = "all"
 
 
-def fit_start(folder: Path, workers: int = 1, threads: int = 1) -> Path | None:
+def fit_start(folder: Path, processors: int = 1) -> Path | None:
     """Fit the trees of a folder's training stations and write them there; None without scikit-learn.
-
-    Parameters
-    ----------
-    workers
-        Processes that fit side by side.
-    threads
-        Of each.
 
     Raises
     ------
     HieraError
-        There is no training station.
+        There is no training station, or none has a window.
     """
     try:
         import sklearn  # noqa: F401
     except ImportError:
         return None
+    paths = tables(folder, TRAIN)
     stations = _stations(folder)
-    jobs: list[tuple[str, list[str]]] = [(ALL, stations)]
-    if len(stations) > 1:
-        folds = min(FOLDS, len(stations))
-        jobs += [(str(k), [s for i, s in enumerate(stations) if i % folds != k]) for k in range(folds)]
-    arrays: dict[str, Any] = {"digest": np.array(digest_of(folder)), "stations": np.array(stations)}
-    if workers <= 1:
-        found = [_fitted(folder, names) for _, names in jobs]
+    folds = min(FOLDS, len(stations)) if len(stations) > 1 else 0
+    most = [max(WINDOWS // len(paths), LEAST)] * len(paths)
+    left_out = [-1, *range(folds)]
+    if processors <= 1:
+        parts = list(map(_targets, paths, most))
     else:
-        os.environ["OMP_NUM_THREADS"] = str(threads)
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            found = list(pool.map(_fitted, [folder] * len(jobs), [names for _, names in jobs]))
-    for (name, _), one in zip(jobs, found, strict=True):
-        arrays |= {f"{name}.{key}": value for key, value in one.items()}
+        with _pool(processors, 1) as pool:
+            parts = list(pool.map(_targets, paths, most))
+    if all(part is None for part in parts):
+        raise HieraError(f"{folder}: no training station has a window; simulate more with `hil train tower`")
+    fold = [stations.index(_station(path.stem)) % max(folds, 1) for path in paths]
+    chosen = [[p for p, f in zip(parts, fold, strict=True) if p is not None and f != k] for k in left_out]
+    if processors <= 1:
+        found = list(map(_fitted, chosen))
+    else:
+        with _pool(len(chosen), max(processors // len(chosen), 1)) as pool:
+            found = list(pool.map(_fitted, chosen))
+    arrays: dict[str, Any] = {"digest": np.array(digest_of(folder)), "stations": np.array(stations)}
+    for k, one in zip(left_out, found, strict=True):
+        arrays |= {f"{ALL if k < 0 else k}.{key}": value for key, value in one.items()}
     path = folder / FILE
     unfinished = path.with_name(f".{FILE}")
     with unfinished.open("wb") as file:
         np.savez(file, **arrays)
     unfinished.replace(path)
     return path
+
+
+def _pool(workers: int, threads: int) -> ProcessPoolExecutor:
+    os.environ["OMP_NUM_THREADS"] = str(threads)
+    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
 
 
 def load_start(folder: Path) -> Any:
@@ -89,19 +97,24 @@ def begin(folder: Path, fleet: Any) -> None:
         settle(fleet, _trees(found, k).to(fleet.device), mine)
 
 
-def _fitted(folder: Path, stations: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return the trees of a booster that learned from these stations."""
+def _targets(path: Path, most: int) -> Any:
+    """Return targets (`score.Targets`) of a table, None where it has no window."""
+    from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.tower import load_fleet, score
+
+    ready()
+    try:
+        fleet = load_fleet([path], "cpu")
+    except HieraError:
+        return None
+    return score.targets_of(fleet, evenly(fleet.rows, most), 64)
+
+
+def _fitted(parts: Sequence[Any]) -> dict[str, np.ndarray]:
+    """Return the trees of a booster that learned from these targets."""
+    from twin.calibrators.hiera_unet.tower import score
     from twin.calibrators.hiera_unet.trees import NAMES, trees_of
 
-    paths = [path for path in tables(folder, TRAIN) if _station(path.stem) in stations]
-    parts = []
-    for path in paths:
-        try:
-            fleet = load_fleet([path], "cpu")
-        except HieraError:  # a cell without a window teaches nothing
-            continue
-        parts.append(score.targets_of(fleet, evenly(fleet.rows, max(WINDOWS // len(paths), 50)), 64))
     booster = score.Booster(score.joined(parts))
     trees = trees_of([booster.water, *booster.theta])
     return {name: getattr(trees, name).numpy() for name in NAMES}

@@ -127,8 +127,10 @@ def predict(
             gone = torch.rand(len(chosen), batch.m.shape[-1], generator=generator, device=fleet.device) < lost
             batch.m[:] = batch.m & ~gone[:, None]
         p = answer(network, batch, causal, half)
-        at_theta = batch.water + (batch.slopes * (p.theta - batch.mean)[:, None, :3]).sum(-1)
-        delta = outlet_of(network, p, batch) - at_theta
+        delta = p.delta[..., 0]
+        if network.config.corrects:
+            at_theta = batch.water + (batch.slopes * (p.theta - batch.mean)[:, None, :3]).sum(-1)
+            delta = outlet_of(network, p, batch) - at_theta
         found = (p.theta, p.log_variance, delta, p.log_scale[..., 0], p.attention)
         parts.append(tuple(v.float().cpu().numpy() for v in found))
     theta, log_variance, delta, log_scale, attention = (np.concatenate(column) for column in zip(*parts, strict=True))
