@@ -64,7 +64,7 @@ def assemble(
     rows = evenly(fleet.rows, most)
     for one in members.values():
         one.network.to(fleet.device)
-    factors = ensemble.factors_of(list(members.values()), fleet, rows)
+    factors = ensemble.factors_of(list(members.values()), fleet, rows, 64 if device == "cpu" else 256)
     more = {"data": digest, "validation_cells": fleet.names, "windows": len(rows)}
     card = stem.with_suffix(".json")
     card.write_text(json.dumps(ensemble.card_of(stem.name, members, factors, left_out | others, more), indent=1) + "\n")

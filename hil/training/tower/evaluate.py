@@ -50,7 +50,7 @@ def evaluate(
         The folder lacks a split, or a network does not fit.
     """
     from twin.calibrators.hiera_unet.tower import load_fleet, load_member, score
-    from twin.calibrators.hiera_unet.tower.predict import predict
+    from twin.calibrators.hiera_unet.tower.predict import predict, settle
 
     began = time.monotonic()
     unseen = load_fleet(tables(test or folder, TEST), device)
@@ -64,11 +64,15 @@ def evaluate(
         "persistence of the last error": score.persistent(t),
         GAUSS_NEWTON: score.believed(t),
     }
+    loaded = {name: load_member(path, blind_too=True) for name, path in members.items()}
     start = load_start(folder)
     rival = boost(folder, unseen, rows, note) if start is None else score.boosted(start, unseen, rows, size)
     if rival is not None:
         answers[BOOSTED] = rival
-    loaded = {name: load_member(path, blind_too=True) for name, path in members.items()}
+    if start is not None and loaded and all(one.network.trees is not None for one in loaded.values()):
+        # All members correct the same answer: it is worked out once.
+        for fleet, chosen in ((unseen, rows), (validation, held_out)):
+            settle(fleet, start, chosen, size)
     for member in loaded.values():
         member.network.to(unseen.device)
     predicted = {n: predict(m.network, unseen, rows, size, half=half) for n, m in loaded.items()}

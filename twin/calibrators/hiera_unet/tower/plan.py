@@ -38,7 +38,7 @@ class TowerPlan:
     warmup: float = 0.04
     decay: float = 0.1
     clip: float = 1.0
-    ema: float = 0.998
+    ema: float = 0.995
     smooth: float = 0.08
     uncertainty: float = 0.15
     price: float = 0.01
