@@ -15,7 +15,7 @@ from twin.calibrators.hiera_unet.tower import CellTable
 from twin.calibrators.hiera_unet.tower.table import CHANNELS, SUBJECT, clock_of
 
 if TYPE_CHECKING:
-    from twin.calibrators.hiera_unet.trees import Trees
+    from twin.calibrators.hiera_unet.tower.trees import Trees
 
 STEPS, TIMED = 12, 8
 MINUTES = 4 * 1440
@@ -69,7 +69,7 @@ def random_table(seed: int) -> CellTable:
 
 def random_trees(seed: int = 0) -> Trees:
     """Return trees of one split each, of random numbers, for each figure that a network corrects."""
-    from twin.calibrators.hiera_unet.trees import trees_from
+    from twin.calibrators.hiera_unet.tower.trees import trees_from
 
     rng = np.random.default_rng(seed)
     shape = (1 + len(SUBJECT.deviations), 4, 3)

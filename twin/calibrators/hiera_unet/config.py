@@ -43,7 +43,7 @@ class Config:
         gated: whether a skip passes a gate; without, it is concatenated directly.
         corrects: whether deviations and outputs are corrections of an answer that is given with a window, each scaled
             by a factor that held-out windows set. Static numbers are then standardised, and the output head reads them.
-        trees: models, trees and nodes of the boosted trees that give this answer (`trees.Trees`); none without.
+        trees: models, trees and nodes of the boosted trees that give this answer (`tower.trees.Trees`); none without.
         step_s: length of a step. context, target: steps seen, and steps to explain at their end.
         margin: steps before the target that the decoder works out as well, so that cropping alters nothing.
         group_dim: width of a group's own tokens. dims, depths, windows: width, blocks and attention window (tokens)

@@ -11,7 +11,7 @@ from twin.calibrators.hiera_unet.config import Config
 from twin.calibrators.hiera_unet.decoder import Decoder
 from twin.calibrators.hiera_unet.encoder import Encoder
 from twin.calibrators.hiera_unet.heads import OutputHead, ParameterHead, Queries, recent_of
-from twin.calibrators.hiera_unet.trees import Trees
+from twin.calibrators.hiera_unet.tower.trees import Trees
 
 FARTHEST = 5.0
 """Standard deviations beyond which a static number is cut off."""

@@ -30,8 +30,8 @@ from twin.calibrators.hiera_unet.tower.score import (
 )
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
 from twin.calibrators.hiera_unet.tower.train import TowerTrainer
+from twin.calibrators.hiera_unet.tower.trees import Trees
 from twin.calibrators.hiera_unet.tower.windows import Fleet
-from twin.calibrators.hiera_unet.trees import Trees
 
 LOOKED_AT, LOOKS = {"cpu": 256, "cuda": 2048}, 15
 """Held-out windows of a look on a processor and on a device, always the same, and looks in a training."""

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from twin.calibrators.hiera_unet.network import HieraUNet, Prediction
+from twin.calibrators.hiera_unet.tower.trees import Trees
 from twin.calibrators.hiera_unet.tower.windows import BLOCK_MIN, TARGET, CellBatch, Fleet
-from twin.calibrators.hiera_unet.trees import Trees
 from twin.tower.air import Array
 
 LEAST_WORSE = 0.05

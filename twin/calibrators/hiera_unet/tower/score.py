@@ -16,8 +16,8 @@ import torch
 from numpy.typing import NDArray
 
 from twin.calibrators.hiera_unet.tower.predict import BLOCK_CYCLES, Predicted, corrections_of, interval
+from twin.calibrators.hiera_unet.tower.trees import Trees
 from twin.calibrators.hiera_unet.tower.windows import BLOCK_MIN, CONTEXT, LAST_MIN, TARGET, Fleet
-from twin.calibrators.hiera_unet.trees import Trees
 from twin.tower.air import Array
 from twin.tower.model import DEVIATIONS
 
