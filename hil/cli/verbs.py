@@ -17,6 +17,7 @@ from hil import __version__
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 VERBS = {
+    "alarms": "List, acknowledge, shelve alarms of a run; send messages",
     "bench": "Measure speed and fits, repeat the paper's experiments",
     "check": "Check a rig file, twin, profile, test plan or record",
     "commission": "Fit a twin to a healthy record",
@@ -45,6 +46,7 @@ PACKAGES = {
     "hil.bench.commands": ("bench",),
     "hil.cli.rig_commands": ("check", "init", "profile", "rig"),
     "hil.cli.run_commands": (
+        "alarms",
         "compare",
         "ctl",
         "export",
