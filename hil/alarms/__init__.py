@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from hil.alarms.definitions import META_KEY, AlarmDefinition, as_document, definitions_of
     from hil.alarms.errors import AlarmError, NotSentError
     from hil.alarms.notify import NotifyOptions, notify_run, read_addresses
-    from hil.alarms.show import alarm_document, alarm_lines, record_rows
+    from hil.alarms.show import alarm_document, alarm_lines, condition_of, value_of
     from hil.alarms.states import ACTIVE, SHELVED, WAITING, AlarmEvent, AlarmState
     from hil.alarms.watch import AlarmWatch
 
@@ -37,10 +37,11 @@ __all__ = [
     "alarm_document",
     "alarm_lines",
     "as_document",
+    "condition_of",
     "definitions_of",
     "notify_run",
     "read_addresses",
-    "record_rows",
+    "value_of",
 ]
 
 __getattr__, __dir__ = lazy_names(
@@ -50,7 +51,7 @@ __getattr__, __dir__ = lazy_names(
         "definitions": ("META_KEY", "AlarmDefinition", "as_document", "definitions_of"),
         "errors": ("AlarmError", "NotSentError"),
         "notify": ("NotifyOptions", "notify_run", "read_addresses"),
-        "show": ("alarm_document", "alarm_lines", "record_rows"),
+        "show": ("alarm_document", "alarm_lines", "condition_of", "value_of"),
         "states": ("ACTIVE", "SHELVED", "WAITING", "AlarmEvent", "AlarmState"),
         "watch": ("AlarmWatch",),
     },

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from typing import Literal
 
 from pydantic import Field, ValidationError
 
 from hil.alarms.alarm_list import Act
 from hil.alarms.errors import AlarmError
-from hil.files import plain
+from hil.files import append_line, plain, read_lines
 from hil.run_folder import DocumentShape, RunFolder, wrong_place
 
 LONGEST_REASON = 500
@@ -49,13 +48,7 @@ def append_act(folder: RunFolder, act: Act) -> None:
         "until_s": act.until_s if math.isfinite(act.until_s) else None,
     }
     try:
-        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
-        handle = os.open(folder.alarms, flags, 0o644)
-        with open(handle, "r+b", buffering=0) as file:
-            size = file.seek(0, os.SEEK_END)
-            torn = size > 0 and os.pread(handle, 1, size - 1) != b"\n"
-            file.write(b"\n" * torn + json.dumps(line).encode("utf-8") + b"\n")  # in one call: writers do not mix
-            os.fsync(handle)
+        append_line(folder.alarms, json.dumps(line))
     except OSError as error:
         raise AlarmError(f"{folder.alarms} cannot be written ({error.strerror}); make room or writable") from None
 
@@ -69,16 +62,11 @@ def read_acts(folder: RunFolder) -> list[Act]:
         A line is damaged; the message names it.
     """
     try:
-        with open(os.open(folder.alarms, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
-            content = file.read(MOST_BYTES)
-    except FileNotFoundError:
-        return []
+        lines = read_lines(folder.alarms, MOST_BYTES)
     except OSError as error:
         raise AlarmError(f"{folder.alarms} cannot be read ({error.strerror}); take it away") from None
     found = []
-    for number, line in enumerate(content.split(b"\n")[:-1], 1):
-        if not line.strip():
-            continue
+    for number, line in lines:
         place = f"{folder.alarms}, line {number}"
         try:
             read = _Line.model_validate(json.loads(line))

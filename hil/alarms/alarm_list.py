@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -76,6 +77,11 @@ class AlarmRecord:
     reason: str = ""
     value: float = math.nan
     text: str = ""
+
+    @property
+    def time(self) -> str:
+        """Return the time as ISO 8601 in UTC."""
+        return utc(self.wall_s)
 
 
 @dataclass(slots=True)
@@ -199,3 +205,10 @@ def refusal(status: AlarmStatus, name: ActName) -> str | None:
     if status.state in SHELVED:
         return f"{said}; end the shelving first"
     return f"{said}, so there is nothing to acknowledge"
+
+
+def utc(wall_s: float) -> str:
+    """Return a time as ISO 8601 in UTC, empty for NaN."""
+    if not math.isfinite(wall_s):
+        return ""
+    return datetime.datetime.fromtimestamp(wall_s, datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z")

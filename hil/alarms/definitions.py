@@ -5,6 +5,7 @@ Identifiers follow process control: `T_tank.H` and `T_tank.L` warn, `T_tank.HH` 
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterable
 from typing import Any, Literal
@@ -264,7 +265,8 @@ def _distinct(definitions: Iterable[AlarmDefinition]) -> list[AlarmDefinition]:
     taken: set[str] = set()
     found = []
     for item in definitions:
-        name = next(name for name in (item.id, *(f"{item.id}-{n}" for n in range(2, 10**6))) if name not in taken)
+        numbered = (f"{item.id}-{number}" for number in itertools.count(2))
+        name = next(name for name in itertools.chain([item.id], numbered) if name not in taken)
         taken.add(name)
         found.append(item if name == item.id else item.model_copy(update={"id": name}))
     return found

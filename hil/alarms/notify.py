@@ -11,6 +11,7 @@ import json
 import logging
 import os
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -213,7 +214,10 @@ def _opened(address: str) -> Any:
         log.addHandler(logging.NullHandler())
     asset = apprise.AppriseAsset(app_id="hil", app_desc="hil", secure_logging=True, plugin_paths=[], async_mode=False)
     opened = apprise.Apprise(asset=asset)
-    if not opened.add(address):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # its plug-ins import modules that Python will remove
+        added = opened.add(address)
+    if not added:
         raise AlarmError(
             f"{shown(address)} is no address that Apprise knows; use json://HOST/PATH, mailto://USER:PASSWORD@HOST or "
             "mqtt://HOST/TOPIC"

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hil.alarms.alarm_list import AlarmList, AlarmRecord
-from hil.alarms.show import value_of, what_of
+from hil.alarms.alarm_list import AlarmList, AlarmRecord, utc
+from hil.alarms.show import condition_of, value_of
 from hil.alarms.states import ACTIVE, SHELVED, AlarmEvent, AlarmState
-from hil.alarms.watch import utc
 
 HOUR_S = 3600.0
 MOST_LINES = 50
@@ -34,7 +33,7 @@ def line_of(record: AlarmRecord, kept: AlarmList) -> str:
     came = record.target is AlarmState.UNACKNOWLEDGED
     value = value_of(item, record.value)
     said = f"{utc(record.wall_s)} {'ALARM' if came else 'over '} {item.priority} {item.id}"
-    return f"{said}{f' = {value}' if value else ''}: {what_of(item, record.text)}"
+    return f"{said}{f' = {value}' if value else ''}: {condition_of(item, record.text)}"
 
 
 class Outbox:

@@ -6,10 +6,9 @@ import math
 from typing import Any
 
 from drivers.signals import Quality
-from hil.alarms.alarm_list import AlarmList, AlarmRecord, AlarmStatus
+from hil.alarms.alarm_list import AlarmList, AlarmStatus, utc
 from hil.alarms.definitions import AlarmDefinition
 from hil.alarms.states import ACTIVE, SHELVED, WAITING, AlarmState
-from hil.alarms.watch import utc
 
 _WORDS = {
     "high": "above",
@@ -23,7 +22,7 @@ _WORDS = {
 }
 
 
-def what_of(item: AlarmDefinition, text: str = "") -> str:
+def condition_of(item: AlarmDefinition, text: str = "") -> str:
     """Return the condition of an alarm in words: a sentence of the run where there is one."""
     said = text or item.doc
     if item.kind == "link":
@@ -76,18 +75,13 @@ def alarm_lines(statuses: list[AlarmStatus]) -> list[str]:
     lines = []
     for item, head in zip(statuses, heads, strict=True):
         lines.append("  ".join(cell.ljust(width) for cell, width in zip(head, widths, strict=True)).rstrip())
-        said = [what_of(item.definition, item.text)]
+        said = [condition_of(item.definition, item.text)]
         if item.state in SHELVED:
             said.append(f"shelved until {utc(item.until_s)}{', and its condition is there' * (item.state in ACTIVE)}")
         if item.by and item.state not in WAITING:
             said.append(f"{item.by}: {item.reason}" if item.reason else f"by {item.by}")
         lines.append(" " * (widths[0] + 2) + "; ".join(said))
     return lines
-
-
-def record_rows(kept: AlarmList) -> list[AlarmRecord]:
-    """Return the transitions of a list, newest first."""
-    return sorted(kept.records, key=lambda record: -(record.wall_s if math.isfinite(record.wall_s) else 0.0))
 
 
 def alarm_document(kept: AlarmList, *, everything: bool = False) -> dict[str, Any]:
@@ -97,7 +91,7 @@ def alarm_document(kept: AlarmList, *, everything: bool = False) -> dict[str, An
         "alarms": [_status(item) for item in statuses],
         "history": [
             {
-                "time": utc(record.wall_s),
+                "time": record.time,
                 "id": record.id,
                 "event": record.event.value,
                 "from": record.source.value,
@@ -124,7 +118,7 @@ def _status(item: AlarmStatus) -> dict[str, Any]:
         "shown": value_of(definition, item.value),
         "limit": definition.limit,
         "unit": definition.unit,
-        "what": what_of(definition, item.text),
+        "what": condition_of(definition, item.text),
         "count": item.count,
         "by": item.by,
         "reason": item.reason,

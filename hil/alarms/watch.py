@@ -5,7 +5,6 @@ Nothing here is part of a tick: the conditions are judged on the rows that the j
 
 from __future__ import annotations
 
-import datetime
 import math
 import time
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 
 from drivers.signals import Quality
 from hil.alarms.act_file import append_act, read_acts
-from hil.alarms.alarm_list import Act, ActName, AlarmList, Change, fold, refusal
+from hil.alarms.alarm_list import Act, ActName, AlarmList, Change, fold, refusal, utc
 from hil.alarms.definitions import GUARDIAN, META_KEY, RUN_INTERRUPTED, RUN_TRIP, TWIN, AlarmDefinition, from_document
 from hil.alarms.detection import Delay, Detected, Detector, Ticks, detector_of
 from hil.alarms.errors import AlarmError
@@ -151,8 +150,14 @@ class AlarmWatch:
         return fold(self.definitions, changes, read_acts(self.folder), time.time() if now_s is None else now_s)
 
     def has_ended(self) -> bool:
-        """Return True if the run has ended or was interrupted. Call it before `poll`, which then reads the rest."""
-        return self._reader.meta("exit_status") is not None or self._cut is not None
+        """Return True if the run has ended or was interrupted. Call it before `poll`, which then reads the rest.
+
+        A run has ended when its manifest says so: what the guardian did is written there.
+        """
+        if self._cut is None and self._reader.meta("exit_status") is None:
+            return False
+        self._cut_checked = -math.inf
+        return self.folder.was_cut or self.folder.read_manifest().get("exit_status") != "running"
 
     def act(self, name: ActName, alarm: str, by: str, reason: str = "", for_s: float = math.nan) -> str:
         """Do an act on an alarm, and return what it did as a sentence.
@@ -230,7 +235,8 @@ class AlarmWatch:
                 for k, active in delay.block(samples.time_s, found):
                     self._add(int(samples.tick[k]), float(samples.time_s[k]), item.id, active, float(found.value[k]))
             self._tick = int(samples.tick[-1])
-            self._cut_checked = time.monotonic()  # it grows, so it was not interrupted
+            if math.isfinite(self._cut_checked):
+                self._cut_checked = time.monotonic()  # it grows, so it was not interrupted
 
     def _read_states(self) -> None:
         for row in self._reader.states(self._state):
@@ -306,10 +312,3 @@ def _require_end_and_reason(for_s: float, reason: str) -> None:
         raise AlarmError(f"an alarm is shelved for at most {LONGEST_SHELVING_S / 86400:g} days; shelve it again then")
     if not reason.strip():
         raise AlarmError("a shelving needs a reason, which the next shift reads; add --reason")
-
-
-def utc(wall_s: float) -> str:
-    """Return a time as ISO 8601 in UTC, empty for NaN."""
-    if not math.isfinite(wall_s):
-        return ""
-    return datetime.datetime.fromtimestamp(wall_s, datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
