@@ -35,6 +35,7 @@ VERBS = {
     "review": "Show a run in Rerun: measured against twin",
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",
+    "serve": "Serve a panel of runs to browsers",
     "stream": "Send a live or finished run to MQTT or PostgreSQL",
     "test": "Judge a run by a test plan: verdicts, JUnit XML",
     "tower": "Cooling towers: historian, aligned record, calibration",
@@ -44,9 +45,9 @@ VERBS = {
 }
 PACKAGES = {
     "hil.bench.commands": ("bench",),
+    "hil.cli.operator_commands": ("alarms", "serve"),
     "hil.cli.rig_commands": ("check", "init", "profile", "rig"),
     "hil.cli.run_commands": (
-        "alarms",
         "compare",
         "ctl",
         "export",

@@ -1,0 +1,1 @@
+"""Commands of operators beside a run: alarms and the browser panel."""
