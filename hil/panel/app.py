@@ -132,7 +132,8 @@ class Panel:
         seen = given.get("seen")
         if verb in ("hold", "resume") and seen != feed.state:
             raise PanelError(f"the run is {feed.state} now, and was {str(seen)[:20]!r} on the page; look again")
-        reason = f"{_text(given, 'reason', 150)} (panel, {_name(given)})".strip()
+        why, by = _text(given, "reason", 130), _name(given)
+        reason = f"{why} (panel, {by})" if why else f"by {by} (panel)"
         socket = feed.folder / "control.sock"
         answer = await asyncio.to_thread(ask, socket, verb, reason)
         await feed.refresh()

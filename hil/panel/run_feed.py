@@ -64,6 +64,7 @@ class RunFeed:
         self._predicted: dict[str, list[float]] = {}
         self._fresh: list[dict[str, Any]] = []
         self._state: StateRow | None = None
+        self._tripped = False
         self._events: list[dict[str, Any]] = []
         self._slow: dict[str, Any] = {}
         self._slow_at = -math.inf
@@ -153,6 +154,8 @@ class RunFeed:
         self._fresh = self._fresh[-MOST_FRESH:]
         for row in self._reader.states(self._state_id):
             self._state_id, self._state = row.id, row
+            if row.event == "trip" or row.target in (State.RUNNING, State.RESTORING):
+                self._tripped = row.event == "trip"
         for event in self._reader.events(self._event_id):
             self._event_id = event.id
             self._events.append({"time_s": event.time_s, "level": event.level, "text": event.text})
@@ -176,6 +179,7 @@ class RunFeed:
             "live": live,
             "state": self.state or "beginning",
             "reason": "" if state is None else state.reason,
+            "tripped": self._tripped,
             "profile": header.profile,
             "time_s": time_s,
             "profile_s": number(profile_s),

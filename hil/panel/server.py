@@ -16,6 +16,10 @@ from hil.panel.errors import PanelError
 MOST_CONNECTIONS = 256
 """Connections at a time: viewers, with some to spare for their other requests."""
 
+SEND_BUFFER = 65_536
+"""Bytes that the kernel keeps for a viewer: some ten states. It grows to megabytes by itself, and would hide for many
+minutes that a viewer stalls."""
+
 
 @dataclass(frozen=True, slots=True)
 class ServeOptions:
@@ -138,6 +142,7 @@ def _listener(options: ServeOptions) -> socket.socket:
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         listener.bind((options.host, options.port))
         listener.listen(128)
     except OSError as error:

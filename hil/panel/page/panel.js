@@ -66,13 +66,13 @@ function showHead(now) {
   byId("bar").style.width = `${(100 * share).toFixed(2)}%`;
   byId("clock").textContent = `${clock(now.profile_s)} of ${clock(now.duration_s)} of ${now.profile} · ${clock(now.time_s)} since the start`;
   const buttons = Object.entries(VERBS)
-    .filter(([verb]) => verb !== "ack" || (now.live && now.state === "paused"))
+    .filter(([verb]) => verb !== "ack" || (now.live && now.tripped))
     .map(([verb, [label, , states]]) =>
       el("button", {
         type: "button", class: verb === "abort" ? "stop" : "", disabled: !now.live || (states !== null && !states.includes(now.state)),
         onclick: () => askVerb(verb), "data-verb": verb,
       }, label));
-  const key = JSON.stringify([now.live, now.state]);
+  const key = JSON.stringify([now.live, now.state, now.tripped]);
   if (byId("verbs").dataset.key !== key) { byId("verbs").dataset.key = key; put("verbs", ...buttons); }
 }
 
