@@ -12,11 +12,11 @@ HOUR_S = 3600.0
 MOST_LINES = 50
 """Lines of a message; the rest is counted."""
 Key = tuple[str, str, int, float]
-"""What makes a transition one of its own: alarm, event, tick, and the time of one that has no tick."""
+"""Identity of a transition: alarm, event, tick, and the time of one that has no tick."""
 
 
 def key_of(record: AlarmRecord) -> Key:
-    """Return what tells a transition from every other one of its run."""
+    """Return the identity of a transition among all of its run."""
     return record.id, record.event.value, record.tick, record.wall_s if record.tick < 0 else 0.0
 
 

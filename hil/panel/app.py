@@ -164,6 +164,7 @@ class Panel:
         feed = await self._feed(request)
         text, by = _text(given, "text", 2000), _name(given)
         await asyncio.to_thread(add_note, RunFolder(feed.folder), text, by)
+        await feed.refresh()
         return JSONResponse({"ok": True, "text": "noted"})
 
     async def stream(self, name: str, send: Send) -> None:

@@ -72,6 +72,7 @@ class Feed:
 
     async def refresh(self) -> None:
         """Read the run now: what an operator did shows at once."""
+        await self.call(lambda run: run.look_again())
         await self._poll()
 
     async def close(self) -> None:

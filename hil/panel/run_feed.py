@@ -111,6 +111,10 @@ class RunFeed:
             raise PanelError(self._no_alarms)
         return self._alarms.act(name, alarm, by, reason, for_s)
 
+    def look_again(self) -> None:
+        """Read what changes rarely at the next poll, too: an operator has acted."""
+        self._slow_at = -math.inf
+
     def close(self) -> None:
         """Close the journal."""
         self._reader.close()

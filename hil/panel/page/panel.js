@@ -59,6 +59,7 @@ function showHead(now) {
   const badge = byId("state");
   badge.textContent = ended && now.status !== "running" ? now.status || now.state : name;
   badge.className = `badge ${name}`;
+  if (now.live && now.tripped) { badge.textContent += ", tripped"; badge.className = "badge faulted"; }
   const safe = ended && now.safe === false ? " Not confirmed safe." : "";
   byId("reason").textContent = now.reason + safe;
   document.title = `${badge.textContent} · ${now.run}`;
@@ -357,7 +358,7 @@ async function follow(name) {
 async function listRuns(pick) {
   try {
     const { runs } = await getJson("/api/runs");
-    const options = runs.map((item) => el("option", { value: item.name, selected: item.name === run }, `${item.name} (${item.status})`));
+    const options = runs.map((item) => el("option", { value: item.name, selected: item.name === run }, `${item.name} (${item.status === "running" ? "live" : item.status})`));
     put("runs", ...options);
     if (!pick) return;
     const wanted = decodeURIComponent(location.hash.slice(1));

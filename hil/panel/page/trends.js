@@ -131,7 +131,7 @@ function drawCourse(canvas, course, curves, fromS, atS) {
     let drawn = false, before = null;
     for (let k = first; k < course.time.length; k++) {
       if (cells.mean[k] === null) { drawn = curve.sparse ? drawn : false; continue; }
-      if (drawn && before !== null && course.time[k] - before > 30 * course.binS && !curve.sparse) drawn = false;
+      if (drawn && before !== null && course.time[k] - before > Math.max(60, 30 * course.binS) && !curve.sparse) drawn = false;
       if (drawn) pen.lineTo(x(course.time[k]), y(cells.mean[k])); else pen.moveTo(x(course.time[k]), y(cells.mean[k]));
       drawn = true; before = course.time[k];
     }
