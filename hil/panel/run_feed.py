@@ -63,6 +63,7 @@ class RunFeed:
         self._last: JournalSamples | None = None
         self._predicted: dict[str, list[float]] = {}
         self._fresh: list[dict[str, Any]] = []
+        self._past: tuple[int, bytes] | None = None
         self._state: StateRow | None = None
         self._tripped = False
         self._events: list[dict[str, Any]] = []
@@ -96,14 +97,18 @@ class RunFeed:
         return json.dumps(self._document(), allow_nan=False, separators=(",", ":")).encode("utf-8")
 
     def history(self) -> bytes:
-        """Return the past as JSON: the course of all series, thinned."""
+        """Return the past as JSON: the course of all series, thinned; made once a tick, for all who ask."""
+        if self._past is not None and self._past[0] == self._tick:
+            return self._past[1]
         document = {
             "all": self.trends.document(),
             "recent": self._recent(),
             "sensors": list(self._sensors),
             "twins": list(self._reader.header.twin_names),
         }
-        return json.dumps(document, allow_nan=False, separators=(",", ":")).encode("utf-8")
+        past = json.dumps(document, allow_nan=False, separators=(",", ":")).encode("utf-8")
+        self._past = self._tick, past
+        return past
 
     def act(self, name: Any, alarm: str, by: str, reason: str, for_s: float) -> str:
         """Do an act on an alarm; raises AlarmError. See `hil.alarms.AlarmWatch.act`."""

@@ -73,6 +73,7 @@ def serve(folder: Path, options: ServeOptions, announce: Callable[[str], None]) 
             access_log=False,
             limit_concurrency=MOST_CONNECTIONS,
             server_header=False,
+            proxy_headers=False,
             ws="none",
             lifespan="on",
             timeout_graceful_shutdown=1,

@@ -42,7 +42,13 @@ SECTIONS: dict[type[BaseModel], tuple[str, ...]] = {
         for spec in get_args(get_args(interlock_specs.InterlockSpec)[0])
     },
 }
-SECTIONS_OF_RIG = {"heartbeat": "[heartbeat]", "bus": "[bus.NAME]", "point": "[[point]]", "interlock": "[[interlock]]", "alarm": "[[alarm]]"}
+SECTIONS_OF_RIG = {
+    "heartbeat": "[heartbeat]",
+    "bus": "[bus.NAME]",
+    "point": "[[point]]",
+    "interlock": "[[interlock]]",
+    "alarm": "[[alarm]]",
+}
 WORDS = {
     int: "whole number",
     float: "number",

@@ -1,1 +1,3 @@
-"""Commands of operators beside a run: alarms and the browser panel."""
+"""Commands of operators beside a run: `hil alarms`, `serve`."""
+
+__all__: list[str] = []

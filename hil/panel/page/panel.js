@@ -2,7 +2,7 @@
 /* The page of a run. Text of a run, a rig file or a person enters the document through `el` alone, as text. */
 
 const COLORS = ["#d9730d", "#1f5fa8", "#7b3fa0", "#0f8a7a", "#b0265f"];
-const STALE_MS = 4000;
+const STALE_MS = 4000, RETRY_MS = 5000;
 const SPANS = [["10 min", 600], ["1 h", 3600], ["All", Infinity]];
 const VERBS = {
   hold: ["Hold", "The outputs stay as they are, the profile's clock stops.", ["running", "restoring"]],
@@ -330,10 +330,14 @@ function show(now) {
 
 function banner(text) { byId("banner").textContent = text; byId("banner").hidden = !text; }
 
-async function follow(name) {
+/* A run that is just being made, or a panel that was started again, may be there in a moment. */
+function later(mine, name) { setTimeout(() => { if (mine === source) follow(name, true); }, RETRY_MS); }
+
+async function follow(name, again) {
   if (source) source.close();
   run = name; shown = null; gone = false; courses = null; past = null; plots = []; heardAt = Date.now();
-  put("trends"); banner("");
+  put("trends");
+  if (!again) banner("");
   history.replaceState(null, "", `#${encodeURIComponent(name)}`);
   source = new EventSource(api("stream"));
   const mine = source;
@@ -351,8 +355,13 @@ async function follow(name) {
   };
   source.addEventListener("gone", (event) => {
     if (mine !== source) return;
-    gone = true; mine.close(); banner(JSON.parse(event.data).text); showLink(); listRuns(false);
+    gone = true; mine.close(); banner(JSON.parse(event.data).text); showLink(); listRuns(false); later(mine, name);
   });
+  source.onerror = async () => {
+    if (mine !== source || mine.readyState !== EventSource.CLOSED || gone) return;
+    try { await getJson(api("history")); } catch (error) { banner(error.message); }
+    later(mine, name);
+  };
 }
 
 async function listRuns(pick) {
