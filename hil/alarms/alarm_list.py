@@ -166,7 +166,9 @@ class _Book:
             self._shelved.add(item.id)
 
     def end_shelvings(self, now_s: float) -> None:
-        """End the shelvings that are over at `now_s`, in the order of their ends."""
+        """End the shelvings that are over at `now_s`, in the order of their ends; none at a time that is not known."""
+        if not math.isfinite(now_s):
+            return
         over = [status for name in self._shelved if not (status := self.kept.statuses[name]).until_s > now_s]
         for status in sorted(over, key=lambda item: item.until_s):
             self._take(status, AlarmEvent.UNSHELVE, status.until_s, status.time_s, -1, reason="the shelving has ended")

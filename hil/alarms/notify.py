@@ -116,6 +116,7 @@ class _Following:
         self._watch, self._senders, self._sent, self._announce = watch, senders, sent, announce
         self._seen: set[Key] | None = sent.keys
         self._messages = 0
+        self._kept: AlarmList | None = None
         self._queued: list[Key] = []
 
     def until_the_end(self) -> int:
@@ -141,6 +142,9 @@ class _Following:
 
     def _queue(self, kept: AlarmList) -> None:
         """Put the transitions that are new into the outboxes."""
+        if kept is self._kept:
+            return
+        self._kept = kept
         announced = [record for record in kept.records if is_announced(record)]
         if self._seen is None:
             standing = {item.definition.id: item for item in kept.standing() if item.state in WAITING}

@@ -19,6 +19,7 @@ from hil.alarms.alarm_list import Act, ActName, AlarmList, Change, fold, refusal
 from hil.alarms.definitions import GUARDIAN, META_KEY, RUN_INTERRUPTED, RUN_TRIP, TWIN, AlarmDefinition, from_document
 from hil.alarms.detection import Delay, Detected, Detector, Ticks, detector_of
 from hil.alarms.errors import AlarmError
+from hil.alarms.states import SHELVED
 from hil.journal import JournalReader, JournalSamples, StateRow
 from hil.run_folder import RunFolder
 
@@ -124,6 +125,8 @@ class AlarmWatch:
         self._cut_checked = -math.inf
         self._cut: Change | None = None
         self._manifest: dict[str, Any] = {}
+        self._kept: AlarmList | None = None
+        self._key = (0, 0, 0)
 
     @property
     def tick(self) -> int:
@@ -132,6 +135,8 @@ class AlarmWatch:
 
     def poll(self, now_s: float | None = None) -> AlarmList:
         """Read what the journal has got since, and return the alarm list at `now_s`, s since 1970, or now.
+
+        It is the same object as before where nothing has changed.
 
         Raises
         ------
@@ -146,8 +151,12 @@ class AlarmWatch:
         for residual in self._residuals:
             for tick, time_s, active, value in residual.changes(self._reader):
                 self._add(tick, time_s, residual.item.id, active, value)
-        changes = [*self._changes, *self._end_of_run()]
-        return fold(self.definitions, changes, read_acts(self.folder), time.time() if now_s is None else now_s)
+        changes, acts = [*self._changes, *self._end_of_run()], read_acts(self.folder)
+        key = len(self._changes), len(changes), len(acts)
+        if self._kept is None or key != self._key or any(a.state in SHELVED for a in self._kept.statuses.values()):
+            self._kept = fold(self.definitions, changes, acts, time.time() if now_s is None else now_s)
+            self._key = key
+        return self._kept
 
     def has_ended(self) -> bool:
         """Return True if the run has ended or was interrupted. Call it before `poll`, which then reads the rest.

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +28,8 @@ MOST_FEEDS = 20
 """Runs that are followed at a time."""
 MOST_RUNS = 500
 """Runs that a list shows, the newest first."""
+LISTED_FOR_S = 2.0
+"""So long a list of runs serves all viewers, s."""
 
 T = TypeVar("T")
 
@@ -122,15 +126,19 @@ class Feeds:
         self._folder = folder
         self._is_run = (folder / "run.json").is_file()
         self._feeds: dict[str, Feed] = {}
+        self._lock = threading.Lock()
+        self._listed: list[dict[str, Any]] = []
+        self._listed_at = -math.inf
+        self._manifests: dict[str, tuple[int, str, str]] = {}
 
     def folder_of(self, name: str) -> Path:
         """Return the folder of the run called `name`; raises PanelError where there is none."""
-        known = self._folder if self._is_run and name == self._folder.resolve().name else None
-        if known is None and not self._is_run and name in self._names():
-            known = self._folder / name
-        if known is None:
+        if self._is_run and name == self._folder.resolve().name:
+            return self._folder
+        path = self._folder / name
+        if self._is_run or Path(name).name != name or not (path / "run.json").is_file():
             raise PanelError(f"there is no run {name[:80]!r}; it was deleted or moved")
-        return known
+        return path
 
     async def of(self, name: str) -> Feed:
         """Return the feed of a run, which begins where nobody has looked at it; raises PanelError."""
@@ -146,18 +154,29 @@ class Feeds:
 
     def listing(self) -> list[dict[str, Any]]:
         """Return the runs, newest first: name, state as the manifest has it, start."""
+        with self._lock:
+            now = time.monotonic()
+            if now - self._listed_at >= LISTED_FOR_S:
+                self._listed, self._listed_at = self._list_now(), now
+            return self._listed
+
+    def _list_now(self) -> list[dict[str, Any]]:
         names = [self._folder.resolve().name] if self._is_run else self._names()
         found = []
         for name in sorted(names, reverse=True)[:MOST_RUNS]:
             run = RunFolder(self._folder if self._is_run else self._folder / name)
-            try:
-                manifest = run.read_manifest()
-            except RunFolderError:
-                continue
-            status = str(manifest.get("exit_status", ""))
-            if status == "running" and not run.control.exists():
-                status = "interrupted"
-            found.append({"name": name, "status": status, "started": str(manifest.get("started", ""))})
+            with contextlib.suppress(RunFolderError, OSError):
+                written = run.manifest.stat().st_mtime_ns
+                known = self._manifests.get(name)
+                if known is None or known[0] != written:
+                    manifest = run.read_manifest()
+                    known = written, str(manifest.get("exit_status", "")), str(manifest.get("started", ""))
+                    self._manifests[name] = known
+                _, status, started = known
+                if status == "running" and not run.control.exists():
+                    status = "interrupted"
+                found.append({"name": name, "status": status, "started": started})
+        self._manifests = {item["name"]: self._manifests[item["name"]] for item in found}
         return found
 
     async def close(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import ipaddress
+import logging
 import os
 import socket
 import ssl
@@ -69,7 +70,7 @@ def serve(folder: Path, options: ServeOptions, announce: Callable[[str], None]) 
         access = Access(names, port, secure=options.certificate is not None)
         config = uvicorn.Config(
             Panel(folder, access).application(),
-            log_level="critical",  # addresses of requests hold the token
+            log_level="error",  # defects; a line for each request would repeat the token
             access_log=False,
             limit_concurrency=MOST_CONNECTIONS,
             server_header=False,
@@ -80,11 +81,17 @@ def serve(folder: Path, options: ServeOptions, announce: Callable[[str], None]) 
             ssl_certfile=None if options.certificate is None else os.fspath(options.certificate),
             ssl_keyfile=None if options.key is None else os.fspath(options.key),
         )
+        logging.getLogger("uvicorn.error").addFilter(_is_a_defect)
         scheme = "http" if options.certificate is None else "https"
         announce(f"{scheme}://{access.names[0]}:{port}/?token={access.token}")
         uvicorn.Server(config).run(sockets=[listener])
     finally:
         listener.close()
+
+
+def _is_a_defect(record: logging.LogRecord) -> bool:
+    """Return False for the line of uvicorn on a viewer that was dropped because it stalled."""
+    return "without completing response" not in record.getMessage()
 
 
 def _require_folder(folder: Path) -> None:

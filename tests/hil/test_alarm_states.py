@@ -114,3 +114,9 @@ def test_what_waits_for_an_operator_comes_first_and_then_by_priority():
     changes = [Change(k, float(k), 1e9 + k, name, True) for k, name in enumerate(ids)]
     kept = fold(definitions, changes, [Act("acknowledge", "b", 5, 1e9 + 5, "op")], 1e9 + 10)
     assert [item.definition.id for item in kept.standing()] == ["c", "a", "b"]
+
+
+def test_a_change_of_unknown_time_ends_no_shelving():
+    acts = [Act("shelve", "T.H", 1, 1e9, "op", "cleaning", 1e9 + 60)]
+    changes = [Change(2, 2.0, math.nan, "T.H", True, 51.0)]
+    assert fold([A], changes, acts, 1e9 + 30).statuses["T.H"].state is AlarmState.SHELVED_ACTIVE

@@ -300,7 +300,10 @@ def test_a_run_whose_folder_goes_is_said_to_viewers_and_the_panel_goes_on(served
         shutil.rmtree(run.path)
         name, said = next((name, state) for name, state in events if name == "gone")
     assert name == "gone" and "is gone; it was deleted or moved" in said["text"]
-    assert served.client.get("/api/runs").json() == {"runs": []}
+    deadline = time.monotonic() + 10
+    while served.client.get("/api/runs").json() != {"runs": []}:
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
     answer = served.post(f"/api/runs/{run.path.name}/note", {"text": "x"})
     assert answer.status_code == 400 and "there is no run" in answer.json()["text"]
 
