@@ -8,7 +8,7 @@ from hil.report.statistics import NONE, TimeUnit
 from hil.run_folder import RunFolder
 
 MOST_ROWS = 200
-"""Transitions that the section shows; a run with more has a chattering alarm."""
+"""Acts that the section shows, the latest ones."""
 
 
 def alarm_section(folder: RunFolder, unit: TimeUnit) -> Html:
@@ -45,5 +45,6 @@ def alarm_section(folder: RunFolder, unit: TimeUnit) -> Html:
             [record.time, record.id, record.event.value, record.by, element("span", record.reason)]
             for record in acts[-MOST_ROWS:]
         ]
+        body.append(element("p", "Acts of operators, the latest ones:", class_="note"))
         body.append(table(["time", "alarm", "act", "by", "reason"], done, class_="prose"))
     return joined(body)

@@ -2,6 +2,7 @@
 /* Courses over time: kept in a limited number of points, drawn on a canvas. No text of a run becomes markup here. */
 
 const MOST_POINTS = 1200;
+const GAP_S = 60; /* rows of a run are at most this far apart where a line joins them */
 
 /* Series of one plot over a common time axis. A point has mean, low and high of each series; points of one bin merge. */
 class Course {
@@ -123,7 +124,8 @@ function drawCourse(canvas, course, curves, fromS, atS) {
       for (let k = first; k < course.time.length; k++) {
         if (cells.low[k] === null || k + 1 >= course.time.length) continue;
         const size = Math.max(1, y(cells.low[k]) - y(cells.high[k]));
-        if (size > 1.5) pen.fillRect(x(course.time[k]), y(cells.high[k]), Math.max(1, x(course.time[k + 1]) - x(course.time[k])), size);
+        const until = Math.min(course.time[k + 1], course.time[k] + 2 * course.binS);
+        if (size > 1.5) pen.fillRect(x(course.time[k]), y(cells.high[k]), Math.max(1, x(until) - x(course.time[k])), size);
       }
     }
     pen.strokeStyle = curve.color; pen.lineWidth = curve.width || 1.6; pen.setLineDash(curve.dash || []);
@@ -131,7 +133,7 @@ function drawCourse(canvas, course, curves, fromS, atS) {
     let drawn = false, before = null;
     for (let k = first; k < course.time.length; k++) {
       if (cells.mean[k] === null) { drawn = curve.sparse ? drawn : false; continue; }
-      if (drawn && before !== null && course.time[k] - before > Math.max(60, 30 * course.binS) && !curve.sparse) drawn = false;
+      if (drawn && before !== null && course.time[k] - before > Math.max(GAP_S, 4 * course.binS)) drawn = false;
       if (drawn) pen.lineTo(x(course.time[k]), y(cells.mean[k])); else pen.moveTo(x(course.time[k]), y(cells.mean[k]));
       drawn = true; before = course.time[k];
     }
