@@ -240,7 +240,7 @@ def latency(networks: Sequence[Path]) -> ReportTable:
     from twin.calibrators.hiera_unet.network import HieraUNet
     from twin.calibrators.hiera_unet.tower import Fleet, load_member
     from twin.calibrators.hiera_unet.tower.member import own_rows
-    from twin.calibrators.hiera_unet.tower.predict import answer
+    from twin.calibrators.hiera_unet.tower.predict import answer, begun
     from twin.calibrators.hiera_unet.tower.table import SUBJECT
 
     ready("cpu", 1)
@@ -255,7 +255,7 @@ def latency(networks: Sequence[Path]) -> ReportTable:
         making, forward = [], []
         for k in range(FORWARDS):
             began = time.process_time()
-            batch = fleet.batch(windows[k : k + 1])
+            batch = begun(network, fleet.batch(windows[k : k + 1]))
             made = time.process_time()
             answer(network, batch, causal=True, half=False)
             making.append(1e3 * (made - began))

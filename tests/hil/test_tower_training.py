@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hil.bench.tower_network import read_results, tables_of
 from hil.training.tower.ensemble import assemble
 from hil.training.tower.evaluate import ensemble_of
 from hil.training.tower.generate import MANIFEST, TEST, TRAIN, VALIDATION, DataPlan, digest_of, generate, tables
-from hil.training.tower.stations import HIDDEN_SHARE, drawn_site
+from hil.training.tower.stations import HEALTHY_DAYS, HIDDEN_SHARE, StationPlan, drawn_site
 from hil.training.tower.unpack import unpack
 from tests.hil.command_line import typed
 from tests.hil.tower.made_ensemble import write_ensemble
@@ -42,6 +45,51 @@ def test_sites_of_the_family_differ_and_some_lack_an_effect() -> None:
     hidden = sum(bool(hide) for _, hide in drawn) / len(drawn)
     assert abs(hidden - HIDDEN_SHARE) < 0.25
     assert drawn_site(3) == drawn_site(3)
+
+
+def test_training_stations_in_parts_hold_their_healthy_record_and_two_months_apart() -> None:
+    plan = DataPlan(train=30, validation=2, test=2, parts=True)
+    for split, one in plan.stations():
+        assert one.parts == (split == TRAIN)
+        segments = one.segments()
+        if not one.parts:
+            assert segments == ()
+            continue
+        assert segments[0][0] == 0 and segments[0][1] > HEALTHY_DAYS
+        assert all(a[1] <= b[0] for a, b in itertools.pairwise(segments))
+        assert [b - a for a, b in segments[1:]] == [28, 28] and segments[-1][1] <= round(14 * 30.4375)
+    assert len({one.segments() for split, one in plan.stations() if split == TRAIN}) == 30
+    assert StationPlan("F", 1, 1.5, 2, True).segments() == ()
+
+
+def test_trees_of_a_station_did_not_learn_from_it(tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
+    pytest.importorskip("sklearn", reason="scikit-learn is not installed: there are no trees to fit")
+    from hil.training.tower.starting import begin, fit_start, load_start
+    from twin.calibrators.hiera_unet.tower import load_fleet
+    from twin.calibrators.hiera_unet.tower.score import boosted, started, targets_of
+
+    manifest(tmp_path, splits=(TRAIN, TRAIN))
+    assert load_start(tmp_path) is None
+    for station in range(2):
+        for cell in (1, 2):
+            one = made_table(f"F{station:04d}_{cell}", seed=2 * station + cell, minutes=8 * 1440)
+            moved = np.float32(0.5 * station)
+            replace(one, true_water=one.true_water + moved).save(tmp_path / f"{one.name}.npz")
+    assert fit_start(tmp_path) is not None
+    fleet = load_fleet(tables(tmp_path, TRAIN), "cpu")
+    begin(tmp_path, fleet)
+    t = targets_of(fleet, fleet.rows)
+    own, both = started(fleet, t), boosted(load_start(tmp_path), fleet, fleet.rows)
+    first = t.cell < 2
+    error = t.true_water - own.water
+    # The first station's trees learned from the second alone, whose water is warmer by half a kelvin.
+    assert np.nanmean(error[first]) < -0.4 and np.nanmean(error[~first]) > 0.4
+    assert np.nanmean(np.abs(t.true_water - both.water)) < 0.3
+    manifest(tmp_path, splits=(TRAIN,))
+    document = json.loads((tmp_path / MANIFEST).read_text())
+    (tmp_path / MANIFEST).write_text(json.dumps({**document, "digest": "other"}))
+    assert load_start(tmp_path) is None
 
 
 def test_tables_are_those_of_the_split_and_the_station(tmp_path: Path) -> None:

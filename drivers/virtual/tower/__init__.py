@@ -23,7 +23,7 @@ if TYPE_CHECKING:
         write_station,
     )
     from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, SITES, StationDesign
-    from drivers.virtual.tower.station import Simulated, SimulationPlan, simulate, state_by_minute
+    from drivers.virtual.tower.station import DAYS_A_MONTH, Simulated, SimulationPlan, simulate, state_by_minute
 
 _HOME = {
     "state_by_minute": "drivers.virtual.tower.station",
@@ -36,6 +36,7 @@ _HOME = {
     "commissioning_rows": "drivers.virtual.tower.export",
     "COMMISSIONING": "drivers.virtual.tower.export",
     "EFFECTS": "drivers.virtual.tower.effects",
+    "DAYS_A_MONTH": "drivers.virtual.tower.station",
     "SimulationPlan": "drivers.virtual.tower.station",
     "Replay": "drivers.virtual.tower.device",
     "SITES": "drivers.virtual.tower.sites",
@@ -51,6 +52,7 @@ _HOME = {
 __all__ = [
     "CHICAGO_SITE",
     "COMMISSIONING",
+    "DAYS_A_MONTH",
     "EFFECTS",
     "MIAMI_SITE",
     "SITES",

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.virtual.tower import degradation, operation, weather
 from drivers.virtual.tower.effects import hidden_effects
@@ -51,7 +52,14 @@ STREAMS = (
 @dataclass(frozen=True)
 class SimulationPlan:
     """Plan of a simulation: months, cells that are recorded, seed, beginning (UTC), effects to hide, defects, weather's
-    folder."""
+    folder.
+
+    Attributes
+    ----------
+    segments
+        Days [first, end) that are simulated, in order and apart, each from a plant at rest; all days without. The
+        archive has no sample of other days. Weather, operation and degradation are those of the whole time.
+    """
 
     months: float = 14.0
     cells: int = 6
@@ -60,6 +68,7 @@ class SimulationPlan:
     hide: tuple[str, ...] = ()
     defects: bool = False
     weather: Path | None = None
+    segments: tuple[tuple[int, int], ...] = ()
 
     @property
     def days(self) -> int:
@@ -119,26 +128,42 @@ def simulate(
     sectors = built.shares.shape[2]
     note(f"station {site.station}: {site.cells} cells of {sectors} sectors, {days} days, weather by {year.source}")
     columns = np.stack([air.dry, air.ratio, air.pressure, air.wind, air.direction, air.sun], axis=1)
-    cells, station = compiled.run(
-        built.cells,
-        built.shares,
-        built.numbers,
-        hidden,
-        built.rtd_s,
-        columns,
-        life.states,
-        done.load,
-        done.outage,
-        done.trips,
-        done.test_speed,
-        done.test_flow,
-        done.lead,
-    )
+    parts = []
+    for first, end in plan.segments or ((0, days),):
+        minutes = slice(first * MINUTES_A_DAY, end * MINUTES_A_DAY)
+        parts.append(
+            compiled.run(
+                built.cells,
+                built.shares,
+                built.numbers,
+                hidden,
+                built.rtd_s,
+                columns[minutes],
+                life.states[first : end + 2],
+                done.load[minutes],
+                done.outage[minutes],
+                done.trips[minutes],
+                done.test_speed[minutes],
+                done.test_flow[minutes],
+                done.lead[minutes],
+            )
+        )
+    cells, station = (_whole([part[i] for part in parts], plan, n) for i in range(2))
     truth = StationTruth(cells, station, air, air.wet_bulb(), air.humidity(), life)
     tags = instruments(site, recorded, streams["instruments"])
     seeding = Seeding.draw(tags, days, site.timezone, truth, streams["defects"]) if plan.defects else Seeding()
     samples = _historian(tags, truth, plan, seeding, streams)
     return Simulated(plan, built, recorded, truth, done, tags, samples, seeding, year.source, answer, streams)
+
+
+def _whole(parts: Sequence[NDArray[np.float32]], plan: SimulationPlan, n: int) -> NDArray[np.float32]:
+    """Return the results (n, ...) of the whole time, NaN in days that are not simulated."""
+    if not plan.segments:
+        return parts[0]
+    found = np.full((n, *parts[0].shape[1:]), np.nan, dtype=np.float32)
+    for (first, end), part in zip(plan.segments, parts, strict=True):
+        found[first * MINUTES_A_DAY : end * MINUTES_A_DAY] = part
+    return found
 
 
 def _historian(
@@ -153,6 +178,10 @@ def _historian(
     scans = {}
     for one in tags:
         time_s = scan_times(0.0, end_s, one.scan_s, streams["scans"])
+        if plan.segments:
+            # The last minute has no successor to be joined with.
+            inside = [(time_s >= 86400.0 * a) & (time_s < 86400.0 * b - 60.0) for a, b in plan.segments]
+            time_s = time_s[np.any(inside, axis=0)]
         scans[one.tag] = TagSamples(time_s, scanned(one, truth, time_s, streams["scans"]))
     seed_scans(scans, tags, seeding)
     kept = {}

@@ -1,9 +1,10 @@
 """Training within a time limit: simulate stations, train members side by side, adapt one to stations, score, pack.
 
-    python -m hil.training.tower.budgeted --out OUT --seconds 540 --device cuda --workers 15 --members 4 --full
+    python -m hil.training.tower.budgeted --out OUT --seconds 560 --device cuda --workers 15 --members 4 --full
 
-Each member is a process of its own, so that one that fails leaves the others as they are. OUT gets the small members'
-weights, `results.json` with cards, curves and scores, and `windows.npz` with errors by window.
+Each step is a process of its own, so that one that fails leaves the others as they are. Test stations are simulated
+while members train, which start at the answer of boosted trees. OUT gets the small members' weights, the card of their
+ensemble, `results.json` with cards, curves and scores, and `windows.npz` with errors by window.
 """
 
 from __future__ import annotations
@@ -23,44 +24,54 @@ import numpy as np
 
 from hil.training.tower.generate import TEST, TRAIN, VALIDATION, DataPlan, digest_of, generate, tables
 
-SIMULATED, TRAINED, ADAPTED = 0.31, 0.77, 0.855
-"""Shares of the time at which simulating, training and adapting end."""
-FINISH_S = 12.0
+SIMULATED, TRAINED, ADAPTED = 0.33, 0.80, 0.87
+"""Shares of the time at which simulating what members learn from, training, and adapting end."""
+TESTED = 0.72
+"""Share of the time after which no test station is begun."""
+TESTING = 0.3
+"""Share of the workers that simulate test stations from the beginning: the two sites take longest."""
+START_S = 120.0
+"""Seconds that a member waits for the trees it starts at, at most."""
+FINISH_S = 14.0
 """Seconds that a member needs for its gate and its files after the last step."""
-BATCH = {"small": 64, "full": 24}
+BATCH = {"small": 160, "full": 48}
+"""A device is busy with starting its programs, not with what they compute: large batches cost it little."""
 GATED = (96, 768)
 """Windows of the gate on a processor and on a device."""
-RATE = {"small": 1.2e-3, "full": 4e-4}
+RATE = {"small": 1.5e-3, "full": 5e-4}
+STARTED = "start.done"
+"""Empty file that appears when the trees are there, or will never be."""
+STEPS = ("all", "simulate", "test", "member", "adapt", "boost", "selftest")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one of the steps, or all of them; return the exit status."""
     options = _options(arguments)
-    if options.step == "member":
-        return _member(options)
-    if options.step == "adapt":
-        return _adapt(options)
-    if options.step == "boost":
-        return _boost(options)
-    if options.step == "selftest":
-        return _selftest(options)
-    return _all(options)
+    return {
+        "all": _all,
+        "simulate": _simulate,
+        "test": _simulate,
+        "member": _member,
+        "adapt": _adapt,
+        "boost": _boost,
+        "selftest": _selftest,
+    }[options.step](options)
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("step", nargs="?", default="all", choices=("all", "member", "adapt", "boost", "selftest"))
+    parser.add_argument("step", nargs="?", default="all", choices=STEPS)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--work", type=Path, default=Path("/tmp/tower_training"))
-    parser.add_argument("--seconds", type=float, default=540.0)
+    parser.add_argument("--seconds", type=float, default=560.0)
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--members", type=int, default=4)
     parser.add_argument("--full", action="store_true")
     parser.add_argument("--stations", type=int, default=200)
-    parser.add_argument("--validation", type=int, default=4)
-    parser.add_argument("--test", type=int, default=4)
-    parser.add_argument("--months", type=float, default=8.0)
+    parser.add_argument("--validation", type=int, default=6)
+    parser.add_argument("--test", type=int, default=12)
+    parser.add_argument("--months", type=float, default=7.0)
     parser.add_argument("--site-months", type=float, default=14.0)
     parser.add_argument("--batch", type=int, default=0)
     parser.add_argument("--most", type=int, default=0, help="test windows at most; 0 for all")
@@ -83,26 +94,28 @@ def _all(o: argparse.Namespace) -> int:
         print(f"[{time.time() - began:6.1f} s] {text}", flush=True)
 
     say(f"{os.cpu_count()} processors, {o.device}")
-    plan = DataPlan(o.stations, o.validation, o.test, o.months, o.site_months)
-    until = time.monotonic() + at(SIMULATED) - time.time()
     checked = _start(o, "selftest", at(SIMULATED))
-    broken = [False]
-
-    def failed() -> bool:
-        broken[0] = checked.poll() not in (None, 0)
-        return broken[0]
-
-    count = generate(plan, data, o.workers, until, say, failed)
-    if checked.wait() or broken[0]:
+    # Test stations are simulated while members train.
+    some = max(round(TESTING * o.workers), 1)
+    same = {"stations": o.stations, "validation": o.validation, "test": o.test, "months": o.months}
+    same |= {"site-months": o.site_months}
+    testing = {"test": _start(o, "test", at(TESTED), workers=some, **same)}
+    simulating = _start(o, "simulate", at(SIMULATED), workers=max(o.workers - some, 1), **same)
+    while simulating.poll() is None and checked.poll() in (None, 0):
+        time.sleep(0.2)
+    if checked.wait():
+        simulating.kill()
+        testing["test"].kill()
         say("the self-test of the device failed; nothing is trained")
         return 1
-    say(f"{count} stations, {len(tables(data, TRAIN))} cells to train on, data {digest_of(data)}")
+    simulating.wait()
+    say(f"{len(tables(data, TRAIN))} cells to train on, {len(tables(data, VALIDATION))} held out, {digest_of(data)}")
     jobs = [("small", seed) for seed in range(o.members)] + ([("full", 0)] if o.full else [])
+    boosting = {"boost": _start(o, "boost", at(TRAINED))}
     running = {
         f"{size}_{seed}": _start(o, "member", at(TRAINED) - FINISH_S, size=size, seed=seed) for size, seed in jobs
     }
-    # The rival learns on the processor meanwhile.
-    boosting = {"boost": _start(o, "boost", at(ADAPTED), most=o.most)}
+    _wait(boosting, at(TRAINED), say)
     _wait(running, at(TRAINED) + 30.0, say)
     weights = {n: o.work / f"tower_{n}.safetensors" for n in running if (o.work / f"tower_{n}.json").is_file()}
     say(f"trained: {', '.join(weights) or 'none'}")
@@ -110,23 +123,31 @@ def _all(o: argparse.Namespace) -> int:
         "options": {k: str(v) for k, v in vars(o).items()},
         "manifest": _json(data / "manifest.json"),
     }
+    if (o.work / "test" / "manifest.json").is_file():
+        results["test_manifest"] = _json(o.work / "test" / "manifest.json")
     results["cards"] = {n: _json(path.with_suffix(".json")) for n, path in weights.items()}
     arrays: dict[str, np.ndarray] = {}
     _pack(o, results, arrays, weights)
+    _wait(testing, at(TRAINED) + 5.0, say)
     if "small_0" in weights and o.site_months > 0.0:
-        named = [p.stem for p in tables(data, TEST) if p.stem[0] in "AB"]
+        named = [p.stem for p in _test_tables(o) if p.stem[0] in "AB"]
         adapting = {n: _start(o, "adapt", at(ADAPTED) - 4.0, station=n) for n in named}
-        _wait(adapting, at(ADAPTED) + 25.0, say)
+        _wait(adapting, at(ADAPTED) + 20.0, say)
         found = {n: _json(o.work / f"adapted_{n}.json") for n in named if (o.work / f"adapted_{n}.json").is_file()}
         results["adapted"] = found
         _pack(o, results, arrays, weights)
-    _wait(boosting, at(ADAPTED) + 30.0, say)
+    try:
+        from hil.training.tower.ensemble import assemble
+
+        card = assemble(data, o.work / "tower_small", device=o.device)
+        say(f"ensemble: {card}")
+    except Exception:  # its members are worth having without it
+        say(traceback.format_exc())
+    _pack(o, results, arrays, weights)
     try:
         from hil.training.tower.evaluate import evaluate
 
-        document, arrays = evaluate(
-            data, weights, o.device, most=o.most or None, boosted=o.work / "boosted.npz", note=say
-        )
+        document, arrays = evaluate(data, weights, o.device, most=o.most or None, test=o.work / "test", note=say)
         results["evaluation"] = document
     except Exception:  # the weights are worth having without their scores
         results["evaluation_failed"] = traceback.format_exc()
@@ -142,8 +163,10 @@ def _start(o: argparse.Namespace, step: str, until: float, **more: Any) -> subpr
     words += ["--device", o.device, "--until", f"{until:.1f}", "--batch", str(o.batch)]
     for name, value in more.items():
         words += [f"--{name}", str(value)]
-    threads = str(max((os.cpu_count() or 2) - 8, 1)) if step == "boost" else "2"
-    environment = {**os.environ, "OMP_NUM_THREADS": threads, "PYTHONUNBUFFERED": "1"}
+    # Many processes share the processors: libraries that each take all of them stand in each other's way.
+    threads = "2" if step in ("member", "adapt") else "1"
+    limits = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), threads)
+    environment = {**os.environ, **limits, "PYTHONUNBUFFERED": "1"}
     return subprocess.Popen(words, env=environment)
 
 
@@ -158,7 +181,32 @@ def _wait(running: dict[str, subprocess.Popen[bytes]], until: float, say: Any) -
             say(f"{name} was stopped: its time was over")
 
 
+def _simulate(o: argparse.Namespace) -> int:
+    """Simulate the stations that members learn from, or those of the test."""
+    if o.step == "test":
+        plan, folder = DataPlan(0, 0, o.test, o.months, o.site_months), o.work / "test"
+    else:
+        plan, folder = DataPlan(o.stations, o.validation, 0, o.months, 0.0, parts=True), o.work / "data"
+    until = time.monotonic() + o.until - time.time()
+    began = time.time()
+
+    def say(text: str) -> None:
+        print(f"{o.step} {time.time() - began:6.1f} s: {text}", flush=True)
+
+    count = generate(plan, folder, o.workers, until, say)
+    say(f"{count} stations")
+    return 0
+
+
+def _test_tables(o: argparse.Namespace) -> list[Path]:
+    try:
+        return tables(o.work / "test", TEST)
+    except ValueError:
+        return []
+
+
 def _member(o: argparse.Namespace) -> int:
+    from hil.training.tower.starting import begin, load_start
     from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.tower import MemberTraining, TowerPlan, load_fleet
     from twin.calibrators.hiera_unet.tower.member import LONGEST
@@ -168,13 +216,26 @@ def _member(o: argparse.Namespace) -> int:
     data, name = o.work / "data", f"{o.size}_{o.seed}"
     began = time.time()
     family, held_out = load_fleet(tables(data, TRAIN), o.device), load_fleet(tables(data, VALIDATION), o.device)
-    plan = TowerPlan(
-        steps=LONGEST, batch=o.batch or BATCH[o.size], rate=RATE[o.size], half=o.device != "cpu", seed=o.seed
-    )
-    training = MemberTraining(o.size, plan, family, held_out, None, digest_of(data))
+    while not (data / STARTED).exists() and time.time() < began + START_S:
+        time.sleep(0.1)
+    trees = load_start(data)
+    if trees is not None:
+        begin(data, family)
+        trees.to(family.device)
     print(f"{name}: {len(family)} windows loaded in {time.time() - began:.0f} s", flush=True)
-    until = time.monotonic() + o.until - time.time()
-    training.run(until, lambda: False, lambda k, n, text: print(f"{name}: {k}/{n} {text}", flush=True))
+    batch = o.batch or BATCH[o.size]
+    while True:
+        plan = TowerPlan(steps=LONGEST, batch=batch, rate=RATE[o.size], half=o.device != "cpu", seed=o.seed)
+        try:
+            training = MemberTraining(o.size, plan, family, held_out, None, digest_of(data), trees)
+            until = time.monotonic() + o.until - time.time()
+            training.run(until, lambda: False, lambda k, n, text: print(f"{name}: {k}/{n} {text}", flush=True))
+            break
+        except RuntimeError as error:
+            if "out of memory" not in str(error) or batch < 8:
+                raise
+            batch //= 2
+            print(f"{name}: the device's memory is full; {batch} windows a step", flush=True)
     path, more = o.work / f"tower_{name}.safetensors", {"command": "python -m hil.training.tower.budgeted"}
     # Refused until the gate has seen it; a member whose time is over is not lost.
     training.write(path, NOT_TESTED, more)
@@ -194,9 +255,9 @@ def _adapt(o: argparse.Namespace) -> int:
     ready(o.device, 2 if o.device != "cpu" else 1)
     data = o.work / "data"
     network = load_member(o.work / "tower_small_0.safetensors", blind_too=True).network
-    # A quarter of the family keeps what was learned there; it loads in a quarter of the time.
-    family = load_fleet(tables(data, TRAIN)[::4], o.device)
-    own = load_fleet([data / f"{o.station}.npz"], o.device)
+    # An eighth of the family keeps what was learned there; it loads in an eighth of the time.
+    family = load_fleet(tables(data, TRAIN)[::8], o.device)
+    own = load_fleet([o.work / "test" / f"{o.station}.npz"], o.device)
     network.to(own.device)
     plan = TowerPlan(steps=LONGEST, batch=o.batch or 32, rate=2e-4, warmup=0.1, half=o.device != "cpu")
     adapted, steps = adapt(network, family, own, plan, time.monotonic() + o.until - time.time())
@@ -227,16 +288,15 @@ def _selftest(o: argparse.Namespace) -> int:
 
 
 def _boost(o: argparse.Namespace) -> int:
-    from hil.training.tower.evaluate import boost, evenly, write_boosted
-    from twin.calibrators.hiera_unet.tower import load_fleet
+    from hil.training.tower.starting import fit_start
 
     began = time.time()
-    test = load_fleet(tables(o.work / "data", TEST), "cpu")
-    rows = evenly(test.rows, o.most or None)
-    figures = boost(o.work / "data", test, rows)
-    if figures is not None:
-        write_boosted(o.work / "boosted.npz", rows, figures)
-    print(f"boosted in {time.time() - began:.0f} s", flush=True)
+    data = o.work / "data"
+    try:
+        found = fit_start(data, os.cpu_count() or 1)
+        print(f"boosted in {time.time() - began:.0f} s: {found or 'scikit-learn is not installed'}", flush=True)
+    finally:
+        (data / STARTED).touch()
     return 0
 
 
@@ -248,6 +308,9 @@ def _pack(
         target = o.out / path.name
         if name.startswith("small") and not target.exists():
             target.write_bytes(path.read_bytes())
+    card = o.work / "tower_small.json"
+    if card.is_file():
+        (o.out / card.name).write_bytes(card.read_bytes())
     (o.out / "results.json").write_text(json.dumps(results, default=float) + "\n")
     if arrays:
         named: dict[str, Any] = dict(arrays)

@@ -13,8 +13,7 @@ import re
 import sys
 from pathlib import Path
 
-from hil.training.tower.evaluate import evenly
-from hil.training.tower.generate import VALIDATION, digest_of, tables
+from hil.training.tower.generate import VALIDATION, digest_of, evenly, tables
 
 HELD_OUT = 1000
 """Windows of the validation split that set the factors: 100 of them lie outside, give or take 10."""
@@ -65,7 +64,7 @@ def assemble(
     rows = evenly(fleet.rows, most)
     for one in members.values():
         one.network.to(fleet.device)
-    factors = ensemble.factors_of(list(members.values()), fleet, rows)
+    factors = ensemble.factors_of(list(members.values()), fleet, rows, 64 if device == "cpu" else 256)
     more = {"data": digest, "validation_cells": fleet.names, "windows": len(rows)}
     card = stem.with_suffix(".json")
     card.write_text(json.dumps(ensemble.card_of(stem.name, members, factors, left_out | others, more), indent=1) + "\n")

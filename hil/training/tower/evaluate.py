@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.training.tower.generate import TEST, TRAIN, VALIDATION, digest_of, tables
+from hil.training.tower.generate import TEST, TRAIN, VALIDATION, digest_of, evenly, tables
+from hil.training.tower.starting import load_start
 
 BOOSTED_WINDOWS = 12_000
 """Windows of the training split that the booster learns from."""
@@ -27,7 +28,7 @@ def evaluate(
     *,
     most: int | None = None,
     half: bool = False,
-    boosted: Path | None = None,
+    test: Path | None = None,
     note: Note = lambda _: None,
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return scores as plain data, and arrays by window of the test split.
@@ -38,8 +39,8 @@ def evaluate(
         Weights by name; `ensemble_of` names those that make the ensemble.
     most
         Windows of the test split at most, evenly taken; None for all.
-    boosted
-        File of `boost`, made now without.
+    test
+        Folder with the test split, `folder` itself without.
     half
         bfloat16 in the networks' products.
 
@@ -49,26 +50,32 @@ def evaluate(
         The folder lacks a split, or a network does not fit.
     """
     from twin.calibrators.hiera_unet.tower import load_fleet, load_member, score
-    from twin.calibrators.hiera_unet.tower.predict import predict
+    from twin.calibrators.hiera_unet.tower.predict import predict, settle
 
     began = time.monotonic()
-    test, validation = load_fleet(tables(folder, TEST), device), load_fleet(tables(folder, VALIDATION), device)
-    rows, held_out = evenly(test.rows, most), evenly(validation.rows, min(most or HELD_OUT, HELD_OUT))
+    unseen = load_fleet(tables(test or folder, TEST), device)
+    validation = load_fleet(tables(folder, VALIDATION), device)
+    rows, held_out = evenly(unseen.rows, most), evenly(validation.rows, min(most or HELD_OUT, HELD_OUT))
     size = 256 if device != "cpu" else 64
-    t, v = score.targets_of(test, rows), score.targets_of(validation, held_out)
-    note(f"{len(rows)} test windows of {len(test.names)} cells, {len(held_out)} to set intervals")
+    t, v = score.targets_of(unseen, rows), score.targets_of(validation, held_out)
+    note(f"{len(rows)} test windows of {len(unseen.names)} cells, {len(held_out)} to set intervals")
     answers = {
         "commissioned": score.commissioned(t),
         "persistence of the last error": score.persistent(t),
         GAUSS_NEWTON: score.believed(t),
     }
-    figures = _read(boosted, rows) if boosted is not None else boost(folder, test, rows, note)
-    if figures is not None:
-        answers[BOOSTED] = score.MethodPrediction(*figures)
     loaded = {name: load_member(path, blind_too=True) for name, path in members.items()}
+    start = load_start(folder)
+    rival = boost(folder, unseen, rows, note) if start is None else score.boosted(start, unseen, rows, size)
+    if rival is not None:
+        answers[BOOSTED] = rival
+    if start is not None and loaded and all(one.network.trees is not None for one in loaded.values()):
+        # All members correct the same answer: it is worked out once.
+        for fleet, chosen in ((unseen, rows), (validation, held_out)):
+            settle(fleet, start, chosen, size)
     for member in loaded.values():
-        member.network.to(test.device)
-    predicted = {n: predict(m.network, test, rows, size, half=half) for n, m in loaded.items()}
+        member.network.to(unseen.device)
+    predicted = {n: predict(m.network, unseen, rows, size, half=half) for n, m in loaded.items()}
     note(f"predictions of {len(loaded)} networks after {time.monotonic() - began:.0f} s")
     known = {n: predict(m.network, validation, held_out, size, half=half) for n, m in loaded.items()}
     refused = {n: m.card.get("refused", "") for n, m in loaded.items()}
@@ -82,16 +89,16 @@ def evaluate(
         factors[name] = {"theta": limits.theta.tolist(), "water": limits.water}
     document: dict[str, Any] = {
         "data": digest_of(folder),
-        "test_cells": test.names,
+        "test_cells": unseen.names,
         "windows": len(rows),
         "factors": factors,
         "refused": refused,
         "ensemble": groups[ENSEMBLE],
-        "scores": {part: _scored(t, answers, rows_of) for part, rows_of in _parts(t, test.names).items()},
-        "by_cell": score.by_cell(t, test.names, answers),
+        "scores": {part: _scored(t, answers, rows_of) for part, rows_of in _parts(t, unseen.names).items()},
+        "by_cell": score.by_cell(t, unseen.names, answers),
     }
     if groups[ENSEMBLE]:
-        document |= _further(loaded, groups[ENSEMBLE], test, rows, size, half)
+        document |= _further(loaded, groups[ENSEMBLE], unseen, rows, size, half)
     document["seconds"] = round(time.monotonic() - began, 1)
     note(f"scored after {document['seconds']:.0f} s")
     return document, _arrays(t, answers)
@@ -109,18 +116,9 @@ def ensemble_of(refused: Mapping[str, str]) -> list[str]:
     return [name for name in small if not refused[name]] or small
 
 
-def evenly(rows: np.ndarray, most: int | None) -> np.ndarray:
-    """Return at most so many rows, evenly taken."""
-    if most is None or len(rows) <= most:
-        return rows
-    return rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
-
-
-def boost(
-    folder: Path, test: Any, rows: np.ndarray, note: Note = lambda _: None
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return deviations (K, 4) and outlet (K, 120), degC, of Gauss-Newton corrected by gradient boosting, learned from
-    the training split; None without scikit-learn.
+def boost(folder: Path, test: Any, rows: np.ndarray, note: Note = lambda _: None) -> Any:
+    """Return the answer (`score.MethodPrediction`) of Gauss-Newton corrected by gradient boosting, learned from the
+    training split; None without scikit-learn.
 
     Parameters
     ----------
@@ -142,22 +140,7 @@ def boost(
     except ImportError:
         note("boosting is left out: scikit-learn is not installed; install the extra ml")
         return None
-    found = booster(score.targets_of(test, rows, 64))
-    return found.theta, found.water
-
-
-def write_boosted(path: Path, rows: np.ndarray, figures: tuple[np.ndarray, np.ndarray]) -> None:
-    """Write what `boost` returned, with its cycles."""
-    with path.open("wb") as file:
-        np.savez(file, rows=rows, theta=figures[0].astype(np.float32), water=figures[1].astype(np.float32))
-
-
-def _read(path: Path, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    if not path.is_file():
-        return None
-    with np.load(path, allow_pickle=False) as found:
-        same = len(found["rows"]) == len(rows) and bool((found["rows"] == rows).all())
-        return (found["theta"], found["water"]) if same else None
+    return booster(score.targets_of(test, rows, 64))
 
 
 def _has_windows(path: Path) -> bool:

@@ -17,6 +17,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hil.training.tower.stations import StationPlan
 from twin.calibrators.hiera_unet import HieraError
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
@@ -34,13 +36,20 @@ Note = Callable[[str], None]
 
 @dataclass(frozen=True)
 class DataPlan:
-    """Number of stations in each split, and months of the family's records and of the two sites' among the test."""
+    """Number of stations in each split, and months of the family's records and of the two sites' among the test.
+
+    Attributes
+    ----------
+    parts
+        Whether training stations are simulated in parts of the paper's 14 months (`StationPlan.segments`).
+    """
 
     train: int = 24
     validation: int = 3
     test: int = 3
     months: float = FAMILY_MONTHS
     site_months: float = PAPER_MONTHS
+    parts: bool = False
 
     def __post_init__(self) -> None:
         """Raises HieraError: a split would reach into the seeds of the next."""
@@ -62,12 +71,12 @@ class DataPlan:
         counts = {TRAIN: self.train, VALIDATION: self.validation, TEST: self.test}
         for i in range(max(counts.values())):
             # In turn, so that a cut leaves some of each.
-            found += [
-                (split, StationPlan("F", FIRST[split] + i, self.months, FAMILY_CELLS))
-                for split, count in counts.items()
-                if i < count
-            ]
+            found += [(split, self._of_family(split, i)) for split, count in counts.items() if i < count]
         return found
+
+    def _of_family(self, split: str, i: int) -> StationPlan:
+        parts = self.parts and split == TRAIN
+        return StationPlan("F", FIRST[split] + i, PAPER_MONTHS if parts else self.months, FAMILY_CELLS, parts)
 
 
 def generate(
@@ -168,7 +177,7 @@ def _station(station: StationPlan, folder: Path) -> str:
     began = time.monotonic()
     cells = station_cells(station)
     for cell in cells:
-        table_of(cell).save(folder / f"{cell.name}.npz")
+        table_of(cell, station.segments()).save(folder / f"{cell.name}.npz")
     (folder / f"{station.name}.done").write_text(json.dumps(asdict(station)) + "\n")
     return f"{station.name}: {len(cells)} cells of {station.months:g} months in {time.monotonic() - began:.0f} s"
 
@@ -226,6 +235,13 @@ def tables(folder: Path, split: str, station: str = "") -> list[Path]:
     if not found:
         raise HieraError(f"{folder}: has no station of the {split} split; simulate more stations")
     return found
+
+
+def evenly(rows: np.ndarray, most: int | None) -> np.ndarray:
+    """Return at most so many rows, evenly taken."""
+    if most is None or len(rows) <= most:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
 
 
 def digest_of(folder: Path) -> str:

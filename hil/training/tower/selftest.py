@@ -6,12 +6,16 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.calibrators.hiera_unet.tower import CellTable
 from twin.calibrators.hiera_unet.tower.table import CHANNELS, SUBJECT, clock_of
+
+if TYPE_CHECKING:
+    from twin.calibrators.hiera_unet.tower.trees import Trees
 
 STEPS, TIMED = 12, 8
 MINUTES = 4 * 1440
@@ -63,6 +67,19 @@ def random_table(seed: int) -> CellTable:
     )
 
 
+def random_trees(seed: int = 0) -> Trees:
+    """Return trees of one split each, of random numbers, for each figure that a network corrects."""
+    from twin.calibrators.hiera_unet.tower.trees import trees_from
+
+    rng = np.random.default_rng(seed)
+    shape = (1 + len(SUBJECT.deviations), 4, 3)
+    arrays = {name: np.zeros(shape) for name in ("threshold", "missing", "feature", "value")}
+    arrays["feature"][..., 0] = rng.integers(0, len(SUBJECT.deviations), shape[:2])
+    arrays["value"][..., 1:] = rng.normal(0.0, 0.002, (*shape[:2], 2))
+    left, right = (np.broadcast_to(np.array(one), shape) for one in ([1.0, 1.0, 2.0], [2.0, 1.0, 2.0]))
+    return trees_from({**arrays, "left": left, "right": right, "base": np.zeros(shape[0])})
+
+
 def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:
     """Train, judge, write and read a network of each size on random windows; return a sentence for each.
 
@@ -86,7 +103,7 @@ def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:
     said = []
     for size, batch in batches.items():
         plan = TowerPlan(steps=STEPS + TIMED, batch=batch, even_every=4, half=device != "cpu")
-        training = MemberTraining(size, plan, fleet, fleet, None, "selftest")
+        training = MemberTraining(size, plan, fleet, fleet, None, "selftest", random_trees().to(fleet.device))
         for _ in range(STEPS):
             training.trainer.step()
         began = time.monotonic()

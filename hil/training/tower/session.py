@@ -82,7 +82,8 @@ def train_member(
 ) -> TowerProgress:
     """Continue the training of `out` until it is stopped, or to its end; then write weights and card.
 
-    With a second member of the same data beside it, the card of their ensemble is written too.
+    The network corrects the answer of boosted trees, which are fitted first where scikit-learn is installed. With a
+    second member of the same data beside it, the card of their ensemble is written too.
 
     Parameters
     ----------
@@ -98,10 +99,15 @@ def train_member(
     HieraError
         The stations cannot be used, or the training that was begun is another one.
     """
+    from hil.training.tower.starting import begin, fit_start, load_start
     from twin.calibrators.hiera_unet.tower import MemberTraining, load_fleet
 
+    if load_start(folder) is None:
+        fit_start(folder)
     family, held_out = load_fleet(tables(folder, TRAIN), device), load_fleet(tables(folder, VALIDATION), device)
-    training = MemberTraining(size, plan, family, held_out, out.with_suffix(""), digest_of(folder))
+    begin(folder, family)
+    trees = load_start(folder)
+    training = MemberTraining(size, plan, family, held_out, out.with_suffix(""), digest_of(folder), trees)
     training.run(None, stopped, lambda k, n, text: say(float(k), text))
     trainer = training.trainer
     if trainer.done < plan.steps:

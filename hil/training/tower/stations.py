@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from drivers.virtual.tower import (
     CHICAGO_SITE,
     COMMISSIONING,
+    DAYS_A_MONTH,
     EFFECTS,
     MIAMI_SITE,
     Simulated,
@@ -29,7 +30,7 @@ from drivers.virtual.tower import (
     state_by_minute,
 )
 from twin.calibrators.hiera_unet.tower import CellTable, commissioned_log_power, commissioned_outlet
-from twin.calibrators.hiera_unet.tower.cell_table import CellSources, cell_table
+from twin.calibrators.hiera_unet.tower.cell_table import CellSources, cell_table, trimmed
 from twin.historian import CellMinutes, Event, Series, Tag, cell_minutes, disturbed, influence_of, shared_minutes
 from twin.tower import (
     BOUNDS,
@@ -60,19 +61,44 @@ HIGH_SHARE, HIDDEN_SHARE = 0.2, 0.5
 OF_A, OF_B = "A", "B"
 
 
+SEGMENTS, SEGMENT_D, SETTLING_D = 2, 28, 8
+"""Parts of a record that is simulated in parts, and their days: as long as from one test of the plant to the next. In
+the first of them the belief finds its way back; no window is taken there."""
+
+
 @dataclass(frozen=True)
 class StationPlan:
-    """A station to simulate: `site` A, B, or F for one of the family; seed, months, recorded cells."""
+    """A station to simulate: `site` A, B, or F for one of the family; seed, months, recorded cells.
+
+    Attributes
+    ----------
+    parts
+        Whether the healthy record and some parts of the rest are simulated alone: a plant costs a third of the time,
+        and windows of its first year are as far apart as can be.
+    """
 
     site: str
     seed: int
     months: float
     cells: int
+    parts: bool = False
 
     @property
     def name(self) -> str:
         """Name of the station in files."""
         return f"{self.site}{self.seed:04d}"
+
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """Return the days [first, end) that are simulated, none for all."""
+        if not self.parts:
+            return ()
+        days, first = round(self.months * DAYS_A_MONTH), HEALTHY_DAYS + 2
+        free = days - first - SEGMENTS * SEGMENT_D
+        if free < 0:
+            return ()
+        begins = np.sort(np.random.default_rng([self.seed, 11]).integers(0, free + 1, SEGMENTS))
+        starts = [first + int(b) + k * SEGMENT_D for k, b in enumerate(begins)]
+        return ((0, first), *((start, start + SEGMENT_D) for start in starts))
 
 
 @dataclass(frozen=True)
@@ -162,7 +188,11 @@ def station_cells(plan: StationPlan) -> list[CellData]:
     site, hide = drawn_site(plan.seed) if plan.site == "F" else (CHICAGO_SITE if plan.site == OF_A else MIAMI_SITE, ())
     start = datetime.datetime(2022, 1 + plan.seed % 12, 1, tzinfo=datetime.UTC)
     made = simulate(
-        site, plan.cells, SimulationPlan(months=plan.months, cells=plan.cells, seed=plan.seed, start=start, hide=hide)
+        site,
+        plan.cells,
+        SimulationPlan(
+            months=plan.months, cells=plan.cells, seed=plan.seed, start=start, hide=hide, segments=plan.segments()
+        ),
     )
     zero = start.timestamp()
     sheet = datasheet(site, plan.cells)
@@ -178,9 +208,15 @@ def station_cells(plan: StationPlan) -> list[CellData]:
     return found
 
 
-def table_of(cell: CellData) -> CellTable:
-    """Return the arrays that windows of a simulated cell are cut from."""
-    return cell_table(
+def table_of(cell: CellData, segments: tuple[tuple[int, int], ...] = ()) -> CellTable:
+    """Return the arrays that windows of a simulated cell are cut from.
+
+    Parameters
+    ----------
+    segments
+        Days [first, end) that were simulated, none for all.
+    """
+    found = cell_table(
         CellSources(
             name=cell.name,
             sheet=cell.sheet,
@@ -196,6 +232,13 @@ def table_of(cell: CellData) -> CellTable:
             true=cell.truth,
         )
     )
+    if not segments:
+        return found
+    day = np.arange(len(found.regime)) / 1440.0
+    keep, settled = (
+        np.any([(day >= first + wait) & (day < end) for first, end in segments], axis=0) for wait in (0, SETTLING_D)
+    )
+    return trimmed(found, keep, settled)
 
 
 def _cell(

@@ -52,6 +52,9 @@ def unpack(source: Path, target: Path) -> list[Path]:
         if card.get("curves"):
             title = f"tower {name}: {card['steps_done']} steps, {card['refused'] or 'passed by the gate'}"
             written.append(draw(card["curves"], out.with_suffix(".png"), title))
+    for card in sorted(source.glob("tower_*.json")):
+        (target / card.name).write_bytes(card.read_bytes())
+        written.append(target / card.name)
     return written
 
 

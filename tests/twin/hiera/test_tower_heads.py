@@ -59,7 +59,8 @@ def test_both_heads_have_finite_gradients_under_autocast() -> None:
     x = torch.randn(2, CONFIG.context, CONFIG.channels)
     with torch.autocast("cpu", torch.bfloat16):
         theta, log_variance = parameters(*given)
-        delta, log_scale = outputs(torch.randn(2, CONFIG.target, CONFIG.dims[0]), recent_of(CONFIG, x, x > -1.0))
+        recent, statics = recent_of(CONFIG, x, x > -1.0), torch.randn(2, CONFIG.meta)
+        delta, log_scale = outputs(torch.randn(2, CONFIG.target, CONFIG.dims[0]), recent, statics)
     (theta.sum() + log_variance.sum() + delta.abs().sum() + log_scale.sum()).backward()
     for head in (parameters, outputs):
         for name, one in head.named_parameters():

@@ -137,7 +137,8 @@ def test_the_gate_sees_a_network_that_reads_the_residual(fleet: Fleet) -> None:
     class Reader(torch.nn.Module):
         """Bias by the mean residual of the day, and the outlet by a channel of the target."""
 
-        config = SUBJECT.config("small")
+        config = replace(SUBJECT.config("small"), corrects=False)
+        trees = None
 
         def forward(self, x, m, regime, clock, meta, *, causal, memory):  # type: ignore[no-untyped-def]
             from twin.calibrators.hiera_unet.network import Prediction

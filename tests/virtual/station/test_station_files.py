@@ -35,6 +35,22 @@ def test_a_seed_makes_the_same_station_again_and_another_seed_another(clean: Sim
     assert not same(clean, simulate(CHICAGO_SITE, 1, SimulationPlan(months=DAYS_4, cells=1, seed=12)))
 
 
+def test_parts_of_a_record_have_the_weather_and_wear_of_the_whole_and_no_sample_between(clean: Simulated) -> None:
+    parts = simulate(CHICAGO_SITE, 1, SimulationPlan(months=DAYS_4, cells=1, seed=11, segments=((0, 1), (2, 4))))
+    whole, some = clean.truth, parts.truth
+    np.testing.assert_array_equal(some.life.states, whole.life.states)
+    np.testing.assert_array_equal(some.weather.dry, whole.weather.dry)
+    day = np.arange(len(some.cells)) // 1440
+    assert np.isnan(some.cells[day == 1]).all() and np.isfinite(some.cells[day != 1]).all()
+    np.testing.assert_array_equal(some.cells[day == 0], whole.cells[day == 0])
+    # A part begins from a plant at rest, which forgets that within hours.
+    late = day == 3
+    assert np.abs(some.cell("t_out", 1) - whole.cell("t_out", 1))[late].mean() < 0.5
+    for samples in parts.samples.values():
+        assert not ((samples.time_s >= 86400.0) & (samples.time_s < 2 * 86400.0)).any()
+        assert np.isfinite(samples.value).all()
+
+
 def test_defects_change_the_record_and_not_the_plant(made: Simulated, clean: Simulated) -> None:
     assert np.array_equal(made.truth.cells, clean.truth.cells)
     kinds = {one.kind for one in made.seeded.defects}

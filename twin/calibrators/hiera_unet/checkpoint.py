@@ -28,6 +28,9 @@ FORMAT = 3
 """2: evidence holds what is believed if few parameters have moved, and heads correct that. 3: each group's first block
 is one like any other, and half kernels have the oldest step first."""
 
+EXACT = ("trees.", "middle", "spread")
+"""Numbers that are no weights and keep 32 bits."""
+
 
 @dataclass(frozen=True)
 class Identity:
@@ -62,7 +65,10 @@ def save(member: Member, path: Path, *, half: bool = True) -> Path:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     kind = torch.float16 if half else torch.float32
-    tensors = {f"network.{k}": v.detach().cpu().to(kind).contiguous() for k, v in member.network.state_dict().items()}
+    tensors = {
+        f"network.{k}": v.detach().cpu().to(torch.float32 if k.startswith(EXACT) else kind).contiguous()
+        for k, v in member.network.state_dict().items()
+    }
     tensors["envelope.mean"] = torch.from_numpy(member.envelope.mean.astype(np.float32))
     tensors["envelope.precision"] = torch.from_numpy(member.envelope.precision.astype(np.float32))
     save_file(tensors, path)

@@ -41,6 +41,9 @@ class Config:
             information rates; the heads then read them directly (`heads.WeightedStep`). residual: index of the channel
             of the twin's residual in tolerances.
         gated: whether a skip passes a gate; without, it is concatenated directly.
+        corrects: whether deviations and outputs are corrections of an answer that is given with a window, each scaled
+            by a factor that held-out windows set. Static numbers are then standardised, and the output head reads them.
+        trees: models, trees and nodes of the boosted trees that give this answer (`tower.trees.Trees`); none without.
         step_s: length of a step. context, target: steps seen, and steps to explain at their end.
         margin: steps before the target that the decoder works out as well, so that cropping alters nothing.
         group_dim: width of a group's own tokens. dims, depths, windows: width, blocks and attention window (tokens)
@@ -59,6 +62,8 @@ class Config:
     slope_signs: tuple[int, ...] = ()
     residual: int = 0
     gated: bool = True
+    corrects: bool = False
+    trees: tuple[int, ...] = ()
     step_s: float = 5.0
     context: int = 1440
     target: int = 120

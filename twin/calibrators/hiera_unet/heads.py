@@ -136,6 +136,8 @@ class ParameterHead(nn.Module):
     and a trust of 1, so the twin is as commissioned, or as that belief has it.
     """
 
+    shrink: Tensor | None
+
     def __init__(self, config: Config) -> None:
         super().__init__()
         self.config = config
@@ -145,14 +147,21 @@ class ParameterHead(nn.Module):
         self.out = nn.Linear(config.head_hidden, (2 + config.evidence) * config.parameters)
         self.step = WeightedStep(config) if config.slope_signs else None
         self.register_buffer("bounds", torch.tensor(config.bounds), persistent=False)
+        self.register_buffer("shrink", torch.ones(config.parameters) if config.corrects else None)
 
     def forward(
-        self, d3: Tensor, valid: Tensor, answers: Tensor, meta: Tensor, raw: Tensor | None = None
+        self,
+        d3: Tensor,
+        valid: Tensor,
+        answers: Tensor,
+        meta: Tensor,
+        raw: Tensor | None = None,
+        statics: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """
         Args:
             d3: (B, n, d3). valid: (B, n). answers: (B, Q, d4). meta: (B, M), its end the evidence. raw: (B, n, 2 C) of
-                a configuration with `slope_signs`.
+                a configuration with `slope_signs`. statics: (B, M) that are read in place of `meta`, standardised.
 
         Returns:
             Deviations (B, P) in their own units, and log-variances (B, P) in units of the bounds.
@@ -164,7 +173,7 @@ class ParameterHead(nn.Module):
         if not self.config.evidence:
             change, log_variance = self.out(F.gelu(self.hidden(pooled))).float().chunk(2, -1)
             return top * torch.tanh(change), _no_less(log_variance)
-        pooled = torch.cat([pooled, meta.to(pooled.dtype)], -1)
+        pooled = torch.cat([pooled, (meta if statics is None else statics).to(pooled.dtype)], -1)
         hidden = F.gelu(self.hidden(pooled))
         change, wider, trust = self.out(hidden).float().chunk(3, -1)
         given = evidence_of(self.config, meta)
@@ -173,6 +182,8 @@ class ParameterHead(nn.Module):
             change = change + self.step(d3, raw, hidden, given.sd.clamp(min=1e-4) / self.bounds) / OVERREACH
         believed = torch.atanh((given.mean / top).clamp(-0.99, 0.99))
         theta = top * torch.tanh(2.0 * torch.sigmoid(trust) * believed + change)
+        if self.shrink is not None:
+            theta = given.mean + self.shrink * (theta - given.mean)
         return theta, _no_less(2.0 * torch.log(given.sd.clamp(min=1e-4) / self.bounds) + wider)
 
 
@@ -185,24 +196,35 @@ def _no_less(log_variance: Tensor) -> Tensor:
 class OutputHead(nn.Module):
     """Corrections and their log-scales, a step of the target at a time; the last layer starts at zero."""
 
+    shrink: Tensor | None
+
     def __init__(self, config: Config) -> None:
         super().__init__()
         dim = config.dims[0]
         self.hidden, self.out = nn.Linear(dim, dim), nn.Linear(dim, 2 * config.outputs)
         self.lasting = nn.Linear(dim, (len(RECENT) + 1) * config.outputs) if config.slope_signs else None
+        self.direct = nn.Linear(config.meta, dim) if config.corrects else None
+        self.lead = nn.Parameter(torch.zeros(config.target, dim)) if config.corrects else None
+        self.register_buffer("shrink", torch.ones(config.outputs) if config.corrects else None)
         self.register_buffer("tolerances", torch.tensor(config.tolerances), persistent=False)
 
-    def forward(self, d1: Tensor, recent: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def forward(self, d1: Tensor, recent: Tensor | None = None, statics: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """(B, n, d1) -> corrections in the outputs' own units, log-scales in units of the tolerances; (B, n, Y).
 
         Args:
             recent: (B, 3) mean residuals before the target (`recent_of`), of which each step keeps a learned share.
+            statics: (B, M) standardised static numbers of a configuration that `corrects`.
         """
-        hidden = F.gelu(self.hidden(d1))
+        before = self.hidden(d1)
+        if self.direct is not None and self.lead is not None and statics is not None:
+            before = before + self.direct(statics)[:, None] + self.lead[-d1.shape[1] :]
+        hidden = F.gelu(before)
         delta, log_scale = self.out(hidden).float().chunk(2, -1)
         if self.lasting is not None and recent is not None:
             share = self.lasting(hidden).float().unflatten(-1, (-1, recent.shape[-1]))
             delta = delta + (share * recent[:, None, None, :]).sum(-1)
+        if self.shrink is not None:
+            delta = self.shrink * delta
         return delta * self.tolerances, log_scale
 
 

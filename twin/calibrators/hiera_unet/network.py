@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor, nn
 
 from twin.calibrators.hiera_unet.config import Config
 from twin.calibrators.hiera_unet.decoder import Decoder
 from twin.calibrators.hiera_unet.encoder import Encoder
 from twin.calibrators.hiera_unet.heads import OutputHead, ParameterHead, Queries, recent_of
+from twin.calibrators.hiera_unet.tower.trees import Trees
+
+FARTHEST = 5.0
+"""Standard deviations beyond which a static number is cut off."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +23,8 @@ class Prediction:
 
     Without evidence the calibrated output is f_DT(u, theta) + delta, eq. 8. With it, it is f_DT(u, theta_e) + delta,
     where theta_e is the fit: what explains this record, whatever it had to bend for it. What of that is a parameter
-    that moved, and what the twin lacks, is for theta to say.
+    that moved, and what the twin lacks, is for theta to say. For a configuration that `corrects`, delta is added to the
+    outputs that are given with a window, whatever theta.
 
     Attributes:
         theta: (B, P) deviations in their own units. log_variance: (B, P) of theta / bound.
@@ -40,6 +46,9 @@ class HieraUNet(nn.Module):
     are one vector a window and see all of it in both modes: an online service uses those of the cycle before.
     """
 
+    middle: Tensor | None
+    spread: Tensor | None
+
     def __init__(self, config: Config) -> None:
         super().__init__()
         self.config = config
@@ -48,6 +57,9 @@ class HieraUNet(nn.Module):
         self.queries = Queries(config)
         self.parameter_head = ParameterHead(config)
         self.output_head = OutputHead(config)
+        self.trees = Trees(config.trees) if config.trees else None
+        self.register_buffer("middle", torch.zeros(config.meta) if config.corrects else None)
+        self.register_buffer("spread", torch.ones(config.meta) if config.corrects else None)
         self.apply(_start)
         for head in (self.parameter_head, self.output_head):
             nn.init.zeros_(head.out.weight)
@@ -77,11 +89,14 @@ class HieraUNet(nn.Module):
             crop, corrected: see `Decoder`; of the other windows there are no corrections and scales.
         """
         m = m.to(x.dtype)
-        scales = self.encoder(x, m, regime.long(), clock, meta, causal, memory)
+        statics = None
+        if self.middle is not None and self.spread is not None:
+            statics = ((meta - self.middle) / self.spread).clamp(-FARTHEST, FARTHEST)
+        scales = self.encoder(x, m, regime.long(), clock, meta if statics is None else statics, causal, memory)
         answers, attention = self.queries(scales[-1].h, scales[-1].valid)
         d3, d1 = self.decoder(scales, answers.mean(1), causal, crop, corrected)
-        theta, log_variance = self.parameter_head(d3, scales[2].valid, answers, meta, scales[2].raw)
-        delta, log_scale = self.output_head(d1, recent_of(self.config, x, m))
+        theta, log_variance = self.parameter_head(d3, scales[2].valid, answers, meta, scales[2].raw, statics)
+        delta, log_scale = self.output_head(d1, recent_of(self.config, x, m), statics)
         return Prediction(theta, log_variance, delta, log_scale, attention)
 
     def count(self) -> int:

@@ -51,7 +51,7 @@ class Subject:
     Attributes:
         step_s: of the record. context, target: steps seen, and steps to explain at their end. regimes: operating
             regimes. statics: static numbers of a window before the evidence. memory: numbers of a memory token.
-        slope_signs, residual: see `Config`; the residual by its channel's name.
+        slope_signs, residual, corrects: see `Config`; the residual by its channel's name.
     """
 
     name: str
@@ -64,6 +64,7 @@ class Subject:
     memory: int = 0
     slope_signs: tuple[int, ...] = ()
     residual: str = ""
+    corrects: bool = False
     context: int = 1440
     target: int = 120
 
@@ -98,6 +99,7 @@ class Subject:
             "memory": self.memory,
             "slope_signs": self.slope_signs,
             "residual": self.index(self.residual) if self.residual else 0,
+            "corrects": self.corrects,
             "step_s": self.step_s,
             "context": self.context,
             "target": self.target,

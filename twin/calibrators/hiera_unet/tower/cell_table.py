@@ -6,7 +6,7 @@ A cycle is a target interval of two hours. The belief that it starts from knows 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,21 @@ from twin.tower.model import DEVIATIONS
 from twin.tower.recursive import Recursion
 
 FORMAT = 1
+MINUTELY = (
+    "x",
+    "m",
+    "regime",
+    "clock",
+    "outlet",
+    "reading",
+    "water",
+    "slopes",
+    "chunk",
+    "commissioned",
+    "true_water",
+    "point",
+)
+"""Arrays by minute."""
 STABLE, STAGING, RAMP, HOT, MAINTAINED = range(5)
 KINDS = ("stable", "fan staging", "load ramp", "high wet bulb", "after maintenance")
 STAGED, RAMPED, HOT_QUANTILE, AFTER_D = 0.15, 0.08, 0.8, 3.0
@@ -197,6 +212,27 @@ def cell_table(of: CellSources) -> CellTable:
         design=np.array([fall, float(sizes["water_outlet_C"]) - wet0], dtype=np.float32),
         memory=memory_of(minutes, clean, design.m_w0, fall, wet0, slice(0, healthy_end)),
         healthy_end=healthy_end,
+    )
+
+
+def trimmed(table: CellTable, keep: NDArray[np.bool_], settled: NDArray[np.bool_]) -> CellTable:
+    """Return a table of some of its minutes.
+
+    Parameters:
+        keep: (n,) minutes that stay. settled: (n,) minutes in which a target may begin; a window is a cycle that is one
+        of these and has its whole day.
+    """
+    whole = np.r_[0, np.cumsum(keep)]
+    last = np.minimum(table.start + SUBJECT.target, len(keep))
+    first = np.maximum(last - SUBJECT.context, 0)
+    valid = table.valid & (whole[last] - whole[first] == SUBJECT.context)
+    valid &= settled[np.minimum(table.start, len(keep) - 1)]
+    return replace(
+        table,
+        **{name: getattr(table, name)[keep] for name in MINUTELY},
+        start=whole[np.minimum(table.start, len(keep))],
+        valid=valid,
+        healthy_end=int(whole[table.healthy_end]),
     )
 
 

@@ -18,14 +18,23 @@ from twin.calibrators.hiera_unet.envelope import envelope, place
 from twin.calibrators.hiera_unet.network import HieraUNet
 from twin.calibrators.hiera_unet.tower.cell_table import CellTable
 from twin.calibrators.hiera_unet.tower.plan import TowerPlan
-from twin.calibrators.hiera_unet.tower.predict import Blindness, blindness, predict
-from twin.calibrators.hiera_unet.tower.score import believed, mixed, scores, targets_of
+from twin.calibrators.hiera_unet.tower.predict import Blindness, blindness, predict, settle
+from twin.calibrators.hiera_unet.tower.score import (
+    believed,
+    mixed,
+    scores,
+    shrink_factors,
+    shrunk,
+    started,
+    targets_of,
+)
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
 from twin.calibrators.hiera_unet.tower.train import TowerTrainer
+from twin.calibrators.hiera_unet.tower.trees import Trees
 from twin.calibrators.hiera_unet.tower.windows import Fleet
 
-LOOKED_AT, LOOKS = 256, 20
-"""Held-out windows of a look, always the same, and looks in a training."""
+LOOKED_AT, LOOKS = {"cpu": 256, "cuda": 2048}, 15
+"""Held-out windows of a look on a processor and on a device, always the same, and looks in a training."""
 TIMED = 10
 """Steps after a warm-up of as many, by which a training with a time limit plans its number of steps."""
 FIRST_LOOK = 50
@@ -63,20 +72,38 @@ class MemberTraining:
         ``small`` or ``full``.
     digest
         Of the data. steps of `plan` are those wanted without a time limit.
+    trees
+        Boosted trees whose answer the network corrects; without, it corrects the belief. `fleet.base` has the answers
+        of trees that did not learn from the window's plant.
     """
 
     def __init__(
-        self, size: str, plan: TowerPlan, fleet: Fleet, held_out: Fleet, folder: Path | None, digest: str
+        self,
+        size: str,
+        plan: TowerPlan,
+        fleet: Fleet,
+        held_out: Fleet,
+        folder: Path | None,
+        digest: str,
+        trees: Trees | None = None,
     ) -> None:
         self.size, self.fleet, self.held_out, self.folder = size, fleet, held_out, folder
         self.config = SUBJECT.config(size)
-        self.trainer = TowerTrainer(self.config, fleet, plan, digest)
+        if trees is not None:
+            settle(held_out, trees)
+        self.trainer = TowerTrainer(self.config, fleet, plan, digest, trees=trees)
         self.curves: list[dict[str, Any]] = []
         self.seconds = 0.0
         rng = np.random.default_rng(0)
-        self.looked = np.sort(rng.choice(held_out.rows, min(LOOKED_AT, len(held_out.rows)), replace=False))
+        count = min(LOOKED_AT[held_out.device.type], len(held_out.rows))
+        self.looked = np.sort(rng.choice(held_out.rows, count, replace=False))
+        self.targets = targets_of(held_out, self.looked)
+        self.base = started(held_out, self.targets)
+        self.best: dict[str, Any] = {"score": 1.0, "step": 0, "average": _copied(self.trainer.average)}
         if folder is not None and (folder / "training.pt").exists():
-            self.trainer.restore(checkpoint.kept(folder / "training.pt"))
+            kept = checkpoint.kept(folder / "training.pt")
+            self.trainer.restore(kept)
+            self.best = kept["best"]
             self.curves = [json.loads(line) for line in (folder / "curves.jsonl").read_text().splitlines()]
 
     def run(self, until: float | None, stopped: Callable[[], bool], say: Say) -> bool:
@@ -118,7 +145,13 @@ class MemberTraining:
         self.seconds += time.monotonic() - began
         if self.folder is not None:
             self.keep()
+        if trainer.done >= trainer.plan.steps or until is not None:
+            self._choose()
         return trainer.done >= trainer.plan.steps or (until is not None and time.monotonic() > until)
+
+    def _choose(self) -> None:
+        """Take the averaged weights of the look with the least error on held-out windows, with their factors."""
+        self.trainer.average.load_state_dict(self.best["average"])
 
     def _now(self) -> float:
         if self.fleet.device.type == "cuda":
@@ -135,14 +168,20 @@ class MemberTraining:
         """Write what the training goes on from."""
         assert self.folder is not None
         self.folder.mkdir(parents=True, exist_ok=True)
-        checkpoint.keep(self.trainer.state(), self.folder / "training.pt")
+        checkpoint.keep({**self.trainer.state(), "best": self.best}, self.folder / "training.pt")
         (self.folder / "curves.jsonl").write_text("".join(json.dumps(c) + "\n" for c in self.curves))
 
     def _look(self, gathered: Sequence[dict[str, float]], seconds: float) -> None:
-        network = self.trainer.average
-        t = targets_of(self.held_out, self.looked)
-        found, _, _ = mixed(t, [predict(network, self.held_out, self.looked, half=self.trainer.plan.half)])
+        network, t, base = self.trainer.average, self.targets, self.base
+        size = 64 if self.held_out.device.type == "cpu" else 512
+        found, _, _ = mixed(t, [predict(network, self.held_out, self.looked, size, half=self.trainer.plan.half)])
+        theta, water = shrink_factors(t, base, found)
+        found = shrunk(base, found, theta, water)
         own, rival = scores(t, found), scores(t, believed(t))
+        ratio = _ratio(own, scores(t, base))
+        if ratio < self.best["score"]:
+            self.best = {"score": ratio, "step": self.trainer.done, "average": _copied(network)}
+            self._shrink(self.best["average"], theta, water)
         entry: dict[str, Any] = {"step": self.trainer.done, "seconds": round(seconds, 1), "rate": self.trainer.rate()}
         for key in ("loss", "parameters", "outputs", "even"):
             if gathered:
@@ -150,7 +189,14 @@ class MemberTraining:
         entry["water_mae_K"], entry["rival_water_mae_K"] = own["water_mae_K"], rival["water_mae_K"]
         for name, value in own["deviation_mae"].items():
             entry[f"{name}_mae"], entry[f"rival_{name}_mae"] = value, rival["deviation_mae"][name]
+        entry |= {"of_base": ratio, "shrink": [*theta.tolist(), water]}
         self.curves.append(entry)
+
+    @staticmethod
+    def _shrink(state: dict[str, Any], theta: Any, water: float) -> None:
+        """Write the factors into a copy of the weights."""
+        state["parameter_head.shrink"].copy_(torch.from_numpy(theta))
+        state["output_head.shrink"].fill_(water)
 
     def note(self) -> str:
         last = self.curves[-1]
@@ -173,6 +219,7 @@ class MemberTraining:
             "seed": trainer.plan.seed,
             "plan": trainer.plan.document(),
             "steps_done": trainer.done,
+            "chosen": {"step": self.best["step"], "of_base": self.best["score"]},
             "seconds": round(self.seconds, 1),
             "device": _device(self.fleet.device),
             "windows": len(self.fleet),
@@ -199,6 +246,16 @@ class MemberTraining:
                 parts.append(place(batch.x.cpu().numpy(), batch.m.cpu().numpy()))
             features.append(np.concatenate(parts))
         return envelope(features[0], features[1])
+
+
+def _ratio(own: dict[str, Any], base: dict[str, Any]) -> float:
+    """Return the errors over those of the base: half the outlet's, half the mean of the deviations'."""
+    deviations = [own["deviation_mae"][n] / max(v, 1e-9) for n, v in base["deviation_mae"].items()]
+    return float(0.5 * own["water_mae_K"] / max(base["water_mae_K"], 1e-9) + 0.5 * np.mean(deviations))
+
+
+def _copied(network: HieraUNet) -> dict[str, Any]:
+    return {name: v.detach().clone() for name, v in network.state_dict().items()}
 
 
 def adapt(
@@ -243,6 +300,9 @@ def adapt(
         raise HieraError(
             f"the station has no window in its first {months:g} months; give a longer record", code="NO_WINDOW"
         )
+    if network.trees is not None:
+        for fleet in (family, own):
+            settle(fleet, network.trees)
     trainer = TowerTrainer(network.config, family, plan, "adapted", own, rows, 0.5, network.state_dict())
     began = time.monotonic()
     while time.monotonic() < until and trainer.done < trainer.plan.steps:

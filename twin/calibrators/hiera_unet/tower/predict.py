@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from twin.calibrators.hiera_unet.network import HieraUNet, Prediction
-from twin.calibrators.hiera_unet.tower.windows import CellBatch, Fleet
+from twin.calibrators.hiera_unet.tower.trees import Trees
+from twin.calibrators.hiera_unet.tower.windows import BLOCK_MIN, TARGET, CellBatch, Fleet
 from twin.tower.air import Array
 
 LEAST_WORSE = 0.05
@@ -33,7 +34,7 @@ class Predicted:
     theta, log_variance
         (K, 4), the latter in units of the bounds.
     delta, log_scale
-        (K, 120), K and logarithm of tolerances.
+        (K, 120), K and logarithm of tolerances; the former is added to the twin at `theta`.
     attention
         (K, 4, 12) of each query.
     """
@@ -44,6 +45,55 @@ class Predicted:
     delta: Array
     log_scale: Array
     attention: Array
+
+
+def begun(network: HieraUNet, batch: CellBatch) -> CellBatch:
+    """Return windows with the answer that a network corrects: that of its trees, else the belief."""
+    if network.trees is None or batch.based:
+        return batch
+    return batch.begun(*corrections_of(network.trees, batch))
+
+
+@torch.no_grad()
+def corrections_of(trees: Trees, batch: CellBatch) -> tuple[Tensor, Tensor]:
+    """Return the corrections of the belief by trees: deviations (B, 4), and outlet (B, 12) K by blocks of ten
+    minutes. The first model is that of the outlet."""
+    points = batch.minutely[:, BLOCK_MIN // 2 :: BLOCK_MIN]
+    rows = torch.cat([batch.features[:, None].expand(-1, points.shape[1], -1), points], -1)
+    water = trees(rows.flatten(0, 1), 0).unflatten(0, (len(batch.features), -1))
+    theta = torch.stack([trees(batch.features, 1 + j) for j in range(batch.mean.shape[1])], 1)
+    return theta, water
+
+
+def settle(fleet: Fleet, trees: Trees, rows: NDArray[np.int64] | None = None, size: int = 256) -> None:
+    """Work out the answer of trees to windows of a fleet, so that its batches have it.
+
+    Parameters
+    ----------
+    rows
+        Cycles (K,); all windows without. Others keep what they have, at first no correction.
+    """
+    if rows is None or fleet.base is None:
+        cycles, device = len(fleet.valid), fleet.device
+        blank = torch.zeros(cycles, fleet.bounds.numel() + TARGET // BLOCK_MIN, device=device)
+    else:
+        blank = torch.cat(fleet.base, 1)
+    theta, water = blank.split((fleet.bounds.numel(), TARGET // BLOCK_MIN), 1)
+    fleet.base = None
+    chosen = fleet.rows if rows is None else rows
+    for at in range(0, len(chosen), size):
+        part = torch.from_numpy(chosen[at : at + size]).to(fleet.device)
+        theta[part], water[part] = corrections_of(trees, fleet.batch(part))
+    fleet.base = theta, water
+
+
+def outlet_of(network: HieraUNet, p: Prediction, batch: CellBatch) -> Tensor:
+    """Return the outlet (B, 120), degC, that a prediction says: its correction of the given answer, or of the twin at
+    the deviations for a network of an earlier kind."""
+    delta = p.delta[..., 0].float()
+    if network.config.corrects:
+        return batch.base_water + delta
+    return batch.water + (batch.slopes * (p.theta - batch.mean)[:, None, :3]).sum(-1) + delta
 
 
 def answer(network: HieraUNet, batch: CellBatch, causal: bool, half: bool) -> Prediction:
@@ -72,12 +122,16 @@ def predict(
     parts: list[tuple[Array, ...]] = []
     for at in range(0, len(rows), size):
         chosen = torch.from_numpy(rows[at : at + size]).to(fleet.device)
-        batch = fleet.batch(chosen)
+        batch = begun(network, fleet.batch(chosen))
         if lost:
             gone = torch.rand(len(chosen), batch.m.shape[-1], generator=generator, device=fleet.device) < lost
             batch.m[:] = batch.m & ~gone[:, None]
         p = answer(network, batch, causal, half)
-        found = (p.theta, p.log_variance, p.delta[..., 0], p.log_scale[..., 0], p.attention)
+        delta = p.delta[..., 0]
+        if network.config.corrects:
+            at_theta = batch.water + (batch.slopes * (p.theta - batch.mean)[:, None, :3]).sum(-1)
+            delta = outlet_of(network, p, batch) - at_theta
+        found = (p.theta, p.log_variance, delta, p.log_scale[..., 0], p.attention)
         parts.append(tuple(v.float().cpu().numpy() for v in found))
     theta, log_variance, delta, log_scale, attention = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Predicted(rows, theta, log_variance, delta, log_scale, attention)
@@ -125,7 +179,7 @@ def blindness(
     other = rng.permutation(rows)
     errors: list[Array] = []
     for at in range(0, len(rows), size):
-        batch = fleet.batch(torch.from_numpy(rows[at : at + size]))
+        batch = begun(network, fleet.batch(torch.from_numpy(rows[at : at + size])))
         strange = fleet.batch(torch.from_numpy(other[at : at + size]))
         mixed = CellBatch(
             **{**batch.__dict__, "x": strange.x, "m": strange.m, "regime": strange.regime, "clock": strange.clock}
@@ -133,7 +187,7 @@ def blindness(
         columns = []
         for one in (batch, mixed):
             p = answer(network, one, False, half)
-            columns += [_parameter_error(p.theta, batch, fleet.bounds), _output_error(p, batch)]
+            columns += [_parameter_error(p.theta, batch, fleet.bounds), _output_error(network, p, batch)]
         errors.append(torch.stack(columns, 1).float().cpu().numpy())
     table = np.concatenate(errors)
     cells = fleet.cell.cpu().numpy()[rows]
@@ -148,9 +202,8 @@ def _parameter_error(theta: Tensor, batch: CellBatch, bounds: Tensor) -> Tensor:
     return ((theta - batch.true).abs() / bounds * weight).sum(1) / weight.sum(1)
 
 
-def _output_error(p: Prediction, batch: CellBatch) -> Tensor:
-    water = batch.water + (batch.slopes * (p.theta - batch.mean)[:, None, :3]).sum(-1) + p.delta[..., 0]
-    return torch.nanmean((water - batch.true_water).abs(), 1)
+def _output_error(network: HieraUNet, p: Prediction, batch: CellBatch) -> Tensor:
+    return torch.nanmean((outlet_of(network, p, batch) - batch.true_water).abs(), 1)
 
 
 def _worse(own: Array, other: Array, block: NDArray[np.int64], rng: np.random.Generator) -> tuple[float, float, float]:

@@ -15,15 +15,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from twin.calibrators.hiera_unet.tower.predict import BLOCK_CYCLES, Predicted, interval
-from twin.calibrators.hiera_unet.tower.windows import CONTEXT, TARGET, Fleet
+from twin.calibrators.hiera_unet.tower.predict import BLOCK_CYCLES, Predicted, corrections_of, interval
+from twin.calibrators.hiera_unet.tower.trees import Trees
+from twin.calibrators.hiera_unet.tower.windows import BLOCK_MIN, CONTEXT, LAST_MIN, TARGET, Fleet
 from twin.tower.air import Array
 from twin.tower.model import DEVIATIONS
 
-BLOCK_MIN = 10
 AFTER_CHANGE_MIN, CHANGED = 30, 0.15
 """Minutes after a change of the fan's speed by this share of full within five minutes."""
-LAST_MIN = (30, 120, 720)
 LEVEL = 0.9
 
 
@@ -66,21 +65,10 @@ def targets_of(fleet: Fleet, rows: NDArray[np.int64], size: int = 256) -> Target
         batch = fleet.batch(chosen)
         index = fleet.start[chosen][:, None] + torch.arange(TARGET - CONTEXT, TARGET, device=fleet.device)
         point = fleet.arrays["point"][index].float()
-        water = fleet.arrays["water"][index]
-        change = batch.mean[:, None, :3] - fleet.reference[fleet.chunk[index]]
-        residual = (
-            fleet.arrays["outlet"][index]
-            - water
-            - (fleet.arrays["slopes"][index] * change).sum(-1)
-            - batch.mean[:, None, 3]
-        )
-        before = residual[:, : CONTEXT - TARGET]
-        recent = torch.stack([torch.nanmean(before[:, -m:], 1) for m in LAST_MIN], 1)
         speed = torch.nan_to_num(point[..., 2], nan=-1.0)
         step = torch.zeros_like(speed, dtype=torch.bool)
         step[:, 5:] = (speed[:, 5:] - speed[:, :-5]).abs() > 2.0 * CHANGED
         changed = torch.nn.functional.max_pool1d(step.float()[:, None], AFTER_CHANGE_MIN, 1)[:, 0]
-        lead = torch.arange(TARGET, device=fleet.device).float()[None, :, None].expand(len(chosen), -1, 1) / TARGET
         parts.append(
             {
                 k: v.float().cpu().numpy()
@@ -95,9 +83,9 @@ def targets_of(fleet: Fleet, rows: NDArray[np.int64], size: int = 256) -> Target
                     "reading": batch.reading,
                     "commissioned": fleet.arrays["commissioned"][index][:, -TARGET:],
                     "changed": changed[:, -TARGET:],
-                    "recent": torch.nan_to_num(recent),
-                    "features": batch.meta,
-                    "minutely": torch.cat([point[:, -TARGET:], lead], -1),
+                    "recent": batch.features[:, -len(LAST_MIN) :],
+                    "features": batch.features[:, : -len(LAST_MIN)],
+                    "minutely": batch.minutely,
                 }.items()
             }
         )
@@ -143,6 +131,56 @@ def mixed(t: Targets, members: Sequence[Predicted]) -> tuple[MethodPrediction, A
     water = np.mean(waters, axis=0)
     scale = np.mean([2.0 * (np.exp(np.clip(p.log_scale, -6, 6)) * 0.3) ** 2 for p in members], axis=0)
     return MethodPrediction(theta, water), sd, np.sqrt(scale + np.var(waters, axis=0))
+
+
+def started(fleet: Fleet, t: Targets) -> MethodPrediction:
+    """Return the answer that a network on this fleet corrects: that of its trees, else the belief."""
+    if fleet.base is None:
+        return MethodPrediction(t.mean, t.water)
+    rows = torch.from_numpy(t.rows).to(fleet.device)
+    theta, water = (one[rows].cpu().numpy() for one in fleet.base)
+    return MethodPrediction(t.mean + theta, t.water + water.repeat(BLOCK_MIN, axis=1))
+
+
+def boosted(trees: Trees, fleet: Fleet, rows: NDArray[np.int64], size: int = 64) -> MethodPrediction:
+    """Return the answer to cycles `rows` (K,) of trees that correct the belief."""
+    trees.to(fleet.device)
+    theta, water = [], []
+    for at in range(0, len(rows), size):
+        batch = fleet.batch(torch.from_numpy(rows[at : at + size]))
+        begun = batch.begun(*corrections_of(trees, batch))
+        theta.append(begun.base_theta.cpu().numpy())
+        water.append(begun.base_water.cpu().numpy())
+    return MethodPrediction(np.concatenate(theta), np.concatenate(water))
+
+
+def shrink_factors(t: Targets, base: MethodPrediction, found: MethodPrediction) -> tuple[Array, float]:
+    """Return the factors, 0 to 1, of the corrections of deviations (4,) and outlet with the least absolute error.
+
+    With e the error of the base and c a correction it is the median of e / c, weighted by |c|. So no mean error on
+    these windows is larger than the base's.
+    """
+    theta = [
+        _least_absolute((t.true - base.theta)[:, j], (found.theta - base.theta)[:, j]) for j in range(len(DEVIATIONS))
+    ]
+    return np.array(theta), _least_absolute((t.true_water - base.water).ravel(), (found.water - base.water).ravel())
+
+
+def shrunk(base: MethodPrediction, found: MethodPrediction, theta: Array, water: float) -> MethodPrediction:
+    """Return an answer whose corrections of the base have these factors."""
+    return MethodPrediction(
+        base.theta + theta * (found.theta - base.theta), base.water + water * (found.water - base.water)
+    )
+
+
+def _least_absolute(error: Array, correction: Array) -> float:
+    there = np.isfinite(error) & (np.abs(correction) > 1e-9)
+    if not there.any():
+        return 1.0
+    ratio, weight = error[there] / correction[there], np.abs(correction[there])
+    order = np.argsort(ratio)
+    total = np.cumsum(weight[order])
+    return float(np.clip(ratio[order][np.searchsorted(total, 0.5 * total[-1])], 0.0, 1.0))
 
 
 def _bounds() -> Array:

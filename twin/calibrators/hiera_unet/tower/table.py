@@ -128,6 +128,7 @@ SUBJECT = Subject(
     memory=MEMORY,
     slope_signs=(-1, -1, -1, 1),
     residual="r_outlet",
+    corrects=True,
 )
 
 CellColumns = Mapping[str, NDArray[Any]]

@@ -1,9 +1,9 @@
 """Training of a tower network: losses that start at one, made equal in their gradients, and state to go on from.
 
-The parameter loss measures each error in the belief's own usual one, absolutely where it is large, and weighs each
-label by the share of its prior variance that the belief has resolved. The output is the
-twin at the belief, linearised, plus the correction; the exact twin is what `score` judges against by its truth. Windows
-in which a deviation jumps inside the target have no output loss.
+The parameter loss measures each error in the given answer's own usual one, absolutely where it is large, and weighs
+each label by the share of its prior variance that the belief has resolved. The output is the given answer plus the
+correction, judged as `score` does: by its absolute error against the truth. Windows in which a deviation jumps inside
+the target have no output loss.
 """
 
 from __future__ import annotations
@@ -11,9 +11,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
@@ -22,12 +25,19 @@ from twin.calibrators.hiera_unet.config import Config, HieraError
 from twin.calibrators.hiera_unet.network import HieraUNet, Prediction, decayed
 from twin.calibrators.hiera_unet.tower.plan import TowerPlan
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
+from twin.calibrators.hiera_unet.tower.trees import Trees
 from twin.calibrators.hiera_unet.tower.windows import CONTEXT, TARGET, TOLERANCE, CellBatch, Fleet, Jump
 
 JUMPS = (0.1, 0.0, 0.08, 0.5)
 """Largest added jump of fill, air, uniformity and bias; none of the air, whose fan power would not move with it."""
 BURST = (2, 120)
 REFERENCE_BATCHES = 16
+STATICS_OF = 4096
+"""Windows whose static numbers give middle and spread."""
+DESIGN = 6
+"""First static numbers: those of the design."""
+NEAR = 0.3
+"""Usual errors below which an error of a deviation counts by its square."""
 MOST_EVEN = 10.0
 IDENTITY = ("configuration", "plan", "channel table", "data", "number of windows")
 """Parts of `TowerTrainer.identity`."""
@@ -38,7 +48,8 @@ class TowerTrainer:
 
     Args:
         fleet: windows to learn from. own: windows of the station itself, which only show readings. rows: cycles of
-            each that may be drawn; all without. start: weights to begin at. share: of `own` in a batch.
+            each that may be drawn; all without. start: weights to begin at. share: of `own` in a batch. trees: that
+            give the answer to correct; `fleet.base` has that of trees which did not learn from the window's plant.
     """
 
     def __init__(
@@ -51,14 +62,21 @@ class TowerTrainer:
         own_rows: Tensor | None = None,
         share: float = 0.5,
         start: Mapping[str, Tensor] | None = None,
+        trees: Trees | None = None,
     ) -> None:
+        if trees is not None:
+            config = replace(config, trees=tuple(trees.value.shape))
         self.config, self.fleet, self.plan, self.digest = config, fleet, plan, digest
         self.own, self.own_rows, self.share = own, own_rows, share
         self.device = fleet.device
         torch.manual_seed(plan.seed)
         self.network = HieraUNet(config).to(self.device)
+        if trees is not None and self.network.trees is not None:
+            self.network.trees.load_state_dict(trees.state_dict())
         if start is not None:
             self.network.load_state_dict(dict(start))
+        elif config.corrects:
+            self._standardise()
         self.average = HieraUNet(config).to(self.device)
         self.average.load_state_dict(self.network.state_dict())
         heavy, light = decayed(self.network)
@@ -71,8 +89,23 @@ class TowerTrainer:
         self.usual = torch.ones(len(SUBJECT.deviations), device=self.device)
         self.reference = self._reference()
 
+    def _standardise(self) -> None:
+        """Set the middle and spread of the static numbers to those of the windows."""
+        rows = self.fleet.rows[:: max(len(self.fleet.rows) // STATICS_OF, 1)]
+        meta = torch.cat([self.fleet.batch(torch.from_numpy(part)).meta for part in _parts(rows)])
+        middle, spread = self.network.middle, self.network.spread
+        assert middle is not None and spread is not None
+        middle.copy_(meta.mean(0))
+        spread.copy_(meta.std(0).clamp(min=1e-3))
+
     def _chances(self, fleet: Fleet) -> Tensor:
-        """Return the chance of each window, so that kinds have the plan's shares; absent kinds leave theirs."""
+        """Return the chance of each window, so that kinds have the plan's shares, or cells equal ones.
+
+        Absent kinds leave theirs.
+        """
+        if not self.plan.mix:
+            cells = fleet.cell[self.rows].long()
+            return (1.0 / torch.bincount(cells).clamp(min=1).float())[cells]
         kinds = fleet.cycles["kind"].long()[self.rows]
         count = torch.bincount(kinds, minlength=len(self.plan.mix)).float()
         mix = torch.tensor(self.plan.mix, device=self.device) / count.clamp(min=1.0)
@@ -87,13 +120,13 @@ class TowerTrainer:
         state = self.generator.get_state()
         sums = [0.0, 0.0]
         batches = [self.fleet.batch(self._draw(self.plan.batch)) for _ in range(REFERENCE_BATCHES)]
-        wrong = torch.cat([one.mean - one.true for one in batches])
+        wrong = torch.cat([one.base_theta - one.true for one in batches])
         known = torch.isfinite(wrong)
         # The mean absolute error: squares would take the rare jump as usual.
         self.usual = (torch.nan_to_num(wrong).abs().sum(0) / known.sum(0).clamp(min=1)).clamp(min=1e-3)
         for batch in batches:
-            sums[0] += float(self._parameter(batch.mean, batch))
-            error, _ = self._errors(batch, batch.mean, torch.zeros_like(batch.water))
+            sums[0] += float(self._parameter(batch.base_theta, batch))
+            error, _ = self._errors(batch, batch.base_theta, torch.zeros_like(batch.water))
             sums[1] += float(losses.mean_of(torch.nan_to_num(error).abs(), torch.isfinite(error)))
         self.generator.set_state(state)
         return max(sums[0] / REFERENCE_BATCHES, 1e-4), max(sums[1] / REFERENCE_BATCHES, 1e-3)
@@ -117,6 +150,18 @@ class TowerTrainer:
         silent = (self._uniform(b, 1) < self.plan.burst) & (step >= start) & (step < start + length)
         return batch.m & ~lost[:, None] & ~(silent[..., None] & self.fleet.told)
 
+    def _unnamed(self, batch: CellBatch) -> tuple[Tensor, Tensor, Tensor]:
+        """Return static numbers, memory and clock, each without what tells a plant in some windows: a network must not
+        learn its plants by heart."""
+        b = len(batch.x)
+        hidden = [self._uniform(b, 1) < self.plan.unnamed for _ in range(3)]
+        meta = batch.meta
+        if self.network.middle is not None:
+            design = torch.where(hidden[0], self.network.middle[:DESIGN], meta[:, :DESIGN])
+            meta = torch.cat([design, meta[:, DESIGN:]], 1)
+        memory = torch.where(hidden[1][..., None], torch.zeros_like(batch.memory), batch.memory)
+        return meta, memory, torch.where(hidden[2][..., None], torch.zeros_like(batch.clock), batch.clock)
+
     def rate(self) -> float:
         """Return the learning rate of the next step: a linear warm-up, then a cosine to 1 %."""
         warm = max(int(self.plan.warmup * self.plan.steps), 1)
@@ -131,10 +176,9 @@ class TowerTrainer:
             group["lr"] = self.rate()
         batch, pairs, own = self._batch()
         causal = self.done % 2 == 1
+        meta, memory, clock = self._unnamed(batch)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.plan.half):
-            p = self.network(
-                batch.x, self._hide(batch), batch.regime, batch.clock, batch.meta, causal=causal, memory=batch.memory
-            )
+            p = self.network(batch.x, self._hide(batch), batch.regime, clock, meta, causal=causal, memory=memory)
         parameters, outputs, rest = self._losses(p, batch, pairs, own)
         if self.done % self.plan.even_every == 0 and self.done >= self.plan.even_every:
             self._make_even(parameters, outputs)
@@ -173,7 +217,11 @@ class TowerTrainer:
         wrong = self._uniform(count, 1) < self.plan.shifted
         noise = torch.randn(count, 4, generator=self.generator, device=self.device)
         shift = torch.where(wrong, noise * self.fleet.cycles["sd"][rows], torch.zeros_like(noise))
-        return self.fleet.batch(rows, jump, shift), pairs, False
+        offset = torch.randn(count, generator=self.generator, device=self.device) * self.plan.offset
+        if two:
+            # The windows of a pair have one thermometer.
+            offset[count - two :] = offset[:two]
+        return self.fleet.batch(rows, jump, shift, offset), pairs, False
 
     def _alternate(self) -> bool:
         """Return True in every so many steps that the station's own windows have their share."""
@@ -183,13 +231,16 @@ class TowerTrainer:
         """Return the mean of errors in the belief's usual ones (Huber's loss), weighted by information."""
         error = (theta - batch.true) / self.usual
         weight = batch.information.clamp(min=0.05) * torch.isfinite(error)
-        size = functional.smooth_l1_loss(torch.nan_to_num(error), torch.zeros_like(error), reduction="none")
+        size = functional.smooth_l1_loss(torch.nan_to_num(error), torch.zeros_like(error), reduction="none", beta=NEAR)
         return (weight * size).sum() / weight.sum().clamp(min=1e-6)
 
     def _errors(self, batch: CellBatch, theta: Tensor, delta: Tensor) -> tuple[Tensor, Tensor]:
         """Return errors of the water, and of the reading, in tolerances (B, 120); NaN is not judged."""
         through = self.plan.through * theta + (1.0 - self.plan.through) * theta.detach()
-        water = batch.water + (batch.slopes * (through - batch.mean)[:, None, :3]).sum(-1) + delta
+        if self.config.corrects:
+            water = batch.base_water + delta
+        else:
+            water = batch.water + (batch.slopes * (through - batch.mean)[:, None, :3]).sum(-1) + delta
         unjudged = ~batch.judged[:, None]
         nan = torch.full_like(water, float("nan"))
         reading = torch.where(unjudged, nan, water + through[:, None, 3] - batch.reading) / TOLERANCE
@@ -199,7 +250,7 @@ class TowerTrainer:
     def _losses(self, p: Prediction, batch: CellBatch, pairs: Tensor, own: bool) -> tuple[Tensor, Tensor, Tensor]:
         delta = p.delta[..., 0].float()
         error, reading = self._errors(batch, p.theta, delta)
-        shown = reading if own else torch.cat([error, reading], -1)
+        shown = reading if own else error
         outputs = losses.mean_of(torch.nan_to_num(shown).abs(), torch.isfinite(shown)) / self.reference[1]
         parameters = self._parameter(p.theta, batch) / self.reference[0]
         if own:
@@ -268,6 +319,10 @@ class TowerTrainer:
             (self.config.document(), self.plan.document(), SUBJECT.digest(), self.digest, len(self.fleet)),
             sort_keys=True,
         )
+
+
+def _parts(rows: NDArray[np.int64], size: int = 64) -> list[NDArray[np.int64]]:
+    return [rows[at : at + size] for at in range(0, len(rows), size)]
 
 
 def _differences(begun: str, now: str) -> str:

@@ -9,7 +9,7 @@ on the belief are made here: the residual of the twin at the belief, and for eac
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -24,6 +24,12 @@ TOLERANCE = SUBJECT.outputs[0].tolerance
 OUTLET = SUBJECT.index("r_outlet")
 SCORES = slice(SUBJECT.index("score_fill"), SUBJECT.index("score_bias") + 1)
 RATES = slice(SUBJECT.index("rate_fill"), SUBJECT.index("rate_bias") + 1)
+FITS = slice(-21, -17)
+MEANS = slice(-13, -9)
+"""Places of the fit and of the belief's means among the static numbers."""
+BLOCK_MIN = 10
+LAST_MIN = (30, 120, 720)
+"""Minutes before the target over which mean residuals are features of the trees."""
 MINUTELY = ("x", "m", "regime", "clock", "outlet", "reading", "water", "slopes", "commissioned", "true_water", "point")
 CYCLED = ("mean", "sd", "fit", "fit_sd", "true", "condition", "age_h", "seen", "kind", "jumped")
 
@@ -38,6 +44,8 @@ class CellBatch:
         reading: (B, 120) samples of the target, degC; true_water: (B, 120); both NaN where there is none.
         mean, sd, true: (B, 4) belief and truth. information: (B, 4) share of the prior variance that the belief has
         resolved. judged: (B,) False where something begins inside the target.
+        base_theta, base_water: (B, 4), (B, 120) answer that a network corrects: the belief, or boosted trees on it.
+        based: whether it is that of the trees. features: (B, F) and minutely: (B, 120, 5) that the trees read.
     """
 
     x: Tensor
@@ -55,6 +63,20 @@ class CellBatch:
     true: Tensor
     information: Tensor
     judged: Tensor
+    base_theta: Tensor
+    base_water: Tensor
+    based: bool
+    features: Tensor
+    minutely: Tensor
+
+    def begun(self, theta: Tensor, water: Tensor) -> CellBatch:
+        """Return the windows with corrections of the belief, deviations (B, 4) and outlet (B, 12) K, as answer to
+        correct."""
+        base = self.mean + theta
+        meta = self.meta.clone()
+        meta[:, MEANS] = base
+        moved = self.water + water.repeat_interleave(BLOCK_MIN, 1)
+        return replace(self, meta=meta, base_theta=base, base_water=moved, based=True)
 
 
 @dataclass(frozen=True)
@@ -69,6 +91,9 @@ class Jump:
 
 class Fleet:
     """Tables of many cells on a device.
+
+    Attributes:
+        base: corrections of the belief by cycle, (K, 4) and (K, 12), where they were worked out before.
 
     Raises:
         HieraError: there is no table, or none has a window.
@@ -105,6 +130,7 @@ class Fleet:
         prior = torch.tensor([one.prior_sd for one in SUBJECT.deviations], device=self.device)
         self.bounds = torch.tensor([one.bound for one in SUBJECT.deviations], device=self.device)
         self.prior = prior
+        self.base: tuple[Tensor, Tensor] | None = None
         told = torch.tensor(SUBJECT.told, device=self.device)
         self.told = told
 
@@ -117,23 +143,33 @@ class Fleet:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def batch(self, rows: Tensor, jump: Jump | None = None, shift: Tensor | None = None) -> CellBatch:
+    def batch(
+        self, rows: Tensor, jump: Jump | None = None, shift: Tensor | None = None, offset: Tensor | None = None
+    ) -> CellBatch:
         """Return the windows of cycles `rows` (B,).
 
         Parameters:
-            jump: added to readings, truth and labels. shift: (B, 4) added to the belief, as if it were wrong.
+            jump: added to readings, truth and labels. shift: (B, 4) added to the belief, as if it were wrong. offset:
+            (B,) K added to readings and to the bias of belief, fit and truth, as if the thermometer were another.
         """
         rows = rows.to(self.device)
         start, cell = self.start[rows], self.cell[rows]
         index = start[:, None] + torch.arange(TARGET - CONTEXT, TARGET, device=self.device)
         a = {name: self.arrays[name][index] for name in MINUTELY if name not in ("commissioned",)}
         c = {name: self.cycles[name][rows] for name in CYCLED}
+        if offset is not None:
+            for name in ("mean", "fit", "true"):
+                c[name] = torch.cat([c[name][:, :3], c[name][:, 3:] + offset[:, None]], 1)
         mean = c["mean"] if shift is None else c["mean"] + shift
         x, m = a["x"].float(), a["m"].clone()
-        reading, true_water, true = a["reading"], a["true_water"], c["true"]
+        reading, true_water, true, sample = a["reading"], a["true_water"], c["true"], a["outlet"]
+        if offset is not None:
+            level = offset[:, None].expand_as(reading)
+            reading, sample = reading + level, sample + level
+            self._move_channels(x, level, a["point"].float(), cell)
         if jump is not None:
             moved, water_moved, true = self._jumped(jump, a["slopes"], true)
-            reading, true_water = reading + moved, true_water + water_moved
+            reading, true_water, sample = reading + moved, true_water + water_moved, sample + moved
             self._move_channels(x, moved, a["point"].float(), cell)
         change = mean[:, None, :3] - self.reference[self.chunk[index]]
         water = a["water"] + (a["slopes"] * change).sum(-1)
@@ -157,12 +193,16 @@ class Fleet:
         m &= ~(hidden[..., None] & self.told)
         sampled = torch.where(torch.isfinite(a["outlet"]), reading, torch.full_like(reading, float("nan")))
         resolved = (1.0 - (c["sd"] / self.prior) ** 2).clamp(0.0, 1.0)
-        return CellBatch(
+        meta = self._meta(c, mean, cell, a["point"].float(), resolved)
+        before = (sample - water - mean[:, None, 3])[:, : CONTEXT - TARGET]
+        recent = torch.nan_to_num(torch.stack([torch.nanmean(before[:, -k:], 1) for k in LAST_MIN], 1))
+        lead = torch.arange(TARGET, device=self.device).float()[None, :, None].expand(len(rows), -1, 1) / TARGET
+        found = CellBatch(
             x,
             m,
             a["regime"],
             a["clock"].float(),
-            self._meta(c, mean, cell, a["point"].float(), resolved),
+            meta,
             self.memory[cell],
             water[:, -TARGET:],
             a["slopes"][:, -TARGET:],
@@ -173,7 +213,13 @@ class Fleet:
             true,
             resolved,
             ~c["jumped"],
+            mean,
+            water[:, -TARGET:],
+            False,
+            torch.cat([meta, recent], 1),
+            torch.cat([a["point"][:, -TARGET:].float(), lead], -1),
         )
+        return found if self.base is None else found.begun(self.base[0][rows], self.base[1][rows])
 
     @staticmethod
     def _hidden(sampled: Tensor) -> Tensor:
