@@ -24,6 +24,7 @@ from hil.panel.access import Access
 from hil.panel.app import Panel
 from hil.panel.server import _listener as listening
 from hil.panel.trends import Trends
+from hil.run.engine.control_socket import _short
 from hil.run_folder import RunFolder, read_notes
 from tests.hil.alarmed_run import AlarmedRun, alarmed_run
 from tests.hil.command_line import typed
@@ -41,7 +42,8 @@ class Steered:
         self.asked: list[dict[str, str]] = []
         self.refuses = ""
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._listener.bind(str(path))
+        with _short(path) as address:
+            self._listener.bind(address)
         self._listener.listen()
         self._thread = threading.Thread(target=self._answer, daemon=True)
         self._thread.start()
