@@ -6,6 +6,7 @@ Nothing here is part of a tick: the conditions are judged on the rows that the j
 from __future__ import annotations
 
 import math
+import shlex
 import time
 from pathlib import Path
 from types import TracebackType
@@ -196,9 +197,8 @@ class AlarmWatch:
         if alarm == "all" and name != "shelve":
             chosen = [item for item in kept.standing() if refusal(item, name) is None]
             if not chosen:
-                raise AlarmError(
-                    f"no alarm of {self.folder.path} admits it; `hil alarms {self.folder.path}` lists them"
-                )
+                listed = f"`hil alarms {shlex.quote(str(self.folder.path))}` lists them"
+                raise AlarmError(f"no alarm of {self.folder.path} admits it; {listed}")
         else:
             chosen = [kept.statuses[self._known(alarm)]]
         for status in chosen:
