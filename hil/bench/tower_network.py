@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.measure import Cell, ReportTable
-from hil.training.tower import BOOSTED, ENSEMBLE, GAUSS_NEWTON, random_table, score_members
+from hil.training.tower import BOOSTED, ENSEMBLE, GAUSS_NEWTON, judged_cards, random_table, score_members
 from twin.calibrators.hiera_unet.config import HieraError
 
 FORWARDS = 20
@@ -59,9 +59,26 @@ def read_results(path: Path) -> dict[str, Any]:
         found = json.loads(path.read_text())
         evaluation = dict(found["evaluation"])
         dict(evaluation["scores"]["all"])
-        return {**evaluation, "adapted": found.get("adapted", {}), "cards": found.get("cards", {})}
+        cards = judged_cards(found.get("cards", {}))
+        codes = _codes(cards) if all("gate" in card for card in cards.values()) else {}
+        return {**evaluation, **codes, "adapted": found.get("adapted", {}), "cards": cards}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise HieraError(f"{path}: holds no scores of a training ({error}); give its results.json") from error
+
+
+def _codes(cards: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the gate's codes by the present rule, which may differ from that of the training."""
+    if not cards:
+        return {}
+    heads = {name: card["gate"]["heads"] for name, card in cards.items()}
+    return {
+        key: {name: _plain(one[head]) for name, one in heads.items()}
+        for key, head in (("refused", "parameters"), ("refused_outputs", "outputs"))
+    }
+
+
+def _plain(code: str) -> str:
+    return "" if code == "none" else code
 
 
 def tables_of(document: Mapping[str, Any]) -> list[ReportTable]:
@@ -191,14 +208,16 @@ def _trained(cards: Mapping[str, Any]) -> ReportTable:
                 card["plan"]["batch"],
                 card["seconds"],
                 card["device"],
-                gate["parameters_worse"][0],
-                gate["outputs_worse"][0],
-                card.get("refused") or "passed",
+                _change(*gate["parameters_worse"]),
+                _change(*gate["outputs_worse"]),
+                *(_plain(gate["heads"][head]) or "passed" for head in ("parameters", "outputs")),
             )
         )
-    columns = ("member", "weights", "steps", "batch", "s", "device", "parameters worse", "outputs worse", "gate")
+    worse = ("parameters worse", "outputs worse", "gate of parameters", "gate of outputs")
+    columns = ("member", "weights", "steps", "batch", "s", "device", *worse)
     notes = (
         "worse: with another window's channels, as a share; at least 0.05 and surely above 0, else BLIND",
+        "a member with BLIND parameters is refused; with BLIND outputs alone, its outlet is that of its start",
         "the training scored all tables above on its device; the latency alone is of the machine that this page names",
     )
     return ReportTable("trained", "Members and their gate against blindness", columns, tuple(rows), notes)
@@ -217,8 +236,9 @@ def _goals(document: Mapping[str, Any]) -> ReportTable:
         for name in DEVIATIONS:
             change, low, high = compared[name]
             rows.append((name, change, low, high, 0.0, "yes" if change <= 0.0 else "no"))
-    for name, code in document["refused"].items():
-        rows.append((f"{name}: gate against blindness", None, None, None, None, "yes" if not code else f"no: {code}"))
+    for head, key in (("parameters", "refused"), ("outputs", "refused_outputs")):
+        for name, code in document.get(key, {}).items():
+            rows.append((f"{name}: gate, {head}", None, None, None, None, "yes" if not code else f"no: {code}"))
     columns = ("goal", "change", "95 % from", "to", "at most", "reached")
     # Results from before the gate chose the members name none: all small ones were in the ensemble.
     some = document.get("ensemble", [name for name in document["refused"] if name.startswith("small")])

@@ -152,10 +152,12 @@ def test_goals_name_the_gate_and_the_change_against_the_boosted_rival() -> None:
         return {"windows": 5, "deviation_mae": deviations, "worse_than_rival": worse, **dict.fromkeys(names, water)}
 
     scores = {"the same, boosted": one(0.1), "network, ensemble": one(0.08)}
-    found = {t.key: t for t in tables_of({"scores": {"all": scores}, "refused": {"small_0": "BLIND", "small_1": ""}})}
+    codes = {"refused": {"small_0": "BLIND", "small_1": ""}, "refused_outputs": {"small_1": "BLIND"}}
+    found = {t.key: t for t in tables_of({"scores": {"all": scores}, **codes})}
     goals = {str(row[0]): row[-1] for row in found["goals"].rows}
     assert goals["outlet"] == "yes" and goals["outlet, 30 min after a fan change"] == "no"
-    assert goals["small_0: gate against blindness"] == "no: BLIND"
+    assert goals["small_0: gate, parameters"] == "no: BLIND" and goals["small_1: gate, parameters"] == "yes"
+    assert goals["small_1: gate, outputs"] == "no: BLIND"
     assert [row[0] for row in found["outlet_all"].rows] == list(scores)
 
 
