@@ -84,8 +84,9 @@ def _plain(code: str) -> str:
 def tables_of(document: Mapping[str, Any]) -> list[ReportTable]:
     """Return the tables of a document of `hil.training.tower.evaluate`."""
     found = []
+    blind = [name for name, code in document.get("refused_outputs", {}).items() if code]
     for part, scores in document["scores"].items():
-        found.append(_outlets(part, scores))
+        found.append(_outlets(part, scores, blind))
         found.append(_deviations(part, scores))
     found.append(_intervals(document["scores"]["all"]))
     if "by_cell" in document:
@@ -100,7 +101,7 @@ def tables_of(document: Mapping[str, Any]) -> list[ReportTable]:
     return found
 
 
-def _outlets(part: str, scores: Mapping[str, Any]) -> ReportTable:
+def _outlets(part: str, scores: Mapping[str, Any], blind: Sequence[str]) -> ReportTable:
     columns = ("method", "MAE K", "RMSE K", "p90 K", "p99 K", "30 min after a fan change K", "readings MAE K")
     names = (
         "water_mae_K",
@@ -113,7 +114,9 @@ def _outlets(part: str, scores: Mapping[str, Any]) -> ReportTable:
     rows = tuple((method, *(one[n] for n in names)) for method, one in scores.items())
     count = next(iter(scores.values()))["windows"]
     about = f"Outlet against the truth, {PARTS.get(part, part)}, {count} windows of two hours, their readings hidden"
-    notes = ("the last column is against hidden readings, with their bias",)
+    notes: tuple[str, ...] = ("the last column is against hidden readings, with their bias",)
+    if blind:
+        notes += (f"the outlet of {', '.join(blind)} is that of the start, as the gate refused their outputs",)
     return ReportTable(f"outlet_{_key(part)}", about, columns, rows, notes)
 
 
@@ -170,6 +173,11 @@ def _against(document: Mapping[str, Any]) -> ReportTable:
     about = f"Error of the ensemble over that of {GAUSS_NEWTON}, less one, with 95 % intervals"
     notes = ("below zero: the network is nearer to the truth; Gauss-Newton has all its channels in each row",)
     return ReportTable("against", about, ("branch", *COMPARED.values()), tuple(rows), notes)
+
+
+def _seen(change: float) -> float:
+    """Return a change, 0 where it is the rounding of single precision."""
+    return 0.0 if abs(change) < 1e-6 else change
 
 
 def _change(mean: float, low: float, high: float) -> str:
@@ -230,11 +238,11 @@ def _goals(document: Mapping[str, Any]) -> ReportTable:
     if best is not None:
         compared = document["scores"]["all"][best]["worse_than_rival"]
         for name, limit in (("water", BELOW), ("water_after_fan_change", BELOW_AFTER_CHANGE)):
-            change, low, high = compared[name]
+            change, low, high = map(_seen, compared[name])
             label = "outlet" if name == "water" else "outlet, 30 min after a fan change"
             rows.append((label, change, low, high, limit, "yes" if change <= limit and high < 0.0 else "no"))
         for name in DEVIATIONS:
-            change, low, high = compared[name]
+            change, low, high = map(_seen, compared[name])
             rows.append((name, change, low, high, 0.0, "yes" if change <= 0.0 else "no"))
     for head, key in (("parameters", "refused"), ("outputs", "refused_outputs")):
         for name, code in document.get(key, {}).items():
@@ -242,7 +250,7 @@ def _goals(document: Mapping[str, Any]) -> ReportTable:
     columns = ("goal", "change", "95 % from", "to", "at most", "reached")
     # Results from before the gate chose the members name none: all small ones were in the ensemble.
     some = document.get("ensemble", [name for name in document["refused"] if name.startswith("small")])
-    notes = (f"the ensemble is the mean of {', '.join(some)}",) if best is not None else ()
+    notes = (f"the ensemble is the mean of {', '.join(some)}", "0: its answer is the rival's own") if best else ()
     return ReportTable("goals", f"Error of the ensemble over that of {rival}, less one", columns, tuple(rows), notes)
 
 

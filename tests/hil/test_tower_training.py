@@ -269,4 +269,4 @@ def test_the_page_compares_the_ensemble_with_gauss_newton_cell_by_cell_and_with_
     assert found["cells"].rows == (("B9001_1", 0.05, 0.07),)
     against = dict(zip(found["against"].columns, found["against"].rows[0], strict=True))
     assert against["outlet"] == "+0.14 (+0.07 to +0.21)" and against["air"] == "-0.40 (-0.50 to -0.30)"
-    assert found["goals"].notes == ("the ensemble is the mean of small_0",)
+    assert found["goals"].notes[0] == "the ensemble is the mean of small_0"
