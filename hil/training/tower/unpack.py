@@ -95,9 +95,10 @@ def draw(curves: Sequence[Mapping[str, Any]], path: Path, title: str) -> Path:
         known = [(c["step"], c[name]) for c in curves if name in c]
         if known:
             left.plot(*zip(*known, strict=True), label=name, linewidth=1)
-    left.set(title="training loss, the belief's is 1", xlabel="step", ylim=(0, None))
+    left.set(title="training loss, the start's is 1", xlabel="step", ylim=(0, None))
     middle.plot(steps, [c["water_mae_K"] for c in curves], label="network")
     middle.plot(steps, [c["rival_water_mae_K"] for c in curves], color="0.5", label="Gauss-Newton")
+    middle.margins(y=0.2)
     middle.set(title="held-out outlet error, K", xlabel="step", ylim=(0, None))
     for name in PER_DEVIATION:
         right.plot(steps, [c[f"{name}_mae"] / c[f"rival_{name}_mae"] for c in curves], label=name, linewidth=1)
