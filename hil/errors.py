@@ -50,9 +50,19 @@ def exit_code(error: BaseException) -> int | None:
         "HieraError",
         "TestPlanError",
         "StreamError",
+        "AlarmError",
+        "PanelError",
     }:
         return USAGE
-    if names & {"VirtualRigError", "ViewerError", "ControlError", "PdfError", "TowerOutputError", "StoreDownError"}:
+    if names & {
+        "VirtualRigError",
+        "ViewerError",
+        "ControlError",
+        "PdfError",
+        "TowerOutputError",
+        "StoreDownError",
+        "NotSentError",
+    }:
         return FOUND
     return None
 

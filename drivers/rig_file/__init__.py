@@ -20,11 +20,13 @@ from drivers.rig_file.can_ids import IdMatch, Senders, by_id, by_j1939, pgn_of
 from drivers.rig_file.checks import Layout, cross_checks, unwritable
 from drivers.rig_file.host_address import addresses, is_own
 from drivers.rig_file.interlock_specs import (
+    AlarmSpec,
     HeaterPowerSpec,
     InterlockSpec,
     Level,
     LimitSpec,
     NoFlowSpec,
+    Priority,
     RateOfRiseSpec,
     ResidualSpec,
     SensorSpec,
@@ -38,6 +40,7 @@ from drivers.rig_file.wires import device_of_bus, serial_device, wire_of_bus
 
 __all__ = [
     "MOST_DESCRIPTION",
+    "AlarmSpec",
     "AnyBus",
     "CanBus",
     "CanMessage",
@@ -56,6 +59,7 @@ __all__ = [
     "ModbusTlsBus",
     "NoFlowSpec",
     "Point",
+    "Priority",
     "RateOfRiseSpec",
     "ResidualSpec",
     "Rig",

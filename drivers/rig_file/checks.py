@@ -73,7 +73,7 @@ def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
             elif key in ("point", "arm") and rig.get(named).access == "r":
                 why = f"heartbeat: {named} is written to as {key}; give it access 'rw' or name another"
                 found.append((("heartbeat", key), why))
-    return found + _watchdog_checks(rig) + _interlock_checks(rig)
+    return found + _watchdog_checks(rig) + _interlock_checks(rig) + _alarm_checks(rig)
 
 
 def _watchdog_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
@@ -214,6 +214,21 @@ def _share(one: Point, other: Point) -> bool:
         return False
     same = (one.address, one.type, one.order) == (other.address, other.type, other.order)
     return same and (one.bits[1] < other.bits[0] or other.bits[1] < one.bits[0])
+
+
+def _alarm_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
+    """Return mistakes of alarms: points that do not exist or are not read."""
+    polled = {point.name: point.is_polled for point in rig.point}
+    return [
+        (
+            ("alarm", index, "point"),
+            f"alarm: {spec.point} is not read on every tick (access = 'r'); correct point"
+            if spec.point in polled
+            else f"alarm: no point {spec.point!r}; declare it or correct point",
+        )
+        for index, spec in enumerate(rig.alarm)
+        if not polled.get(spec.point)
+    ]
 
 
 def _interlock_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:

@@ -1,9 +1,9 @@
-"""Interlock sections of a rig file, `[[interlock]]`: watched points, limits, and warning or alarm.
+"""Interlock and alarm sections of a rig file, `[[interlock]]` and `[[alarm]]`: watched points and limits.
 
 A `warning` suspends the run (safe outputs, the profile's clock stands) until it clears; an `alarm` latches a trip.
 Deadband and delays are those of ANSI/ISA-18.2: a condition must hold for `on_delay_s` before it counts, and be gone by
 `deadband` for `off_delay_s` before it is over. A point that is stale or faulty counts as beyond its limit after the
-rig's `abort_after_s`.
+rig's `abort_after_s`. An `[[alarm]]` only enters the alarm list of a run: it trips and suspends nothing.
 """
 
 from __future__ import annotations
@@ -15,6 +15,16 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from drivers.rig_file.plain_values import refuse_quoted_numbers
 
 Level = Literal["warning", "alarm"]
+Priority = Literal["critical", "high", "medium", "low"]
+"""Priority of an alarm in the list of a run (ANSI/ISA-18.2, 10.3)."""
+
+
+def require_bounds(what: str, low: float | None, high: float | None, deadband: float) -> None:
+    """Check that there is a bound, and room for the deadband between two; raises ValueError."""
+    if low is None and high is None:
+        raise ValueError(f"{what} needs low, high or both")
+    if low is not None and high is not None and high - low <= 2 * deadband:
+        raise ValueError(f"between low {low:g} and high {high:g} there is no room for the deadband")
 
 
 class _Spec(BaseModel):
@@ -30,6 +40,7 @@ class _Spec(BaseModel):
     deadband: Annotated[float, Field(ge=0)] = 0.0
     on_delay_s: Annotated[float, Field(ge=0)] = 0.0
     off_delay_s: Annotated[float, Field(ge=0)] = 10.0
+    priority: Priority | None = None
     doc: str = ""
 
     @property
@@ -49,10 +60,7 @@ class LimitSpec(_Spec):
 
     @model_validator(mode="after")
     def _bounded(self) -> Self:
-        if self.low is None and self.high is None:
-            raise ValueError("a limit needs low, high or both")
-        if self.low is not None and self.high is not None and self.high - self.low <= 2 * self.deadband:
-            raise ValueError(f"between low {self.low:g} and high {self.high:g} there is no room for the deadband")
+        require_bounds("a limit", self.low, self.high, self.deadband)
         return self
 
 
@@ -117,3 +125,33 @@ KINDS = ("limit", "rate_of_rise", "no_flow", "sensor", "heater_power", "residual
 InterlockSpec = Annotated[
     LimitSpec | RateOfRiseSpec | NoFlowSpec | SensorSpec | HeaterPowerSpec | ResidualSpec, Field(discriminator="kind")
 ]
+
+
+class AlarmSpec(BaseModel):
+    """Alarm on the good values of `point`, above `high` or below `low`, in its unit, for people alone.
+
+    With `latch` it stays in the list until it is acknowledged after its cause has gone.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    point: str
+    low: float | None = None
+    high: float | None = None
+    deadband: Annotated[float, Field(ge=0)] = 0.0
+    on_delay_s: Annotated[float, Field(ge=0)] = 0.0
+    off_delay_s: Annotated[float, Field(ge=0)] = 10.0
+    priority: Priority = "medium"
+    latch: bool = False
+    doc: str = ""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_are_not_quoted(cls, data: Any) -> Any:
+        refuse_quoted_numbers(cls, data)
+        return data
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        require_bounds("an alarm", self.low, self.high, self.deadband)
+        return self

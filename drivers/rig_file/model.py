@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from drivers.rig_file.bus_sections import AnyBus, Section, Table
-from drivers.rig_file.interlock_specs import InterlockSpec
+from drivers.rig_file.interlock_specs import AlarmSpec, InterlockSpec
 from drivers.signals import (
     UNSIGNED,
     WIDTH,
@@ -244,6 +244,7 @@ class Rig(Section):
     bus: dict[str, Annotated[AnyBus, Field(discriminator="transport")]]
     point: tuple[Point, ...]
     interlock: tuple[InterlockSpec, ...] = ()
+    alarm: tuple[AlarmSpec, ...] = ()
 
     @field_validator("name")
     @classmethod

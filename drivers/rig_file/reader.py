@@ -79,7 +79,7 @@ def _misshapen(document: dict[str, Any]) -> list[tuple[tuple[Any, ...], str]]:
             heading = "[bus.NAME]" if key == "bus" else f"[{key}]"
             where = f"; a key {key!r} of a point stands below its [[point]]" if key == "bus" else ""
             found.append(((key,), f"{key} must be a section, {heading}{where}"))
-    for key in ("point", "interlock"):
+    for key in ("point", "interlock", "alarm"):
         items = document.get(key, [])
         if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
             found.append(((key,), f"{key} must be sections with two brackets, [[{key}]]"))

@@ -17,6 +17,7 @@ from hil import __version__
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 VERBS = {
+    "alarms": "List, acknowledge, shelve alarms of a run; send messages",
     "bench": "Measure speed and fits, repeat the paper's experiments",
     "check": "Check a rig file, twin, profile, test plan or record",
     "commission": "Fit a twin to a healthy record",
@@ -34,6 +35,7 @@ VERBS = {
     "review": "Show a run in Rerun: measured against twin",
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",
+    "serve": "Serve a panel of runs to browsers",
     "stream": "Send a live or finished run to MQTT or PostgreSQL",
     "test": "Judge a run by a test plan: verdicts, JUnit XML",
     "tower": "Cooling towers: historian, aligned record, calibration",
@@ -43,6 +45,7 @@ VERBS = {
 }
 PACKAGES = {
     "hil.bench.commands": ("bench",),
+    "hil.cli.operator_commands": ("alarms", "serve"),
     "hil.cli.rig_commands": ("check", "init", "profile", "rig"),
     "hil.cli.run_commands": (
         "compare",

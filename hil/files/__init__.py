@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from hil.files.folder_check import read_json, require_plain, require_unshared
     from hil.files.html import Html, document, element, image, joined, plot_data, table
     from hil.files.limits import TEXT_COPIES, Failure, read_parquet, require_cells, require_columns, require_size
+    from hil.files.line_file import append_line, read_lines
     from hil.files.names import (
         ENDINGS,
         LONGEST_DATABASE_PATH,
@@ -34,6 +35,7 @@ __all__ = [
     "Failure",
     "Html",
     "accept_any_name",
+    "append_line",
     "connect_read_only",
     "document",
     "element",
@@ -45,6 +47,7 @@ __all__ = [
     "plot_data",
     "printable",
     "read_json",
+    "read_lines",
     "read_parquet",
     "replacing",
     "require_cells",
@@ -83,6 +86,7 @@ __getattr__, __dir__ = lazy_names(
             "require_columns",
             "require_size",
         ),
+        "line_file": ("append_line", "read_lines"),
         "names": (
             "ENDINGS",
             "LONGEST_DATABASE_PATH",

@@ -208,6 +208,13 @@ class JournalReader:
         row = self._database.execute("SELECT wall_s - time_s FROM samples ORDER BY tick LIMIT 1").fetchone()
         return math.nan if row is None else float(row[0])
 
+    def wall_s_at(self, tick: int) -> float:
+        """Return the wall time of the last row up to `tick`, s since 1970; NaN where there is none."""
+        row = self._database.execute(
+            "SELECT wall_s FROM samples WHERE tick <= ? ORDER BY tick DESC LIMIT 1", (tick,)
+        ).fetchone()
+        return math.nan if row is None else float(row[0])
+
     def close(self) -> None:
         """Close the file."""
         self._database.close()

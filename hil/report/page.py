@@ -12,6 +12,7 @@ from drivers.signals import Quality
 from hil.files import Html, document, element, joined, replacing, table
 from hil.journal import JournalReader, JournalSamples, TwinOutput
 from hil.report.about import label_section, note_section, quality_section
+from hil.report.alarm_table import alarm_section
 from hil.report.figures import RunCurves, pictures, zoom_plots
 from hil.report.plot_script import SCRIPT
 from hil.report.statistics import (
@@ -89,6 +90,7 @@ def write_report(folder: RunFolder, missing: Mapping[str, str] | None = None) ->
             _calibrations(reader),
             _gates(reader, unit),
             _timing(manifest, reader),
+            alarm_section(folder, unit),
             _events(reader, unit),
             _provenance(manifest),
         ]

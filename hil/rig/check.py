@@ -57,6 +57,8 @@ def show(file: Path, out: Console) -> None:
     out.print(_points(rig))
     if rig.interlock:
         out.print(_interlocks(rig))
+    if rig.alarm:
+        out.print(_alarms(rig))
     for name, bus in rig.bus.items():
         out.print(_frames(receivers[name], bus) if isinstance(bus, CanBus) else _reads(rig, name, polled[name]))
     if rig.time_scale != 1.0:
@@ -97,8 +99,23 @@ def _interlocks(rig: Rig) -> Table:
     for spec in rig.interlock:
         of = ", ".join(spec.points.values()) or getattr(spec, "sensor", "")
         bounds = spec.model_dump(exclude=shown, exclude_none=True)
-        what = ", ".join(f"{key} {value:g}" if key != "twin" else f"{key} {value}" for key, value in bounds.items())
+        what = ", ".join(
+            f"{key} {value}" if isinstance(value, str) else f"{key} {value:g}" for key, value in bounds.items()
+        )
         table.add_row(spec.kind, spec.level, of, what)
+    return table
+
+
+def _alarms(rig: Rig) -> Table:
+    from rich.table import Table
+
+    table = Table(title=counted(len(rig.alarm), "alarm"), title_justify="left")
+    for heading in ("of", "priority", "what"):
+        table.add_column(heading)
+    for spec in rig.alarm:
+        bounds = spec.model_dump(exclude={"point", "priority", "latch", "doc"}, exclude_none=True)
+        what = ", ".join(f"{key} {value:g}" for key, value in bounds.items())
+        table.add_row(spec.point, spec.priority, f"{what}, latched" if spec.latch else what)
     return table
 
 

@@ -78,6 +78,11 @@ class RunFolder:
         return self.path / "notes.jsonl"
 
     @property
+    def alarms(self) -> Path:
+        """Acts of operators on alarms, a line of JSON each."""
+        return self.path / "alarms.jsonl"
+
+    @property
     def verdict(self) -> Path:
         """Results of test plans on the run, where it was judged."""
         return self.path / "verdict.json"

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import datetime
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from pydantic import Field, ValidationError
 
-from hil.files import plain
+from hil.files import append_line, plain, read_lines
 from hil.run_folder.folder import RunFolder, RunFolderError
 from hil.run_folder.manifest_check import DocumentShape, Labels, wrong_place
 
@@ -72,14 +71,9 @@ def add_note(folder: RunFolder, text: str, by: str, labels: Labels | None = None
         raise RunFolderError("the note is empty; write what you saw, or give a label such as --serial")
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     note = Note(now, plain(by, LONGEST_LABEL), plain(text.strip(), LONGEST_NOTE), changed)
-    line = json.dumps({"time": note.time, "by": note.by, "text": note.text, "labels": changed}) + "\n"
+    line = json.dumps({"time": note.time, "by": note.by, "text": note.text, "labels": changed})
     try:
-        handle = os.open(folder.notes, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
-        with open(handle, "r+b", buffering=0) as file:
-            size = file.seek(0, os.SEEK_END)
-            torn = size > 0 and os.pread(handle, 1, size - 1) != b"\n"
-            file.write(b"\n" * torn + line.encode("utf-8"))  # in one call, so that two writers do not mix
-            os.fsync(handle)
+        append_line(folder.notes, line)
     except OSError as error:
         raise RunFolderError(f"{folder.notes} cannot be written ({error.strerror}); make room or writable") from None
     return note
@@ -99,16 +93,11 @@ def read_notes(folder: RunFolder) -> list[Note]:
         A line is damaged; the message names it.
     """
     try:
-        with open(os.open(folder.notes, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
-            content = file.read(MOST_NOTES)
-    except FileNotFoundError:
-        return []
+        lines = read_lines(folder.notes, MOST_NOTES)
     except OSError as error:
         raise RunFolderError(f"{folder.notes} cannot be read ({error.strerror}); take it away") from None
     found = []
-    for number, line in enumerate(content.split(b"\n")[:-1], 1):
-        if not line.strip():
-            continue
+    for number, line in lines:
         place = f"{folder.notes}, line {number}"
         try:
             read = _Line.model_validate(json.loads(line))

@@ -17,6 +17,7 @@ _OWN = (
     "report.html",
     "report.pdf",
     "run.json",
+    "alarms.jsonl",
     "notes.jsonl",
     "verdict.json",
     "junit.xml",

@@ -32,6 +32,7 @@ SECTIONS: dict[type[BaseModel], tuple[str, ...]] = {
     Hole: ("hole",),
     CanBus: ("CAN",),
     CanMessage: ("message",),
+    interlock_specs.AlarmSpec: ("[[alarm]]",),
     bus_sections.ModbusTcpBus: (MODBUS, TCP),
     bus_sections.ModbusTlsBus: (MODBUS, TCP, "modbus_tls"),
     bus_sections.ModbusRtuTcpBus: (MODBUS, "modbus_rtu_tcp"),
@@ -41,7 +42,13 @@ SECTIONS: dict[type[BaseModel], tuple[str, ...]] = {
         for spec in get_args(get_args(interlock_specs.InterlockSpec)[0])
     },
 }
-SECTIONS_OF_RIG = {"heartbeat": "[heartbeat]", "bus": "[bus.NAME]", "point": "[[point]]", "interlock": "[[interlock]]"}
+SECTIONS_OF_RIG = {
+    "heartbeat": "[heartbeat]",
+    "bus": "[bus.NAME]",
+    "point": "[[point]]",
+    "interlock": "[[interlock]]",
+    "alarm": "[[alarm]]",
+}
 WORDS = {
     int: "whole number",
     float: "number",

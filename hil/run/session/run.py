@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from drivers.rig import RigConnection, rig_signals
+from hil.alarms import META_KEY, as_document, definitions_of
 from hil.diagnosis import Reply
 from hil.journal import ENDED, Header, JournalError, JournalWriter, State
 from hil.run.engine import Engine, Options, Outcome, RunSignals, Status, interrupted, serving, stopping
@@ -119,6 +120,7 @@ async def _run_in(run: PreparedRun) -> RunResult:
         journal = _opened(folder, header, again=resumption is not None)
         stack.callback(_closed, journal)
         journal.put_meta(RUN_UID, manifest["uid"])
+        journal.put_meta(META_KEY, as_document(definitions_of(ready.rig)))
         await stack.enter_async_context(clocks_recorded(journal))
         if resumption is not None and State(resumption.position.state) not in ENDED:
             was = resumption.position

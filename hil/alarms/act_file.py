@@ -1,0 +1,82 @@
+"""Acts of operators on alarms: lines of JSON in `alarms.jsonl` beside the journal, which are only ever appended.
+
+A run that goes on is not disturbed, and what an operator has done outlives a crash and a resumption.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Literal
+
+from pydantic import Field, ValidationError
+
+from hil.alarms.alarm_list import Act
+from hil.alarms.errors import AlarmError
+from hil.files import append_line, plain, read_lines
+from hil.run_folder import DocumentShape, RunFolder, wrong_place
+
+LONGEST_REASON = 500
+"""Most characters of a reason, and of the name of an operator."""
+MOST_BYTES = 8 * 10**6
+"""Most bytes of the file: some forty thousand acts."""
+_LATEST_S = 8e9
+"""Latest time of an act, s since 1970: the year 2223."""
+
+
+class _Line(DocumentShape):
+    act: Literal["acknowledge", "shelve", "unshelve"]
+    id: str
+    tick: int
+    wall_s: float = Field(ge=0, le=_LATEST_S)
+    by: str = ""
+    reason: str = ""
+    until_s: float | None = Field(default=None, ge=0, le=_LATEST_S)
+
+
+def append_act(folder: RunFolder, act: Act) -> None:
+    """Append an act, and have it on the disk before this returns.
+
+    Raises
+    ------
+    AlarmError
+        The file cannot be written.
+    """
+    line = {"act": act.name, "id": act.id, "tick": act.tick, "wall_s": act.wall_s, "by": plain(act.by, LONGEST_REASON)}
+    line |= {
+        "reason": plain(act.reason, LONGEST_REASON),
+        "until_s": act.until_s if math.isfinite(act.until_s) else None,
+    }
+    try:
+        append_line(folder.alarms, json.dumps(line))
+    except OSError as error:
+        raise AlarmError(f"{folder.alarms} cannot be written ({error.strerror}); make room or writable") from None
+
+
+def read_acts(folder: RunFolder) -> list[Act]:
+    """Return the acts on the alarms of a run in order; a last line that a crash cut is left out.
+
+    Raises
+    ------
+    AlarmError
+        A line is damaged; the message names it.
+    """
+    try:
+        lines = read_lines(folder.alarms, MOST_BYTES)
+    except OSError as error:
+        raise AlarmError(f"{folder.alarms} cannot be read ({error.strerror}); take it away") from None
+    found = []
+    for number, line in lines:
+        place = f"{folder.alarms}, line {number}"
+        try:
+            read = _Line.model_validate(json.loads(line))
+        except ValidationError as error:
+            raise AlarmError(f"{place} is no act on an alarm: {wrong_place(error)}; take the line out") from None
+        except (ValueError, RecursionError) as error:
+            why = plain(str(error), 100)
+            raise AlarmError(f"{place} is no act on an alarm ({why}); take the line out") from None
+        until_s = math.nan if read.until_s is None else read.until_s
+        if read.act == "shelve" and read.until_s is None:
+            raise AlarmError(f"{place} shelves an alarm without an end; take the line out")
+        found.append(Act(read.act, read.id, read.tick, read.wall_s, read.by, read.reason, until_s))
+    return found

@@ -1,0 +1,3 @@
+"""Commands of operators beside a run: `hil alarms`, `serve`."""
+
+__all__: list[str] = []
