@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.measure import Cell, ReportTable
-from hil.training.tower import BOOSTED, ENSEMBLE, GAUSS_NEWTON, random_table, score_members
+from hil.training.tower import BOOSTED, ENSEMBLE, GAUSS_NEWTON, judged_cards, random_table, score_members
 from twin.calibrators.hiera_unet.config import HieraError
 
 FORWARDS = 20
@@ -59,16 +59,34 @@ def read_results(path: Path) -> dict[str, Any]:
         found = json.loads(path.read_text())
         evaluation = dict(found["evaluation"])
         dict(evaluation["scores"]["all"])
-        return {**evaluation, "adapted": found.get("adapted", {}), "cards": found.get("cards", {})}
+        cards = judged_cards(found.get("cards", {}))
+        codes = _codes(cards) if all("gate" in card for card in cards.values()) else {}
+        return {**evaluation, **codes, "adapted": found.get("adapted", {}), "cards": cards}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise HieraError(f"{path}: holds no scores of a training ({error}); give its results.json") from error
+
+
+def _codes(cards: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the gate's codes by the present rule, which may differ from that of the training."""
+    if not cards:
+        return {}
+    heads = {name: card["gate"]["heads"] for name, card in cards.items()}
+    return {
+        key: {name: _plain(one[head]) for name, one in heads.items()}
+        for key, head in (("refused", "parameters"), ("refused_outputs", "outputs"))
+    }
+
+
+def _plain(code: str) -> str:
+    return "" if code == "none" else code
 
 
 def tables_of(document: Mapping[str, Any]) -> list[ReportTable]:
     """Return the tables of a document of `hil.training.tower.evaluate`."""
     found = []
+    blind = [name for name, code in document.get("refused_outputs", {}).items() if code]
     for part, scores in document["scores"].items():
-        found.append(_outlets(part, scores))
+        found.append(_outlets(part, scores, blind))
         found.append(_deviations(part, scores))
     found.append(_intervals(document["scores"]["all"]))
     if "by_cell" in document:
@@ -83,7 +101,7 @@ def tables_of(document: Mapping[str, Any]) -> list[ReportTable]:
     return found
 
 
-def _outlets(part: str, scores: Mapping[str, Any]) -> ReportTable:
+def _outlets(part: str, scores: Mapping[str, Any], blind: Sequence[str]) -> ReportTable:
     columns = ("method", "MAE K", "RMSE K", "p90 K", "p99 K", "30 min after a fan change K", "readings MAE K")
     names = (
         "water_mae_K",
@@ -96,7 +114,9 @@ def _outlets(part: str, scores: Mapping[str, Any]) -> ReportTable:
     rows = tuple((method, *(one[n] for n in names)) for method, one in scores.items())
     count = next(iter(scores.values()))["windows"]
     about = f"Outlet against the truth, {PARTS.get(part, part)}, {count} windows of two hours, their readings hidden"
-    notes = ("the last column is against hidden readings, with their bias",)
+    notes: tuple[str, ...] = ("the last column is against hidden readings, with their bias",)
+    if blind:
+        notes += (f"the outlet of {', '.join(blind)} is that of the start, as the gate refused their outputs",)
     return ReportTable(f"outlet_{_key(part)}", about, columns, rows, notes)
 
 
@@ -155,6 +175,11 @@ def _against(document: Mapping[str, Any]) -> ReportTable:
     return ReportTable("against", about, ("branch", *COMPARED.values()), tuple(rows), notes)
 
 
+def _seen(change: float) -> float:
+    """Return a change, 0 where it is the rounding of single precision."""
+    return 0.0 if abs(change) < 1e-6 else change
+
+
 def _change(mean: float, low: float, high: float) -> str:
     return f"{mean:+.2f} ({low:+.2f} to {high:+.2f})"
 
@@ -191,14 +216,16 @@ def _trained(cards: Mapping[str, Any]) -> ReportTable:
                 card["plan"]["batch"],
                 card["seconds"],
                 card["device"],
-                gate["parameters_worse"][0],
-                gate["outputs_worse"][0],
-                card.get("refused") or "passed",
+                _change(*gate["parameters_worse"]),
+                _change(*gate["outputs_worse"]),
+                *(_plain(gate["heads"][head]) or "passed" for head in ("parameters", "outputs")),
             )
         )
-    columns = ("member", "weights", "steps", "batch", "s", "device", "parameters worse", "outputs worse", "gate")
+    worse = ("parameters worse", "outputs worse", "gate of parameters", "gate of outputs")
+    columns = ("member", "weights", "steps", "batch", "s", "device", *worse)
     notes = (
         "worse: with another window's channels, as a share; at least 0.05 and surely above 0, else BLIND",
+        "a member with BLIND parameters is refused; with BLIND outputs alone, its outlet is that of its start",
         "the training scored all tables above on its device; the latency alone is of the machine that this page names",
     )
     return ReportTable("trained", "Members and their gate against blindness", columns, tuple(rows), notes)
@@ -211,18 +238,19 @@ def _goals(document: Mapping[str, Any]) -> ReportTable:
     if best is not None:
         compared = document["scores"]["all"][best]["worse_than_rival"]
         for name, limit in (("water", BELOW), ("water_after_fan_change", BELOW_AFTER_CHANGE)):
-            change, low, high = compared[name]
+            change, low, high = map(_seen, compared[name])
             label = "outlet" if name == "water" else "outlet, 30 min after a fan change"
             rows.append((label, change, low, high, limit, "yes" if change <= limit and high < 0.0 else "no"))
         for name in DEVIATIONS:
-            change, low, high = compared[name]
+            change, low, high = map(_seen, compared[name])
             rows.append((name, change, low, high, 0.0, "yes" if change <= 0.0 else "no"))
-    for name, code in document["refused"].items():
-        rows.append((f"{name}: gate against blindness", None, None, None, None, "yes" if not code else f"no: {code}"))
+    for head, key in (("parameters", "refused"), ("outputs", "refused_outputs")):
+        for name, code in document.get(key, {}).items():
+            rows.append((f"{name}: gate, {head}", None, None, None, None, "yes" if not code else f"no: {code}"))
     columns = ("goal", "change", "95 % from", "to", "at most", "reached")
     # Results from before the gate chose the members name none: all small ones were in the ensemble.
     some = document.get("ensemble", [name for name in document["refused"] if name.startswith("small")])
-    notes = (f"the ensemble is the mean of {', '.join(some)}",) if best is not None else ()
+    notes = (f"the ensemble is the mean of {', '.join(some)}", "0: its answer is the rival's own") if best else ()
     return ReportTable("goals", f"Error of the ensemble over that of {rival}, less one", columns, tuple(rows), notes)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +16,11 @@ from twin.discovery.effects.catalogue import with_columns
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.engine import diagnose
 from twin.discovery.evidence.marginal import log_bayes_of_sizes, log_mass
+from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.priors import SPREAD
-from twin.discovery.healthy.basis import Columns
+from twin.discovery.evidence.search import searched
+from twin.discovery.healthy.basis import Columns, basis
+from twin.discovery.records.grid import on_grid
 from twin.elements.candidates import Candidate
 from twin.kernel import Kernel
 from twin.network import Array
@@ -28,12 +31,17 @@ HOUR = 3600.0
 
 def heated(bench: Bench, course: Callable[[Array], Array]) -> Columns:
     """Return sixteen hours of the loop with heat of a course, W by seconds, in its tank."""
+    return acted_on(bench, lambda t, u: course(t), {"kind": "law_heat", "node": "tank", "gain": 1.0})
+
+
+def acted_on(bench: Bench, course: Callable[[Array, Array], Array], *tables: Mapping[str, object]) -> Columns:
+    """Return sixteen hours of the loop with laws that follow a course of seconds and inputs."""
     network = with_columns(bench.network, ["hidden_x"])
-    table = {"kind": "law_heat", "node": "tank", "driver": "hidden_x", "form": "linear", "gain": 1.0}
-    network = with_elements(network, {"hidden": table})
+    laws = {f"hidden_{i}": {**table, "driver": "hidden_x", "form": "linear"} for i, table in enumerate(tables)}
+    network = with_elements(network, laws)
     t, u = bench.inputs(16.0, 1)
     start = np.array([37.0, 36.8, 34.5, 34.0])
-    read, _ = Kernel(network, ()).trace(network.values, start, t, np.column_stack([u, course(t)]))
+    read, _ = Kernel(network, ()).trace(network.values, start, t, np.column_stack([u, course(t, u)]))
     noise = bench.network.sigma * np.random.default_rng(101).normal(0.0, 1.0, read[0].shape)
     return Columns(t, u, read[0] + noise)
 
@@ -146,3 +154,34 @@ def test_heat_into_a_solid_that_is_read_is_one_effect(bench: Bench, healthy: Col
     assert effect.value == pytest.approx(80.0, rel=0.05) and "into its solid part" in effect.says
     assert found.network is not None
     assert {e.kind for e in found.network.elements} >= {"law_heat", "law_reading"}
+
+
+def test_heat_into_a_solid_in_proportion_to_heater_power_is_one_effect(bench: Bench, healthy: Columns) -> None:
+    """Water alone that takes up heater power is an element; a solid that does is another law at the same place."""
+    record = acted_on(
+        bench,
+        lambda t, u: u[:, 0] * (t > 3.0 * HOUR),
+        {"kind": "law_heat", "node": "modules", "gain": 0.1},
+        {"kind": "law_reading", "sensor": "T_modules_C", "gain": 0.001},
+    )
+    effect = only(diagnose(bench.network, record, healthy))
+    assert (effect.kind, effect.where, effect.driver) == ("heat_source", "modules", "heater_power")
+    assert effect.value == pytest.approx(0.1, rel=0.05) and "into its solid part" in effect.says
+
+
+def test_power_that_moves_from_one_place_to_another_is_one_effect(bench: Bench, healthy: Columns) -> None:
+    moved = {"kind": "law_heat", "node": "tank", "source": "radiator", "gain": 1.0}
+    effect = only(diagnose(bench.network, acted_on(bench, lambda t, u: 90.0 * (t > 5.0 * HOUR), moved), healthy))
+    assert (effect.kind, effect.where, effect.driver) == ("heat_transfer", "radiator", "constant")
+    assert effect.value == pytest.approx(-90.0, rel=0.03) and "from tank" in effect.says
+
+
+def test_a_fit_leaves_the_evidence_of_a_linear_law_as_it_was(bench: Bench, healthy: Columns) -> None:
+    """The same sizes and errors of form are integrated out around a fit as to first order, and here nothing bends."""
+    record = heated(bench, lambda t: 12.0 * (t > 5.0 * HOUR))
+    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
+    part = Part.of(basis(bench.network, healthy, grid), grid)
+    found = searched(part)
+    told = found.told
+    assert told is not None and told.labels == (("heat_source", "tank", "constant"),)
+    assert told.gained == pytest.approx(0.0, abs=0.02 * told.odds)

@@ -152,10 +152,12 @@ def test_goals_name_the_gate_and_the_change_against_the_boosted_rival() -> None:
         return {"windows": 5, "deviation_mae": deviations, "worse_than_rival": worse, **dict.fromkeys(names, water)}
 
     scores = {"the same, boosted": one(0.1), "network, ensemble": one(0.08)}
-    found = {t.key: t for t in tables_of({"scores": {"all": scores}, "refused": {"small_0": "BLIND", "small_1": ""}})}
+    codes = {"refused": {"small_0": "BLIND", "small_1": ""}, "refused_outputs": {"small_1": "BLIND"}}
+    found = {t.key: t for t in tables_of({"scores": {"all": scores}, **codes})}
     goals = {str(row[0]): row[-1] for row in found["goals"].rows}
     assert goals["outlet"] == "yes" and goals["outlet, 30 min after a fan change"] == "no"
-    assert goals["small_0: gate against blindness"] == "no: BLIND"
+    assert goals["small_0: gate, parameters"] == "no: BLIND" and goals["small_1: gate, parameters"] == "yes"
+    assert goals["small_1: gate, outputs"] == "no: BLIND"
     assert [row[0] for row in found["outlet_all"].rows] == list(scores)
 
 
@@ -267,4 +269,4 @@ def test_the_page_compares_the_ensemble_with_gauss_newton_cell_by_cell_and_with_
     assert found["cells"].rows == (("B9001_1", 0.05, 0.07),)
     against = dict(zip(found["against"].columns, found["against"].rows[0], strict=True))
     assert against["outlet"] == "+0.14 (+0.07 to +0.21)" and against["air"] == "-0.40 (-0.50 to -0.30)"
-    assert found["goals"].notes == ("the ensemble is the mean of small_0",)
+    assert found["goals"].notes[0] == "the ensemble is the mean of small_0"

@@ -86,9 +86,8 @@ def diagnose(
         if alone.settled or left.verdict != "unexplained":
             return apart
     say("scanning")
-    inquiry = Inquiry.of(network, record, known, grid, say)
+    inquiry, answer = Inquiry.of(network, record, known, grid, say).settled(held_out)
     known, whole = inquiry.known, inquiry.whole
-    answer = inquiry.answer(held_out)
     finding, split = answer.finding, answer.split
     notes = [*unread, *_said(known, gaps, stood), *answer.notes]
     answers = [e.candidate for r in finding.ranked for e in r.entries]

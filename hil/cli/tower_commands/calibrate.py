@@ -159,6 +159,8 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
                 markup=False,
                 soft_wrap=True,
             )
+        if one.network is not None and one.network.outlet:
+            terminal.print(f"cell {one.result.cell}: network: {one.network.outlet}", markup=False, soft_wrap=True)
         if one.balance:
             terminal.print(f"cell {one.result.cell}: the water balance is not used: {one.balance}", markup=False)
         if one.revision is not None:

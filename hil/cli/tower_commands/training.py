@@ -74,7 +74,8 @@ def tower_command(
     """Train one member for cooling-tower cells on simulated stations.
 
     Weights and model card go to OUT. A training that --minutes or Ctrl-C interrupted continues when the same command is
-    given again. A member whose answers hardly change with another window's channels is refused, code BLIND.
+    given again. A member whose parameters hardly change with another window's channels is refused, code BLIND. Where
+    its outputs alone do, the outlet is that of the answer which the network starts at, and the card says so.
 
     \b
     Example:
@@ -120,11 +121,17 @@ def tower_command(
         to.print(f"held-out windows: {done.note}", soft_wrap=True)
         if done.refused:
             to.print(
-                f"{done.refused}: parameters are {done.gate['parameters_worse'][0]:.1%} and outputs "
-                f"{done.gate['outputs_worse'][0]:.1%} worse with another window's channels, which is less than "
-                f"{done.gate['least']:.0%} or not certain; the member is not used: train longer or on more stations"
+                f"{done.refused}: parameters are {done.gate['parameters_worse'][0]:.1%} worse with another window's "
+                f"channels, which is less than {done.gate['least']:.0%} or not certain; the member is not used: train "
+                "longer or on more stations"
                 if done.gate
                 else done.refused,
+                soft_wrap=True,
+            )
+        elif done.outlet and done.gate:
+            to.print(
+                f"outputs are {done.gate['outputs_worse'][0]:.1%} worse with another window's channels, which is less "
+                f"than {done.gate['least']:.0%} or not certain: {done.outlet}",
                 soft_wrap=True,
             )
     sys.exit(INTERRUPTED if stop.interrupted else REFUSED if done.refused else 0)

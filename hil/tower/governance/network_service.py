@@ -6,7 +6,7 @@ Gauss-Newton's passes too. Its interval, and the distance from what the members 
 | code | holds back where |
 |---|---|
 | `NO_WINDOW` | the network has no answer: no full day before, too few steady blocks, or unknown inputs |
-| `BLIND` | a member's answers hardly hang on its channels; of every window, and such an ensemble only runs in shadow |
+| `BLIND` | a member's parameters hardly hang on its channels; every window, and such an ensemble only runs in shadow |
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ class NetworkGovernance:
     ----------
     answered
         Number of the network's answer to each window of the cell, -1 where it has none.
+    outlet
+        Sentence on an outlet that is the start's, "" where it is the network's.
     """
 
     result: CellResult
@@ -47,6 +49,7 @@ class NetworkGovernance:
     answered: Sequence[int]
     digest: str
     blind: tuple[str, ...]
+    outlet: str = ""
 
     @property
     def last(self) -> int | None:
@@ -168,4 +171,4 @@ def network_governance(
         if asked.blind:
             codes.append("BLIND")
         found.append(replace(verdict, codes=tuple(codes)))
-    return NetworkGovernance(result, windows, found, answers, answered, asked.digest, asked.blind)
+    return NetworkGovernance(result, windows, found, answers, answered, asked.digest, asked.blind, asked.outlet)

@@ -69,6 +69,8 @@ class StationAnswers:
         Names of members that the gate against blindness refused.
     mode
         Use of the proposals.
+    outlet
+        Sentence on an outlet that is the start's, "" where it is the network's.
     """
 
     name: str
@@ -78,6 +80,7 @@ class StationAnswers:
     mode: NetworkMode
     causal: dict[int, NetworkAnswers]
     symmetric: dict[int, NetworkAnswers]
+    outlet: str = ""
 
 
 def ask_network(
@@ -116,7 +119,14 @@ def ask_network(
         say(f"cell {result.cell}: asking the network")
         causal[result.cell], symmetric[result.cell] = _asked(ensemble, result, notes)
     return StationAnswers(
-        ensemble.name, ensemble.digest, len(ensemble.members), ensemble.blind, mode, causal, symmetric
+        ensemble.name,
+        ensemble.digest,
+        len(ensemble.members),
+        ensemble.blind,
+        mode,
+        causal,
+        symmetric,
+        ensemble.outlet,
     )
 
 

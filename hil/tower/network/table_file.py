@@ -27,19 +27,22 @@ KEY = b"hil.network"
 
 @dataclass(frozen=True)
 class AboutNetwork:
-    """Origin of a table: branch and name of the ensemble, number of its members, and those that are blind."""
+    """Origin of a table: branch and name of the ensemble, number of its members, those that are blind, and a
+    sentence on an outlet that is the start's."""
 
     branch: str
     ensemble: str
     members: int
     blind: tuple[str, ...]
+    outlet: str = ""
 
     def sentence(self) -> str:
         """Return a sentence for a report."""
         blind = f" The gate refused {', '.join(self.blind)} as BLIND." if self.blind else ""
+        outlet = f" Its gate refused the outputs: {self.outlet}." if self.outlet else ""
         return (
             f"Network: {self.ensemble}, mean of {self.members} members, {self.branch} branch, which an offline report "
-            f"uses; records hold the causal one.{blind}"
+            f"uses; records hold the causal one.{blind}{outlet}"
         )
 
 
@@ -51,7 +54,13 @@ def write_network_table(answers: StationAnswers, results: Sequence[CellResult], 
     OSError
         The folder cannot be written.
     """
-    about = {"branch": "symmetric", "ensemble": answers.name, "members": answers.members, "blind": list(answers.blind)}
+    about = {
+        "branch": "symmetric",
+        "ensemble": answers.name,
+        "members": answers.members,
+        "blind": list(answers.blind),
+        "outlet": answers.outlet,
+    }
     table = pa.concat_tables([_table(answers.symmetric[one.cell], one) for one in results])
     with replacing(out / NETWORK_TABLE) as unfinished:
         pq.write_table(table.replace_schema_metadata({KEY: json.dumps(about)}), unfinished, compression="zstd")
@@ -74,7 +83,11 @@ def read_about(path: Path) -> AboutNetwork:
     try:
         found = json.loads((pq.read_schema(path).metadata or {})[KEY])
         return AboutNetwork(
-            str(found["branch"]), str(found["ensemble"]), int(found["members"]), tuple(map(str, found["blind"]))
+            str(found["branch"]),
+            str(found["ensemble"]),
+            int(found["members"]),
+            tuple(map(str, found["blind"])),
+            str(found.get("outlet", "")),
         )
     except (OSError, KeyError, ValueError, TypeError, pa.ArrowInvalid) as error:
         raise RecordError(f"{path}: is no table of a network ({error}); calibrate again with --network") from error

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from hil.training.tower.generate import DataPlan
     from hil.training.tower.selftest import random_table
     from hil.training.tower.session import TowerProgress, simulate_stations, train_member
+    from hil.training.tower.unpack import judged_cards
 
 __all__ = [
     "BOOSTED",
@@ -24,6 +25,7 @@ __all__ = [
     "DataPlan",
     "TowerProgress",
     "assemble",
+    "judged_cards",
     "random_table",
     "score_members",
     "simulate_stations",
@@ -38,5 +40,6 @@ __getattr__, __dir__ = lazy_names(
         "generate": ("DataPlan",),
         "selftest": ("random_table",),
         "session": ("TowerProgress", "simulate_stations", "train_member"),
+        "unpack": ("judged_cards",),
     },
 )

@@ -24,7 +24,7 @@ def assemble(
 ) -> Path | None:
     """Write the card `<stem>.json` of all members `<stem>_<seed>` and return its path; None with fewer than two.
 
-    Members that the gate refused as blind are left out where two others passed.
+    Members whose parameters the gate refused as blind are left out where two others passed.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ def evaluate(
         The folder lacks a split, or a network does not fit.
     """
     from twin.calibrators.hiera_unet.tower import load_fleet, load_member, score
-    from twin.calibrators.hiera_unet.tower.predict import predict, settle
+    from twin.calibrators.hiera_unet.tower.predict import BLIND, predict, settle
 
     began = time.monotonic()
     unseen = load_fleet(tables(test or folder, TEST), device)
@@ -93,6 +93,7 @@ def evaluate(
         "windows": len(rows),
         "factors": factors,
         "refused": refused,
+        "refused_outputs": {n: BLIND if m.network.start_outlet else "" for n, m in loaded.items()},
         "ensemble": groups[ENSEMBLE],
         "scores": {part: _scored(t, answers, rows_of) for part, rows_of in _parts(t, unseen.names).items()},
         "by_cell": score.by_cell(t, unseen.names, answers),
@@ -110,7 +111,7 @@ def ensemble_of(refused: Mapping[str, str]) -> list[str]:
     Parameters
     ----------
     refused
-        The gate's code, "" where it passed, by the name of a member.
+        The gate's code of the parameters, "" where it passed, by the name of a member.
     """
     small = [name for name in refused if name.startswith("small")]
     return [name for name in small if not refused[name]] or small

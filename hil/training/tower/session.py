@@ -19,7 +19,8 @@ Say = Callable[[float, str], None]
 class TowerProgress:
     """Progress of a member: stations simulated of those wanted, steps done of those planned.
 
-    At its end `card` is the written card, `refused` the gate's code or "", and `gate` its figures.
+    At its end `card` is the written card, `refused` the gate's code of the parameters or "", `outlet` a sentence where
+    the outlet is the start's, and `gate` its figures.
     """
 
     stations: int
@@ -28,6 +29,7 @@ class TowerProgress:
     steps: int = 0
     card: Path | None = None
     refused: str = ""
+    outlet: str = ""
     gate: dict[str, Any] | None = None
     note: str = ""
 
@@ -101,6 +103,7 @@ def train_member(
     """
     from hil.training.tower.starting import begin, fit_start, load_start
     from twin.calibrators.hiera_unet.tower import MemberTraining, load_fleet
+    from twin.calibrators.hiera_unet.tower.predict import start_sentence
 
     if load_start(folder) is None:
         fit_start(folder)
@@ -116,4 +119,5 @@ def train_member(
     card = training.write(out, gate, {"command": command})
     assemble(folder, out.with_name(out.stem.rpartition("_")[0]), device=device)
     note = training.note() if training.curves else ""
-    return TowerProgress(0, 0, trainer.done, plan.steps, card, gate.code, gate.document(), note)
+    outlet = start_sentence(trees is not None) if gate.outputs_code else ""
+    return TowerProgress(0, 0, trainer.done, plan.steps, card, gate.code, outlet, gate.document(), note)

@@ -3,7 +3,7 @@
     python -m hil.training.tower.unpack OUT profiles/trained
 
 OUT holds `results.json` and the members' weights, as `hil.training.tower.budgeted` left them. Weights whose checksum is
-not that of their card are refused.
+not that of their card are refused. The codes of the gate are those of the present rule, from the figures of the cards.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ def unpack(source: Path, target: Path) -> list[Path]:
     Raises
     ------
     HieraError
-        There is no result, or weights do not belong to their card.
+        There is no result, weights do not belong to their card, or an ensemble's factors are of other members than
+        those that the gate passes.
     """
     path = source / "results.json"
     try:
@@ -38,7 +39,8 @@ def unpack(source: Path, target: Path) -> list[Path]:
         ) from error
     target.mkdir(parents=True, exist_ok=True)
     written = []
-    for name, card in cards.items():
+    told: dict[str, Any] = {}
+    for name, card in judged_cards(cards).items():
         weights = source / f"tower_{name}.safetensors"
         if not weights.is_file():
             continue
@@ -49,13 +51,34 @@ def unpack(source: Path, target: Path) -> list[Path]:
         out.write_bytes(data)
         out.with_suffix(".json").write_text(json.dumps(card, indent=1) + "\n")
         written += [out, out.with_suffix(".json")]
+        told[out.name] = card
         if card.get("curves"):
-            title = f"tower {name}: {card['steps_done']} steps, {card['refused'] or 'passed by the gate'}"
+            title = f"tower {name}: {card['steps_done']} steps, {_said(card)}"
             written.append(draw(card["curves"], out.with_suffix(".png"), title))
-    for card in sorted(source.glob("tower_*.json")):
-        (target / card.name).write_bytes(card.read_bytes())
-        written.append(target / card.name)
+    for path in sorted(source.glob("tower_*.json")):
+        document = json.loads(path.read_text())
+        if "members" in document:
+            from twin.calibrators.hiera_unet.tower import ensemble
+
+            document = ensemble.judged_again(document, told)
+        (target / path.name).write_text(json.dumps(document, indent=1) + "\n")
+        written.append(target / path.name)
     return written
+
+
+def judged_cards(cards: Mapping[str, Any]) -> dict[str, Any]:
+    """Return cards with the codes of their heads by the present rule; one without figures of the gate as it is."""
+    if not any("gate" in card for card in cards.values()):
+        return dict(cards)
+    from twin.calibrators.hiera_unet.tower.predict import judged
+
+    return {name: judged(card) if "gate" in card else card for name, card in cards.items()}
+
+
+def _said(card: Mapping[str, Any]) -> str:
+    heads = card.get("gate", {}).get("heads", {})
+    passed = [name for name, code in heads.items() if code == "none"]
+    return card["refused"] or f"gate passed {' and '.join(passed) or 'it'}"
 
 
 def draw(curves: Sequence[Mapping[str, Any]], path: Path, title: str) -> Path:
@@ -72,9 +95,10 @@ def draw(curves: Sequence[Mapping[str, Any]], path: Path, title: str) -> Path:
         known = [(c["step"], c[name]) for c in curves if name in c]
         if known:
             left.plot(*zip(*known, strict=True), label=name, linewidth=1)
-    left.set(title="training loss, the belief's is 1", xlabel="step", ylim=(0, None))
+    left.set(title="training loss, the start's is 1", xlabel="step", ylim=(0, None))
     middle.plot(steps, [c["water_mae_K"] for c in curves], label="network")
     middle.plot(steps, [c["rival_water_mae_K"] for c in curves], color="0.5", label="Gauss-Newton")
+    middle.margins(y=0.2)
     middle.set(title="held-out outlet error, K", xlabel="step", ylim=(0, None))
     for name in PER_DEVIATION:
         right.plot(steps, [c[f"{name}_mae"] / c[f"rival_{name}_mae"] for c in curves], label=name, linewidth=1)

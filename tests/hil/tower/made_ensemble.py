@@ -13,8 +13,20 @@ WIDE = 1e6
 FACTORS = {branch: {"theta": [1.5, 1.5, 1.5, 1.5], "water": 1.2} for branch in ("causal", "symmetric")}
 
 
-def write_ensemble(folder: Path, blind: tuple[int, ...] = (), count: int = 2) -> Path:
-    """Write members with weights that differ by their seed, and the card of their ensemble; return its path."""
+def write_ensemble(
+    folder: Path, blind: tuple[int, ...] = (), count: int = 2, blind_outputs: tuple[int, ...] = (), biased: float = 0.0
+) -> Path:
+    """Write members with weights that differ by their seed, and the card of their ensemble; return its path.
+
+    Parameters
+    ----------
+    blind, blind_outputs
+        Seeds of members whose both heads, or outputs alone, the gate refuses.
+    biased
+        Correction of the outlet by each member, in units of the output head.
+    """
+    import torch
+
     from twin.calibrators.hiera_unet.tower import Fleet, MemberTraining, TowerPlan
     from twin.calibrators.hiera_unet.tower.ensemble import FORMAT
     from twin.calibrators.hiera_unet.tower.predict import NOT_TESTED, Blindness
@@ -27,7 +39,12 @@ def write_ensemble(folder: Path, blind: tuple[int, ...] = (), count: int = 2) ->
     for seed in range(count):
         path = folder / f"tower_made_{seed}.safetensors"
         training = MemberTraining("small", replace(TowerPlan(steps=1, batch=2), seed=seed), fleet, fleet, None, "data")
-        card = training.write(path, NOT_TESTED if seed in blind else sure, {})
+        with torch.no_grad():
+            training.trainer.average.output_head.out.bias.add_(biased)
+        gate = (
+            NOT_TESTED if seed in blind else replace(sure, outputs=(0.0, 0.0, 0.0)) if seed in blind_outputs else sure
+        )
+        card = training.write(path, gate, {})
         # The made tables hold random channels: a record lies outside of their envelope.
         found = json.loads(card.read_text()) | {"envelope_limit": WIDE}
         card.write_text(json.dumps(found))

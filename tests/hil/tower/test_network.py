@@ -150,6 +150,19 @@ def test_a_blind_ensemble_only_runs_in_shadow_where_nothing_of_it_is_accepted(pl
     assert "BLIND" in run("report", tmp_path / "out").output
 
 
+def test_an_outlet_of_the_start_is_named_by_the_command_the_table_and_the_report(plant: Path, tmp_path: Path) -> None:
+    write_ensemble(tmp_path / "network", blind_outputs=(0, 1))
+    done = calibrate(
+        plant, tmp_path / "out", "--network", tmp_path / "network" / "tower_made", "--network-mode", "advisory"
+    )
+    assert done.exit_code == 0, done.output + repr(done.exception)
+    said = "the outlet is that of the start (Gauss-Newton); only the parameters are the network's"
+    assert f"network: {said}" in " ".join(done.output.split())
+    assert said in " ".join(run("report", tmp_path / "out").output.split())
+    about = pq.read_schema(tmp_path / "out" / "network.parquet").metadata[b"hil.network"]
+    assert json.loads(about)["outlet"] == said
+
+
 def test_both_calibrators_cannot_revise_one_twin(plant: Path, tmp_path: Path) -> None:
     words = ("--network", card(plant), "--network-mode", "controlled", "--mode", "controlled")
     assert "would both revise the twins" in refused(calibrate(plant, tmp_path / "out", *words))

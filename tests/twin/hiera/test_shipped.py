@@ -73,10 +73,13 @@ def test_a_shipped_member_of_the_tower_loads_only_if_its_gate_passed_it(card: Pa
     document = json.loads(card.read_text())
     weights = card.with_suffix(".safetensors")
     assert {"seed", "plan", "steps_done", "device", "data", "curves", "gate", "command"} <= document.keys()
-    worse = [document["gate"][key] for key in ("parameters_worse", "outputs_worse")]
-    sees = all(mean >= document["gate"]["least"] and low > 0.0 for mean, low, _ in worse)
-    assert bool(document["refused"]) != sees
-    if sees:
+    parameters, outputs = (
+        mean >= document["gate"]["least"] and low > 0.0
+        for mean, low, _ in (document["gate"][key] for key in ("parameters_worse", "outputs_worse"))
+    )
+    assert document["gate"]["heads"]["outputs"] == ("none" if outputs else "BLIND")
+    assert bool(document["refused"]) != parameters
+    if parameters:
         assert load_member(weights).network.count() == document["weights"]["count"]
     else:
         with pytest.raises(HieraError, match="BLIND"):

@@ -17,7 +17,9 @@ from tests.twin.hiera.tower_tables import made_table  # noqa: E402
 from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
 from twin.calibrators.hiera_unet.service import TRAINED  # noqa: E402
 from twin.calibrators.hiera_unet.tower import CAUSAL, SYMMETRIC, Fleet, load_tower_ensemble  # noqa: E402
-from twin.calibrators.hiera_unet.tower.ensemble import card_of, factors_of, passed  # noqa: E402
+from twin.calibrators.hiera_unet.tower.ensemble import card_of, factors_of, judged_again, passed  # noqa: E402
+from twin.calibrators.hiera_unet.tower.predict import judged  # noqa: E402
+from twin.calibrators.hiera_unet.tower.score import targets_of  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -110,11 +112,61 @@ def test_members_that_the_gate_passed_make_the_ensemble_and_all_do_where_fewer_t
     assert passed({"a": "", "b": "BLIND"}) == (["a", "b"], {})
 
 
-@pytest.mark.skipif(not (TRAINED / "tower_small.json").exists(), reason="no trained ensemble is shipped")
-def test_the_shipped_ensemble_holds_the_members_that_passed_and_the_blind_one_alone_is_refused() -> None:
-    ensemble = load_tower_ensemble(TRAINED / "tower_small.json")
-    assert len(ensemble.members) == 3 and not ensemble.blind
+def test_a_member_with_blind_outputs_serves_the_outlet_that_it_starts_at_and_says_so(tmp_path: Path) -> None:
+    fleet = Fleet([made_table()])
+    start = targets_of(fleet, fleet.rows).water
+    seen = load_tower_ensemble(write_ensemble(tmp_path / "seen", biased=1.0))
+    assert np.abs(seen.ask(fleet, fleet.rows).found.water - start).max() > 0.01 and not seen.outlet
+    blind = load_tower_ensemble(write_ensemble(tmp_path / "blind", blind_outputs=(0, 1), biased=1.0))
+    for branch in (CAUSAL, SYMMETRIC):
+        np.testing.assert_allclose(blind.ask(fleet, fleet.rows, branch).found.water, start, atol=1e-4)
+    assert not blind.blind
+    assert blind.outlet == "the outlet is that of the start (Gauss-Newton); only the parameters are the network's"
+    member = json.loads((tmp_path / "blind" / "tower_made_0.json").read_text())
+    assert member["outlet"] == blind.outlet and member["refused"] == ""
+    assert member["gate"]["heads"] == {"parameters": "none", "outputs": "BLIND"}
+    one = load_tower_ensemble(write_ensemble(tmp_path / "one", blind_outputs=(1,), biased=1.0))
+    assert one.outlet.startswith("the outlet of tower_made_1.safetensors is that of the start (Gauss-Newton); only its")
+
+
+def test_a_card_of_one_code_for_both_heads_reads_as_before(tmp_path: Path) -> None:
+    card = write_ensemble(tmp_path, blind_outputs=(1,), biased=1.0)
+    member = tmp_path / "tower_made_1.json"
+    document = json.loads(member.read_text())
+    del document["gate"]["heads"], document["outlet"]
+    member.write_text(json.dumps(document))
+    old = load_tower_ensemble(card)
+    assert not old.outlet and not old.members[1].network.start_outlet
+    member.write_text(json.dumps(document | {"refused": "BLIND"}))
     with pytest.raises(HieraError, match=r"^BLIND: "):
-        load_tower_ensemble(TRAINED / "tower_small_3.json")
+        load_tower_ensemble(card)
+    assert load_tower_ensemble(card, blind_too=True).blind == ("tower_made_1.safetensors",)
+
+
+def test_an_ensemble_judged_again_needs_factors_of_the_members_that_pass() -> None:
+    sure, none, config = [0.2, 0.1, 0.3], [0.0, 0.0, 0.0], {"trees": [5, 200, 61]}
+    gates = {"a": (sure, none), "b": (sure, none), "c": (none, sure)}
+    cards = {
+        name: judged(
+            {"config": config, "gate": {"parameters_worse": p, "outputs_worse": o, "windows": 9}, "refused": "BLIND"}
+        )
+        for name, (p, o) in gates.items()
+    }
+    assert {n: one["refused"] for n, one in cards.items()} == {"a": "", "b": "", "c": "BLIND"}
+    found = judged_again({"name": "made", "members": {"a": "0", "b": "0"}, "left_out": {"c": "BLIND"}}, cards)
+    assert found["outlet"].startswith("the outlet is that of the start (boosted trees on Gauss-Newton)")
+    with pytest.raises(HieraError, match=r"the factors of made are of a, b, c, and the gate passes a, b; write it"):
+        judged_again({"name": "made", "members": {"a": "0", "b": "0", "c": "0"}}, cards)
+    with pytest.raises(HieraError, match="names members whose cards are missing"):
+        judged_again({"name": "made", "members": {"a": "0", "d": "0"}}, cards)
+
+
+@pytest.mark.skipif(not (TRAINED / "tower_small.json").exists(), reason="no trained ensemble is shipped")
+def test_the_shipped_ensemble_holds_four_members_whose_outlet_is_that_of_boosted_trees() -> None:
+    ensemble = load_tower_ensemble(TRAINED / "tower_small.json")
+    assert len(ensemble.members) == 4 and not ensemble.blind
+    assert all(one.network.start_outlet and one.network.trees is not None for one in ensemble.members)
+    document = json.loads((TRAINED / "tower_small.json").read_text())
+    assert document["outlet"] == ensemble.outlet != "" and not document["left_out"]
     with pytest.raises(HieraError, match=r"^OTHER_SUBJECT: "):
         load_tower_ensemble(TRAINED / "loop_small.json")

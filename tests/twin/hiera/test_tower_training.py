@@ -126,11 +126,12 @@ def test_a_station_without_nine_months_or_without_a_window_in_them_adapts_nothin
         adapt(network, fleet, fleet, PLAN, 0.0, months=0.02)
 
 
-def test_the_gate_opens_only_where_both_are_surely_worse() -> None:
+def test_the_gate_judges_each_head_by_its_own_figures() -> None:
     sure, weak, unsure = (0.2, 0.1, 0.3), (0.04, 0.02, 0.06), (0.2, -0.1, 0.5)
-    assert Blindness(sure, sure, 10).code == ""
-    for parameters, outputs in ((weak, sure), (sure, weak), (unsure, sure), (sure, unsure)):
-        assert Blindness(parameters, outputs, 10).code == BLIND
+    for one, code in ((sure, ""), (weak, BLIND), (unsure, BLIND)):
+        for other, its in ((sure, ""), (weak, BLIND), (unsure, BLIND)):
+            gate = Blindness(one, other, 10)
+            assert (gate.code, gate.outputs_code) == (code, its)
 
 
 def test_the_gate_sees_a_network_that_reads_the_residual(fleet: Fleet) -> None:
@@ -138,7 +139,7 @@ def test_the_gate_sees_a_network_that_reads_the_residual(fleet: Fleet) -> None:
         """Bias by the mean residual of the day, and the outlet by a channel of the target."""
 
         config = replace(SUBJECT.config("small"), corrects=False)
-        trees = None
+        trees, start_outlet = None, False
 
         def forward(self, x, m, regime, clock, meta, *, causal, memory):  # type: ignore[no-untyped-def]
             from twin.calibrators.hiera_unet.network import Prediction

@@ -49,6 +49,9 @@ class HieraUNet(nn.Module):
     middle: Tensor | None
     spread: Tensor | None
 
+    start_outlet = False
+    """Whether the gate refused the outlet of a tower: what is served is that which the network starts at."""
+
     def __init__(self, config: Config) -> None:
         super().__init__()
         self.config = config

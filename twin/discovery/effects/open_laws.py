@@ -126,13 +126,13 @@ def open_laws(network: Network, grid: Grid, named: Sequence[CandidateLaw]) -> li
     found = []
     for site in sites_of(network, named):
         solid = site.heat is not None and site.reading is not None
-        if solid:
+        if solid or site.kind == "heat_transfer":
             candidate = candidate_of(network, site, constant)
             found.append(OpenLaw(candidate, site, np.ones(len(grid.time))))
         for values, course in every:
             if solid and values.form != "linear":
                 continue
-            if values.form == "linear" and (site.kind, site.where, values.driver) in known:
+            if not solid and values.form == "linear" and (site.kind, site.where, values.driver) in known:
                 continue
             found.append(OpenLaw(candidate_of(network, site, values), site, course))
     return found

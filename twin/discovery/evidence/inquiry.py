@@ -16,7 +16,7 @@ from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.held_out import HeldOutRecord
 from twin.discovery.evidence.marginal import joint
-from twin.discovery.evidence.missing_in_health import with_missing
+from twin.discovery.evidence.missing_in_health import with_missing, with_usual
 from twin.discovery.evidence.part import Part, fitted, plainly
 from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
@@ -73,6 +73,18 @@ class Inquiry:
         begun = Part.of(known, grid)
         more = with_missing(begun)
         return cls(network, record, more, grid, begun if more is known else Part.of(more, grid), say)
+
+    def settled(self, held_out: float) -> tuple[Inquiry, SplitFinding]:
+        """Return the answer (see `answer`), and the inquiry that gave it.
+
+        Where a further effect was there in health already, the twin is taken to lack it, and the search begins anew.
+        """
+        found = self.answer(held_out)
+        known = with_usual(self.known, found.finding.entries)
+        if known is self.known:
+            return self, found
+        anew = replace(self, known=known, begun=Part.of(known, self.grid))
+        return anew, anew.answer(held_out)
 
     @cached_property
     def _scanned(self) -> tuple[Part, tuple[Candidate, ...]]:
@@ -217,7 +229,7 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     together = _at_one_moment(best, contest) if best is not None and best.odds >= least else None
     if fewer and together is not None and best is not None:
         enough = best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)
-        others = [h for h in found.hypotheses if h.fit is not None and set(h.labels) < set(best.labels)]
+        others = [h for h in found.hypotheses if h.fit is not None and len(h.entries) < len(best.entries)]
         others = [h for h in others if h.odds >= enough and _at_one_moment(h, contest) is None]
         best = others[0] if others else best
     claimed = best is not None and best.odds >= least and _at_one_moment(best, contest) is None

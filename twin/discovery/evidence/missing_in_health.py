@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 
 from twin.discovery.evidence.marginal import joint
 from twin.discovery.evidence.part import Part
-from twin.discovery.evidence.priors import MISSING_IN_HEALTH, SPREAD
+from twin.discovery.evidence.priors import FAULT, FORM_ERRORS, MISSING_IN_HEALTH, SPREAD
 from twin.discovery.evidence.scan import scan
 from twin.discovery.evidence.search import Prior, apart, late_ones, leading, log_odds_unlisted
 from twin.discovery.healthy.basis import Basis
@@ -78,7 +78,10 @@ class _Columns:
 
 
 def with_missing(part: Part) -> Basis:
-    """Return what is known of a rig, with laws that the twin lacked in health already where they alone are likeliest.
+    """Return what is known of a rig, with laws that the twin lacked in health already.
+
+    They are those of the likeliest set of laws and of effects that began later, if it is likelier than any of effects
+    alone.
 
     Args:
         part: all of the record.
@@ -91,18 +94,52 @@ def with_missing(part: Part) -> Basis:
     if not amounts.candidates:
         return known
     columns, count = _columns_of(part, effects, amounts, prior), len(effects)
-    laws, odds = columns.likeliest((), range(count, len(columns.score)))
-    if odds <= max(columns.likeliest((), range(count))[1], 0.0, log_odds_unlisted(part)):
+    begun = [i for i, e in enumerate(effects) if e.shape.onset_s > 0.0]
+    likeliest, odds = columns.likeliest((), (*begun, *range(count, len(columns.score))))
+    laws = tuple(i for i in likeliest if i >= count)
+    if not laws or odds <= max(columns.likeliest((), range(count))[1], 0.0, log_odds_unlisted(part)):
         return known
     if odds < _odds_of_late(part, prior):
         return known
-    every, _ = columns.likeliest(laws, range(count))
     at, which = list(laws), [i - count for i in laws]
     covariance = np.asarray(np.linalg.inv(columns.precision[np.ix_(at, at)]), dtype=np.float64)
     missing = tuple(amounts.candidates[i] for i in which)
     structure = known.structure.with_laws(missing, covariance @ columns.pull[at], covariance, amounts.moves[:, which])
-    sizes = columns.sizes(every)[[every.index(i) for i in laws]]
+    sizes = columns.sizes(likeliest)[[likeliest.index(i) for i in laws]]
     return replace(known, structure=structure, missing=MissingInHealth(missing, sizes))
+
+
+def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
+    """Return what is known of a rig, with effects that stand beside another and were there in health already.
+
+    An effect all along is likelier a law that the twin has always lacked where the healthy record's amplitude, but for
+    an error of form, is nearer to the fitted one than the prior of a fault is.
+    """
+    along = [e for e in entries if e.shape.name == "step" and e.shape.onset_s <= 0.0 and not e.candidate.column]
+    if known.health is None or known.structure is None or len(entries) < 2 or not along:
+        return known
+    missing = known.missing
+    for entry in along:
+        amounts = known.health.amplitudes([entry.candidate], known.probe.scaling.ids)
+        if not amounts.candidates:
+            continue
+        wide = (SPREAD * entry.candidate.typical) ** 2
+        variance = 1.0 / (float(amounts.precision[0, 0]) + 1.0 / wide)
+        mean = variance * float(amounts.score[0])
+        variance += (max(FORM_ERRORS) * mean) ** 2
+        before = math.log(MISSING_IN_HEALTH) + _log_normal(entry.size - mean, variance + entry.sd**2)
+        if before > math.log(FAULT) + _log_normal(entry.size, wide + entry.sd**2):
+            structure, law = known.structure, (entry.candidate,)
+            assert structure is not None
+            structure = structure.with_laws(law, np.array([mean]), np.array([[variance]]), amounts.moves)
+            told = missing or MissingInHealth((), np.zeros(0))
+            missing = MissingInHealth((*told.candidates, *law), np.append(told.sizes, entry.size))
+            known = replace(known, structure=structure, missing=missing)
+    return known
+
+
+def _log_normal(off: float, variance: float) -> float:
+    return -0.5 * (off**2 / variance + math.log(2.0 * math.pi * variance))
 
 
 def _columns_of(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior: Prior) -> _Columns:

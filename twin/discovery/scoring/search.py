@@ -22,6 +22,8 @@ CAME_IN = 25.0
 CAME_IN_SHARE = 0.1
 """The same as a share of its gain, where nothing tells how much of it a lumped twin leaves: the beginning of a record
 has moments of its own."""
+ACTUATED = ("heater_power", "pump_speed", "fan_speed")
+"""Drivers that an effect follows while it grows too: an input tells more than the time does."""
 _TINY = 1e-12
 
 
@@ -62,10 +64,11 @@ class Entry:
 
     @property
     def driver(self) -> str:
-        """What the effect follows: time where it grows, else what its law says."""
+        """What the effect follows: an input where its law does, time where it grows, else what its law says."""
         if self.shape.name == "periodic":
             return "periodic"
-        return "elapsed_time" if self.shape.grows else self.candidate.driver
+        time = self.shape.grows and self.candidate.driver not in ACTUATED
+        return "elapsed_time" if time else self.candidate.driver
 
     @property
     def change(self) -> str:

@@ -22,7 +22,7 @@ from twin.calibrators.hiera_unet.checkpoint import Member
 from twin.calibrators.hiera_unet.config import HieraError
 from twin.calibrators.hiera_unet.envelope import place
 from twin.calibrators.hiera_unet.tower.member import load_member
-from twin.calibrators.hiera_unet.tower.predict import predict
+from twin.calibrators.hiera_unet.tower.predict import NETWORKS, outlet_refused, predict, start_sentence
 from twin.calibrators.hiera_unet.tower.score import LEVEL, IntervalFactors, MethodPrediction, mixed, targets_of
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
 from twin.calibrators.hiera_unet.tower.windows import Fleet
@@ -69,6 +69,8 @@ class TowerEnsemble:
         Names of the members that the gate against blindness refused.
     digest
         SHA-256 of the card.
+    outlet
+        Sentence on an outlet that is the start's, "" where it is the network's.
     """
 
     name: str
@@ -76,6 +78,7 @@ class TowerEnsemble:
     factors: Mapping[str, IntervalFactors]
     blind: tuple[str, ...]
     digest: str
+    outlet: str = ""
 
     def ask(self, fleet: Fleet, rows: NDArray[np.int64], branch: str = CAUSAL, size: int = 64) -> EnsembleAnswer:
         """Return the answer to cycles `rows` (K,) in a branch.
@@ -153,10 +156,53 @@ def card_of(
         "table": SUBJECT.digest(),
         "members": {file: one.card["weights"]["sha256"] for file, one in members.items()},
         "left_out": dict(left_out),
+        "outlet": outlet_of({file: one.card for file, one in members.items()}) or NETWORKS,
         "level": LEVEL,
         "branches": {b: {"theta": [float(v) for v in f.theta], "water": f.water} for b, f in factors.items()},
         **more,
     }
+
+
+def outlet_of(cards: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return a sentence where the outlet of a member is the start's, "" where each is the network's.
+
+    Parameters
+    ----------
+    cards
+        Card of each member by the name of its weights.
+    """
+    start = {name: bool(card["config"].get("trees")) for name, card in cards.items() if outlet_refused(card)}
+    if not start:
+        return ""
+    return start_sentence(all(start.values()), () if len(start) == len(cards) else list(start))
+
+
+def judged_again(document: Mapping[str, Any], cards: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the card of an ensemble by the present rule of the gate.
+
+    Parameters
+    ----------
+    document
+        Card of the ensemble.
+    cards
+        Card of each trained member by the name of its weights.
+
+    Raises
+    ------
+    HieraError
+        The gate passes other members than those that the factors of the intervals are of.
+    """
+    names = list(document["members"])
+    asked = {n: one for n, one in cards.items() if n in names or n in document.get("left_out", {})}
+    if set(names) - set(asked):
+        raise HieraError(f"the card of {document['name']} names members whose cards are missing; put them beside it")
+    made, _ = passed({n: str(one["refused"]) for n, one in asked.items()})
+    if sorted(made) != sorted(names):
+        raise HieraError(
+            f"the factors of {document['name']} are of {', '.join(names)}, and the gate passes {', '.join(made)}; "
+            f"{AGAIN}"
+        )
+    return {**document, "outlet": outlet_of({n: asked[n] for n in names}) or NETWORKS}
 
 
 def load_ensemble(card: Path, *, blind_too: bool = False) -> TowerEnsemble:
@@ -171,7 +217,7 @@ def load_ensemble(card: Path, *, blind_too: bool = False) -> TowerEnsemble:
     ------
     HieraError
         The card or a member cannot be read, is missing, was altered, or belongs to another subject, table or format;
-        or a member is blind.
+        or a member's parameters are blind.
     """
     document, text = _document(card)
     if "members" not in document:
@@ -201,7 +247,9 @@ def load_ensemble(card: Path, *, blind_too: bool = False) -> TowerEnsemble:
             raise HieraError(f"{path} is not the member that {card} names; {AGAIN}", code="OTHER_MEMBER")
         members.append(member)
     blind = tuple(n for n, one in zip(names, members, strict=True) if one.card.get("refused"))
-    return TowerEnsemble(str(document["name"]), tuple(members), factors, blind, hashlib.sha256(text).hexdigest())
+    outlet = outlet_of(dict(zip(names, (one.card for one in members), strict=True)))
+    digest = hashlib.sha256(text).hexdigest()
+    return TowerEnsemble(str(document["name"]), tuple(members), factors, blind, digest, outlet)
 
 
 def _document(card: Path) -> tuple[dict[str, Any], bytes]:

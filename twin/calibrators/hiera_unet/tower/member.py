@@ -18,7 +18,14 @@ from twin.calibrators.hiera_unet.envelope import envelope, place
 from twin.calibrators.hiera_unet.network import HieraUNet
 from twin.calibrators.hiera_unet.tower.cell_table import CellTable
 from twin.calibrators.hiera_unet.tower.plan import TowerPlan
-from twin.calibrators.hiera_unet.tower.predict import Blindness, blindness, predict, settle
+from twin.calibrators.hiera_unet.tower.predict import (
+    Blindness,
+    blindness,
+    judgement,
+    outlet_refused,
+    predict,
+    settle,
+)
 from twin.calibrators.hiera_unet.tower.score import (
     believed,
     mixed,
@@ -214,8 +221,7 @@ class MemberTraining:
         trainer = self.trainer
         return {
             "subject": SUBJECT.name,
-            "gate": gate.document(),
-            "refused": gate.code,
+            **judgement(gate, trainer.average.trees is not None),
             "seed": trainer.plan.seed,
             "plan": trainer.plan.document(),
             "steps_done": trainer.done,
@@ -311,6 +317,7 @@ def adapt(
             pace = (time.monotonic() - began) / trainer.done
             steps = trainer.done + max(int(0.97 * (until - time.monotonic()) / pace), 1)
             trainer.plan = replace(trainer.plan, steps=min(steps, plan.steps))
+    trainer.average.start_outlet = network.start_outlet
     return trainer.average, trainer.done
 
 
@@ -327,10 +334,12 @@ def identity() -> checkpoint.Identity:
 def load_member(path: Path, *, blind_too: bool = False) -> checkpoint.Member:
     """Return a trained member.
 
+    Where the gate refused its outputs alone, its outlet is that which the network starts at.
+
     Raises
     ------
     HieraError
-        It is of another subject, table or format, or was refused as blind.
+        It is of another subject, table or format, or its parameters were refused as blind.
     """
     member = checkpoint.load(path, identity())
     if member.card.get("refused") and not blind_too:
@@ -339,6 +348,7 @@ def load_member(path: Path, *, blind_too: bool = False) -> checkpoint.Member:
             "other data",
             code=str(member.card["refused"]),
         )
+    member.network.start_outlet = outlet_refused(member.card)
     return member
 
 

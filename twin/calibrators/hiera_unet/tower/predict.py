@@ -1,7 +1,8 @@
-"""Predictions of a network on windows, and the blindness gate: do they hang on the channels at all?"""
+"""Predictions of a network on windows, and the blindness gate: does each head hang on the channels at all?"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,11 +17,12 @@ from twin.calibrators.hiera_unet.tower.windows import BLOCK_MIN, TARGET, CellBat
 from twin.tower.air import Array
 
 LEAST_WORSE = 0.05
-"""Share by which parameters and outputs must be worse with another window's channels."""
+"""Share by which the parameters, or the outputs, must be worse with another window's channels."""
 RESAMPLES = 1000
 BLOCK_CYCLES = 84
 """Cycles of a bootstrap block: a week."""
 BLIND = "BLIND"
+NETWORKS = "the outlet is the network's"
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,9 @@ def settle(fleet: Fleet, trees: Trees, rows: NDArray[np.int64] | None = None, si
 
 def outlet_of(network: HieraUNet, p: Prediction, batch: CellBatch) -> Tensor:
     """Return the outlet (B, 120), degC, that a prediction says: its correction of the given answer, or of the twin at
-    the deviations for a network of an earlier kind."""
+    the deviations for a network of an earlier kind. Where the gate refused the outlet it is the given answer."""
+    if network.start_outlet:
+        return batch.base_water
     delta = p.delta[..., 0].float()
     if network.config.corrects:
         return batch.base_water + delta
@@ -128,7 +132,7 @@ def predict(
             batch.m[:] = batch.m & ~gone[:, None]
         p = answer(network, batch, causal, half)
         delta = p.delta[..., 0]
-        if network.config.corrects:
+        if network.config.corrects or network.start_outlet:
             at_theta = batch.water + (batch.slopes * (p.theta - batch.mean)[:, None, :3]).sum(-1)
             delta = outlet_of(network, p, batch) - at_theta
         found = (p.theta, p.log_variance, delta, p.log_scale[..., 0], p.attention)
@@ -148,9 +152,13 @@ class Blindness:
 
     @property
     def code(self) -> str:
-        """`BLIND` where either hardly hangs on the channels, "" else."""
-        worse = all(v[0] >= LEAST_WORSE and v[1] > 0.0 for v in (self.parameters, self.outputs))
-        return "" if worse else BLIND
+        """`BLIND` where the parameters hardly hang on the channels, "" else: the checkpoint is refused."""
+        return _code(self.parameters)
+
+    @property
+    def outputs_code(self) -> str:
+        """`BLIND` where the outputs hardly hang on the channels, "" else: the outlet is the start's."""
+        return _code(self.outputs)
 
     def document(self) -> dict[str, Any]:
         """Return plain data for a card."""
@@ -160,7 +168,62 @@ class Blindness:
             "windows": self.windows,
             "least": LEAST_WORSE,
             "code": self.code or "none",
+            "heads": {"parameters": self.code or "none", "outputs": self.outputs_code or "none"},
         }
+
+
+def _code(worse: tuple[float, float, float]) -> str:
+    return "" if worse[0] >= LEAST_WORSE and worse[1] > 0.0 else BLIND
+
+
+def outlet_refused(card: Mapping[str, Any]) -> bool:
+    """Return whether the gate refused the outputs of a member; a card with one code for both heads says no."""
+    return bool(card.get("gate", {}).get("heads", {}).get("outputs") == BLIND)
+
+
+def start_sentence(trees: bool, whose: Sequence[str] = ()) -> str:
+    """Return what a card and a report say of an outlet that the gate refused.
+
+    Parameters
+    ----------
+    trees
+        Whether the network starts at boosted trees.
+    whose
+        Members of an ensemble that it holds for, where it holds for some.
+    """
+    start = "boosted trees on Gauss-Newton" if trees else "Gauss-Newton"
+    if whose:
+        names, theirs = ", ".join(whose), "their" if len(whose) > 1 else "its"
+        return f"the outlet of {names} is that of the start ({start}); only {theirs} parameters are the network's"
+    return f"the outlet is that of the start ({start}); only the parameters are the network's"
+
+
+def judgement(gate: Blindness, trees: bool) -> dict[str, Any]:
+    """Return the entries of a card that the figures of the gate decide.
+
+    Parameters
+    ----------
+    trees
+        Whether the network starts at boosted trees.
+    """
+    outlet = start_sentence(trees) if gate.outputs_code else NETWORKS
+    return {"gate": gate.document(), "refused": gate.code, "outlet": outlet}
+
+
+def judged(card: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the card of a member with the codes of its heads by the figures that it has.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        The card has no figures of the gate.
+    """
+    told = card["gate"]
+    parameters, outputs = ((*map(float, told[f"{head}_worse"]),) for head in ("parameters", "outputs"))
+    if len(parameters) != 3 or len(outputs) != 3:
+        raise ValueError("a figure of the gate is a share with both ends of its interval")
+    gate = Blindness(parameters, outputs, int(told["windows"]))
+    return {**card, **judgement(gate, bool(card.get("config", {}).get("trees")))}
 
 
 NOT_TESTED = Blindness((float("nan"),) * 3, (float("nan"),) * 3, 0)
