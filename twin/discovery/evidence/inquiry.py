@@ -77,7 +77,7 @@ class Inquiry:
     def settled(self, held_out: float) -> tuple[Inquiry, SplitFinding]:
         """Return the answer (see `answer`), and the inquiry that gave it.
 
-        Where a further effect was there in health already, the twin is taken to lack it, and the search begins anew.
+        Where an effect was there in health already, the twin is taken to lack it, and the search begins anew.
         """
         found = self.answer(held_out)
         known = with_usual(self.known, found.finding.entries)

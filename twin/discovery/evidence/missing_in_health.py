@@ -24,6 +24,7 @@ from twin.discovery.evidence.search import Prior, apart, late_ones, leading, log
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.healthy.in_health import Amplitudes, MissingInHealth
 from twin.discovery.scoring.search import Entry
+from twin.elements.candidates import Candidate
 from twin.network import Array
 
 MOST_LAWS, BEAM = 5, 6
@@ -95,7 +96,7 @@ def with_missing(part: Part) -> Basis:
         return known
     columns, count = _columns_of(part, effects, amounts, prior), len(effects)
     begun = [i for i, e in enumerate(effects) if e.shape.onset_s > 0.0]
-    likeliest, odds = columns.likeliest((), (*begun, *range(count, len(columns.score))))
+    likeliest, odds = _possible(columns, begun, amounts.candidates)
     laws = tuple(i for i in likeliest if i >= count)
     if not laws or odds <= max(columns.likeliest((), range(count))[1], 0.0, log_odds_unlisted(part)):
         return known
@@ -109,14 +110,31 @@ def with_missing(part: Part) -> Basis:
     return replace(known, structure=structure, missing=MissingInHealth(missing, sizes))
 
 
+def _possible(columns: _Columns, begun: Sequence[int], laws: Sequence[Candidate]) -> tuple[tuple[int, ...], float]:
+    """Return the likeliest set of the effects `begun` and of laws, the last columns, whose sizes are within bounds."""
+    first = len(columns.score) - len(laws)
+    others = [*begun, *range(first, len(columns.score))]
+    while True:
+        found, odds = columns.likeliest((), others)
+        sizes = columns.sizes(found)
+        outside = {
+            i
+            for i, size in zip(found, sizes, strict=True)
+            if i >= first and not laws[i - first].lower <= size <= laws[i - first].upper
+        }
+        if not outside:
+            return found, odds
+        others = [i for i in others if i not in outside]
+
+
 def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
-    """Return what is known of a rig, with effects that stand beside another and were there in health already.
+    """Return what is known of a rig, with effects of an answer that were there in health already.
 
     An effect all along is likelier a law that the twin has always lacked where the healthy record's amplitude, but for
     an error of form, is nearer to the fitted one than the prior of a fault is.
     """
     along = [e for e in entries if e.shape.name == "step" and e.shape.onset_s <= 0.0 and not e.candidate.column]
-    if known.health is None or known.structure is None or len(entries) < 2 or not along:
+    if known.health is None or known.structure is None or not along:
         return known
     missing = known.missing
     for entry in along:
