@@ -16,11 +16,8 @@ from twin.discovery.effects.catalogue import with_columns
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.engine import diagnose
 from twin.discovery.evidence.marginal import log_bayes_of_sizes, log_mass
-from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.priors import SPREAD
-from twin.discovery.evidence.search import searched
-from twin.discovery.healthy.basis import Columns, basis
-from twin.discovery.records.grid import on_grid
+from twin.discovery.healthy.basis import Columns
 from twin.elements.candidates import Candidate
 from twin.kernel import Kernel
 from twin.network import Array
@@ -185,17 +182,6 @@ def test_power_that_moves_from_one_place_to_another_is_one_effect(bench: Bench, 
         and "The radiator gives" in effect.says
         and "to tank" in effect.says
     )
-
-
-def test_a_fit_leaves_the_evidence_of_a_linear_law_as_it_was(bench: Bench, healthy: Columns) -> None:
-    """The same sizes and errors of form are integrated out around a fit as to first order, and here nothing bends."""
-    record = heated(bench, lambda t: 12.0 * (t > 5.0 * HOUR))
-    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
-    part = Part.of(basis(bench.network, healthy, grid), grid)
-    found = searched(part)
-    told = found.told
-    assert told is not None and told.labels == (("heat_source", "tank", "constant"),)
-    assert told.gained == pytest.approx(0.0, abs=0.02 * told.odds)
 
 
 def test_an_onset_within_a_rest_of_the_heater_is_told_to_be_within_it(bench: Bench, healthy: Columns) -> None:

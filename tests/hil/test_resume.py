@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import shlex
 import shutil
 import signal
 import socket
@@ -341,9 +342,10 @@ def test_a_run_that_was_cut_is_told_from_one_that_goes_on(story):
         assert not cut.was_cut
     refused = typed("diagnose", cut.path, "--dry")
     assert refused.returncode == 2
-    assert f"was interrupted and has no record yet; `hil resume {cut.path}` continues it" in refused.stderr
+    advice = f"was interrupted and has no record yet; `hil resume {shlex.quote(str(cut.path))}` continues it"
+    assert advice in refused.stderr
     shown = typed("review", cut.path).stderr
-    assert f"the run was interrupted: shown as far as it came; `hil resume {cut.path}`" in shown
+    assert f"the run was interrupted: shown as far as it came; `hil resume {shlex.quote(str(cut.path))}`" in shown
 
 
 def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_cost(story):

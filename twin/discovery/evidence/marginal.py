@@ -6,9 +6,8 @@ out, the logarithm of the likelihood's mean over that of no effect is
     log B = 1/2 s' (G + S^-2)^-1 s - 1/2 log det(I + S G S)
 
 An effect's error of form is a further Gaussian of standard deviation `FORM_ERRORS` times the size: the same signature,
-modulated over time by straight lines between knots; its heat at any other node and what it does to each sensor alone,
-since a lumped twin sends heat to its volumes and sensors in other shares than its rig; and the same late, since it has
-no walls and pipes on the way. It is integrated out with the sizes.
+modulated over time by straight lines between knots, and what it does to each sensor alone, since a lumped twin sends
+heat to its sensors in other shares than its rig. It is integrated out with the sizes.
 
 Source: linear-Gaussian evidence (MacKay, Neural Computation 4 (1992) 415, eqs. 2.5 and 4.3).
 """
@@ -25,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp
 
-from twin.discovery.evidence.priors import FORM_ERRORS, FORM_LATE_S, FORM_S, SPREAD
+from twin.discovery.evidence.priors import FORM_ERRORS, FORM_S, SPREAD
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
@@ -95,14 +94,17 @@ class Joint:
 
     Attributes:
         parts: one for each effect. scale: (c,) prior standard deviations of all their columns.
-        root: (c, c), root @ root' the inverse of I + S G S, for the likeliest share of an error of form.
-        log_bayes: over no effect, averaged over the shares. sizes: (e,) of the effects.
+        root: (c, c), root @ root' the inverse of I + S G S. form_error: share, the likeliest.
+        log_bayes: over no effect, averaged over the shares. quadratic: twice the logarithm's part that is of the data.
+        sizes: (e,) of the effects.
     """
 
     parts: tuple[_EffectColumns, ...]
     scale: Array
     root: Array
+    form_error: float
     log_bayes: float
+    quadratic: float
     sizes: Array
 
     @cached_property
@@ -149,13 +151,13 @@ def _columns(contest: Contest, entry: Entry) -> _EffectColumns:
 
 def _onto(contest: Contest, every: Array) -> Array:
     """Return what columns (c, sites * b), most of them zero at most sites, are to the Gram matrix: (sites * b, c)."""
-    b, found = contest.b, np.zeros((len(every), len(contest.gram)))
+    b, found = contest.b, np.zeros((len(contest.gram), len(every)))
     each = every.reshape(len(every), contest.sites, b)
     there: NDArray[np.bool_] = np.asarray(each.any(axis=2))
     for site in np.flatnonzero(there.any(axis=0)):
         rows = there[:, site]
-        found[rows] += each[rows, site] @ contest.gram[site * b : (site + 1) * b]
-    return found.T
+        found[:, rows] += contest.gram[:, site * b : (site + 1) * b] @ each[rows, site].T
+    return found
 
 
 def joint(contest: Contest, entries: Sequence[Entry]) -> Joint:
@@ -163,81 +165,29 @@ def joint(contest: Contest, entries: Sequence[Entry]) -> Joint:
     count = len(entries)
     prior = np.array([SPREAD * e.candidate.typical for e in entries])
     parts = tuple(_columns(contest, e) for e in entries)
-    gram = _gram(parts)
+    each = len(parts[0].every) - 1
+    gram = _in_order([_in_order([one.every @ other.onto for one in parts]).T for other in parts])
     score = _in_order([p.every @ contest.score for p in parts])
     sizes = np.linalg.solve(gram[:count, :count] + np.diag(prior**-2.0), score[:count])
-    found = [_integrated(entries, gram, score, share * np.abs(sizes)) for share in FORM_ERRORS]
-    best = max(found, key=lambda f: f.log_bayes)
-    total = float(logsumexp([f.log_bayes for f in found]) - np.log(len(found)))
-    return Joint(parts, best.scale, best.root, total, best.mean[:count])
-
-
-def log_bayes_at_fit(contest: Contest, entries: Sequence[Entry]) -> float:
-    """Return what sizes and errors of form, integrated out around a fit, add to the log evidence of its squares.
-
-    A fit has found the sizes: what is left of their slopes is no gain of the errors of form.
-
-    Args:
-        contest: as the fit left it. entries: as fitted.
-    """
-    parts, count = tuple(_columns(contest, e) for e in entries), len(entries)
-    gram, score = _gram(parts), _in_order([p.every @ contest.score for p in parts])
-    sizes, found = np.array([e.size for e in entries]), []
-    prior = np.array([SPREAD * e.candidate.typical for e in entries])
-    own = score[:count] - sizes / prior**2
-    score[:count] = own
-    alone = float(own @ np.linalg.solve(gram[:count, :count] + np.diag(prior**-2.0), own))
+    found: list[tuple[float, float, Array, Array, Array]] = []
     for share in FORM_ERRORS:
-        one = _integrated(entries, gram, score, share * np.abs(sizes), sizes)
-        found.append(one.log_volume + 0.5 * (one.quadratic - alone))
-    return float(logsumexp(found) - np.log(len(found)))
-
-
-def _gram(parts: Sequence[_EffectColumns]) -> Array:
-    """Return the Gram matrix (c, c) of effects and their errors of form."""
-    return _in_order([_in_order([one.every @ other.onto for one in parts]).T for other in parts])
-
-
-@dataclass(frozen=True)
-class _Integrated:
-    """Sizes and errors of form of one share integrated out; see `Joint`.
-
-    Attributes:
-        quadratic: twice the log evidence's part that is of the data. log_volume: its other part, of widths and bounds.
-        mean: (c,) of the posterior.
-    """
-
-    quadratic: float
-    log_volume: float
-    scale: Array
-    root: Array
-    mean: Array
-
-    @property
-    def log_bayes(self) -> float:
-        return 0.5 * self.quadratic + self.log_volume
-
-
-def _integrated(
-    entries: Sequence[Entry], gram: Array, score: Array, errors: Array, sizes: Array | None = None
-) -> _Integrated:
-    """Return the evidence with errors of form of standard deviations `errors` (e,).
-
-    Args:
-        sizes: (e,) as fitted; None where they are those of the quadratic form.
-    """
-    prior = np.array([SPREAD * e.candidate.typical for e in entries])
-    scale = np.concatenate([prior, np.repeat(errors, len(score) // len(entries) - 1)])
-    values, axes = np.linalg.eigh(np.eye(len(scale)) + gram * np.outer(scale, scale))
-    root = axes / np.sqrt(np.maximum(values, 1.0))
-    pull = root.T @ (scale * score)
-    mean = scale * (root @ pull)
-    spread = scale * np.sqrt((root**2).sum(axis=1))
-    volume = -0.5 * float(np.log(np.maximum(values, 1.0)).sum()) + sum(
-        _within(e.candidate, float(m), float(s), float(p))
-        for e, m, s, p in zip(entries, mean if sizes is None else sizes, spread, prior, strict=False)
-    )
-    return _Integrated(float(pull @ pull), volume, scale, root, mean)
+        scale = np.concatenate([prior, np.repeat(share * np.abs(sizes), each)])
+        values, axes = np.linalg.eigh(np.eye(len(scale)) + gram * np.outer(scale, scale))
+        root = axes / np.sqrt(np.maximum(values, 1.0))
+        pull = root.T @ (scale * score)
+        quadratic = float(pull @ pull)
+        mean = scale * (root @ pull)
+        spread = scale * np.sqrt((root**2).sum(axis=1))
+        log_bayes = 0.5 * quadratic - 0.5 * float(np.log(np.maximum(values, 1.0)).sum())
+        log_bayes += sum(
+            _within(e.candidate, float(m), float(s), float(p))
+            for e, m, s, p in zip(entries, mean, spread, prior, strict=False)
+        )
+        found.append((log_bayes, quadratic, scale, root, mean[:count]))
+    best = max(range(len(found)), key=lambda i: found[i][0])
+    log_bayes, quadratic, scale, root, mean = found[best]
+    total = float(logsumexp([f[0] for f in found]) - np.log(len(found)))
+    return Joint(parts, scale, root, FORM_ERRORS[best], total, quadratic, mean)
 
 
 def _within(candidate: Candidate, mean: float, sd: float, prior: float) -> float:
@@ -246,22 +196,24 @@ def _within(candidate: Candidate, mean: float, sd: float, prior: float) -> float
     return _log_mass((low - mean) / sd, (high - mean) / sd) - _log_mass(low / prior, high / prior)
 
 
+def form_quadratic(contest: Contest, entries: Sequence[Entry], share: float) -> float:
+    """Return twice the logarithm's part of the data that errors of form of fitted effects gain at the contest's run."""
+    columns = _form_errors(contest, np.stack([e.vector for e in entries]))
+    scale = np.repeat(share * np.abs([e.size for e in entries]), len(columns) // len(entries))
+    gram, score = columns @ _onto(contest, columns), columns @ contest.score
+    inner = np.eye(len(scale)) + gram * np.outer(scale, scale)
+    pull = scale * score
+    return float(pull @ np.linalg.solve(inner, pull))
+
+
 def _form_errors(contest: Contest, vectors: Array) -> Array:
     """Return what effects (e, sites, b) may do otherwise, all of one after the other's: (e * c, sites * b)."""
     count, basis = len(vectors), form_basis(contest)
     over_time = (vectors[:, :, None, :] * basis.T).transpose(0, 2, 1, 3).reshape(count, basis.shape[1], -1)
-    at_sensors = np.zeros((count, 2 * contest.m, contest.sites, contest.b))
+    at_sensors = np.zeros((count, contest.m, contest.sites, contest.b))
     responses = contest.responses(vectors)
-    late = np.diff(responses, axis=1, prepend=0.0) * (FORM_LATE_S / contest.step_s)
     for j in range(contest.m):
         at_sensors[:, j, contest.k + j] = responses[:, :, j]
-        at_sensors[:, contest.m + j, contest.k + j] = late[:, :, j]
-    at_nodes = np.zeros((count, contest.k, contest.sites, contest.b))
-    heat = vectors[:, : contest.k]
-    most = heat[np.arange(count), (heat**2).sum(axis=2).argmax(axis=1)]
-    for i in range(contest.k):
-        at_nodes[:, i, i] = most
-    every = (over_time, at_sensors.reshape(count, 2 * contest.m, -1), at_nodes.reshape(count, contest.k, -1))
-    both = np.concatenate(every, axis=1)
+    both = np.concatenate([over_time, at_sensors.reshape(count, contest.m, -1)], axis=1)
     found: Array = both.reshape(-1, both.shape[2])
     return found

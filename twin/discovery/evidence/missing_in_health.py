@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 
 from twin.discovery.evidence.marginal import joint
 from twin.discovery.evidence.part import Part
-from twin.discovery.evidence.priors import FAULT, FORM_ERRORS, MISSING_IN_HEALTH, SPREAD
+from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, MISSING_IN_HEALTH, SPREAD
 from twin.discovery.evidence.scan import scan
 from twin.discovery.evidence.search import Prior, apart, late_ones, leading, log_odds_unlisted
 from twin.discovery.healthy.basis import Basis
@@ -81,8 +81,8 @@ class _Columns:
 def with_missing(part: Part) -> Basis:
     """Return what is known of a rig, with laws that the twin lacked in health already.
 
-    They are those of the likeliest set of laws and of effects that began later, if it is likelier than any of effects
-    alone.
+    They are taken where laws alone are likelier than effects alone: errors of form are not in this comparison, and laws
+    would mend those of a strong effect.
 
     Args:
         part: all of the record.
@@ -95,10 +95,16 @@ def with_missing(part: Part) -> Basis:
     if not amounts.candidates:
         return known
     columns, count = _columns_of(part, effects, amounts, prior), len(effects)
+    alone, odds = _possible(columns, (), amounts.candidates)
+    if odds <= max(columns.likeliest((), range(count))[1], 0.0, log_odds_unlisted(part)):
+        return known
+    # Laws that only stand for an effect that began later would hide it: beside it, fewer laws may do.
     begun = [i for i, e in enumerate(effects) if e.shape.onset_s > 0.0]
-    likeliest, odds = _possible(columns, begun, amounts.candidates)
+    likeliest, beside = _possible(columns, begun, amounts.candidates)
+    if beside <= odds + CLAIM:
+        likeliest = alone
     laws = tuple(i for i in likeliest if i >= count)
-    if not laws or odds <= max(columns.likeliest((), range(count))[1], 0.0, log_odds_unlisted(part)):
+    if not laws:
         return known
     if odds < _odds_of_late(part, prior):
         return known

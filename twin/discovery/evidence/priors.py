@@ -29,9 +29,6 @@ FORM_ERRORS = (0.01, 0.03, 0.1)
 """Standard deviations of an effect's error of form, as shares of its size, each as likely: no law is quite right."""
 FORM_S = 7200.0
 """Time over which an error of form keeps its sign, s: that of a load step and of a change of the weather."""
-FORM_LATE_S = 600.0
-"""Time of which the same share is what a sensor may show an effect late by, s: that in which the water of a loop goes
-round some times. A lumped twin has the volumes, and not the walls and pipes on the way."""
 CLAIM = 12.0
 """Log posterior odds from which something is claimed. In that prototype 23 healthy records came to -6 at most, and the
 weakest true effect to 15; the plants of `hil bench zoo` have not been used to set it."""

@@ -13,7 +13,7 @@ import numpy as np
 from twin.discovery.diagnosis import Rung
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.evidence.marginal import joint, log_bayes_at_fit
+from twin.discovery.evidence.marginal import form_quadratic, joint
 from twin.discovery.evidence.part import Part, continued, fitted, slower
 from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, SPREAD, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, refined, scan
@@ -54,15 +54,13 @@ Class = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A set of effects, `odds` its log posterior odds against no effect; `fit` None while only linear.
-
-    `log_occam` is what unknown onsets and courses take from the evidence.
-    """
+    """A set of effects, `odds` its log posterior odds against no effect; `fit` None while only linear."""
 
     entries: tuple[Entry, ...]
     log_prior: float
     log_bayes: float
-    log_occam: float
+    quadratic: float
+    form_error: float
     fit: Fit | None = None
     settled: bool = False
     gained: float = 0.0
@@ -187,9 +185,9 @@ def _set(part: Part, entries: tuple[Entry, ...], prior: Prior) -> Hypothesis:
     """Return a set of effects with its evidence to first order."""
     together = joint(part.contest, entries)
     sized = tuple(replace(e, size=float(s)) for e, s in zip(entries, together.sizes, strict=True))
-    log_occam = sum(e.log_occam for e in entries)
+    log_bayes = together.log_bayes + sum(e.log_occam for e in entries)
     log_prior = sum(prior.of(e) for e in entries)
-    return Hypothesis(sized, log_prior, together.log_bayes + log_occam, log_occam)
+    return Hypothesis(sized, log_prior, log_bayes, together.quadratic, together.form_error)
 
 
 def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[CandidateLaw]) -> list[Hypothesis]:
@@ -230,10 +228,10 @@ def _key(h: Hypothesis) -> tuple[object, ...]:
 def apart(entry: Entry, others: tuple[Entry, ...]) -> bool:
     """Return True where an effect may be beside others: at one place there is one thing, of whatever form, and an error
     of its thermometer."""
-    return all(thing_of(entry) != thing_of(o) for o in others)
+    return all(_thing(entry) != _thing(o) for o in others)
 
 
-def thing_of(entry: Entry) -> tuple[str, bool]:
+def _thing(entry: Entry) -> tuple[str, bool]:
     """Return the place of an effect, by its thermometer or by what moves it too, and whether it is one of reading."""
     named = entry.candidate.where.removeprefix("T_").removesuffix("_C")
     return MOVED_BY.get(named, named), entry.candidate.kind == "sensor"
@@ -296,9 +294,11 @@ def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
     look_at(own, Model.of(own.probe, fit.entries), fit)
     entries = tuple(e.refreshed(own) for e in fit.entries)
     unusual = sum((e.size / (SPREAD * e.candidate.typical)) ** 2 for e in entries)
-    log_bayes = 0.5 * (misfit - fit.total - unusual) + log_bayes_at_fit(own, entries) + h.log_occam
-    gained = h.gained + log_bayes - h.log_bayes
-    return replace(h, entries=fit.entries, fit=fit, log_bayes=log_bayes, gained=gained)
+    quadratic = misfit - fit.total - unusual + form_quadratic(own, entries, h.form_error)
+    won = 0.5 * (quadratic - h.quadratic)
+    return replace(
+        h, entries=fit.entries, fit=fit, quadratic=quadratic, log_bayes=h.log_bayes + won, gained=h.gained + won
+    )
 
 
 def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:

@@ -47,6 +47,7 @@ _PUBLIC_MODULES = (
     "predict",
     "score",
     "table",
+    "trees",
 )
 """Parts that `hil.training` puts together: each is public as a whole."""
 
@@ -75,6 +76,7 @@ __all__ = [
     "predict_windows",
     "score",
     "table",
+    "trees",
 ]
 
 

@@ -36,7 +36,7 @@ from twin.calibrators.hiera_unet.tower.score import (
     targets_of,
 )
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
-from twin.calibrators.hiera_unet.tower.train import TowerTrainer
+from twin.calibrators.hiera_unet.tower.train import OwnWindows, TowerTrainer
 from twin.calibrators.hiera_unet.tower.trees import Trees
 from twin.calibrators.hiera_unet.tower.windows import Fleet
 
@@ -309,7 +309,7 @@ def adapt(
     if network.trees is not None:
         for fleet in (family, own):
             settle(fleet, network.trees)
-    trainer = TowerTrainer(network.config, family, plan, "adapted", own, rows, 0.5, network.state_dict())
+    trainer = TowerTrainer(network.config, family, plan, "adapted", OwnWindows(own, rows), network.state_dict())
     began = time.monotonic()
     while time.monotonic() < until and trainer.done < trainer.plan.steps:
         trainer.step()

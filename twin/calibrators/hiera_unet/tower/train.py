@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,13 +43,21 @@ IDENTITY = ("configuration", "plan", "channel table", "data", "number of windows
 """Parts of `TowerTrainer.identity`."""
 
 
+@dataclass(frozen=True)
+class OwnWindows:
+    """Windows of the station itself, which only show readings: `rows` that may be drawn, and their share of a batch."""
+
+    fleet: Fleet
+    rows: Tensor | None = None
+    share: float = 0.5
+
+
 class TowerTrainer:
     """Weights, optimiser, average of weights and random numbers of one training.
 
     Args:
-        fleet: windows to learn from. own: windows of the station itself, which only show readings. rows: cycles of
-            each that may be drawn; all without. start: weights to begin at. share: of `own` in a batch. trees: that
-            give the answer to correct; `fleet.base` has that of trees which did not learn from the window's plant.
+        fleet: windows to learn from. own: windows of the station itself. start: weights to begin at. trees: that give
+            the answer to correct; `fleet.base` has that of trees which did not learn from the window's plant.
     """
 
     def __init__(
@@ -58,16 +66,15 @@ class TowerTrainer:
         fleet: Fleet,
         plan: TowerPlan,
         digest: str = "",
-        own: Fleet | None = None,
-        own_rows: Tensor | None = None,
-        share: float = 0.5,
+        own: OwnWindows | None = None,
         start: Mapping[str, Tensor] | None = None,
         trees: Trees | None = None,
     ) -> None:
         if trees is not None:
             config = replace(config, trees=tuple(trees.value.shape))
         self.config, self.fleet, self.plan, self.digest = config, fleet, plan, digest
-        self.own, self.own_rows, self.share = own, own_rows, share
+        self.own = None if own is None else own.fleet
+        self.own_rows, self.share = (None, 0.5) if own is None else (own.rows, own.share)
         self.device = fleet.device
         torch.manual_seed(plan.seed)
         self.network = HieraUNet(config).to(self.device)
