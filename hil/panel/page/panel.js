@@ -55,7 +55,7 @@ function format(value) {
 
 function showHead(now) {
   const ended = !now.live;
-  const name = ended && now.status === "running" ? "interrupted" : now.state;
+  const name = now.status === "interrupted" ? "interrupted" : now.state;
   const badge = byId("state");
   badge.textContent = ended && now.status !== "running" ? now.status || now.state : name;
   badge.className = `badge ${name}`;
