@@ -5,6 +5,7 @@ Nothing here writes into the run's folder.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import time
@@ -75,6 +76,9 @@ class RunFeed:
             self._alarms = AlarmWatch(folder)
         except AlarmError as error:
             self._no_alarms = str(error)
+        except BaseException:
+            self._reader.close()
+            raise
 
     @property
     def state(self) -> str:
@@ -110,11 +114,11 @@ class RunFeed:
         self._past = self._tick, past
         return past
 
-    def act(self, name: Any, alarm: str, by: str, reason: str, for_s: float) -> str:
+    def act(self, name: Any, alarm: str, by: str, reason: str, for_s: float, count: int | None) -> str:
         """Do an act on an alarm; raises AlarmError. See `hil.alarms.AlarmWatch.act`."""
         if self._alarms is None:
             raise PanelError(self._no_alarms)
-        return self._alarms.act(name, alarm, by, reason, for_s)
+        return self._alarms.act(name, alarm, by, reason, for_s, count)
 
     def look_again(self) -> None:
         """Read what changes rarely at the next poll, too: an operator has acted."""
@@ -208,6 +212,9 @@ class RunFeed:
 
     def _status(self, is_held: bool | None) -> str:
         """Return the state as the manifest has it, `interrupted` for a run that nobody holds any more."""
+        if is_held is False and self._manifest.get("exit_status") == "running":
+            with contextlib.suppress(RunFolderError):  # a run that has ended says so before it lets go of its folder
+                self._manifest = self._folder.read_manifest()
         status = str(self._manifest.get("exit_status", ""))
         return "interrupted" if status == "running" and is_held is False else status
 

@@ -265,15 +265,15 @@ def test_alarms_are_acknowledged_and_shelved_and_notes_added(served, run):
     url = f"/api/runs/{run.path.name}"
     for body, said in (
         ({"act": "delete", "id": "T_tank.H"}, "acknowledge, shelve or unshelve"),
-        ({"act": "acknowledge", "id": "T_tnk.H"}, "did you mean T_tank.H?"),
+        ({"act": "acknowledge", "id": "T_tnk.H", "count": 1}, "did you mean T_tank.H?"),
         ({"act": "shelve", "id": "T_tank.H", "reason": "x"}, "needs an end"),
         ({"act": "shelve", "id": "T_tank.H", "reason": "x", "for_s": True}, "needs an end"),
         ({"act": "shelve", "id": "T_tank.H", "for_s": 60}, "needs a reason"),
     ):
         answer = served.post(f"{url}/alarm", body)
         assert answer.status_code == 400 and said in answer.json()["text"]
-    done = served.post(f"{url}/alarm", {"act": "acknowledge", "id": "T_tank.H", "by": "Ada"})
-    assert done.json()["text"] == "T_tank.H: acknowledged"
+    done = served.post(f"{url}/alarm", {"act": "acknowledge", "id": "T_tank.H", "by": "Ada", "count": 1})
+    assert done.json()["text"] == "T_tank.H: acknowledged; it came at 2023-11-14T22:13:35Z"
     with stream(served, run) as events:
         alarm = next(events)[1]["alarms"]["alarms"][0]
     assert (alarm["state"], alarm["by"]) == ("acknowledged", "Ada")

@@ -83,7 +83,7 @@ function showLink() {
   const link = byId("link");
   link.className = lost ? "link lost" : "link";
   const late = shown && shown.live && shown.age_s !== null && shown.age_s > Math.max(3, 3 * shown.period_s);
-  link.textContent = gone ? "" : lost ? `connection lost for ${Math.round(quiet / 1000)} s` : late ? `last row ${Math.round(shown.age_s)} s ago` : shown && shown.live ? "live" : "ended";
+  link.textContent = gone ? "" : lost ? `connection lost for ${Math.round(quiet / 1000)} s` : late ? `last row ${Math.round(shown.age_s)} s ago` : shown && shown.live ? "live" : shown && shown.status === "interrupted" ? "interrupted" : "ended";
   if (late && !lost) link.className = "link lost";
   document.body.classList.toggle("stale", lost);
 }
@@ -290,13 +290,13 @@ function askAlarm(act, alarm) {
     openDialog(`Shelve ${alarm.id}`, `${alarm.what}. It leaves the list until the end of the shelving. Trips and interlocks stay as they are.`,
       [el("label", {}, "For", choice), field("Reason", "reason", "input", "", { maxlength: "500", required: "" }), who()], "Shelve", false, () => {
         const all = given();
-        return post(api("alarm"), { act, id: alarm.id, by: all.by, reason: all.reason, for_s: Number(all.for_s) });
+        return post(api("alarm"), { act, id: alarm.id, count: alarm.count, by: all.by, reason: all.reason, for_s: Number(all.for_s) });
       });
     return;
   }
   const label = act === "acknowledge" ? "Acknowledge" : "End shelving";
   const text = act === "acknowledge" ? `${alarm.what}. This states that you have seen it. It releases no trip.` : alarm.what;
-  openDialog(`${label}: ${alarm.id}`, text, [field("Remark", "reason", "input", "", { maxlength: "500" }), who()], label, false, () => post(api("alarm"), { act, id: alarm.id, ...given() }));
+  openDialog(`${label}: ${alarm.id}`, text, [field("Remark", "reason", "input", "", { maxlength: "500" }), who()], label, false, () => post(api("alarm"), { act, id: alarm.id, count: alarm.count, ...given() }));
 }
 
 function askNote() {
@@ -386,5 +386,5 @@ put("span", ...SPANS.map(([label, seconds]) => el("button", {
 }, label)));
 window.addEventListener("resize", drawAll);
 setInterval(showLink, 500);
-setInterval(() => listRuns(false), 30000);
+setInterval(() => listRuns(run === null), 30000);
 listRuns(true);
