@@ -36,7 +36,7 @@ def line_of(record: AlarmRecord, kept: AlarmList) -> str:
     value = value_of(item, record.value)
     said = f"{utc(record.wall_s)} {'ALARM' if came else 'over '} {item.priority} {item.id}"
     line = f"{said}{f' = {value}' if value else ''}: {condition_of(item, record.text)}"
-    return " ".join(plain(line).split())
+    return plain(line).replace("\n", " ").replace("\t", " ")
 
 
 class Outbox:

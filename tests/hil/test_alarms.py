@@ -212,6 +212,7 @@ def _rig_of(text: str):
         ('\n[[alarm]]\npoint = "T_tnk"\nhigh = 1.0\n', "no point 'T_tnk'; declare it or correct point"),
         ('\n[[alarm]]\npoint = "heater_power_set"\nhigh = 1.0\n', "is not read on every tick"),
         ('\n[[alarm]]\npoint = "T_tank"\n', "an alarm needs low, high or both"),
+        (f'\n[[alarm]]\npoint = "T_tank"\nhigh = 5.0\ndoc = "{"x" * 201}"\n', "doc"),
         ('\n[[alarm]]\npoint = "T_tank"\nhigh = 5.0\nlow = 1.0\ndeadband = 3.0\n', "no room for the deadband"),
         ('\n[[alarm]]\npoint = "T_tank"\nhigh = 5.0\npriority = "urgent"\n', "priority"),
         ('\n[[alarm]]\npoint = "T_tank"\nhigh = 5.0\non_delay_s = -1.0\n', "on_delay_s"),

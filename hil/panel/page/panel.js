@@ -1,7 +1,8 @@
 "use strict";
 /* The page of a run. Text of a run, a rig file or a person enters the document through `el` alone, as text. */
 
-const COLORS = ["#d9730d", "#1f5fa8", "#7b3fa0", "#0f8a7a", "#b0265f"];
+const COLORS = ["#d9730d", "#1f5fa8", "#7b3fa0", "#0f8a7a", "#b0265f", "#5b7f13", "#8a5a2b", "#2b9fd0", "#c9a000", "#20262c"];
+const MOST_CURVES = 8; /* of one plot: fewer than there are colours */
 const STALE_MS = 4000, RETRY_MS = 5000;
 const SPANS = [["10 min", 600], ["1 h", 3600], ["All", Infinity]];
 const VERBS = {
@@ -178,18 +179,21 @@ function makePlots(document_) {
   const others = shown.values.filter((value) => !(document_.sensors.length && isTemperature(value) && value.name !== "T_ambient"));
   const units = [...new Set(others.map((value) => value.unit))];
   for (const unit of units) {
-    const group = others.filter((value) => value.unit === unit).slice(0, 8);
-    const meters = group.filter((value) => value.kind !== "setpoint");
-    add((meters.length ? meters : group).map((value) => value.name).join(", "), unit, group.map((value, k) => ({
-      name: value.name, label: value.name, color: value.kind === "setpoint" ? "#7c8791" : COLORS[(k + 1) % COLORS.length], dash: value.kind === "setpoint" ? [5, 3] : [],
-    })));
+    const all = others.filter((value) => value.unit === unit);
+    for (let at = 0; at < all.length; at += MOST_CURVES) {
+      const group = all.slice(at, at + MOST_CURVES);
+      const meters = group.filter((value) => value.kind !== "setpoint");
+      add((meters.length ? meters : group).map((value) => value.name).join(", "), unit, group.map((value, k) => ({
+        name: value.name, label: value.name, color: COLORS[(k + 1) % COLORS.length], dash: value.kind === "setpoint" ? [5, 3] : [],
+      })));
+    }
   }
   put("trends", ...cards);
 }
 
 function showPast(document_) {
   past = document_;
-  courses = { all: new Course(document_.all), recent: new Course(document_.recent) };
+  courses = { all: new Course(document_.all, shown.period_s), recent: new Course(document_.recent, shown.period_s) };
   if (shown && shown.values.length) makePlots(document_);
 }
 
