@@ -38,8 +38,8 @@ class Change:
 class Act:
     """Act of an operator on the alarm `id` at `wall_s`, s since 1970, who had seen the run up to `tick`.
 
-    `seen` is the number of its changes that were known then, -1 for all up to `tick`: a change may be written later than
-    rows of later ticks. A shelving ends at `until_s`, s since 1970.
+    `seen` is the number of its changes that were known then, -1 for all up to `tick`: a change may be written after rows
+    of later ticks. A shelving ends at `until_s`, s since 1970.
     """
 
     name: ActName
@@ -115,7 +115,7 @@ def fold(
 ) -> AlarmList:
     """Return the alarm list after `changes` and `acts`, at `now_s`, s since 1970.
 
-    An act comes after those changes of its alarm that its operator had seen, and shelvings end by the wall clock. An act
+    An act comes after the changes of its alarm that its operator had seen, and shelvings end by the wall clock. An act
     that the table does not admit at its place is left out, as is what concerns an alarm that is not defined.
 
     Parameters

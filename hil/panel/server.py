@@ -142,7 +142,9 @@ def _require_tls(options: ServeOptions) -> None:
         ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(options.certificate, options.key, password="")
     except (ssl.SSLError, OSError) as error:
         if not _is_open(options.key):
-            raise PanelError(f"the key {options.key} has a passphrase; give one without, readable by you alone") from None
+            raise PanelError(
+                f"the key {options.key} has a passphrase; give one without, readable by you alone"
+            ) from None
         reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or "unreadable"
         raise PanelError(
             f"{options.certificate} and {options.key} are no certificate and its key in PEM form "

@@ -270,10 +270,12 @@ def test_what_the_guardian_of_a_killed_run_did_is_an_alarm_until_the_rig_is_safe
     assert guardian_of(run) == ("returned unacknowledged", "no beat; safe after 5 s")
     with AlarmWatch(run.path) as watch:
         raised = [r for r in watch.poll().records if r.id == "run.guardian" and r.event == "raise"]
-    assert [(r.wall_s, r.time_s) for r in raised][0] == (1.7e9 + 15, 14.0)
+    assert next((r.wall_s, r.time_s) for r in raised) == (1.7e9 + 15, 14.0)
 
 
-@pytest.mark.parametrize("line", [b"{", b"[]\n", b'{"wall_s": 1e400, "what": "acting"}\n', b'{"wall_s": "x"}\n', b"\xff\n"])
+@pytest.mark.parametrize(
+    "line", [b"{", b"[]\n", b'{"wall_s": 1e400, "what": "acting"}\n', b'{"wall_s": "x"}\n', b"\xff\n"]
+)
 def test_a_damaged_line_of_the_guardian_is_left_out(tmp_path, line):
     run = alarmed_run(tmp_path)
     run.path.joinpath("guardian.log").write_bytes(line)
