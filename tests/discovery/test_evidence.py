@@ -34,12 +34,19 @@ def heated(bench: Bench, course: Callable[[Array], Array]) -> Columns:
     return acted_on(bench, lambda t, u: course(t), {"kind": "law_heat", "node": "tank", "gain": 1.0})
 
 
-def acted_on(bench: Bench, course: Callable[[Array, Array], Array], *tables: Mapping[str, object]) -> Columns:
-    """Return sixteen hours of the loop with laws that follow a course of seconds and inputs."""
+def acted_on(
+    bench: Bench,
+    course: Callable[[Array, Array], Array],
+    *tables: Mapping[str, object],
+    off_s: tuple[float, float] = (0.0, 0.0),
+) -> Columns:
+    """Return sixteen hours of the loop with laws that follow a course of seconds and inputs; the heater is off within
+    two times."""
     network = with_columns(bench.network, ["hidden_x"])
     laws = {f"hidden_{i}": {**table, "driver": "hidden_x", "form": "linear"} for i, table in enumerate(tables)}
     network = with_elements(network, laws)
     t, u = bench.inputs(16.0, 1)
+    u[(t >= off_s[0]) & (t < off_s[1]), 0] = 0.0
     start = np.array([37.0, 36.8, 34.5, 34.0])
     read, _ = Kernel(network, ()).trace(network.values, start, t, np.column_stack([u, course(t, u)]))
     noise = bench.network.sigma * np.random.default_rng(101).normal(0.0, 1.0, read[0].shape)
@@ -166,14 +173,18 @@ def test_heat_into_a_solid_in_proportion_to_heater_power_is_one_effect(bench: Be
     )
     effect = only(diagnose(bench.network, record, healthy))
     assert (effect.kind, effect.where, effect.driver) == ("heat_source", "modules", "heater_power")
-    assert effect.value == pytest.approx(0.1, rel=0.05) and "into its solid part" in effect.says
+    assert effect.value == pytest.approx(0.1, rel=0.05) and "of heater power into its solid part" in effect.says
 
 
 def test_power_that_moves_from_one_place_to_another_is_one_effect(bench: Bench, healthy: Columns) -> None:
     moved = {"kind": "law_heat", "node": "tank", "source": "radiator", "gain": 1.0}
     effect = only(diagnose(bench.network, acted_on(bench, lambda t, u: 90.0 * (t > 5.0 * HOUR), moved), healthy))
     assert (effect.kind, effect.where, effect.driver) == ("heat_transfer", "radiator", "constant")
-    assert effect.value == pytest.approx(-90.0, rel=0.03) and "from tank" in effect.says
+    assert (
+        effect.value == pytest.approx(-90.0, rel=0.03)
+        and "The radiator gives" in effect.says
+        and "to tank" in effect.says
+    )
 
 
 def test_a_fit_leaves_the_evidence_of_a_linear_law_as_it_was(bench: Bench, healthy: Columns) -> None:
@@ -185,3 +196,13 @@ def test_a_fit_leaves_the_evidence_of_a_linear_law_as_it_was(bench: Bench, healt
     told = found.told
     assert told is not None and told.labels == (("heat_source", "tank", "constant"),)
     assert told.gained == pytest.approx(0.0, abs=0.02 * told.odds)
+
+
+def test_an_onset_within_a_rest_of_the_heater_is_told_to_be_within_it(bench: Bench, healthy: Columns) -> None:
+    """Heat that follows heater power can have begun at any moment of a rest, and at none before or after it."""
+    began, rest_s = 6.0 * HOUR, 1800.0
+    law = {"kind": "law_heat", "node": "tank", "gain": 0.1}
+    record = acted_on(bench, lambda t, u: u[:, 0] * (t >= began), law, off_s=(began, began + rest_s))
+    effect = only(diagnose(bench.network, record, healthy))
+    early, late = effect.onset_interval90_s
+    assert began - 600.0 < early <= began and began + rest_s <= late < began + rest_s + 600.0

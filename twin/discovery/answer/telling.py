@@ -86,8 +86,7 @@ def near_misses(finding: Finding) -> tuple[Alternative, ...]:
 def _effect(entry: Entry, finding: Finding, sure: float, grid: Grid) -> Effect:
     c, start = entry.candidate, float(grid.time[0])
     spread = SE90 * entry.sd * math.sqrt(max(finding.fit.chi, 1.0)) if finding.fit else 0.0
-    onset_spread = SE90 * entry.onset_sd_s
-    first_s, last_s = _onsets(entry, finding)
+    early_s, late_s = _onsets(entry, finding)
     grown = grown_by_end(entry, grid)
     spread *= grown
     gain = max(finding.start - (finding.fit.total if finding.fit else 0.0), 0.0)
@@ -102,10 +101,7 @@ def _effect(entry: Entry, finding: Finding, sure: float, grid: Grid) -> Effect:
         unit=c.unit,
         interval90=interval(entry.size * grown, spread, (c.lower, c.upper)),
         onset_s=start + entry.shape.onset_s,
-        onset_interval90_s=(
-            start + max(min(entry.shape.onset_s - onset_spread, first_s), 0.0),
-            start + max(entry.shape.onset_s + onset_spread, last_s),
-        ),
+        onset_interval90_s=(start + early_s, start + late_s),
         shape=entry.shape.entered.name,
         confidence=sure,
         z=math.sqrt(gain),
@@ -116,12 +112,23 @@ def _effect(entry: Entry, finding: Finding, sure: float, grid: Grid) -> Effect:
 
 
 def _onsets(entry: Entry, finding: Finding) -> tuple[float, float]:
-    """Between which onsets, s, the scan cannot tell: slopes about a fit see no further than the next edge."""
-    if entry.shape.onset_s <= 0.0:
-        return 0.0, 0.0
+    """Return the 90 % interval of an onset, s.
+
+    It holds the onsets that the scan cannot tell apart. Slopes about the fit see no further than the next edge of a
+    block: where the effect does nothing, since what it follows stands still, they say nothing at all.
+    """
+    onset, spread = entry.shape.onset_s, SE90 * entry.onset_sd_s
+    if onset <= 0.0:
+        return 0.0, spread
     assert finding.fit is not None
-    others = [e.placed(finding.contest) for e in finding.fit.entries if e is not entry]
-    return able_to_begin(finding.contest, entry, np.stack(others) if others else np.zeros((0,)))
+    contest = finding.contest
+    others = [e.placed(contest) for e in finding.fit.entries if e is not entry]
+    first, last = able_to_begin(contest, entry, np.stack(others) if others else np.zeros((0,)))
+    if entry.shape.name == "step":
+        spread = min(spread, contest.step_s)
+    low, high = min(onset, first), max(onset, last)
+    early, late = min(low, onset - spread), max(high, onset + spread)
+    return max(early, 0.0), min(late, contest.grid.span_s)
 
 
 def grown_by_end(entry: Entry, grid: Grid) -> float:

@@ -140,18 +140,21 @@ def open_laws(network: Network, grid: Grid, named: Sequence[CandidateLaw]) -> li
 
 def candidate_of(network: Network, site: OpenSite, values: Values) -> Candidate:
     """Return the candidate of a law at a site."""
-    scale = max(values.scale, 1.0e-12)
+    scale, unit = max(values.scale, 1.0e-12), _unit(network, site, values)
+    says = f"{site.says} {values.says}".rstrip()
+    if unit == "W/W" and values.form == "linear":
+        says = site.says.replace("{value}", f"{{value}} of {values.driver.replace('_', ' ')}")
     return Candidate(
         site.kind,
         site.where,
         values.driver,
         "new",
         site.changes,
-        _unit(network, site, values),
+        unit,
         site.typical / scale,
         site.lower / scale,
         site.upper / scale,
-        f"{site.says} {values.says}".rstrip(),
+        says,
         adds=site.tables,
         shapes=("step",),
         column=site.column,

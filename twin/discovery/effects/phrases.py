@@ -25,6 +25,10 @@ def said(candidate: Candidate, size: float, spread: float = 0.0, record_s: float
     for much, little in _OPPOSITES:
         if size < 0.0 and much in says:
             says, size, bounds = says.replace(much, little), -size, (-c.upper, -c.lower)
+    if size < 0.0 and c.kind == "heat_transfer" and " from " in says:
+        verb, _, rest = says.partition(" ")
+        says = f"give{'s' if verb.endswith('s') else ''} {' to '.join(rest.rsplit(' from ', 1))}"
+        size, bounds = -size, (-c.upper, -c.lower)
     slow = "longer than the record" if c.slow_s > record_s else f"of {lasting(c.slow_s)}"
     value, share = (amount(size, unit, spread, bounds) for unit in (c.unit, "W/W"))
     return f"{who} {says.format(value=value, share=share, slow=slow)}"

@@ -230,10 +230,10 @@ def _key(h: Hypothesis) -> tuple[object, ...]:
 def apart(entry: Entry, others: tuple[Entry, ...]) -> bool:
     """Return True where an effect may be beside others: at one place there is one thing, of whatever form, and an error
     of its thermometer."""
-    return all(_thing(entry) != _thing(o) for o in others)
+    return all(thing_of(entry) != thing_of(o) for o in others)
 
 
-def _thing(entry: Entry) -> tuple[str, bool]:
+def thing_of(entry: Entry) -> tuple[str, bool]:
     """Return the place of an effect, by its thermometer or by what moves it too, and whether it is one of reading."""
     named = entry.candidate.where.removeprefix("T_").removesuffix("_C")
     return MOVED_BY.get(named, named), entry.candidate.kind == "sensor"
