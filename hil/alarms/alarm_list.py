@@ -38,8 +38,8 @@ class Change:
 class Act:
     """Act of an operator on the alarm `id` at `wall_s`, s since 1970, who had seen the run up to `tick`.
 
-    `seen` is the number of its changes that were known then, -1 for all up to `tick`: a change may be written after rows
-    of later ticks. A shelving ends at `until_s`, s since 1970.
+    `seen` is the number of its changes that were known then, -1 for all up to `tick`: some are written after rows of
+    later ticks. A shelving ends at `until_s`, s since 1970.
     """
 
     name: ActName
