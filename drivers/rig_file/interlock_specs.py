@@ -143,7 +143,7 @@ class AlarmSpec(BaseModel):
     off_delay_s: Annotated[float, Field(ge=0)] = 10.0
     priority: Priority = "medium"
     latch: bool = False
-    doc: str = ""
+    doc: Annotated[str, Field(max_length=200)] = ""
 
     @model_validator(mode="before")
     @classmethod

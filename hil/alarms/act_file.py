@@ -11,7 +11,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
-from hil.alarms.alarm_list import Act
+from hil.alarms.alarm_list import LATEST_S, LONGEST_SHELVING_S, Act
 from hil.alarms.errors import AlarmError
 from hil.files import append_line, plain, read_lines
 from hil.run_folder import DocumentShape, RunFolder, wrong_place
@@ -20,18 +20,17 @@ LONGEST_REASON = 500
 """Most characters of a reason, and of the name of an operator."""
 MOST_BYTES = 8 * 10**6
 """Most bytes of the file: some forty thousand acts."""
-_LATEST_S = 8e9
-"""Latest time of an act, s since 1970: the year 2223."""
 
 
 class _Line(DocumentShape):
     act: Literal["acknowledge", "shelve", "unshelve"]
     id: str
     tick: int
-    wall_s: float = Field(ge=0, le=_LATEST_S)
+    wall_s: float = Field(ge=0, le=LATEST_S)
     by: str = ""
     reason: str = ""
-    until_s: float | None = Field(default=None, ge=0, le=_LATEST_S)
+    until_s: float | None = Field(default=None, ge=0, le=LATEST_S)
+    seen: int = Field(default=-1, ge=-1)
 
 
 def append_act(folder: RunFolder, act: Act) -> None:
@@ -46,6 +45,7 @@ def append_act(folder: RunFolder, act: Act) -> None:
     line |= {
         "reason": plain(act.reason, LONGEST_REASON),
         "until_s": act.until_s if math.isfinite(act.until_s) else None,
+        "seen": act.seen,
     }
     try:
         append_line(folder.alarms, json.dumps(line))
@@ -78,5 +78,8 @@ def read_acts(folder: RunFolder) -> list[Act]:
         until_s = math.nan if read.until_s is None else read.until_s
         if read.act == "shelve" and read.until_s is None:
             raise AlarmError(f"{place} shelves an alarm without an end; take the line out")
-        found.append(Act(read.act, read.id, read.tick, read.wall_s, read.by, read.reason, until_s))
+        if until_s - read.wall_s > LONGEST_SHELVING_S + 1e-3:  # both are rounded
+            days = LONGEST_SHELVING_S / 86400
+            raise AlarmError(f"{place} shelves an alarm for more than {days:g} days; take the line out")
+        found.append(Act(read.act, read.id, read.tick, read.wall_s, read.by, read.reason, until_s, read.seen))
     return found

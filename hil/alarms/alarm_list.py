@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -12,6 +12,10 @@ from hil.alarms.definitions import AlarmDefinition
 from hil.alarms.states import SHELVED, WAITING, AlarmEvent, AlarmState, next_alarm_state
 
 ActName = Literal["acknowledge", "shelve", "unshelve"]
+LATEST_S = 8e9
+"""Latest time of a change or an act, s since 1970: the year 2223."""
+LONGEST_SHELVING_S = 7 * 86400.0
+"""Longest time that an alarm may be shelved at once, s: a longer one is one that nobody watches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +38,8 @@ class Change:
 class Act:
     """Act of an operator on the alarm `id` at `wall_s`, s since 1970, who had seen the run up to `tick`.
 
-    A shelving ends at `until_s`, s since 1970.
+    `seen` is the number of its changes that were known then, -1 for all up to `tick`: some are written after rows of
+    later ticks. A shelving ends at `until_s`, s since 1970.
     """
 
     name: ActName
@@ -44,6 +49,7 @@ class Act:
     by: str
     reason: str = ""
     until_s: float = math.nan
+    seen: int = -1
 
 
 @dataclass(slots=True)
@@ -109,7 +115,7 @@ def fold(
 ) -> AlarmList:
     """Return the alarm list after `changes` and `acts`, at `now_s`, s since 1970.
 
-    An act comes after the changes of the ticks that its operator had seen, and shelvings end by the wall clock. An act
+    An act comes after the changes of its alarm that its operator had seen, and shelvings end by the wall clock. An act
     that the table does not admit at its place is left out, as is what concerns an alarm that is not defined.
 
     Parameters
@@ -117,7 +123,7 @@ def fold(
     definitions
         Alarms of the run.
     changes
-        Changes of conditions in any order.
+        Changes of conditions, those of one alarm in the order in which they were written.
     acts
         Acts in the order in which they were made.
     now_s
@@ -125,19 +131,47 @@ def fold(
     """
     statuses = {item.id: AlarmStatus(item) for item in definitions}
     book = _Book(AlarmList(statuses))
-    merged: list[tuple[int, bool, Change | Act]] = [(item.tick, False, item) for item in changes]
-    merged += [(item.tick, True, item) for item in acts]
-    merged.sort(key=lambda entry: entry[:2])
-    for _, _, item in merged:
-        if item.id not in statuses:
-            continue
-        book.end_shelvings(item.wall_s)
-        if isinstance(item, Change):
-            book.change(item)
-        else:
-            book.act(item)
-    book.end_shelvings(now_s)
+    changes_of: dict[str, list[Change]] = {name: [] for name in statuses}
+    acts_of: dict[str, list[Act]] = {name: [] for name in statuses}
+    for change in changes:
+        if change.id in statuses:
+            changes_of[change.id].append(change)
+    for act in acts:
+        if act.id in statuses:
+            acts_of[act.id].append(act)
+    for name, status in statuses.items():
+        for item in _merged(changes_of[name], acts_of[name]):
+            book.end_shelving(status, item.wall_s)
+            if isinstance(item, Change):
+                book.change(item)
+            else:
+                book.act(item)
+        book.end_shelving(status, now_s)
+    book.kept.records = _by_time(book.kept.records)
     return book.kept
+
+
+def _merged(changes: list[Change], acts: list[Act]) -> Iterator[Change | Act]:
+    """Yield changes and acts of one alarm, each act after the changes that its operator had seen."""
+    done = 0
+    for act in acts:
+        seen = sum(change.tick <= act.tick for change in changes)
+        known = max(done, seen if act.seen < 0 else min(act.seen, seen))
+        yield from changes[done:known]
+        done = known
+        yield act
+    yield from changes[done:]
+
+
+def _by_time(records: list[AlarmRecord]) -> list[AlarmRecord]:
+    """Return records by time; those of one alarm stay in their order, whatever the wall clock did."""
+    latest: dict[str, float] = {}
+    keys = []
+    for record in records:
+        before = latest.get(record.id, -math.inf)
+        latest[record.id] = max(before, record.wall_s) if math.isfinite(record.wall_s) else before
+        keys.append(latest[record.id])
+    return [records[k] for k in sorted(range(len(records)), key=keys.__getitem__)]
 
 
 class _Book:
@@ -145,7 +179,6 @@ class _Book:
 
     def __init__(self, kept: AlarmList) -> None:
         self.kept = kept
-        self._shelved: set[str] = set()
 
     def change(self, item: Change) -> None:
         status = self.kept.statuses[item.id]
@@ -153,8 +186,10 @@ class _Book:
         if not self._take(status, event, item.wall_s, item.time_s, item.tick, value=item.value, text=item.text):
             return
         if item.active:
-            status.time_s, status.wall_s, status.value, status.text = item.time_s, item.wall_s, item.value, item.text
+            status.time_s, status.wall_s, status.value = item.time_s, item.wall_s, item.value
             status.count += 1
+        if item.active or item.text:
+            status.text = item.text
 
     def act(self, item: Act) -> None:
         status, event = self.kept.statuses[item.id], AlarmEvent(item.name)
@@ -163,14 +198,10 @@ class _Book:
         status.by, status.reason = item.by, item.reason
         if event is AlarmEvent.SHELVE:
             status.until_s = item.until_s
-            self._shelved.add(item.id)
 
-    def end_shelvings(self, now_s: float) -> None:
-        """End the shelvings that are over at `now_s`, in the order of their ends; none at a time that is not known."""
-        if not math.isfinite(now_s):
-            return
-        over = [status for name in self._shelved if not (status := self.kept.statuses[name]).until_s > now_s]
-        for status in sorted(over, key=lambda item: item.until_s):
+    def end_shelving(self, status: AlarmStatus, now_s: float) -> None:
+        """End the shelving of an alarm if it is over at `now_s`; none ends at a time that is not known."""
+        if status.state in SHELVED and math.isfinite(now_s) and not status.until_s > now_s:
             self._take(status, AlarmEvent.UNSHELVE, status.until_s, status.time_s, -1, reason="the shelving has ended")
 
     def _take(
@@ -191,7 +222,6 @@ class _Book:
         status.state = target
         if event is AlarmEvent.UNSHELVE:
             status.until_s = math.nan
-            self._shelved.discard(status.definition.id)
         return True
 
 
@@ -210,7 +240,7 @@ def refusal(status: AlarmStatus, name: ActName) -> str | None:
 
 
 def utc(wall_s: float) -> str:
-    """Return a time as ISO 8601 in UTC, empty for NaN."""
-    if not math.isfinite(wall_s):
+    """Return a time as ISO 8601 in UTC, empty for NaN and for one that no clock shows (before 1970, after 2223)."""
+    if not 0.0 <= wall_s <= LATEST_S:
         return ""
     return datetime.datetime.fromtimestamp(wall_s, datetime.UTC).isoformat(timespec="seconds").replace("+00:00", "Z")

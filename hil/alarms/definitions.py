@@ -8,9 +8,9 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from drivers.rig_file import (
     AlarmSpec,
@@ -40,6 +40,13 @@ Kind = Literal[
     "rig_counter", "run",
 ]  # fmt: skip
 
+_NEEDS: dict[Kind, tuple[int, bool]] = {
+    "high": (1, True), "low": (1, True), "rate_of_rise": (1, True), "no_flow": (2, True), "sensor": (1, False),
+    "deviation": (2, True), "disagreement": (2, True), "residual": (0, True), "rig_trip": (1, False),
+    "rig_counter": (1, False),
+}  # fmt: skip
+"""Least number of points of a kind of alarm, and whether it needs a limit."""
+
 
 class AlarmDefinition(BaseModel):
     """Definition of one alarm: its condition on `points`, and the delays and deadband between condition and alarm.
@@ -48,7 +55,7 @@ class AlarmDefinition(BaseModel):
     that of the interlock on a point without a good value. The alarms of kind `run` follow the journal's transitions.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     id: str = Field(min_length=1, max_length=200)
     kind: Kind
@@ -57,17 +64,24 @@ class AlarmDefinition(BaseModel):
     limit: float | None = None
     above: float = 0.0
     unit: str = ""
-    deadband: float = 0.0
-    on_delay_s: float = 0.0
-    off_delay_s: float = OFF_DELAY_S
-    window_s: float = 0.0
-    mask: int = 0
+    deadband: float = Field(default=0.0, ge=0)
+    on_delay_s: float = Field(default=0.0, ge=0)
+    off_delay_s: float = Field(default=OFF_DELAY_S, ge=0)
+    window_s: float = Field(default=0.0, ge=0)
+    mask: int = Field(default=0, ge=0, lt=1 << 63)
     bus: str = ""
     twin: str = ""
     sensor: str = ""
     latch: bool = False
     drains: bool = False
     doc: str = ""
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        points, has_limit = _NEEDS.get(self.kind, (0, False))
+        if len(self.points) < points or (has_limit and self.limit is None):
+            raise ValueError(f"an alarm of kind {self.kind} lacks a point or its limit")
+        return self
 
     @property
     def rank(self) -> int:
@@ -97,8 +111,8 @@ def from_document(document: Any, where: str) -> tuple[AlarmDefinition, ...]:
         )
     try:
         found = _ALL.validate_json(json.dumps(document["definitions"] if isinstance(document, dict) else document))
-    except (ValidationError, KeyError) as error:
-        why = wrong_place(error) if isinstance(error, ValidationError) else "a key is missing"
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        why = wrong_place(error) if isinstance(error, ValidationError) else "they are no list of alarms"
         raise AlarmError(f"{where} holds damaged alarm definitions: {why}; start a new run") from None
     if len({item.id for item in found}) != len(found):
         raise AlarmError(f"{where} holds two alarm definitions of one id; start a new run")

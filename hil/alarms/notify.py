@@ -23,7 +23,7 @@ from hil.alarms.errors import AlarmError, NotSentError
 from hil.alarms.outbox import Key, Outbox, is_announced, key_of, line_of, message
 from hil.alarms.states import WAITING
 from hil.alarms.watch import AlarmWatch
-from hil.files import replacing
+from hil.files import plain, replacing
 
 POLL_S = 0.5
 """Time from one look at the journal to the next, s: its rows are committed as often."""
@@ -154,11 +154,11 @@ class _Following:
         else:
             fresh = [record for record in announced if key_of(record) not in self._seen]
             self._seen |= {key_of(record) for record in fresh}
-        lines = [line_of(record, kept) for record in fresh]
-        for line in lines:
+        for record in fresh:
+            line = line_of(record, kept)
             self._announce(line)
-        for sender in self._senders:
-            sender.outbox.add(lines)
+            for sender in self._senders:
+                sender.outbox.add([line], kept.statuses[record.id].definition.rank)
         self._queued += [key_of(record) for record in fresh]
 
     def _send(self, *, last: bool) -> None:
@@ -189,7 +189,7 @@ class _Sender:
             return None
         title = f"hil: {len(lines)} alarm message{'s' if len(lines) > 1 else ''} of {run}"
         try:
-            taken = bool(self._opened.notify(body=message(lines), title=title))
+            taken = bool(self._opened.notify(body=message(lines), title=plain(title), body_format="text"))
         except Exception:  # a plug-in's own error may repeat the address
             taken = False
         if taken:
@@ -226,6 +226,8 @@ def _opened(address: str) -> Any:
             f"{shown(address)} is no address that Apprise knows; use json://HOST/PATH, mailto://USER:PASSWORD@HOST or "
             "mqtt://HOST/TOPIC"
         )
+    for plugin in opened:
+        plugin.notify_format = apprise.NotifyFormat.TEXT  # mail is HTML otherwise, and names in it would be markup
     return opened
 
 

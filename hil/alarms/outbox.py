@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hil.alarms.alarm_list import AlarmList, AlarmRecord, utc
+from hil.alarms.definitions import PRIORITIES
 from hil.alarms.show import condition_of, value_of
 from hil.alarms.states import ACTIVE, SHELVED, AlarmEvent, AlarmState
+from hil.files import plain
 
 HOUR_S = 3600.0
 MOST_LINES = 50
@@ -33,42 +35,43 @@ def line_of(record: AlarmRecord, kept: AlarmList) -> str:
     came = record.target is AlarmState.UNACKNOWLEDGED
     value = value_of(item, record.value)
     said = f"{utc(record.wall_s)} {'ALARM' if came else 'over '} {item.priority} {item.id}"
-    return f"{said}{f' = {value}' if value else ''}: {condition_of(item, record.text)}"
+    line = f"{said}{f' = {value}' if value else ''}: {condition_of(item, record.text)}"
+    return plain(line).replace("\n", " ").replace("\t", " ")
 
 
 class Outbox:
     """Lines for one address, in messages of which at most `per_hour` leave in an hour.
 
     A token bucket: a message takes a token, and `per_hour` of them come back in an hour. Lines that wait for one leave
-    together in the next message, so that a flood of alarms becomes no flood of messages.
+    together in the next message, so that a flood of alarms becomes no flood of messages. The first to attend to come
+    first, and a critical one waits for no token.
     """
 
     def __init__(self, per_hour: int) -> None:
         self._per_hour = per_hour
         self._tokens = float(per_hour)
         self._at_s: float | None = None
-        self._lines: list[str] = []
+        self._lines: list[tuple[int, str]] = []
 
     @property
     def waiting(self) -> int:
         """Return the number of lines that have not left."""
         return len(self._lines)
 
-    def add(self, lines: Sequence[str]) -> None:
-        """Add lines in order."""
-        self._lines += lines
+    def add(self, lines: Sequence[str], rank: int = len(PRIORITIES) - 1) -> None:
+        """Add lines of the priority `rank`, 0 for a critical one, in order."""
+        self._lines = sorted([*self._lines, *((rank, line) for line in lines)], key=lambda entry: entry[0])
 
     def due(self, now_s: float, *, last: bool = False) -> tuple[str, ...]:
         """Return the lines of the message that may leave at `now_s`, s of any steady clock; none where none may.
 
-        The `last` message of a run may leave at any time.
+        The `last` message of a run may leave at any time, and critical lines may.
         """
         passed_s = 0.0 if self._at_s is None else max(0.0, now_s - self._at_s)
         self._at_s = now_s
         self._tokens = min(float(self._per_hour), self._tokens + passed_s * self._per_hour / HOUR_S)
-        if not self._lines or (self._tokens < 1.0 - 1e-9 and not last):
-            return ()
-        return tuple(self._lines)
+        free = last or self._tokens >= 1.0 - 1e-9
+        return tuple(line for rank, line in self._lines if free or rank == 0)
 
     def sent(self, count: int) -> None:
         """Take note that a message with the first `count` lines has left."""

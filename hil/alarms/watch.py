@@ -16,11 +16,13 @@ import numpy as np
 
 from drivers.signals import Quality
 from hil.alarms.act_file import append_act, read_acts
-from hil.alarms.alarm_list import Act, ActName, AlarmList, Change, fold, refusal, utc
+from hil.alarms.alarm_list import LONGEST_SHELVING_S, Act, ActName, AlarmList, Change, fold, refusal, utc
 from hil.alarms.definitions import GUARDIAN, META_KEY, RUN_INTERRUPTED, RUN_TRIP, TWIN, AlarmDefinition, from_document
 from hil.alarms.detection import Delay, Detected, Detector, Ticks, detector_of
 from hil.alarms.errors import AlarmError
+from hil.alarms.guardian_log import GuardianLog
 from hil.alarms.states import SHELVED
+from hil.files import is_blank, plain
 from hil.journal import JournalReader, JournalSamples, StateRow
 from hil.run_folder import RunFolder
 
@@ -30,8 +32,6 @@ RESIDUAL_S = 10.0
 """Time over which a residual is averaged, s: as long as the off-delay that an interlock has by default."""
 CUT_CHECK_S = 5.0
 """Time without a new tick after which a run is asked whether it was interrupted, s."""
-LONGEST_SHELVING_S = 7 * 86400.0
-"""Longest time that an alarm may be shelved at once, s: a longer one is one that nobody watches."""
 
 
 class _Residual:
@@ -126,8 +126,11 @@ class AlarmWatch:
         self._cut_checked = -math.inf
         self._cut: Change | None = None
         self._manifest: dict[str, Any] = {}
+        self._guardian = GuardianLog(folder, self._rig_time_s)
+        self._cut_seen = math.inf
+        self._folded: list[Change] = []
         self._kept: AlarmList | None = None
-        self._key = (0, 0, 0)
+        self._key: object = None
 
     @property
     def tick(self) -> int:
@@ -153,23 +156,37 @@ class AlarmWatch:
             for tick, time_s, active, value in residual.changes(self._reader):
                 self._add(tick, time_s, residual.item.id, active, value)
         changes, acts = [*self._changes, *self._end_of_run()], read_acts(self.folder)
-        key = len(self._changes), len(changes), len(acts)
+        key = len(self._changes), tuple(changes[len(self._changes) :]), len(acts)
         if self._kept is None or key != self._key or any(a.state in SHELVED for a in self._kept.statuses.values()):
             self._kept = fold(self.definitions, changes, acts, time.time() if now_s is None else now_s)
-            self._key = key
+            self._key, self._folded = key, changes
         return self._kept
 
     def has_ended(self) -> bool:
         """Return True if the run has ended or was interrupted. Call it before `poll`, which then reads the rest.
 
-        A run has ended when its manifest says so: what the guardian did is written there.
+        A run has ended when its manifest says so, and its guardian no longer acts.
         """
         if self._cut is None and self._reader.meta("exit_status") is None:
             return False
         self._cut_checked = -math.inf
-        return self.folder.was_cut or self.folder.read_manifest().get("exit_status") != "running"
+        was_cut = self.folder.was_cut
+        if not was_cut and self.folder.read_manifest().get("exit_status") == "running":
+            return False
+        now = time.monotonic()
+        self._cut_seen = min(self._cut_seen, now) if was_cut else math.inf
+        self._guardian.read()
+        return not self._guardian.is_at_work(now - self._cut_seen if was_cut else None)
 
-    def act(self, name: ActName, alarm: str, by: str, reason: str = "", for_s: float = math.nan) -> str:
+    def act(
+        self,
+        name: ActName,
+        alarm: str,
+        by: str,
+        reason: str = "",
+        for_s: float = math.nan,
+        count: int | None = None,
+    ) -> str:
         """Do an act on an alarm, and return what it did as a sentence.
 
         Parameters
@@ -184,11 +201,14 @@ class AlarmWatch:
             Needed for a shelving.
         for_s
             Duration of a shelving, s.
+        count
+            How often the alarm had come when the operator looked; None for an operator who sees the list as it is now.
 
         Raises
         ------
         AlarmError
-            There is no such alarm, its state does not admit the act, or a shelving has no reason or no end.
+            There is no such alarm, its state does not admit the act, it came again since the operator looked, or a
+            shelving has no reason or no end.
         """
         now_s = time.time()
         if name == "shelve":
@@ -202,14 +222,23 @@ class AlarmWatch:
         else:
             chosen = [kept.statuses[self._known(alarm)]]
         for status in chosen:
+            if count is not None and status.count != count:
+                since = utc(status.wall_s)
+                raise AlarmError(f"{status.definition.id} came again since you looked, at {since}; look at it first")
             if (why := refusal(status, name)) is not None:
                 raise AlarmError(why)
+        lines = []
         for status in chosen:
-            act = Act(name, status.definition.id, self._tick, now_s, by, reason, now_s + for_s)
+            known = [change.tick for change in self._folded if change.id == status.definition.id]
+            tick = max([self._tick, *known])
+            act = Act(name, status.definition.id, tick, now_s, by, reason, now_s + for_s, len(known))
             append_act(self.folder, act)
-        ids = ", ".join(status.definition.id for status in chosen)
-        done = {"acknowledge": "acknowledged", "unshelve": "taken back into the list"}
-        return f"{ids}: {done.get(name) or f'shelved until {utc(now_s + for_s)}'}"
+            done = {
+                "acknowledge": f"acknowledged; it came at {utc(status.wall_s)}",
+                "unshelve": "taken back into the list",
+            }
+            lines.append(f"{status.definition.id}: {done.get(name) or f'shelved until {utc(now_s + for_s)}'}")
+        return "\n".join(lines)
 
     def close(self) -> None:
         """Close the journal."""
@@ -261,15 +290,21 @@ class AlarmWatch:
                 self._tripped = self._run(row, RUN_TRIP, False, "")
 
     def _run(self, row: StateRow, alarm: str, active: bool, text: str) -> bool:
-        self._changes.append(Change(row.tick, row.time_s, row.wall_s, alarm, active, text=text))
+        wall_s = row.wall_s
+        if row.event == "cut":  # the resumption writes it, later by the length of the interruption
+            before = self._reader.wall_s_at(row.tick)
+            wall_s = before if math.isfinite(before) else wall_s
+        self._changes.append(Change(row.tick, row.time_s, wall_s, alarm, active, text=text))
         return active
 
     def _read_windows(self) -> None:
         for row in self._reader.calibrations(self._calibration):
-            self._calibration = row.id
-            found = _disturbance(row.document) if row.document.get("disturbed") is not None else None
+            self._calibration, key = row.id, row.calibrator
+            try:
+                found = _disturbance(row.document) if row.document.get("disturbed") is not None else None
+            except (ValueError, TypeError, LookupError, ArithmeticError):
+                raise AlarmError(f"{self.folder.journal} holds a damaged window of {plain(key, 60)}") from None
             tick = round(row.end_s / self._reader.header.period_s)
-            key = row.calibrator
             if found is not None and key not in self._disturbed:
                 if not self._disturbed:
                     power = row.document.get("disturbed_W")
@@ -284,6 +319,10 @@ class AlarmWatch:
     def _add(self, tick: int, time_s: float, alarm: str, active: bool, value: float = math.nan, text: str = "") -> None:
         wall_s = self._reader.wall_s_at(tick)
         self._changes.append(Change(tick, time_s, wall_s, alarm, active, value, text))
+
+    def _rig_time_s(self, wall_s: float) -> float:
+        """Return the rig time of the last row up to a time of the wall clock, s since 1970."""
+        return self._reader.tick_at(wall_s) * self._reader.header.period_s
 
     def _end_of_run(self) -> list[Change]:
         """Return the changes that the folder shows: an interruption, and what the guardian did."""
@@ -300,8 +339,10 @@ class AlarmWatch:
             )
             self._manifest = self.folder.read_manifest()
         found = [] if self._cut is None else [self._cut]
+        self._guardian.read()
+        found += self._guardian.changes
         said = str(self._manifest.get("guardian") or "")
-        if said:
+        if said and not self._guardian.changes:
             last, wall_s = self._reader.last()
             period_s = self._reader.header.period_s
             found.append(Change(max(last, 0), max(last, 0) * period_s, wall_s, GUARDIAN, True, text=said))
@@ -319,5 +360,5 @@ def _require_end_and_reason(for_s: float, reason: str) -> None:
         raise AlarmError("a shelving needs an end, or nobody sees the alarm again; add --for, as --for 30min")
     if for_s > LONGEST_SHELVING_S:
         raise AlarmError(f"an alarm is shelved for at most {LONGEST_SHELVING_S / 86400:g} days; shelve it again then")
-    if not reason.strip():
+    if is_blank(reason):
         raise AlarmError("a shelving needs a reason, which the next shift reads; add --reason")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         safe_file_name,
         utf8_path,
     )
-    from hil.files.text import plain
+    from hil.files.text import is_blank, plain
 
 __all__ = [
     "ENDINGS",
@@ -40,6 +40,7 @@ __all__ = [
     "document",
     "element",
     "image",
+    "is_blank",
     "joined",
     "longest_name",
     "on_terminal",
@@ -98,6 +99,6 @@ __getattr__, __dir__ = lazy_names(
             "safe_file_name",
             "utf8_path",
         ),
-        "text": ("plain",),
+        "text": ("is_blank", "plain"),
     },
 )

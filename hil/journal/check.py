@@ -23,6 +23,8 @@ C = TypeVar("C")
 _LONGEST_SAID = 120
 """Characters of a message of SQLite that are shown: it quotes a damaged schema."""
 _KINDS = {"int": (int,), "float": (int, float), "str": (str,), "dict[str, Any]": (dict,)}
+_LONGEST_TIME_S = 8e9
+"""Greatest time of a row, s, from 1970 to the year 2223; it also bounds a rig time."""
 _ROLLBACK = bytes.fromhex("d9d505f920a163d7")
 """Magic of a rollback journal, which ends with it too where it names a super-journal."""
 DAMAGE_ERRORS = (
@@ -80,6 +82,13 @@ def require_header(header: Header) -> None:
         raise ShapeError("a noise is no number")
 
 
+def require_time(value: float) -> float:
+    """Return a time of a row, s; raises ShapeError for one that no clock shows."""
+    if not abs(value) <= _LONGEST_TIME_S:
+        raise ShapeError(f"{str(value)[:40]} s is no time")
+    return value
+
+
 def require_alone(journal: Path) -> None:
     """Check that the rollback journal beside a journal names no further file.
 
@@ -126,6 +135,8 @@ def _require_kinds(row: object) -> None:
         cell = getattr(row, field.name)
         if kinds is not None and (not isinstance(cell, kinds) or (isinstance(cell, float) and not math.isfinite(cell))):
             raise ShapeError(f"{type(row).__name__}.{field.name} is {str(cell)[:40]!r}, no {field.type}")
+        if isinstance(cell, int | float) and field.name in ("time_s", "wall_s", "start_s", "end_s"):
+            require_time(cell)
         if isinstance(cell, dict):
             require_document(type(row).__name__, cell)
 
@@ -161,4 +172,5 @@ __all__ = [
     "require_alone",
     "require_header",
     "require_tables",
+    "require_time",
 ]

@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from drivers.signals import Signal
 from hil.files import LONGEST_DATABASE_PATH, connect_read_only
-from hil.journal.check import DAMAGE_ERRORS, checked_reader, on_one_line, reports_damage, require_header, require_tables
+from hil.journal.check import (
+    DAMAGE_ERRORS,
+    checked_reader,
+    on_one_line,
+    reports_damage,
+    require_header,
+    require_tables,
+    require_time,
+)
 from hil.journal.documents import ShapeError
 from hil.journal.rows import (
     BandRow,
@@ -105,6 +113,8 @@ class JournalReader:
         rows = self._database.execute(
             "SELECT * FROM samples WHERE tick > ? ORDER BY tick LIMIT ?", (after_tick, limit)
         ).fetchall()
+        for row in rows[:1] + rows[-1:]:
+            require_time(float(row[1]))
         return JournalSamples(
             tick=np.array([row[0] for row in rows], dtype=np.int64),
             time_s=np.array([row[1] for row in rows], dtype=np.float64),
@@ -201,19 +211,24 @@ class JournalReader:
     def last(self) -> tuple[int, float]:
         """Return the last recorded tick and its time, s since 1970; -1 and NaN where there is none."""
         row = self._database.execute("SELECT tick, wall_s FROM samples ORDER BY tick DESC LIMIT 1").fetchone()
-        return (-1, math.nan) if row is None else (int(row[0]), float(row[1]))
+        return (-1, math.nan) if row is None else (int(row[0]), require_time(float(row[1])))
 
     def start_wall_s(self) -> float:
         """Return the wall time at which rig time began by the first recorded tick, s since 1970; NaN for none."""
         row = self._database.execute("SELECT wall_s - time_s FROM samples ORDER BY tick LIMIT 1").fetchone()
-        return math.nan if row is None else float(row[0])
+        return math.nan if row is None else require_time(float(row[0]))
 
     def wall_s_at(self, tick: int) -> float:
         """Return the wall time of the last row up to `tick`, s since 1970; NaN where there is none."""
         row = self._database.execute(
             "SELECT wall_s FROM samples WHERE tick <= ? ORDER BY tick DESC LIMIT 1", (tick,)
         ).fetchone()
-        return math.nan if row is None else float(row[0])
+        return math.nan if row is None else require_time(float(row[0]))
+
+    def tick_at(self, wall_s: float) -> int:
+        """Return the last tick whose row is not later than `wall_s`, s since 1970; 0 where there is none."""
+        row = self._database.execute("SELECT max(tick) FROM samples WHERE wall_s <= ?", (wall_s,)).fetchone()
+        return 0 if row[0] is None else int(row[0])
 
     def close(self) -> None:
         """Close the file."""

@@ -10,7 +10,6 @@ import hmac
 import secrets
 from collections import deque
 from collections.abc import Iterable
-from http.cookies import CookieError, SimpleCookie
 
 MOST_SESSIONS = 200
 """Sessions that are kept; the oldest ends when another one begins."""
@@ -78,9 +77,7 @@ class Access:
 
     def knows_session(self, cookies: str | None) -> bool:
         """Return True if a Cookie header has a session."""
-        try:
-            found = SimpleCookie(cookies or "").get(self.cookie)
-        except CookieError:
-            return False
-        given = "" if found is None else found.value
-        return any(hmac.compare_digest(given.encode("utf-8"), known.encode("utf-8")) for known in self._sessions)
+        # Cookies belong to a host, not to a port: another service's may stand beside, well-formed or not.
+        parts = (part.partition("=") for part in (cookies or "").split(";"))
+        given = [value.strip().encode("utf-8") for name, _, value in parts if name.strip() == self.cookie]
+        return any(hmac.compare_digest(one, known.encode("utf-8")) for one in given for known in self._sessions)

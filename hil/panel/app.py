@@ -149,9 +149,16 @@ class Panel:
         if act not in ("acknowledge", "shelve", "unshelve"):
             raise PanelError("give act: acknowledge, shelve or unshelve")
         for_s = given.get("for_s")
-        seconds = float(for_s) if isinstance(for_s, int | float) and not isinstance(for_s, bool) else math.nan
+        seconds = math.nan
+        if isinstance(for_s, int | float) and not isinstance(for_s, bool):
+            with contextlib.suppress(OverflowError):  # a number of hundreds of digits
+                seconds = float(for_s)
+        count = given.get("count")
+        if act == "acknowledge" and (not isinstance(count, int) or isinstance(count, bool)):
+            raise PanelError("give count: how often the alarm had come when you looked at it")
         alarm, by, reason = _text(given, "id", 200), _name(given), _text(given, "reason", 500)
-        said = await feed.call(lambda run: run.act(act, alarm, by, reason, seconds))
+        seen = count if isinstance(count, int) else None
+        said = await feed.call(lambda run: run.act(act, alarm, by, reason, seconds, seen))
         await feed.refresh()
         return JSONResponse({"ok": True, "text": said})
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import math
 import threading
 import time
@@ -15,6 +16,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeVar
 
+from hil.alarms import AlarmError
+from hil.files import on_terminal
 from hil.journal import JournalError
 from hil.panel.errors import PanelError
 from hil.panel.run_feed import RunFeed
@@ -32,6 +35,7 @@ LISTED_FOR_S = 2.0
 """So long a list of runs serves all viewers, s."""
 
 T = TypeVar("T")
+_log = logging.getLogger(__name__)
 
 
 class Feed:
@@ -72,7 +76,12 @@ class Feed:
         feed = self._feed
         assert feed is not None
         self.used_at = time.monotonic()
-        return await asyncio.get_running_loop().run_in_executor(self._thread, work, feed)
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._thread, work, feed)
+        except (PanelError, AlarmError, JournalError, RunFolderError):
+            raise
+        except Exception as error:
+            raise PanelError(self._defect(error)) from error
 
     async def refresh(self) -> None:
         """Read the run now: what an operator did shows at once."""
@@ -82,8 +91,7 @@ class Feed:
     async def close(self) -> None:
         """End the feed."""
         self._task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await self._task
+        await asyncio.gather(self._task, return_exceptions=True)  # what it failed of is told to its viewers alone
         await self._end("the panel has stopped following this run; load the page again")
 
     async def _follow(self) -> None:
@@ -95,13 +103,22 @@ class Feed:
     async def _poll(self) -> None:
         try:
             latest = await asyncio.get_running_loop().run_in_executor(self._thread, self._read)
-        except (PanelError, JournalError, RunFolderError, OSError) as error:
+        except (PanelError, AlarmError, JournalError, RunFolderError, OSError) as error:
             await self._end(str(error))
+            return
+        except Exception as error:
+            await self._end(self._defect(error))
             return
         async with self._changed:
             self.latest = latest
             self.version += 1
             self._changed.notify_all()
+
+    def _defect(self, error: Exception) -> str:
+        """Return a sentence on content that no check has refused, and name it on the terminal."""
+        said = f"{self.folder} holds content that no run of this version writes, and cannot be shown"
+        _log.error("%s (%r)", on_terminal(said), error)
+        return f"{said}; `hil report` may name it"
 
     def _read(self) -> bytes:
         if self._feed is None:
@@ -136,7 +153,11 @@ class Feeds:
         if self._is_run and name == self._folder.resolve().name:
             return self._folder
         path = self._folder / name
-        if self._is_run or Path(name).name != name or not (path / "run.json").is_file():
+        try:
+            there = not self._is_run and Path(name).name == name and (path / "run.json").is_file()
+        except (OSError, ValueError):  # a name that no file can have
+            there = False
+        if not there:
             raise PanelError(f"there is no run {name[:80]!r}; it was deleted or moved")
         return path
 
@@ -163,7 +184,7 @@ class Feeds:
     def _list_now(self) -> list[dict[str, Any]]:
         names = [self._folder.resolve().name] if self._is_run else self._names()
         found = []
-        for name in sorted(names, reverse=True)[:MOST_RUNS]:
+        for name in names:
             run = RunFolder(self._folder if self._is_run else self._folder / name)
             with contextlib.suppress(RunFolderError, OSError):
                 written = run.manifest.stat().st_mtime_ns
@@ -173,10 +194,13 @@ class Feeds:
                     known = written, str(manifest.get("exit_status", "")), str(manifest.get("started", ""))
                     self._manifests[name] = known
                 _, status, started = known
-                if status == "running" and not run.control.exists():
-                    status = "interrupted"
                 found.append({"name": name, "status": status, "started": started})
         self._manifests = {item["name"]: self._manifests[item["name"]] for item in found}
+        found = sorted(found, key=lambda item: (item["started"], item["name"]), reverse=True)[:MOST_RUNS]
+        for item in found:
+            run = RunFolder(self._folder if self._is_run else self._folder / item["name"])
+            if item["status"] == "running" and run.was_cut:
+                item["status"] = "interrupted"
         return found
 
     async def close(self) -> None:

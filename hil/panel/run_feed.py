@@ -5,6 +5,7 @@ Nothing here writes into the run's folder.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import time
@@ -75,6 +76,9 @@ class RunFeed:
             self._alarms = AlarmWatch(folder)
         except AlarmError as error:
             self._no_alarms = str(error)
+        except BaseException:
+            self._reader.close()
+            raise
 
     @property
     def state(self) -> str:
@@ -110,11 +114,11 @@ class RunFeed:
         self._past = self._tick, past
         return past
 
-    def act(self, name: Any, alarm: str, by: str, reason: str, for_s: float) -> str:
+    def act(self, name: Any, alarm: str, by: str, reason: str, for_s: float, count: int | None) -> str:
         """Do an act on an alarm; raises AlarmError. See `hil.alarms.AlarmWatch.act`."""
         if self._alarms is None:
             raise PanelError(self._no_alarms)
-        return self._alarms.act(name, alarm, by, reason, for_s)
+        return self._alarms.act(name, alarm, by, reason, for_s, count)
 
     def look_again(self) -> None:
         """Read what changes rarely at the next poll, too: an operator has acted."""
@@ -176,7 +180,9 @@ class RunFeed:
             self._slow, self._slow_at = self._rarely(), now
         last, wall_s = self._reader.last()
         ended = self._reader.meta("exit_status") is not None or self.state in ENDED
-        live = not ended and self._folder.control.exists()
+        # The socket of a killed run stays; the lock on its folder does not.
+        is_held = self._folder.is_held
+        live = not ended and is_held is not False and self._folder.control.exists()
         age_s = time.time() - wall_s if live and math.isfinite(wall_s) else None
         time_s = max(last, 0) * header.period_s
         state = self._state
@@ -201,7 +207,16 @@ class RunFeed:
             "alarms": self._alarm_list(),
             "events": self._events,
             **self._slow,
+            "status": self._status(is_held),
         }
+
+    def _status(self, is_held: bool | None) -> str:
+        """Return the state as the manifest has it, `interrupted` for a run that nobody holds any more."""
+        if is_held is False and self._manifest.get("exit_status") == "running":
+            with contextlib.suppress(RunFolderError):  # a run that has ended says so before it lets go of its folder
+                self._manifest = self._folder.read_manifest()
+        status = str(self._manifest.get("exit_status", ""))
+        return "interrupted" if status == "running" and is_held is False else status
 
     def _values(self, age_s: float) -> list[dict[str, Any]]:
         """Return value, quality and age of each signal that people read; a value that is not good is not shown."""
@@ -276,7 +291,6 @@ class RunFeed:
             notes = [{"time": "", "by": "", "text": str(error)}]
         diagnosis = read_diagnosis_verdict(folder)
         return {
-            "status": str(self._manifest.get("exit_status", "")),
             "safe": self._manifest.get("safe") if self._manifest.get("exit_status") != "running" else None,
             "notes": notes,
             "diagnosis": None if diagnosis is None else str(diagnosis),

@@ -6,6 +6,7 @@ import importlib.util
 import ipaddress
 import logging
 import os
+import re
 import socket
 import ssl
 from collections.abc import Callable
@@ -48,7 +49,7 @@ def serve(folder: Path, options: ServeOptions, announce: Callable[[str], None]) 
     Raises
     ------
     PanelError
-        The folder holds no run, a package or a certificate is missing, the address is open without TLS, or the port is
+        The folder is none, a package or a certificate is missing, the address is open without TLS, or the port is
         in use.
     """
     for package in ("starlette", "uvicorn"):
@@ -63,6 +64,7 @@ def serve(folder: Path, options: ServeOptions, announce: Callable[[str], None]) 
 
     from hil.panel.access import Access
     from hil.panel.app import Panel
+    from hil.panel.connection import Connection
 
     listener = _listener(options)
     try:
@@ -72,6 +74,7 @@ def serve(folder: Path, options: ServeOptions, announce: Callable[[str], None]) 
             Panel(folder, access).application(),
             log_level="error",  # defects; a line for each request would repeat the token
             access_log=False,
+            http=Connection,
             limit_concurrency=MOST_CONNECTIONS,
             server_header=False,
             proxy_headers=False,
@@ -97,12 +100,13 @@ def _is_a_defect(record: logging.LogRecord) -> bool:
 def _require_folder(folder: Path) -> None:
     if not folder.is_dir():
         raise PanelError(f"{folder} is no folder; give a run folder, or the folder of your runs")
-    if not (folder / "run.json").is_file() and next(folder.glob("*/run.json"), None) is None:
-        raise PanelError(f"{folder} holds no run; give a run folder, or the folder of your runs")
 
 
 def _names(options: ServeOptions) -> list[str]:
     """Return the names that browsers may use; raises PanelError where there is none."""
+    for name in options.names:
+        if not re.fullmatch(r"[A-Za-z0-9._-]+|[0-9A-Fa-f:.]+", name):
+            raise PanelError(f"{name[:80]!r} is no name of a machine; give it alone, as rig.example.org, with --name")
     try:
         address = ipaddress.ip_address(options.host)
     except ValueError:
@@ -137,11 +141,24 @@ def _require_tls(options: ServeOptions) -> None:
         # A key with a passphrase would ask for it in the terminal; an empty one makes it fail instead.
         ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(options.certificate, options.key, password="")
     except (ssl.SSLError, OSError) as error:
+        if not _is_open(options.key):
+            raise PanelError(
+                f"the key {options.key} has a passphrase; give one without, readable by you alone"
+            ) from None
         reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or "unreadable"
         raise PanelError(
             f"{options.certificate} and {options.key} are no certificate and its key in PEM form "
             f"({str(reason).lower().replace('_', ' ')})"
         ) from None
+
+
+def _is_open(key: Path) -> bool:
+    """Return False for a key in PEM form that a passphrase locks."""
+    try:
+        text = key.read_bytes()
+    except OSError:
+        return True
+    return b"ENCRYPTED PRIVATE KEY" not in text and b"Proc-Type: 4,ENCRYPTED" not in text
 
 
 def _listener(options: ServeOptions) -> socket.socket:

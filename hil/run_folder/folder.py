@@ -11,6 +11,7 @@ import platform
 import shlex
 import shutil
 import sys
+import time
 import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -27,6 +28,9 @@ LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "numba", "p
 BYTES_PER_TICK = 2500
 """Bytes of a tick on disk, in journal, record and review together, rounded up."""
 
+ASKING_S = 0.5
+"""Time for which a lock on a folder is tried, s: a reader that asks holds it between two system calls."""
+
 
 class RunFolderError(Exception):
     """Run folder that cannot be made or read; the message states the remedy."""
@@ -34,6 +38,19 @@ class RunFolderError(Exception):
 
 class FolderLostError(RunFolderError):
     """Folder of a run that was deleted, or cannot be written any more; the message states the rest of the run."""
+
+
+def _lock(handle: int) -> None:
+    """Lock a folder for its run, past the moments in which `RunFolder.is_held` asks; raises OSError."""
+    deadline = time.monotonic() + ASKING_S
+    while True:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            if time.monotonic() >= deadline:
+                raise
+        time.sleep(ASKING_S / 50)
 
 
 def _damaged(sentence: str) -> RunFolderError:
@@ -133,12 +150,29 @@ class RunFolder:
     def was_cut(self) -> bool:
         """True for an interrupted run, which has not ended and is not live: it was killed, or the power failed."""
         try:
-            if self.read_manifest()["exit_status"] != "running":
-                return False
-            with self.owned():
-                return True
+            return self.read_manifest()["exit_status"] == "running" and not self.is_held
         except (RunFolderError, KeyError):
             return False
+
+    @property
+    def is_held(self) -> bool | None:
+        """True if a process holds the folder for its run; None where the file system has no locks, or it is gone.
+
+        The question is a shared lock of a moment: any number of readers may ask, and `owned` waits for it.
+        """
+        try:
+            handle = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
+        except OSError:
+            return None
+        try:
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return None
+        finally:
+            os.close(handle)
+        return False
 
     @contextlib.contextmanager
     def owned(self) -> Iterator[None]:
@@ -149,7 +183,7 @@ class RunFolder:
         handle = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
         try:
             try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _lock(handle)
             except BlockingIOError:
                 asked = f"ask it with `hil ctl status {shlex.quote(str(self.path))}`"
                 raise RunFolderError(f"{self.path} is a run that still goes on; {asked}") from None

@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
-from hil.files import append_line, plain, read_lines
+from hil.files import append_line, is_blank, plain, read_lines
 from hil.run_folder.folder import RunFolder, RunFolderError
 from hil.run_folder.manifest_check import DocumentShape, Labels, wrong_place
 
@@ -67,7 +67,7 @@ def add_note(folder: RunFolder, text: str, by: str, labels: Labels | None = None
             raise RunFolderError(
                 f"{what} has {len(given)} characters, at most {longest} are kept; shorten it, or write several notes"
             )
-    if not text.strip() and not changed:
+    if is_blank(text) and not changed:
         raise RunFolderError("the note is empty; write what you saw, or give a label such as --serial")
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     note = Note(now, plain(by, LONGEST_LABEL), plain(text.strip(), LONGEST_NOTE), changed)

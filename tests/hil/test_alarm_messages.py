@@ -22,9 +22,10 @@ from hypothesis import strategies as st
 
 from hil.alarms import AlarmError, NotifyOptions, notify_run, read_addresses
 from hil.alarms import notify as notify_module
+from hil.alarms.alarm_list import Change, fold
 from hil.alarms.notify import shown
-from hil.alarms.outbox import Outbox, message
-from tests.hil.alarmed_run import alarmed_run
+from hil.alarms.outbox import Outbox, line_of, message
+from tests.hil.alarmed_run import TANK, alarmed_run
 from tests.hil.command_line import typed
 from tests.hil.mosquitto_broker import BINARY, Broker, free_port
 
@@ -185,7 +186,8 @@ def test_mail_goes_through_an_smtp_server(tmp_path):
     subject = str(email.header.make_header(email.header.decode_header(mail["Subject"])))
     assert mail["To"] == "ada@example.org" and run.path.name in subject
     text = next(part for part in mail.walk() if not part.is_multipart()).get_payload(decode=True).decode()
-    assert "T_tank.H" in text
+    assert "T_tank.H" in text and "\n" not in text.strip()
+    assert {part.get_content_type() for part in mail.walk() if not part.is_multipart()} == {"text/plain"}
 
 
 @pytest.mark.skipif(BINARY is None, reason="no mosquitto here; .ci/run installs it")
@@ -263,3 +265,24 @@ def test_an_address_that_is_none_is_refused_without_being_repeated(tmp_path, add
 
 def test_an_address_is_shown_by_its_kind_and_host_alone():
     assert shown(f"mailtos://ada:{SECRET}@mail.example.org?to=x") == "mailtos://mail.example.org/..."
+
+
+def test_a_critical_alarm_waits_for_nothing_and_the_urgent_ones_come_first():
+    outbox = Outbox(1)
+    outbox.add(["first"])
+    assert outbox.due(0.0) == ("first",)
+    outbox.sent(1)
+    outbox.add(["low"])
+    outbox.add(["high"], 1)
+    assert outbox.due(1.0) == ()
+    outbox.add(["critical"], 0)
+    assert outbox.due(2.0) == ("critical",)
+    outbox.sent(1)
+    assert (outbox.due(3.0), outbox.due(4000.0)) == ((), ("high", "low"))
+
+
+def test_a_line_has_no_control_characters():
+    item = TANK.model_copy(update={"doc": "a\x1b[31m\nb\x00"})
+    run = [Change(1, 1.0, 1.7e9, item.id, True, 55.0)]
+    kept = fold([item], run, [], 1.7e9)
+    assert line_of(kept.records[0], kept).endswith("T_tank above 50 °C (a [31m b )")

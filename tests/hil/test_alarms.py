@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import sqlite3
 import time
 
 import pytest
@@ -36,7 +38,7 @@ def test_an_alarm_comes_is_acknowledged_and_is_over(tmp_path):
     assert "UNACKNOWLEDGED  high  T_tank.H  55 °C  since 2023-11-14T22:13:35Z" in shown
     assert "T_tank above 50 °C" in shown
     done = typed("alarms", run.path, "--ack", "T_tank.H", "--by", "Ada", "--reason", "fan is off")
-    assert (done.returncode, done.stdout) == (0, "T_tank.H: acknowledged\n")
+    assert (done.returncode, done.stdout) == (0, "T_tank.H: acknowledged; it came at 2023-11-14T22:13:35Z\n")
     assert "ACKNOWLEDGED" in (shown := typed("alarms", run.path).stdout) and "Ada: fan is off" in shown
     run.step(25.0)
     assert listed(run) == {}
@@ -210,6 +212,7 @@ def _rig_of(text: str):
         ('\n[[alarm]]\npoint = "T_tnk"\nhigh = 1.0\n', "no point 'T_tnk'; declare it or correct point"),
         ('\n[[alarm]]\npoint = "heater_power_set"\nhigh = 1.0\n', "is not read on every tick"),
         ('\n[[alarm]]\npoint = "T_tank"\n', "an alarm needs low, high or both"),
+        (f'\n[[alarm]]\npoint = "T_tank"\nhigh = 5.0\ndoc = "{"x" * 201}"\n', "doc"),
         ('\n[[alarm]]\npoint = "T_tank"\nhigh = 5.0\nlow = 1.0\ndeadband = 3.0\n', "no room for the deadband"),
         ('\n[[alarm]]\npoint = "T_tank"\nhigh = 5.0\npriority = "urgent"\n', "priority"),
         ('\n[[alarm]]\npoint = "T_tank"\nhigh = 5.0\non_delay_s = -1.0\n', "on_delay_s"),
@@ -234,3 +237,166 @@ def test_an_act_without_an_end_is_refused_by_the_interface_too(tmp_path):
 
 def test_an_alarm_section_trips_nothing():
     assert "level" not in AlarmSpec.model_fields
+
+
+def guardian_says(run, *entries):
+    """Append lines of the guardian, each `what`, seconds after the last row, and more keys."""
+    with run.path.joinpath("guardian.log").open("a", encoding="utf-8") as file:
+        for what, after_s, more in entries:
+            wall_s = 1.7e9 + run.run.written - 1 + after_s
+            file.write(json.dumps({"time": "", "wall_s": wall_s, "what": what, **more}) + "\n")
+
+
+def guardian_of(run):
+    with AlarmWatch(run.path) as watch:
+        found = watch.poll().statuses["run.guardian"]
+        return found.state.value, found.text
+
+
+def test_what_the_guardian_of_a_killed_run_did_is_an_alarm_until_the_rig_is_safe(tmp_path):
+    run = alarmed_run(tmp_path)
+    guardian_says(run, ("watching", -5, {"pid": 1}))
+    assert guardian_of(run) == ("normal", "")
+    run.run._held.close()
+    guardian_says(run, ("acting", 1, {"reason": "the engine is gone"}))
+    guardian_says(run, ("not safe", 1.1, {"problem": "heater still reads 900.0 W", "after_s": 0.1, "meters": {}}))
+    assert guardian_of(run) == ("unacknowledged", "the engine is gone; not safe: heater still reads 900.0 W")
+    assert "CRITICAL" in typed("alarms", run.path).stdout.upper()
+    guardian_says(run, ("gave up", 3601, {"problem": "heater still reads 900.0 W", "after_s": 3600}))
+    state, text = guardian_of(run)
+    assert state == "unacknowledged" and "it gave up after 3.6e+03 s, not safe: heater still" in text
+    guardian_says(run, ("ended", 3601, {}), ("watching", 3700, {"pid": 2}))
+    guardian_says(run, ("acting", 3800, {"reason": "no beat"}), ("safe", 3805, {"problem": "", "after_s": 5.0}))
+    assert guardian_of(run) == ("returned unacknowledged", "no beat; safe after 5 s")
+    with AlarmWatch(run.path) as watch:
+        raised = [r for r in watch.poll().records if r.id == "run.guardian" and r.event == "raise"]
+    assert next((r.wall_s, r.time_s) for r in raised) == (1.7e9 + 15, 14.0)
+
+
+@pytest.mark.parametrize(
+    "line", [b"{", b"[]\n", b'{"wall_s": 1e400, "what": "acting"}\n', b'{"wall_s": "x"}\n', b"\xff\n"]
+)
+def test_a_damaged_line_of_the_guardian_is_left_out(tmp_path, line):
+    run = alarmed_run(tmp_path)
+    run.path.joinpath("guardian.log").write_bytes(line)
+    assert guardian_of(run) == ("normal", "")
+    run.finish()
+
+
+def test_who_follows_a_killed_run_waits_for_its_guardian_but_not_for_ever(tmp_path, monkeypatch):
+    run = alarmed_run(tmp_path)
+    guardian_says(run, ("watching", -5, {"pid": 1}))
+    run.run._held.close()
+    with AlarmWatch(run.path) as watch:
+        watch.poll()
+        assert not watch.has_ended()  # a guardian that watches will act
+        now_s = time.time()
+        acting = {"wall_s": now_s, "what": "acting", "reason": "the engine is gone"}
+        with run.path.joinpath("guardian.log").open("a") as file:
+            file.write(json.dumps(acting) + "\n")
+        assert not watch.has_ended()
+        with run.path.joinpath("guardian.log").open("a") as file:
+            file.write(json.dumps({"wall_s": now_s + 5, "what": "safe", "after_s": 5.0}) + "\n")
+        assert watch.has_ended()
+    with AlarmWatch(run.path) as watch:
+        watch.poll()
+        run.path.joinpath("guardian.log").write_text(json.dumps(acting | {"wall_s": now_s - 4000}) + "\n")
+        assert watch.has_ended()  # it was killed, too
+    monkeypatch.setattr("hil.alarms.guardian_log.WAKES_WITHIN_S", 0.0)
+    run.path.joinpath("guardian.log").write_text(json.dumps({"wall_s": now_s, "what": "watching"}) + "\n")
+    with AlarmWatch(run.path) as watch:
+        watch.poll()
+        assert watch.has_ended()
+
+
+def test_an_act_counts_for_what_was_written_when_it_was_made(tmp_path):
+    run = alarmed_run(tmp_path)
+    run.step(25.0)
+    run.run.writer.calibration("static", 1, 5.0, {"disturbed": 0.3, "disturbed_W": 40.0, "disturbed_sd_W": 1.0})
+    run.run.writer.commit()
+    before = listed(run)
+    assert before == {"twin.disturbance": "unacknowledged"}
+    with AlarmWatch(run.path) as watch:
+        assert watch.act("acknowledge", "all", "op").startswith("twin.disturbance: acknowledged; it came at 2023-")
+        with pytest.raises(AlarmError, match=r"admits it"):
+            watch.act("acknowledge", "all", "op")
+    for document in ({"disturbed": None}, {"disturbed": 0.3, "disturbed_W": 40.0, "disturbed_sd_W": 1.0}):
+        run.run.writer.calibration("static", 1, 6.0, document)  # of a window that ended long ago
+    run.run.writer.commit()
+    assert listed(run) == {"twin.disturbance": "unacknowledged"}
+    run.finish()
+
+
+def test_an_alarm_that_came_again_is_not_acknowledged_by_who_saw_the_first(tmp_path):
+    run = alarmed_run(tmp_path)
+    for tank_C in (55.0, 25.0, 55.0):
+        run.step(tank_C)
+    with AlarmWatch(run.path) as watch:
+        with pytest.raises(AlarmError, match=r"T_tank.H came again since you looked, at 2023-11-14T22:14:05Z"):
+            watch.act("acknowledge", "T_tank.H", "op", count=1)
+        watch.act("acknowledge", "T_tank.H", "op", count=2)
+    run.finish()
+
+
+def test_an_interruption_keeps_its_time_after_a_resumption(tmp_path):
+    run = alarmed_run(tmp_path)
+    run.run._held.close()
+
+    def came():
+        with AlarmWatch(run.path) as watch:
+            return watch.poll().statuses["run.interrupted"].wall_s
+
+    assert (before := came()) == 1.7e9 + 14
+    with AlarmWatch(run.path) as watch:
+        watch.act("acknowledge", "run.interrupted", "op")
+    run.run._held.enter_context(RunFolder(run.path).owned())
+    run.run.writer.state(14, 14.0, 0.0, "running", "cut", "idle", "the run was cut while running")
+    run.run.writer.commit()
+    assert came() == before
+    with AlarmWatch(run.path) as watch:
+        found = [r.event.value for r in watch.poll().records if r.id == "run.interrupted"]
+    assert found == ["raise", "acknowledge"]
+    run.finish()
+
+
+@pytest.mark.parametrize(
+    ("statement", "said"),
+    [
+        ("UPDATE samples SET wall_s = 1e30", "is no time"),
+        ("UPDATE states SET wall_s = 1e30", "is no time"),
+        ("UPDATE samples SET time_s = 9e999", "is no time"),
+        ("""UPDATE meta SET value = '{"definitions": [{"id": "a", "kind": "high", "priority": "low",
+            "points": ["T_tank"], "limit": 1e999}]}' WHERE key = 'alarms'""", "damaged"),
+        ("""UPDATE meta SET value = '{"definitions": [{"id": "a", "kind": "sensor", "priority": "low"}]}'
+            WHERE key = 'alarms'""", "damaged"),
+    ],
+)  # fmt: skip
+def test_a_forged_time_or_limit_is_refused_in_one_sentence(tmp_path, statement, said):
+    run = alarmed_run(tmp_path)
+    run.step(55.0)
+    run.finish()
+    with contextlib.closing(sqlite3.connect(run.path / "journal.sqlite")) as database, database:
+        database.execute(statement)
+    refused = typed("alarms", run.path)
+    assert refused.returncode in (1, 2) and refused.stderr.count("\n") == 1 and said in refused.stderr
+
+
+def test_a_shelving_of_more_than_a_week_or_with_an_invisible_reason_is_none(tmp_path):
+    run = alarmed_run(tmp_path)
+    run.step(55.0)
+    with AlarmWatch(run.path) as watch, pytest.raises(AlarmError, match=r"needs a reason"):
+        watch.act("shelve", "T_tank.H", "op", "\u200b\u2800\u3164 ", 60.0)
+    line = {"act": "shelve", "id": "T_tank.H", "tick": 30, "wall_s": 1.7e9, "until_s": 1.8e9, "reason": "x"}
+    run.path.joinpath("alarms.jsonl").write_text(json.dumps(line) + "\n")
+    refused = typed("alarms", run.path)
+    assert refused.returncode == 2 and "for more than 7 days" in refused.stderr
+    run.finish()
+
+
+def test_an_act_may_answer_in_json(tmp_path):
+    run = alarmed_run(tmp_path)
+    run.step(55.0)
+    document = json.loads(typed("alarms", run.path, "--ack", "all", "--json").stdout)
+    assert document["done"] == ["T_tank.H: acknowledged; it came at 2023-11-14T22:13:35Z"]
+    assert document["alarms"][0]["state"] == "acknowledged"
+    run.finish()

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import shutil
 import socket
+import sqlite3
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -20,12 +23,13 @@ from hypothesis import strategies as st
 from hil.bench.faults.tls import make_certificates
 from hil.panel import PanelError, ServeOptions, serve
 from hil.panel import app as app_module
+from hil.panel import connection as connection_module
 from hil.panel.access import Access
 from hil.panel.app import Panel
 from hil.panel.server import _listener as listening
 from hil.panel.trends import Trends
 from hil.run.engine.control_socket import _short
-from hil.run_folder import RunFolder, read_notes
+from hil.run_folder import RunFolder, new_manifest, read_notes
 from tests.hil.alarmed_run import AlarmedRun, alarmed_run
 from tests.hil.command_line import typed
 
@@ -73,7 +77,12 @@ class Served:
         self.port = self.listener.getsockname()[1]
         self.access = Access(["127.0.0.1", "localhost"], self.port, secure=False)
         config = uvicorn.Config(
-            Panel(folder, self.access).application(), log_level="critical", ws="none", timeout_graceful_shutdown=1
+            Panel(folder, self.access).application(),
+            log_level="critical",
+            ws="none",
+            timeout_graceful_shutdown=1,
+            http=connection_module.Connection,
+            limit_concurrency=20,
         )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._server.run, kwargs={"sockets": [self.listener]}, daemon=True)
@@ -265,15 +274,15 @@ def test_alarms_are_acknowledged_and_shelved_and_notes_added(served, run):
     url = f"/api/runs/{run.path.name}"
     for body, said in (
         ({"act": "delete", "id": "T_tank.H"}, "acknowledge, shelve or unshelve"),
-        ({"act": "acknowledge", "id": "T_tnk.H"}, "did you mean T_tank.H?"),
+        ({"act": "acknowledge", "id": "T_tnk.H", "count": 1}, "did you mean T_tank.H?"),
         ({"act": "shelve", "id": "T_tank.H", "reason": "x"}, "needs an end"),
         ({"act": "shelve", "id": "T_tank.H", "reason": "x", "for_s": True}, "needs an end"),
         ({"act": "shelve", "id": "T_tank.H", "for_s": 60}, "needs a reason"),
     ):
         answer = served.post(f"{url}/alarm", body)
         assert answer.status_code == 400 and said in answer.json()["text"]
-    done = served.post(f"{url}/alarm", {"act": "acknowledge", "id": "T_tank.H", "by": "Ada"})
-    assert done.json()["text"] == "T_tank.H: acknowledged"
+    done = served.post(f"{url}/alarm", {"act": "acknowledge", "id": "T_tank.H", "by": "Ada", "count": 1})
+    assert done.json()["text"] == "T_tank.H: acknowledged; it came at 2023-11-14T22:13:35Z"
     with stream(served, run) as events:
         alarm = next(events)[1]["alarms"]["alarms"][0]
     assert (alarm["state"], alarm["by"]) == ("acknowledged", "Ada")
@@ -357,6 +366,7 @@ def test_a_run_without_alarms_is_shown_with_a_sentence_in_their_place(served, ru
         (("--host", "192.0.2.1", "--cert", "none.pem"), "needs TLS"),
         (("--host", "rig.example.org"), "is no address of this machine"),
         (("--cert", "none.pem"), "give both --cert and --key"),
+        (("--name", "https://rig.example.org"), "is no name of a machine; give it alone"),
         (("--cert", "none.pem", "--key", "none.key"), "there is no certificate none.pem"),
         (("--host", "0.0.0.0", "--cert", "none.pem", "--key", "none.key"), "add --name"),
     ],
@@ -366,12 +376,10 @@ def test_an_open_or_unusable_address_is_refused_in_one_sentence(run, arguments, 
     assert (refused.returncode, refused.stderr.count("\n")) == (2, 1) and said in refused.stderr
 
 
-def test_a_port_in_use_and_a_folder_without_runs_are_refused(run, tmp_path):
+def test_a_port_in_use_and_what_is_no_folder_are_refused(run, tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as other:
         refused = typed("serve", run.path, "--port", other.getsockname()[1])
     assert refused.returncode == 2 and "cannot be had (Address already in use)" in refused.stderr
-    (tmp_path / "empty").mkdir()
-    assert "holds no run" in typed("serve", tmp_path / "empty").stderr
     assert "is no folder" in typed("serve", tmp_path / "none").stderr
 
 
@@ -380,6 +388,11 @@ def test_other_machines_get_in_by_tls_with_the_token_alone(run, tmp_path, monkey
     certificate, key, _ = make_certificates(tmp_path).rig
     with pytest.raises(PanelError, match="are no certificate and its key"):
         serve(run.path, ServeOptions(certificate=certificate, key=certificate), print)
+    locked = tmp_path / "locked.key"
+    command = ["openssl", "pkey", "-in", str(key), "-aes256", "-passout", "pass:x", "-out", str(locked)]
+    subprocess.run(command, check=True, capture_output=True)
+    with pytest.raises(PanelError, match=r"locked.key has a passphrase"):
+        serve(run.path, ServeOptions(certificate=certificate, key=locked), print)
     said: list[str] = []
     servers: list[uvicorn.Server] = []
     original = uvicorn.Server.__init__
@@ -407,6 +420,128 @@ def test_other_machines_get_in_by_tls_with_the_token_alone(run, tmp_path, monkey
     finally:
         servers[0].should_exit = True
         thread.join(15)
+
+
+def test_a_killed_run_is_interrupted_and_takes_no_request(served, run, steered):
+    with stream(served, run) as events:
+        assert next(events)[1]["live"] is True
+        run.run._held.close()  # as after kill -9: the socket stays
+        now = _next(events, lambda state: not state["live"])
+    assert now["status"] == "interrupted"
+    deadline = time.monotonic() + 10
+    while served.client.get("/api/runs").json()["runs"][0]["status"] != "interrupted":
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def test_readers_that_ask_whether_a_run_is_held_do_not_keep_it_from_going_on(run):
+    folder = RunFolder(run.path)
+    assert folder.is_held is True and not folder.was_cut
+    run.run._held.close()
+    stop = threading.Event()
+    threads = [threading.Thread(target=lambda: [folder.was_cut for _ in iter(stop.is_set, True)]) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    try:
+        assert all(folder.was_cut for _ in range(50))
+        for _ in range(20):
+            with folder.owned():
+                pass
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join(10)
+
+
+def test_an_alarm_that_came_again_is_not_acknowledged_by_who_saw_the_first(served, run):
+    url, seen = f"/api/runs/{run.path.name}/alarm", {"act": "acknowledge", "id": "T_tank.H", "count": 1}
+    answer = served.post(url, {"act": "acknowledge", "id": "T_tank.H"})
+    assert answer.status_code == 400 and "give count" in answer.json()["text"]
+    run.step(25.0)
+    run.step(55.0)
+    answer = served.post(url, seen)
+    assert answer.status_code == 400 and "came again since you looked" in answer.json()["text"]
+    assert served.post(url, seen | {"count": 2}).status_code == 200
+
+
+@pytest.mark.parametrize("text", ["1" * 400, "1e999", "-1", "null"])
+def test_a_duration_that_is_none_is_refused(served, run, text):
+    body = f'{{"act": "shelve", "id": "T_tank.H", "reason": "x", "for_s": {text}}}'.encode()
+    answer = served.post(f"/api/runs/{run.path.name}/alarm", body)
+    assert answer.status_code == 400 and "needs an end" in answer.json()["text"]
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "a%00b"])
+def test_a_name_that_no_file_can_have_is_no_run(served, name):
+    assert served.client.get(f"/api/runs/{name}/stream").status_code == 404
+    assert served.client.get(f"/runs/{name}/report.html").status_code == 404
+
+
+def test_a_defect_in_one_feed_is_a_sentence_and_touches_no_other_run(served, run, monkeypatch):
+    from hil.panel.feeds import RunFeed
+
+    poll = RunFeed.poll
+    monkeypatch.setattr(RunFeed, "poll", lambda self: {}["no such key"])
+    with stream(served, run) as events:
+        name, said = next(events)
+    assert name == "gone" and "and cannot be shown" in said["text"]
+    monkeypatch.setattr(RunFeed, "poll", poll)
+    with stream(served, run) as events:
+        assert next(events)[0] == "message"
+
+
+def test_a_forged_time_is_said_to_viewers(served, run):
+    with contextlib.closing(sqlite3.connect(run.path / "journal.sqlite")) as database, database:
+        database.execute("UPDATE states SET wall_s = 1e30")
+    with stream(served, run) as events:
+        name, said = next(events)
+    assert name == "gone" and "1e+30 s is no time" in said["text"]
+
+
+def test_a_malformed_cookie_of_another_service_locks_nobody_out(served):
+    (mine,) = (f"{name}={value}" for name, value in served.client.cookies.items())
+    served.client.cookies.clear()
+    old = f"hil_session_{served.port}=old; {mine}"
+    for cookies in (f"a=b c; {mine}", f'x="1;2"; {mine}; y', f"{{}}=1; ;{mine}", old):
+        assert served.client.get("/api/runs", headers={"cookie": cookies}).status_code == 200
+    assert served.client.get("/api/runs", headers={"cookie": f"x{mine}"}).status_code == 403
+
+
+def test_connections_without_a_request_lock_nobody_out_and_end(served, monkeypatch):
+    monkeypatch.setattr(connection_module, "UNFINISHED_S", 0.5)
+    head = f"POST /api/runs/x/note HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\n"
+    idle = [socket.create_connection(("127.0.0.1", served.port)) for _ in range(25)]
+    try:
+        idle[-1].sendall(head.encode())
+        idle[-2].sendall(f"{head}Content-Length: 10\r\n\r\n12".encode())
+        assert served.client.get("/api/runs").status_code == 200
+        for one in idle:
+            one.settimeout(10)
+            with contextlib.suppress(ConnectionResetError):
+                while one.recv(4096):
+                    pass
+    finally:
+        for one in idle:
+            one.close()
+    with served.client.stream("GET", "/panel.js") as answer:
+        assert answer.status_code == 200
+
+
+def test_an_empty_folder_is_an_empty_list_and_runs_come_newest_first(tmp_path):
+    served = Served(tmp_path)
+    try:
+        served.enter()
+        assert served.client.get("/api/runs").json() == {"runs": []}
+        for name, started in (("b", "2026-01-01"), ("a", "2026-03-01"), ("c", "2026-02-01")):
+            (tmp_path / name).mkdir()
+            folder = RunFolder(tmp_path / name)
+            folder.write_manifest(new_manifest({}) | {"started": f"{started}T00:00:00+00:00", "exit_status": "done"})
+        deadline = time.monotonic() + 10
+        while [run["name"] for run in served.client.get("/api/runs").json()["runs"]] != ["a", "c", "b"]:
+            assert time.monotonic() < deadline
+            time.sleep(0.2)
+    finally:
+        served.close()
 
 
 @settings(max_examples=60)

@@ -166,6 +166,42 @@ def test_a_late_viewer_gets_the_past_and_a_lost_connection_is_said(visit, panel,
     visit(look)
 
 
+def test_a_killed_run_offers_no_verb(visit, run):
+    def look(page: Any) -> None:
+        run.run._held.close()
+        page.wait_for_function("() => document.getElementById('state').textContent === 'interrupted'")
+        assert page.locator("#verbs button:enabled").count() == 0
+        assert page.inner_text("#link") == "interrupted"
+
+    visit(look)
+
+
+COURSE = """(gap) => {
+  const time = [...Array(20).keys()].map((k) => k + 0.5 + (k < 10 ? 0 : gap));
+  const cells = { mean: time.map(() => 1), low: time.map(() => 1), high: time.map(() => 1) };
+  const course = new Course({ bin_s: 1, time_s: time, series: { x: cells } }, 1);
+  const curves = [{ name: "x", color: "red" }], moves = [];
+  const pen = new Proxy({}, { get: (kept, name) => name === "measureText" ? () => ({ width: 9 })
+    : name === "moveTo" && kept.strokeStyle === "red" ? (x) => moves.push(x) : name in kept ? kept[name] : () => {},
+    set: (kept, name, value) => { kept[name] = value; return true; } });
+  drawCourse({ clientWidth: 300, clientHeight: 100, getContext: () => pen }, course, curves, -Infinity, null);
+  return moves.length;
+}"""
+"""Number of lines that a course is drawn in, with `gap` s without rows in the middle of it."""
+
+
+def test_a_line_breaks_where_there_are_no_rows_and_every_signal_has_a_curve(visit):
+    def look(page: Any) -> None:
+        assert [page.evaluate(COURSE, gap) for gap in (0, 1, 5, 50)] == [1, 1, 2, 2]
+        many = """() => { const unit = "x", kind = "measured";
+            shown.values = [...Array(21).keys()].map((k) => ({ name: `s${k}`, unit, kind }));
+            makePlots({ sensors: [], twins: [] });
+            return plots.map((plot) => [plot.curves.length, new Set(plot.curves.map((c) => c.color)).size]); }"""
+        assert page.evaluate(many) == [[8, 8], [8, 8], [5, 5]]
+
+    visit(look)
+
+
 def test_a_page_of_another_origin_reads_nothing_and_steers_nothing(visit, panel, run, tmp_path):
     def look(page: Any) -> None:
         site = tmp_path / "site"

@@ -93,7 +93,11 @@ def command(
     with AlarmWatch(run) as watch:
         for name, alarm in given:
             done = watch.act(name, alarm, by or _user(), reason, math.nan if for_s is None else for_s)
-            click.echo(_shown(done))
+            if as_json:
+                _show(watch, everything, as_json, done=done.splitlines())
+                return
+            for line in done.splitlines():
+                click.echo(_shown(line))
             return
         _show(watch, everything, as_json)
 
@@ -102,12 +106,14 @@ def _acts(ack: str | None, shelve: str | None, unshelve: str | None) -> tuple[tu
     return (("acknowledge", ack), ("shelve", shelve), ("unshelve", unshelve))
 
 
-def _show(watch: AlarmWatch, everything: bool, as_json: bool) -> None:
+def _show(watch: AlarmWatch, everything: bool, as_json: bool, done: list[str] | None = None) -> None:
+    """Print the list; as JSON with what an act has `done`, where there was one."""
     from hil.alarms import alarm_document, alarm_lines
 
     kept = watch.poll()
     if as_json:
-        click.echo(json.dumps(alarm_document(kept, everything=everything), indent=1))
+        document = alarm_document(kept, everything=everything) | ({} if done is None else {"done": done})
+        click.echo(json.dumps(document, indent=1))
         return
     statuses = list(kept.statuses.values()) if everything else kept.standing()
     if not statuses:

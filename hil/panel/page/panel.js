@@ -1,7 +1,8 @@
 "use strict";
 /* The page of a run. Text of a run, a rig file or a person enters the document through `el` alone, as text. */
 
-const COLORS = ["#d9730d", "#1f5fa8", "#7b3fa0", "#0f8a7a", "#b0265f"];
+const COLORS = ["#d9730d", "#1f5fa8", "#7b3fa0", "#0f8a7a", "#b0265f", "#5b7f13", "#8a5a2b", "#2b9fd0", "#c9a000", "#20262c"];
+const MOST_CURVES = 8; /* of one plot: fewer than there are colours */
 const STALE_MS = 4000, RETRY_MS = 5000;
 const SPANS = [["10 min", 600], ["1 h", 3600], ["All", Infinity]];
 const VERBS = {
@@ -55,7 +56,7 @@ function format(value) {
 
 function showHead(now) {
   const ended = !now.live;
-  const name = ended && now.status === "running" ? "interrupted" : now.state;
+  const name = now.status === "interrupted" ? "interrupted" : now.state;
   const badge = byId("state");
   badge.textContent = ended && now.status !== "running" ? now.status || now.state : name;
   badge.className = `badge ${name}`;
@@ -83,7 +84,7 @@ function showLink() {
   const link = byId("link");
   link.className = lost ? "link lost" : "link";
   const late = shown && shown.live && shown.age_s !== null && shown.age_s > Math.max(3, 3 * shown.period_s);
-  link.textContent = gone ? "" : lost ? `connection lost for ${Math.round(quiet / 1000)} s` : late ? `last row ${Math.round(shown.age_s)} s ago` : shown && shown.live ? "live" : "ended";
+  link.textContent = gone ? "" : lost ? `connection lost for ${Math.round(quiet / 1000)} s` : late ? `last row ${Math.round(shown.age_s)} s ago` : shown && shown.live ? "live" : shown && shown.status === "interrupted" ? "interrupted" : "ended";
   if (late && !lost) link.className = "link lost";
   document.body.classList.toggle("stale", lost);
 }
@@ -178,18 +179,21 @@ function makePlots(document_) {
   const others = shown.values.filter((value) => !(document_.sensors.length && isTemperature(value) && value.name !== "T_ambient"));
   const units = [...new Set(others.map((value) => value.unit))];
   for (const unit of units) {
-    const group = others.filter((value) => value.unit === unit).slice(0, 8);
-    const meters = group.filter((value) => value.kind !== "setpoint");
-    add((meters.length ? meters : group).map((value) => value.name).join(", "), unit, group.map((value, k) => ({
-      name: value.name, label: value.name, color: value.kind === "setpoint" ? "#7c8791" : COLORS[(k + 1) % COLORS.length], dash: value.kind === "setpoint" ? [5, 3] : [],
-    })));
+    const all = others.filter((value) => value.unit === unit);
+    for (let at = 0; at < all.length; at += MOST_CURVES) {
+      const group = all.slice(at, at + MOST_CURVES);
+      const meters = group.filter((value) => value.kind !== "setpoint");
+      add((meters.length ? meters : group).map((value) => value.name).join(", "), unit, group.map((value, k) => ({
+        name: value.name, label: value.name, color: COLORS[(k + 1) % COLORS.length], dash: value.kind === "setpoint" ? [5, 3] : [],
+      })));
+    }
   }
   put("trends", ...cards);
 }
 
 function showPast(document_) {
   past = document_;
-  courses = { all: new Course(document_.all), recent: new Course(document_.recent) };
+  courses = { all: new Course(document_.all, shown.period_s), recent: new Course(document_.recent, shown.period_s) };
   if (shown && shown.values.length) makePlots(document_);
 }
 
@@ -290,13 +294,13 @@ function askAlarm(act, alarm) {
     openDialog(`Shelve ${alarm.id}`, `${alarm.what}. It leaves the list until the end of the shelving. Trips and interlocks stay as they are.`,
       [el("label", {}, "For", choice), field("Reason", "reason", "input", "", { maxlength: "500", required: "" }), who()], "Shelve", false, () => {
         const all = given();
-        return post(api("alarm"), { act, id: alarm.id, by: all.by, reason: all.reason, for_s: Number(all.for_s) });
+        return post(api("alarm"), { act, id: alarm.id, count: alarm.count, by: all.by, reason: all.reason, for_s: Number(all.for_s) });
       });
     return;
   }
   const label = act === "acknowledge" ? "Acknowledge" : "End shelving";
   const text = act === "acknowledge" ? `${alarm.what}. This states that you have seen it. It releases no trip.` : alarm.what;
-  openDialog(`${label}: ${alarm.id}`, text, [field("Remark", "reason", "input", "", { maxlength: "500" }), who()], label, false, () => post(api("alarm"), { act, id: alarm.id, ...given() }));
+  openDialog(`${label}: ${alarm.id}`, text, [field("Remark", "reason", "input", "", { maxlength: "500" }), who()], label, false, () => post(api("alarm"), { act, id: alarm.id, count: alarm.count, ...given() }));
 }
 
 function askNote() {
@@ -386,5 +390,5 @@ put("span", ...SPANS.map(([label, seconds]) => el("button", {
 }, label)));
 window.addEventListener("resize", drawAll);
 setInterval(showLink, 500);
-setInterval(() => listRuns(false), 30000);
+setInterval(() => listRuns(run === null), 30000);
 listRuns(true);

@@ -2,12 +2,14 @@
 /* Courses over time: kept in a limited number of points, drawn on a canvas. No text of a run becomes markup here. */
 
 const MOST_POINTS = 1200;
-const GAP_S = 60; /* rows of a run are at most this far apart where a line joins them */
+const SPARSE_GAP_S = 60; /* predictions are at most this far apart where a line joins them */
+const STATE_S = 1; /* the panel sends a state so often */
 
 /* Series of one plot over a common time axis. A point has mean, low and high of each series; points of one bin merge. */
 class Course {
-  constructor(document_) {
+  constructor(document_, periodS) {
     this.binS = document_.bin_s;
+    this.periodS = periodS;
     this.time = document_.time_s.slice();
     this.count = this.time.map(() => 1);
     this.series = new Map();
@@ -36,6 +38,9 @@ class Course {
     }
     if (this.time.length > MOST_POINTS) this.halve();
   }
+
+  /* No line joins points that are farther apart: there are no rows between them. */
+  gapS() { return 3 * Math.max(this.binS, this.periodS, STATE_S); }
 
   halve() {
     this.binS *= 2;
@@ -132,8 +137,9 @@ function drawCourse(canvas, course, curves, fromS, atS) {
     pen.beginPath();
     let drawn = false, before = null;
     for (let k = first; k < course.time.length; k++) {
+      if (k > first && course.time[k] - course.time[k - 1] > course.gapS()) drawn = false;
       if (cells.mean[k] === null) { drawn = curve.sparse ? drawn : false; continue; }
-      if (drawn && before !== null && course.time[k] - before > Math.max(GAP_S, 4 * course.binS)) drawn = false;
+      if (drawn && curve.sparse && course.time[k] - before > Math.max(SPARSE_GAP_S, 4 * course.binS)) drawn = false;
       if (drawn) pen.lineTo(x(course.time[k]), y(cells.mean[k])); else pen.moveTo(x(course.time[k]), y(cells.mean[k]));
       drawn = true; before = course.time[k];
     }
