@@ -112,8 +112,10 @@ def minimise(squares: LeastSquaresProblem, v: Array, rounds: int) -> tuple[Searc
 
 
 def _best(squares: LeastSquaresProblem, place: SearchPoint, tried: list[TrialStep]) -> tuple[TrialStep, SearchPoint]:
-    """The step that led to the least squares, and where it led."""
-    v = np.clip(place.v + np.stack([s.step for s in tried]), squares.low, squares.high)
+    """The step that led to the least squares, and where it led; a step that is no number leads nowhere."""
+    steps = np.stack([s.step for s in tried])
+    steps[~np.isfinite(steps).all(axis=1)] = 0.0
+    v = np.clip(place.v + steps, squares.low, squares.high)
     residuals, seen = squares.look(v)
     totals = squares.weighed(v, residuals)
     k = int(np.argmin(totals))
