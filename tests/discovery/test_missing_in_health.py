@@ -9,7 +9,7 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from twin.discovery.engine import diagnose
-from twin.discovery.evidence.missing_in_health import with_missing
+from twin.discovery.evidence.missing_in_health import _Columns, _possible, with_missing, with_usual
 from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Basis, Columns, basis
 from twin.discovery.records.grid import on_grid
@@ -91,3 +91,30 @@ def test_laws_of_an_earlier_twin_that_has_none_of_them_say_nothing(bench: Bench,
     strange = replace(part.laws[0].candidate, where="elsewhere")
     told = known.health.amplitudes([strange], known.probe.scaling.ids)
     assert told.candidates == () and told.moves.shape == (known.probe.q, 0)
+
+
+def test_an_effect_all_along_of_the_size_that_it_had_in_health_is_taken_as_known(bench: Bench, late: Bench) -> None:
+    """Of another size, or begun later, it is a change."""
+    known, part = known_of(bench, late.record(10.0, seed=7), late.record(16.0, seed=4))
+    assert known.health is not None
+    lags = [e for e in part.scanned if e.label == ("sensor", "T_tank_C", "rate_of_change") and e.shape.onset_s == 0.0]
+    found = known.health.amplitudes([lags[0].candidate], known.probe.scaling.ids)
+    in_health = float(found.score[0] / found.precision[0, 0])
+    assert in_health > 0.0
+    same = replace(lags[0], size=in_health, sd=0.05 * in_health)
+    more = with_usual(known, [same])
+    assert more.missing is not None and [c.id for c in more.missing.candidates] == [same.candidate.id]
+    assert with_usual(known, [replace(same, size=4.0 * in_health)]) is known
+    assert with_usual(known, [replace(same, shape=replace(same.shape, onset_s=7200.0))]) is known
+
+
+@pytest.mark.parametrize(("lower", "kept"), [(-9.0, (0, 1)), (0.0, (1,))])
+def test_a_law_of_a_size_that_cannot_be_is_left_out(
+    bench: Bench, late: Bench, lower: float, kept: tuple[int, ...]
+) -> None:
+    _, part = known_of(bench, late.record(10.0, seed=7), late.record(16.0, seed=4))
+    law = replace(part.laws[0].candidate, lower=lower, upper=9.0)
+    gram = 100.0 * np.eye(2)
+    columns = _Columns(gram, gram @ np.array([-5.0, 5.0]), np.eye(2), np.zeros(2), np.full(2, -3.0))
+    found, odds = _possible(columns, (), (law, law))
+    assert found == kept and odds == columns.odds(kept)

@@ -1,5 +1,7 @@
 """The minimiser of the joint fits against scipy's, and where onsets bend the residual."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -13,7 +15,7 @@ from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
 from twin.discovery.refit.fitting import fit
 from twin.discovery.refit.model import Model
-from twin.discovery.refit.stepping import LEAST, LeastSquaresProblem, bounded, minimise
+from twin.discovery.refit.stepping import LEAST, LeastSquaresProblem, SearchPoint, TrialStep, _best, bounded, minimise
 from twin.discovery.scoring.search import Entry
 
 
@@ -106,3 +108,19 @@ def test_an_onset_is_found_from_either_side_and_across_the_edges_of_blocks(
     assert effect.shape.onset_s == pytest.approx(7.13 * 3600.0, abs=90.0)
     assert effect.size == pytest.approx(60.0, rel=0.05)
     assert found.chi < 1.5 * part.contest.expected
+
+
+def test_a_step_that_is_no_number_leads_nowhere() -> None:
+    """The simulation refuses such values; the others of a round are still tried."""
+    squares = smooth(np.array([2.0, 1.0, 0.5]))
+    seen: list[np.ndarray] = []
+
+    def look(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        assert np.isfinite(rows).all()
+        seen.append(rows)
+        return squares.look(rows)
+
+    place = SearchPoint(np.array([1.0, 1.0, 0.0]), np.zeros(30), np.zeros(3), 1e9)
+    tried = [TrialStep(np.full(3, np.nan), 1.0, 1.0, 0.0), TrialStep(np.array([1.0, 0.0, 0.5]), 1.0, 1.0, 0.0)]
+    step, found = _best(replace(squares, look=look), place, tried)
+    assert step is tried[1] and found.v == pytest.approx([2.0, 1.0, 0.5]) and len(seen) == 1

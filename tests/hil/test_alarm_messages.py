@@ -34,7 +34,7 @@ SECRET = "s3cr3t-token"
 
 
 class WebHook:
-    """Web server that keeps what it is sent, and can be told to refuse."""
+    """Web server that keeps what it is sent, and refuses on request."""
 
     def __init__(self) -> None:
         self.bodies: list[dict[str, str]] = []
