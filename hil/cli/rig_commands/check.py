@@ -89,10 +89,9 @@ def command(
         raise click.UsageError(
             "Missing argument 'FILE'; give a file to check, or --kinds to list the elements of twin files"
         )
-    if file.is_dir():
-        from hil.cli.options import record_of
+    from hil.cli.options import record_of
 
-        file = record_of(file)
+    file = record_of(file)
     checker = _checker(file, rig)
     if picture is not None:
         from hil.run_folder import RunFolderError, require_output
