@@ -202,12 +202,21 @@ def _is_record(file: Path, content: bytes, rig: Path) -> bool:
     from drivers.importers import names_registers
     from drivers.rig_file import load_rig
     from drivers.signals import ConfigurationError
-    from hil.record import VALUES, DialectError, beginning_of, find_dialect, is_annotated, is_labview, name_and_unit
+    from hil.record import (
+        VALUES,
+        DialectError,
+        beginning_of,
+        find_dialect,
+        is_annotated,
+        is_labview,
+        is_waveforms,
+        name_and_unit,
+    )
     from hil.record.times import names_dates
     from hil.run.session import setpoint_limits
 
     beginning = beginning_of(content)
-    if is_annotated(beginning) or is_labview(beginning):
+    if is_annotated(beginning) or is_labview(beginning) or is_waveforms(beginning):
         return True
     try:
         names = list(find_dialect(beginning).names)
