@@ -32,7 +32,7 @@ repetitions of a lost packet (1 s and 2 s, RFC 6298). asyncio alone would keep a
 class _Loop(asyncio.SelectorEventLoop):
     """Event loop whose servers end a TLS handshake that is not complete in time: uvicorn has no option for it."""
 
-    async def create_server(self, *arguments: Any, **options: Any) -> asyncio.Server:  # type: ignore[override]
+    async def create_server(self, *arguments: Any, **options: Any) -> asyncio.Server:
         if options.get("ssl") is not None:
             options |= {"ssl_handshake_timeout": HANDSHAKE_S, "ssl_shutdown_timeout": HANDSHAKE_S}
         return await super().create_server(*arguments, **options)
