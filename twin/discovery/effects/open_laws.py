@@ -39,8 +39,9 @@ SOLID_K_PER_W = tuple(float(f"{0.003 * 1.5**i:.3g}") for i in range(7))
 between the two, so close together that the next one is off by a fifth at most."""
 LEAST_SPREAD = 1.0e-3
 """Standard deviation of a column, as a share of its largest magnitude, below which nothing can follow it."""
-FOLLOW_NODES = ("flow", "heat_source", "heat_loss")
-"""Kinds of sites at which something may follow the temperature of a node."""
+FOLLOW_NODES = ("flow",)
+"""Kinds of sites at which something may follow the temperature of a node. Measured temperatures hold what an effect did
+to them, so that heat seems to follow those that it raised."""
 NAMES = {"heater_power_W": "heater_power", "pump_speed_pct": "pump_speed", "fan_speed_pct": "fan_speed"}
 
 

@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 
 from twin.discovery.evidence.marginal import joint
 from twin.discovery.evidence.part import Part
-from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, MISSING_IN_HEALTH, size_prior_sd
+from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, MISSING_IN_HEALTH, SPREAD
 from twin.discovery.evidence.scan import scan
 from twin.discovery.evidence.search import Prior, apart, late_ones, leading, log_odds_unlisted
 from twin.discovery.healthy.basis import Basis
@@ -153,7 +153,7 @@ def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
         amounts = known.health.amplitudes([entry.candidate], known.probe.scaling.ids)
         if not amounts.candidates:
             continue
-        wide = size_prior_sd(entry.candidate.typical, entry.size) ** 2
+        wide = (SPREAD * entry.candidate.typical) ** 2
         variance = 1.0 / (float(amounts.precision[0, 0]) + 1.0 / wide)
         mean = variance * float(amounts.score[0])
         variance += (max(FORM_ERRORS) * mean) ** 2
@@ -179,8 +179,7 @@ def _columns_of(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior
     here += contest.slopes[:, : part.basis.probe.q] @ amounts.moves
     there = contest.signatures(np.stack([e.vector for e in effects]))
     _, gram, score = contest.beside_tunables(np.concatenate([there, here], axis=1))
-    likely = [*((e.candidate, e.size) for e in effects), *((c, 0.0) for c in amounts.candidates)]
-    wide = [size_prior_sd(c.typical, size) ** -2.0 for c, size in likely]
+    wide = [(SPREAD * c.typical) ** -2.0 for c in (*(e.candidate for e in effects), *amounts.candidates)]
     count = len(effects)
     missing = [math.log(MISSING_IN_HEALTH) + prior.share(c) for c in amounts.candidates]
     columns = _Columns(

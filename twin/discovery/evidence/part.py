@@ -17,6 +17,7 @@ from twin.discovery.effects.laws import CandidateLaw, temperatures
 from twin.discovery.effects.open_laws import OpenLaw, again, open_laws
 from twin.discovery.effects.probe import FreeRun, free_run
 from twin.discovery.effects.shapes import EARLY_S, Shape
+from twin.discovery.evidence.priors import SPREAD
 from twin.discovery.evidence.scan import scan
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.places.localise import courses
@@ -81,7 +82,7 @@ class Part:
     @cached_property
     def free(self) -> tuple[Course, ...]:
         """An unknown quantity at each site, free from block to block, the likeliest first."""
-        return courses(self.contest, sites_of(self.basis.probe.network, self.contest, self.laws))
+        return courses(self.contest, sites_of(self.basis.probe.network, self.contest, self.laws), SPREAD)
 
     @cached_property
     def opened(self) -> list[OpenLaw]:

@@ -15,7 +15,7 @@ from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.evidence.marginal import form_quadratic, joint
 from twin.discovery.evidence.part import Part, continued, fitted, slower
-from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, UNLISTED, size_prior_sd
+from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, SPREAD, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK
 from twin.discovery.refit.fitting import AGAIN, Fit, look_at
@@ -314,7 +314,7 @@ def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
     own = copy.copy(part.contest)
     look_at(own, Model.of(own.probe, fit.entries), fit)
     entries = tuple(e.refreshed(own) for e in fit.entries)
-    unusual = sum((e.size / size_prior_sd(e.candidate.typical, e.size)) ** 2 for e in entries)
+    unusual = sum((e.size / (SPREAD * e.candidate.typical)) ** 2 for e in entries)
     quadratic = misfit - fit.total - unusual + form_quadratic(own, entries, h.form_error)
     won = 0.5 * (quadratic - h.quadratic)
     return replace(

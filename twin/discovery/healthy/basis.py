@@ -13,7 +13,7 @@ from twin.commissioning import weak_prior
 from twin.discovery.effects.laws import Book, CandidateLaw
 from twin.discovery.effects.operating import offsets
 from twin.discovery.effects.probe import FreeRun, Probe, free_run
-from twin.discovery.healthy.health import Health
+from twin.discovery.healthy.health import Health, NotHealthyError
 from twin.discovery.healthy.in_health import InHealth, MissingInHealth
 from twin.discovery.healthy.widening import Bootstrap, kept
 from twin.discovery.records import noise as noises
@@ -144,7 +144,11 @@ def basis(network: Network, healthy: Columns | None, record: Grid, period_s: flo
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
     probe, book = Probe(network, ids), Book(network, late_at_once=healthy is not None)
     if healthy is not None:
-        health, of = _healthy(network, probe, book, _as_often(healthy, period_s))
+        try:
+            health, of = _healthy(network, probe, book, _as_often(healthy, period_s))
+        except NotHealthyError:
+            # So seldom a sample that healthy and faulty differ by less than what the sampling does.
+            health, of = _healthy(network, probe, book, healthy)
         same = health.noise.step_s == record.step_s
         return Basis(
             probe=probe,

@@ -21,11 +21,15 @@ WALK_PER_BLOCK = (0.03, 0.1, 0.3, 1.0, 3.0)
 """Step of the walk from block to block, in typical sizes of the site, that are tried."""
 
 
-def courses(contest: Contest, sites: dict[str, Site]) -> tuple[Course, ...]:
+def courses(contest: Contest, sites: dict[str, Site], begins: float) -> tuple[Course, ...]:
     """Return the unknown courses at each site, the likeliest first.
 
     A course is the running sum of a beginning and of independent steps, whose sizes are the unknowns: their prior is
     diagonal.
+
+    Args:
+        begins: standard deviation of the beginning, in typical sizes of the site; that of the sizes of named laws, for
+            otherwise an unknown would be the likelier of the two for a large fault.
     """
     found = []
     for name, site in sites.items():
@@ -34,7 +38,7 @@ def courses(contest: Contest, sites: dict[str, Site]) -> tuple[Course, ...]:
         best: tuple[float, Array, Any, Any] | None = None
         for share in WALK_PER_BLOCK:
             scale: Array = np.full(contest.b, share * site.typical)
-            scale[0] = 30.0 * site.typical
+            scale[0] = begins * site.typical
             lower = np.linalg.cholesky(np.eye(contest.b) + gram * np.outer(scale, scale))
             half = solve_triangular(lower, scale * score, lower=True, check_finite=False)
             evidence = 0.5 * float(half @ half) - float(np.log(np.diag(lower)).sum())
