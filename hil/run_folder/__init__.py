@@ -18,7 +18,14 @@ if TYPE_CHECKING:
         new_manifest,
         require_room,
     )
-    from hil.run_folder.manifest_check import DocumentShape, Labels, require_settings, wrong_place
+    from hil.run_folder.manifest_check import (
+        DocumentShape,
+        Labels,
+        left_safe,
+        require_settings,
+        without_end,
+        wrong_place,
+    )
     from hil.run_folder.notes import LONGEST_LABEL, LONGEST_NOTE, Note, add_note, labels_of, read_notes
     from hil.run_folder.output_path import require_output
     from hil.run_folder.verdict import DiagnosisVerdict, read_diagnosis_verdict, read_verdict
@@ -36,6 +43,7 @@ __all__ = [
     "add_note",
     "create_run_folder",
     "labels_of",
+    "left_safe",
     "new_manifest",
     "read_diagnosis_verdict",
     "read_notes",
@@ -43,6 +51,7 @@ __all__ = [
     "require_output",
     "require_room",
     "require_settings",
+    "without_end",
     "wrong_place",
 ]
 
@@ -60,7 +69,9 @@ __getattr__, __dir__ = lazy_names(
         "manifest_check": (
             "DocumentShape",
             "Labels",
+            "left_safe",
             "require_settings",
+            "without_end",
             "wrong_place",
         ),
         "notes": (

@@ -43,8 +43,10 @@ def record_of(target: Path) -> Path:
     folder = RunFolder(target)
     if not folder.record.is_file():
         if folder.was_cut:
+            name = shlex.quote(str(target))
             raise SubjectError(
-                f"{target} was interrupted and has no record yet; `hil resume {shlex.quote(str(target))}` continues it"
+                f"{target} was interrupted and has no record yet; `hil report {name}` makes one without heating "
+                f"anything, `hil resume {name}` continues the run"
             )
         _make_record(folder)
     return folder.record
