@@ -187,7 +187,7 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     _require_one_table(delimiter, lines, line)
     _require_no_factors(table[: first + MOST_BELOW], line, first_row=table[first][0].number)
     left_out = [str(one.number) for one in lines if one.number < table[first][0].number and one.number != line.number]
-    over = [(one, row) for one, row in above[:heading] if len(_known_units(row, names)) > sum(map(bool, row)) / 2]
+    over = [(one, row) for one, row in above[:heading] if len(known_units(row, names)) > sum(map(bool, row)) / 2]
     units_line, units = next(
         ((one.number, found) for one, row in (*below, *over) if (found := _units(row, names))), (0, {})
     )
@@ -209,7 +209,7 @@ def _told_apart(names: list[str], over: Sequence[Sequence[str]]) -> list[str]:
     shared = [place for place, name in enumerate(names) if names.count(name) > 1 and name and not is_time_name(name)]
     for row in reversed(over):
         cells = [row[place] for place in shared]
-        known = sum(place in shared for place in _known_units(row, names))
+        known = sum(place in shared for place in known_units(row, names))
         if all(cells) and len(set(cells)) == len(cells) > 1 and known < len(cells) and not any(map(is_value, cells)):
             return [row[place] if place in shared else name for place, name in enumerate(names)]
     return names
@@ -327,7 +327,7 @@ def _heading(above: Sequence[tuple[Line, list[str]]]) -> int:
     named = [i for i, (_, row) in enumerate(above) if any(is_time_name(cell) for cell in row)]
     for i in named:
         row = above[i][1]
-        if i == named[-1] or 2 * len(_known_units(row, row)) < sum(map(bool, row)):
+        if i == named[-1] or 2 * len(known_units(row, row)) < sum(map(bool, row)):
             return i
     for i, (_, row) in enumerate(above):
         if all(row) and len(set(row)) == len(row):
@@ -341,13 +341,14 @@ def _units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
     Cells that are no known units are among them where at least as many are.
     """
     there = {place: cell for place, cell in enumerate(row) if cell.lower() not in (*MISSING, "1")}
-    known = _known_units(row, names)
+    known = known_units(row, names)
     if not known or 2 * len(known) < len(there):
         return known
     return {place: cell for place, cell in there.items() if place in known or cell != names[place]}
 
 
-def _known_units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
+def known_units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
+    """Return the cells of a line that are known units, by column."""
     return {place: cell for place, cell in enumerate(row) if cell and _is_unit(cell, names[place])}
 
 

@@ -12,6 +12,7 @@ from hil.record.csv_file.annotated import is_annotated, read_annotated
 from hil.record.csv_file.dialect import BLANKS, Dialect, DialectError, find_dialect, heading_cells, is_value, split
 from hil.record.csv_file.encodings import unwrapped
 from hil.record.csv_file.labview import is_labview, read_labview
+from hil.record.csv_file.lines_among_rows import heading_lines, is_other_line, without_other_lines
 from hil.record.csv_file.repeated_headings import by_later_headings
 from hil.record.csv_file.units_line import named_columns
 from hil.record.raw import RawRecord, RecordError, unique
@@ -61,7 +62,13 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
     messages += named.messages
     names, repeated = unique(named.names)
     messages += repeated
-    table, skipped = _table(path, content, names, delimiter, encoding, dialect.rows_from)
+    table, left_out = _table(path, content, names, delimiter, encoding, dialect.rows_from)
+    all_skipped = tuple(line for line, _ in left_out)
+    first = RawRecord(
+        path, digest, names, tuple(table.columns), header_line=dialect.rows_from, skipped_lines=all_skipped
+    )
+    headings = heading_lines(first, dialect.names) if left_out else []
+    skipped = [(line, row_text) for line, row_text in left_out if not is_other_line(line, row_text, headings)]
     if skipped:
         _require_no_heading(path, skipped, dialect)
         line, row_text = skipped[0]
@@ -86,10 +93,10 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         units=named.units,
         conversions=named.conversions,
         header_line=dialect.rows_from,
-        skipped_lines=tuple(line for line, _ in skipped),
+        skipped_lines=all_skipped,
         delimiter=delimiter,
     )
-    return by_later_headings(raw, dialect.names[: len(names)])
+    return without_other_lines(by_later_headings(raw, dialect.names[: len(names)]), dialect, left_out)
 
 
 def _require_no_heading(path: Path, skipped: list[tuple[int, str]], dialect: Dialect) -> None:

@@ -11,7 +11,13 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.record.units.cells import without_cell_units
-    from hil.record.units.headings import fahrenheit_hint, name_and_unit, suffixed, with_heading_units
+    from hil.record.units.headings import (
+        fahrenheit_hint,
+        name_and_unit,
+        scaled_heading,
+        suffixed,
+        with_heading_units,
+    )
     from hil.record.units.meanings import conversion, has_open_factor, meaning_of, unit_of
     from hil.record.units.unit_columns import row_units, unit_name, with_unit_columns
 
@@ -22,6 +28,7 @@ __all__ = [
     "meaning_of",
     "name_and_unit",
     "row_units",
+    "scaled_heading",
     "suffixed",
     "unit_name",
     "unit_of",
@@ -37,6 +44,7 @@ __getattr__, __dir__ = lazy_names(
         "headings": (
             "fahrenheit_hint",
             "name_and_unit",
+            "scaled_heading",
             "suffixed",
             "with_heading_units",
         ),

@@ -34,7 +34,7 @@ def name_and_unit(heading: str) -> tuple[str, str] | None:
     return None
 
 
-def _scaled(heading: str) -> tuple[str, str, float] | None:
+def scaled_heading(heading: str) -> tuple[str, str, float] | None:
     """Return name, unit and factor of a heading that gives a multiple of a unit, as `Tank [0.1 °C]`; else None."""
     for name, symbol in _name_and_symbol(heading):
         found = meaning_of(symbol)
@@ -97,7 +97,7 @@ def with_heading_units(raw: RawRecord) -> RawRecord:
         if names_factor(heading) and split_column(heading) is not None:
             hints.append(f"column '{heading}' has a factor in its name: its numbers are kept as they are")
         found, factor = name_and_unit(heading), 1.0
-        if found is None and (scaled := _scaled(heading)) is not None:
+        if found is None and (scaled := scaled_heading(heading)) is not None:
             found, factor = scaled[:2], scaled[2]
         if found is None or (found[1] in SECONDS_PER and factor == 1.0):
             continue
