@@ -10,6 +10,7 @@ such columns only for signals that were ever not good.
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 from collections import defaultdict
 from collections.abc import Mapping
@@ -24,12 +25,13 @@ from drivers.signals import Quality, column_name, split_column
 from hil.files import replacing
 from hil.journal import ExportedRecord, export_record
 from hil.profile import WRITTEN_UNITS
+from hil.record.clock_jumps import clock_questions, without_jumps
 from hil.record.file import read_raw
 from hil.record.order import describe_steps, order
 from hil.record.plausibility import SENTINELS, without_implausible
 from hil.record.rated_columns import QUALITY, find_ratings
 from hil.record.raw import RawRecord, ReadingOptions, RecordError
-from hil.record.times import numbered, read_time, span
+from hil.record.times import TimeAxis, numbered, read_time, span
 from hil.record.units import without_cell_units
 from hil.record.values import (
     LOST,
@@ -134,6 +136,10 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
         raise RecordError(f"{path}: {error}") from error
     axis = numbered(raw) if at_rest else read_time(raw, signs, choice)
     messages += axis.messages
+    if not at_rest:
+        near, said = without_jumps(raw, axis)
+        axis = _restarted(axis, near)
+        messages += [*said, *clock_questions(axis, near, choice.time_scale)]
     rows, moved = order(raw, axis, signs)
     messages += moved
     stamps = axis.seconds[rows]
@@ -183,6 +189,15 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
     messages += remarks(columns)
     messages += _describe_missing(time_s, columns, quality)
     return Record(time_s, columns, tuple(messages), path, raw.sha256, quality, axis.start, raw.metadata or {})
+
+
+def _restarted(axis: TimeAxis, seconds: NDArray[np.float64]) -> TimeAxis:
+    """Return the axis with `seconds (n,)`, which lack some of its rows; dated times begin at the first that is left."""
+    if axis.start is None or not np.isfinite(seconds).any():
+        return dataclasses.replace(axis, seconds=seconds)
+    first = float(np.nanmin(seconds))
+    start = axis.start + datetime.timedelta(seconds=first)
+    return dataclasses.replace(axis, seconds=seconds - first, start=start)
 
 
 def _numbers(name: str, cells: Any, sign: Sign, raw: RawRecord, messages: list[str]) -> NDArray[np.float64] | None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hil.record.raw import RawRecord, ReadingOptions, RecordError
-from hil.record.times.counts import find_counts, names_count
+from hil.record.times.counts import find_counts, names_count, names_subseconds
 from hil.record.times.digits import may_be_clock, may_be_dates
 from hil.record.times.names import SECONDS_PER, is_time_name, names_days, names_unit, seconds_per_unit
 from hil.record.times.numbers import day_count
@@ -57,6 +57,13 @@ def find_columns(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions)
             return _with_partner(raw, name, signs)
     place = f" line {raw.header_line}" if raw.header_line else ""
     nameless = ", where the first column has no name" if raw.names[0] == "column_1" else ""
+    counted = next((name for name in raw.names if names_subseconds(name)), None)
+    if counted is not None:
+        name, seconds = counted, names_subseconds(counted)
+        raise RecordError(
+            f"{raw.path}{place} has no column time_s; where '{name}' counts the time from the beginning, give "
+            f"--time-column {name} --time-scale {seconds:g}"
+        )
     raise RecordError(
         f"{raw.path}{place} has no column time_s (it has {_shown(raw)}{nameless}); name the column of sample times "
         "time_s, in seconds, or give --time-column; where each row is a steady state, give --at-rest to hil diagnose"
