@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.files import require_columns
 from hil.record.csv_file.annotated import is_annotated, read_annotated
+from hil.record.csv_file.cut_end import ends_cut
 from hil.record.csv_file.dialect import BLANKS, Dialect, DialectError, find_dialect, heading_cells, is_value, split
 from hil.record.csv_file.encodings import unwrapped
 from hil.record.csv_file.labview import is_labview, read_labview
@@ -84,6 +85,10 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         messages.append(f"{what} not the {len(names)} fields of the header ({where}): dropped")
     names, table = _without_empty_end(dialect.names, names, table)
     _require_closed_quotes(path, content, table, dialect)
+    last_is_left_out = bool(left_out) and text.rstrip("\r\n ").endswith(left_out[-1][1])
+    if not text.endswith(("\n", "\r")) and not last_is_left_out:
+        table, said = _without_cut_end(table, names[-1], text.count("\n") + 1)
+        messages += said
     raw = RawRecord(
         path,
         digest,
@@ -132,6 +137,18 @@ def _without_empty_end(
     if written[-1] or len(names) < 2 or table.column(len(names) - 1).null_count < table.num_rows:
         return names, table
     return names[:-1], table.select(range(len(names) - 1))
+
+
+def _without_cut_end(table: pa.Table, last: str, line: int) -> tuple[pa.Table, list[str]]:
+    """Return the table without a last row whose last number was cut off, and a message; `last` names its column."""
+    if not table.num_rows or not (found := ends_cut(table.column(table.num_columns - 1))):
+        return table, []
+    cell = f"the last number, '{table.column(table.num_columns - 1)[-1].as_py()}' of {last} (line {line}), has"
+    if found == "doubtful":
+        return table, [f"{cell} fewer digits than all others and no line end after it: is the file cut off there?"]
+    return table.slice(0, table.num_rows - 1), [
+        f"{cell} fewer digits than its column and no line end after it: the file is cut off there, and the line dropped"
+    ]
 
 
 def _require_closed_quotes(path: Path, content: bytes, table: pa.Table, dialect: Dialect) -> None:
