@@ -38,12 +38,15 @@ from hil.record.values import (
     DecimalSignError,
     Numbers,
     Sign,
+    UnitQuestion,
     decimal_signs,
     is_difference,
     may_be_lost,
     of_a_room,
     parse,
     remarks,
+    standing_still,
+    unit_jumps,
 )
 from twin import column_hint
 
@@ -187,6 +190,8 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
     if unmarked:
         messages.append(f"no unit suffix: {', '.join(unmarked)} (kept as they are)")
     messages += remarks(columns)
+    if not at_rest:
+        messages += [*standing_still(time_s, columns), *unit_jumps(time_s, columns)]
     messages += _describe_missing(time_s, columns, quality)
     return Record(time_s, columns, tuple(messages), path, raw.sha256, quality, axis.start, raw.metadata or {})
 
@@ -296,15 +301,15 @@ def _asked(name: str, written: str, values: NDArray[np.float64]) -> list[str]:
     """
     if not np.isfinite(values).any() or split_column(name) is None:
         return []
-    said = []
+    said: list[str] = []
     middle = float(np.nanmedian(values))
     if _standard_unit(name) == "degC":
         if LIQUID_K[0] <= np.nanmin(values) and np.nanmax(values) <= LIQUID_K[1]:
-            said.append(f"{name} has a median of {middle:.4g}: is it in kelvin?")
+            said.append(UnitQuestion(f"{name} has a median of {middle:.4g}: is it in kelvin?"))
         elif (split_column(written) or ("", ""))[1] == "K" and middle < COLDEST_C:
-            said.append(f"{name} has a median of {middle:.4g}: was it in degC before?")
+            said.append(UnitQuestion(f"{name} has a median of {middle:.4g}: was it in degC before?"))
         elif middle > HOTTEST_ROOM_C and of_a_room(name):
-            said.append(f"{name} has a median of {middle:.4g}: is it in degrees Fahrenheit?")
+            said.append(UnitQuestion(f"{name} has a median of {middle:.4g}: is it in degrees Fahrenheit?"))
     if name.startswith("T_") and name.endswith("_C") and len(values) > 100 and np.ptp(values) == 0:
         told = f"is constant at {values[0]:g} degC: assumed, or" if of_a_room(name) else f"is {values[0]:g} throughout:"
         said.append(f"{name} {told} is the channel dead?")
