@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import re
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -46,6 +47,7 @@ from hil.record.values import (
     parse,
     remarks,
     standing_still,
+    trimmed,
     unit_jumps,
 )
 from twin import column_hint
@@ -159,6 +161,7 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
     messages += [] if at_rest else describe_steps(time_s)
     columns: dict[str, NDArray[np.float64]] = {}
     quality: dict[str, NDArray[np.uint8]] = {}
+    remedy = _remedy_of_repeats(raw, axis) if repeats else ""
     unmarked: list[str] = []
     rated = find_ratings(raw, axis.columns, signs)
     messages += rated.messages
@@ -171,7 +174,7 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
         if values is None:
             continue
         if is_quality:
-            values = _last_known(written, values[rows], last_of_stamp, path, messages) if repeats else values[rows]
+            values = _last_known(written, values[rows], last_of_stamp, path, remedy) if repeats else values[rows]
             quality[name.removesuffix(QUALITY)] = np.clip(np.nan_to_num(values, nan=0.0), 0, 255).astype(np.uint8)
             continue
         numbers = rated.applied(name, values, raw, messages)
@@ -179,7 +182,7 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
         values = without_implausible(name, values, raw.place, messages, raw.plausible.get(written), numbers)
         values = values[rows]
         if repeats:
-            values = _last_known(written, values, last_of_stamp, path, messages)
+            values = _last_known(written, values, last_of_stamp, path, remedy)
         messages += _asked(name, written, values)
         columns[name] = values
         if (reasons := rated.reasons(written)) is not None:
@@ -246,8 +249,21 @@ def _is_text(name: str, numbers: Numbers) -> bool:
     return words >= 1.0 - LOST or (words > 0.5 and split_column(name) is None)
 
 
+def _remedy_of_repeats(raw: RawRecord, axis: TimeAxis) -> str:
+    """Return what to do about rows with one time: numbers may have too few digits, other times lack their seconds."""
+    text = trimmed(raw.cells[raw.names.index(axis.columns[0])]) if len(axis.columns) == 1 else None
+    first = next((cell for cell in text.to_pylist() if cell), "") if text is not None else ""
+    if re.fullmatch(r"[+-]?\d+[.,]?\d*[eE][+-]?\d+", first):
+        return f"'{first}' has too few digits for the times of the rows: write all digits, without an exponent"
+    if re.fullmatch(r"[+-]?\d+[.,]\d+", first):
+        return f"'{first}' has too few digits for the times of the rows: write more decimals, or seconds"
+    return (
+        "write times with fractions of a second or with their date, and if these are two records in one file, split it"
+    )
+
+
 def _last_known(
-    name: str, values: NDArray[np.float64], last_of_stamp: NDArray[np.int64], path: Path, messages: list[str]
+    name: str, values: NDArray[np.float64], last_of_stamp: NDArray[np.int64], path: Path, remedy: str
 ) -> NDArray[np.float64]:
     """Return the last known value (k,) of each stamp; raise RecordError if too many others would be lost."""
     known = np.where(np.isnan(values), -1, np.arange(len(values)))
@@ -260,8 +276,7 @@ def _last_known(
     present = int(np.isfinite(values).sum())
     if lost > may_be_lost(present):
         raise RecordError(
-            f"{path}: {lost} of {present} values of column '{name}' stand at a time that another row has too; write "
-            "times with fractions of a second or with their date, and if these are two records in one file, split it"
+            f"{path}: {lost} of {present} values of column '{name}' stand at a time that another row has too; {remedy}"
         )
     return kept
 

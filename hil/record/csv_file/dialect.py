@@ -43,6 +43,8 @@ _FACTORS = (
 )
 """First cells of a line, lower case, that gives a factor for each column."""
 _FACTOR = re.compile(r"[x×*]\s?\d+(?:[.,]\d+)?|\d+(?:[.,]\d+)?\s?[x×*]")
+_CHANNEL = re.compile(r"(?:ch|channel|kanal|ai|an|tc|in)[ _.-]?\d+", re.IGNORECASE)
+"""Number of a channel, for which a line below may give the tag."""
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?[,;\t|"]*', re.IGNORECASE)
 _MOMENT = re.compile(r"\d{1,4}([-./])\d{1,2}\1\d{1,4}([ T].*)?|\d{1,2}:\d{2}(:\d{2})?.*|\d{4}-\d{2}-\d{2}T.*", re.ASCII)
 
@@ -193,11 +195,16 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     )
     if own_units:
         units_line, units = line.number, own_units
-    said: tuple[str, ...] = ()
+    names, tags = _tagged(names, [(one.number, row) for one, row in below if one.number != units_line])
+    said: tuple[str, ...] = () if not tags else (f"line {tags} names the channels",)
+    left_out = [number for number in left_out if number != str(tags)]
     if left_out:
         which = "line" if len(left_out) == 1 else "lines"
         told = f", and a line {'below' if below else 'above'} it gives units" if units else ""
-        said = (f"line {line.number} is taken for the heading{told}; {which} {', '.join(left_out)} left out",)
+        said = (
+            *said,
+            f"line {line.number} is taken for the heading{told}; {which} {', '.join(left_out)} left out",
+        )
     return Dialect(delimiter, tuple(names), line.number, max(above[-1][0].number, line.number), units, units_line, said)
 
 
@@ -230,6 +237,21 @@ def _named_above(names: list[str], over: Sequence[Sequence[str]]) -> tuple[list[
         ):
             return [row[place] if place in units else name for place, name in enumerate(names)], units
     return names, {}
+
+
+def _tagged(names: list[str], below: Sequence[tuple[int, Sequence[str]]]) -> tuple[list[str], int]:
+    """Return the names with those of a line of tags below them in place of the numbers of channels.
+
+    The second result is the number of that line, 0 where there is none.
+    """
+    channels = [place for place, name in enumerate(names) if _CHANNEL.fullmatch(name)]
+    for number, row in below:
+        tags = {place: row[place] for place in channels if row[place]}
+        apart = len(set(tags.values())) == len(tags) == sum(map(bool, row))
+        known = any(meaning_of(tag) is not None for tag in tags.values())
+        if tags and apart and not known and not any(map(is_value, tags.values())):
+            return [tags.get(place, name) for place, name in enumerate(names)], number
+    return names, 0
 
 
 def _may_be_time(name: str) -> bool:

@@ -13,6 +13,7 @@ from hil.record.times.names import SECONDS_PER, is_time_name, names_days, names_
 from hil.record.times.numbers import day_count
 from hil.record.times.parts import find_parts
 from hil.record.times.text import is_date, is_moment, is_time_of_day
+from hil.record.times.zones import zone_of
 from hil.record.values import Sign, parse, trimmed
 
 _SAMPLE = 9
@@ -49,7 +50,7 @@ def find_columns(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions)
         return tuple(parts.values())
     for name in raw.names:
         if is_time_name(name):
-            return _with_partner(raw, name, signs)
+            return _with_partner(raw, _in_utc(raw, name), signs)
     import pyarrow as pa
 
     for name, cells in zip(raw.names, raw.cells, strict=True):
@@ -68,6 +69,19 @@ def find_columns(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions)
         f"{raw.path}{place} has no column time_s (it has {_shown(raw)}{nameless}); name the column of sample times "
         "time_s, in seconds, or give --time-column; where each row is a steady state, give --at-rest to hil diagnose"
     )
+
+
+def _in_utc(raw: RawRecord, name: str) -> str:
+    """Return the column of dates and times whose name has a time zone, where that of the column `name` has none."""
+    cells = dict(zip(raw.names, raw.cells, strict=True))
+    if zone_of(name) is not None or not _holds_moments(cells[name]):
+        return name
+    zoned = (one for one in raw.names if is_time_name(one) and zone_of(one) is not None and _holds_moments(cells[one]))
+    return next(zoned, name)
+
+
+def _holds_moments(cells: Any) -> bool:
+    return all_cells(cells, is_moment) and not all_cells(cells, is_date)
 
 
 def _shown(raw: RawRecord) -> str:

@@ -18,10 +18,11 @@ if TYPE_CHECKING:
         suffixed,
         with_heading_units,
     )
-    from hil.record.units.meanings import conversion, has_open_factor, meaning_of, unit_of
+    from hil.record.units.meanings import broken_sign, conversion, has_open_factor, meaning_of, unit_of
     from hil.record.units.unit_columns import row_units, unit_name, with_unit_columns
 
 __all__ = [
+    "broken_sign",
     "conversion",
     "fahrenheit_hint",
     "has_open_factor",
@@ -48,7 +49,7 @@ __getattr__, __dir__ = lazy_names(
             "suffixed",
             "with_heading_units",
         ),
-        "meanings": ("conversion", "has_open_factor", "meaning_of", "unit_of"),
+        "meanings": ("broken_sign", "conversion", "has_open_factor", "meaning_of", "unit_of"),
         "unit_columns": ("row_units", "unit_name", "with_unit_columns"),
     },
 )

@@ -26,9 +26,10 @@ if TYPE_CHECKING:
     )
     from hil.record.values.question import UnitQuestion
     from hil.record.values.steady import standing_still, unit_jumps
-    from hil.record.values.units import beyond_declared, is_difference, of_a_room, remarks
+    from hil.record.values.units import COLDEST_K, beyond_declared, is_difference, of_a_room, remarks
 
 __all__ = [
+    "COLDEST_K",
     "LOST",
     "MARKS",
     "MISSING",
@@ -70,6 +71,7 @@ __getattr__, __dir__ = lazy_names(
         "question": ("UnitQuestion",),
         "steady": ("standing_still", "unit_jumps"),
         "units": (
+            "COLDEST_K",
             "beyond_declared",
             "is_difference",
             "of_a_room",
