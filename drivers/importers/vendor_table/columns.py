@@ -108,8 +108,8 @@ def columns_of(path: Path, line: int, head: Sequence[str], rows: Rows) -> Vendor
     _settle_devices(path, line, found, weak, rows)
     if not any(key.startswith("raw_") for key in found.at) and "range" in found.at:
         # Each line is checked by it: it may be a raw range, or give the values of its ends.
-        if not any(pair_in(_cell(row, found.at["range"])) for _, row in rows):
-            found.unused.append(found.called["range"])
+        gives_scale = any(pair_in(_cell(row, found.at["range"])) for _, row in rows)
+        found.unused += [] if gives_scale else [found.called["range"]]
     return found
 
 
