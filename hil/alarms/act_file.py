@@ -5,21 +5,18 @@ A run that goes on is not disturbed, and what an operator has done outlives a cr
 
 from __future__ import annotations
 
-import json
 import math
 from typing import Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from hil.alarms.alarm_list import LATEST_S, LONGEST_SHELVING_S, Act
 from hil.alarms.errors import AlarmError
-from hil.files import append_line, plain, read_lines
-from hil.run_folder import DocumentShape, RunFolder, wrong_place
+from hil.files import plain
+from hil.run_folder import DocumentShape, RunFolder, append_json_line, read_json_lines
 
 LONGEST_REASON = 500
 """Most characters of a reason, and of the name of an operator."""
-MOST_BYTES = 8 * 10**6
-"""Most bytes of the file: some forty thousand acts."""
 
 
 class _Line(DocumentShape):
@@ -47,10 +44,7 @@ def append_act(folder: RunFolder, act: Act) -> None:
         "until_s": act.until_s if math.isfinite(act.until_s) else None,
         "seen": act.seen,
     }
-    try:
-        append_line(folder.alarms, json.dumps(line))
-    except OSError as error:
-        raise AlarmError(f"{folder.alarms} cannot be written ({error.strerror}); make room or writable") from None
+    append_json_line(folder.alarms, line, AlarmError)
 
 
 def read_acts(folder: RunFolder) -> list[Act]:
@@ -61,20 +55,8 @@ def read_acts(folder: RunFolder) -> list[Act]:
     AlarmError
         A line is damaged; the message names it.
     """
-    try:
-        lines = read_lines(folder.alarms, MOST_BYTES)
-    except OSError as error:
-        raise AlarmError(f"{folder.alarms} cannot be read ({error.strerror}); take it away") from None
     found = []
-    for number, line in lines:
-        place = f"{folder.alarms}, line {number}"
-        try:
-            read = _Line.model_validate(json.loads(line))
-        except ValidationError as error:
-            raise AlarmError(f"{place} is no act on an alarm: {wrong_place(error)}; take the line out") from None
-        except (ValueError, RecursionError) as error:
-            why = plain(str(error), 100)
-            raise AlarmError(f"{place} is no act on an alarm ({why}); take the line out") from None
+    for place, read in read_json_lines(folder.alarms, _Line, "no act on an alarm", AlarmError):
         until_s = math.nan if read.until_s is None else read.until_s
         if read.act == "shelve" and read.until_s is None:
             raise AlarmError(f"{place} shelves an alarm without an end; take the line out")

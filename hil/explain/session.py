@@ -29,8 +29,8 @@ from hil.explain.explanation import (
 )
 from hil.explain.page import write_page
 from hil.record import ReadingOptions, read_record
-from hil.run.session import RunRequest, RunResult, check_session
-from hil.run_folder import RunFolder
+from hil.run.session import RunRequest, RunResult, check_session, current_record
+from hil.run_folder import RunFolder, RunFolderError
 from twin.discovery import Diagnosis
 
 
@@ -210,11 +210,10 @@ def _experiment(request: ExplainRequest, state: Explanation, operator: Operator)
 
 def _record_of(state: Explanation, run: RunFolder) -> Path | Explanation:
     """Return the record of a finished run, or the explanation with the reason for none."""
-    if run.record.is_file():
-        return run.record
-    return state.ended(
-        "stopped", f"{run.path} has no record.parquet yet; `hil report {shlex.quote(str(run.path))}` makes it"
-    )
+    try:
+        return current_record(run, lambda text: None)
+    except RunFolderError as error:
+        return state.ended("stopped", str(error))
 
 
 def _diagnosed(

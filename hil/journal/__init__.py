@@ -11,7 +11,14 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.journal.check import require_alone
-    from hil.journal.export import ExportedRecord, all_samples, export_record, record_sha256, samples_sha256
+    from hil.journal.export import (
+        ExportedRecord,
+        all_samples,
+        export_record,
+        record_sha256,
+        recorded_rows,
+        samples_sha256,
+    )
     from hil.journal.profile_clock import profile_times
     from hil.journal.reader import JournalReader
     from hil.journal.rows import (
@@ -72,6 +79,7 @@ __all__ = [
     "next_state",
     "profile_times",
     "record_sha256",
+    "recorded_rows",
     "require_alone",
     "samples_sha256",
 ]
@@ -85,6 +93,7 @@ __getattr__, __dir__ = lazy_names(
             "all_samples",
             "export_record",
             "record_sha256",
+            "recorded_rows",
             "samples_sha256",
         ),
         "profile_clock": ("profile_times",),

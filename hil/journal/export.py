@@ -111,6 +111,19 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
     )
 
 
+def recorded_rows(record: Path) -> int | None:
+    """Return the number of rows of a record that `export_record` wrote; None for a file of another origin."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        with record.open("rb") as file:
+            about = pq.ParquetFile(file)
+            return int(about.metadata.num_rows) if b"hil" in (about.schema_arrow.metadata or {}) else None
+    except (OSError, pa.ArrowException):
+        return None
+
+
 def all_samples(
     reader: JournalReader,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.uint8]]:

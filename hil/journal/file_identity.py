@@ -42,6 +42,7 @@ class FileIdentity:
         """Sentence about an overwritten file, which must not be written any more; None while it is whole."""
         self._last: int | None = None
         self._mark = self._header_mark()
+        self._stated: dict[str, _File] = {}
         self.recount()
         self._commits = self._foreign_commits()
 
@@ -49,12 +50,12 @@ class FileIdentity:
         """Store the state of the files after a write of this process, and the `ticks` of the samples in it."""
         self._rows += len(ticks)
         self._last = ticks[-1] if ticks else self._last
-        self._stated = self._state()
+        self._stated = self._kept()
 
     def recount(self) -> None:
         """Store the state of the files and count the samples, after a write in which some rows could not be stored."""
         self._rows = self._count(self._database)
-        self._stated = self._state()
+        self._stated = self._kept()
 
     def replaced(self) -> str | None:
         """Return why the journal is not the file of this process any more; None while it is."""
@@ -97,6 +98,17 @@ class FileIdentity:
                 changes = (0, 0) if name == "-shm" else (status.st_size, status.st_mtime_ns)
                 found[name] = (status.st_dev, status.st_ino, *changes)
         return found
+
+    def _kept(self) -> dict[str, _File]:
+        """Return the present state, but of what went or was replaced since the last write the state before.
+
+        That may happen in the midst of a write, which does not notice. The next check has to.
+        """
+        state = self._state()
+        for name, before in self._stated.items():
+            if name not in state or state[name][:2] != before[:2]:
+                state[name] = before
+        return state
 
     def _foreign_commits(self) -> int:
         """Return SQLite's count of commits that other connections made."""

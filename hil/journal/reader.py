@@ -213,6 +213,10 @@ class JournalReader:
         row = self._database.execute("SELECT tick, wall_s FROM samples ORDER BY tick DESC LIMIT 1").fetchone()
         return (-1, math.nan) if row is None else (int(row[0]), require_time(float(row[1])))
 
+    def sample_count(self) -> int:
+        """Return the number of recorded ticks."""
+        return int(self._database.execute("SELECT count(*) FROM samples").fetchone()[0])
+
     def start_wall_s(self) -> float:
         """Return the wall time at which rig time began by the first recorded tick, s since 1970; NaN for none."""
         row = self._database.execute("SELECT wall_s - time_s FROM samples ORDER BY tick LIMIT 1").fetchone()

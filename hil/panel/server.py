@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib.util
 import ipaddress
 import logging
@@ -12,6 +13,7 @@ import ssl
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from hil.panel.errors import PanelError
 
@@ -21,6 +23,19 @@ MOST_CONNECTIONS = 256
 SEND_BUFFER = 65_536
 """Bytes that the kernel keeps for a viewer: some ten states. It grows to megabytes by itself, and would hide for many
 minutes that a viewer stalls."""
+
+HANDSHAKE_S = 5.0
+"""Longest time for a TLS handshake, and for its end, s: two round trips of 0.6 s by satellite, and the first two
+repetitions of a lost packet (1 s and 2 s, RFC 6298). asyncio alone would keep a silent connection for 60 s."""
+
+
+class _Loop(asyncio.SelectorEventLoop):
+    """Event loop whose servers end a TLS handshake that is not complete in time: uvicorn has no option for it."""
+
+    async def create_server(self, *arguments: Any, **options: Any) -> asyncio.Server:
+        if options.get("ssl") is not None:
+            options |= {"ssl_handshake_timeout": HANDSHAKE_S, "ssl_shutdown_timeout": HANDSHAKE_S}
+        return await super().create_server(*arguments, **options)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +102,8 @@ def serve(folder: Path, options: ServeOptions, announce: Callable[[str], None]) 
         logging.getLogger("uvicorn.error").addFilter(_is_a_defect)
         scheme = "http" if options.certificate is None else "https"
         announce(f"{scheme}://{access.names[0]}:{port}/?token={access.token}")
-        uvicorn.Server(config).run(sockets=[listener])
+        with asyncio.Runner(loop_factory=_Loop) as runner:
+            runner.run(uvicorn.Server(config).serve(sockets=[listener]))
     finally:
         listener.close()
 

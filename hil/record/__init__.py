@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.record.csv_file import DialectError, beginning_of, find_dialect, is_annotated, is_labview
+    from hil.record.csv_file import DialectError, beginning_of, find_dialect, is_annotated, is_labview, is_waveforms
     from hil.record.file import foreign_kind
     from hil.record.long_format import VALUES
     from hil.record.public import (
@@ -46,6 +46,7 @@ __all__ = [
     "held_steady",
     "is_annotated",
     "is_labview",
+    "is_waveforms",
     "name_and_unit",
     "read_record",
     "require_record_suffix",
@@ -59,6 +60,7 @@ __getattr__, __dir__ = lazy_names(
     {
         "csv_file.annotated": ("is_annotated",),
         "csv_file.labview": ("is_labview",),
+        "csv_file.labview_exports": ("is_waveforms",),
         "csv_file.dialect": (
             "DialectError",
             "find_dialect",

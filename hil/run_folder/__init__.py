@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         new_manifest,
         require_room,
     )
+    from hil.run_folder.json_lines import append_json_line, read_json_lines
     from hil.run_folder.manifest_check import (
         DocumentShape,
         Labels,
@@ -41,11 +42,13 @@ __all__ = [
     "RunFolder",
     "RunFolderError",
     "add_note",
+    "append_json_line",
     "create_run_folder",
     "labels_of",
     "left_safe",
     "new_manifest",
     "read_diagnosis_verdict",
+    "read_json_lines",
     "read_notes",
     "read_verdict",
     "require_output",
@@ -66,6 +69,7 @@ __getattr__, __dir__ = lazy_names(
             "new_manifest",
             "require_room",
         ),
+        "json_lines": ("append_json_line", "read_json_lines"),
         "manifest_check": (
             "DocumentShape",
             "Labels",

@@ -7,27 +7,30 @@ disturbed, and nobody's note is changed later. A line may also change labels.
 from __future__ import annotations
 
 import datetime
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import Field, ValidationError
+from pydantic import AfterValidator, Field
 
-from hil.files import append_line, is_blank, plain, read_lines
+from hil.files import is_blank, plain
 from hil.run_folder.folder import RunFolder, RunFolderError
-from hil.run_folder.manifest_check import DocumentShape, Labels, wrong_place
+from hil.run_folder.json_lines import append_json_line, read_json_lines
+from hil.run_folder.manifest_check import DocumentShape, Labels
 
 LONGEST_NOTE = 2000
 """Most characters of a note."""
 LONGEST_LABEL = 200
 """Most characters of a label, and of the name of an author."""
-MOST_NOTES = 8 * 10**6
-"""Most bytes of the file: some ten thousand notes."""
+
+
+def _iso_8601(time: str) -> str:
+    datetime.datetime.fromisoformat(time)
+    return time
 
 
 class _Line(DocumentShape):
-    time: str
+    time: Annotated[str, AfterValidator(_iso_8601)]
     by: str = ""
     text: str = ""
     labels: dict[str, str | list[str]] = Field(default_factory=dict)
@@ -71,11 +74,8 @@ def add_note(folder: RunFolder, text: str, by: str, labels: Labels | None = None
         raise RunFolderError("the note is empty; write what you saw, or give a label such as --serial")
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     note = Note(now, plain(by, LONGEST_LABEL), plain(text.strip(), LONGEST_NOTE), changed)
-    line = json.dumps({"time": note.time, "by": note.by, "text": note.text, "labels": changed})
-    try:
-        append_line(folder.notes, line)
-    except OSError as error:
-        raise RunFolderError(f"{folder.notes} cannot be written ({error.strerror}); make room or writable") from None
+    line = {"time": note.time, "by": note.by, "text": note.text, "labels": changed}
+    append_json_line(folder.notes, line, RunFolderError)
     return note
 
 
@@ -92,22 +92,8 @@ def read_notes(folder: RunFolder) -> list[Note]:
     RunFolderError
         A line is damaged; the message names it.
     """
-    try:
-        lines = read_lines(folder.notes, MOST_NOTES)
-    except OSError as error:
-        raise RunFolderError(f"{folder.notes} cannot be read ({error.strerror}); take it away") from None
-    found = []
-    for number, line in lines:
-        place = f"{folder.notes}, line {number}"
-        try:
-            read = _Line.model_validate(json.loads(line))
-            datetime.datetime.fromisoformat(read.time)
-        except ValidationError as error:
-            raise RunFolderError(f"{place} is not a note: {wrong_place(error)}; take the line out") from None
-        except (ValueError, RecursionError) as error:
-            raise RunFolderError(f"{place} is not a note ({plain(str(error), 100)}); take the line out") from None
-        found.append(Note(read.time, read.by, read.text, read.labels))
-    return found
+    lines = read_json_lines(folder.notes, _Line, "not a note", RunFolderError)
+    return [Note(line.time, line.by, line.text, line.labels) for _, line in lines]
 
 
 def labels_of(manifest: Mapping[str, Any], notes: Sequence[Note]) -> Labels:

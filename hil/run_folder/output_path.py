@@ -18,6 +18,7 @@ _OWN = (
     "report.pdf",
     "run.json",
     "alarms.jsonl",
+    "alarms-notified.json",
     "notes.jsonl",
     "verdict.json",
     "junit.xml",

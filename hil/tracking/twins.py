@@ -365,7 +365,7 @@ def disturbance(document: dict[str, Any]) -> str | None:
     if where is None or power is None:
         return None
     bounds = None if interval is None else (float(interval[0]), float(interval[1]))
-    return disturbance_statement(where, power, "W", bounds, document.get("disturbed_since_s"))
+    return disturbance_statement(str(where), power, "W", bounds, document.get("disturbed_since_s"))
 
 
 def window_kind(document: dict[str, Any]) -> str:

@@ -31,8 +31,8 @@ POINTS = (
 )
 
 
-async def used(config: ModbusBusSection, points: tuple[Point, ...] = POINTS) -> None:
-    """Our client reads, writes, reads back, and is refused what there is not."""
+async def used(config: ModbusBusSection, points: tuple[Point, ...] = POINTS) -> dict[str, float]:
+    """Our client reads, writes, reads back, and is refused what there is not; return what a second client reads."""
     bus = ModbusBus("stranger", config, points, time.monotonic)
     try:
         await bus.connect()
@@ -55,12 +55,19 @@ async def used(config: ModbusBusSection, points: tuple[Point, ...] = POINTS) -> 
             await bus.connect()
     finally:
         await bus.close()
+    bus = ModbusBus("second", config, points, time.monotonic)
+    try:
+        await bus.connect()
+        return dict(await bus.read_back(("h10", "h11")))
+    finally:
+        await bus.close()
 
 
 @pytest.mark.parametrize("stranger", ["pyModbusTCP", "libmodbus", "pymodbus"])
 async def test_our_client_on_the_server_of(stranger):
     with server(stranger) as port:
-        await used(ModbusTcpBus(transport="modbus_tcp", port=port, timeout_s=1.0))
+        held = await used(ModbusTcpBus(transport="modbus_tcp", port=port, timeout_s=1.0))
+    assert held == {"h10": 1, "h11": 65535}
 
 
 @pytest.mark.parametrize("stranger", ["pyModbusTCP", "libmodbus", "pymodbus"])
@@ -100,11 +107,10 @@ async def test_our_client_on_libmodbus_on_a_serial_line():
     ours, theirs = _null_modem()
     try:
         with python_server(LIBMODBUS, theirs.path):
-            await used(
-                ModbusRtuBus(
-                    transport="modbus_rtu", serial_port=ours.path, serial_baud=115200, parity="none", timeout_s=1.0
-                )
+            line = ModbusRtuBus(
+                transport="modbus_rtu", serial_port=ours.path, serial_baud=115200, parity="none", timeout_s=1.0
             )
+            assert await used(line) == {"h10": 1, "h11": 65535}
     finally:
         ours.close()
         theirs.close()

@@ -151,8 +151,8 @@ async def test_a_fault_never_confirms_a_write_that_is_read_back(on, fault):
 async def test_the_same_reply_twice_is_used_once_or_not_at_all(on):
     async with on() as rig:
         rig.break_by(replies.twice(random.Random(1), 0.5), any_frame=True)
-        for _ in range(8):
-            await rig.read()
+        found = {quality for _ in range(8) for quality in (await rig.read()).quality}
+        assert found <= {Quality.GOOD, Quality.LINK_FAULT}, "a reply was taken for something else"
         rig.break_by(None)
         await rig.good_again(3.0)
 
@@ -186,8 +186,9 @@ async def test_one_late_reply_never_shifts_the_next_answers(on):
 async def test_replies_that_are_late_again_and_again_are_never_wrong(on):
     async with on() as rig:
         rig.break_by(replies.late(random.Random(4), 0.3, 0.5 * TIMEOUT_S, 2.5 * TIMEOUT_S), any_frame=True)
-        for _ in range(25):
-            await rig.read()
+        found = [(await rig.read()).quality for _ in range(25)]
+        assert any(set(quality) == {Quality.GOOD} for quality in found), "no reply in time was used"
+        assert any(Quality.LINK_FAULT in quality for quality in found), "no late reply was missed"
         rig.break_by(None)
         await rig.good_again(4.0)
 
@@ -249,6 +250,7 @@ async def test_a_storm_of_faults_gives_no_wrong_value_and_nothing_foreign_is_rai
         generator = random.Random(7)
         frame_faults = [replies.wrong_function, replies.too_few_registers]
         byte_faults = [replies.swallowed, replies.cut_off, garbled, replies.twice, replies.one_behind, replies.split_up]
+        qualities: set[Quality] = set()
         for number in range(60):
             pick = generator.randrange(len(frame_faults) + len(byte_faults) + 2)
             if pick < len(frame_faults):
@@ -259,11 +261,12 @@ async def test_a_storm_of_faults_gives_no_wrong_value_and_nothing_foreign_is_rai
                 rig.break_by(replies.late(generator, 0.5, 0.02, 0.12), any_frame=True)
             else:
                 rig.link.reset()
-            await rig.read()
+            qualities |= set((await rig.read()).quality)
             if number % 10 == 0:
                 with contextlib.suppress(DriverError):
                     await rig.bus.write({"set": number, "beat": number + 1})
             await asyncio.sleep(0.005)
+        assert {Quality.GOOD, Quality.LINK_FAULT} <= qualities, "the storm spared all reads, or none"
         rig.break_by(None)
         await rig.good_again(4.0)
 
@@ -273,7 +276,7 @@ async def test_a_reply_that_comes_once_more_while_nothing_is_asked_is_not_the_ne
         await rig.good_again(2.0)
         for _ in range(5):
             rig.break_by(lambda frame: [(0.0, frame), (0.004, frame)], any_frame=True)
-            await rig.read()
+            assert set((await rig.read()).quality) == {Quality.GOOD}
             rig.break_by(None)
             await asyncio.sleep(0.02)
             await rig.read()
@@ -284,11 +287,9 @@ async def test_what_a_caller_gives_up_on_does_not_shift_what_follows(on):
     async with on() as rig:
         rig.break_by(replies.late(random.Random(1), 1.0, 0.04, 0.05), any_frame=True)
         for _ in range(3):
-            try:
+            with pytest.raises(TimeoutError):
                 async with asyncio.timeout(0.02):
                     await rig.read()
-            except TimeoutError:
-                pass
             await asyncio.sleep(0.01)
         rig.break_by(None)
         for _ in range(10):

@@ -194,11 +194,17 @@ def test_a_terminal_keeps_what_is_written_until_its_reader_stops(tmp_path, shape
 # The verdict ---------------------------------------------------------------------------------------
 
 
-def _event(*names_and_times: tuple[str, float], asked_s: float = math.inf, left_s: float | None = None) -> Any:
+def _event(
+    *names_and_times: tuple[str, float],
+    asked_s: float = math.inf,
+    left_s: float | None = None,
+    foreign_s: float = -math.inf,
+) -> Any:
     strikes = [(CHAOS_KINDS[name], at_s) for name, at_s in names_and_times]
     states = () if left_s is None else ((left_s, "running", "finishing", ""),)
     journal = judge.JournalContent(wall_s=(9.0, 12.5), states=states)
-    return verdict.event_of(strikes, SimpleNamespace(asked_s=asked_s), journal)  # type: ignore[arg-type]
+    stage = SimpleNamespace(asked_s=asked_s, foreign_s=foreign_s)
+    return verdict.event_of(strikes, stage, journal)  # type: ignore[arg-type]
 
 
 def test_the_event_is_the_attack_that_ends_the_run_or_the_signal_at_its_end():
@@ -207,6 +213,8 @@ def test_the_event_is_the_attack_that_ends_the_run_or_the_signal_at_its_end():
     assert _event(("memory gone", 10.0)) == ("either", 12.5)
     assert _event(("SIGTERM", 10.0), ("harness killed", 10.2), left_s=10.3) == ("killed", 10.0)
     assert _event(("SIGTERM", 10.0), ("harness killed", 10.4), left_s=10.1) == ("stops", 10.0)
+    assert _event(("memory gone", 10.0), foreign_s=13.0) == ("either", 13.0)
+    assert _event(("SIGTERM", 10.0), foreign_s=9.0) == ("stops", 10.0)
     assert _event(("device lies", 10.0), asked_s=14.0) == ("lies", 14.0)
     assert _event(("device lies", 10.0), asked_s=14.0, left_s=11.0) == ("lies", 11.0)
 

@@ -10,6 +10,7 @@ import time
 import pytest
 
 from drivers.signals.points import Signal
+from hil.journal.store import JournalStore
 from hil.journal.writer import Header, JournalError, JournalReader, JournalWriter
 
 HEADER = Header((Signal("T_tank", "degC"),), {}, (), "load", 10.0, 0.1, {})
@@ -118,6 +119,21 @@ def test_a_file_that_is_lost_is_noticed_within_a_second(how, path, tmp_path):
     with pytest.raises(JournalError, match="while the run goes on"):
         journal.check()
     journal.close()
+
+
+@pytest.mark.parametrize("how", ["deleted", "replaced"])
+def test_a_file_that_is_lost_in_the_midst_of_a_write_is_noticed_too(how, path):
+    store = JournalStore(path, HEADER, again=False)
+    assert store.lost() is None
+    if how == "deleted":
+        for one in path.parent.glob("journal.sqlite*"):
+            one.unlink()
+    else:
+        path.rename(path.with_name("old.sqlite"))
+        path.write_bytes(b"")
+    store.write([("sample", (0, 0.0, 0.0, 0.0, 20.0, b"\0", b"\0" * 8))])
+    assert "while the run goes on" in str(store.lost())
+    store.close(tidy=False)
 
 
 def copied_over(path, other):

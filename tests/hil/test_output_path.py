@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 
+import click
 import pytest
+from click.testing import CliRunner
 
+from hil.cli.verbs import group
 from hil.run_folder import RunFolderError, require_output
 from tests.docs.fences import PROJECT
 from tests.hil.command_line import typed
@@ -23,6 +26,7 @@ OWN = (
     "report.pdf",
     "run.json",
     "notes.jsonl",
+    "alarms-notified.json",
     "verdict.json",
     "junit.xml",
     "guardian.log",
@@ -65,6 +69,78 @@ def test_a_source_is_refused_by_each_of_its_names(tmp_path):
     for path in (source, other):
         with pytest.raises(RunFolderError, match="this command reads"):
             require_output(path, RunFolderError, [source])
+
+
+INPUTS = {"--notify-file", "--cert", "--key", "--runs"}
+"""Options of a path that need not be there, and that no command writes as a file."""
+
+
+def outputs() -> set[tuple[str, str]]:
+    """Return each option of a path that a command may write as a file, with its command."""
+    found = set()
+
+    def walk(name: str, command: click.Command) -> None:
+        if isinstance(command, click.Group):
+            for verb in command.list_commands(click.Context(command)):
+                if (member := command.get_command(click.Context(command), verb)) is not None and verb != "bench":
+                    walk(f"{name} {verb}".strip(), member)
+        for option in command.params:
+            kind = option.type
+            if isinstance(option, click.Option) and isinstance(kind, click.Path) and kind.file_okay and not kind.exists:
+                found.update((name, word) for word in option.opts if word not in INPUTS)
+
+    walk("", group)
+    return found
+
+
+def calls(run, folder):
+    """Return the words of a call for each option of `outputs`, without the option."""
+    twin, sheet = PROJECT / "profiles/twins/virtual.toml", folder / "sheet.json"
+    sheet.write_text("{}", encoding="utf-8")
+    points = ("--datasheet", sheet, "--points", sheet)
+    return {
+        ("check", "--picture"): ("check", twin),
+        ("commission", "--out"): ("commission", run.path, "--twin", twin),
+        ("compare", "--out"): ("compare", run.path, run.path),
+        ("export", "--out"): ("export", run.path, "--to", "csv", "--force"),
+        ("init", "--out"): ("init", "--force"),
+        ("review", "--screenshot"): ("review", run.path),
+        ("tower commission", "--out"): ("tower", "commission", folder, "--cell", "1", *points),
+        ("tower report", "--picture"): ("tower", "report", folder),
+        ("tower serve", "--rig"): ("tower", "serve", folder),
+        ("track", "--out"): ("track", run.path, "--twin", twin),
+    }
+
+
+def test_every_output_of_a_command_is_tested(run, tmp_path):
+    assert outputs() == set(calls(run, tmp_path))
+
+
+@pytest.mark.parametrize("name", ["new.csv", "new.svg", "new.png"])
+@pytest.mark.parametrize(("command", "option"), sorted(outputs()))
+def test_no_command_writes_among_the_results_of_a_run(run, tmp_path, command, option, name):
+    words = [str(word) for word in (*calls(run, tmp_path)[command, option], option, run.path / "diagnosis" / name)]
+    done = CliRunner().invoke(group, words)
+    suffixed = {"check": ".csv", "tower report": ".csv", "track": (".svg", ".png"), "export": (".svg", ".png")}
+    if name.endswith(suffixed.get(command, "none")):  # refused for its ending
+        assert done.exit_code != 0
+        return
+    assert "is a file of the run" in str(done.exception), (done.exception, done.output)
+    assert not list(run.diagnosis.iterdir())
+
+
+def test_a_source_of_a_tower_command_is_kept(tmp_path):
+    for name in ("tags.csv", "labels.csv", "report.png"):
+        (tmp_path / name).write_text("kept", encoding="utf-8")
+    labels = tmp_path / "labels.csv"
+    for words in (
+        ("tower", "serve", tmp_path, "--rig", tmp_path / "tags.csv"),
+        ("tower", "report", tmp_path, "--picture", tmp_path / "report.png"),
+        ("tower", "commission", tmp_path, "--cell", "1", "--datasheet", labels, "--points", labels, "--out", labels),
+    ):
+        done = CliRunner().invoke(group, [str(word) for word in words])
+        assert "is a file that this command reads" in str(done.exception), (done.exception, done.output)
+    assert {path.read_text(encoding="utf-8") for path in tmp_path.iterdir()} == {"kept"}
 
 
 def test_pictures_and_predictions_replace_no_file_of_a_run(run):

@@ -383,16 +383,9 @@ def test_a_port_in_use_and_what_is_no_folder_are_refused(run, tmp_path):
     assert "is no folder" in typed("serve", tmp_path / "none").stderr
 
 
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="certificates are made by openssl")
-def test_other_machines_get_in_by_tls_with_the_token_alone(run, tmp_path, monkeypatch):
-    certificate, key, _ = make_certificates(tmp_path).rig
-    with pytest.raises(PanelError, match="are no certificate and its key"):
-        serve(run.path, ServeOptions(certificate=certificate, key=certificate), print)
-    locked = tmp_path / "locked.key"
-    command = ["openssl", "pkey", "-in", str(key), "-aes256", "-passout", "pass:x", "-out", str(locked)]
-    subprocess.run(command, check=True, capture_output=True)
-    with pytest.raises(PanelError, match=r"locked.key has a passphrase"):
-        serve(run.path, ServeOptions(certificate=certificate, key=locked), print)
+@contextmanager
+def served_by_tls(folder: Path, certificate: Path, key: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """Serve a panel with a certificate in a thread, and yield its address."""
     said: list[str] = []
     servers: list[uvicorn.Server] = []
     original = uvicorn.Server.__init__
@@ -403,23 +396,58 @@ def test_other_machines_get_in_by_tls_with_the_token_alone(run, tmp_path, monkey
 
     monkeypatch.setattr(uvicorn.Server, "__init__", kept)
     options = ServeOptions("0.0.0.0", 0, certificate, key, ("127.0.0.1",))
-    thread = threading.Thread(target=serve, args=(run.path, options, said.append), daemon=True)
+    thread = threading.Thread(target=serve, args=(folder, options, said.append), daemon=True)
     thread.start()
     deadline = time.monotonic() + 15
     while not (said and servers and servers[0].started):
         assert time.monotonic() < deadline
         time.sleep(0.02)
     try:
-        with httpx.Client(verify=False, trust_env=False) as client:
-            base, _, token = said[0].partition("/?token=")
-            assert base.startswith("https://127.0.0.1:") and len(token) > 40
-            assert client.get(f"{base}/api/runs").status_code == 403
-            entered = client.get(said[0])
-            assert entered.status_code == 303 and entered.headers["set-cookie"].endswith("; Secure")
-            assert client.get(f"{base}/api/runs").json()["runs"][0]["name"] == run.path.name
+        yield said[0]
     finally:
         servers[0].should_exit = True
         thread.join(15)
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="certificates are made by openssl")
+def test_other_machines_get_in_by_tls_with_the_token_alone(run, tmp_path, monkeypatch):
+    certificate, key, _ = make_certificates(tmp_path).rig
+    with pytest.raises(PanelError, match="are no certificate and its key"):
+        serve(run.path, ServeOptions(certificate=certificate, key=certificate), print)
+    locked = tmp_path / "locked.key"
+    command = ["openssl", "pkey", "-in", str(key), "-aes256", "-passout", "pass:x", "-out", str(locked)]
+    subprocess.run(command, check=True, capture_output=True)
+    with pytest.raises(PanelError, match=r"locked.key has a passphrase"):
+        serve(run.path, ServeOptions(certificate=certificate, key=locked), print)
+    with (
+        served_by_tls(run.path, certificate, key, monkeypatch) as address,
+        httpx.Client(verify=False, trust_env=False) as client,
+    ):
+        base, _, token = address.partition("/?token=")
+        assert base.startswith("https://127.0.0.1:") and len(token) > 40
+        assert client.get(f"{base}/api/runs").status_code == 403
+        entered = client.get(address)
+        assert entered.status_code == 303 and entered.headers["set-cookie"].endswith("; Secure")
+        assert client.get(f"{base}/api/runs").json()["runs"][0]["name"] == run.path.name
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="certificates are made by openssl")
+@pytest.mark.parametrize("sent", [b"", b"\x16\x03\x01"], ids=["nothing", "a begin"])
+def test_a_tls_handshake_that_does_not_end_is_closed(run, tmp_path, monkeypatch, sent):
+    certificate, key, _ = make_certificates(tmp_path).rig
+    monkeypatch.setattr("hil.panel.server.HANDSHAKE_S", 0.5)
+    with served_by_tls(run.path, certificate, key, monkeypatch) as address, contextlib.ExitStack() as stack:
+        port = int(re.search(r":(\d+)/", address)[1])
+        began = time.monotonic()
+        silent = [stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=10)) for _ in range(20)]
+        for one in silent:
+            one.sendall(sent)
+        for one in silent:
+            with contextlib.suppress(ConnectionResetError):
+                assert one.recv(100) == b""
+        assert 0.4 < time.monotonic() - began < 8.0
+        with httpx.Client(verify=False, trust_env=False) as client:
+            assert client.get(address).status_code == 303
 
 
 def test_a_killed_run_is_interrupted_and_takes_no_request(served, run, steered):

@@ -72,6 +72,30 @@ def test_x_and_dates_that_contradict_each_other_are_refused(tmp_path):
         read(tmp_path, head("One") + segment("One") + segment("One", clock="10:01:00.345", x0=20.0))
 
 
+@pytest.mark.parametrize("first", [("One", "."), ("Multi", "."), ("No", "."), ("One", ",")], ids=str)
+@pytest.mark.parametrize("second", [("One", "."), ("Multi", "."), ("No", "."), ("One", ",")], ids=str)
+def test_a_file_that_was_appended_has_its_own_header(tmp_path, first, second):
+    text = head(*first) + segment(first[0], sign=first[1])
+    text += "\n" + head(*second) + segment(second[0], sign=second[1], clock="10:01:00.345")
+    record = read(tmp_path, text)
+    np.testing.assert_allclose(record.time_s[[0, 19, 20, 39]], [0.0, 9.5, 60.0, 69.5], atol=1e-6)
+    np.testing.assert_allclose(record.columns["Tank_C"], np.tile(20 + np.arange(20) / 8, 2))
+    np.testing.assert_allclose(record.columns["Power_W"], np.tile(np.r_[700.5, np.full(19, 1.234)], 2))
+
+
+def test_a_segment_without_a_header_begins_at_the_date_of_the_file(tmp_path):
+    rows = "X_Value\tTank (Deg C)\tComment\n0.0\t20.0\n0.5\t20.1\n1.0\t20.2\n"
+    record = read(tmp_path, head("One") + rows + head("One").replace("10:00:00", "10:00:05") + rows)
+    np.testing.assert_allclose(record.time_s, [0.0, 0.5, 1.0, 5.0, 5.5, 6.0], atol=1e-6)
+    assert record.start == datetime.datetime(2026, 3, 4, 10, 0, 0, 345000, datetime.UTC)
+
+
+def test_an_appended_header_that_does_not_end_is_named(tmp_path):
+    cut = head("One").replace("***End_of_Header***", "")
+    with pytest.raises(RecordError, match=r"line 43 begins a header of LabVIEW that no line 'X_Value'"):
+        read(tmp_path, head("One") + segment("One") + cut)
+
+
 def test_a_later_channel_is_missing_before(tmp_path):
     wider = (
         segment("One", clock="10:01:00.345")

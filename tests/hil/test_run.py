@@ -101,7 +101,7 @@ def test_the_operator_is_told_where_something_entered_the_rig(finished):
     reader.close()
     time_s, text = warnings[0]
     assert time_s == pytest.approx(1200, abs=2)  # the end of the first window after it began
-    assert "pso: modules gives off" in text
+    assert "pso: modules give off" in text
     assert "that the twin does not model, from" in text
 
 

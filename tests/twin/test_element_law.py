@@ -109,6 +109,16 @@ def test_a_reading_follows_its_own_temperature_as_a_gain_does() -> None:
     assert np.array_equal(changed[:, 1], plain[:, 1])
 
 
+def test_a_flow_follows_a_temperature_as_it_is_at_each_sample() -> None:
+    keys = {"flow": "f", "form": "linear", "gain": -0.02, "reference": 40.0}
+    own = run(FLOW + law("law_flow", of="a", **keys))
+    assert np.abs(own - run(FLOW)).max() > 0.1
+    net = parse(TWO + FLOW + law("law_flow", driver="fan_speed_pct", **keys))
+    time, u = drivers(150)
+    u[:, net.input_columns.index("fan_speed_pct")] = own[:, 0]
+    assert simulate(net, time, u, START) == pytest.approx(own, abs=1e-6)
+
+
 def test_a_reading_with_memory_or_a_switch_is_that_of_the_sample() -> None:
     time, u = drivers(80)
     plain = run("", 80)[:, 0]
@@ -193,7 +203,7 @@ def test_every_corner_of_the_bounds_is_finite(driver: str) -> None:
     parts = ""
     wanted = [*((sites_by_kind("law_heat"), form) for form in FORMS), *((s, "") for s in sites())]
     for k, ((kind, own), form) in enumerate(wanted):
-        switched = kind in ("law_flow", "law_fluid", "law_actuator") and "of" in driver
+        switched = kind in ("law_fluid", "law_actuator") and "of" in driver
         form = form or ("threshold" if switched else "dead_band")
         parts += one_law(
             f"x{k}", kind, own, form, list(COURSES)[k % len(COURSES)], driver if form != "constant" else ""
@@ -230,7 +240,7 @@ def test_a_law_of_zero_strength_changes_nothing() -> None:
         (law("law_heat", node="a", course="step", start_s=3.0), "needs the input 'time_s'; declare it"),
         (law("law_heat", node="a", form="linear", of="c"), "no such node 'c'"),
         (law("law_conductance", node="a"), "give either a node"),
-        (FLOW + law("law_flow", flow="f", of="a", form="linear"), "can only switch it"),
+        (FLOW + law("law_flow", flow="f", of="a", form="memory"), "as it is at each sample"),
         (law("law_flow", flow="a"), "'a' is no element of kind flow"),
         (law("law_reading", sensor="T_c_C"), "did you mean"),
         (law("law_reading", sensor="T_a_C", of="a", form="memory"), "its lag_s"),

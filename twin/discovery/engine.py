@@ -20,7 +20,7 @@ from twin.discovery.healthy.basis import Basis, Columns, basis
 from twin.discovery.healthy.visited import beside_unvisited
 from twin.discovery.planning.experiment import Limits
 from twin.discovery.planning.forecast import Forecast, either, forecast, plan_of, too_little, too_still, unseen_kinds
-from twin.discovery.records.grid import Grid, on_grid
+from twin.discovery.records.grid import Grid, on_grid, sample_period
 from twin.discovery.records.readings import Stuck, stuck
 from twin.discovery.records.standstill import Standstill, standstill
 from twin.discovery.scoring.contest import Contest, block_edges
@@ -72,7 +72,7 @@ def diagnose(
     record, stood = _moving(network, record, healthy)
     record, still = _without_stuck(network, record)
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
-    known = basis(network, healthy, grid)
+    known = basis(network, healthy, grid, sample_period(record.time_s))
     single = _members(known, record, grid, healthy, block_edges(len(grid.time)))
 
     def again(other: Columns) -> Diagnosis:

@@ -116,7 +116,7 @@ def _faults(column: str, name: str, now: Mapping[str, float]) -> list[Candidate]
             {f"{name}.gain": 1.0},
             "1",
             0.03,
-            0.1 - gain,
+            -gain,
             3.0 - gain,
             "delivers {share} more than its command",
         ),

@@ -46,7 +46,7 @@ class Candidate:
     column, follows, injects, reads, adopts
         Of an open law: the column that its elements follow, a function of stamps (n,) and inputs (n, c) that makes its
         values (n,), the nodes and the sensors on which a value of 1 acts with these weights, if it acts on nothing
-        else, and what an adopted law's element has.
+        else, and what an adopted law's element has. A law that follows a node has only the last.
     """
 
     kind: str
@@ -73,6 +73,11 @@ class Candidate:
     injects: Mapping[str, float] = field(default_factory=dict)
     reads: Mapping[str, float] = field(default_factory=dict)
     adopts: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def is_open(self) -> bool:
+        """Return True for a law without a name."""
+        return bool(self.adopts)
 
     @property
     def id(self) -> str:

@@ -11,8 +11,9 @@ the vocabulary of `law_forms`. x is an input column or a temperature, less anoth
     law_actuator     output of an actuator times (1 + value)
 
 The value of a law with an input column as driver, and that of a threshold, is computed once a sample. A switch looks
-at its driver at the samples, and a memory follows the column as it is held between them, exactly. A law that follows a
-temperature continuously is limited, so that heat cannot grow without bound: `LIMITS`.
+at its driver at the samples, and a memory follows the column as it is held between them, exactly. A flow follows a
+temperature as it was at the sample. A law that follows a temperature is limited, so that heat cannot grow without
+bound: `LIMITS`.
 
 Source: heat balances of the lumped volume, Incropera, Fundamentals of Heat and Mass Transfer, 7th ed., ch. 5.
 """
@@ -40,7 +41,7 @@ from twin.elements.law_forms import (
     switch_text,
 )
 
-LIMITS = {"W": 1.0e5, "kg/s": 10.0, "W/K": 1.0e4, "K": 1.0e3}
+LIMITS = {"W": 1.0e5, "kg/s": 10.0, "W/K": 1.0e4, "K": 1.0e3, "1": 1.0e3, "L/min": 1.0e4}
 """Largest value of a law that follows a temperature, by its unit; for heat also that of a conductance law."""
 STEEPEST = 1.0e5
 """Largest slope for which the kernel shortens its steps, W/K; a steeper law only switches between its limits."""
@@ -177,7 +178,7 @@ class Law(Element):
         """Return the value as an expression of the driver and of the memory."""
         text = form_text(self.form, x, self.par(n), memory)
         if self.follows_temperature:
-            limit = LIMITS[self.unit]
+            limit = LIMITS[self.unit_of_value()]
             text = f"min(max({text}, -{limit!r}), {limit!r})"
         course = course_text(self.course, n.input(STAMP), n.par) if self.course != "always" else ""
         return f"({text}) * ({course})" if course else f"({text})"
@@ -330,8 +331,8 @@ class LawFlow(Law):
         return "1" if self.change_in == "share" else "L/min"
 
     def problem(self, values: Mapping[str, float]) -> str | None:
-        if self.follows_temperature:
-            return "a flow follows an input column; a temperature can only switch it (form 'threshold')"
+        if self.follows_temperature and self.form in REMEMBERING:
+            return f"a flow has no form {self.form!r} of a temperature; it follows one as it is at each sample"
         return super().problem(values)
 
     def changes(self) -> str:
@@ -346,7 +347,14 @@ class LawFlow(Law):
         return f"{{flow}} * min(max(1.0 + {value}, 0.0), {1.0 + MOST_SHARE!r})"
 
     def emit(self, n: Names) -> Fragment:
-        return Fragment() if self.absent(n) else self.parts(n)
+        if self.absent(n):
+            return Fragment()
+        if not self.follows_temperature:
+            return self.parts(n)
+        x, held = self.driver_text(n), n.local("held")
+        return Fragment(
+            sample=((n.local("value"), self.value_text(n, held, "")),), memories=(SampleMemory("held", x, held, x),)
+        )
 
 
 @dataclass(frozen=True)

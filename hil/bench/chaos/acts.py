@@ -16,6 +16,7 @@ from functools import partial
 
 from hil.bench.chaos.device import Mode, write_register
 from hil.bench.chaos.stage import ChaosStage
+from hil.bench.faults import ABORT_AFTER_S, PERIOD_S
 from hil.bench.measure import processes
 
 Act = Callable[[ChaosStage], Awaitable[None]]
@@ -24,6 +25,9 @@ BRIEF_S = (0.3, 0.7)
 """Pause in s that the run must survive: the guardian waits for a beat for 1 s, and beats are 0.2 s apart."""
 LONG_S = (1.5, 6.0)
 """Pause in s that ends the run: well over the 1 s that the guardian waits for a beat."""
+ALL_LONG_S = (ABORT_AFTER_S + 3.0 * PERIOD_S, 6.0)
+"""Pause in s of all processes that ends the run: an interlock trips on `abort_after_s` and a period without a tick, and
+ticks are counted in whole periods."""
 LOCK_S = (1.0, 10.0)
 CLOCK_STEPS_S = (600, 3600, 86_400, 315_360_000)
 """Steps of the clock, s: longer than a case, so that times before and after a step are distinguishable."""
@@ -257,14 +261,20 @@ def device_is(mode: Mode) -> Act:
     return act
 
 
-def second_master(register: int, value: int, for_s: tuple[float, float]) -> Act:
-    """Return the act of another master that writes a set-point, once and then every `FOREIGN_EVERY_S` for this time."""
+def second_master(register: int, value: int, for_s: tuple[float, float], *, heats: bool = False) -> Act:
+    """Return the act of another master that writes a set-point, once and then every `FOREIGN_EVERY_S` for this time.
+
+    `heats`: it switches the heater on.
+    """
 
     async def act(stage: ChaosStage) -> None:
         until = time.monotonic() + stage.generator.uniform(*for_s)
-        await write_register(stage.rig.modbus_port, register, value)
-        while time.monotonic() < until:
-            await asyncio.sleep(FOREIGN_EVERY_S)
+        while True:
             await write_register(stage.rig.modbus_port, register, value)
+            if heats:
+                stage.foreign_s = time.time()
+            if time.monotonic() >= until:
+                return
+            await asyncio.sleep(FOREIGN_EVERY_S)
 
     return act

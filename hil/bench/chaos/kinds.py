@@ -115,9 +115,9 @@ CHAOS_KINDS: dict[str, ChaosKind] = {
         status="faulted",
     ),
     "all stopped and continued": ChaosKind(
-        "the same of harness and guardian, as a paused machine; safe counts from the continuation",
+        "SIGSTOP of harness and guardian for 1.8 to 6 s, as a paused machine; safe counts from the continuation",
         "stops",
-        acts.paused(acts.LONG_S, everything=True),
+        acts.paused(acts.ALL_LONG_S, everything=True),
         "process",
         disables=_HARNESS,
         status="faulted",
@@ -249,7 +249,7 @@ CHAOS_KINDS: dict[str, ChaosKind] = {
     "second master, heater": ChaosKind(
         "another master writes 200 W, up to four times in 0.2 s",
         "either",
-        acts.second_master(HEATER_SET, 2000, acts.FOREIGN_ONCE_S),
+        acts.second_master(HEATER_SET, 2000, acts.FOREIGN_ONCE_S, heats=True),
         "rig",
     ),
     "second master, pump": ChaosKind(

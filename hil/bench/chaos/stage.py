@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import os
 import random
 import re
@@ -74,6 +75,8 @@ class ChaosStage(Stage):
     """Wall time of the step of the run's clock."""
     nobody: list[tuple[float, float]] = field(default_factory=list)
     """Intervals of wall time in which neither harness nor guardian could run or reach the rig."""
+    foreign_s: float = -math.inf
+    """Wall time at which another master last switched the heater on, s."""
     code: int | None = None
     """Exit code of the run; None if the campaign had to kill it."""
     destroyed: bool = False

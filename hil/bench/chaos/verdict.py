@@ -139,7 +139,7 @@ def event_of(strikes: list[Strike], stage: ChaosStage, journal: judge.JournalCon
     """Return the required ending of the attacks, and the wall time by which the heater must be cut, s.
 
     That is the attack, where it ends the run; the signal at the end, where the run has to go on; the last sample, where
-    the run may end and did.
+    the run may end and did. What another master switches on after that counts from then.
     """
     began = strikes[0][1]
     left = next((row[0] for row in journal.states if row[0] >= began and row[2] in _ENDED), math.inf)
@@ -150,9 +150,8 @@ def event_of(strikes: list[Strike], stage: ChaosStage, journal: judge.JournalCon
         must.append(stage.asked_s)
     if ending == "lies" and left < math.inf:
         must.append(left)  # The run has ended for another reason, and from then on the heater must obey.
-    if must:
-        return ending, min(must)
-    return ending, max([began, *journal.wall_s[-1:]])
+    event_s = min(must) if must else max([began, *journal.wall_s[-1:]])
+    return ending, max(event_s, stage.foreign_s)
 
 
 def active_s(nobody: list[tuple[float, float]], since_s: float, until_s: float) -> float:

@@ -49,15 +49,13 @@ def fit_command(
       hil bench fit runs/<a run>
     """
     from hil.bench.kernel import fit
+    from hil.cli.options import subject_of
     from twin import load
 
     source = None
     if record is not None:
-        path = record / "record.parquet" if record.is_dir() else record
-        file = twin or record / "twin.toml"
-        if not file.is_file():
-            raise click.UsageError(f"{record} has no twin.toml; name a twin with --twin")
-        source = fit.MeasuredRecord(path, load(file))
+        subject = subject_of(record, twin)
+        source = fit.MeasuredRecord(subject.record, load(subject.twin))
     tables, skipped = fit.measure(fit.QUICK if quick else fit.FULL, seed, source)
     finish("fit", seed, tables, skipped, out, as_json)
 

@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     from hil.bench.faults.disk import OwnDisk
     from hil.bench.faults.kinds import KINDS
     from hil.bench.faults.places import take_places_out, without_places
-    from hil.bench.faults.rig import LOAD, PERIOD_S, WATCHDOG_S, prepare, rig_text
+    from hil.bench.faults.rig import ABORT_AFTER_S, LOAD, PERIOD_S, WATCHDOG_S, prepare, rig_text
     from hil.bench.faults.stage import FANS_PCT, LOOK_EVERY_S, ROOT, Harness, Stage, last_words
 
 __all__ = [
+    "ABORT_AFTER_S",
     "FANS_PCT",
     "KINDS",
     "LOAD",
@@ -57,6 +58,7 @@ __getattr__, __dir__ = lazy_names(
             "without_places",
         ),
         "rig": (
+            "ABORT_AFTER_S",
             "LOAD",
             "PERIOD_S",
             "WATCHDOG_S",

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from hil.cli.options.init_questions import ask
     from hil.cli.options.labels import label_options
     from hil.cli.options.own_process import OWN_PROCESS, owns_process
-    from hil.cli.options.paths import INPUT_CARD, INPUT_FILE, INPUT_PATH, PROJECT, VIRTUAL_RIG
+    from hil.cli.options.paths import INPUT_CARD, INPUT_FILE, INPUT_PATH, PROJECT, RECORD_FILE, VIRTUAL_RIG
     from hil.cli.options.record_reading import reading
     from hil.cli.options.subject import record_of, subject_of
     from hil.cli.options.tracking import CALIBRATORS, NETWORK, NETWORK_MODE
@@ -28,6 +28,7 @@ __all__ = [
     "NETWORK_MODE",
     "OWN_PROCESS",
     "PROJECT",
+    "RECORD_FILE",
     "VIRTUAL_RIG",
     "ask",
     "explained_extras",
@@ -53,6 +54,7 @@ __getattr__, __dir__ = lazy_names(
             "INPUT_FILE",
             "INPUT_PATH",
             "PROJECT",
+            "RECORD_FILE",
             "VIRTUAL_RIG",
         ),
         "record_reading": ("reading",),

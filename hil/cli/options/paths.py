@@ -42,6 +42,17 @@ class InputFile(click.ParamType[Path]):
         return self.fail(f"{path}: there is no such file; check the path", param, ctx)
 
 
+class RecordFile(InputFile):
+    """Path of a record that exists; that of a run has every tick of the run's journal (`record_of`)."""
+
+    name = "file"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        from hil.cli.options.subject import record_of
+
+        return record_of(super().convert(value, param, ctx))
+
+
 class InputCard(InputFile):
     """Path of a network's card; `.json` may be left out, and weights stand for the card beside them."""
 
@@ -59,4 +70,5 @@ class InputCard(InputFile):
 INPUT_FILE = InputFile()
 INPUT_CARD = InputCard()
 INPUT_PATH = InputPath()
+RECORD_FILE = RecordFile()
 VIRTUAL_RIG = "profiles/rigs/virtual.toml"

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.journal import JournalError, export_record
+import click
+
 from hil.run_folder import RunFolder, RunFolderError
 
 
@@ -31,25 +31,24 @@ class RecordAndTwin:
 
 
 def record_of(target: Path) -> Path:
-    """Resolve a record file, or a run folder to its record, which is made if an ended run has none.
+    """Resolve a record file, or a run folder to its record, which is made if an ended run has none with all ticks.
+
+    The record in a run folder is checked, too, where it is named as a file.
 
     Raises
     ------
     SubjectError
         The folder has no record and none can be made.
     """
-    if not target.is_dir():
+    from hil.run.session import current_record
+
+    folder = RunFolder(target if target.is_dir() else target.parent)
+    if not target.is_dir() and not (target.name == folder.record.name and folder.manifest.is_file()):
         return target
-    folder = RunFolder(target)
-    if not folder.record.is_file():
-        if folder.was_cut:
-            name = shlex.quote(str(target))
-            raise SubjectError(
-                f"{target} was interrupted and has no record yet; `hil report {name}` makes one without heating "
-                f"anything, `hil resume {name}` continues the run"
-            )
-        _make_record(folder)
-    return folder.record
+    try:
+        return current_record(folder, lambda text: click.echo(text, err=True))
+    except RunFolderError as error:
+        raise SubjectError(str(error)) from error
 
 
 def subject_of(target: Path, twin: Path | None) -> RecordAndTwin:
@@ -65,24 +64,9 @@ def subject_of(target: Path, twin: Path | None) -> RecordAndTwin:
             raise SubjectError(f"{target} is no record; give a run folder or a record first, and a twin with --twin")
         if twin is None:
             raise SubjectError(f"{target} is a record and names no twin; name it with --twin")
-        return RecordAndTwin(target, twin, None)
+        return RecordAndTwin(record_of(target), twin, None)
     folder, record = RunFolder(target), record_of(target)
     chosen = twin or folder.twin
     if not chosen.is_file():
         raise SubjectError(f"{target} holds no twin.toml; name the twin with --twin")
     return RecordAndTwin(record, chosen, target)
-
-
-def _make_record(folder: RunFolder) -> None:
-    """Make the record of a run that ended without one; raise SubjectError if that is not possible."""
-    if not folder.manifest.is_file() or not folder.journal.is_file():
-        raise SubjectError(f"{folder.path} holds no record.parquet; give a run folder of a finished run, or a record")
-    try:
-        with folder.owned():
-            export_record(folder.journal, folder.record)
-    except RunFolderError as error:
-        raise SubjectError(str(error)) from None
-    except (JournalError, OSError) as error:
-        raise SubjectError(
-            f"{folder.path} holds no record.parquet, and none can be made from its journal: {error}"
-        ) from error

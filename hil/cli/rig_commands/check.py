@@ -89,10 +89,9 @@ def command(
         raise click.UsageError(
             "Missing argument 'FILE'; give a file to check, or --kinds to list the elements of twin files"
         )
-    if file.is_dir():
-        from hil.cli.options import record_of
+    from hil.cli.options import record_of
 
-        file = record_of(file)
+    file = record_of(file)
     checker = _checker(file, rig)
     if picture is not None:
         from hil.run_folder import RunFolderError, require_output
@@ -203,12 +202,21 @@ def _is_record(file: Path, content: bytes, rig: Path) -> bool:
     from drivers.importers import names_registers
     from drivers.rig_file import load_rig
     from drivers.signals import ConfigurationError
-    from hil.record import VALUES, DialectError, beginning_of, find_dialect, is_annotated, is_labview, name_and_unit
+    from hil.record import (
+        VALUES,
+        DialectError,
+        beginning_of,
+        find_dialect,
+        is_annotated,
+        is_labview,
+        is_waveforms,
+        name_and_unit,
+    )
     from hil.record.times import names_dates
     from hil.run.session import setpoint_limits
 
     beginning = beginning_of(content)
-    if is_annotated(beginning) or is_labview(beginning):
+    if is_annotated(beginning) or is_labview(beginning) or is_waveforms(beginning):
         return True
     try:
         names = list(find_dialect(beginning).names)

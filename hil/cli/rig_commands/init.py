@@ -100,10 +100,11 @@ def command(
       hil init --from telegraf.conf --out my_rig.toml
       hil init --from sensors.dbc --channel can0 --out my_rig.toml
     """
+    from hil.run_folder import RunFolderError, require_output
+
     if out.exists() and not force:
         raise click.UsageError(f"{out} exists already; give another --out, or --force to overwrite it")
-    if not out.parent.is_dir():
-        raise click.UsageError(f"{out.parent}: there is no such folder; make it or give another --out")
+    require_output(out, RunFolderError, [path for path in (source, dbc) if path is not None])
     bus = {"transport": "modbus_tcp", "host": _host("--host", host), "port": port, "device_id": device_id}
     can: dict[str, Any] = {"transport": "socketcan", "channel": channel}
     if socketcand is not None:

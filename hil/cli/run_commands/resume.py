@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import INPUT_CARD, INPUT_FILE
+from hil.cli.options import INPUT_CARD, INPUT_FILE, RECORD_FILE
 from hil.cli.run_commands.run import address, as_json_document
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 @click.option("--profile", type=INPUT_FILE, help="Path of the profile, if it was moved.")
 @click.option("--twin", type=INPUT_FILE, help="Path of the twin, if it was moved.")
 @click.option("--with", "effects", type=INPUT_FILE, help="Path of the effects of the virtual rig, if they were moved.")
-@click.option("--healthy", type=INPUT_FILE, help="Path of the healthy record, if it was moved.")
+@click.option("--healthy", type=RECORD_FILE, help="Path of the healthy record, if it was moved.")
 @click.option(
     "--network", "card", type=INPUT_CARD, help="Path of the card of the run's trained network, if it was moved."
 )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hil.cli.options import CALIBRATORS, INPUT_FILE, NETWORK, NETWORK_MODE, VIRTUAL_RIG, label_options
+from hil.cli.options import CALIBRATORS, INPUT_FILE, NETWORK, NETWORK_MODE, RECORD_FILE, VIRTUAL_RIG, label_options
 
 if TYPE_CHECKING:
     from hil.run.session import RunResult
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     metavar="INTERVAL",
     help="Diagnose the whole run (end), and the record so far at an interval: hourly, 30min, 2h.",
 )
-@click.option("--healthy", type=INPUT_FILE, help="Healthy record of the rig, for --diagnose.")
+@click.option("--healthy", type=RECORD_FILE, help="Healthy record of the rig, for --diagnose.")
 @click.option("--adopt", is_flag=True, help="Save a confident finding of --diagnose as the twin's next revision.")
 @label_options
 @click.option("--check-only", is_flag=True, help="Validate everything, move nothing.")

@@ -33,15 +33,19 @@ def command(record: Path, cell: int, datasheet: Path, points: Path, out: Path, h
     """
     from hil.record import RecordError
     from hil.run.session import console
+    from hil.run_folder import RunFolderError, require_output
     from hil.tower import cells_of, commission_cell, learn_healthy, parse_span, path_beside, write_healthy
     from twin import save
 
+    require_output(out, RunFolderError, (datasheet, points))
     span = None if healthy is None else parse_span(healthy)
     there = cells_of(record)
     if cell not in there:
         raise RecordError(f"{record}: has no cell {cell}; it has {', '.join(f'cell {n}' for n in there) or 'no cell'}")
     network, fitted, found = commission_cell(cell, datasheet, points)
     kept = None if span is None else learn_healthy(record, network, span)
+    if kept is not None:
+        require_output(path_beside(out, network), RunFolderError, (datasheet, points))
     save(network, out)
     if kept is not None:
         write_healthy(kept, path_beside(out, network))

@@ -33,6 +33,7 @@ def command(
     from hil.files import replacing
     from hil.record import RecordError
     from hil.run.session import console
+    from hil.run_folder import RunFolderError, require_output
     from hil.tower import (
         NETWORK_TABLE,
         REPORT,
@@ -47,6 +48,12 @@ def command(
         writing,
     )
 
+    if picture is not None:
+        if picture.suffix.lower() not in (".png", ".svg"):
+            raise click.UsageError(f"{picture}: a picture is a .png or an .svg; choose one")
+        folders = (out, *([] if record is None else [record]))
+        read = [path for path in (labels, truth) if path is not None]
+        require_output(picture, RunFolderError, [*read, *(path for folder in folders for path in folder.iterdir())])
     text = report_text(out)
     true = None if truth is None else read_truth(truth)
     remedy = "calibrate again"
@@ -61,8 +68,6 @@ def command(
     console().print(text, markup=False)
     if picture is None:
         return
-    if picture.suffix.lower() not in (".png", ".svg"):
-        raise click.UsageError(f"{picture}: a picture is a .png or an .svg; choose one")
     drawn = min(found) if cell is None else cell
     if drawn not in found:
         have = ", ".join(str(one) for one in found)

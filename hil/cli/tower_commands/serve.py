@@ -8,6 +8,9 @@ from pathlib import Path
 
 import click
 
+_READ = ("raw.parquet", "tags.csv", "datasheet.json", "events.csv", "truth.parquet", "labels.csv", "commissioning.csv")
+"""Files of a station's folder, none of which a rig file may replace."""
+
 
 @click.command()
 @click.argument("station", type=click.Path(path_type=Path, file_okay=False, exists=True))
@@ -44,9 +47,15 @@ def command(
       hil tower align plant --tags station/stationA/rig_tags.csv --out record
     """
     from drivers.virtual.tower import Replay, load_station, rig_text, serve_station, write_dictionary
+    from hil.files import replacing
     from hil.record import RecordError
     from hil.run.session import console
+    from hil.run_folder import RunFolderError, require_output
 
+    file = rig or station / "rig.toml"
+    dictionary = file.with_name(f"{file.stem}_tags.csv")
+    for path in (file, dictionary):
+        require_output(path, RunFolderError, (station / name for name in _READ))
     say = console(stderr=True)
     tags = load_station(station)
     begin = None if start is None else start.replace(tzinfo=datetime.UTC).timestamp()
@@ -54,11 +63,12 @@ def command(
     if replay.start_s >= replay.end_s:
         end = datetime.datetime.fromtimestamp(replay.end_s, datetime.UTC)
         raise click.UsageError(f"the record of {station} ends at {end:%Y-%m-%dT%H:%M}; begin before with --from")
-    file = rig or station / "rig.toml"
 
     def ready(found: int) -> None:
-        file.write_text(rig_text(tags, f"station_{station.name}", host, found, speed))
-        write_dictionary(tags, file.with_name(f"{file.stem}_tags.csv"))
+        with replacing(file) as unfinished:
+            unfinished.write_text(rig_text(tags, f"station_{station.name}", host, found, speed))
+        with replacing(dictionary) as unfinished:
+            write_dictionary(tags, unfinished)
         say.print(
             f"{len(tags)} tags on Modbus/TCP {host}:{found}, {speed:g} times real time; Ctrl-C ends", markup=False
         )

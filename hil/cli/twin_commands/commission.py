@@ -68,6 +68,7 @@ def command(
     from hil.record import read_record
     from hil.record.values import beyond_declared
     from hil.run.session import console
+    from hil.run_folder import RunFolderError, require_output
     from twin import CommissionOptions, TwinFileError, clock_warning, commission, from_datasheet, load, refusal_reason
 
     if twin is None and datasheet is None:
@@ -75,6 +76,7 @@ def command(
     for path in (out, healthy_path(out)):
         if path.exists():
             raise click.UsageError(f"{path} exists already; a twin is never overwritten, give --out another name")
+        require_output(path, RunFolderError)
     network = from_datasheet(datasheet, twin) if datasheet is not None else load(twin or "")
     record = record_of(target)
     data = read_record(record, choice=choice)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import INPUT_FILE, INPUT_PATH, reading
+from hil.cli.options import INPUT_FILE, INPUT_PATH, RECORD_FILE, reading
 from hil.errors import FOUND
 
 if TYPE_CHECKING:
@@ -36,9 +36,9 @@ STEPS = 6.0
     help="Twin file; default for a run: the twin that it ran with. Repeat it for the cells of a tower record.",
 )
 @click.option("--labels", type=INPUT_FILE, help="Inspections and certificates of a tower record's cells, CSV.")
-@click.option("--healthy", type=INPUT_FILE, help="Healthy record of the rig; default: the one stored with the twin.")
+@click.option("--healthy", type=RECORD_FILE, help="Healthy record of the rig; default: the one stored with the twin.")
 @click.option("--no-healthy", is_flag=True, help="Estimate the noise floor from RECORD alone.")
-@click.option("--with", "more", type=INPUT_FILE, multiple=True, help="Later record of the rig; may be repeated.")
+@click.option("--with", "more", type=RECORD_FILE, multiple=True, help="Later record of the rig; may be repeated.")
 @click.option(
     "--at-rest",
     is_flag=True,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import INPUT_FILE, INPUT_PATH, PROJECT, VIRTUAL_RIG, reading
+from hil.cli.options import INPUT_FILE, INPUT_PATH, PROJECT, RECORD_FILE, VIRTUAL_RIG, reading
 from hil.errors import FOUND
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ STEPS = 6.0
 )
 @click.option("--yes", is_flag=True, help="Run each experiment without asking.")
 @click.option("--twin", type=INPUT_FILE, help="Twin file; default for a run: the twin that it ran with.")
-@click.option("--healthy", type=INPUT_FILE, help="Healthy record of the rig; default: the one stored with the twin.")
+@click.option("--healthy", type=RECORD_FILE, help="Healthy record of the rig; default: the one stored with the twin.")
 @click.option("--no-healthy", is_flag=True, help="Estimate the noise floor from RECORD alone.")
 @click.option("--with", "more", type=INPUT_PATH, multiple=True, help="Later run or record of the rig; may be repeated.")
 @click.option("--clock", help="Time of day at 0 s of the record, like 08:00, if the record does not state it.")

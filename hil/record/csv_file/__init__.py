@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from hil.record.csv_file.dialect import DialectError, find_dialect
     from hil.record.csv_file.encodings import EncodingError, beginning_of, utf8
     from hil.record.csv_file.labview import is_labview
+    from hil.record.csv_file.labview_exports import is_waveforms
     from hil.record.csv_file.table import read_csv
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "find_dialect",
     "is_annotated",
     "is_labview",
+    "is_waveforms",
     "read_csv",
     "utf8",
 ]
@@ -41,6 +43,7 @@ __getattr__, __dir__ = lazy_names(
             "utf8",
         ),
         "labview": ("is_labview",),
+        "labview_exports": ("is_waveforms",),
         "table": ("read_csv",),
     },
 )

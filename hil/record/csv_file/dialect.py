@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from hil.record.csv_file.labview_exports import plain_heading
 from hil.record.times import SECONDS_PER, is_time_name
 from hil.record.units import has_open_factor, meaning_of
 from hil.record.values import MARKS, MISSING, readings
@@ -163,7 +164,7 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     if not width or width[0][0] < 2:
         return None
     k = width[0][0]
-    fields = _ended_alike(fields, k)
+    fields = _ended_alike([None if row is None else plain_heading(row) for row in fields], k)
     table = [(line, row) for line, row in zip(lines, fields, strict=True) if row is not None and len(row) == k]
     numeric, moments = _numeric([row for _, row in table], k)
     if not numeric or len(table) < 2:

@@ -2,7 +2,8 @@
 
 Source: NI, "Specification for the LabVIEW Measurement File (.lvm)". Each call of the writer makes a segment: a header
 with date, time, unit, first x and step of each channel, a line of names, then rows. The x stand before each channel
-(`X_Columns Multi`), once (`One`) or nowhere (`No`), and count from the date and time of their segment.
+(`X_Columns Multi`), once (`One`) or nowhere (`No`), and count from the date and time of their segment. Files that were
+appended to each other have further headers of the file, each with a layout of its own.
 """
 
 from __future__ import annotations
@@ -39,10 +40,30 @@ _SAME = 0.1
 """Relative difference of two spans of time that are one: no clock is that wrong."""
 
 
+@dataclass(frozen=True)
+class _Layout:
+    """Properties of a file by its header: separator and decimal sign, x columns (`one`, `multi`, `no`), and moment."""
+
+    separator: str
+    sign: str
+    x_columns: str
+    begin: datetime.datetime | None = None
+
+    def number(self, cell: str) -> float | None:
+        """Return the number of a cell, None where it is none."""
+        text = cell.strip().replace(self.sign, ".")
+        return float(text) if _NUMBER.fullmatch(text) else None
+
+    def pointed(self, cell: str) -> str:
+        """Return a cell with a decimal point, where it is a number."""
+        return cell if self.number(cell) is None else cell.strip().replace(self.sign, ".")
+
+
 @dataclass
 class _Segment:
-    """Header of one segment by tag, each with its line; names of its columns and their line; its rows."""
+    """Layout and header of one segment, by tag, each with its line; names of its columns and their line; its rows."""
 
+    layout: _Layout
     header: dict[str, tuple[int, list[str]]] = field(default_factory=dict)
     names: list[str] = field(default_factory=list)
     line: int = 0
@@ -52,20 +73,6 @@ class _Segment:
         """Return the cell of a tag for one channel, else that of the first; empty where there is none."""
         cells = self.header.get(tag, (0, []))[1]
         return cells[place] if place < len(cells) and cells[place] else cells[0] if cells else ""
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Properties of a file by its header: separator and decimal sign, and the x columns, `one`, `multi` or `no`."""
-
-    separator: str
-    sign: str
-    x_columns: str
-
-    def number(self, cell: str) -> float | None:
-        """Return the number of a cell, None where it is none."""
-        text = cell.strip().replace(self.sign, ".")
-        return float(text) if _NUMBER.fullmatch(text) else None
 
 
 def is_labview(text: str) -> bool:
@@ -82,9 +89,9 @@ def read_labview(path: Path, text: str, digest: str, messages: tuple[str, ...] =
         A header does not end, the x of a segment are no times, a channel changes its unit, or the dates of the segments
         contradict their x.
     """
-    layout, segments = _segments(path, text)
+    segments = _segments(path, text)
     unit_of, units_line = _units(path, segments)
-    blocks = [_blocks(segment, layout) for segment in segments]
+    blocks = [_blocks(segment) for segment in segments]
     if not any(block.x for found in blocks for block in found):
         raise RecordError(f"{path} holds no samples, only headers; give a record with at least one row")
     origin = _put_in_time(path, segments, blocks)
@@ -104,7 +111,7 @@ def read_labview(path: Path, text: str, digest: str, messages: tuple[str, ...] =
     names = (_X, *columns)
     units = {place: unit_of[name] for place, name in enumerate(names) if unit_of.get(name)}
     named = named_columns(path, Dialect("\t", names, segments[0].line, 0, units, units_line))
-    cells = [_typed(column + [None] * (len(times) - len(column)), layout) for column in columns.values()]
+    cells = [_typed(column + [None] * (len(times) - len(column))) for column in columns.values()]
     count = "1 segment" if len(segments) == 1 else f"{len(segments)} segments, each at its own date and time"
     return RawRecord(
         path,
@@ -115,13 +122,13 @@ def read_labview(path: Path, text: str, digest: str, messages: tuple[str, ...] =
         units=named.units,
         conversions=named.conversions,
         header_line=segments[0].line,
-        delimiter=layout.separator,
+        delimiter=segments[0].layout.separator,
         lines=tuple(lines),
     )
 
 
-def _segments(path: Path, text: str) -> tuple[_Layout, list[_Segment]]:
-    """Return the layout that the header of the file states, and its segments.
+def _segments(path: Path, text: str) -> list[_Segment]:
+    """Return the segments of all files in `text`, each with the layout that the header above it states.
 
     Raises RecordError where a header does not end, or where rows stand without names above them.
     """
@@ -129,11 +136,14 @@ def _segments(path: Path, text: str) -> tuple[_Layout, list[_Segment]]:
     layout: _Layout | None = None
     found: list[_Segment] = []
     current: _Segment | None = None
-    begun, is_special = 1, False
-    first = next(line for line in text.splitlines() if line.strip("\ufeff \t"))
-    mark = first.strip("\ufeff").lstrip()[len(_MAGIC) :][:1] or "\t"
+    begun, mark, is_special = 1, "\t", False
     for number, line in enumerate(text.split("\n"), start=1):
-        cells = [cell.strip() for cell in line.strip("\r\ufeff").split(layout.separator if layout else mark)]
+        bare = line.strip("\r\ufeff")
+        if bare.lstrip().startswith(_MAGIC):  # also that of a further file, which was appended
+            head, layout, current, begun, is_special = {}, None, None, number, False
+            mark = bare.lstrip()[len(_MAGIC) :][:1] or "\t"
+            continue
+        cells = [cell.strip() for cell in bare.split(layout.separator if layout else mark)]
         tag = cells[0]
         if tag in (_SPECIAL_BEGIN, _SPECIAL_END):
             is_special = tag == _SPECIAL_BEGIN
@@ -150,7 +160,7 @@ def _segments(path: Path, text: str) -> tuple[_Layout, list[_Segment]]:
             current.names, current.line = _channels(cells, layout), number
         elif tag and not is_value(tag):
             if current is None or current.names:
-                current, begun = _Segment(), number
+                current, begun = _Segment(layout), number
                 found.append(current)
                 if tag == _X:
                     current.names, current.line = _channels(cells, layout), number
@@ -162,18 +172,19 @@ def _segments(path: Path, text: str) -> tuple[_Layout, list[_Segment]]:
                 f"{path} line {number} holds numbers where a segment begins; write a line {_X} with the names of the "
                 "channels above them"
             )
-    if layout is None or current is None or not current.names:
+    if layout is None or not found or not found[-1].names:
         raise RecordError(
             f"{path} line {begun} begins a header of LabVIEW that no line '{_X}' with names follows; write the file "
             "again, or export its table as CSV"
         )
-    return layout, found
+    return found
 
 
 def _layout(head: dict[str, str], mark: str) -> _Layout:
     separator = {"tab": "\t", "comma": ","}.get(head.get("Separator", "").lower(), mark)
     sign = head.get("Decimal_Separator", "") or ("," if "," in head.get("Time", "") else ".")
-    return _Layout(separator, sign, head.get("X_Columns", "One").lower())
+    begin = _moment(head.get("Date", ""), head.get("Time", ""))
+    return _Layout(separator, sign, head.get("X_Columns", "One").lower(), begin)
 
 
 def _channels(cells: Sequence[str], layout: _Layout) -> list[str]:
@@ -218,16 +229,16 @@ class _Block:
         return abs((self.begin - other.begin).total_seconds()) < 0.5 * step
 
 
-def _blocks(segment: _Segment, layout: _Layout) -> list[_Block]:
+def _blocks(segment: _Segment) -> list[_Block]:
     """Return the rows of a segment, in a block for each group of channels with the same times."""
     found: list[_Block] = []
+    layout = segment.layout
     for place, name in enumerate(segment.names):
         at = 2 * place + 1 if layout.x_columns == "multi" else place + 1
-        cells = [row[at] or None if at < len(row) else None for _, row in segment.rows]
+        cells = [layout.pointed(row[at]) or None if at < len(row) else None for _, row in segment.rows]
         timed = 0 if layout.x_columns == "one" else place
-        block = _Block(
-            _x(segment, place, layout), _moment(segment.cell("Date", timed), segment.cell("Time", timed)), {}
-        )
+        own = _moment(segment.cell("Date", timed), segment.cell("Time", timed))
+        block = _Block(_x(segment, place), own if "Date" in segment.header else layout.begin, {})
         same = next((one for one in found if one.holds(block)), None)
         if same is None and found and not any(cells):  # A channel without samples has a step of its own.
             same = found[0]
@@ -237,8 +248,9 @@ def _blocks(segment: _Segment, layout: _Layout) -> list[_Block]:
     return found
 
 
-def _x(segment: _Segment, place: int, layout: _Layout) -> list[float | None]:
+def _x(segment: _Segment, place: int) -> list[float | None]:
     """Return the x of a channel's rows: as written, or from its first x and its step."""
+    layout = segment.layout
     if layout.x_columns in ("one", "multi"):
         at = 2 * place if layout.x_columns == "multi" else 0
         return [layout.number(row[at]) if at < len(row) else None for _, row in segment.rows]
@@ -314,14 +326,10 @@ def _stamps(times: Sequence[float | None], origin: datetime.datetime | None) -> 
     return pa.chunked_array([pa.array(nanos, pa.int64()).cast(pa.timestamp("ns"))])
 
 
-def _typed(cells: Sequence[str | None], layout: _Layout) -> Any:
-    """Return a column as numbers by the decimal sign of the header; as text where a cell is none."""
+def _typed(cells: Sequence[str | None]) -> Any:
+    """Return a column of cells with decimal points as numbers; as text where a cell is none."""
     import pyarrow as pa
 
-    numbers = [None if cell is None else layout.number(cell) for cell in cells]
-    if all(cell is None or number is not None for cell, number in zip(cells, numbers, strict=True)):
-        return pa.chunked_array([pa.array(numbers, pa.float64())])
-    pointed = [
-        cell if cell is None or layout.number(cell) is None else cell.replace(layout.sign, ".") for cell in cells
-    ]
-    return pa.chunked_array([pa.array(pointed, pa.string())])
+    if all(cell is None or _NUMBER.fullmatch(cell) for cell in cells):
+        return pa.chunked_array([pa.array([None if cell is None else float(cell) for cell in cells], pa.float64())])
+    return pa.chunked_array([pa.array(cells, pa.string())])

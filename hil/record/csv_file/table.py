@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 from hil.files import require_columns
 from hil.record.csv_file.annotated import is_annotated, read_annotated
 from hil.record.csv_file.cut_end import ends_cut
-from hil.record.csv_file.dialect import BLANKS, Dialect, DialectError, find_dialect, heading_cells, is_value, split
+from hil.record.csv_file.dialect import BLANKS, Dialect, find_dialect, heading_cells, is_value, split
 from hil.record.csv_file.encodings import unwrapped
 from hil.record.csv_file.labview import is_labview, read_labview
+from hil.record.csv_file.labview_exports import without_waveform_lines
 from hil.record.csv_file.lines_among_rows import heading_lines, is_other_line, without_other_lines
 from hil.record.csv_file.repeated_headings import by_later_headings
 from hil.record.csv_file.units_line import named_columns
@@ -49,8 +50,12 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
     if is_labview(text):
         return read_labview(path, text, digest, tuple(messages))
     try:
+        bare, said = without_waveform_lines(text)
+        if bare != text:
+            text, content, encoding = bare, bare.encode(), "utf-8"
+        messages += said
         dialect = find_dialect(text)
-    except DialectError as error:
+    except ValueError as error:
         raise RecordError(f"{path}{error}") from error
     messages += dialect.messages
     delimiter = dialect.delimiter

@@ -36,7 +36,7 @@ _REASONS = {
         )
     },
 }
-_OF_A_TERMINAL = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
+_IGNORED_AFTER = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
 _SKIPPING = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -47,7 +47,7 @@ class RunSignals:
     is remembered: a request to end is never lost. A signal is deliberate where none came within `SECOND_REQUEST_S`
     before it: a key that is held down sends many, and they are one request.
     While Python cannot run a handler, signals gather; their number is read from the wake-up descriptor, to which the
-    system's handler writes a byte for each. With `until_exit` those of a terminal are ignored for
+    system's handler writes a byte for each. With `until_exit` those that ask for an end are ignored for
     the rest of the process, where nothing comes after the run.
     """
 
@@ -71,7 +71,7 @@ class RunSignals:
         for number, handler in self._before.items():
             by_default = signal.SIG_DFL if handler is None else handler
             # Python gives handlers of its own up before it ends, and a signal would then kill the process.
-            is_ignored = self._until_exit and number in _OF_A_TERMINAL
+            is_ignored = self._until_exit and number in _IGNORED_AFTER
             signal.signal(number, signal.SIG_IGN if is_ignored else by_default)
         signal.set_wakeup_fd(-1)
         for end in self._arrivals or ():

@@ -12,7 +12,7 @@ from hil.lazy_names import lazy_names
 if TYPE_CHECKING:
     from hil.run.session.event_loop import session_result
     from hil.run.session.interrupted_run import request_of, resume_notices
-    from hil.run.session.regenerate import judge_recorded, regenerate_files
+    from hil.run.session.regenerate import current_record, judge_recorded, regenerate_files
     from hil.run.session.request import RunRequest, check_calibrators, chosen_calibrators, setpoint_limits
     from hil.run.session.run import RunResult
     from hil.run.session.session import check_session, resume_session, run_session
@@ -27,6 +27,7 @@ __all__ = [
     "check_session",
     "chosen_calibrators",
     "console",
+    "current_record",
     "hours",
     "invocation",
     "judge_recorded",
@@ -49,6 +50,7 @@ __getattr__, __dir__ = lazy_names(
             "resume_notices",
         ),
         "regenerate": (
+            "current_record",
             "judge_recorded",
             "regenerate_files",
         ),

@@ -1,13 +1,16 @@
-"""Files of a run made from its journal after the run: for `hil report`, and the verdict of a recorded run."""
+"""Files of a run made from its journal after the run: for `hil report`, readers of its record, and its verdict."""
 
 from __future__ import annotations
 
 import datetime
+import shlex
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.journal import ENDED, JournalReader
+from hil.journal import ENDED, JournalError, JournalReader, export_record, recorded_rows
 from hil.run.session.derived_files import RECORD, REVIEW, REVISION, VERDICT, DerivedFiles, derive_files
+from hil.run.session.manifest import foreign_journal
 from hil.run_folder import RunFolder, RunFolderError, read_verdict, without_end
 
 if TYPE_CHECKING:
@@ -41,7 +44,68 @@ def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str],
         if not rebuild:
             files = {RECORD: folder.record, REVIEW: folder.review}
             there += [name for name, path in files.items() if folder.is_current(path)]
+            if RECORD in there and _lacks_ticks(folder):  # a copy of a folder may have any times
+                there.remove(RECORD)
         return derive_files(folder, manifest, announce, there=there)
+
+
+def current_record(folder: RunFolder, announce: Callable[[str], None]) -> Path:
+    """Return the record of a run, made from its journal where it is missing or lacks ticks of the journal.
+
+    A run that was resumed and killed has such a record. Every reader of a run's record calls this.
+
+    Parameters
+    ----------
+    folder
+        Folder of a run that has ended, or folder with a record alone.
+    announce
+        Gets a line where an existing record is made anew.
+
+    Raises
+    ------
+    RunFolderError
+        There is neither a record nor a run, the run still goes on or was interrupted, or no record can be made; the
+        message names the remedy.
+    """
+    is_there = folder.record.is_file()
+    if is_there and not _lacks_ticks(folder):
+        return folder.record
+    if not folder.manifest.is_file() or not folder.journal.is_file():
+        raise RunFolderError(f"{folder.path} holds no {RECORD}; give a run folder of a finished run, or a record")
+    state = f"lacks the last ticks of {folder.journal.name}" if is_there else "is not there"
+    try:
+        with folder.owned():
+            manifest = completed_manifest(folder, folder.read_manifest())
+            if manifest.get("exit_status") == "running":
+                run = shlex.quote(str(folder.path))
+                raise RunFolderError(
+                    f"{folder.record} {state}, because the run was interrupted; `hil resume {run}` continues it, and "
+                    f"`hil report {run}` makes the record as far as it came"
+                )
+            if (foreign := foreign_journal(folder, manifest)) is not None:
+                raise RunFolderError(foreign)
+            if is_there:
+                announce(f"writing {folder.record}, which lacked the last ticks of {folder.journal.name}")
+            export_record(folder.journal, folder.record)
+    except (JournalError, OSError) as error:
+        raise RunFolderError(f"{folder.record} {state}, and none can be made from its journal: {error}") from error
+    return folder.record
+
+
+def _lacks_ticks(folder: RunFolder) -> bool:
+    """Return True for a record with fewer rows than its journal has ticks, or an older one that no run wrote."""
+    if not folder.manifest.is_file() or not folder.journal.is_file():
+        return False
+    rows = recorded_rows(folder.record)
+    try:
+        reader = JournalReader(folder.journal)
+        try:
+            ticks = reader.sample_count()
+        finally:
+            reader.close()
+    except JournalError:
+        return not folder.is_current(folder.record)
+    return rows < ticks if rows is not None else not folder.is_current(folder.record)
 
 
 def judge_recorded(plan: Plan, folder: RunFolder) -> TestResult:

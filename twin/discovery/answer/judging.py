@@ -9,8 +9,14 @@ from twin.discovery.evidence.held_out import contradicted
 
 
 def good(case: AssessedFinding) -> bool:
-    """Return True where effects are claimed and the held-out segment does not contradict them."""
-    return case.finding.fit is not None and not contradicted(case.errors, case.known.probe.network)
+    """Return True where effects are claimed and the held-out segment does not contradict them.
+
+    A segment shorter than a block is a single sample of what no fit resolves, and contradicts nothing.
+    """
+    if case.finding.fit is None:
+        return False
+    held_out_s = (len(case.grid.time) - case.split) * case.grid.step_s
+    return held_out_s < case.whole.step_s or not contradicted(case.errors, case.known.probe.network)
 
 
 def adequate(case: AssessedFinding) -> bool:

@@ -163,14 +163,15 @@ def _insert(elements: list[Element], parameters: dict[str, Parameter], name: str
     given = {places[k].name: tuple(v) if isinstance(v, list) else v for k, v in table.items() if k in places}
     element = cls(name=name, **given)
     elements.append(element)
-    _fill(element, parameters)
+    _fill(element, parameters, table)
 
 
-def _fill(element: Element, parameters: dict[str, Parameter]) -> None:
+def _fill(element: Element, parameters: dict[str, Parameter], given: Mapping[str, Any] = MappingProxyType({})) -> None:
     for spec in element.parameter_specs():
         key = f"{element.name}.{spec.name}"
         if key not in parameters:
             value = spec.default if spec.default is not None else _neutral(spec.lower, spec.upper)
+            value = float(given.get(spec.name, value))
             parameters[key] = Parameter(
                 key, element.name, spec.name, value, spec.unit, spec.lower, spec.upper, spec.status, spec.source
             )

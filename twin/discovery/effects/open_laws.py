@@ -1,4 +1,4 @@
-"""Laws without a name: any recorded input as driver, in several forms, at every site of a network.
+"""Laws without a name: any recorded input or temperature as driver, in several forms, at every site of a network.
 
 A site is a place where something may act with a value of one unit: heat into a node or out of one into another, heat
 into the solid part of a node that its thermometer reads, a share of a flow, a conductance to the room, an error of a
@@ -6,7 +6,8 @@ reading. Its response per unit is that of the named law there. A law
 is a site, a driver and a form; it is weighed by the same evidence as a named one, from a smaller prior.
 
 A fit brings the heat of a law into the nodes of a shared kernel, and adds an error of reading to what is simulated.
-Laws of a flow and of a loss are fitted as elements that follow a column with the law's values.
+Laws of a flow and of a loss are fitted as elements that follow a column with the law's values. A law that follows the
+temperature of a node is evaluated on measured temperatures, and fitted as an element that follows the twin's.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ SOLID_K_PER_W = tuple(float(f"{0.003 * 1.5**i:.3g}") for i in range(7))
 between the two, so close together that the next one is off by a fifth at most."""
 LEAST_SPREAD = 1.0e-3
 """Standard deviation of a column, as a share of its largest magnitude, below which nothing can follow it."""
+FOLLOW_NODES = ("flow", "heat_source", "heat_loss")
+"""Kinds of sites at which something may follow the temperature of a node."""
 NAMES = {"heater_power_W": "heater_power", "pump_speed_pct": "pump_speed", "fan_speed_pct": "fan_speed"}
 
 
@@ -81,7 +84,7 @@ class Values:
     Attributes:
         driver: in a diagnosis's words. form, parameters: as in `twin.elements.law_forms`, the strength 1.
         column: index of the input that is followed, or None. scale: largest magnitude of the values.
-        says: what it follows, in words.
+        says: what it follows, in words. of: node whose temperature is followed instead of an input, or "".
     """
 
     driver: str
@@ -90,6 +93,7 @@ class Values:
     column: int | None
     scale: float
     says: str
+    of: str = ""
 
     def at(self, time_s: Array, inputs: Array) -> Array:
         """Return the values (n,) for stamps (n,) s and inputs (n, c)."""
@@ -118,10 +122,15 @@ class OpenLaw(CandidateLaw):
         return None if self.site.reading is None else self.site.reading * self.values[:, None]
 
 
-def open_laws(network: Network, grid: Grid, named: Sequence[CandidateLaw]) -> list[OpenLaw]:
-    """Return the laws of any input at every site that are not among the named ones."""
-    known = {(law.candidate.kind, law.candidate.where, law.candidate.driver) for law in named}
+def open_laws(network: Network, grid: Grid, named: Sequence[CandidateLaw], known: Array) -> list[OpenLaw]:
+    """Return the laws of any input and temperature at every site that are not among the named ones.
+
+    Args:
+        known: (n, k) degC of the nodes, as the laws are evaluated on them.
+    """
+    there = {(law.candidate.kind, law.candidate.where, law.candidate.driver) for law in named}
     every = [(v, v.at(grid.time, grid.inputs)) for v in values_of(network, grid)]
+    warm = [(v, _of_node(network, v, known)) for v in _temperatures(network, known)]
     constant = Values("constant", "constant", {"size": 1.0}, None, 1.0, "")
     found = []
     for site in sites_of(network, named):
@@ -132,10 +141,46 @@ def open_laws(network: Network, grid: Grid, named: Sequence[CandidateLaw]) -> li
         for values, course in every:
             if solid and values.form != "linear":
                 continue
-            if not solid and values.form == "linear" and (site.kind, site.where, values.driver) in known:
+            if not solid and values.form == "linear" and (site.kind, site.where, values.driver) in there:
                 continue
             found.append(OpenLaw(candidate_of(network, site, values), site, course))
+        if site.kind in FOLLOW_NODES and not solid:
+            found += [OpenLaw(candidate_of(network, site, values), site, course) for values, course in warm]
     return found
+
+
+def again(network: Network, law: OpenLaw, candidate: Candidate, grid: Grid, known: Array) -> OpenLaw:
+    """Return the law of a candidate at the site of another law, for a record `grid` with temperatures `known`."""
+    if candidate.follows is not None:
+        return OpenLaw(candidate, law.site, candidate.follows(grid.time, grid.inputs))
+    parameters = dict(candidate.adopts)
+    form, node = str(parameters.pop("form")), str(parameters.pop("of"))
+    del parameters["site"]
+    values = Values(candidate.driver, form, {FORMS[form][0]: 1.0, **parameters}, None, 1.0, "", node)
+    return OpenLaw(candidate, law.site, _of_node(network, values, known))
+
+
+def _of_node(network: Network, values: Values, known: Array) -> Array:
+    x = known[:, network.nodes.index(values.of)]
+    return law_values(values.form, "always", values.parameters, x, np.arange(float(len(x))))
+
+
+def _temperatures(network: Network, known: Array) -> Iterator[Values]:
+    """Yield the forms that an effect may have as a function of the temperatures that are read."""
+    for node in dict.fromkeys(s.node for s in network.sensors):
+        x = known[:, network.nodes.index(node)]
+        low, middle, high = (float(v) for v in np.quantile(x, (0.25, 0.5, 0.75)))
+        if not high - low > LEAST_SPREAD * max(abs(high), 1.0e-9):
+            continue
+        scale = float(np.abs(x - middle).max())
+        at = f"the temperature of {node}"
+        linear = {"gain": 1.0, "reference": middle}
+        yield Values(
+            "temperature", "linear", linear, None, scale, f"in proportion to {at} above {middle:.4g} degC", node
+        )
+        for level in (low, middle, high):
+            switched = {"size": 1.0, "on": level, "off": level}
+            yield Values("temperature", "threshold", switched, None, 1.0, f"while {at} is above {level:.4g} degC", node)
 
 
 def candidate_of(network: Network, site: OpenSite, values: Values) -> Candidate:
@@ -144,6 +189,29 @@ def candidate_of(network: Network, site: OpenSite, values: Values) -> Candidate:
     says = f"{site.says} {values.says}".rstrip()
     if unit == "W/W" and values.form == "linear":
         says = site.says.replace("{value}", f"{{value}} of {values.driver.replace('_', ' ')}")
+    if values.of:
+        strength = FORMS[values.form][0]
+        others = {key: value for key, value in values.parameters.items() if key != strength}
+        tables = {
+            name: {key: value for key, value in table.items() if key != "driver"}
+            | {"of": values.of, "form": values.form, **others}
+            for name, table in site.tables.items()
+        }
+        return Candidate(
+            site.kind,
+            site.where,
+            values.driver,
+            "new",
+            {f"{key.rsplit('.', 1)[0]}.{strength}": weight for key, weight in site.changes.items()},
+            unit,
+            site.typical / scale,
+            site.lower / scale,
+            site.upper / scale,
+            says,
+            adds=tables,
+            shapes=("step",),
+            adopts={"site": site.name, "form": values.form, "of": values.of, **others},
+        )
     return Candidate(
         site.kind,
         site.where,
@@ -171,6 +239,7 @@ def _unit(network: Network, site: OpenSite, values: Values) -> str:
     kind = KINDS[str(table["kind"])]
     places = {kind.places()[key].name: value for key, value in table.items() if key not in ("kind", "driver", "form")}
     driver = {} if values.column is None else {"driver": network.input_columns[values.column]}
+    driver |= {"of": values.of} if values.of else {}
     law: dict[str, Any] = {**places, **driver, "form": values.form}
     element = kind(name="law", **law)
     strength = FORMS[values.form][0]

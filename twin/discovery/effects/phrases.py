@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 from twin.discovery.effects.shapes import Shape
 from twin.elements.candidates import Candidate
@@ -10,6 +11,13 @@ from twin.elements.candidates import Candidate
 SHORT_S = 120.0
 """A time below this is told in seconds."""
 _OPPOSITES = (("} more", "} less"), ("} too high", "} too low"))
+_IRREGULAR = {"has": "have", "is": "are", "was": "were", "does": "do"}
+_ENDING = re.compile(r"((?:ss|sh|ch|x|zz))es$|s$")
+"""Ending of a verb of the third person: `passes`, `reaches`, `gives`."""
+_PRONOUNS = (("its", "their"), ("beside it", "beside them"))
+_SINGULAR = ("ss", "us", "is")
+"""Endings of single things: mass, apparatus, chassis."""
+_ONE_IN_S = ("gas", "lens", "bias", "canvas", "atlas")
 
 
 def said(candidate: Candidate, size: float, spread: float = 0.0, record_s: float = math.inf) -> str:
@@ -20,17 +28,18 @@ def said(candidate: Candidate, size: float, spread: float = 0.0, record_s: float
     c = candidate
     named = c.kind == "sensor" and c.where.endswith("_C")
     who = c.where if named else f"The {c.where.replace('_', ' ')}"
-    says = _plural(c.says) if not named and c.where.endswith("s") else c.says
+    says = c.says
     bounds = (c.lower, c.upper)
     for much, little in _OPPOSITES:
         if size < 0.0 and much in says:
             says, size, bounds = says.replace(much, little), -size, (-c.upper, -c.lower)
     if size < 0.0 and c.kind == "heat_transfer" and " from " in says:
-        verb, _, rest = says.partition(" ")
-        says = f"give{'s' if verb.endswith('s') else ''} {' to '.join(rest.rsplit(' from ', 1))}"
+        _, _, rest = says.partition(" ")
+        says = f"gives {' to '.join(rest.rsplit(' from ', 1))}"
         size, bounds = -size, (-c.upper, -c.lower)
     slow = "longer than the record" if c.slow_s > record_s else f"of {lasting(c.slow_s)}"
     value, share = (amount(size, unit, spread, bounds) for unit in (c.unit, "W/W"))
+    says = agreeing(c.where, says)
     return f"{who} {says.format(value=value, share=share, slow=slow)}"
 
 
@@ -38,10 +47,23 @@ def when(shape: Shape, start: float) -> str:
     return f"since {clock(start + shape.onset_s)}" if shape.onset_s > 0.0 else "from the beginning of the record"
 
 
-def _plural(says: str) -> str:
-    first, _, rest = says.partition(" ")
-    verb = {"has": "have", "is": "are", "exchanges": "exchange", "loses": "lose", "takes": "take", "gives": "give"}
-    return f"{verb.get(first, first.removesuffix('s'))} {rest}"
+def is_plural(name: str) -> bool:
+    """Return True for the name of several things by its last word, as `modules` or `heat_sinks`.
+
+    A name that ends in a number or a unit is that of one thing or reading, and so is an abbreviation (`BMS`).
+    """
+    last = re.split(r"[\W_]+", name)[-1]
+    return last.endswith("s") and len(last) > 2 and not last.endswith(_SINGULAR) and last not in _ONE_IN_S
+
+
+def agreeing(name: str, says: str) -> str:
+    """Return what `name` does, beginning with a verb of the third person, with the verb of a plural where it is one."""
+    if not is_plural(name):
+        return says
+    verb, gap, rest = says.partition(" ")
+    for one, many in _PRONOUNS:
+        rest = re.sub(rf"\b{one}\b", many, rest)
+    return f"{_IRREGULAR.get(verb) or _ENDING.sub(lambda found: found[1] or '', verb)}{gap}{rest}"
 
 
 def amount(value: float, unit: str, spread: float = 0.0, bounds: tuple[float, float] = (-math.inf, math.inf)) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from twin.discovery.effects.phrases import amount, clock
+from twin.discovery.effects.phrases import agreeing, amount, clock
 
 WHOLE = 9.5
 """Watts from which a power is given in whole ones; a smaller one, of a small rig, has two digits."""
@@ -36,18 +36,20 @@ def disturbance_statement(
     since = f", from {clock(since_s)} on" if since_s is not None and since_s > 0.0 else ""
     if interval is not None and average and _both_ways(*interval):
         between = f"between {_sized(interval[0], unit)} and {_sized(interval[1], unit)}"
-        verb = {"W": "gives off", "K": "reads too high by"}.get(unit, "differs from the twin by")
+        verb = agreeing(where, {"W": "gives off", "K": "reads too high by"}.get(unit, "differs from the twin by"))
         rest = " that the twin does not model" if unit == "W" else ""
         return f"{where.replace('_', ' ') if unit not in ('W', 'K') else where} {verb} {between}{rest}{since}"
     low, high = sorted(-x if value < 0.0 else x for x in interval or (value, value))
     spread = f" ({_bare(low, unit)} to {_bare(high, unit)})" if interval is not None else ""
     size = f"{_sized(abs(value), unit)}{' on average' if average else ''}{spread}"
     if unit == "W":
-        text = f"{where} {'takes up' if value < 0.0 else 'gives off'} {size} that the twin does not model"
+        verb = agreeing(where, "takes up" if value < 0.0 else "gives off")
+        text = f"{where} {verb} {size} that the twin does not model"
     elif unit == "K":
-        text = f"{where} reads too {'low' if value < 0.0 else 'high'} by {size}"
+        text = f"{where} {agreeing(where, 'reads')} too {'low' if value < 0.0 else 'high'} by {size}"
     else:
-        text = f"{where.replace('_', ' ')} has {size} {'less' if value < 0.0 else 'more'} than the twin models"
+        change = f"{size} {'less' if value < 0.0 else 'more'}"
+        text = f"{where.replace('_', ' ')} {agreeing(where, 'has')} {change} than the twin models"
     return text + since
 
 

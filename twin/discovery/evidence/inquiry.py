@@ -225,7 +225,8 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     """
     contest, claim = part.contest, max(CLAIM, part.basis.claim)
     part.reset()
-    best, least = found.told, max(claim, found.unlisted)
+    best = found.told
+    least = max(claim, found.unlisted if best is None else found.rival_of(best))
     together = _at_one_moment(best, contest) if best is not None and best.odds >= least else None
     if fewer and together is not None and best is not None:
         enough = best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp
 
-from twin.discovery.evidence.priors import FORM_ERRORS, FORM_S, SPREAD
+from twin.discovery.evidence.priors import FORM_ERRORS, FORM_S, SPREADS, size_prior_sd
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
@@ -49,7 +49,8 @@ def log_mass(low: Array, high: Array) -> Array:
 def log_bayes_of_sizes(candidates: Candidate | Sequence[Candidate], top: Array, bottom: Array) -> tuple[Array, Array]:
     """Return log B of single effects with scores `top` and squares `bottom`, and their sizes.
 
-    The prior of a size is a Gaussian within its candidate's bounds.
+    The prior of a size is a mixture of Gaussians of `SPREADS`, each within its candidate's bounds; the size is that of
+    the likelier one.
 
     Args:
         candidates: one for all scores, which have any shape, or one for each row (c,) of scores (c, n).
@@ -59,7 +60,14 @@ def log_bayes_of_sizes(candidates: Candidate | Sequence[Candidate], top: Array, 
         typical, lower, upper = np.array(c.typical), np.array(c.lower), np.array(c.upper)
     else:
         typical, lower, upper = np.array([(c.typical, c.lower, c.upper) for c in candidates]).T[..., None]
-    prior = SPREAD * typical
+    found = [_of_one(top, bottom, spread * typical, lower, upper) for spread in SPREADS]
+    (narrow, size), (wide, larger) = found
+    odds = np.logaddexp(narrow, wide) - math.log(len(SPREADS))
+    return odds, np.where(wide > narrow, larger, size)
+
+
+def _of_one(top: Array, bottom: Array, prior: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Return log B and sizes for a Gaussian prior of standard deviation `prior` within bounds."""
     variance = 1.0 / (bottom + prior**-2.0)
     mean, sd = variance * top, np.sqrt(variance)
     odds = 0.5 * mean * top - 0.5 * np.log1p(prior**2 * bottom)
@@ -163,12 +171,15 @@ def _onto(contest: Contest, every: Array) -> Array:
 def joint(contest: Contest, entries: Sequence[Entry]) -> Joint:
     """Return the evidence of effects together; their shapes stay as they are."""
     count = len(entries)
-    prior = np.array([SPREAD * e.candidate.typical for e in entries])
+    typical = np.array([e.candidate.typical for e in entries])
     parts = tuple(_columns(contest, e) for e in entries)
     each = len(parts[0].every) - 1
     gram = _in_order([_in_order([one.every @ other.onto for one in parts]).T for other in parts])
     score = _in_order([p.every @ contest.score for p in parts])
-    sizes = np.linalg.solve(gram[:count, :count] + np.diag(prior**-2.0), score[:count])
+    own, pull = gram[:count, :count], score[:count]
+    sizes = np.linalg.solve(own + np.diag((max(SPREADS) * typical) ** -2.0), pull)
+    prior = np.array([size_prior_sd(t, s) for t, s in zip(typical, sizes, strict=True)])
+    sizes = np.linalg.solve(own + np.diag(prior**-2.0), pull)
     found: list[tuple[float, float, Array, Array, Array]] = []
     for share in FORM_ERRORS:
         scale = np.concatenate([prior, np.repeat(share * np.abs(sizes), each)])
@@ -179,6 +190,7 @@ def joint(contest: Contest, entries: Sequence[Entry]) -> Joint:
         mean = scale * (root @ pull)
         spread = scale * np.sqrt((root**2).sum(axis=1))
         log_bayes = 0.5 * quadratic - 0.5 * float(np.log(np.maximum(values, 1.0)).sum())
+        log_bayes -= count * math.log(len(SPREADS))
         log_bayes += sum(
             _within(e.candidate, float(m), float(s), float(p))
             for e, m, s, p in zip(entries, mean, spread, prior, strict=False)

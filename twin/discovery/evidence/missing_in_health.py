@@ -14,11 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from twin.discovery.evidence.marginal import joint
 from twin.discovery.evidence.part import Part
-from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, MISSING_IN_HEALTH, SPREAD
+from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, MISSING_IN_HEALTH, size_prior_sd
 from twin.discovery.evidence.scan import scan
 from twin.discovery.evidence.search import Prior, apart, late_ones, leading, log_odds_unlisted
 from twin.discovery.healthy.basis import Basis
@@ -47,16 +48,18 @@ class _Columns:
     pull: Array
     log_prior: Array
 
-    def odds(self, which: Sequence[int]) -> float:
-        """Return the log posterior odds of a set against none."""
-        at = list(which)
-        inverse = np.linalg.inv(self.precision[np.ix_(at, at)])
-        mean, gram = inverse @ self.pull[at], self.gram[np.ix_(at, at)]
-        left = self.score[at] - gram @ mean
-        inner = np.eye(len(at)) + inverse @ gram
-        found = mean @ self.score[at] - 0.5 * mean @ gram @ mean
-        found += 0.5 * left @ np.linalg.solve(inner, inverse @ left) - 0.5 * np.linalg.slogdet(inner)[1]
-        return float(found + self.log_prior[at].sum())
+    def odds(self, sets: NDArray[np.intp]) -> Array:
+        """Return the log posterior odds (n,) of sets (n, c) of as many columns each against none."""
+        rows = sets[:, :, None], sets[:, None, :]
+        inverse, gram = np.linalg.inv(self.precision[rows]), self.gram[rows]
+        mean = (inverse @ self.pull[sets][:, :, None])[:, :, 0]
+        score, expected = self.score[sets], (gram @ mean[:, :, None])[:, :, 0]
+        left = score - expected
+        inner = np.eye(sets.shape[1]) + inverse @ gram
+        found = (mean * (score - 0.5 * expected)).sum(axis=1)
+        found += 0.5 * (left * np.linalg.solve(inner, inverse @ left[:, :, None])[:, :, 0]).sum(axis=1)
+        found += self.log_prior[sets].sum(axis=1) - 0.5 * np.linalg.slogdet(inner)[1]
+        return np.asarray(found, dtype=np.float64)
 
     def sizes(self, which: Sequence[int]) -> Array:
         """Return the posterior means (n,) of a set."""
@@ -67,14 +70,17 @@ class _Columns:
     def likeliest(self, given: Sequence[int], others: Sequence[int]) -> tuple[tuple[int, ...], float]:
         """Return the likeliest set that holds what is `given` and some of the `others`, and its log odds."""
         best = tuple(given)
-        most, level = self.odds(best) if best else 0.0, [best]
+        most, level = float(self.odds(np.array([best]))[0]) if best else 0.0, [best]
         for _ in range(MOST_LAWS):
-            grown = {tuple(sorted((*s, i))) for s in level for i in others if i not in s}
-            odds = {s: self.odds(s) for s in grown}
-            level = sorted(odds, key=lambda s: -odds[s])[:BEAM]
-            if not level or odds[level[0]] <= most:
+            grown = list({tuple(sorted((*s, i))): None for s in level for i in others if i not in s})
+            if not grown:
                 break
-            best, most = level[0], odds[level[0]]
+            odds = self.odds(np.array(grown))
+            order = np.argsort(-odds, kind="stable")[:BEAM]
+            level = [grown[i] for i in order]
+            if odds[order[0]] <= most:
+                break
+            best, most = level[0], float(odds[order[0]])
         return best, most
 
 
@@ -96,7 +102,7 @@ def with_missing(part: Part) -> Basis:
         return known
     columns, count = _columns_of(part, effects, amounts, prior), len(effects)
     alone, odds = _possible(columns, (), amounts.candidates)
-    if odds <= max(columns.likeliest((), range(count))[1], 0.0, log_odds_unlisted(part)):
+    if odds <= max(columns.likeliest((), range(count))[1], 0.0, *log_odds_unlisted(part).values()):
         return known
     # Laws that only stand for an effect that began later would hide it: beside it, fewer laws may do.
     begun = [i for i, e in enumerate(effects) if e.shape.onset_s > 0.0]
@@ -139,7 +145,7 @@ def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
     An effect all along is likelier a law that the twin has always lacked where the healthy record's amplitude, but for
     an error of form, is nearer to the fitted one than the prior of a fault is.
     """
-    along = [e for e in entries if e.shape.name == "step" and e.shape.onset_s <= 0.0 and not e.candidate.column]
+    along = [e for e in entries if e.shape.name == "step" and e.shape.onset_s <= 0.0 and not e.candidate.is_open]
     if known.health is None or known.structure is None or not along:
         return known
     missing = known.missing
@@ -147,7 +153,7 @@ def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
         amounts = known.health.amplitudes([entry.candidate], known.probe.scaling.ids)
         if not amounts.candidates:
             continue
-        wide = (SPREAD * entry.candidate.typical) ** 2
+        wide = size_prior_sd(entry.candidate.typical, entry.size) ** 2
         variance = 1.0 / (float(amounts.precision[0, 0]) + 1.0 / wide)
         mean = variance * float(amounts.score[0])
         variance += (max(FORM_ERRORS) * mean) ** 2
@@ -173,7 +179,8 @@ def _columns_of(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior
     here += contest.slopes[:, : part.basis.probe.q] @ amounts.moves
     there = contest.signatures(np.stack([e.vector for e in effects]))
     _, gram, score = contest.beside_tunables(np.concatenate([there, here], axis=1))
-    wide = [(SPREAD * c.typical) ** -2.0 for c in (*(e.candidate for e in effects), *amounts.candidates)]
+    likely = [*((e.candidate, e.size) for e in effects), *((c, 0.0) for c in amounts.candidates)]
+    wide = [size_prior_sd(c.typical, size) ** -2.0 for c, size in likely]
     count = len(effects)
     missing = [math.log(MISSING_IN_HEALTH) + prior.share(c) for c in amounts.candidates]
     columns = _Columns(
@@ -185,7 +192,7 @@ def _columns_of(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior
     )
     for i, entry in enumerate(effects):
         # What bounds and unknown times make of an effect's evidence is no matter of its neighbours.
-        columns.log_prior[i] += entry.log_bayes + prior.of(entry) - columns.odds((i,))
+        columns.log_prior[i] += entry.log_bayes + prior.of(entry) - float(columns.odds(np.array([[i]]))[0])
     return columns
 
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from twin.discovery.diagnosis import Course
 from twin.discovery.effects.catalogue import LATE
-from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.effects.open_laws import OpenLaw, open_laws
+from twin.discovery.effects.laws import CandidateLaw, temperatures
+from twin.discovery.effects.open_laws import OpenLaw, again, open_laws
 from twin.discovery.effects.probe import FreeRun, free_run
 from twin.discovery.effects.shapes import EARLY_S, Shape
 from twin.discovery.evidence.scan import scan
@@ -64,12 +64,12 @@ class Part:
         """Keep the laws of further candidates at hand, without looking for them."""
         known = {law.candidate.id for law in self.laws}
         further = {c.id: c for c in candidates if c.id not in known}
-        named = tuple(c for c in further.values() if not c.column)
-        sites = {law.site.column: law.site for law in self.opened}
+        named = tuple(c for c in further.values() if not c.is_open)
+        sites = {law.site.column: law for law in self.opened} | {law.site.name: law for law in self.opened}
         opened = [
-            OpenLaw(c, sites[c.column], c.follows(self.grid.time, self.grid.inputs))
+            again(self.basis.probe.network, sites[at], c, self.grid, self._known)
             for c in further.values()
-            if c.column in sites and c.follows is not None
+            if (at := c.column or str(c.adopts.get("site", ""))) in sites
         ]
         self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, named), *opened]
 
@@ -85,8 +85,13 @@ class Part:
 
     @cached_property
     def opened(self) -> list[OpenLaw]:
-        """Laws without a name: any input at every site."""
-        return open_laws(self.basis.probe.network, self.grid, self.laws)
+        """Laws without a name: any input or temperature at every site."""
+        return open_laws(self.basis.probe.network, self.grid, self.laws, self._known)
+
+    @property
+    def _known(self) -> Array:
+        """Node temperatures (n, k), degC, that laws are evaluated on."""
+        return temperatures(self.basis.probe.network, self.grid, self.run)
 
     def late(self, onset_s: float) -> list[Entry]:
         """Every law that is late, at several times a typical size, all along and since an onset.

@@ -7,6 +7,8 @@ a twin that lacks nothing. Logarithms are natural.
 
 from __future__ import annotations
 
+import math
+
 from twin.discovery.scoring.search import Entry
 
 FAULT = 0.05
@@ -17,15 +19,16 @@ MISSING_IN_HEALTH = 0.5
 twin lacks some, but only what a record shows again matters."""
 UNLISTED = 0.1
 """Share of faults that are of no named law. A judgement, not a count."""
-SPREAD = 5.0
-"""Standard deviation of a size, in typical sizes of its law. In a prototype on 40-hour records of independent plants
-the odds changed by 1 to 1.5 between 2 and 15."""
+SPREADS = (5.0, 50.0)
+"""Standard deviations of a size, in typical sizes of its law, each as likely: most faults are of a few typical sizes,
+and a fault ten times as large is rare but no less a fault. With one Gaussian of five typical sizes, an error of
+forty costs 32 in log odds, more than what distinguishes one cause from another."""
 ALL_ALONG = 0.5
 """Probability that an effect was there when the record began; else any moment of it is as likely as any other."""
 AT_ONCE = 0.5
 """Probability that an effect comes in at once, where it may grow too, come and go, come back or fade; the others share
 the rest, each family alike and within it each course."""
-FORM_ERRORS = (0.01, 0.03, 0.1)
+FORM_ERRORS = (0.001, 0.01, 0.1)
 """Standard deviations of an effect's error of form, as shares of its size, each as likely: no law is quite right."""
 FORM_S = 7200.0
 """Time over which an error of form keeps its sign, s: that of a load step and of a change of the weather."""
@@ -51,6 +54,13 @@ rated like an actuator."""
 DRIVERS = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
 """Probability that a fault follows a driver, relative to one that is constant or follows a difference of temperatures.
 Judgements."""
+
+
+def size_prior_sd(typical: float, size: float) -> float:
+    """Return the standard deviation of the prior's component that a size most likely comes from, in its unit."""
+    narrow, wide = (spread * typical for spread in SPREADS)
+    far = 0.5 * size**2 * (narrow**-2.0 - wide**-2.0) > math.log(wide / narrow)
+    return wide if far else narrow
 
 
 def plausibility(entry: Entry) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.evidence.marginal import form_quadratic, joint
 from twin.discovery.evidence.part import Part, continued, fitted, slower
-from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, SPREAD, UNLISTED
+from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, UNLISTED, size_prior_sd
 from twin.discovery.evidence.scan import logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK
 from twin.discovery.refit.fitting import AGAIN, Fit, look_at
@@ -50,6 +50,8 @@ MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heat
 """What an actuator moves: a pump that turns slower is a flow that is less."""
 
 Class = tuple[str, str]
+Thing = tuple[str, bool]
+"""A place, by its thermometer or by what moves it too, and whether something there is an error of reading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +79,28 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Found:
-    """Hypotheses by falling odds, single effects by falling evidence, and the log odds of an unknown of no listed
-    form."""
+    """Hypotheses by falling odds, single effects by falling evidence, and the log odds of an unknown of no listed form
+    by its place."""
 
     hypotheses: tuple[Hypothesis, ...]
     scanned: list[Entry]
     retuned: Fit
-    unlisted: float
+    unlisted_at: Mapping[Thing, float]
+
+    @property
+    def unlisted(self) -> float:
+        """Return the log odds of an unknown of no listed form, wherever it is."""
+        return logsumexp(np.array([*self.unlisted_at.values()])) if self.unlisted_at else -math.inf
+
+    def rival_of(self, best: Hypothesis) -> float:
+        """Return the log odds that named effects have to reach, because of unknowns of no listed form.
+
+        An unknown at the place of one of them claims the same and also that no law describes its course, which is
+        said only with the odds of a claim.
+        """
+        own = {_thing(e) for e in best.entries}
+        odds = [odds - (CLAIM if thing in own else 0.0) for thing, odds in self.unlisted_at.items()]
+        return logsumexp(np.array(odds)) if odds else -math.inf
 
     @property
     def told(self) -> Hypothesis | None:
@@ -119,7 +136,7 @@ class Prior:
 
     def share(self, candidate: Candidate) -> float:
         """Return the log probability that a fault is one of this law."""
-        place, is_open = (candidate.kind, candidate.where), bool(candidate.column)
+        place, is_open = (candidate.kind, candidate.where), candidate.is_open
         alike, others = self._each[is_open].get(place, 1.0), self._each[not is_open].get(place, 0.0)
         share = (UNLISTED if is_open else 1.0 - UNLISTED) if others else 1.0
         weight = DRIVERS.get(candidate.driver, 1.0) / alike
@@ -159,7 +176,8 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
     # Where the tunables bend, re-tuning alone comes to other squares than to first order.
     nothing = 0.5 * (misfit - retuned.total)
     found = [replace(h, log_bayes=h.log_bayes - nothing) for h in found]
-    return Found(tuple(found), scanned, retuned, log_odds_unlisted(part) - nothing)
+    unlisted = {thing: odds - nothing for thing, odds in log_odds_unlisted(part).items()}
+    return Found(tuple(found), scanned, retuned, unlisted)
 
 
 def _explained(found: list[Hypothesis], contest: Contest) -> bool:
@@ -231,10 +249,13 @@ def apart(entry: Entry, others: tuple[Entry, ...]) -> bool:
     return all(_thing(entry) != _thing(o) for o in others)
 
 
-def _thing(entry: Entry) -> tuple[str, bool]:
-    """Return the place of an effect, by its thermometer or by what moves it too, and whether it is one of reading."""
-    named = entry.candidate.where.removeprefix("T_").removesuffix("_C")
-    return MOVED_BY.get(named, named), entry.candidate.kind == "sensor"
+def _thing(entry: Entry) -> Thing:
+    return _thing_at(entry.candidate.where, entry.candidate.kind == "sensor")
+
+
+def _thing_at(where: str, reads: bool) -> Thing:
+    named = where.removeprefix("T_").removesuffix("_C")
+    return MOVED_BY.get(named, named), reads
 
 
 def _fitted(part: Part, known: list[Hypothesis], level: list[Hypothesis], misfit: float) -> list[Hypothesis]:
@@ -293,7 +314,7 @@ def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
     own = copy.copy(part.contest)
     look_at(own, Model.of(own.probe, fit.entries), fit)
     entries = tuple(e.refreshed(own) for e in fit.entries)
-    unusual = sum((e.size / (SPREAD * e.candidate.typical)) ** 2 for e in entries)
+    unusual = sum((e.size / size_prior_sd(e.candidate.typical, e.size)) ** 2 for e in entries)
     quadratic = misfit - fit.total - unusual + form_quadratic(own, entries, h.form_error)
     won = 0.5 * (quadratic - h.quadratic)
     return replace(
@@ -366,13 +387,14 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
     return tried
 
 
-def log_odds_unlisted(part: Part) -> float:
-    """Return the log odds of one unknown quantity, free from block to block, at any place."""
+def log_odds_unlisted(part: Part) -> dict[Thing, float]:
+    """Return the log odds of one unknown quantity, free from block to block, by its place."""
     free = part.free
-    if not free:
-        return -math.inf
-    share = math.log(FAULT * UNLISTED) - math.log(len(free) * len(WALK_PER_BLOCK))
-    return logsumexp(np.array([c.log_evidence for c in free])) + share
+    at: dict[Thing, list[float]] = {}
+    for course in free:
+        at.setdefault(_thing_at(course.where, course.signature == "sensor"), []).append(course.log_evidence)
+    share = math.log(FAULT * UNLISTED) - math.log(len(free) * len(WALK_PER_BLOCK)) if free else 0.0
+    return {thing: logsumexp(np.array(found)) + share for thing, found in at.items()}
 
 
 def ladder_of(part: Part, told: Hypothesis | None, scanned: Sequence[Entry]) -> tuple[Rung, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,7 @@ from twin.discovery.healthy.health import Health
 from twin.discovery.healthy.in_health import InHealth, MissingInHealth
 from twin.discovery.healthy.widening import Bootstrap, kept
 from twin.discovery.records import noise as noises
-from twin.discovery.records.grid import Grid, on_grid
+from twin.discovery.records.grid import Grid, on_grid, sample_period
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import scan
 from twin.discovery.scoring.structure import Structure
@@ -129,8 +129,12 @@ class Basis:
         return 0.0 if self.bootstrap is None else self.bootstrap.claim
 
 
-def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
+def basis(network: Network, healthy: Columns | None, record: Grid, period_s: float = 0.0) -> Basis:
     """Noise and prior from a healthy record, or from the record itself.
+
+    Args:
+        period_s: interval of the record's samples, with which the healthy record is looked at too. Between two samples
+            nothing tells when a load changed, and a twin driven by them is off by as much in health.
 
     Raises:
         NotHealthyError: the healthy record does not fit the twin. TwinFileError: a twin without tunables.
@@ -140,7 +144,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
     probe, book = Probe(network, ids), Book(network, late_at_once=healthy is not None)
     if healthy is not None:
-        health, of = _healthy(network, probe, book, healthy)
+        health, of = _healthy(network, probe, book, _as_often(healthy, period_s))
         same = health.noise.step_s == record.step_s
         return Basis(
             probe=probe,
@@ -164,6 +168,17 @@ def basis(network: Network, healthy: Columns | None, record: Grid) -> Basis:
     )
     own = _from_itself(probe, book, record, state, learned, prior)
     return Basis(probe, book, own, prior, (warning,), _tried(record))
+
+
+def _as_often(healthy: Columns, period_s: float) -> Columns:
+    """Return a healthy record with samples `period_s` apart, or as it is where that is no coarser."""
+    every = round(period_s / sample_period(healthy.time_s)) if len(healthy.time_s) > 1 else 1
+    if every < 2:
+        return healthy
+    rows = slice(None, None, every)
+    members = {name: values[rows] for name, values in healthy.members.items()}
+    time_s, inputs, measured = healthy.time_s[rows], healthy.inputs[rows], healthy.measured[rows]
+    return replace(healthy, time_s=time_s, inputs=inputs, measured=measured, members=members)
 
 
 def _healthy(network: Network, probe: Probe, book: Book, healthy: Columns) -> tuple[Health, Probe]:

@@ -119,11 +119,16 @@ def require_enough(network: Network, time_s: ArrayLike, measured: ArrayLike, lea
     _require_readings(np.asarray(measured, dtype=np.float64))
 
 
+def sample_period(time_s: Array) -> float:
+    """Return the median interval between samples (N,), s."""
+    return float(np.median(np.diff(time_s)))
+
+
 def _bins(network: Network, t: Array, least_s: float) -> tuple[float, float, int]:
     """Return the period of the samples and the step of the bins, s, and how many bins there are."""
     if len(t) < 2:
         raise TooShortError("the record has fewer than two samples; diagnosis needs at least two windows of data")
-    period = float(np.median(np.diff(t)))
+    period = sample_period(t)
     step = max(least_s, period)
     step *= max(np.ceil((t[-1] - t[0]) / step / MOST_BINS), 1.0)
     bins = int(np.floor((t[-1] - t[0]) / step + 1e-9)) + 1
