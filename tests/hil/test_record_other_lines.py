@@ -82,3 +82,11 @@ def test_a_comment_among_the_rows_is_shown_with_its_line(tmp_path, comment):
 def test_rows_below_a_left_out_line_keep_their_line_numbers(tmp_path):
     record = read(tmp_path, HEAD + FIRST + HEAD + "30;530;22.0\n40;x;23.0\n50;550;23.5\n")
     assert any("line 9, is 'x'" in said for said in record.messages)
+
+
+def test_a_row_that_was_cut_before_a_second_heading_is_counted_and_a_preamble_is_not(tmp_path):
+    cut = read(tmp_path, HEAD + FIRST + "30;5\n" + HEAD + "40;540;23.0\n50;550;23.5\n")
+    assert any("1 line has not the 3 fields" in said and "line 6" in said for said in cut.messages)
+    own = read(tmp_path, HEAD + FIRST + "Logger;7\n" + HEAD + "40;540;23.0\n50;550;23.5\n")
+    assert "a second heading at line 7" in own.messages
+    assert not any("fields" in said for said in own.messages)

@@ -345,9 +345,8 @@ def test_a_run_that_was_cut_is_told_from_one_that_goes_on(story):
     refused = typed("diagnose", cut.path, "--dry")
     assert refused.returncode == 2
     name = shlex.quote(str(cut.path))
-    assert "was interrupted and has no record yet" in refused.stderr
-    assert f"`hil report {name}` makes one" in refused.stderr
-    assert f"`hil resume {name}` continues" in refused.stderr
+    assert f"because the run was interrupted; `hil resume {name}` continues it" in refused.stderr
+    assert f"`hil report {name}` makes the record" in refused.stderr
     shown = typed("review", cut.path).stderr
     assert f"the run was interrupted: shown as far as it came; `hil resume {shlex.quote(str(cut.path))}`" in shown
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import split_column
-from hil.record.csv_file.dialect import MOST_BELOW, Dialect, is_value, known_units
+from hil.record.csv_file.dialect import MOST_BELOW, Dialect, is_value, known_units, split
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times import SECONDS_PER, is_time_name, seconds_per_unit
 from hil.record.units import conversion, meaning_of, name_and_unit, scaled_heading
@@ -72,12 +72,16 @@ def without_other_lines(raw: RawRecord, dialect: Dialect, skipped: Sequence[tupl
     return dataclasses.replace(raw, messages=(*raw.messages, *said), conversions={**raw.conversions, **by_row})
 
 
-def is_other_line(number: int, text: str, headings: Sequence[int]) -> bool:
+def is_other_line(number: int, text: str, dialect: Dialect, headings: Sequence[int]) -> bool:
     """Return True for a line with another number of fields that is no broken row.
 
     It is a comment, or the line of a logger's own data above one of the `headings` (numbers of lines).
     """
-    return text.lstrip('"').startswith("#") or any(0 < heading - number <= MOST_BELOW for heading in headings)
+    if text.lstrip('"').startswith("#"):
+        return True
+    cells = split(text, dialect.delimiter)
+    is_row = not cells or is_value(cells[0])  # A row that was cut off when the logger stopped.
+    return not is_row and any(0 < heading - number <= MOST_BELOW for heading in headings)
 
 
 def heading_lines(raw: RawRecord, written: Sequence[str]) -> list[int]:

@@ -74,7 +74,7 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         path, digest, names, tuple(table.columns), header_line=dialect.rows_from, skipped_lines=all_skipped
     )
     headings = heading_lines(first, dialect.names) if left_out else []
-    skipped = [(line, row_text) for line, row_text in left_out if not is_other_line(line, row_text, headings)]
+    skipped = [(line, row_text) for line, row_text in left_out if not is_other_line(line, row_text, dialect, headings)]
     if skipped:
         _require_no_heading(path, skipped, dialect)
         line, row_text = skipped[0]
@@ -92,8 +92,8 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
     _require_closed_quotes(path, content, table, dialect)
     last_is_left_out = bool(left_out) and text.rstrip("\r\n ").endswith(left_out[-1][1])
     if not text.endswith(("\n", "\r")) and not last_is_left_out:
-        table, said = _without_cut_end(table, names[-1], text.count("\n") + 1)
-        messages += said
+        table, cut = _without_cut_end(table, names[-1], text.count("\n") + 1)
+        messages += cut
     raw = RawRecord(
         path,
         digest,
