@@ -49,6 +49,13 @@ def test_minutes_without_hours_get_the_remedy_of_a_spreadsheet(tmp_path):
         read(tmp_path, "Time,T_tank_C\n" + rows([20, 21, 22, 23, 24, 25], times))
 
 
+def test_minutes_that_run_on_beyond_the_hour_are_read(tmp_path):
+    times = [f"{58 + k // 2}:{30 * (k % 2):02}.0" for k in range(6)]
+    assert read(tmp_path, "Time,T_tank_C\n" + rows([20, 21, 22, 23, 24, 25], times)).time_s.tolist() == [
+        *range(0, 180, 30)
+    ]
+
+
 @pytest.mark.parametrize(
     ("name", "times", "why"),
     [
