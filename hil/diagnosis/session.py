@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from hil.diagnosis.results import provenance, write
 from hil.diagnosis.revision import revise, write_proposal
 from hil.journal import record_sha256
 from hil.record import ReadingOptions
+from hil.record.values import UnitQuestion
 from twin import Network, TwinFileError, load
 from twin.discovery import (
     Columns,
@@ -161,9 +163,29 @@ def diagnose_files(ready: PreparedDiagnosis, say: Callable[[str], None], note: C
         raise TwinFileError(f"{ready.healthy_file}: {error}") from None
     except TwinFileError as error:
         raise TwinFileError(f"{request.record}: {error}") from None
+    found = depending_on_units(found, network, messages)
     if ready.stored.why:
         found = dataclasses.replace(found, notes=(ready.stored.why, *found.notes))
     return found
+
+
+def depending_on_units(found: Diagnosis, network: Network, messages: Sequence[str]) -> Diagnosis:
+    """Return `found` with the open questions of units that it depends on, and then without a certain effect.
+
+    A wrong unit of a column reads like an effect. As long as one is open, an effect is one of two explanations: the
+    verdict is `ambiguous`, and the twin gets no revision.
+    """
+    columns = set(network.recorded_inputs) | {c for named in network.sensor_columns.values() for c in named}
+    asked = [said for said in messages if isinstance(said, UnitQuestion)]
+    asked = [said for said in asked if any(re.search(rf"\b{re.escape(column)}\b", said) for column in columns)]
+    if not asked:
+        return found
+    warning = f"the answer depends on an open question of units: {' '.join(asked)} Correct the record or its heading"
+    found = dataclasses.replace(found, warnings=(warning, *found.warnings))
+    if found.verdict != "effect found":
+        return found
+    summary = f"If the units of the record are right, which is open: {found.summary}"
+    return dataclasses.replace(found, verdict="ambiguous", summary=summary, network=None)
 
 
 def write_results(

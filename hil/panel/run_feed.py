@@ -19,7 +19,7 @@ from hil.alarms import AlarmError, AlarmWatch, alarm_document
 from hil.journal import ENDED, JournalError, JournalReader, JournalSamples, State, StateRow, TwinOutput
 from hil.panel.errors import PanelError
 from hil.panel.trends import Trends, number
-from hil.run_folder import RunFolder, RunFolderError, read_diagnosis_verdict, read_notes
+from hil.run_folder import RunFolder, RunFolderError, left_safe, read_diagnosis_verdict, read_notes
 
 BLOCK_TICKS = 20_000
 """Ticks that are read at a time."""
@@ -291,7 +291,7 @@ class RunFeed:
             notes = [{"time": "", "by": "", "text": str(error)}]
         diagnosis = read_diagnosis_verdict(folder)
         return {
-            "safe": self._manifest.get("safe") if self._manifest.get("exit_status") != "running" else None,
+            "safe": left_safe(self._manifest),
             "notes": notes,
             "diagnosis": None if diagnosis is None else str(diagnosis),
             "files": {

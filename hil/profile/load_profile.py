@@ -182,9 +182,25 @@ def read_profile(path: Path, unitless: Collection[str] = ()) -> Profile:
             f"{path} has {len(times)} rows under its header; write at least two, the last one's time is the end"
         )
     digest = hashlib.sha256(content).hexdigest()
+    if not text.endswith(("\n", "\r")):
+        notes = (*notes, *_doubt_of_end(path, lines[-1], [row[-1] for row in rows]))
     values_array = np.array(rows, dtype=np.float64)
     return Profile(
         safe_file_name(path.stem), np.array(times), columns[1:], values_array, path, digest, tuple(lines), notes
+    )
+
+
+def _doubt_of_end(path: Path, line: int, last_column: list[float]) -> tuple[str, ...]:
+    """Return a note on a last number with fewer digits before its point than all others of its column.
+
+    The caller has seen that no line end follows it: the file may have been cut off inside of it.
+    """
+    *others, last = (len(f"{abs(value):.0f}") for value in last_column)
+    if last >= min(others):
+        return ()
+    return (
+        f"{path} line {line} ends in {last_column[-1]:g}, with fewer digits than the numbers above and no line end: is "
+        "the file cut off there? End the line to say that it is complete",
     )
 
 

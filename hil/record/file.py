@@ -102,7 +102,11 @@ def _zero_bytes(content: bytes) -> str:
 
 def _with_units(raw: RawRecord) -> RawRecord:
     """Return `raw` with a column for each series, and the units that headings and columns of units give."""
-    raw = with_heading_units(one_column_a_series(one_below_the_other(raw)))
+    spread = one_column_a_series(one_below_the_other(raw))
+    by_row = {name for name, (factor, _) in raw.conversions.items() if not isinstance(factor, float)}
+    if by_row and (len(spread.cells[0]) != len(raw.cells[0]) or not by_row <= spread.conversions.keys()):
+        raise RecordError(f"{raw.path}: a line among its rows gives other units than the top; split the file there")
+    raw = with_heading_units(spread)
     try:
         return with_unit_columns(raw)
     except RecordError as error:

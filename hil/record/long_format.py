@@ -129,11 +129,14 @@ def _strings(cells: Any) -> list[str]:
 
 
 def _naming(texts: Sequence[Sequence[str]], known: Sequence[int]) -> list[int]:
-    """Return which columns of text name a series: one that tells all combinations apart, else all that vary."""
+    """Return which columns of text name a series: one that tells all combinations apart, else all that vary.
+
+    Where a column of another name (a device) tells them apart, the first that names series (a sensor) is added.
+    """
     combinations = len(set(zip(*texts, strict=True)))
     for at in (*known, *range(len(texts))):
         if len(set(texts[at])) == combinations:
-            return [at]
+            return [at] if at in known or not known else sorted((known[0], at))
     return [at for at in range(len(texts)) if len(set(texts[at])) > 1]
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.record.clock_jumps import YEAR_S
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times import GAP_PERIODS, TimeAxis, span
 from hil.record.values import Sign, may_be_lost, parse
 
-YEAR_S = 365.25 * 86400.0
-"""A clock without power falls back to the beginning of its epoch, years before any record."""
 ORDERED = 4
 """Fewest rows between two steps back of a file in the order of a clock; rows in no order have two in the mean."""
 INTERLEAVED = 3

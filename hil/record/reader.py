@@ -10,7 +10,9 @@ such columns only for signals that were ever not good.
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
+import re
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,24 +26,29 @@ from drivers.signals import Quality, column_name, split_column
 from hil.files import replacing
 from hil.journal import ExportedRecord, export_record
 from hil.profile import WRITTEN_UNITS
+from hil.record.clock_jumps import clock_questions, without_jumps
 from hil.record.file import read_raw
 from hil.record.order import describe_steps, order
 from hil.record.plausibility import SENTINELS, without_implausible
 from hil.record.rated_columns import QUALITY, find_ratings
 from hil.record.raw import RawRecord, ReadingOptions, RecordError
-from hil.record.times import numbered, read_time, span
+from hil.record.times import TimeAxis, numbered, read_time, span
 from hil.record.units import without_cell_units
 from hil.record.values import (
     LOST,
     DecimalSignError,
     Numbers,
     Sign,
+    UnitQuestion,
     decimal_signs,
     is_difference,
     may_be_lost,
     of_a_room,
     parse,
     remarks,
+    standing_still,
+    trimmed,
+    unit_jumps,
 )
 from twin import column_hint
 
@@ -134,6 +141,10 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
         raise RecordError(f"{path}: {error}") from error
     axis = numbered(raw) if at_rest else read_time(raw, signs, choice)
     messages += axis.messages
+    if not at_rest:
+        near, said = without_jumps(raw, axis)
+        axis = _restarted(axis, near)
+        messages += [*said, *clock_questions(axis, near, choice.time_scale)]
     rows, moved = order(raw, axis, signs)
     messages += moved
     stamps = axis.seconds[rows]
@@ -150,6 +161,7 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
     messages += [] if at_rest else describe_steps(time_s)
     columns: dict[str, NDArray[np.float64]] = {}
     quality: dict[str, NDArray[np.uint8]] = {}
+    remedy = _remedy_of_repeats(raw, axis) if repeats else ""
     unmarked: list[str] = []
     rated = find_ratings(raw, axis.columns, signs)
     messages += rated.messages
@@ -162,7 +174,7 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
         if values is None:
             continue
         if is_quality:
-            values = _last_known(written, values[rows], last_of_stamp, path, messages) if repeats else values[rows]
+            values = _last_known(written, values[rows], last_of_stamp, path, remedy) if repeats else values[rows]
             quality[name.removesuffix(QUALITY)] = np.clip(np.nan_to_num(values, nan=0.0), 0, 255).astype(np.uint8)
             continue
         numbers = rated.applied(name, values, raw, messages)
@@ -170,7 +182,7 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
         values = without_implausible(name, values, raw.place, messages, raw.plausible.get(written), numbers)
         values = values[rows]
         if repeats:
-            values = _last_known(written, values, last_of_stamp, path, messages)
+            values = _last_known(written, values, last_of_stamp, path, remedy)
         messages += _asked(name, written, values)
         columns[name] = values
         if (reasons := rated.reasons(written)) is not None:
@@ -181,8 +193,19 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
     if unmarked:
         messages.append(f"no unit suffix: {', '.join(unmarked)} (kept as they are)")
     messages += remarks(columns)
+    if not at_rest:
+        messages += [*standing_still(time_s, columns), *unit_jumps(time_s, columns)]
     messages += _describe_missing(time_s, columns, quality)
     return Record(time_s, columns, tuple(messages), path, raw.sha256, quality, axis.start, raw.metadata or {})
+
+
+def _restarted(axis: TimeAxis, seconds: NDArray[np.float64]) -> TimeAxis:
+    """Return the axis with `seconds (n,)`, which lack some of its rows; dated times begin at the first that is left."""
+    if axis.start is None or not np.isfinite(seconds).any():
+        return dataclasses.replace(axis, seconds=seconds)
+    first = float(np.nanmin(seconds))
+    start = axis.start + datetime.timedelta(seconds=first)
+    return dataclasses.replace(axis, seconds=seconds - first, start=start)
 
 
 def _numbers(name: str, cells: Any, sign: Sign, raw: RawRecord, messages: list[str]) -> NDArray[np.float64] | None:
@@ -226,8 +249,21 @@ def _is_text(name: str, numbers: Numbers) -> bool:
     return words >= 1.0 - LOST or (words > 0.5 and split_column(name) is None)
 
 
+def _remedy_of_repeats(raw: RawRecord, axis: TimeAxis) -> str:
+    """Return what to do about rows with one time: numbers may have too few digits, other times lack their seconds."""
+    text = trimmed(raw.cells[raw.names.index(axis.columns[0])]) if len(axis.columns) == 1 else None
+    first = next((cell for cell in text.to_pylist() if cell), "") if text is not None else ""
+    if re.fullmatch(r"[+-]?\d+[.,]?\d*[eE][+-]?\d+", first):
+        return f"'{first}' has too few digits for the times of the rows: write all digits, without an exponent"
+    if re.fullmatch(r"[+-]?\d+[.,]\d+", first):
+        return f"'{first}' has too few digits for the times of the rows: write more decimals, or seconds"
+    return (
+        "write times with fractions of a second or with their date, and if these are two records in one file, split it"
+    )
+
+
 def _last_known(
-    name: str, values: NDArray[np.float64], last_of_stamp: NDArray[np.int64], path: Path, messages: list[str]
+    name: str, values: NDArray[np.float64], last_of_stamp: NDArray[np.int64], path: Path, remedy: str
 ) -> NDArray[np.float64]:
     """Return the last known value (k,) of each stamp; raise RecordError if too many others would be lost."""
     known = np.where(np.isnan(values), -1, np.arange(len(values)))
@@ -240,8 +276,7 @@ def _last_known(
     present = int(np.isfinite(values).sum())
     if lost > may_be_lost(present):
         raise RecordError(
-            f"{path}: {lost} of {present} values of column '{name}' stand at a time that another row has too; write "
-            "times with fractions of a second or with their date, and if these are two records in one file, split it"
+            f"{path}: {lost} of {present} values of column '{name}' stand at a time that another row has too; {remedy}"
         )
     return kept
 
@@ -281,15 +316,15 @@ def _asked(name: str, written: str, values: NDArray[np.float64]) -> list[str]:
     """
     if not np.isfinite(values).any() or split_column(name) is None:
         return []
-    said = []
+    said: list[str] = []
     middle = float(np.nanmedian(values))
     if _standard_unit(name) == "degC":
         if LIQUID_K[0] <= np.nanmin(values) and np.nanmax(values) <= LIQUID_K[1]:
-            said.append(f"{name} has a median of {middle:.4g}: is it in kelvin?")
+            said.append(UnitQuestion(f"{name} has a median of {middle:.4g}: is it in kelvin?"))
         elif (split_column(written) or ("", ""))[1] == "K" and middle < COLDEST_C:
-            said.append(f"{name} has a median of {middle:.4g}: was it in degC before?")
+            said.append(UnitQuestion(f"{name} has a median of {middle:.4g}: was it in degC before?"))
         elif middle > HOTTEST_ROOM_C and of_a_room(name):
-            said.append(f"{name} has a median of {middle:.4g}: is it in degrees Fahrenheit?")
+            said.append(UnitQuestion(f"{name} has a median of {middle:.4g}: is it in degrees Fahrenheit?"))
     if name.startswith("T_") and name.endswith("_C") and len(values) > 100 and np.ptp(values) == 0:
         told = f"is constant at {values[0]:g} degC: assumed, or" if of_a_room(name) else f"is {values[0]:g} throughout:"
         said.append(f"{name} {told} is the channel dead?")

@@ -26,7 +26,7 @@ from hil.report.statistics import (
 )
 from hil.report.verdict import verdict_section
 from hil.report.zoom import PLOT_STYLE
-from hil.run_folder import RunFolder, labels_of, read_diagnosis_verdict, read_notes, read_verdict
+from hil.run_folder import RunFolder, labels_of, left_safe, read_diagnosis_verdict, read_notes, read_verdict
 from hil.tracking import Proposed, accepted, closed_gates, parameter_cell, window_kind
 
 LEVELS = ("ERROR", "WARN")
@@ -111,11 +111,12 @@ def _note(text: str) -> Html:
 
 def _summary(manifest: dict[str, Any]) -> Html:
     reason = f": {manifest['reason']}" if manifest["reason"] else ""
-    is_safe = manifest.get("safe") and not manifest.get("away")
-    safe = "The heater was left at its safe value, read back." if is_safe else "NOT confirmed safe."
+    safe = "The heater was left at its safe value, read back." if left_safe(manifest) else "NOT confirmed safe."
+    # A report is made while nobody runs the run: one that is still running then was interrupted.
+    status = "interrupted" if manifest["exit_status"] == "running" else manifest["exit_status"]
     found = [*manifest.get("problems", []), *manifest.get("deviations", [])]
     problems = (element("p", problem, class_="WARN") for problem in found)
-    return joined([element("p", element("b", manifest["exit_status"]), f"{reason}. {safe}"), *problems])
+    return joined([element("p", element("b", status), f"{reason}. {safe}"), *problems])
 
 
 def _segments(manifest: dict[str, Any], unit: TimeUnit) -> Html:

@@ -19,7 +19,14 @@ if TYPE_CHECKING:
         require_room,
     )
     from hil.run_folder.json_lines import append_json_line, read_json_lines
-    from hil.run_folder.manifest_check import DocumentShape, Labels, require_settings, wrong_place
+    from hil.run_folder.manifest_check import (
+        DocumentShape,
+        Labels,
+        left_safe,
+        require_settings,
+        without_end,
+        wrong_place,
+    )
     from hil.run_folder.notes import LONGEST_LABEL, LONGEST_NOTE, Note, add_note, labels_of, read_notes
     from hil.run_folder.output_path import require_output
     from hil.run_folder.verdict import DiagnosisVerdict, read_diagnosis_verdict, read_verdict
@@ -38,6 +45,7 @@ __all__ = [
     "append_json_line",
     "create_run_folder",
     "labels_of",
+    "left_safe",
     "new_manifest",
     "read_diagnosis_verdict",
     "read_json_lines",
@@ -46,6 +54,7 @@ __all__ = [
     "require_output",
     "require_room",
     "require_settings",
+    "without_end",
     "wrong_place",
 ]
 
@@ -64,7 +73,9 @@ __getattr__, __dir__ = lazy_names(
         "manifest_check": (
             "DocumentShape",
             "Labels",
+            "left_safe",
             "require_settings",
+            "without_end",
             "wrong_place",
         ),
         "notes": (

@@ -153,6 +153,25 @@ def checked_manifest(document: Any, path: Path, failure: Failure) -> dict[str, A
     return checked
 
 
+_OF_AN_END = ("safe", "away", "guardian", "trips", "problems", "deviations")
+"""Entries of a manifest that describe how a run ended; they hold no longer once it goes on."""
+
+
+def without_end(manifest: dict[str, Any]) -> dict[str, Any]:
+    """Return a copy of `manifest` without the entries on an earlier end of its run."""
+    return {key: value for key, value in manifest.items() if key not in _OF_AN_END}
+
+
+def left_safe(manifest: dict[str, Any]) -> bool | None:
+    """Return True where the run ended with its outputs at their safe values, read back, and False where it did not.
+
+    None for a run that goes on or was interrupted: whatever `safe` says then is of an earlier end.
+    """
+    if manifest.get("exit_status") == "running" or manifest.get("safe") is None:
+        return None
+    return bool(manifest["safe"]) and not manifest.get("away")
+
+
 def require_settings(settings: dict[str, Any], path: Path, failure: Failure) -> None:
     """Check that a manifest holds all settings for a resume; raises `failure`."""
     missing = [key for key in _REQUIRED if key not in settings]

@@ -88,14 +88,28 @@ def test_a_reading_that_is_off_now_and_then_is_told_from_heat_and_from_flow(benc
     assert found.description["signature"] == "sensor" and "a reading in error" in found.summary
 
 
-def test_a_curve_is_offered_for_heat_that_follows_something_in_an_odd_way(bench: Bench, healthy: Columns) -> None:
+def odd_record(bench: Bench) -> Columns:
     """Heat at middle speeds of the fan only: no law of the catalogue, but the fan foretells it."""
     numbers = zip((50.0, 60.0, 70.0, 85.0, 100.0), (0.0, 40.0, 90.0, 40.0, 0.0), strict=True)
     knots = {
         f"{name}_{k + 1}": {"value": v} for k, pair in enumerate(numbers) for name, v in zip("xq", pair, strict=True)
     }
     odd = {"kind": "empirical_heat", "node": "tank", "driver": "fan_speed_pct", **knots}
-    found = diagnose(bench.network, bench.record(14.0, changed=bench.with_element("odd", odd)), healthy)
+    return bench.record(14.0, changed=bench.with_element("odd", odd))
+
+
+def test_heat_beyond_what_an_effect_can_hold_is_a_question_of_units(
+    bench: Bench, healthy: Columns, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("twin.discovery.places.empirical.MOST_HEAT_W", 50.0)
+    found = diagnose(bench.network, odd_record(bench), healthy)
+    assert (found.verdict, found.empirical) == ("unexplained", None)
+    (said,) = [note for note in found.notes if "contradicts the twin" in note]
+    assert "W are missing at tank" in said and said.endswith("is fan_speed_pct in the unit of its name?")
+
+
+def test_a_curve_is_offered_for_heat_that_follows_something_in_an_odd_way(bench: Bench, healthy: Columns) -> None:
+    found = diagnose(bench.network, odd_record(bench), healthy)
     assert found.verdict == "unexplained" and found.network is None  # offered, not adopted
     curve = found.empirical
     assert curve is not None and (curve.node, curve.variable) == ("tank", "fan_speed_pct")

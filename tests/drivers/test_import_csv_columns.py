@@ -230,3 +230,40 @@ def test_functions_may_stand_in_two_columns(tmp_path):
     points, _ = drafted(tmp_path, text)
     assert (points["P"]["table"], points["P"]["access"]) == ("holding", "rw")
     assert points["Q"]["table"] == "input"
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        "-400..1200 (=-40.0..120.0)",
+        "-400 to 1200 = -40 to 120",
+        "-400…1200 -> -40…120 bar",
+        "-400..1200 [= -40..120 bar]",
+    ],
+)
+def test_a_range_with_the_values_of_its_ends_gives_the_scale(tmp_path, cell):
+    point, notes = ranged(tmp_path, "Range", cell)
+    assert point["scale"] == 0.1 and not point.get("offset")
+    assert notes == ["line 2: P: taken as raw x 0.1 + 0, by its raw range: -400 to 1200 is -40 to 120 bar"]
+
+
+def test_a_scale_that_contradicts_the_values_of_a_range_leaves_the_line_out(tmp_path):
+    point, notes = ranged(tmp_path, "Range;Factor", "-400..1200 (=-40.0..120.0);1")
+    assert not point and "gives raw x 0.1 + 0, and its scale or offset raw x 1 + 0" in notes[-1]
+
+
+PERCENT = "name;address;table;type;unit;range;scale\npump;4;holding;uint16;%;{range};{scale}\nQ;9;input;int16;bar;;\n"
+
+
+@pytest.mark.parametrize(("cell", "scale"), [("0..27648", ""), ("0..27648", "1"), ("0 to 32767", "")])
+def test_a_range_that_no_value_in_the_unit_can_have_leaves_the_line_out(tmp_path, cell, scale):
+    points, notes = drafted(tmp_path, PERCENT.format(range=cell, scale=scale))
+    assert set(points) == {"Q"}
+    assert f"range '{cell}' is beyond" in notes[-1] and "may be a raw range" in notes[-1]
+
+
+@pytest.mark.parametrize(("cell", "scale"), [("0..100", ""), ("0..27648", "100/27648"), ("0..65535", ""), ("n/a", "")])
+def test_a_range_of_values_or_of_the_type_leaves_the_point_as_it_is(tmp_path, cell, scale):
+    points, notes = drafted(tmp_path, PERCENT.format(range=cell, scale=scale))
+    assert set(points) == {"pump", "Q"}
+    assert "line 1: columns that were not used: range" in notes

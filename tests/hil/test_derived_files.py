@@ -26,6 +26,7 @@ from hil.run.session.interrupted_run import request_of
 from hil.run.session.manifest import RUN_UID
 from hil.run.session.regenerate import regenerate_files
 from hil.run_folder.folder import FolderLostError, RunFolderError
+from hil.run_folder.manifest_check import left_safe
 from tests.hil.ended_run import ended_run
 
 ALL = {"run.json", "journal.sqlite", "record.parquet", "review.rrd", "report.html"}
@@ -270,3 +271,27 @@ def test_a_run_folder_is_checked_and_commissioned_by_its_record(tmp_path):
             catch_exceptions=False,
         )
     assert str(caught.value).startswith(f"{folder.record} lacks pump_nowhere_pct")
+
+
+def test_a_report_of_an_interrupted_run_says_nothing_of_the_safe_end_before_it(tmp_path):
+    folder, manifest = ended_run(tmp_path / "run", ended=False)
+    folder.write_manifest(manifest | {"exit_status": "running", "safe": True})
+    regenerate_files(folder, False, lambda text: None)
+    page = folder.report.read_text(encoding="utf-8")
+    assert "<b>interrupted</b>" in page
+    assert "NOT confirmed safe" in page
+    assert "left at its safe value" not in page
+
+
+@pytest.mark.parametrize(
+    ("entries", "safe"),
+    [
+        ({"exit_status": "done", "safe": True, "away": ""}, True),
+        ({"exit_status": "done", "safe": True, "away": "T_tank_C is 70"}, False),
+        ({"exit_status": "faulted", "safe": False}, False),
+        ({"exit_status": "running", "safe": True}, None),
+        ({"exit_status": "done"}, None),
+    ],
+)
+def test_only_an_ended_run_was_left_safe(entries, safe):
+    assert left_safe(entries) is safe

@@ -18,7 +18,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from hil.cli.run_commands.resume import command as resume
 from hil.diagnosis.columns import read_columns
 from hil.journal.writer import JournalReader
 from hil.record.reader import Record, read_record
@@ -342,8 +344,9 @@ def test_a_run_that_was_cut_is_told_from_one_that_goes_on(story):
         assert not cut.was_cut
     refused = typed("diagnose", cut.path, "--dry")
     assert refused.returncode == 2
-    advice = f"was interrupted and has no record yet; `hil resume {shlex.quote(str(cut.path))}` continues it"
-    assert advice in refused.stderr
+    name = shlex.quote(str(cut.path))
+    assert f"because the run was interrupted; `hil resume {name}` continues it" in refused.stderr
+    assert f"`hil report {name}` makes the record" in refused.stderr
     shown = typed("review", cut.path).stderr
     assert f"the run was interrupted: shown as far as it came; `hil resume {shlex.quote(str(cut.path))}`" in shown
 
@@ -428,3 +431,21 @@ def _free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
+
+
+def test_a_resume_takes_back_what_the_manifest_says_of_an_earlier_end(story, tmp_path, monkeypatch):
+    folder = RunFolder(tmp_path / "run")
+    shutil.copytree(story.folder.path.parents[1] / "as it was cut", folder.path)
+    old = {"exit_status": "faulted", "reason": "a trip", "safe": True, "away": "", "guardian": "cut", "trips": ["hot"]}
+    folder.write_manifest(folder.read_manifest() | old)
+    seen = {}
+
+    async def killed_at_once(prepared):
+        seen.update(folder.read_manifest())
+        raise RunFolderError("killed here")
+
+    monkeypatch.setattr("hil.run.session.session.carry_out", killed_at_once)
+    done = CliRunner().invoke(resume, [str(folder.path), "--no-viewer"])
+    assert seen, done.output
+    assert seen["exit_status"] == "running"
+    assert not {"safe", "away", "guardian", "trips", "problems", "deviations"} & set(seen)

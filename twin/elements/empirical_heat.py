@@ -18,6 +18,10 @@ from twin.elements.base import Element, Names, ParameterSpec, place
 from twin.elements.fragments import Fragment
 
 KNOTS = 5
+MOST_HEAT_W = 1.0e5
+"""Largest heat of a curve, W, of either sign."""
+FARTHEST_KNOT = 1.0e4
+"""Largest number of the quantity that a curve follows, in its unit, of either sign."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +44,12 @@ class EmpiricalHeat(Element):
     def parameter_specs(self) -> tuple[ParameterSpec, ...]:
         suffix = self.driver.rsplit("_", 1)[-1] if self.driver else "C"
         unit = {"pct": "%", "C": "degC"}.get(suffix, suffix)
-        where = tuple(ParameterSpec(f"x_{k}", unit, None, -1.0e4, 1.0e4, "fixed", "knot") for k in _numbers())
-        heat = tuple(ParameterSpec(f"q_{k}", "W", None, -1.0e5, 1.0e5, "fixed", "fitted") for k in _numbers())
+        where = tuple(
+            ParameterSpec(f"x_{k}", unit, None, -FARTHEST_KNOT, FARTHEST_KNOT, "fixed", "knot") for k in _numbers()
+        )
+        heat = tuple(
+            ParameterSpec(f"q_{k}", "W", None, -MOST_HEAT_W, MOST_HEAT_W, "fixed", "fitted") for k in _numbers()
+        )
         return (*where, *heat)
 
     def problem(self, values: Mapping[str, float]) -> str | None:

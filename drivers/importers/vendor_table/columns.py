@@ -10,6 +10,7 @@ from pathlib import Path
 from drivers.importers.draft import ImportFileError
 from drivers.importers.vendor_table.cells import device_number
 from drivers.importers.vendor_table.headings import FACTORS, contents_that_matter, heading_key, is_harmless
+from drivers.importers.vendor_table.range_cells import pair_in
 from drivers.importers.vendor_table.scale import is_exponent_like
 from drivers.importers.vendor_table.words import NO, YES, squeezed
 
@@ -106,8 +107,9 @@ def columns_of(path: Path, line: int, head: Sequence[str], rows: Rows) -> Vendor
         raise ImportFileError(path, line, unclear[0])
     _settle_devices(path, line, found, weak, rows)
     if not any(key.startswith("raw_") for key in found.at) and "range" in found.at:
-        found.unused.append(found.called.pop("range"))
-        del found.at["range"]
+        # Each line is checked by it: it may be a raw range, or give the values of its ends.
+        gives_scale = any(pair_in(_cell(row, found.at["range"])) for _, row in rows)
+        found.unused += [] if gives_scale else [found.called["range"]]
     return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,10 +10,9 @@ from typing import cast
 from drivers.importers.draft import Collector, DraftPoint, ImportFileError
 from drivers.importers.vendor_table.cells import number_of
 from drivers.importers.vendor_table.columns import ambiguous_thousand
+from drivers.importers.vendor_table.range_cells import ends_in, pair_in
 from drivers.signals import RegisterType, canonical_unit, plausible_range, raw_bounds
 
-_END = r"[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?"
-_ENDS = re.compile(rf"[\[(]?\s*({_END})\s*(?:\.\.+|…|to|bis|à|-|–|—|;|~|/)\s*({_END})\s*[\])]?")
 _DIGITS = 12
 """Significant digits of a scale that is computed: no table gives its ranges more exactly."""
 _EMPTY = ("", "-")
@@ -47,10 +45,10 @@ def ends_of(
     texts = {key: "" if text in _EMPTY else text for key, text in texts.items()}
     text = cells.get(f"{side}range", "")
     if text not in _EMPTY and not any(texts.values()):
-        found = _ENDS.fullmatch(text.strip())
+        found = ends_in(text)
         if found is None:
             raise ImportFileError(path, line, f"{named}range {text!r} is not understood; write it as 0..1000")
-        texts = {"min": found[1], "max": found[2]}
+        texts = {"min": found[0], "max": found[1]}
     if not any(texts.values()):
         return None
     for key, end in texts.items():
@@ -71,6 +69,9 @@ def scale_of_range(
     The columns min, max and range are the engineering range where the line has no other. `has_factor` is True where the
     line has another scale, with which one of the two ranges may be missing. Raises ImportFileError.
     """
+    if not any(key.startswith("raw_") for key in cells) and (pair := pair_in(cells.get("range", ""))) is not None:
+        (raw_min, raw_max), (low, high) = pair
+        cells = {**cells, "raw_min": raw_min, "raw_max": raw_max, "eng_min": low, "eng_max": high}
     raw = ends_of(path, line, cells, "raw_", decimal_comma)
     value = ends_of(path, line, cells, "eng_", decimal_comma)
     if raw is None:
@@ -97,6 +98,28 @@ def scale_of_range(
     if abs(offset) < abs(scale) * 10.0**-_DIGITS * max(map(abs, raw)):
         offset = 0.0
     return RangeScale(raw, value, float(f"{scale:.{_DIGITS}g}"), float(f"{offset:.{_DIGITS}g}"))
+
+
+def require_values(path: Path, line: int, cells: Mapping[str, str], kind: str, scale: float, offset: float) -> None:
+    """Raise ImportFileError where the only range of a line can be no values in its unit: it is then a raw range.
+
+    `scale` and `offset` are those of the line. The whole range of its type says nothing, and neither does a range that
+    is one of values once it is scaled.
+    """
+    found = ends_in(cells.get("range", ""))
+    if found is None or "int" not in kind or any(key.startswith("raw_") for key in cells):
+        return
+    ends = [number_of(path, line, "range", end) for end in found]
+    low, high = plausible_range(_symbol(cells.get("unit", "")))
+    scaled = [end * scale + offset for end in ends]
+    if tuple(ends) == raw_bounds(kind) or any(all(low <= x <= high for x in one) for one in (ends, scaled)):
+        return
+    raise ImportFileError(
+        path,
+        line,
+        f"range {cells['range']!r} is beyond {low:g} to {high:g} {cells['unit']}, and may be a raw range; add eng min "
+        "and eng max and call it raw range, or correct its scale",
+    )
 
 
 def raw_ends(ends: Sequence[float], scale: float, offset: float, unit: str, kind: RegisterType) -> str:

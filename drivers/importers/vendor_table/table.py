@@ -42,7 +42,7 @@ from drivers.importers.vendor_table.columns import (
     order_of_swaps,
 )
 from drivers.importers.vendor_table.headings import heading_key
-from drivers.importers.vendor_table.ranges import PlausibleRanges, RangeScale, scale_of_range
+from drivers.importers.vendor_table.ranges import PlausibleRanges, RangeScale, require_values, scale_of_range
 from drivers.importers.vendor_table.scale import (
     ScaleError,
     divisor_of,
@@ -385,7 +385,9 @@ class _VendorTable:
             value, offset = ranged.scale, ranged.offset
             ends = f"{ranged.raw[0]:g} to {ranged.raw[1]:g} is {ranged.engineering[0]:g} to {ranged.engineering[1]:g}"
             self.collector.note(line, f"{called} {value:g} + {offset:g}, by its raw range: {ends} {unit}".rstrip())
-        elif offset:
+        else:
+            require_values(self.path, line, cells, kind, value, offset or 0.0)
+        if ranged is None and offset:
             self.collector.note(line, f"{called} {value:g} + {offset:g}; see if that is meant")
         keys: dict[str, Any] = {"unit": unit}
         if value != 1.0:

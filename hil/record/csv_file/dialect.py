@@ -44,6 +44,8 @@ _FACTORS = (
 )
 """First cells of a line, lower case, that gives a factor for each column."""
 _FACTOR = re.compile(r"[x×*]\s?\d+(?:[.,]\d+)?|\d+(?:[.,]\d+)?\s?[x×*]")
+_CHANNEL = re.compile(r"(?:ch|channel|kanal|ai|an|tc|in)[ _.-]?\d+", re.IGNORECASE)
+"""Number of a channel, for which a line below may give the tag."""
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?[,;\t|"]*', re.IGNORECASE)
 _MOMENT = re.compile(r"\d{1,4}([-./])\d{1,2}\1\d{1,4}([ T].*)?|\d{1,2}:\d{2}(:\d{2})?.*|\d{4}-\d{2}-\d{2}T.*", re.ASCII)
 
@@ -188,17 +190,22 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     _require_one_table(delimiter, lines, line)
     _require_no_factors(table[: first + MOST_BELOW], line, first_row=table[first][0].number)
     left_out = [str(one.number) for one in lines if one.number < table[first][0].number and one.number != line.number]
-    over = [(one, row) for one, row in above[:heading] if len(_known_units(row, names)) > sum(map(bool, row)) / 2]
+    over = [(one, row) for one, row in above[:heading] if len(known_units(row, names)) > sum(map(bool, row)) / 2]
     units_line, units = next(
         ((one.number, found) for one, row in (*below, *over) if (found := _units(row, names))), (0, {})
     )
     if own_units:
         units_line, units = line.number, own_units
-    said: tuple[str, ...] = ()
+    names, tags = _tagged(names, [(one.number, row) for one, row in below if one.number != units_line])
+    said: tuple[str, ...] = () if not tags else (f"line {tags} names the channels",)
+    left_out = [number for number in left_out if number != str(tags)]
     if left_out:
         which = "line" if len(left_out) == 1 else "lines"
         told = f", and a line {'below' if below else 'above'} it gives units" if units else ""
-        said = (f"line {line.number} is taken for the heading{told}; {which} {', '.join(left_out)} left out",)
+        said = (
+            *said,
+            f"line {line.number} is taken for the heading{told}; {which} {', '.join(left_out)} left out",
+        )
     return Dialect(delimiter, tuple(names), line.number, max(above[-1][0].number, line.number), units, units_line, said)
 
 
@@ -210,7 +217,7 @@ def _told_apart(names: list[str], over: Sequence[Sequence[str]]) -> list[str]:
     shared = [place for place, name in enumerate(names) if names.count(name) > 1 and name and not is_time_name(name)]
     for row in reversed(over):
         cells = [row[place] for place in shared]
-        known = sum(place in shared for place in _known_units(row, names))
+        known = sum(place in shared for place in known_units(row, names))
         if all(cells) and len(set(cells)) == len(cells) > 1 and known < len(cells) and not any(map(is_value, cells)):
             return [row[place] if place in shared else name for place, name in enumerate(names)]
     return names
@@ -231,6 +238,21 @@ def _named_above(names: list[str], over: Sequence[Sequence[str]]) -> tuple[list[
         ):
             return [row[place] if place in units else name for place, name in enumerate(names)], units
     return names, {}
+
+
+def _tagged(names: list[str], below: Sequence[tuple[int, Sequence[str]]]) -> tuple[list[str], int]:
+    """Return the names with those of a line of tags below them in place of the numbers of channels.
+
+    The second result is the number of that line, 0 where there is none.
+    """
+    channels = [place for place, name in enumerate(names) if _CHANNEL.fullmatch(name)]
+    for number, row in below:
+        tags = {place: row[place] for place in channels if row[place]}
+        apart = len(set(tags.values())) == len(tags) == sum(map(bool, row))
+        known = any(meaning_of(tag) is not None for tag in tags.values())
+        if tags and apart and not known and not any(map(is_value, tags.values())):
+            return [tags.get(place, name) for place, name in enumerate(names)], number
+    return names, 0
 
 
 def _may_be_time(name: str) -> bool:
@@ -328,7 +350,7 @@ def _heading(above: Sequence[tuple[Line, list[str]]]) -> int:
     named = [i for i, (_, row) in enumerate(above) if any(is_time_name(cell) for cell in row)]
     for i in named:
         row = above[i][1]
-        if i == named[-1] or 2 * len(_known_units(row, row)) < sum(map(bool, row)):
+        if i == named[-1] or 2 * len(known_units(row, row)) < sum(map(bool, row)):
             return i
     for i, (_, row) in enumerate(above):
         if all(row) and len(set(row)) == len(row):
@@ -342,13 +364,14 @@ def _units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
     Cells that are no known units are among them where at least as many are.
     """
     there = {place: cell for place, cell in enumerate(row) if cell.lower() not in (*MISSING, "1")}
-    known = _known_units(row, names)
+    known = known_units(row, names)
     if not known or 2 * len(known) < len(there):
         return known
     return {place: cell for place, cell in there.items() if place in known or cell != names[place]}
 
 
-def _known_units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
+def known_units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
+    """Return the cells of a line that are known units, by column."""
     return {place: cell for place, cell in enumerate(row) if cell and _is_unit(cell, names[place])}
 
 

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from hil.files import require_columns
 from hil.record.csv_file.annotated import is_annotated, read_annotated
+from hil.record.csv_file.cut_end import ends_cut
 from hil.record.csv_file.dialect import BLANKS, Dialect, find_dialect, heading_cells, is_value, split
 from hil.record.csv_file.encodings import unwrapped
 from hil.record.csv_file.labview import is_labview, read_labview
 from hil.record.csv_file.labview_exports import without_waveform_lines
+from hil.record.csv_file.lines_among_rows import heading_lines, is_other_line, without_other_lines
 from hil.record.csv_file.repeated_headings import by_later_headings
 from hil.record.csv_file.units_line import named_columns
 from hil.record.raw import RawRecord, RecordError, unique
@@ -66,7 +68,13 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
     messages += named.messages
     names, repeated = unique(named.names)
     messages += repeated
-    table, skipped = _table(path, content, names, delimiter, encoding, dialect.rows_from)
+    table, left_out = _table(path, content, names, delimiter, encoding, dialect.rows_from)
+    all_skipped = tuple(line for line, _ in left_out)
+    first = RawRecord(
+        path, digest, names, tuple(table.columns), header_line=dialect.rows_from, skipped_lines=all_skipped
+    )
+    headings = heading_lines(first, dialect.names) if left_out else []
+    skipped = [(line, row_text) for line, row_text in left_out if not is_other_line(line, row_text, dialect, headings)]
     if skipped:
         _require_no_heading(path, skipped, dialect)
         line, row_text = skipped[0]
@@ -82,6 +90,10 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         messages.append(f"{what} not the {len(names)} fields of the header ({where}): dropped")
     names, table = _without_empty_end(dialect.names, names, table)
     _require_closed_quotes(path, content, table, dialect)
+    last_is_left_out = bool(left_out) and text.rstrip("\r\n ").endswith(left_out[-1][1])
+    if not text.endswith(("\n", "\r")) and not last_is_left_out:
+        table, cut = _without_cut_end(table, names[-1], text.count("\n") + 1)
+        messages += cut
     raw = RawRecord(
         path,
         digest,
@@ -91,10 +103,10 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         units=named.units,
         conversions=named.conversions,
         header_line=dialect.rows_from,
-        skipped_lines=tuple(line for line, _ in skipped),
+        skipped_lines=all_skipped,
         delimiter=delimiter,
     )
-    return by_later_headings(raw, dialect.names[: len(names)])
+    return without_other_lines(by_later_headings(raw, dialect.names[: len(names)]), dialect, left_out)
 
 
 def _require_no_heading(path: Path, skipped: list[tuple[int, str]], dialect: Dialect) -> None:
@@ -130,6 +142,18 @@ def _without_empty_end(
     if written[-1] or len(names) < 2 or table.column(len(names) - 1).null_count < table.num_rows:
         return names, table
     return names[:-1], table.select(range(len(names) - 1))
+
+
+def _without_cut_end(table: pa.Table, last: str, line: int) -> tuple[pa.Table, list[str]]:
+    """Return the table without a last row whose last number was cut off, and a message; `last` names its column."""
+    if not table.num_rows or not (found := ends_cut(table.column(table.num_columns - 1))):
+        return table, []
+    cell = f"the last number, '{table.column(table.num_columns - 1)[-1].as_py()}' of {last} (line {line}), has"
+    if found == "doubtful":
+        return table, [f"{cell} fewer digits than all others and no line end after it: is the file cut off there?"]
+    return table.slice(0, table.num_rows - 1), [
+        f"{cell} fewer digits than its column and no line end after it: the file is cut off there, and the line dropped"
+    ]
 
 
 def _require_closed_quotes(path: Path, content: bytes, table: pa.Table, dialect: Dialect) -> None:

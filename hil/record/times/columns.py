@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 
 from hil.record.raw import RawRecord, ReadingOptions, RecordError
-from hil.record.times.counts import find_counts, names_count
+from hil.record.times.counts import find_counts, names_count, names_subseconds
 from hil.record.times.digits import may_be_clock, may_be_dates
 from hil.record.times.names import SECONDS_PER, is_time_name, names_days, names_unit, seconds_per_unit
 from hil.record.times.numbers import day_count
 from hil.record.times.parts import find_parts
 from hil.record.times.text import is_date, is_moment, is_time_of_day
+from hil.record.times.zones import zone_of
 from hil.record.values import Sign, parse, trimmed
 
 _SAMPLE = 9
@@ -49,7 +50,7 @@ def find_columns(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions)
         return tuple(parts.values())
     for name in raw.names:
         if is_time_name(name):
-            return _with_partner(raw, name, signs)
+            return _with_partner(raw, _in_utc(raw, name), signs)
     import pyarrow as pa
 
     for name, cells in zip(raw.names, raw.cells, strict=True):
@@ -57,10 +58,30 @@ def find_columns(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions)
             return _with_partner(raw, name, signs)
     place = f" line {raw.header_line}" if raw.header_line else ""
     nameless = ", where the first column has no name" if raw.names[0] == "column_1" else ""
+    counted = next((name for name in raw.names if names_subseconds(name)), None)
+    if counted is not None:
+        name, seconds = counted, names_subseconds(counted)
+        raise RecordError(
+            f"{raw.path}{place} has no column time_s; where '{name}' counts the time from the beginning, give "
+            f"--time-column {name} --time-scale {seconds:g}"
+        )
     raise RecordError(
         f"{raw.path}{place} has no column time_s (it has {_shown(raw)}{nameless}); name the column of sample times "
         "time_s, in seconds, or give --time-column; where each row is a steady state, give --at-rest to hil diagnose"
     )
+
+
+def _in_utc(raw: RawRecord, name: str) -> str:
+    """Return the column of dates and times whose name has a time zone, where that of the column `name` has none."""
+    cells = dict(zip(raw.names, raw.cells, strict=True))
+    if zone_of(name) is not None or not _holds_moments(cells[name]):
+        return name
+    zoned = (one for one in raw.names if is_time_name(one) and zone_of(one) is not None and _holds_moments(cells[one]))
+    return next(zoned, name)
+
+
+def _holds_moments(cells: Any) -> bool:
+    return all_cells(cells, is_moment) and not all_cells(cells, is_date)
 
 
 def _shown(raw: RawRecord) -> str:

@@ -135,7 +135,7 @@ def with_subseconds(
     if not len(whole) or (np.abs(whole - np.round(whole)) > 1e-6).any():
         return columns, read, []
     for name, cells in zip(raw.names, raw.cells, strict=True):
-        if name in columns or (part := _part_of(name)) is None:
+        if name in columns or (part := names_subseconds(name)) is None:
             continue
         numbers = parse(cells, signs.get(name, "."))
         if numbers is None or numbers.bad or not np.isfinite(numbers.values[known]).all():
@@ -152,6 +152,7 @@ def with_subseconds(
     return columns, read, []
 
 
-def _part_of(name: str) -> float | None:
+def names_subseconds(name: str) -> float | None:
+    """Return seconds per unit of a count of parts of a second, by the name of its column; None for any other name."""
     bare = name.strip().lower()
     return next((part for part, words in _SUBSECONDS if re.fullmatch(_SUBSECOND_NAME.format(words), bare)), None)

@@ -104,7 +104,7 @@ def of_stamps(stamps: Stamps) -> Seconds | None:
         return None
     seconds, origin = _whole_numbers(micros, 1e-6)
     if not stamps.dated:
-        note = "" if stamps.how.startswith("days") else "a gap of a day or more cannot be seen in it"
+        note = "" if stamps.how.startswith(("days", "minutes")) else "a gap of a day or more cannot be seen in it"
         return Seconds(seconds, None, stamps.how, note)
     how = stamps.how + ("" if stamps.zoned else f" {ZONELESS}")
     return Seconds(seconds, _EPOCH + datetime.timedelta(seconds=origin), how, stamps.note, not stamps.zoned)

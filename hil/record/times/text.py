@@ -60,6 +60,8 @@ _CLOCK = re.compile(rf"(?:(?P<days>\d{{1,5}})\s*d(?:ays?)?,?\s+)?{_TIME}", re.AS
 """Time of day, or time from the beginning with its days before it: `1 days 02:03:04`, `0d 02:03:04`."""
 _FOUR = re.compile(r"(\d{1,3}):([0-5]\d):([0-5]\d):(\d\d)", re.ASCII)
 """Days, hours, minutes and seconds, or hours, minutes, seconds and hundredths."""
+_MINUTES = re.compile(r"(\d{1,5}):([0-5]\d[.,]\d+)", re.ASCII)
+"""Minutes and seconds with decimals, `00:30.0`."""
 _ZONE_BEHIND = re.compile(rf":\d{{2}}(?:[.,]\d+)?\s*(?:[AaPp]\.?\s?[Mm]\.?)?\s*({CELL})(?:\s*\(.*\))?$", re.IGNORECASE)
 """Zone at the end of a time."""
 _HOUR = re.compile(r"(?:^|[T\s,_-])(\d{1,2}):[0-5]\d")
@@ -151,6 +153,8 @@ def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
         Two numbers each, which may be hours and minutes or minutes and seconds; four, which may begin with days or end
         with hundredths; or a clock of twelve hours without AM and PM.
     """
+    if (short := _minutes_and_seconds(cells)) is not None:
+        return short
     if (four := _four_fields(cells)) is not None:
         return four
     found = [None if cell is None else _CLOCK.fullmatch(cell) for cell in cells]
@@ -175,6 +179,27 @@ def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
         out.append(None if value is None else value + days * MICROS_PER_DAY)
     how = "days, hours, minutes and seconds" if any(match["days"] for match in there) else "a time of day"
     return Stamps(out, how, False, dated=False)
+
+
+def _minutes_and_seconds(cells: Sequence[str | None]) -> Stamps | None:
+    """Return times of minutes and seconds with decimals, which run on beyond 59 minutes; None for any other cells.
+
+    Raises TimeTextError where they do not: they may lack their hours.
+    """
+    found = [None if cell is None else _MINUTES.fullmatch(cell) for cell in cells]
+    there = [match for match in found if match is not None]
+    if len(there) <= sum(cell is not None for cell in cells) / 2:
+        return None
+    if all(int(match[1]) < 60 for match in there):
+        raise TimeTextError(
+            f"'{there[0][0]}' looks like minutes and seconds without their hours, as spreadsheets show a time; format "
+            "the column as hh:mm:ss.000 or write seconds"
+        )
+    micros = [
+        None if match is None else round((60 * int(match[1]) + float(match[2].replace(",", "."))) * 1e6)
+        for match in found
+    ]
+    return Stamps(micros, "minutes and seconds", False, dated=False)
 
 
 def _four_fields(cells: Sequence[str | None]) -> Stamps | None:

@@ -11,17 +11,25 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.record.units.cells import without_cell_units
-    from hil.record.units.headings import fahrenheit_hint, name_and_unit, suffixed, with_heading_units
-    from hil.record.units.meanings import conversion, has_open_factor, meaning_of, unit_of
+    from hil.record.units.headings import (
+        fahrenheit_hint,
+        name_and_unit,
+        scaled_heading,
+        suffixed,
+        with_heading_units,
+    )
+    from hil.record.units.meanings import broken_sign, conversion, has_open_factor, meaning_of, unit_of
     from hil.record.units.unit_columns import row_units, unit_name, with_unit_columns
 
 __all__ = [
+    "broken_sign",
     "conversion",
     "fahrenheit_hint",
     "has_open_factor",
     "meaning_of",
     "name_and_unit",
     "row_units",
+    "scaled_heading",
     "suffixed",
     "unit_name",
     "unit_of",
@@ -37,10 +45,11 @@ __getattr__, __dir__ = lazy_names(
         "headings": (
             "fahrenheit_hint",
             "name_and_unit",
+            "scaled_heading",
             "suffixed",
             "with_heading_units",
         ),
-        "meanings": ("conversion", "has_open_factor", "meaning_of", "unit_of"),
+        "meanings": ("broken_sign", "conversion", "has_open_factor", "meaning_of", "unit_of"),
         "unit_columns": ("row_units", "unit_name", "with_unit_columns"),
     },
 )

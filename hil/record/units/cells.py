@@ -9,13 +9,15 @@ from typing import Any
 from drivers.signals import split_column
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times import is_time_name
-from hil.record.units.headings import fahrenheit_hint, suffixed
+from hil.record.units.headings import fahrenheit_hint, name_and_unit, suffixed
 from hil.record.units.meanings import unit_of
-from hil.record.values import MARKS, readings, trimmed
+from hil.record.values import COLDEST_K, MARKS, may_be_lost, readings, trimmed
 
 _CELL = re.compile(
     r"([+\-\u2212]?[\d.,' \u00a0\u2009\u202f\u2019]*\d(?:[eE][+-]?\d+)?)\s*([^\d\s.,'+-][^\d]*\d?(?:/[a-z]+)?)"
 )
+_PREFIXED = re.compile(r"([+-]?\d+(?:[.,]\d+)?)\s?(K|k|Mil|M|Bil|G|m|µ)")
+"""Number with a prefix of a multiple behind it; `Mil` and `Bil` are Grafana's millions and billions."""
 _ANY = r"[0-9]\s*[A-Za-z°%µΩ]"
 
 
@@ -31,6 +33,8 @@ def without_cell_units(raw: RawRecord) -> RawRecord:
     """
     names, cells, messages = list(raw.names), list(raw.cells), list(raw.messages)
     for index, name in enumerate(raw.names):
+        if not is_time_name(name):
+            _require_no_prefixes(name, raw.cells[index], raw)
         if not is_time_name(name) and (found := _stripped(name, raw.cells[index], raw)) is not None:
             names[index], cells[index], said = found
             if name in raw.conversions:
@@ -41,6 +45,36 @@ def without_cell_units(raw: RawRecord) -> RawRecord:
             messages.append(said)
             messages += filter(None, [fahrenheit_hint(names[index])] if names[index] == f"{name}_F" else [])
     return dataclasses.replace(raw, names=tuple(names), cells=tuple(cells), messages=tuple(messages))
+
+
+def _require_no_prefixes(name: str, cells: Any, raw: RawRecord) -> None:
+    """Raise RecordError for cells with a prefix in place of a unit, `1.20 K` for 1200, as dashboards write them.
+
+    K is kelvin in a column of temperatures, and where all cells of a column without a unit have it and are as large as
+    temperatures in kelvin are.
+    """
+    import pyarrow.compute as pc
+
+    text = trimmed(cells)
+    if text is None or not pc.any(pc.match_substring_regex(text, _ANY)).as_py():
+        return
+    written = text.to_pylist()
+    found = [(row, match) for row, cell in enumerate(written) if cell and (match := _PREFIXED.fullmatch(cell))]
+    present = len(written) - text.null_count
+    if len(found) <= may_be_lost(present):
+        return
+    own = (split_column(name) or name_and_unit(name) or ("", ""))[1]
+    kelvins = all(match[2] == "K" for _, match in found)
+    if own in ("degC", "degF", "K") or (own and unit_of(found[0][1][2]) == own):
+        return
+    middle = sorted(float(match[1].replace(",", ".")) for _, match in found)[len(found) // 2]
+    if not own and (not kelvins or (len(found) == present and middle >= COLDEST_K)):
+        return
+    row, match = found[0]
+    raise RecordError(
+        f"{raw.path}: column '{name}' has '{match[0]}' ({raw.place(row)}), where '{match[2]}' may stand for a multiple "
+        "of its unit, as dashboards shorten numbers; export full numbers (in Grafana: no unit, all decimals)"
+    )
 
 
 def _stripped(name: str, cells: Any, raw: RawRecord) -> tuple[str, Any, str] | None:

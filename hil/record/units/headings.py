@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Sequence
 
 from drivers.signals import column_name, split_column
-from hil.record.raw import RawRecord, RecordError
+from hil.record.raw import RawRecord, RecordError, repeat_message
 from hil.record.times import SECONDS_PER, is_time_name
-from hil.record.units.meanings import has_open_factor, meaning_of, names_factor, unit_of
+from hil.record.units.meanings import broken_sign, has_open_factor, meaning_of, names_factor, unit_of
 from twin import celsius_conversion
 
 _IN_BRACKETS = re.compile(r"(.+?)\s*[\[({<]\s*([^\[\](){}<>]+?)\s*[\])}>]")
@@ -16,6 +17,7 @@ _BEHIND_A_SIGN = re.compile(r"([^/,;]+?)\s+/\s+([^/\s]+)|([^/,;]+?)\s*,\s*([^,\s
 _LABEL = re.compile(r"\(.*\bLBL:\s*([^,)]+)")
 """Label of a sensor behind what it measures: `Temp, °C (LGR S/N: 1, SEN S/N: 2, LBL: Tank)`."""
 _NESTED = re.compile(r"(.+?)\s*\[\s*([^\[\]]+?)\s*\]")
+_NUMBERED = re.compile(r"(.+)(_\d+)")
 _SHOWN = 6
 """Columns that a message names one by one."""
 
@@ -34,7 +36,7 @@ def name_and_unit(heading: str) -> tuple[str, str] | None:
     return None
 
 
-def _scaled(heading: str) -> tuple[str, str, float] | None:
+def scaled_heading(heading: str) -> tuple[str, str, float] | None:
     """Return name, unit and factor of a heading that gives a multiple of a unit, as `Tank [0.1 °C]`; else None."""
     for name, symbol in _name_and_symbol(heading):
         found = meaning_of(symbol)
@@ -53,6 +55,14 @@ def _is_open(heading: str) -> bool:
     """Return True for a heading with a unit and a factor whose meaning is open, in the unit or in the name."""
     pairs = _name_and_symbol(heading)
     return any(has_open_factor(symbol) or (unit_of(symbol) and names_factor(name)) for name, symbol in pairs)
+
+
+def _repeated(heading: str, messages: Sequence[str]) -> tuple[str, str]:
+    """Return the heading as the file has it, and the end that tells a repeated one from the first, `_2`, or ""."""
+    found = _NUMBERED.fullmatch(heading)
+    if found is None or repeat_message(found[1], heading) not in messages:
+        return heading, ""
+    return found[1], found[2]
 
 
 def suffixed(name: str, unit: str) -> str:
@@ -94,11 +104,19 @@ def with_heading_units(raw: RawRecord) -> RawRecord:
                 "unit; write the value of one count, such as 0.1 °C, or numbers in the unit itself"
             )
             continue
+        broken = next((one for _, symbol in _name_and_symbol(heading) if (one := broken_sign(symbol))), None)
+        if broken is not None:
+            hints.append(
+                f"column '{heading}' has '{broken[0]}' in its unit, {broken[1]}: kept under this name without a unit"
+            )
         if names_factor(heading) and split_column(heading) is not None:
             hints.append(f"column '{heading}' has a factor in its name: its numbers are kept as they are")
-        found, factor = name_and_unit(heading), 1.0
-        if found is None and (scaled := _scaled(heading)) is not None:
+        base, number = _repeated(heading, raw.messages)
+        found, factor = name_and_unit(base), 1.0
+        if found is None and (scaled := scaled_heading(base)) is not None:
             found, factor = scaled[:2], scaled[2]
+        if found is not None:
+            found = f"{found[0]}{number}", found[1]
         if found is None or (found[1] in SECONDS_PER and factor == 1.0):
             continue
         if are_labels and _IN_BRACKETS.fullmatch(heading.strip()) and re.search(r"[\[({<]\s*\w\s*[\])}>]$", heading):

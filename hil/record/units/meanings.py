@@ -75,6 +75,26 @@ def meaning_of(text: str) -> tuple[str, float] | None:
     return None if inner is None else (inner[0], inner[1] * count)
 
 
+_BROKEN = {
+    "Â°": "UTF-8 read as Latin-1; save the file as UTF-8",
+    "Â": "UTF-8 read as Latin-1; save the file as UTF-8",
+    "¬∞": "UTF-8 read as Mac Roman; save the file as UTF-8",
+    "ø": "code page 437 or 850 read as Latin-1; save the file as UTF-8",
+    "¡": "Mac Roman read as Latin-1; save the file as UTF-8",
+    "?": "a degree sign that its encoding lacks; write °",
+    "ï¿½": "a degree sign that was lost; write °",
+    "\N{REPLACEMENT CHARACTER}": "a degree sign that was lost; write °",
+}
+"""Broken degree sign before C, F or K -> its cause and the remedy."""
+
+
+def broken_sign(text: str) -> tuple[str, str] | None:
+    """Return the broken degree sign of a unit such as `Â°C` and its cause with the remedy; None for any other text."""
+    bare = text.strip().strip("[](){} ")
+    sign = bare[:-1].strip()
+    return (sign, _BROKEN[sign]) if bare[-1:] in ("C", "F", "K") and sign in _BROKEN else None
+
+
 def has_open_factor(text: str) -> bool:
     """Return True for a known unit with a number whose meaning is open, as in `x10 W`, `10 W`, `°C*10` and `°C/10`."""
     bare = text.strip().strip("[]{} ")

@@ -24,15 +24,19 @@ if TYPE_CHECKING:
         readings,
         trimmed,
     )
-    from hil.record.values.units import beyond_declared, is_difference, of_a_room, remarks
+    from hil.record.values.question import UnitQuestion
+    from hil.record.values.steady import standing_still, unit_jumps
+    from hil.record.values.units import COLDEST_K, beyond_declared, is_difference, of_a_room, remarks
 
 __all__ = [
+    "COLDEST_K",
     "LOST",
     "MARKS",
     "MISSING",
     "DecimalSignError",
     "Numbers",
     "Sign",
+    "UnitQuestion",
     "beyond_declared",
     "decimal_signs",
     "evidence_of",
@@ -42,7 +46,9 @@ __all__ = [
     "parse",
     "readings",
     "remarks",
+    "standing_still",
     "trimmed",
+    "unit_jumps",
 ]
 
 __getattr__, __dir__ = lazy_names(
@@ -62,7 +68,10 @@ __getattr__, __dir__ = lazy_names(
             "readings",
             "trimmed",
         ),
+        "question": ("UnitQuestion",),
+        "steady": ("standing_still", "unit_jumps"),
         "units": (
+            "COLDEST_K",
             "beyond_declared",
             "is_difference",
             "of_a_room",

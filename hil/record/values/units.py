@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.record.values.question import UnitQuestion
 from twin import Network, celsius_conversion
 
 ValueColumns = Mapping[str, NDArray[np.float64]]
@@ -20,6 +21,8 @@ FAR_K, NEAR_K, HOT_K = 20.0, 3.0, 30.0
 """Distances from the room temperature: implausible at switch-on, plausible at switch-on, and rare for a rig that is
 off.
 """
+BOILING_C = 100.0
+"""Temperature that water of a rig does not reach."""
 _DIFFERENCE_WORDS = (
     "delta|diff|difference|differenz|spread|spreizung|rise|drop|minus|approach|range|lift|gradient|ecart|écart"
 )
@@ -39,12 +42,12 @@ def of_a_room(name: str) -> bool:
 
 def remarks(columns: ValueColumns) -> list[str]:
     """Return questions about the units of a record that need no twin."""
-    return [*_by_name(columns), *_fractions(columns), *_at_first(columns)]
+    return [*_by_name(columns), *_fractions(columns), *_at_first(columns), *_tenths(columns)]
 
 
 def beyond_declared(network: Network, columns: ValueColumns) -> list[str]:
     """Return questions about inputs that use almost none of the range that their twin declares."""
-    said = []
+    said: list[str] = []
     for column, spec in network.inputs.items():
         values = _finite(columns.get(column))
         width = spec.upper - spec.lower
@@ -53,8 +56,10 @@ def beyond_declared(network: Network, columns: ValueColumns) -> list[str]:
         most = float(values.max())
         if spec.lower < most <= spec.lower + SHARE * width and not _fraction(column, values):
             said.append(
-                f"{column} is {values.min():.4g} to {most:.4g} in this record, where the twin declares {spec.lower:g} "
-                f"to {spec.upper:g} {spec.unit}: is it in another unit?"
+                UnitQuestion(
+                    f"{column} is {values.min():.4g} to {most:.4g} in this record, where the twin declares "
+                    f"{spec.lower:g} to {spec.upper:g} {spec.unit}: is it in another unit?"
+                )
             )
     return said
 
@@ -78,7 +83,7 @@ def _by_name(columns: ValueColumns) -> list[str]:
 
 def _fractions(columns: ValueColumns) -> list[str]:
     return [
-        f"{name} is {values.min():.4g} to {values.max():.4g}: is it a fraction of 1?"
+        UnitQuestion(f"{name} is {values.min():.4g} to {values.max():.4g}: is it a fraction of 1?")
         for name, column in columns.items()
         if _fraction(name, values := _finite(column))
     ]
@@ -99,11 +104,29 @@ def _at_first(columns: ValueColumns) -> list[str]:
     verb = "begin" if len(read) > 1 else "begins"
     told = f"{names} {verb} at {_between(list(read.values()))} in a room of {room:.4g} degC"
     if all(abs(x - room) > FAR_K and abs((x - 32.0) / 1.8 - room) < NEAR_K for x in read.values()):
-        return [f"{told}, which is as much in degrees Fahrenheit: is that the unit?"]
+        return [UnitQuestion(f"{told}, which is as much in degrees Fahrenheit: is that the unit?")]
     drives = [value for name, value in first.items() if name.endswith(_DRIVES)]
     if drives and not any(drives) and all(HOT_K < abs(x - room) < COLDEST_K for x in read.values()):
         return [f"{told} with everything off: is the rig hot from before, or are they in another unit?"]
     return []
+
+
+def _tenths(columns: ValueColumns) -> list[str]:
+    """Return questions about temperatures of whole numbers above boiling, in a room that fits a tenth of them."""
+    rooms = [float(np.median(_finite(v))) for name, v in columns.items() if of_a_room(name) and _finite(v).size]
+    room = next((value for value in rooms if value < BOILING_C / 2), None)
+    said: list[str] = []
+    for name, column in columns.items():
+        values = _finite(column)
+        if room is None or not name.endswith("_C") or of_a_room(name) or is_difference(name) or not values.size:
+            continue
+        least, middle = float(values.min()), float(np.median(values))
+        is_whole = bool((values == np.round(values)).all()) and float(np.ptp(values)) > 0.0
+        fits = least / 10.0 > room - NEAR_K and middle / 10.0 < BOILING_C
+        if is_whole and least > BOILING_C and fits:
+            told = f"{name} is {least:.4g} to {values.max():.4g}, whole numbers, in a room of {room:.4g} degC"
+            said.append(UnitQuestion(f"{told}: is it in tenths of a degree?"))
+    return said
 
 
 def _between(values: list[float]) -> str:

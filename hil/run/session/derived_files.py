@@ -22,7 +22,7 @@ from hil.journal import JournalError, JournalReader, export_record
 from hil.record import read_record
 from hil.run.engine import RunSignals
 from hil.run.session.manifest import foreign_journal
-from hil.run_folder import FolderLostError, RunFolder
+from hil.run_folder import FolderLostError, RunFolder, left_safe
 from hil.tracking import Adoption, Proposed, adopt, adoption_manifest, closed_gates
 
 RECORD, REVIEW, REPORT, REVISION = "record.parquet", "review.rrd", "report.html", "adopted revision"
@@ -243,8 +243,7 @@ def _made(step: Callable[[], None], stop: _StopRequest) -> str | None:
 
 def _lost(folder: RunFolder, manifest: dict[str, Any], what: str, then: str) -> FolderLostError:
     """Return the error about a lost folder, with the end of the run and the place of the saved manifest."""
-    safe = manifest.get("safe") and not manifest.get("away")
-    rig = "the rig was left safe" if safe else "the rig was NOT confirmed safe: look at it now"
+    rig = "the rig was left safe" if left_safe(manifest) else "the rig was NOT confirmed safe: look at it now"
     reason = f" ({manifest['reason']})" if manifest.get("reason") else ""
     copy = _last_copy(folder, manifest)
     where = f"how it ended stands in {copy}" if copy is not None else "run.json could be saved nowhere"

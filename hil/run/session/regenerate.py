@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from hil.journal import ENDED, JournalError, JournalReader, export_record, recorded_rows
 from hil.run.session.derived_files import RECORD, REVIEW, REVISION, VERDICT, DerivedFiles, derive_files
 from hil.run.session.manifest import foreign_journal
-from hil.run_folder import RunFolder, RunFolderError, read_verdict
+from hil.run_folder import RunFolder, RunFolderError, read_verdict, without_end
 
 if TYPE_CHECKING:
     from hil.testing import Plan, TestResult
@@ -146,7 +146,12 @@ def completed_manifest(folder: RunFolder, manifest: dict[str, Any]) -> dict[str,
         return manifest
     last = states[-1]
     ended = datetime.datetime.fromtimestamp(last.wall_s, datetime.UTC).isoformat(timespec="seconds")
-    return manifest | {"ended": ended, "exit_status": last.target, "reason": last.reason, "ticks": tick + 1}
+    return without_end(manifest) | {
+        "ended": ended,
+        "exit_status": last.target,
+        "reason": last.reason,
+        "ticks": tick + 1,
+    }
 
 
 def has_ended(folder: RunFolder) -> bool:

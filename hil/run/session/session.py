@@ -21,7 +21,7 @@ from hil.run.session.rig_time import speed_of
 from hil.run.session.run import PreparedRun, RunResult, carry_out
 from hil.run.session.services import start_tracking
 from hil.run.session.terminal import hours
-from hil.run_folder import RunFolder, RunFolderError, create_run_folder, new_manifest, require_room
+from hil.run_folder import RunFolder, RunFolderError, create_run_folder, new_manifest, require_room, without_end
 from hil.tracking import Twins
 from twin import chain
 
@@ -139,7 +139,7 @@ async def resume_session(
         if was.aim and (why := restore_obstacle(ready.rig, bind(ready.rig, ready.profile.columns))) is not None:
             announce(why)
         resumption = Resumption(was, rule, reason, speed_of(request, ready.rig))
-        manifest |= {"exit_status": "running", "reason": "", "ended": None}
+        manifest = without_end(manifest) | {"exit_status": "running", "reason": "", "ended": None}
         folder.write_manifest(manifest)
         return await carry_out(
             PreparedRun(folder, manifest, request, ready, claim, tracking, observer, announce, signals, resumption)

@@ -25,7 +25,7 @@ from twin.discovery.evidence.finding import Finding
 from twin.discovery.evidence.held_out import contradicted, misled
 from twin.discovery.evidence.priors import DRIVERS
 from twin.discovery.healthy.basis import Basis
-from twin.discovery.places.empirical import Empirical, offer
+from twin.discovery.places.empirical import Empirical, TooMuchHeat, offer
 from twin.discovery.places.localise import describe
 from twin.discovery.places.sites import drivers_of, signatures, unknown
 from twin.discovery.planning.experiment import plan
@@ -61,7 +61,9 @@ def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
     network, start = known.probe.network, float(grid.time[0])
     claimed = finding.fit is not None and good(case)
     curve = _one_curve(case) if claimed else None
-    if curve is not None:
+    if isinstance(curve, TooMuchHeat):
+        claimed = False
+    elif curve is not None:
         claimed = False
         followed = f"several effects would explain the record together, but all of them follow {curve.variable}"
         notes = (*notes, f"{followed}: one curve of it at {curve.node} does as well")
@@ -119,13 +121,14 @@ def _unknown(case: AssessedFinding) -> Answer:
     if free:
         drivers = drivers_of(case.known.probe.network, case.grid, whole)
         description = describe(free[0], drivers, whole.step_s / 3600.0) | signatures(free)
+    curve = _offered(case) if free else None
     return Answer(
         "unexplained",
         effects=unknown(free, description, float(case.grid.time[0])),
         alternatives=near_misses(case.finding),
         description=description,
-        empirical=_offered(case) if free else None,
-        notes=_at_one_moment(case),
+        empirical=curve if isinstance(curve, Empirical) else None,
+        notes=(*((curve.says,) if isinstance(curve, TooMuchHeat) else ()), *_at_one_moment(case)),
     )
 
 
@@ -142,7 +145,7 @@ def _at_one_moment(case: AssessedFinding) -> tuple[str, ...]:
     return (f"{both} is likelier than two, and what the one that is told leaves may be an error of its form",)
 
 
-def _one_curve(case: AssessedFinding) -> Empirical | None:
+def _one_curve(case: AssessedFinding) -> Empirical | TooMuchHeat | None:
     """Return the curve of one input at one place that does instead of several effects which all follow that input.
 
     Independent faults hardly follow the same input; what no fit saw has to contradict the one cause.
@@ -151,15 +154,15 @@ def _one_curve(case: AssessedFinding) -> Empirical | None:
     if len(case.finding.entries) < 2 or len(drivers) > 1 or not drivers <= DRIVERS.keys():
         return None
     curve = _offered(case)
-    if curve is None:
-        return None
+    if not isinstance(curve, Empirical):
+        return curve
     errors = {
         n: replace(e, means=(*e.means[:2], curve.errors[n][1])) for n, e in case.errors.items() if n in curve.errors
     }
     return None if contradicted(errors, case.known.probe.network) else curve
 
 
-def _offered(case: AssessedFinding) -> Empirical | None:
+def _offered(case: AssessedFinding) -> Empirical | TooMuchHeat | None:
     return offer(case.finding, case.known, case.grid, case.split, case.free, case.errors)
 
 

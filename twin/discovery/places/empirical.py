@@ -17,7 +17,7 @@ import numpy as np
 
 from twin.discovery.diagnosis import Course, SensorError
 from twin.discovery.records.grid import Grid, centred
-from twin.elements.empirical_heat import KNOTS
+from twin.elements.empirical_heat import FARTHEST_KNOT, KNOTS, MOST_HEAT_W
 from twin.kernel import Kernel
 from twin.network import Array, Network
 from twin.revisions import with_elements
@@ -59,9 +59,16 @@ class Empirical:
         }
 
 
+@dataclass(frozen=True)
+class TooMuchHeat:
+    """Missing heat that no effect can hold: the record contradicts the twin. `says` is a sentence for the user."""
+
+    says: str
+
+
 def offer(
     finding: Finding, known: Basis, grid: Grid, split: int, found: tuple[Course, ...], errors: dict[str, SensorError]
-) -> Empirical | None:
+) -> Empirical | TooMuchHeat | None:
     """The best curve for the heat missing at the likeliest node; None where none is of use on the held-out part.
 
     Args:
@@ -90,6 +97,16 @@ def offer(
     if best is None or best[0] <= 0.0:
         return None
     _, name, knots, heats, moved = best
+    most = float(np.abs(heats).max())
+    if most > MOST_HEAT_W:
+        at_node = (network.sensor_columns[sensor.name] for sensor in network.sensors if sensor.node == name)
+        named = ", ".join(next(at_node, (name,)))
+        return TooMuchHeat(
+            f"the record contradicts the twin beyond what any effect can hold: as a curve of {name}, {most:.3g} W are "
+            f"missing at {node}, and an effect holds {MOST_HEAT_W:g} W at most; is {named} in the unit of its name?"
+        )
+    if np.abs(knots).max() > FARTHEST_KNOT:
+        return None
     bigger = _with_curve(network, known, node, name, knots, heats, moved)
     state = known.probe.first_state(grid)
     state[: len(finding.state)] = finding.state + moved[known.probe.q :]
