@@ -157,3 +157,16 @@ def test_ctrl_c_at_any_instant_of_the_beginning_ends_the_command(tmp_path):
         for running in started:
             running.kill()
             running.wait()
+
+
+def test_a_signal_after_the_run_does_not_replace_the_exit_code() -> None:
+    """A supervisor that sends SIGTERM in the last moment reads how the run ended, not that it was killed."""
+    code = (
+        "import os, signal\n"
+        "from hil.run.engine.signals import RunSignals\n"
+        "with RunSignals(until_exit=True) as signals:\n"
+        "    signals.hold()\n"
+        "os.kill(os.getpid(), signal.SIGTERM)\n"
+        "raise SystemExit(3)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], timeout=60.0, check=False).returncode == 3
