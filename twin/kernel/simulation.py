@@ -117,7 +117,7 @@ class Kernel:
         Raises
         ------
         ValueError
-            There is no sample, or a parameter or state is not finite.
+            There is no sample, a parameter or state is not finite, or inputs lack columns.
         """
         return self.trace_pieces(np.atleast_2d(parameters)[None], state, time, inputs, [0], lanes)
 
@@ -182,6 +182,9 @@ class _Call:
         temperatures, past, history = layout.split(state)
         if not (np.isfinite(self._lane).all() and np.isfinite(state[:, : layout.nodes]).all()):
             raise ValueError("parameters and initial states must be finite")
+        needed = len(layout.network.input_columns)
+        if inputs.ndim != 2 or inputs.shape[1] < needed:
+            raise ValueError(f"inputs must have {needed} columns, and have the shape {inputs.shape}")
         self._start = _in_blocks(temperatures, count, lanes)
         self._past = np.empty((0, 0, 0)) if past is None else _in_blocks(past, count, lanes)
         self.same_flow = layout.pushed_equally(past)

@@ -91,7 +91,7 @@ class Runner:
         size_steps = np.array([_size_step(x) for x in entries])
         all_sizes[1 + q + k :] += np.diag(size_steps)
         self._scale = np.concatenate([steps, np.full(k, _STATE_STEP), size_steps])
-        self._rows = self._model.parameters(values, all_sizes)
+        self._rows, self._all_sizes = self._model.parameters(values, all_sizes), all_sizes
         self.state = states
         precision = np.zeros((count - 1, count - 1))
         precision[: q + k, : q + k] = prior.precision
@@ -114,7 +114,9 @@ class Runner:
 
     def advance(self, state: Array, time: Array, inputs: Array) -> tuple[Array, Array, Array]:
         """Readings (n, m) of the hypothesis, slopes (n, m, q + k + e), and the states it ends with."""
-        readings, after = self._model.kernel.trace(self._rows, state, time, inputs)
+        readings, after = self._model.kernel.trace(self._rows, state, time, self._model.driven(time, inputs))
+        all_along = np.ones((*self._all_sizes.shape, 1))
+        self._model.read(readings, time, inputs, self._all_sizes, all_along, np.array([0, len(time)]))
         means = np.stack([centred(one) for one in readings])
         slopes = np.moveaxis(means[1:] - means[0], 0, 2) / self._scale
         return means[0], slopes, after

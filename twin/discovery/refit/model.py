@@ -141,7 +141,7 @@ class Model:
             sizes: (P, e). shapes: (P, e) how the effects come in, as the entries say by default.
             begins: (s,) rows at which stretches begin.
         """
-        given, inputs = inputs, self._driven(time, inputs)
+        given, inputs = inputs, self.driven(time, inputs)
         since = time - time[0]
         each = shapes or tuple(tuple(e.shape for e in self.entries) for _ in range(len(values)))
         all_shapes = {s for row in each for s in row}
@@ -177,7 +177,7 @@ class Model:
             cut = (cuts[leg:then] - first).tolist()
             found, state = self.kernel.trace_pieces(full[leg:then], state, time[part], inputs[part], cut, FEW_LANES)
             readings[:, first:last] = found[:, : last - first]
-        self._read(readings, time, given, sizes, sized, cuts)
+        self.read(readings, time, given, sizes, sized, cuts)
         return readings
 
     @cached_property
@@ -187,7 +187,7 @@ class Model:
         heats = [i for i, e in enumerate(self.entries) if e.candidate.injects] if shared else []
         return tuple((i, slot) for slot, i in enumerate(heats))
 
-    def _driven(self, time: Array, inputs: Array) -> Array:
+    def driven(self, time: Array, inputs: Array) -> Array:
         """Inputs (n, c) with the values of open laws in the columns that their elements follow."""
         more = self.network.input_columns[inputs.shape[1] :]
         if not more:
@@ -205,7 +205,7 @@ class Model:
         nothing = np.zeros(len(inputs))
         return np.ascontiguousarray(np.column_stack([inputs, *(values.get(column, nothing) for column in more)]))
 
-    def _read(self, readings: Array, time: Array, inputs: Array, sizes: Array, course: Array, cuts: np.ndarray) -> None:
+    def read(self, readings: Array, time: Array, inputs: Array, sizes: Array, course: Array, cuts: np.ndarray) -> None:
         """Add the errors of reading of open laws in a shared kernel to the readings (P, n, m).
 
         Args:
