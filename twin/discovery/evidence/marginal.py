@@ -6,8 +6,9 @@ out, the logarithm of the likelihood's mean over that of no effect is
     log B = 1/2 s' (G + S^-2)^-1 s - 1/2 log det(I + S G S)
 
 An effect's error of form is a further Gaussian of standard deviation `FORM_ERRORS` times the size: the same signature,
-modulated over time by straight lines between knots, and what it does to each sensor alone, since a lumped twin sends
-heat to its sensors in other shares than its rig. It is integrated out with the sizes.
+modulated over time by straight lines between knots and by each input, which its size may depend on, and what it does to
+each sensor alone, since a lumped twin sends heat to its sensors in other shares than its rig. It is integrated out with
+the sizes.
 
 Source: linear-Gaussian evidence (MacKay, Neural Computation 4 (1992) 415, eqs. 2.5 and 4.3).
 """
@@ -24,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp
 
+from twin.discovery.effects.open_laws import LEAST_SPREAD
 from twin.discovery.evidence.priors import FORM_ERRORS, FORM_S, SPREAD
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
@@ -77,15 +79,26 @@ def _log_mass(low: float, high: float) -> float:
 
 
 def form_basis(contest: Contest) -> Array:
-    """Return the weights (b, j) of straight lines between knots `FORM_S` apart."""
+    """Return the weights (b, j) of straight lines between knots `FORM_S` apart, and of the inputs."""
     known: Array | None = contest.memo.get("form basis")
     if known is None:
         hours = contest.hours + 0.5 * contest.step_s / 3600.0
         count = max(round(contest.grid.span_s / FORM_S) + 1, FEWEST_KNOTS)
         knots = np.linspace(0.0, contest.grid.span_s / 3600.0, count)
-        known = np.stack([np.interp(hours, knots, row) for row in np.eye(count)], axis=1)
+        lines = [np.interp(hours, knots, row) for row in np.eye(count)]
+        known = np.stack([*lines, *_followed(contest)], axis=1)
         contest.memo["form basis"] = known
     return known
+
+
+def _followed(contest: Contest) -> list[Array]:
+    """Return the inputs (b,) that a size may depend on, in their standard deviations about their means."""
+    found = []
+    for values in contest.block_means(contest.grid.inputs).T:
+        spread = float(np.nanstd(values))
+        if spread > LEAST_SPREAD * max(float(np.nanmax(np.abs(values))), LEAST_SPREAD):
+            found.append(np.nan_to_num((values - np.nanmean(values)) / spread))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
