@@ -290,7 +290,7 @@ def test_a_result_that_cannot_be_written_is_one_sentence(calibrated: Path, plant
     done = run("calibrate", plant / "record", "--twin", plant / "cell1.toml", "--out", tmp_path / "file" / "out")
     assert exit_code(done.exception) == 1 and "cannot be written: Not a directory; make room" in str(done.exception)
     done = run("report", calibrated, "--picture", tmp_path / "file" / "cell1.png")
-    assert exit_code(done.exception) == 1 and "cannot be written" in str(done.exception)
+    assert exit_code(done.exception) == 2 and "is no folder that is there" in str(done.exception)
 
 
 def test_a_twin_of_no_tower_is_refused(plant: Path, tmp_path: Path) -> None:
