@@ -6,7 +6,9 @@ import datetime
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from hil.cli import group
 from hil.record.raw import RecordError
 from hil.record.reader import read_record
 
@@ -41,6 +43,14 @@ def test_a_prefix_in_place_of_a_unit_is_refused(tmp_path, name, cells, shown):
 def test_cells_in_kelvin_are_no_multiples(tmp_path, name):
     record = read(tmp_path, f"time_s,{name}\n{rows([f'{293 + k} K' for k in range(6)])}")
     assert len(record.columns) == 1
+
+
+def test_a_check_takes_one_reading_a_row_for_a_record_whatever_its_time_is_called(tmp_path):
+    path = tmp_path / "table.csv"
+    lines = [f"{10 * k},{name},{value}" for k in range(30) for name, value in (("tank_C", 30 + k), ("heater_W", 600))]
+    path.write_text("time_s,series,value\n" + "\n".join(lines) + "\n")
+    done = CliRunner().invoke(group, ["check", str(path)])
+    assert done.exit_code == 0 and "30 samples" in done.output and "load profile" not in done.output
 
 
 def test_minutes_without_hours_get_the_remedy_of_a_spreadsheet(tmp_path):

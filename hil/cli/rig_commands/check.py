@@ -226,11 +226,13 @@ def _is_record(file: Path, content: bytes, rig: Path) -> bool:
         raise ConfigurationError(f"{file}{error}") from error
     if names_registers(names):
         raise ConfigurationError(f"{file}: is a register table; `hil init --from {file}` makes a rig file of it")
+    if any(name.strip().lower() in VALUES for name in names):
+        return True
     in_degC = ("degC", "degF")
     found = [name for name in names if _TEMPERATURE.search(name) or (name_and_unit(name) or ("", ""))[1] in in_degC]
     if names[0] == "time_s":
         return bool(found) and any(name not in setpoint_limits(load_rig(rig)) for name in found)
-    if found or any(name.lower() in VALUES or names_dates(name) for name in names):
+    if found or any(names_dates(name) for name in names):
         return True
     return len(names) > 1 and not any(_signal(name) in map(_signal, setpoint_limits(load_rig(rig))) for name in names)
 
