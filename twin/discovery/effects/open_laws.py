@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -129,9 +129,9 @@ def open_laws(network: Network, grid: Grid, named: Sequence[CandidateLaw], known
     Args:
         known: (n, k) degC of the nodes, as the laws are evaluated on them.
     """
-    there = {(law.candidate.kind, law.candidate.where, law.candidate.driver) for law in named}
+    taken = {(law.candidate.kind, law.candidate.where, law.candidate.driver) for law in named}
     every = [(v, v.at(grid.time, grid.inputs)) for v in values_of(network, grid)]
-    warm = [(v, _of_node(network, v, known)) for v in _temperatures(network, known)]
+    of_nodes = [(v, _of_node(network, v, known)) for v in _values_of_nodes(network, known)]
     constant = Values("constant", "constant", {"size": 1.0}, None, 1.0, "")
     found = []
     for site in sites_of(network, named):
@@ -142,15 +142,15 @@ def open_laws(network: Network, grid: Grid, named: Sequence[CandidateLaw], known
         for values, course in every:
             if solid and values.form != "linear":
                 continue
-            if not solid and values.form == "linear" and (site.kind, site.where, values.driver) in there:
+            if not solid and values.form == "linear" and (site.kind, site.where, values.driver) in taken:
                 continue
             found.append(OpenLaw(candidate_of(network, site, values), site, course))
         if site.kind in FOLLOW_NODES and not solid:
-            found += [OpenLaw(candidate_of(network, site, values), site, course) for values, course in warm]
+            found += [OpenLaw(candidate_of(network, site, values), site, course) for values, course in of_nodes]
     return found
 
 
-def again(network: Network, law: OpenLaw, candidate: Candidate, grid: Grid, known: Array) -> OpenLaw:
+def law_on_record(network: Network, law: OpenLaw, candidate: Candidate, grid: Grid, known: Array) -> OpenLaw:
     """Return the law of a candidate at the site of another law, for a record `grid` with temperatures `known`."""
     if candidate.follows is not None:
         return OpenLaw(candidate, law.site, candidate.follows(grid.time, grid.inputs))
@@ -163,10 +163,11 @@ def again(network: Network, law: OpenLaw, candidate: Candidate, grid: Grid, know
 
 def _of_node(network: Network, values: Values, known: Array) -> Array:
     x = known[:, network.nodes.index(values.of)]
+    # Neither form depends on the length of a sample.
     return law_values(values.form, "always", values.parameters, x, np.arange(float(len(x))))
 
 
-def _temperatures(network: Network, known: Array) -> Iterator[Values]:
+def _values_of_nodes(network: Network, known: Array) -> Iterator[Values]:
     """Yield the forms that an effect may have as a function of the temperatures that are read."""
     for node in dict.fromkeys(s.node for s in network.sensors):
         x = known[:, network.nodes.index(node)]
@@ -190,30 +191,7 @@ def candidate_of(network: Network, site: OpenSite, values: Values) -> Candidate:
     says = f"{site.says} {values.says}".rstrip()
     if unit == "W/W" and values.form == "linear":
         says = site.says.replace("{value}", f"{{value}} of {values.driver.replace('_', ' ')}")
-    if values.of:
-        strength = FORMS[values.form][0]
-        others = {key: value for key, value in values.parameters.items() if key != strength}
-        tables = {
-            name: {key: value for key, value in table.items() if key != "driver"}
-            | {"of": values.of, "form": values.form, **others}
-            for name, table in site.tables.items()
-        }
-        return Candidate(
-            site.kind,
-            site.where,
-            values.driver,
-            "new",
-            {f"{key.rsplit('.', 1)[0]}.{strength}": weight for key, weight in site.changes.items()},
-            unit,
-            site.typical / scale,
-            site.lower / scale,
-            site.upper / scale,
-            says,
-            adds=tables,
-            shapes=("step",),
-            adopts={"site": site.name, "form": values.form, "of": values.of, **others},
-        )
-    return Candidate(
+    candidate = Candidate(
         site.kind,
         site.where,
         values.driver,
@@ -226,11 +204,29 @@ def candidate_of(network: Network, site: OpenSite, values: Values) -> Candidate:
         says,
         adds=site.tables,
         shapes=("step",),
+    )
+    if values.of:
+        return _of_a_temperature(candidate, site, values)
+    return replace(
+        candidate,
         column=site.column,
         follows=values.at,
         injects=site.injects,
         reads=site.reads,
         adopts={"form": values.form, "column": values.column, **values.parameters},
+    )
+
+
+def _of_a_temperature(candidate: Candidate, site: OpenSite, values: Values) -> Candidate:
+    """Return a candidate with elements that follow a node's temperature, in place of a column."""
+    strength = FORMS[values.form][0]
+    others = {key: value for key, value in values.parameters.items() if key != strength}
+    law = {"of": values.of, "form": values.form, **others}
+    return replace(
+        candidate,
+        changes={f"{key.rsplit('.', 1)[0]}.{strength}": weight for key, weight in site.changes.items()},
+        adds={name: {**{k: v for k, v in t.items() if k != "driver"}, **law} for name, t in site.tables.items()},
+        adopts={"site": site.name, **law},
     )
 
 

@@ -95,9 +95,9 @@ def _followed(contest: Contest) -> list[Array]:
     """Return the inputs (b,) that a size may depend on, in their standard deviations about their means."""
     found = []
     for values in contest.block_means(contest.grid.inputs).T:
-        spread = float(np.nanstd(values))
-        if spread > LEAST_SPREAD * max(float(np.nanmax(np.abs(values))), LEAST_SPREAD):
-            found.append(np.nan_to_num((values - np.nanmean(values)) / spread))
+        spread = float(np.std(values))
+        if spread > LEAST_SPREAD * max(float(np.abs(values).max()), 1e-9):
+            found.append((values - values.mean()) / spread)
     return found
 
 

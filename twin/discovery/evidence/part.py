@@ -14,7 +14,7 @@ import numpy as np
 from twin.discovery.diagnosis import Course
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import CandidateLaw, temperatures
-from twin.discovery.effects.open_laws import OpenLaw, again, open_laws
+from twin.discovery.effects.open_laws import OpenLaw, law_on_record, open_laws
 from twin.discovery.effects.probe import FreeRun, free_run
 from twin.discovery.effects.shapes import EARLY_S, Shape
 from twin.discovery.evidence.priors import SPREAD
@@ -68,7 +68,7 @@ class Part:
         named = tuple(c for c in further.values() if not c.is_open)
         sites = {law.site.column: law for law in self.opened} | {law.site.name: law for law in self.opened}
         opened = [
-            again(self.basis.probe.network, sites[at], c, self.grid, self._known)
+            law_on_record(self.basis.probe.network, sites[at], c, self.grid, self._known)
             for c in further.values()
             if (at := c.column or str(c.adopts.get("site", ""))) in sites
         ]
@@ -89,7 +89,7 @@ class Part:
         """Laws without a name: any input or temperature at every site."""
         return open_laws(self.basis.probe.network, self.grid, self.laws, self._known)
 
-    @property
+    @cached_property
     def _known(self) -> Array:
         """Node temperatures (n, k), degC, that laws are evaluated on."""
         return temperatures(self.basis.probe.network, self.grid, self.run)

@@ -50,7 +50,7 @@ MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heat
 """What an actuator moves: a pump that turns slower is a flow that is less."""
 
 Class = tuple[str, str]
-Thing = tuple[str, bool]
+Place = tuple[str, bool]
 """A place, by its thermometer or by what moves it too, and whether something there is an error of reading."""
 
 
@@ -85,7 +85,7 @@ class Found:
     hypotheses: tuple[Hypothesis, ...]
     scanned: list[Entry]
     retuned: Fit
-    unlisted_at: Mapping[Thing, float]
+    unlisted_at: Mapping[Place, float]
 
     @property
     def unlisted(self) -> float:
@@ -98,8 +98,8 @@ class Found:
         An unknown at the place of one of them claims the same and also that no law describes its course, which is
         said only with the odds of a claim.
         """
-        own = {_thing(e) for e in best.entries}
-        odds = [odds - (CLAIM if thing in own else 0.0) for thing, odds in self.unlisted_at.items()]
+        own = {_place_of(e) for e in best.entries}
+        odds = [odds - (CLAIM if place in own else 0.0) for place, odds in self.unlisted_at.items()]
         return logsumexp(np.array(odds)) if odds else -math.inf
 
     @property
@@ -176,7 +176,7 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
     # Where the tunables bend, re-tuning alone comes to other squares than to first order.
     nothing = 0.5 * (misfit - retuned.total)
     found = [replace(h, log_bayes=h.log_bayes - nothing) for h in found]
-    unlisted = {thing: odds - nothing for thing, odds in log_odds_unlisted(part).items()}
+    unlisted = {place: odds - nothing for place, odds in log_odds_unlisted(part).items()}
     return Found(tuple(found), scanned, retuned, unlisted)
 
 
@@ -246,14 +246,14 @@ def _key(h: Hypothesis) -> tuple[object, ...]:
 def apart(entry: Entry, others: tuple[Entry, ...]) -> bool:
     """Return True where an effect may be beside others: at one place there is one thing, of whatever form, and an error
     of its thermometer."""
-    return all(_thing(entry) != _thing(o) for o in others)
+    return all(_place_of(entry) != _place_of(o) for o in others)
 
 
-def _thing(entry: Entry) -> Thing:
-    return _thing_at(entry.candidate.where, entry.candidate.kind == "sensor")
+def _place_of(entry: Entry) -> Place:
+    return _place(entry.candidate.where, entry.candidate.kind == "sensor")
 
 
-def _thing_at(where: str, reads: bool) -> Thing:
+def _place(where: str, reads: bool) -> Place:
     named = where.removeprefix("T_").removesuffix("_C")
     return MOVED_BY.get(named, named), reads
 
@@ -387,14 +387,14 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
     return tried
 
 
-def log_odds_unlisted(part: Part) -> dict[Thing, float]:
+def log_odds_unlisted(part: Part) -> dict[Place, float]:
     """Return the log odds of one unknown quantity, free from block to block, by its place."""
     free = part.free
-    at: dict[Thing, list[float]] = {}
+    at: dict[Place, list[float]] = {}
     for course in free:
-        at.setdefault(_thing_at(course.where, course.signature == "sensor"), []).append(course.log_evidence)
+        at.setdefault(_place(course.where, course.signature == "sensor"), []).append(course.log_evidence)
     share = math.log(FAULT * UNLISTED) - math.log(len(free) * len(WALK_PER_BLOCK)) if free else 0.0
-    return {thing: logsumexp(np.array(found)) + share for thing, found in at.items()}
+    return {place: logsumexp(np.array(found)) + share for place, found in at.items()}
 
 
 def ladder_of(part: Part, told: Hypothesis | None, scanned: Sequence[Entry]) -> tuple[Rung, ...]:

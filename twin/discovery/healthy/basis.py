@@ -144,10 +144,13 @@ def basis(network: Network, healthy: Columns | None, record: Grid, period_s: flo
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
     probe, book = Probe(network, ids), Book(network, late_at_once=healthy is not None)
     if healthy is not None:
+        thinned = _as_often(healthy, period_s)
         try:
-            health, of = _healthy(network, probe, book, _as_often(healthy, period_s))
+            health, of = _healthy(network, probe, book, thinned)
         except NotHealthyError:
-            # So seldom a sample that healthy and faulty differ by less than what the sampling does.
+            if thinned is healthy:
+                raise
+            # So few samples that what happened between them looks like a fault of the healthy rig.
             health, of = _healthy(network, probe, book, healthy)
         same = health.noise.step_s == record.step_s
         return Basis(
