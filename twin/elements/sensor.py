@@ -18,6 +18,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import numpy as np
+
 from twin.elements.base import Element, Names, ParameterSpec, place
 from twin.elements.candidates import Candidate, EffectSize, Sites
 from twin.elements.fragments import Fragment, SensorLag
@@ -28,6 +30,12 @@ The second is the time that remains with pipes, from mixing in them.
 """
 ADJUSTED_C = 25.0
 """Temperature of a room in which thermometers are adjusted, degC."""
+STUCK_APART_K = 5.0
+"""Distance of the levels at which a thermometer is first taken to stick, K; ever closer ones follow where one scores."""
+STUCK_WITHIN_K = 0.05
+"""Closest distance of two such levels, K: half the resolution of an industrial thermometer."""
+LEAST_STUCK_C, MOST_STUCK_C = -30.0, 150.0
+"""Lowest and highest of these levels, degC: those of coolants under pressure."""
 LAGS_S = (15.0, 60.0, 240.0)
 """Lags around which an unknown one is sought, s: a late reading is not proportional to its lag."""
 
@@ -110,6 +118,10 @@ class Sensor(Element):
         )
         about = {f"{self.name}.gain": 1.0, f"{self.name}.bias_K": -ADJUSTED_C}
         found.insert(2, replace(slope, change="new", changes=about))
+        found += [
+            self._stuck(where, float(level), STUCK_APART_K)
+            for level in np.arange(LEAST_STUCK_C, MOST_STUCK_C + 1.0, STUCK_APART_K)
+        ]
         if self.other:
             now_c = sites.values[f"{self.name}.cross_talk"]
             says = f"picks up another share of the temperature of {self.other}: a change by {{value}}"
@@ -135,6 +147,37 @@ class Sensor(Element):
                     )
                 )
         return tuple(found)
+
+    def _stuck(self, where: str, level_c: float, apart_c: float) -> Candidate:
+        """Return a thermometer that sticks at a level, degC; `apart_c`, K, is how far apart those tried so far were."""
+        name = f"{self.name}_sticks"
+        finer = [apart for k in range(1, 8) if (apart := apart_c * 0.5**k) >= STUCK_WITHIN_K]
+
+        def near() -> tuple[Candidate, ...]:
+            return tuple(self._stuck(where, level_c + side * apart, apart) for apart in finer for side in (-1.0, 1.0))
+
+        return Candidate(
+            "sensor",
+            where,
+            "constant",
+            "new",
+            {f"{name}.gain": -1.0},
+            "1",
+            0.2,
+            0.0,
+            1.0,
+            f"sticks at {level_c:.1f} degC: it misses {{share}} of every change",
+            adds={
+                name: {
+                    "kind": "law_reading",
+                    "sensor": self.name,
+                    "of": self.node,
+                    "form": "linear",
+                    "reference": level_c,
+                }
+            },
+            near=near if finer else None,
+        )
 
     def emit(self, n: Names) -> Fragment:
         reading = n.temperature(self.node)

@@ -17,6 +17,7 @@ from twin.discovery.effects.probe import FreeRun
 from twin.discovery.records.grid import Grid, filled
 from twin.elements.candidates import Candidate
 from twin.elements.flow import Flow
+from twin.elements.sensor import STUCK_APART_K
 from twin.network import Array, Network
 
 LEAST_W = 1e-9
@@ -92,7 +93,7 @@ class Book:
         base = self._base.heats(known, grid.inputs, network.values, grid.step_s)
         found = []
         for candidate in self.candidates if only is None else map(self._as_told, only):
-            if candidate.kind == "sensor" and not candidate.adds:
+            if candidate.kind == "sensor" and all(t["kind"] == "law_reading" for t in candidate.adds.values()):
                 law = CandidateLaw(candidate, None, _reading(network, candidate, grid, run))
             elif candidate.begins:
                 law = CandidateLaw(candidate, _put_in(network, candidate, grid, known), None)
@@ -140,6 +141,13 @@ def _reading(network: Network, candidate: Candidate, grid: Grid, run: FreeRun) -
     out = np.zeros((len(grid.time), len(network.sensors)))
     for name, weight in candidate.changes.items():
         element, parameter = name.split(".")
+        if element in candidate.adds:
+            table = candidate.adds[element]
+            seen = run.temperatures[:, network.nodes.index(table["of"])]
+            off = seen - table["reference"]
+            if float(off.min()) < STUCK_APART_K and float(off.max()) > -STUCK_APART_K:  # it sticks where it has been
+                out[:, network.sensor_names.index(table["sensor"])] += weight * off
+            continue
         j = network.sensor_names.index(element)
         seen = run.temperatures[:, network.nodes.index(network.sensors[j].node)]
         if parameter == "bias_K":

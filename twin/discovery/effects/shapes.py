@@ -32,13 +32,14 @@ class Shape:
 
     `growth_s`: the duration of a ramp or a spell, the period of a periodic one, or the time constant with which a
     saturating one nears its size, what was put in nears its place's and a pulse fades. `duty`: share of a period in
-    which a periodic one is there, from its onset on.
+    which a periodic one is there, from its onset on; its first turn began `into_s` before that.
     """
 
     name: str
     onset_s: float = 0.0
     growth_s: float = 0.0
     duty: float = 0.5
+    into_s: float = 0.0
 
     def block_means(self, edges_s: Array) -> Array:
         """Mean amplitude (b,) between `edges_s` (b + 1,), s from the record's beginning."""
@@ -88,9 +89,9 @@ def courses_of(shapes: Sequence[Shape], edges_s: Array) -> Array:
         rows.setdefault(shape.name, []).append(row)
     found = np.empty((len(shapes), len(width)))
     for name, those in rows.items():
-        times = [(shapes[i].onset_s, shapes[i].growth_s, shapes[i].duty) for i in those]
-        onset, growth, duty = np.array(times).T[..., None]
-        a, b = np.maximum(low - onset, 0.0), np.maximum(high - onset, 0.0)
+        times = [(shapes[i].onset_s, shapes[i].growth_s, shapes[i].duty, shapes[i].into_s) for i in those]
+        onset, growth, duty, into = np.array(times).T[..., None]
+        a, b = np.maximum(low - onset, 0.0) + into, np.maximum(high - onset, 0.0) + into
         found[those] = _amplitudes(name, a, b, np.maximum(growth, 1.0), duty) / width
     return found
 

@@ -208,7 +208,7 @@ def _nearer(part: Part) -> tuple[Candidate, ...]:
         entry = first
         while entry.candidate.near is not None:
             laws: Sequence[CandidateLaw] = part.basis.book.laws(part.grid, part.run, entry.candidate.near())
-            nearer = scan(part.contest, laws, timed=False)
+            nearer = scan(part.contest, laws)
             if not nearer or nearer[0].log_bayes <= entry.log_bayes:
                 break
             entry = nearer[0]

@@ -26,6 +26,8 @@ ENDED = (0.95, 0.85, 0.7, 0.5)
 """Shares of the time from its onset to the record's end in which a ramp may have come to its end."""
 TOGETHER = 32
 """Laws that are looked at together, which bounds the memory."""
+LEADING_TURNS = 8
+"""Periodic courses of a law whose squares are computed exactly."""
 _TINY = 1e-12
 
 
@@ -102,11 +104,16 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
         tried = courses_of(shapes, edges_s)
         bottoms = np.maximum(((tried @ gram) * tried).sum(axis=1), least)
         odds, sizes = log_bayes_of_sizes(entry.candidate, tried @ own, bottoms)
+        odds = odds - [_later_turns(s, float(edges_s[-1])) for s in shapes]
         k = int(np.argmax(odds))
         return float(odds[k]), float(sizes[k]), float(bottoms[k]), shapes[k], tried[k]
 
     best, size, bottom, shape, course = at([entry.shape])
     start = best
+    if shape.name == "periodic":
+        # A scan takes what comes back as there from the first turn on.
+        turns_s = np.arange(shape.onset_s, LAST_SHARE * edges_s[-1], shape.growth_s)
+        best, size, bottom, shape, course = at([replace(shape, onset_s=float(t)) for t in turns_s])
     reach = contest.step_s if shape.onset_s > 0.0 or shape.name in TIMED else 0.0
     while reach >= NEAREST_S:
         tried = [replace(shape, onset_s=shape.onset_s + d) for d in (-reach, reach)]
@@ -121,6 +128,12 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
                 for by in (-reach, reach)
                 if 0.02 < (d := shape.duty + by / shape.growth_s) < 0.98
             ]
+            # It may have come in amid a turn.
+            tried += [
+                replace(s, onset_s=s.onset_s + d, into_s=s.into_s + d)
+                for s in (shape, *tried)
+                for d in (-reach, reach)
+            ]
         elif shape.name == "ramp" and not shape.free(float(edges_s[-1])):
             # It may have come to its end before the record does.
             left_s = float(edges_s[-1]) - shape.onset_s
@@ -131,6 +144,7 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
             s.going_on(float(edges_s[-1]))
             for s in tried
             if 0.0 <= s.onset_s <= LAST_SHARE * edges_s[-1]
+            and 0.0 <= s.into_s <= s.duty * s.growth_s
             and (s.name not in TIMED or s.growth_s > NEAREST_S)
             and (s.name != "pulse" or s.onset_s > EARLY_S)
         ]
@@ -148,6 +162,13 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
         gain=size**2 * bottom,
         log_bayes=entry.log_bayes + best - start,
     )
+
+
+def _later_turns(shape: Shape, span_s: float) -> float:
+    """Return the negative log probability of the turn that what comes back begins with: the first, or any later one."""
+    if shape.name != "periodic" or shape.onset_s < shape.growth_s:
+        return 0.0
+    return math.log(max(span_s / shape.growth_s - 1.0, 1.0) * ALL_ALONG / (1.0 - ALL_ALONG))
 
 
 def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns: bool) -> list[Entry]:
@@ -192,8 +213,43 @@ def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns
         bottom = np.stack([returning(contest, law) for law in laws]) - less
         for shapes, rows in courses.by_name:
             least_rows = np.maximum(bottom[:, rows], least)
-            add(shapes, courses.returns[:, rows], least_rows, rest - math.log(2.0 * len(rows)))
+            if shapes[0].name != "periodic":
+                add(shapes, courses.returns[:, rows], least_rows, rest - math.log(2.0 * len(rows)))
+                continue
+            for i, law in enumerate(laws):
+                out += _turns(law, squares[i], scores[i], grams[i], courses, least_rows[i], rest)
     return out
+
+
+def _turns(
+    law: CandidateLaw, squares: LawSquares, score: Array, gram: Array, courses: Courses, bottoms: Array, rest: float
+) -> list[Entry]:
+    """Return the likeliest periodic course of a law.
+
+    Its score tells the period as closely as the record is long. Its squares hardly change between the few periods of
+    which `bottoms` (k,) are known, and are made anew for the courses that lead.
+    """
+    shapes, columns, of = courses.turns
+    odds, _ = log_bayes_of_sizes(law.candidate, score @ columns, bottoms[of])
+    total = logsumexp(odds) + rest - math.log(2.0 * len(shapes))
+    lead = np.argsort(odds)[-LEADING_TURNS:]
+    those = columns[:, lead]
+    own = np.maximum(np.einsum("bj,bj->j", those, gram @ those), float(bottoms.min()))
+    exact, size = log_bayes_of_sizes(law.candidate, score @ those, own)
+    k = int(np.argmax(exact))
+    occam = total - float(odds[lead[-1]])
+    return [
+        Entry(
+            law,
+            shapes[lead[k]],
+            squares.blocks * those[:, k],
+            float(size[k]),
+            float(own[k]) ** -0.5,
+            float(size[k] ** 2 * own[k]),
+            log_bayes=float(exact[k]) + occam,
+            log_occam=occam,
+        )
+    ]
 
 
 def _spells(contest: Contest, law: CandidateLaw, blocks: Array, score: Array, gram: Array, rest: float) -> list[Entry]:

@@ -265,8 +265,9 @@ def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
         if shape.name == "spell":
             borders.add(min(shape.onset_s + shape.growth_s, float(since[-1])))
         if shape.name == "periodic":
-            turns = np.arange(shape.onset_s, since[-1], max(shape.growth_s, 2.0 * READ_PIECE_S))
-            borders.update([*turns.tolist(), *(turns + shape.duty * shape.growth_s).tolist()])
+            first = shape.onset_s - shape.into_s
+            turns = np.arange(first, since[-1], max(shape.growth_s, 2.0 * READ_PIECE_S))
+            borders.update([*turns[turns > 0.0].tolist(), *(turns + shape.duty * shape.growth_s).tolist()])
         if shape.name == "pulse":
             borders.update(min(shape.onset_s + shape.growth_s * f, float(since[-1])) for f in FADED)
         if shape.grows or shape.name == "pulse":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,6 +26,9 @@ LEAST_BLOCKS, LEAST_TURNS, PERIODS, PHASES = 3.0, 2.0, 40, 12
 DAY_S, DAYS, DAY_PHASES = 86_400.0, 1.25, 24
 """A day, s; days in a record from which a daily course is tried, which then shows six hours of it twice, and phases of
 a day, one an hour. Two whole turns are not asked for, as of other periods: rooms, shifts and the sun go by the day."""
+RATES = 3.0
+"""Rates of periodic courses in one over the length of a record: with three, the nearest one is off by a sixth of a turn
+where the record ends, if it is right where it begins."""
 DUTIES = (0.25, 0.5, 0.75)
 BEGINNINGS = 8
 """Groups of courses by their first block: with eight, a fifth more is multiplied than with one for each block."""
@@ -67,6 +70,25 @@ class Courses:
     def returns(self) -> Array:
         """Courses (b, k) of the `timed` shapes."""
         return courses_of(self.timed, self.edges_s).T.copy()
+
+    @cached_property
+    def turns(self) -> tuple[list[Shape], Array, NDArray[np.intp]]:
+        """Periodic shapes, their courses (b, k), and of each the nearest one among those of `timed`.
+
+        Their frequencies are so close together that none that the record holds falls between two of them.
+        """
+        coarse = next(shapes for shapes, _ in self.by_name if shapes[0].name == "periodic")
+        span = float(self.edges_s[-1])
+        periods = np.unique([s.growth_s for s in coarse])
+        rates = np.arange(1.0 / periods[-1], 1.0 / periods[0], 1.0 / (RATES * span))
+        shapes, of = [], []
+        for period in 1.0 / rates:
+            near = periods[np.argmin(np.abs(np.log(periods / period)))]
+            for i, s in enumerate(coarse):
+                if s.growth_s == near:
+                    shapes.append(replace(s, onset_s=s.onset_s * float(period / near), growth_s=float(period)))
+                    of.append(i)
+        return shapes, courses_of(shapes, self.edges_s).T.copy(), np.array(of, dtype=np.intp)
 
     def beyond(self, candidate: Candidate) -> tuple[list[Shape], Array]:
         """The shapes of a candidate other than steps, and their courses (b, j)."""
