@@ -84,8 +84,6 @@ class Candidate:
         """Return a text that is unique within a catalogue."""
         weights = ",".join(f"{name}*{weight:.4g}" for name, weight in self.changes.items())
         others = "".join(f"|{key}={value}" for keys in self.replaces.values() for key, value in keys.items())
-        given = {key: v for table in self.adds.values() for key, v in table.items() if isinstance(v, float)}
-        others += "".join(f"|{key}={value:.6g}" for key, value in given.items())
         others += f"|from {self.begins}" if self.begins else ""
         others += f"|{sorted(self.adopts.items())}" if self.adopts else ""
         return f"{self.kind}@{self.where}~{self.driver}[{weights}{others}]{self.typical:.3g}"

@@ -150,7 +150,6 @@ class Sensor(Element):
 
     def _stuck(self, where: str, level_c: float, apart_c: float) -> Candidate:
         """Return a thermometer that sticks at a level, degC; `apart_c`, K, is how far apart those tried so far were."""
-        name = f"{self.name}_sticks"
         finer = [apart for k in range(1, 8) if (apart := apart_c * 0.5**k) >= STUCK_WITHIN_K]
 
         def near() -> tuple[Candidate, ...]:
@@ -161,20 +160,21 @@ class Sensor(Element):
             where,
             "constant",
             "new",
-            {f"{name}.gain": -1.0},
+            {f"{self.name}_follows.gain": -1.0, f"{self.name}_sticks.size": level_c},
             "1",
             0.2,
             0.0,
             1.0,
             f"sticks at {level_c:.1f} degC: it misses {{share}} of every change",
             adds={
-                name: {
+                f"{self.name}_follows": {
                     "kind": "law_reading",
                     "sensor": self.name,
                     "of": self.node,
                     "form": "linear",
-                    "reference": level_c,
-                }
+                    "reference": 0.0,
+                },
+                f"{self.name}_sticks": {"kind": "law_reading", "sensor": self.name, "form": "constant"},
             },
             near=near if finer else None,
         )

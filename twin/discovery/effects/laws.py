@@ -143,10 +143,8 @@ def _reading(network: Network, candidate: Candidate, grid: Grid, run: FreeRun) -
         element, parameter = name.split(".")
         if element in candidate.adds:
             table = candidate.adds[element]
-            seen = run.temperatures[:, network.nodes.index(table["of"])]
-            off = seen - table["reference"]
-            if float(off.min()) < STUCK_APART_K and float(off.max()) > -STUCK_APART_K:  # it sticks where it has been
-                out[:, network.sensor_names.index(table["sensor"])] += weight * off
+            seen = run.temperatures[:, network.nodes.index(table["of"])] if "of" in table else 1.0
+            out[:, network.sensor_names.index(table["sensor"])] += weight * seen
             continue
         j = network.sensor_names.index(element)
         seen = run.temperatures[:, network.nodes.index(network.sensors[j].node)]
@@ -160,7 +158,15 @@ def _reading(network: Network, candidate: Candidate, grid: Grid, run: FreeRun) -
         elif parameter == "cross_talk":
             other = candidate.replaces[element]["other"] if candidate.replaces else network.sensors[j].other
             out[:, j] += weight * (run.temperatures[:, network.nodes.index(other)] - seen)
+    if candidate.adds and not _has_been_there(out):
+        out[:] = 0.0
     return out
+
+
+def _has_been_there(off: Array) -> bool:
+    """Return True where thermometers have been within reach of the level at which they stick, from `off` (n, m), K."""
+    own = off[:, off.any(axis=0)]
+    return own.size > 0 and float(own.min()) < STUCK_APART_K and float(own.max()) > -STUCK_APART_K
 
 
 def _delay(network: Network, formulas: Formulas, candidate: Candidate, grid: Grid, known: Array, base: Array) -> Array:

@@ -20,7 +20,7 @@ from twin.discovery.evidence.missing_in_health import with_missing, with_usual
 from twin.discovery.evidence.part import Part, fitted, plainly
 from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
-from twin.discovery.evidence.search import Found, Hypothesis, Prior, apart, ladder_of, searched
+from twin.discovery.evidence.search import Found, Hypothesis, Prior, apart, class_of, ladder_of, searched
 from twin.discovery.healthy.basis import Basis, Columns
 from twin.discovery.records.grid import Grid
 from twin.discovery.refit.fitting import AGAIN, Fit, look_at
@@ -230,7 +230,10 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     together = _at_one_moment(best, contest) if best is not None and best.odds >= least else None
     if fewer and together is not None and best is not None:
         enough = best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)
-        others = [h for h in found.hypotheses if h.fit is not None and set(h.labels) < set(best.labels)]
+        classes = {class_of(e) for e in best.entries}
+        others = [
+            h for h in found.hypotheses if h.fit is not None and {class_of(e) for e in h.entries} < classes
+        ]
         others = [h for h in others if h.odds >= enough and _at_one_moment(h, contest) is None]
         best = others[0] if others else best
     claimed = best is not None and best.odds >= least and _at_one_moment(best, contest) is None
