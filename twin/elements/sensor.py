@@ -21,7 +21,7 @@ from typing import ClassVar
 import numpy as np
 
 from twin.elements.base import Element, Names, ParameterSpec, place
-from twin.elements.candidates import Candidate, EffectSize, Sites
+from twin.elements.candidates import SHAPES, Candidate, EffectSize, Sites
 from twin.elements.fragments import Fragment, SensorLag
 
 LUMPED_S, PIPED_S = 25.0, 6.0
@@ -149,7 +149,10 @@ class Sensor(Element):
         return tuple(found)
 
     def _stuck(self, where: str, level_c: float, apart_c: float) -> Candidate:
-        """Return a thermometer that sticks at a level, degC; `apart_c`, K, is how far apart those tried so far were."""
+        """Return a thermometer that sticks at a level, degC; `apart_c`, K, is how far apart those tried so far were.
+
+        Only a level that the search came to is tried with other courses than a step.
+        """
         finer = [apart for k in range(1, 8) if (apart := apart_c * 0.5**k) >= STUCK_WITHIN_K]
 
         def near() -> tuple[Candidate, ...]:
@@ -176,6 +179,7 @@ class Sensor(Element):
                 },
                 f"{self.name}_sticks": {"kind": "law_reading", "sensor": self.name, "form": "constant"},
             },
+            shapes=("step",) if apart_c == STUCK_APART_K else SHAPES,
             near=near if finer else None,
         )
 
