@@ -16,7 +16,7 @@ from hil.bench.hiera import trial as hiera
 from hil.bench.hiera.contestants import BlindPredictions, commissioned, fitted, roster, sheet, tracked
 from hil.bench.hiera.tables import goals
 from hil.training.generate import features_of
-from twin.calibrators.hiera_unet.windows import TARGET
+from twin.calibrators.hiera_unet.data.windows import TARGET
 
 
 @lru_cache(maxsize=1)

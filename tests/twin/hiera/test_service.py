@@ -14,20 +14,20 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
 
-from twin.calibrators.hiera_unet import gates, service  # noqa: E402
-from twin.calibrators.hiera_unet.binding import config_for, identity_of  # noqa: E402
-from twin.calibrators.hiera_unet.channels import table  # noqa: E402
-from twin.calibrators.hiera_unet.checkpoint import Member, load, save  # noqa: E402
-from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
-from twin.calibrators.hiera_unet.envelope import Envelope  # noqa: E402
-from twin.calibrators.hiera_unet.evidence import HORIZONS, estimate  # noqa: E402
-from twin.calibrators.hiera_unet.features import Features  # noqa: E402
-from twin.calibrators.hiera_unet.members import Ensemble, load_ensemble  # noqa: E402
-from twin.calibrators.hiera_unet.network import HieraUNet  # noqa: E402
-from twin.calibrators.hiera_unet.parameters import Deviations  # noqa: E402
-from twin.calibrators.hiera_unet.proposal import Proposal  # noqa: E402
-from twin.calibrators.hiera_unet.refined import RefinedCalibrator  # noqa: E402
-from twin.calibrators.hiera_unet.service import HieraUNetCalibrator  # noqa: E402
+from twin.calibrators.hiera_unet.context_fit.evidence import HORIZONS, estimate  # noqa: E402
+from twin.calibrators.hiera_unet.data.channels import table  # noqa: E402
+from twin.calibrators.hiera_unet.data.features import Features  # noqa: E402
+from twin.calibrators.hiera_unet.data.parameters import Deviations  # noqa: E402
+from twin.calibrators.hiera_unet.model.config import HieraError  # noqa: E402
+from twin.calibrators.hiera_unet.model.network import HieraUNet  # noqa: E402
+from twin.calibrators.hiera_unet.serve import gates, service  # noqa: E402
+from twin.calibrators.hiera_unet.serve.members import Ensemble, load_ensemble  # noqa: E402
+from twin.calibrators.hiera_unet.serve.proposal import Proposal  # noqa: E402
+from twin.calibrators.hiera_unet.serve.refined import RefinedCalibrator  # noqa: E402
+from twin.calibrators.hiera_unet.serve.service import HieraUNetCalibrator  # noqa: E402
+from twin.calibrators.hiera_unet.weights.binding import config_for, identity_of  # noqa: E402
+from twin.calibrators.hiera_unet.weights.checkpoint import Member, load, save  # noqa: E402
+from twin.calibrators.hiera_unet.weights.envelope import Envelope  # noqa: E402
 from twin.calibrators.least_squares import LeastSquares  # noqa: E402
 from twin.kernel import simulate  # noqa: E402
 from twin.tracking import TwinTracker  # noqa: E402
