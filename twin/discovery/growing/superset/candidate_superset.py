@@ -16,9 +16,9 @@ from twin.discovery.effects.catalogue import LATE, catalogue, extended, sites_of
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.effects.shared_kernels import SharedKernel
-from twin.discovery.growing.alike import apart, together
-from twin.discovery.growing.masses import masses
-from twin.discovery.growing.resting import Resting
+from twin.discovery.growing.superset.alike import apart, together
+from twin.discovery.growing.superset.masses import masses
+from twin.discovery.growing.superset.resting import Resting
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
