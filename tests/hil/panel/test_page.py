@@ -65,7 +65,7 @@ def run(tmp_path: Path) -> Iterator[AlarmedRun]:
 
 @pytest.fixture
 def panel(run, tmp_path):
-    from tests.hil.test_panel import Served, Steered
+    from tests.hil.panel.served import Served, Steered
 
     steered = Steered(run.path / "control.sock")
     served = Served(tmp_path)
