@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.bench.measure import Cell, ReportTable
 from hil.training.tower import BOOSTED, ENSEMBLE, GAUSS_NEWTON, judged_cards, random_table, score_members
-from twin.calibrators.hiera_unet.config import HieraError
+from twin.calibrators.hiera_unet.model.config import HieraError
 
 FORWARDS = 20
 MOST_MS = {"small": 10.0, "full": 50.0}
@@ -264,12 +264,12 @@ def latency(networks: Sequence[Path]) -> ReportTable:
     HieraError
         A file is no network of a tower.
     """
-    from twin.calibrators.hiera_unet.device import ready
-    from twin.calibrators.hiera_unet.network import HieraUNet
+    from twin.calibrators.hiera_unet.model.network import HieraUNet
     from twin.calibrators.hiera_unet.tower import Fleet, load_member
     from twin.calibrators.hiera_unet.tower.member import own_rows
     from twin.calibrators.hiera_unet.tower.predict import answer, begun
     from twin.calibrators.hiera_unet.tower.table import SUBJECT
+    from twin.calibrators.hiera_unet.weights.device import ready
 
     ready("cpu", 1)
     fleet = Fleet([random_table(0)])

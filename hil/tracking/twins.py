@@ -356,7 +356,7 @@ def disturbance(document: dict[str, Any]) -> str | None:
     Return None, too, if the calibrator is outdone, since its errors are not those of the rig, or if a gate found the
     record implausible for a rig.
     """
-    from twin.calibrators.hiera_unet.gates import BROKEN
+    from twin.calibrators.hiera_unet.serve.gates import BROKEN
     from twin.discovery import disturbance_statement
 
     if document.get("outdone") or any(flag.startswith(BROKEN) for flag in document.get("flags", ())):

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from twin.calibrators.hiera_unet import Windows
-from twin.calibrators.hiera_unet.score import MOVED
+from twin.calibrators.hiera_unet.training.score import MOVED
 from twin.network import Array
 
 Z90 = 1.645

@@ -8,9 +8,9 @@ from typing import Any
 
 from hil.training.generate import campaigns_of
 from twin.calibrators.hiera_unet import Deviations, Features, Store, Windows
-from twin.calibrators.hiera_unet.campaigns import PER_RIG
-from twin.calibrators.hiera_unet.channels import ChannelTable
-from twin.calibrators.hiera_unet.store import windows_of
+from twin.calibrators.hiera_unet.data.channels import ChannelTable
+from twin.calibrators.hiera_unet.simulated.campaigns import PER_RIG
+from twin.calibrators.hiera_unet.simulated.store import windows_of
 from twin.network import Network, TwinFileError
 
 FEWEST = 6

@@ -27,10 +27,10 @@ def assemble(data: TrainingData, folder: Path, name: str) -> Path | None:
     Members of other data or another leakage than is allowed are left out, and the card reports it.
     """
     from twin.calibrators.hiera_unet import conformal
-    from twin.calibrators.hiera_unet.binding import identity_of, physics_of
-    from twin.calibrators.hiera_unet.checkpoint import load
-    from twin.calibrators.hiera_unet.leakage import ALLOWED
-    from twin.calibrators.hiera_unet.members import FORMAT, chances
+    from twin.calibrators.hiera_unet.serve.members import FORMAT, chances
+    from twin.calibrators.hiera_unet.weights.binding import identity_of, physics_of
+    from twin.calibrators.hiera_unet.weights.checkpoint import load
+    from twin.calibrators.hiera_unet.weights.leakage import ALLOWED
 
     identity = identity_of(data.network, data.table, data.deviations)
     physics = physics_of(data.network, data.table, data.deviations)
@@ -84,7 +84,7 @@ def _rivals(networks: list[Any], data: TrainingData, physics: Any, blind: Any) -
     On the test split, target hidden; outputs: mean absolute error, K.
     """
     from hil.training.baselines import estimates, judged, noisy, shuffled
-    from twin.calibrators.hiera_unet.score import missed
+    from twin.calibrators.hiera_unet.training.score import missed
 
     test, config = data.test, networks[0].config
     true = test.theta.astype(np.float64)
@@ -103,8 +103,8 @@ def _rivals(networks: list[Any], data: TrainingData, physics: Any, blind: Any) -
 
 
 def _outputs(networks: list[Any], windows: Any, physics: Any, causal: bool, hidden: bool) -> Any:
-    from twin.calibrators.hiera_unet.ensemble import together
-    from twin.calibrators.hiera_unet.score import outcome
+    from twin.calibrators.hiera_unet.training.score import outcome
+    from twin.calibrators.hiera_unet.weights.ensemble import together
 
     return together(
         [outcome(n, windows, physics.simulate, physics.told, causal=causal, hidden=hidden) for n in networks]
@@ -126,8 +126,8 @@ def _coverage(error: np.ndarray, half: np.ndarray, regime: np.ndarray) -> dict[s
 
 def _parameters(test: Any, factors: Any, chance: np.ndarray) -> dict[str, Any] | None:
     """Return coverage and mean widths of parameters: all, deviating, unchanged, and by bin; None without factors."""
-    from twin.calibrators.hiera_unet.conformal import by_chance
-    from twin.calibrators.hiera_unet.score import MOVED
+    from twin.calibrators.hiera_unet.training.score import MOVED
+    from twin.calibrators.hiera_unet.weights.conformal import by_chance
 
     if factors is None:
         return None

@@ -21,9 +21,17 @@ from hil.run.session import ProgressBar
 from hil.training.plant_windows import campaign as plant_campaign
 from hil.training.stopping import Stop
 from twin.calibrators.hiera_unet import Deviations, Family, Features, LabelledRecord, Store
-from twin.calibrators.hiera_unet.campaigns import WINDOWS, ends, label, simulated
-from twin.calibrators.hiera_unet.channels import table
-from twin.calibrators.hiera_unet.store import MANIFEST, SPLITS, Kept, identity, read_shard, write_manifest, write_shard
+from twin.calibrators.hiera_unet.data.channels import table
+from twin.calibrators.hiera_unet.simulated.campaigns import WINDOWS, ends, label, simulated
+from twin.calibrators.hiera_unet.simulated.store import (
+    MANIFEST,
+    SPLITS,
+    Kept,
+    identity,
+    read_shard,
+    write_manifest,
+    write_shard,
+)
 from twin.network import Network, TwinFileError
 from twin.twinfile import load
 

@@ -20,7 +20,7 @@ def draw(curves: Sequence[dict[str, Any]], path: Path, title: str) -> Path:
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
 
-    from twin.calibrators.hiera_unet.score import average
+    from twin.calibrators.hiera_unet.training.score import average
 
     figure = Figure(figsize=(11, 3.6), layout="constrained")
     left, middle, right = figure.subplots(1, 3)

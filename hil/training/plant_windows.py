@@ -28,10 +28,10 @@ from drivers.virtual.plant import (
 )
 from hil.synthetic import LOADS, Setting, Truth, direct_run, effects_text, profile, truth
 from twin.calibrators.hiera_unet import Features, LabelledRecord, ResampledSeries
-from twin.calibrators.hiera_unet.campaigns import AMISS
-from twin.calibrators.hiera_unet.gaps import damaged
-from twin.calibrators.hiera_unet.parameters import LOSS, SUM
-from twin.calibrators.hiera_unet.series import series
+from twin.calibrators.hiera_unet.data.parameters import LOSS, SUM
+from twin.calibrators.hiera_unet.data.series import series
+from twin.calibrators.hiera_unet.simulated.campaigns import AMISS
+from twin.calibrators.hiera_unet.simulated.gaps import damaged
 from twin.commissioning import CommissionOptions, commission
 from twin.network import Array, Network, TwinFileError
 from twin.twinfile import load

@@ -62,7 +62,7 @@ class TrainingRequest:
     name
         Name of the configuration, ``small`` or ``full``.
     plan
-        `twin.calibrators.hiera_unet.plan.TrainingPlan`.
+        `twin.calibrators.hiera_unet.training.plan.TrainingPlan`.
     folder, out
         Folder of the state of the training, and path of the weights that it ends with.
     command
@@ -103,8 +103,8 @@ def train(data: TrainingData, request: TrainingRequest, *, stop: Stop, say: Say)
     """
     name, plan, without, folder, out = request.name, request.plan, request.without, request.folder, request.out
     from twin.calibrators.hiera_unet import Trainer
-    from twin.calibrators.hiera_unet.binding import config_for, identity_of, physics_of
-    from twin.calibrators.hiera_unet.checkpoint import keep, kept
+    from twin.calibrators.hiera_unet.weights.binding import config_for, identity_of, physics_of
+    from twin.calibrators.hiera_unet.weights.checkpoint import keep, kept
 
     config = config_for(name, data.network, data.table, data.deviations)
     physics = physics_of(data.network, data.table, data.deviations)
@@ -141,7 +141,7 @@ def train(data: TrainingData, request: TrainingRequest, *, stop: Stop, say: Say)
 
 def _look(trainer: Any, data: TrainingData, gathered: list[dict[str, float]]) -> dict[str, Any]:
     """Return one entry of the curves: means of the losses since the last entry, and scores on held-out windows."""
-    from twin.calibrators.hiera_unet.score import outcome
+    from twin.calibrators.hiera_unet.training.score import outcome
 
     names = {n for parts in gathered for n in parts}
     means = {n: float(np.mean([p[n] for p in gathered if n in p])) for n in sorted(names)}
@@ -169,7 +169,7 @@ def _note(curves: list[dict[str, Any]]) -> str:
 
 
 def _figures(metrics: dict[str, Any]) -> tuple[float, ...]:
-    from twin.calibrators.hiera_unet.score import average
+    from twin.calibrators.hiera_unet.training.score import average
 
     names = ("mae", "mae_evidence", "mae_before", "theta_mae", "theta_mae_evidence")
     return tuple(average(metrics[name]) for name in names)
@@ -186,11 +186,11 @@ def _finish(
 ) -> tuple[Path, dict[str, Any]]:
     """Compute envelope, leakage and metrics of the averaged weights, and write all files."""
     from twin.calibrators.hiera_unet import Member
-    from twin.calibrators.hiera_unet.batches import Batch
-    from twin.calibrators.hiera_unet.checkpoint import save
-    from twin.calibrators.hiera_unet.envelope import envelope, place
-    from twin.calibrators.hiera_unet.leakage import leakage
-    from twin.calibrators.hiera_unet.score import outcome
+    from twin.calibrators.hiera_unet.training.batches import Batch
+    from twin.calibrators.hiera_unet.training.score import outcome
+    from twin.calibrators.hiera_unet.weights.checkpoint import save
+    from twin.calibrators.hiera_unet.weights.envelope import envelope, place
+    from twin.calibrators.hiera_unet.weights.leakage import leakage
 
     network, simulate, told = trainer.average.eval(), trainer.physics.simulate, trainer.physics.told
     rows = np.random.default_rng(0).permutation(len(data.train))[: min(len(data.train), 1500)]
@@ -233,7 +233,7 @@ def begun(folder: Path) -> int:
     HieraError
         Its stored state cannot be read.
     """
-    from twin.calibrators.hiera_unet.checkpoint import kept
+    from twin.calibrators.hiera_unet.weights.checkpoint import kept
 
     at = folder / "training.pt"
     return int(kept(at)["done"]) if at.exists() else 0

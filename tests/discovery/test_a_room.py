@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from twin.discovery.growing.answer import diagnose_grown
-from twin.discovery.growing.candidate_superset import CandidateSuperset, unsized
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.growth import samples_of
+from twin.discovery.growing.superset.candidate_superset import CandidateSuperset, unsized
 from twin.discovery.growing.unaided import GrowthProblem
 from twin.discovery.healthy.basis import Columns
 from twin.kernel import Kernel, simulate

@@ -17,14 +17,14 @@ from twin.discovery.diagnosis import SensorError
 from twin.discovery.effects.catalogue import catalogue, sites_of
 from twin.discovery.effects.phrases import said
 from twin.discovery.evidence.held_out import misled, worse
-from twin.discovery.growing.alike import apart, together
 from twin.discovery.growing.answer import diagnose_grown
 from twin.discovery.growing.beam import Beam, FittedSet, _finalists, likeliest
-from twin.discovery.growing.candidate_superset import unsized
 from twin.discovery.growing.growth import grow
-from twin.discovery.growing.masses import masses, time_constants
 from twin.discovery.growing.merit import Merit
 from twin.discovery.growing.scoring import Scored
+from twin.discovery.growing.superset.alike import apart, together
+from twin.discovery.growing.superset.candidate_superset import unsized
+from twin.discovery.growing.superset.masses import masses, time_constants
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate

@@ -16,10 +16,10 @@ import pytest
 
 from hil.bench.discovery.public_records import measure
 from twin.discovery.effects.catalogue import catalogue, sites_of
-from twin.discovery.growing.alike import together
 from twin.discovery.growing.growth import Growth, grow, grow_at_rest
 from twin.discovery.growing.likelihood import Spectrum, cosines, judged
-from twin.discovery.growing.resting import Resting
+from twin.discovery.growing.superset.alike import together
+from twin.discovery.growing.superset.resting import Resting
 from twin.kernel import Kernel, simulate
 from twin.network import Array, Network, TwinFileError
 from twin.steady import steady_readings

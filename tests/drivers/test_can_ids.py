@@ -250,7 +250,11 @@ def test_messages_that_would_take_each_others_frames_are_refused(tmp_path, entri
 
 
 def test_a_source_keeps_two_messages_of_a_pgn_apart(tmp_path):
-    Heard(tmp_path, {"name": "ET1", "pgn": 0xFEEE, "source": 0}, tsc1=0x0CFEEE11)
+    torque = Point(name="torque", bus="c", unit="%", message="TSC1", signal="torque")
+    heard = Heard(tmp_path, {"name": "ET1", "pgn": 0xFEEE, "source": 0}, points=(*POINTS, torque), tsc1=0x0CFEEE11)
+    heard.take(0x18FEEE00, et1(85, 90))
+    heard.take(0x0CFEEE11, bytes((145, *bytes(7))))
+    assert heard.read() == ([85.0, 90.0, 20.0], [GOOD] * 3, None)
 
 
 def test_a_message_of_several_packets_is_refused(tmp_path):

@@ -29,3 +29,9 @@ def typed(*arguments: object) -> CompletedProcess[str]:
     return CompletedProcess(
         words, code if isinstance(code, int) else int(code is not None), out.getvalue(), err.getvalue()
     )
+
+
+def hil(*arguments: object) -> tuple[int, str]:
+    """Return the exit code of `hil` with `arguments`, and everything printed."""
+    done = typed(*arguments)
+    return done.returncode, done.stdout + done.stderr

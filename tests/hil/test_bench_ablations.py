@@ -13,8 +13,8 @@ from hil.bench.hiera import ablations  # noqa: E402
 from hil.training.ablation import PIECES  # noqa: E402
 from hil.training.data import TrainingData  # noqa: E402
 from tests.twin.hiera import fake  # noqa: E402
-from twin.calibrators.hiera_unet import binding  # noqa: E402
-from twin.calibrators.hiera_unet.train import Physics  # noqa: E402
+from twin.calibrators.hiera_unet.training.train import Physics  # noqa: E402
+from twin.calibrators.hiera_unet.weights import binding  # noqa: E402
 
 
 class Table:

@@ -16,7 +16,7 @@ from hil.bench.hiera import trial as hiera
 from hil.bench.hiera.contestants import BlindPredictions, commissioned, fitted, roster, sheet, tracked
 from hil.bench.hiera.tables import goals
 from hil.training.generate import features_of
-from twin.calibrators.hiera_unet.windows import TARGET
+from twin.calibrators.hiera_unet.data.windows import TARGET
 
 
 @lru_cache(maxsize=1)
@@ -184,7 +184,7 @@ def test_an_untrained_network_predicts_what_its_evidence_does_and_a_fit_from_it_
     pytest.importorskip("torch", reason="torch is not installed: the network takes no part")
     pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
     from hil.bench.hiera.network import contestants
-    from tests.twin.hiera.test_service import ensemble_card
+    from tests.twin.hiera.loop_ensemble import ensemble_card
 
     both = contestants(ensemble_card(tmp_path), features())
     alone, then_fit, fit = scored(both["network"]), scored(both["network, fit"]), scored(fitted)

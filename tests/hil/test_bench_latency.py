@@ -7,7 +7,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 
 from hil.bench.hiera.latency import latency  # noqa: E402
-from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
+from twin.calibrators.hiera_unet.model.config import HieraError  # noqa: E402
 
 
 @pytest.mark.parametrize(("config", "weights"), [("small", 1.09e6), ("full", 18.7e6)])

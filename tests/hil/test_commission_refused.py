@@ -10,8 +10,8 @@ import pytest
 
 from hil.record.reader import Record, read_record, write_record
 from tests.discovery.conftest import Bench
+from tests.hil.command_line import hil
 from tests.hil.made_record import written
-from tests.hil.test_bad_input import hil
 from tests.twin.conftest import LOOP
 from twin.commissioning import CommissionOptions, CommissionResult, commission
 from twin.commissioning.checks import clock_warning, refusal_reason

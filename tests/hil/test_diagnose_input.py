@@ -10,8 +10,8 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from tests.discovery.test_records import TWINS, cooler
+from tests.hil.command_line import hil
 from tests.hil.made_record import written
-from tests.hil.test_bad_input import hil
 from tests.twin.conftest import LOOP
 from twin.twinfile import load
 

@@ -138,10 +138,12 @@ def test_a_pipe_does_not_hold_a_reader(run: RunFolder, name: str) -> None:
 
 
 def test_the_control_socket_of_a_live_run_is_in_order(run: RunFolder) -> None:
+    before = run.read_manifest()
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(f"/proc/self/fd/{(folder := os.open(run.path, os.O_RDONLY))}/control.sock")
         os.close(folder)
-        run.read_manifest()
+        assert (run.path / "control.sock").is_socket()
+        assert run.read_manifest() == before
 
 
 WRONG: dict[str, Any] = {

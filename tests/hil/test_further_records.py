@@ -9,9 +9,9 @@ from pathlib import Path
 from hil.diagnosis.columns import further_columns
 from hil.record import ReadingOptions
 from tests.discovery.conftest import Bench
+from tests.hil.command_line import hil
 from tests.hil.made_diagnosis import made
 from tests.hil.made_record import written
-from tests.hil.test_bad_input import hil
 from tests.twin.conftest import LOOP
 from twin.discovery.further_records import errors_on_further_record
 from twin.twinfile import load

@@ -25,8 +25,24 @@ def changed(path: Path, *statements: str) -> None:
     database.close()
 
 
-def test_a_sound_journal_is_read_by_every_method(journal):
+def test_a_sound_journal_is_read_by_every_method(journal, monkeypatch):
+    methods = {name for name, value in vars(JournalReader).items() if callable(value) and not name.startswith("_")}
+    found: dict[str, object] = {}
+
+    def kept(name, read):
+        def called(reader, *arguments):
+            found[name] = read(reader, *arguments)
+            return found[name]
+
+        return called
+
+    for name in methods:
+        monkeypatch.setattr(JournalReader, name, kept(name, getattr(JournalReader, name)))
     read_all(journal)
+    assert set(found) == methods
+    tables = ("calibrations", "proposals", "bands", "writes", "events", "states", "segments")
+    assert {name: len(found[name]) for name in tables} == dict.fromkeys(tables, 1)
+    assert (found["sample_count"], found["last"], found["tick_at"]) == (5, (4, 1e9 + 4), 4)
 
 
 @pytest.mark.parametrize(

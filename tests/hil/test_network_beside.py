@@ -117,7 +117,7 @@ def test_without_torch_the_others_run_and_a_sentence_says_why(
 def test_weights_of_something_else_are_refused_in_one_sentence(
     brief: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str, words: str
 ) -> None:
-    from twin.calibrators.hiera_unet import service
+    from twin.calibrators.hiera_unet.serve import service
 
     folder, twin = Path(shutil.copytree(PROFILES / "trained", tmp_path / "trained")), LOOP
     card, weights = (folder / f"loop_small_0.{end}" for end in ("json", "safetensors"))
@@ -233,7 +233,7 @@ def test_small_powers_are_told_with_digits() -> None:
 def test_own_weights_are_asked_where_their_card_is_named(
     brief: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from twin.calibrators.hiera_unet import service
+    from twin.calibrators.hiera_unet.serve import service
 
     card = Path(shutil.copytree(PROFILES / "trained", tmp_path / "own")) / "loop_small.json"
     monkeypatch.setattr(service, "TRAINED", tmp_path / "none")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hil.record.reader import Record, RecordError, read_record
-from tests.hil.test_bad_input import hil
+from tests.hil.command_line import hil
 
 CLOCK = "10:00:00,345000011920928955078"
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil.record.reader import Record, RecordError, read_record
-from tests.hil.test_bad_input import hil
+from tests.hil.command_line import hil
 
 ROWS = 20
 TOP = "waveform\t{names}\nt0\t13/04/2026 10:00:00.000000\t13/04/2026 10:00:00.000000\ndelta t\t{steps}\n\n"

@@ -11,7 +11,7 @@ import pytest
 
 from hil.record.csv_file.dialect import find_dialect
 from hil.record.reader import Record, RecordError, read_record
-from tests.hil.test_bad_input import hil
+from tests.hil.command_line import hil
 
 WARM = [18.0 + k / 4 for k in range(24)]
 """Readings in degC that every layout below holds, one every ten seconds, beside 55 W."""

@@ -101,8 +101,8 @@ def test_a_file_that_has_no_size_of_its_own_is_read_up_to_the_limit():
 @pytest.mark.parametrize("what_is_none", ["card", "weights"])
 def test_a_model_card_or_weights_that_are_no_regular_file_are_refused(what_is_none, make, tmp_path):
     pytest.importorskip("torch")
-    from twin.calibrators.hiera_unet.checkpoint import HieraError, _digest
-    from twin.calibrators.hiera_unet.members import load_ensemble
+    from twin.calibrators.hiera_unet.serve.members import load_ensemble
+    from twin.calibrators.hiera_unet.weights.checkpoint import HieraError, _digest
 
     path = tmp_path / what_is_none
     what = make(path)
@@ -116,7 +116,7 @@ def test_a_model_card_or_weights_that_are_no_regular_file_are_refused(what_is_no
 
 def test_arrays_that_unpack_to_more_than_the_limit_are_not_read(tmp_path, monkeypatch):
     pytest.importorskip("torch")
-    from twin.calibrators.hiera_unet import store
+    from twin.calibrators.hiera_unet.simulated import store
 
     path = tmp_path / "shard.npz"
     np.savez_compressed(path, length=np.zeros(100_000))

@@ -175,7 +175,7 @@ def test_a_run_folder_that_names_other_files_shows_nothing_of_them(tmp_path):
 
 def test_a_card_cannot_name_members_outside_its_folder(tmp_path):
     pytest.importorskip("torch")
-    from twin.calibrators.hiera_unet.members import HieraError, load_ensemble
+    from twin.calibrators.hiera_unet.serve.members import HieraError, load_ensemble
 
     shipped = PROJECT / "profiles" / "trained" / "loop_small.json"
     document = json.loads(shipped.read_text(encoding="utf-8"))

@@ -19,7 +19,7 @@ from hil.training.tower.unpack import unpack
 from tests.hil.command_line import typed
 from tests.hil.tower.made_ensemble import write_ensemble
 from tests.twin.hiera.tower_tables import made_table
-from twin.calibrators.hiera_unet.config import HieraError
+from twin.calibrators.hiera_unet.model.config import HieraError
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
 
 

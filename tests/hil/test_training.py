@@ -27,14 +27,14 @@ from hil.training.ensemble import assemble  # noqa: E402
 from hil.training.generate import features_of  # noqa: E402
 from hil.training.stopping import Stop  # noqa: E402
 from tests.twin.hiera import fake  # noqa: E402
-from twin.calibrators.hiera_unet import binding  # noqa: E402
-from twin.calibrators.hiera_unet.checkpoint import Identity, load  # noqa: E402
-from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
-from twin.calibrators.hiera_unet.device import ready  # noqa: E402
-from twin.calibrators.hiera_unet.hiding import hide  # noqa: E402
-from twin.calibrators.hiera_unet.network import HieraUNet  # noqa: E402
-from twin.calibrators.hiera_unet.plan import TrainingPlan  # noqa: E402
-from twin.calibrators.hiera_unet.train import Physics  # noqa: E402
+from twin.calibrators.hiera_unet.model.config import HieraError  # noqa: E402
+from twin.calibrators.hiera_unet.model.network import HieraUNet  # noqa: E402
+from twin.calibrators.hiera_unet.training.hiding import hide  # noqa: E402
+from twin.calibrators.hiera_unet.training.plan import TrainingPlan  # noqa: E402
+from twin.calibrators.hiera_unet.training.train import Physics  # noqa: E402
+from twin.calibrators.hiera_unet.weights import binding  # noqa: E402
+from twin.calibrators.hiera_unet.weights.checkpoint import Identity, load  # noqa: E402
+from twin.calibrators.hiera_unet.weights.device import ready  # noqa: E402
 from twin.network import TwinFileError  # noqa: E402
 
 IDENTITY = Identity("t", "c", ("a", "b"), ("T_a_C", "T_b_C"))
@@ -225,7 +225,7 @@ def test_what_cannot_run_is_refused_in_plain_words(monkeypatch: pytest.MonkeyPat
     if not torch.cuda.is_available():
         with pytest.raises(HieraError, match="no GPU"):
             ready("cuda")
-    monkeypatch.setattr("twin.calibrators.hiera_unet.device.NEEDED", ("no_such_package",))
+    monkeypatch.setattr("twin.calibrators.hiera_unet.weights.device.NEEDED", ("no_such_package",))
     with pytest.raises(HieraError, match=r"needs no_such_package.*\[ml\]"):
         ready()
     monkeypatch.undo()

@@ -11,7 +11,7 @@ from hil.training import generate as data
 from hil.training import plant_windows
 from hil.training.data import FEWEST, least_windows, looked_at
 from hil.training.stopping import Stop
-from twin.calibrators.hiera_unet.store import SPLITS, Store
+from twin.calibrators.hiera_unet.simulated.store import SPLITS, Store
 from twin.network import TwinFileError
 
 FEATURES = data.features_of()

@@ -90,12 +90,12 @@ def make_calibrator(
 
         return ParticleSwarm(network, tunables or "paper4", "paper", seed)
     if name == "hiera_unet":
-        from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
+        from twin.calibrators.hiera_unet.serve.service import HieraUNetCalibrator
 
         return HieraUNetCalibrator.shipped(network, tunables or "nine", card)
     if name == "hiera_ls":
-        from twin.calibrators.hiera_unet.refined import RefinedCalibrator
-        from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
+        from twin.calibrators.hiera_unet.serve.refined import RefinedCalibrator
+        from twin.calibrators.hiera_unet.serve.service import HieraUNetCalibrator
 
         asked = HieraUNetCalibrator.shipped(network, tunables or "nine", card)
         return RefinedCalibrator(network, asked, tunables or "nine")

@@ -133,8 +133,8 @@ def windows() -> plt.Figure:
 
 def hiera() -> plt.Figure:
     """Draw the network's scales from its configuration, and a fit beside the belief that few parameters moved."""
-    from twin.calibrators.hiera_unet.config import named
-    from twin.calibrators.hiera_unet.sparse import Likelihood, Usual, posterior
+    from twin.calibrators.hiera_unet.context_fit.sparse import Likelihood, Usual, posterior
+    from twin.calibrators.hiera_unet.model.config import named
 
     config = named("small", groups=(1,), bounds=(1.0,), tolerances=(1.0,), meta=6)
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 3.6), width_ratios=(1.35, 1.0))

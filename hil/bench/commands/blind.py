@@ -79,7 +79,7 @@ def ablations_command(data: Path, name: str, minutes: float, seed: int, out: Pat
     from hil.bench.hiera import ablations as hiera_ablations
     from hil.run.session import ProgressBar
     from hil.training import features_of, read
-    from twin.calibrators.hiera_unet.device import ready
+    from twin.calibrators.hiera_unet.weights.device import ready
 
     ready(threads=1)
     windows = read(data, features_of())

@@ -72,6 +72,8 @@ def read_all(path: Path) -> None:
             read()
         reader.segments()
         reader.wall_s()
+        reader.start_wall_s()
+        reader.tick_at(reader.wall_s_at(reader.sample_count()))
         reader.last()
         reader.meta("exit_status")
     finally:

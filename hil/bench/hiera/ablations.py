@@ -85,8 +85,8 @@ def measure(
 def trial(data: TrainingData, name: str, seed: int, budget_s: float, less: tuple[str, ...]) -> TrainedVariant:
     """Train a variant without the parts `less` for this CPU time and score it on the test windows."""
     from twin.calibrators.hiera_unet import Trainer, TrainingPlan
-    from twin.calibrators.hiera_unet.binding import config_for, physics_of
-    from twin.calibrators.hiera_unet.score import MOVED, NINETY, outcome
+    from twin.calibrators.hiera_unet.training.score import MOVED, NINETY, outcome
+    from twin.calibrators.hiera_unet.weights.binding import config_for, physics_of
 
     parts = (data.network, data.table, data.deviations)
     physics = physics_of(*parts)

@@ -20,12 +20,13 @@ from hil.record import read_record
 from hil.synthetic import Setting
 from hil.training import PROFILES, equivalent_deviations, recorded, specimen_of
 from twin import Array, commission, from_datasheet
-from twin.calibrators.hiera_unet import Family, Features, LabelledRecord, changes
-from twin.calibrators.hiera_unet.campaigns import recorded as logged
-from twin.calibrators.hiera_unet.campaigns import rig_of
-from twin.calibrators.hiera_unet.loads import drive
-from twin.calibrators.hiera_unet.series import series
-from twin.calibrators.hiera_unet.windows import TARGET
+from twin.calibrators.hiera_unet import Family, Features, LabelledRecord
+from twin.calibrators.hiera_unet.data.series import series
+from twin.calibrators.hiera_unet.data.windows import TARGET
+from twin.calibrators.hiera_unet.simulated import changes
+from twin.calibrators.hiera_unet.simulated.campaigns import recorded as logged
+from twin.calibrators.hiera_unet.simulated.campaigns import rig_of
+from twin.calibrators.hiera_unet.simulated.loads import drive
 
 RIGS = ("simulated", "virtual", "stranger")
 FIRST = 13

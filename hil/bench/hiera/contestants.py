@@ -17,10 +17,10 @@ from hil.bench.hiera.cases import HieraCase
 from twin import Array, Network, TwinTracker
 from twin.calibrators import CALIBRATOR_NAMES, Calibration, Calibrator, make_calibrator
 from twin.calibrators.hiera_unet import ContextFit, Features, Frame
-from twin.calibrators.hiera_unet.campaigns import WindowLabel
-from twin.calibrators.hiera_unet.evidence import estimate, identifiable, least_error, step_noise
-from twin.calibrators.hiera_unet.series import STEP_S
-from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
+from twin.calibrators.hiera_unet.context_fit.evidence import estimate, identifiable, least_error, step_noise
+from twin.calibrators.hiera_unet.data.series import STEP_S
+from twin.calibrators.hiera_unet.data.windows import CONTEXT, TARGET
+from twin.calibrators.hiera_unet.simulated.campaigns import WindowLabel
 from twin.gauss_newton import SE90
 
 TRAINED = Path(__file__).resolve().parents[3] / "profiles" / "trained" / "loop_small.json"

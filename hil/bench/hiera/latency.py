@@ -6,7 +6,7 @@ import statistics
 from dataclasses import dataclass
 
 from hil.training import features_of
-from twin.calibrators.hiera_unet.device import ready
+from twin.calibrators.hiera_unet.weights.device import ready
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ def latency(config: str, repetitions: int = 50) -> Latency:
         No repetition is asked for.
     """
     ready()
-    from twin.calibrators.hiera_unet.binding import config_for
-    from twin.calibrators.hiera_unet.latency import forward_ms
+    from twin.calibrators.hiera_unet.weights.binding import config_for
+    from twin.calibrators.hiera_unet.weights.latency import forward_ms
 
     features = features_of()
     sizes = config_for(config, features.network, features.table, features.deviations)

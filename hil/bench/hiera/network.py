@@ -10,15 +10,15 @@ import numpy as np
 
 from hil.bench.hiera.contestants import BlindPredictions, CaseInputs, Contestant, refit
 from twin.calibrators.hiera_unet import Ensemble, Features, ParameterPrior, Windows, load_ensemble
-from twin.calibrators.hiera_unet.binding import identity_of, physics_of
-from twin.calibrators.hiera_unet.ensemble import together
-from twin.calibrators.hiera_unet.evidence import estimate
-from twin.calibrators.hiera_unet.holding import NARROWEST
-from twin.calibrators.hiera_unet.score import NINETY, ScoredWindows, outcome
-from twin.calibrators.hiera_unet.series import STEP_S
-from twin.calibrators.hiera_unet.service import one
-from twin.calibrators.hiera_unet.train import Physics
-from twin.calibrators.hiera_unet.windows import concatenate
+from twin.calibrators.hiera_unet.context_fit.evidence import estimate
+from twin.calibrators.hiera_unet.context_fit.holding import NARROWEST
+from twin.calibrators.hiera_unet.data.series import STEP_S
+from twin.calibrators.hiera_unet.data.windows import concatenate
+from twin.calibrators.hiera_unet.serve.service import one
+from twin.calibrators.hiera_unet.training.score import NINETY, ScoredWindows, outcome
+from twin.calibrators.hiera_unet.training.train import Physics
+from twin.calibrators.hiera_unet.weights.binding import identity_of, physics_of
+from twin.calibrators.hiera_unet.weights.ensemble import together
 
 Z90 = 1.645
 

@@ -85,8 +85,8 @@ def tower_command(
     from hil.run.session import ProgressBar, console
     from hil.training import Stop
     from hil.training.tower import DataPlan, simulate_stations, train_member
-    from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.tower import TowerPlan
+    from twin.calibrators.hiera_unet.weights.device import ready
 
     ready(device, threads)
     plan = TowerPlan(steps=steps, batch=batch, seed=seed, half=device != "cpu" if half is None else half)

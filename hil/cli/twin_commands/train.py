@@ -118,7 +118,7 @@ def loop_command(
         training_begun,
     )
     from twin.calibrators.hiera_unet import TrainingPlan
-    from twin.calibrators.hiera_unet.device import ready
+    from twin.calibrators.hiera_unet.weights.device import ready
 
     ready(device, threads)
     plan = TrainingPlan(steps=steps, batch=batch, seed=seed, half=device != "cpu" if half is None else half)

@@ -10,25 +10,25 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from hil.tower.calibration.calibrated_table import TABLE, withheld, write_table
     from hil.tower.calibration.commission import commission_cell, learn_healthy
     from hil.tower.calibration.healthy import Healthy, parse_span, path_beside, read_healthy, write_healthy
     from hil.tower.calibration.picture import draw_cell
-    from hil.tower.calibration.station_fit import (
-        DRIVEN,
-        TABLE,
-        CellResult,
+    from hil.tower.calibration.prepared_cells import (
         PreparedCell,
-        calibrate,
-        fit_with_steps,
         load_all,
         openings_of,
         prepare_cells,
         priors_of,
         site_of,
+    )
+    from hil.tower.calibration.station_fit import (
+        DRIVEN,
+        CellResult,
+        calibrate,
+        fit_with_steps,
         step_openings,
         thermometer_steps,
-        withheld,
-        write_table,
     )
     from hil.tower.calibration.truth import TruthColumns, compare, read_minutes, read_truth
 
@@ -77,23 +77,9 @@ __getattr__, __dir__ = lazy_names(
             "write_healthy",
         ),
         "picture": ("draw_cell",),
-        "station_fit": (
-            "CellResult",
-            "DRIVEN",
-            "PreparedCell",
-            "TABLE",
-            "calibrate",
-            "fit_with_steps",
-            "load_all",
-            "openings_of",
-            "prepare_cells",
-            "priors_of",
-            "site_of",
-            "step_openings",
-            "thermometer_steps",
-            "withheld",
-            "write_table",
-        ),
+        "calibrated_table": ("TABLE", "withheld", "write_table"),
+        "prepared_cells": ("PreparedCell", "load_all", "openings_of", "prepare_cells", "priors_of", "site_of"),
+        "station_fit": ("CellResult", "DRIVEN", "calibrate", "fit_with_steps", "step_openings", "thermometer_steps"),
         "truth": (
             "TruthColumns",
             "compare",

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.record import RecordError
 from hil.tower.calibration.healthy import Healthy
-from hil.tower.calibration.station_fit import priors_of, site_of
+from hil.tower.calibration.prepared_cells import priors_of, site_of
 from hil.tower.station import read_cell, read_notes, read_object, read_rows
 from twin.network import Network, Revision, digest
 from twin.tower import CellModel, Inputs, cell_network, cell_of, design_of, minutes_of, value_of

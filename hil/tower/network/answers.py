@@ -108,7 +108,7 @@ def ask_network(
     RecordError
         The station's notes cannot be read.
     """
-    from twin.calibrators.hiera_unet.device import ready
+    from twin.calibrators.hiera_unet.weights.device import ready
 
     ready()
     from twin.calibrators.hiera_unet.tower import load_tower_ensemble
@@ -140,7 +140,7 @@ def check_network(card: Path, mode: NetworkMode, record: Path, twins: Sequence[P
     RecordError, TwinFileError
         A file cannot be used.
     """
-    from twin.calibrators.hiera_unet.device import ready
+    from twin.calibrators.hiera_unet.weights.device import ready
 
     ready()
     from twin.calibrators.hiera_unet.tower import load_tower_ensemble

@@ -207,10 +207,10 @@ def _test_tables(o: argparse.Namespace) -> list[Path]:
 
 def _member(o: argparse.Namespace) -> int:
     from hil.training.tower.starting import begin, load_start
-    from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.tower import MemberTraining, TowerPlan, load_fleet
     from twin.calibrators.hiera_unet.tower.member import LONGEST
     from twin.calibrators.hiera_unet.tower.predict import NOT_TESTED
+    from twin.calibrators.hiera_unet.weights.device import ready
 
     ready(o.device, 2 if o.device != "cpu" else 1)
     data, name = o.work / "data", f"{o.size}_{o.seed}"
@@ -246,11 +246,11 @@ def _member(o: argparse.Namespace) -> int:
 
 
 def _adapt(o: argparse.Namespace) -> int:
-    from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.tower import TowerPlan, adapt, load_fleet, load_member
     from twin.calibrators.hiera_unet.tower.member import LONGEST, own_rows
     from twin.calibrators.hiera_unet.tower.predict import predict
     from twin.calibrators.hiera_unet.tower.score import believed, mixed, scores, targets_of
+    from twin.calibrators.hiera_unet.weights.device import ready
 
     ready(o.device, 2 if o.device != "cpu" else 1)
     data = o.work / "data"

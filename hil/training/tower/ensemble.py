@@ -72,7 +72,7 @@ def assemble(
 
 
 if __name__ == "__main__":
-    from twin.calibrators.hiera_unet.device import ready
+    from twin.calibrators.hiera_unet.weights.device import ready
 
     ready()
     print(assemble(Path(sys.argv[1]), Path(sys.argv[2]), same_data=False) or "fewer than two members: no card")

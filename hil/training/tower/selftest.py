@@ -15,7 +15,7 @@ from twin.calibrators.hiera_unet.tower import CellTable
 from twin.calibrators.hiera_unet.tower.table import CHANNELS, SUBJECT, clock_of
 
 if TYPE_CHECKING:
-    from twin.calibrators.hiera_unet.tower.trees import Trees
+    from twin.calibrators.hiera_unet.model.trees import Trees
 
 STEPS, TIMED = 12, 8
 MINUTES = 4 * 1440
@@ -69,7 +69,7 @@ def random_table(seed: int) -> CellTable:
 
 def random_trees(seed: int = 0) -> Trees:
     """Return trees of one split each, of random numbers, for each figure that a network corrects."""
-    from twin.calibrators.hiera_unet.tower.trees import trees_from
+    from twin.calibrators.hiera_unet.model.trees import trees_from
 
     rng = np.random.default_rng(seed)
     shape = (1 + len(SUBJECT.deviations), 4, 3)
@@ -93,10 +93,10 @@ def check(device: str, work: Path, batches: Mapping[str, int]) -> list[str]:
     HieraError, RuntimeError
         The device cannot do it.
     """
-    from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.tower import Fleet, MemberTraining, TowerPlan, adapt, load_member
     from twin.calibrators.hiera_unet.tower.member import MONTH_MIN
     from twin.calibrators.hiera_unet.tower.predict import predict
+    from twin.calibrators.hiera_unet.weights.device import ready
 
     ready(device, 1 if device == "cpu" else 2)
     fleet = Fleet([random_table(0), random_table(1)], device)

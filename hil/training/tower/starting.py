@@ -99,8 +99,8 @@ def begin(folder: Path, fleet: Any) -> None:
 
 def _targets(path: Path, most: int) -> Any:
     """Return targets (`score.Targets`) of a table, None where it has no window."""
-    from twin.calibrators.hiera_unet.device import ready
     from twin.calibrators.hiera_unet.tower import load_fleet, score
+    from twin.calibrators.hiera_unet.weights.device import ready
 
     ready()
     try:
@@ -112,8 +112,8 @@ def _targets(path: Path, most: int) -> Any:
 
 def _fitted(parts: Sequence[Any]) -> dict[str, np.ndarray]:
     """Return the trees of a booster that learned from these targets."""
+    from twin.calibrators.hiera_unet.model.trees import NAMES, trees_of
     from twin.calibrators.hiera_unet.tower import score
-    from twin.calibrators.hiera_unet.tower.trees import NAMES, trees_of
 
     booster = score.Booster(score.joined(parts))
     trees = trees_of([booster.water, *booster.theta])
@@ -121,7 +121,7 @@ def _fitted(parts: Sequence[Any]) -> dict[str, np.ndarray]:
 
 
 def _trees(found: dict[str, Any], name: str) -> Any:
-    from twin.calibrators.hiera_unet.tower.trees import NAMES, trees_from
+    from twin.calibrators.hiera_unet.model.trees import NAMES, trees_from
 
     return trees_from({key: found[f"{name}.{key}"] for key in NAMES})
 

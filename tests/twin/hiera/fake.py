@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.calibrators.hiera_unet.config import Config, named
-from twin.calibrators.hiera_unet.windows import Windows
+from twin.calibrators.hiera_unet.data.windows import Windows
+from twin.calibrators.hiera_unet.model.config import Config, named
 
 GROUPS = (2, 3)
 TOLD = np.array([False, False, True, True, True])

@@ -6,10 +6,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from twin.calibrators.hiera_unet.channels import table
-from twin.calibrators.hiera_unet.features import Features
-from twin.calibrators.hiera_unet.parameters import Deviations
-from twin.calibrators.hiera_unet.series import STEP_S, ResampledSeries
+from twin.calibrators.hiera_unet.data.channels import table
+from twin.calibrators.hiera_unet.data.features import Features
+from twin.calibrators.hiera_unet.data.parameters import Deviations
+from twin.calibrators.hiera_unet.data.series import STEP_S, ResampledSeries
 from twin.kernel import Kernel
 from twin.steady import steady_state
 from twin.twinfile import load

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.calibrators.hiera_unet.agreement import TURNS, Spoken, doubts, lately, turns
+from twin.calibrators.hiera_unet.serve.agreement import TURNS, Spoken, doubts, lately, turns
 
 IDS = ("power", "loss")
 LIVE = np.zeros(2)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from tests.twin.hiera.records import NETWORK, features
-from twin.calibrators.hiera_unet import changes
-from twin.calibrators.hiera_unet.campaigns import STEPS, LabelledRecord, ends, label, simulated
-from twin.calibrators.hiera_unet.gaps import damaged, logged
-from twin.calibrators.hiera_unet.plants import Family
-from twin.calibrators.hiera_unet.store import Kept, Store, windows_of, write_manifest, write_shard
-from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET, concatenate
+from twin.calibrators.hiera_unet.data.windows import CONTEXT, TARGET, concatenate
+from twin.calibrators.hiera_unet.simulated import changes
+from twin.calibrators.hiera_unet.simulated.campaigns import STEPS, LabelledRecord, ends, label, simulated
+from twin.calibrators.hiera_unet.simulated.gaps import damaged, logged
+from twin.calibrators.hiera_unet.simulated.plants import Family
+from twin.calibrators.hiera_unet.simulated.store import Kept, Store, windows_of, write_manifest, write_shard
 from twin.network import TwinFileError
 
 SEED = 5

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.twin.hiera.records import NETWORK, features, made
-from twin.calibrators.hiera_unet.channels import ROLES, table
-from twin.calibrators.hiera_unet.regimes import HEAT_OFF, LOAD, REST, STARTUP, STEADY, UNKNOWN, regimes
-from twin.calibrators.hiera_unet.signals import FORMULAS, flat_steps, past_mean, quick, slope, stuck
+from twin.calibrators.hiera_unet.data.channels import ROLES, table
+from twin.calibrators.hiera_unet.data.regimes import HEAT_OFF, LOAD, REST, STARTUP, STEADY, UNKNOWN, regimes
+from twin.calibrators.hiera_unet.data.signals import FORMULAS, flat_steps, past_mean, quick, slope, stuck
 from twin.network import TwinFileError
 from twin.twinfile import load
 

@@ -13,15 +13,15 @@ torch = pytest.importorskip("torch", reason="torch is not installed: the network
 pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
 
 from tests.twin.hiera import fake  # noqa: E402
-from twin.calibrators.hiera_unet.batches import Batch  # noqa: E402
-from twin.calibrators.hiera_unet.checkpoint import Identity, Member, load, save  # noqa: E402
-from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
-from twin.calibrators.hiera_unet.ensemble import mixed, together  # noqa: E402
-from twin.calibrators.hiera_unet.envelope import Envelope  # noqa: E402
-from twin.calibrators.hiera_unet.leakage import leakage  # noqa: E402
-from twin.calibrators.hiera_unet.network import HieraUNet  # noqa: E402
-from twin.calibrators.hiera_unet.score import outcome  # noqa: E402
-from twin.calibrators.hiera_unet.store import structure  # noqa: E402
+from twin.calibrators.hiera_unet.model.config import HieraError  # noqa: E402
+from twin.calibrators.hiera_unet.model.network import HieraUNet  # noqa: E402
+from twin.calibrators.hiera_unet.simulated.store import structure  # noqa: E402
+from twin.calibrators.hiera_unet.training.batches import Batch  # noqa: E402
+from twin.calibrators.hiera_unet.training.score import outcome  # noqa: E402
+from twin.calibrators.hiera_unet.weights.checkpoint import Identity, Member, load, save  # noqa: E402
+from twin.calibrators.hiera_unet.weights.ensemble import mixed, together  # noqa: E402
+from twin.calibrators.hiera_unet.weights.envelope import Envelope  # noqa: E402
+from twin.calibrators.hiera_unet.weights.leakage import leakage  # noqa: E402
 from twin.twinfile import load as load_twin  # noqa: E402
 
 TWINS = Path(__file__).resolve().parents[3] / "profiles" / "twins"

@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from twin.calibrators.hiera_unet import conformal
-from twin.calibrators.hiera_unet.config import HieraError
-from twin.calibrators.hiera_unet.conformal import Factors, fit, one_a_window, quantile
-from twin.calibrators.hiera_unet.envelope import envelope, place
-from twin.calibrators.hiera_unet.windows import TARGET
+from twin.calibrators.hiera_unet.data.windows import TARGET
+from twin.calibrators.hiera_unet.model.config import HieraError
+from twin.calibrators.hiera_unet.weights import conformal
+from twin.calibrators.hiera_unet.weights.conformal import Factors, fit, one_a_window, quantile
+from twin.calibrators.hiera_unet.weights.envelope import envelope, place
 
 
 def errors(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

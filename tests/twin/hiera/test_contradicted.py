@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin.calibrators.hiera_unet import contradicted
-from twin.calibrators.hiera_unet.channels import table
-from twin.calibrators.hiera_unet.contradicted import Doubt, reviewed, trusted, without
-from twin.calibrators.hiera_unet.features import Features
-from twin.calibrators.hiera_unet.parameters import Deviations
-from twin.calibrators.hiera_unet.series import STEP_S, ResampledSeries
+from twin.calibrators.hiera_unet.context_fit import contradicted
+from twin.calibrators.hiera_unet.context_fit.contradicted import Doubt, reviewed, trusted, without
+from twin.calibrators.hiera_unet.data.channels import table
+from twin.calibrators.hiera_unet.data.features import Features
+from twin.calibrators.hiera_unet.data.parameters import Deviations
+from twin.calibrators.hiera_unet.data.series import STEP_S, ResampledSeries
 from twin.kernel import simulate
 from twin.twinfile import load
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.twin.hiera.records import NETWORK, deviation, features, made
-from twin.calibrators.hiera_unet.evidence import (
+from twin.calibrators.hiera_unet.context_fit.evidence import (
     LARGEST_LOG_CONDITION,
     believed,
     estimate,
@@ -17,8 +17,8 @@ from twin.calibrators.hiera_unet.evidence import (
     tell,
     tokens,
 )
-from twin.calibrators.hiera_unet.parameters import FACTOR, LOSS, REACH, SUM, Deviations
-from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
+from twin.calibrators.hiera_unet.data.parameters import FACTOR, LOSS, REACH, SUM, Deviations
+from twin.calibrators.hiera_unet.data.windows import CONTEXT, TARGET
 
 N = 1500
 DEVIATIONS = Deviations.of(NETWORK)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from tests.twin.hiera.records import NETWORK, SIGMA_K, deviation, features, made
-from twin.calibrators.hiera_unet.channels import table
-from twin.calibrators.hiera_unet.evidence import estimate
-from twin.calibrators.hiera_unet.features import Features
-from twin.calibrators.hiera_unet.parameters import Deviations
-from twin.calibrators.hiera_unet.series import STEP_S, ResampledSeries, series
-from twin.calibrators.hiera_unet.windows import CONTEXT, TARGET
+from twin.calibrators.hiera_unet.context_fit.evidence import estimate
+from twin.calibrators.hiera_unet.data.channels import table
+from twin.calibrators.hiera_unet.data.features import Features
+from twin.calibrators.hiera_unet.data.parameters import Deviations
+from twin.calibrators.hiera_unet.data.series import STEP_S, ResampledSeries, series
+from twin.calibrators.hiera_unet.data.windows import CONTEXT, TARGET
 from twin.network import TwinFileError
 from twin.steady import steady_state
 from twin.twinfile import parse

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from twin.calibrators.hiera_unet.history import LASTS, SPAN_S, History
-from twin.calibrators.hiera_unet.series import STEP_S, filled_forward
+from twin.calibrators.hiera_unet.data.series import STEP_S, filled_forward
+from twin.calibrators.hiera_unet.serve.history import LASTS, SPAN_S, History
 
 
 def stream(seconds: int, lost_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

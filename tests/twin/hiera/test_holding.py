@@ -6,9 +6,9 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 
 from tests.twin.hiera.records import NETWORK, deviation, features, made  # noqa: E402
-from twin.calibrators.hiera_unet.features import CONTEXT, Frame  # noqa: E402
-from twin.calibrators.hiera_unet.holding import taken  # noqa: E402
-from twin.calibrators.hiera_unet.windows import TARGET  # noqa: E402
+from twin.calibrators.hiera_unet.context_fit.holding import taken  # noqa: E402
+from twin.calibrators.hiera_unet.data.features import CONTEXT, Frame  # noqa: E402
+from twin.calibrators.hiera_unet.data.windows import TARGET  # noqa: E402
 
 IDS = features().deviations.ids
 VAGUELY = 0.5 * features().deviations.prior_sd

@@ -11,10 +11,10 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 
-from twin.calibrators.hiera_unet.config import PAPER, Config, HieraError, named  # noqa: E402
-from twin.calibrators.hiera_unet.encoder import Merge  # noqa: E402
-from twin.calibrators.hiera_unet.heads import LEAST_SD  # noqa: E402
-from twin.calibrators.hiera_unet.network import HieraUNet, Prediction, decayed  # noqa: E402
+from twin.calibrators.hiera_unet.model.config import PAPER, Config, HieraError, named  # noqa: E402
+from twin.calibrators.hiera_unet.model.encoder import Merge  # noqa: E402
+from twin.calibrators.hiera_unet.model.heads import LEAST_SD  # noqa: E402
+from twin.calibrators.hiera_unet.model.network import HieraUNet, Prediction, decayed  # noqa: E402
 
 SMALL = named("small", **PAPER)
 

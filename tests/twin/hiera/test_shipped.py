@@ -14,12 +14,12 @@ torch = pytest.importorskip("torch", reason="torch is not installed: the network
 pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
 
 from twin.calibrators import make_calibrator  # noqa: E402
-from twin.calibrators.hiera_unet.binding import subject_of  # noqa: E402
-from twin.calibrators.hiera_unet.channels import table  # noqa: E402
-from twin.calibrators.hiera_unet.config import Config, HieraError  # noqa: E402
-from twin.calibrators.hiera_unet.parameters import Deviations  # noqa: E402
-from twin.calibrators.hiera_unet.service import TRAINED, HieraUNetCalibrator  # noqa: E402
+from twin.calibrators.hiera_unet.data.channels import table  # noqa: E402
+from twin.calibrators.hiera_unet.data.parameters import Deviations  # noqa: E402
+from twin.calibrators.hiera_unet.model.config import Config, HieraError  # noqa: E402
+from twin.calibrators.hiera_unet.serve.service import TRAINED, HieraUNetCalibrator  # noqa: E402
 from twin.calibrators.hiera_unet.tower.member import load_member  # noqa: E402
+from twin.calibrators.hiera_unet.weights.binding import subject_of  # noqa: E402
 from twin.twinfile import load  # noqa: E402
 
 PROFILES = Path(__file__).resolve().parents[3] / "profiles"

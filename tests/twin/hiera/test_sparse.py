@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.calibrators.hiera_unet.sparse import Likelihood, Usual, posterior
+from twin.calibrators.hiera_unet.context_fit.sparse import Likelihood, Usual, posterior
 
 P = 4
 

@@ -14,8 +14,8 @@ pytest.importorskip("safetensors", reason="safetensors is not installed: trained
 
 from tests.hil.tower.made_ensemble import write_ensemble  # noqa: E402
 from tests.twin.hiera.tower_tables import made_table  # noqa: E402
-from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
-from twin.calibrators.hiera_unet.service import TRAINED  # noqa: E402
+from twin.calibrators.hiera_unet.model.config import HieraError  # noqa: E402
+from twin.calibrators.hiera_unet.serve.service import TRAINED  # noqa: E402
 from twin.calibrators.hiera_unet.tower import CAUSAL, SYMMETRIC, Fleet, load_tower_ensemble  # noqa: E402
 from twin.calibrators.hiera_unet.tower.ensemble import card_of, factors_of, judged_again, passed  # noqa: E402
 from twin.calibrators.hiera_unet.tower.predict import judged  # noqa: E402

@@ -10,7 +10,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 
 from tests.twin.hiera.tower_tables import made_table  # noqa: E402
-from twin.calibrators.hiera_unet.heads import OutputHead, ParameterHead, recent_of  # noqa: E402
+from twin.calibrators.hiera_unet.model.heads import OutputHead, ParameterHead, recent_of  # noqa: E402
 from twin.calibrators.hiera_unet.tower.plan import TowerPlan  # noqa: E402
 from twin.calibrators.hiera_unet.tower.table import SUBJECT  # noqa: E402
 from twin.calibrators.hiera_unet.tower.train import TowerTrainer  # noqa: E402

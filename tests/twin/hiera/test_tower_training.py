@@ -13,9 +13,8 @@ torch = pytest.importorskip("torch", reason="torch is not installed: the network
 pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
 
 from tests.twin.hiera.tower_tables import BIAS, made_table  # noqa: E402
-from twin.calibrators.hiera_unet import checkpoint  # noqa: E402
-from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
-from twin.calibrators.hiera_unet.service import TRAINED  # noqa: E402
+from twin.calibrators.hiera_unet.model.config import HieraError  # noqa: E402
+from twin.calibrators.hiera_unet.serve.service import TRAINED  # noqa: E402
 from twin.calibrators.hiera_unet.tower.member import MemberTraining, adapt, load_member  # noqa: E402
 from twin.calibrators.hiera_unet.tower.plan import TowerPlan  # noqa: E402
 from twin.calibrators.hiera_unet.tower.predict import (  # noqa: E402
@@ -30,6 +29,7 @@ from twin.calibrators.hiera_unet.tower.score import IntervalFactors, believed, m
 from twin.calibrators.hiera_unet.tower.table import SUBJECT  # noqa: E402
 from twin.calibrators.hiera_unet.tower.train import TowerTrainer  # noqa: E402
 from twin.calibrators.hiera_unet.tower.windows import Fleet  # noqa: E402
+from twin.calibrators.hiera_unet.weights import checkpoint  # noqa: E402
 
 PLAN = TowerPlan(steps=6, batch=3, pairs=0.34)
 
@@ -142,7 +142,7 @@ def test_the_gate_sees_a_network_that_reads_the_residual(fleet: Fleet) -> None:
         trees, start_outlet = None, False
 
         def forward(self, x, m, regime, clock, meta, *, causal, memory):  # type: ignore[no-untyped-def]
-            from twin.calibrators.hiera_unet.network import Prediction
+            from twin.calibrators.hiera_unet.model.network import Prediction
 
             seen = (x * m)[:, :1320, SUBJECT.index("r_outlet")].sum(1) / m[:, :1320, SUBJECT.index("r_outlet")].sum(1)
             theta = meta[:, -13:-9].clone()

@@ -12,8 +12,8 @@ torch = pytest.importorskip("torch", reason="torch is not installed: the network
 pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be read")
 
 from tests.twin.hiera.tower_tables import made_table  # noqa: E402
-from twin.calibrators.hiera_unet.config import PAPER, TOWER_GROUPS, HieraError, named  # noqa: E402
-from twin.calibrators.hiera_unet.network import HieraUNet  # noqa: E402
+from twin.calibrators.hiera_unet.model.config import PAPER, TOWER_GROUPS, HieraError, named  # noqa: E402
+from twin.calibrators.hiera_unet.model.network import HieraUNet  # noqa: E402
 from twin.calibrators.hiera_unet.tower.cell_table import CellTable  # noqa: E402
 from twin.calibrators.hiera_unet.tower.table import SUBJECT  # noqa: E402
 from twin.calibrators.hiera_unet.tower.windows import OUTLET, SCORES, TARGET, Fleet, Jump  # noqa: E402

@@ -13,13 +13,13 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 
 from tests.twin.hiera import fake  # noqa: E402
-from twin.calibrators.hiera_unet import losses  # noqa: E402
-from twin.calibrators.hiera_unet.config import HieraError  # noqa: E402
-from twin.calibrators.hiera_unet.hiding import blind, hide  # noqa: E402
-from twin.calibrators.hiera_unet.plan import Hiding, TrainingPlan  # noqa: E402
-from twin.calibrators.hiera_unet.sampling import Sampler, neighbours  # noqa: E402
-from twin.calibrators.hiera_unet.score import outcome  # noqa: E402
-from twin.calibrators.hiera_unet.train import Physics, Trainer  # noqa: E402
+from twin.calibrators.hiera_unet.model.config import HieraError  # noqa: E402
+from twin.calibrators.hiera_unet.training import losses  # noqa: E402
+from twin.calibrators.hiera_unet.training.hiding import blind, hide  # noqa: E402
+from twin.calibrators.hiera_unet.training.plan import Hiding, TrainingPlan  # noqa: E402
+from twin.calibrators.hiera_unet.training.sampling import Sampler, neighbours  # noqa: E402
+from twin.calibrators.hiera_unet.training.score import outcome  # noqa: E402
+from twin.calibrators.hiera_unet.training.train import Physics, Trainer  # noqa: E402
 
 PHYSICS = Physics(fake.simulate, fake.TOLD)
 

@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 ensemble = pytest.importorskip("sklearn.ensemble", reason="scikit-learn is not installed: there are no trees to copy")
 
-from twin.calibrators.hiera_unet.tower.trees import Trees, sizes_of, trees_of  # noqa: E402
+from twin.calibrators.hiera_unet.model.trees import Trees, sizes_of, trees_of  # noqa: E402
 
 
 def test_trees_answer_as_the_models_they_were_made_of() -> None:

@@ -7,8 +7,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from twin.calibrators.hiera_unet.parameters import REACH, Deviations, kernel_of  # noqa: E402
-from twin.calibrators.hiera_unet.twin_layer import TwinLayer  # noqa: E402
+from twin.calibrators.hiera_unet.data.parameters import REACH, Deviations, kernel_of  # noqa: E402
+from twin.calibrators.hiera_unet.training.twin_layer import TwinLayer  # noqa: E402
 from twin.kernel import simulate  # noqa: E402
 from twin.twinfile import load  # noqa: E402
 

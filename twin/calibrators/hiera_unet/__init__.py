@@ -1,8 +1,8 @@
 """Hiera-UNet calibrator: a network that reads two hours of a record and corrects the twin's parameters and outputs.
 
 The names below are the package's interface; they are loaded on first use, because most of them need the extra ``ml``.
-Modules among them are for the training of a network. Everything else is private to the package.
-Modules without torch: `windows`, `channels`, `features`, `regimes`, `evidence`, `campaigns`.
+Modules among them are for the training of a network. Its packages, from below: `model`, `data`, `context_fit`,
+`simulated` and `training`, `weights`, `serve` and `tower`. `data`, `context_fit` and `simulated` need no torch.
 """
 
 from __future__ import annotations
@@ -11,62 +11,60 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from twin.calibrators.hiera_unet.campaigns import LabelledRecord
-    from twin.calibrators.hiera_unet.checkpoint import Identity, Member
-    from twin.calibrators.hiera_unet.config import HieraError
-    from twin.calibrators.hiera_unet.evidence import ContextFit, ParameterPrior
-    from twin.calibrators.hiera_unet.features import Features, Frame
-    from twin.calibrators.hiera_unet.members import Ensemble, load_ensemble
-    from twin.calibrators.hiera_unet.parameters import Deviations
-    from twin.calibrators.hiera_unet.plan import TrainingPlan
-    from twin.calibrators.hiera_unet.plants import Family
-    from twin.calibrators.hiera_unet.refined import RefinedCalibrator
-    from twin.calibrators.hiera_unet.series import ResampledSeries
-    from twin.calibrators.hiera_unet.service import HieraUNetCalibrator
-    from twin.calibrators.hiera_unet.store import Store
-    from twin.calibrators.hiera_unet.train import Trainer
-    from twin.calibrators.hiera_unet.windows import Windows
+    from twin.calibrators.hiera_unet.context_fit import ContextFit, ParameterPrior, evidence
+    from twin.calibrators.hiera_unet.data import (
+        Deviations,
+        Features,
+        Frame,
+        ResampledSeries,
+        Windows,
+        channels,
+        parameters,
+        series,
+    )
+    from twin.calibrators.hiera_unet.model import HieraError
+    from twin.calibrators.hiera_unet.serve import (
+        Ensemble,
+        HieraUNetCalibrator,
+        RefinedCalibrator,
+        gates,
+        load_ensemble,
+        members,
+    )
+    from twin.calibrators.hiera_unet.simulated import Family, LabelledRecord, Store, campaigns, gaps, store
+    from twin.calibrators.hiera_unet.training import Trainer, TrainingPlan, batches, score
+    from twin.calibrators.hiera_unet.weights import (
+        Identity,
+        Member,
+        binding,
+        checkpoint,
+        conformal,
+        device,
+        ensemble,
+        envelope,
+        leakage,
+    )
 
-_MODULES = {
-    "campaigns": ("LabelledRecord",),
-    "checkpoint": ("Identity", "Member"),
-    "config": ("HieraError",),
-    "evidence": ("ParameterPrior", "ContextFit"),
-    "features": ("Features", "Frame"),
-    "members": ("Ensemble", "load_ensemble"),
-    "parameters": ("Deviations",),
-    "plan": ("TrainingPlan",),
-    "plants": ("Family",),
-    "refined": ("RefinedCalibrator",),
-    "series": ("ResampledSeries",),
-    "service": ("HieraUNetCalibrator",),
-    "store": ("Store",),
-    "train": ("Trainer",),
-    "windows": ("Windows",),
+_PACKAGES = {
+    "context_fit": ("ContextFit", "ParameterPrior", "evidence"),
+    "data": ("Deviations", "Features", "Frame", "ResampledSeries", "Windows", "channels", "parameters", "series"),
+    "model": ("HieraError",),
+    "serve": ("Ensemble", "HieraUNetCalibrator", "RefinedCalibrator", "gates", "load_ensemble", "members"),
+    "simulated": ("Family", "LabelledRecord", "Store", "campaigns", "gaps", "store"),
+    "training": ("Trainer", "TrainingPlan", "batches", "score"),
+    "weights": (
+        "Identity",
+        "Member",
+        "binding",
+        "checkpoint",
+        "conformal",
+        "device",
+        "ensemble",
+        "envelope",
+        "leakage",
+    ),
 }
-_HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
-
-_PUBLIC_MODULES = (
-    "batches",
-    "binding",
-    "campaigns",
-    "channels",
-    "checkpoint",
-    "conformal",
-    "device",
-    "ensemble",
-    "envelope",
-    "evidence",
-    "gaps",
-    "gates",
-    "leakage",
-    "members",
-    "parameters",
-    "score",
-    "series",
-    "store",
-)
-"""Parts that `hil.training` puts together: each is public as a whole."""
+_HOME = {name: f"{__name__}.{package}" for package, names in _PACKAGES.items() for name in names}
 
 __all__ = [
     "ContextFit",
@@ -110,9 +108,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name in _PUBLIC_MODULES:
-        return import_module(f"{__name__}.{name}")
+    """Load a public name from its package on first use."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_HOME[name]), name)

@@ -16,7 +16,7 @@ from twin.discovery.answer.telling import grown_by_end, near_misses, rivals, tol
 from twin.discovery.answer.words import summarise
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Verdict
 from twin.discovery.effects.lint import ambiguity_groups
-from twin.discovery.effects.open_laws import adopted
+from twin.discovery.effects.open_laws.laws import adopted
 from twin.discovery.effects.phrases import clock
 from twin.discovery.effects.probe import FreeRun
 from twin.discovery.effects.shapes import TIMED

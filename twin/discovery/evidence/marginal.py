@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, logsumexp
 
-from twin.discovery.effects.open_laws import LEAST_SPREAD
+from twin.discovery.effects.open_laws.forms import LEAST_SPREAD
 from twin.discovery.evidence.priors import FORM_ERRORS, FORM_S, SPREAD
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry

@@ -14,7 +14,7 @@ import numpy as np
 from twin.discovery.diagnosis import Course
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import CandidateLaw, temperatures
-from twin.discovery.effects.open_laws import OpenLaw, law_on_record, open_laws
+from twin.discovery.effects.open_laws.laws import OpenLaw, law_on_record, open_laws
 from twin.discovery.effects.probe import FreeRun, free_run
 from twin.discovery.effects.shapes import EARLY_S, Shape
 from twin.discovery.evidence.priors import SPREAD

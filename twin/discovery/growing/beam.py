@@ -12,10 +12,10 @@ import numpy as np
 
 from twin.discovery.effects.lint import EffectLabel
 from twin.discovery.evidence.priors import plausibility
-from twin.discovery.growing.candidate_superset import name_of, unsized
 from twin.discovery.growing.descent import descend
-from twin.discovery.growing.masses import kin
 from twin.discovery.growing.scoring import Scored, scores
+from twin.discovery.growing.superset.candidate_superset import name_of, unsized
+from twin.discovery.growing.superset.masses import kin
 from twin.discovery.growing.unaided import GrowthFit, GrowthProblem
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate

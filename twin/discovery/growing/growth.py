@@ -21,8 +21,8 @@ from twin.discovery.diagnosis import Fold
 from twin.discovery.effects.lint import EffectLabel
 from twin.discovery.effects.phrases import interval
 from twin.discovery.growing.beam import BEAM, Beam, FittedSet, by_score
-from twin.discovery.growing.candidate_superset import CandidateSuperset, name_of
 from twin.discovery.growing.merit import LEFT, Merit, RejectedEffect
+from twin.discovery.growing.superset.candidate_superset import CandidateSuperset, name_of
 from twin.discovery.growing.unaided import GrowthFit, GrowthProblem, SampledRecord
 from twin.discovery.records.grid import bridged, on_grid
 from twin.discovery.scoring.equivalence import width

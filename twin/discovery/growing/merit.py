@@ -10,9 +10,9 @@ from twin.discovery.effects.lint import EffectLabel
 from twin.discovery.effects.phrases import said
 from twin.discovery.growing.beam import Beam, FittedSet, by_score, likeliest
 from twin.discovery.growing.calibration import Chance, by_chance
-from twin.discovery.growing.candidate_superset import name_of
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.likelihood import cosines, judged
+from twin.discovery.growing.superset.candidate_superset import name_of
 from twin.discovery.growing.unaided import SampledRecord, readings_of
 from twin.discovery.scoring.equivalence import width
 from twin.discovery.scoring.search import Entry

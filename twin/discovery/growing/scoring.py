@@ -9,8 +9,8 @@ from itertools import islice
 
 import numpy as np
 
-from twin.discovery.growing.candidate_superset import CandidateSuperset, unsized
 from twin.discovery.growing.likelihood import Spectrum
+from twin.discovery.growing.superset.candidate_superset import CandidateSuperset, unsized
 from twin.discovery.growing.unaided import GrowthFit, GrowthProblem, readings_of
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate

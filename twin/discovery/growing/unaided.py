@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.discovery.growing.candidate_superset import CandidateSuperset
 from twin.discovery.growing.likelihood import Spectrum, cosines, judged
+from twin.discovery.growing.superset.candidate_superset import CandidateSuperset
 from twin.discovery.records.grid import centred
 from twin.discovery.scoring.search import Entry
 from twin.gauss_newton import Scaling

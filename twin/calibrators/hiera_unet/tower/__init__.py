@@ -47,7 +47,6 @@ _PUBLIC_MODULES = (
     "predict",
     "score",
     "table",
-    "trees",
 )
 """Parts that `hil.training` puts together: each is public as a whole."""
 
@@ -76,7 +75,6 @@ __all__ = [
     "predict_windows",
     "score",
     "table",
-    "trees",
 ]
 
 

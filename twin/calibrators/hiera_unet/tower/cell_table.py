@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.calibrators.hiera_unet.config import HieraError
+from twin.calibrators.hiera_unet.model.config import HieraError
 from twin.calibrators.hiera_unet.tower.memory import memory_of
 from twin.calibrators.hiera_unet.tower.table import SUBJECT, channels_of, clock_of, reading_of, statics_of
 from twin.historian.events import Event

@@ -18,14 +18,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from twin.calibrators.hiera_unet.checkpoint import Member
-from twin.calibrators.hiera_unet.config import HieraError
-from twin.calibrators.hiera_unet.envelope import place
+from twin.calibrators.hiera_unet.model.config import HieraError
 from twin.calibrators.hiera_unet.tower.member import load_member
 from twin.calibrators.hiera_unet.tower.predict import NETWORKS, outlet_refused, predict, start_sentence
 from twin.calibrators.hiera_unet.tower.score import LEVEL, IntervalFactors, MethodPrediction, mixed, targets_of
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
 from twin.calibrators.hiera_unet.tower.windows import Fleet
+from twin.calibrators.hiera_unet.weights.checkpoint import Member
+from twin.calibrators.hiera_unet.weights.envelope import place
 from twin.regular_file import read_regular
 from twin.tower.air import Array
 

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from twin.calibrators.hiera_unet import checkpoint
-from twin.calibrators.hiera_unet.config import HieraError
-from twin.calibrators.hiera_unet.envelope import envelope, place
-from twin.calibrators.hiera_unet.network import HieraUNet
+from twin.calibrators.hiera_unet.model.config import HieraError
+from twin.calibrators.hiera_unet.model.network import HieraUNet
+from twin.calibrators.hiera_unet.model.trees import Trees
 from twin.calibrators.hiera_unet.tower.cell_table import CellTable
 from twin.calibrators.hiera_unet.tower.plan import TowerPlan
 from twin.calibrators.hiera_unet.tower.predict import (
@@ -37,8 +36,9 @@ from twin.calibrators.hiera_unet.tower.score import (
 )
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
 from twin.calibrators.hiera_unet.tower.train import OwnWindows, TowerTrainer
-from twin.calibrators.hiera_unet.tower.trees import Trees
 from twin.calibrators.hiera_unet.tower.windows import Fleet
+from twin.calibrators.hiera_unet.weights import checkpoint
+from twin.calibrators.hiera_unet.weights.envelope import envelope, place
 
 LOOKED_AT, LOOKS = {"cpu": 256, "cuda": 2048}, 15
 """Held-out windows of a look on a processor and on a device, always the same, and looks in a training."""

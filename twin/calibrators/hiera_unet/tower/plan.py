@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from twin.calibrators.hiera_unet.config import HieraError
+from twin.calibrators.hiera_unet.model.config import HieraError
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from twin.calibrators.hiera_unet.network import HieraUNet, Prediction
-from twin.calibrators.hiera_unet.tower.trees import Trees
+from twin.calibrators.hiera_unet.model.network import HieraUNet, Prediction
+from twin.calibrators.hiera_unet.model.trees import Trees
 from twin.calibrators.hiera_unet.tower.windows import BLOCK_MIN, TARGET, CellBatch, Fleet
 from twin.tower.air import Array
 

@@ -15,8 +15,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from twin.calibrators.hiera_unet.model.trees import Trees
 from twin.calibrators.hiera_unet.tower.predict import BLOCK_CYCLES, Predicted, corrections_of, interval
-from twin.calibrators.hiera_unet.tower.trees import Trees
+from twin.calibrators.hiera_unet.tower.table import SUBJECT
 from twin.calibrators.hiera_unet.tower.windows import BLOCK_MIN, CONTEXT, LAST_MIN, TARGET, Fleet
 from twin.tower.air import Array
 from twin.tower.model import DEVIATIONS
@@ -184,8 +185,6 @@ def _least_absolute(error: Array, correction: Array) -> float:
 
 
 def _bounds() -> Array:
-    from twin.calibrators.hiera_unet.tower.table import SUBJECT
-
     return np.array([one.bound for one in SUBJECT.deviations])
 
 

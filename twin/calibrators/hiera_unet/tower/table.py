@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.calibrators.hiera_unet.subject import Channel, Deviation, Output, Subject
+from twin.calibrators.hiera_unet.data.subject import Channel, Deviation, Output, Subject
 from twin.historian.events import Event
 from twin.tower.air import CP_WATER, Array
 from twin.tower.cell import Design

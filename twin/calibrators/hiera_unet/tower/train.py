@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from twin.calibrators.hiera_unet import losses
-from twin.calibrators.hiera_unet.config import Config, HieraError
-from twin.calibrators.hiera_unet.network import HieraUNet, Prediction, decayed
+from twin.calibrators.hiera_unet.model.config import Config, HieraError
+from twin.calibrators.hiera_unet.model.network import HieraUNet, Prediction, decayed
+from twin.calibrators.hiera_unet.model.trees import Trees
 from twin.calibrators.hiera_unet.tower.plan import TowerPlan
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
-from twin.calibrators.hiera_unet.tower.trees import Trees
 from twin.calibrators.hiera_unet.tower.windows import CONTEXT, TARGET, TOLERANCE, CellBatch, Fleet, Jump
+from twin.calibrators.hiera_unet.training import losses
 
 JUMPS = (0.1, 0.0, 0.08, 0.5)
 """Largest added jump of fill, air, uniformity and bias; none of the air, whose fan power would not move with it."""

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from twin.calibrators.hiera_unet.config import HieraError
+from twin.calibrators.hiera_unet.model.config import HieraError
 from twin.calibrators.hiera_unet.tower.cell_table import MAINTAINED, CellTable
 from twin.calibrators.hiera_unet.tower.table import MOST, SUBJECT
 

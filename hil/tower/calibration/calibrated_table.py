@@ -1,0 +1,66 @@
+"""Table `calibrated.parquet`: minutes of the cells with outlet, interval and deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from hil.files import replacing
+from hil.tower.calibration.station_fit import CellResult
+from twin.tower import DEVIATIONS, Array
+from twin.tower.calibration import NORMAL
+
+TABLE = "calibrated.parquet"
+INFORMED = 0.8
+"""A deviation whose posterior standard deviation is above this share of its prior's is withheld: the record hardly
+says it."""
+
+
+def table_of(result: CellResult) -> pa.Table:
+    """Return the minutes of a cell with outlet, interval and deviations; withheld values are missing."""
+    c, n = result.calibrated, len(result.minutes.time_s)
+    arrays: dict[str, Any] = {
+        "time": pa.array((result.minutes.time_s * 1e3).astype("datetime64[ms]"), pa.timestamp("ms", tz="UTC")),
+        "cell": pa.array(np.full(n, result.cell, dtype=np.int32)),
+    }
+    for name, values in (
+        ("t_out", c.t_out),
+        ("t_out_lo", c.low),
+        ("t_out_hi", c.high),
+        ("t_out_commissioned", c.commissioned),
+        ("t_out_measured", result.minutes.outlet),
+    ):
+        arrays[name] = pa.array(values.astype(np.float32), from_pandas=True)
+    for j, name in enumerate(DEVIATIONS):
+        value, sd = withheld(result, j)
+        clean = 0.0 if name == "bias" else 1.0
+        for suffix, deviation in (("", 0.0), ("_lo", -NORMAL), ("_hi", NORMAL)):
+            arrays[name + suffix] = pa.array((clean + value + deviation * sd).astype(np.float32), from_pandas=True)
+    return pa.table(arrays)
+
+
+def withheld(result: CellResult, j: int) -> tuple[Array, Array]:
+    """Return a deviation and its standard deviation by minute, NaN where the record hardly says it."""
+    _, prior = result.priors.slow(DEVIATIONS[j])
+    value, sd = result.calibrated.deviations[:, j], result.calibrated.sd[:, j]
+    told = sd <= INFORMED * prior
+    return np.where(told, value, np.nan), np.where(told, sd, np.nan)
+
+
+def write_table(results: Sequence[CellResult], out: Path) -> Path:
+    """Write the minutes of all cells into the folder `out`, all or nothing.
+
+    Raises
+    ------
+    OSError
+        The folder cannot be written.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    with replacing(out / TABLE) as unfinished:
+        pq.write_table(pa.concat_tables([table_of(one) for one in results]), unfinished, compression="zstd")
+    return out / TABLE

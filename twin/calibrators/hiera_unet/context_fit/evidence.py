@@ -1,0 +1,334 @@
+"""What a classical fit makes of a window's context: the network's evidence token, and its rival.
+
+Gauss-Newton from the commissioned values with a Gaussian prior (`twin.gauss_newton`), initial state included, over
+stretches before the target that double from some minutes to nearly two hours. A rig that changed in between
+contradicts the longer ones: the longest fit that explains its data nearly as well as the shortest does is taken
+(Lepski's principle: Lepskii, Theory Probab. Appl. 35 (1991) 454). Its standard errors are widened for residuals that
+are larger than noise and not white.
+
+A fit moves every parameter. What is believed if few have moved (`sparse`) follows from its normal equations alone, and
+stands beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.calibrators.hiera_unet.context_fit.sparse import Likelihood, Posterior, Usual, posterior
+from twin.calibrators.hiera_unet.data.features import Features, Frame
+from twin.calibrators.hiera_unet.data.parameters import REACH, Deviations
+from twin.calibrators.hiera_unet.data.series import STEP_S
+from twin.calibrators.hiera_unet.data.signals import stuck
+from twin.calibrators.hiera_unet.data.windows import CONTEXT, TARGET
+from twin.calibrators.identifiability import condition_number, window_information
+from twin.calibrators.structural_error import CORRELATED_S, MODEL_K
+from twin.commissioning import variance_inflation
+from twin.gauss_newton import FitData, FitProblem, GaussianPrior, GaussNewtonFit
+from twin.network import Array
+
+HORIZONS = (CONTEXT - TARGET, 720, 360, 180, 90, 45)
+"""Steps before the target that are fitted."""
+LIMIT = 80.0
+"""Condition number above which a set of parameters counts as not told apart."""
+SMALL = 0.2
+"""Standard error, as a share of the prior's, that settles a parameter whatever the condition number."""
+STATE_SD = 0.3
+WORSE, LEAST_CHI = 1.25, 0.6
+"""Factor by which a longer fit's mean square may exceed that of a shorter one, or this where that is smaller."""
+CORRELATED_STEPS = CORRELATED_S / STEP_S
+"""Steps over which a healthy twin's error stays alike: so many count as one."""
+MOST = 8
+LARGEST_LOG_CONDITION = 8.0
+LASTING, TAKEN_ON = 0.25, 10.0
+"""Steps that count as one where few parameters explain a record: this share of those fitted, and so many times what
+residuals ask for. A fit takes on the better part of what the twin lacks, which no residual shows, and what it lacks
+lasts (docs/decisions/0034)."""
+MOVED, SLAB, SPIKE = (0.04, 0.05, 0.1), 0.3, 0.01
+"""Of training's rigs: chance that a deviation has moved, by law; its standard deviation if it has, and if not."""
+
+
+@dataclass(frozen=True)
+class ContextFit:
+    """A fit over the context.
+
+    Attributes:
+        theta, sd: (P,) deviations and standard errors, no wider than the prior. condition: of all P together.
+        told: (P,) bool, parameters that the fitted data tells (`tell`).
+        chi: mean square of the residuals in units of noise. steps: how much of the context was fitted.
+        start: full state at the first fitted step, under theta. state: at the first target step.
+        likelihood: of the deviations, the initial state taken out, `widened` steps counting as one.
+        evaluations: linearisations.
+    """
+
+    theta: Array
+    sd: Array
+    condition: float
+    told: np.ndarray
+    chi: float
+    steps: int
+    start: Array
+    state: Array
+    likelihood: Likelihood
+    widened: float
+    evaluations: int
+
+    def kept(self) -> Array:
+        """What a store keeps, all that `tokens_of` needs (4 + 3 P + P (P + 1) / 2,): log chi, log of the fitted share
+        of the context, deltas, standard errors, log10 condition, log of the widening, likelihood."""
+        share = self.steps / (CONTEXT - TARGET)
+        condition = min(np.log10(max(self.condition, 1.0)), LARGEST_LOG_CONDITION)
+        first = [np.log(self.chi), np.log(share)]
+        last = [condition, np.log(self.widened)]
+        return np.concatenate([first, self.theta, self.sd, last, self.likelihood.plain()])
+
+    def tokens(self, deviations: Deviations) -> Array:
+        """What the network reads, see `tokens_of`."""
+        return tokens_of(self.kept(), deviations)
+
+
+def tokens(count: int) -> int:
+    """How many numbers `tokens_of` gives for `count` parameters."""
+    return 2 + 5 * count + 1
+
+
+def tokens_of(kept: Array, deviations: Deviations) -> Array:
+    """Return tokens (2 + 5 P + 1,) of `ContextFit.kept`.
+
+    Log chi, log share; deltas and standard errors of the fit; means, standard deviations and probabilities if few
+    parameters have moved; log10 condition.
+    """
+    count = len(deviations)
+    few = believed(kept, deviations)
+    fit, condition = kept[: 2 + 2 * count], kept[2 + 2 * count]
+    return np.concatenate([fit, few.mean, few.sd, few.chance, [condition]])
+
+
+def believed(kept: Array, deviations: Deviations) -> Posterior:
+    """Return the posterior of `ContextFit.kept` if few of the deviations have moved."""
+    count = len(deviations)
+    widened = float(np.exp(kept[3 + 2 * count]))
+    data = Likelihood.of_plain(kept[4 + 2 * count :], count)
+    steps = fitted_by(kept, count)[1]
+    share = widened / (CORRELATED_STEPS + LASTING * steps + TAKEN_ON * widened)
+    few = posterior(Likelihood(data.information * share, data.pull * share), usual(deviations))
+    return replace(few, mean=np.clip(few.mean, -REACH, REACH))
+
+
+def usual(deviations: Deviations) -> Usual:
+    """How many parameters move in training's rigs, and how far."""
+    count = len(deviations)
+    return Usual(np.array(MOVED)[deviations.law], np.full(count, SLAB), np.full(count, SPIKE))
+
+
+def fitted_by(kept: Array, count: int) -> tuple[Array, int]:
+    """Return theta (P,) and the steps that were fitted, from `ContextFit.kept`."""
+    return kept[2 : 2 + count], round(float(np.exp(kept[1])) * (CONTEXT - TARGET))
+
+
+@dataclass(frozen=True)
+class ParameterPrior:
+    """Prior of theta (P,): a Gaussian with independent parts."""
+
+    mean: Array
+    sd: Array
+
+
+def estimate(
+    features: Features,
+    frame: Frame,
+    values: Array,
+    horizons: tuple[int, ...] = HORIZONS,
+    belief: ParameterPrior | None = None,
+) -> ContextFit:
+    """Fit the context of a window.
+
+    Args:
+        values: full vector (p,) of the commissioned twin. horizons: steps that are tried.
+        belief: the prior of theta; by default the commissioned values and `Deviations.prior_sd`.
+    """
+    before = belief or _commissioned(features)
+    best: tuple[GaussNewtonFit, float, int] | None = None
+    evaluations = 0
+    for steps in sorted(horizons):
+        done = _fit(features, frame, values, steps, before)
+        if done is None:
+            continue
+        fit, chi = done
+        evaluations += fit.evaluations
+        if best is None or chi <= WORSE * max(best[1], LEAST_CHI):
+            best = (fit, chi, steps)
+        else:
+            break
+    if best is None:
+        return nothing(features, frame, before)
+    return _conclude(features, frame, values, before, *best, evaluations)
+
+
+def _commissioned(features: Features) -> ParameterPrior:
+    return ParameterPrior(np.zeros(len(features.deviations)), features.deviations.prior_sd)
+
+
+def nothing(features: Features, frame: Frame, belief: ParameterPrior) -> ContextFit:
+    """What is known without any data: the prior."""
+    none = np.zeros(len(belief.sd), dtype=bool)
+    return ContextFit(
+        belief.mean,
+        belief.sd,
+        1e16,
+        none,
+        1.0,
+        HORIZONS[-1],
+        frame.start,
+        frame.state,
+        Likelihood.nothing(len(belief.sd)),
+        1.0,
+        0,
+    )
+
+
+def _data(features: Features, frame: Frame, first: int, last: int) -> FitData:
+    """Steps `first` to `last` of the window, a step more than is fitted so that the run reaches the target."""
+    measured = frame.measured[first:last]
+    good = np.isfinite(measured) & ~stuck(frame.measured[:last])[first:]
+    sigma = step_noise(features)
+    return FitData(
+        np.ascontiguousarray(frame.time[first:last]),
+        np.ascontiguousarray(frame.held[first:last]),
+        np.where(good, measured, 0.0),
+        np.where(good, 1.0 / sigma, 0.0),
+    )
+
+
+def step_noise(features: Features) -> Array:
+    """Noise (Y,) of one step's reading, K: five samples of white noise, and what no averaging removes."""
+    return np.sqrt(features.network.sigma**2 / STEP_S + MODEL_K**2)
+
+
+def _fit(
+    features: Features, frame: Frame, values: Array, steps: int, belief: ParameterPrior
+) -> tuple[GaussNewtonFit, float] | None:
+    last = CONTEXT - TARGET
+    first = max(last - steps, frame.begin)
+    data = _data(features, frame, first, last + 1)
+    data.weight[-1] = 0.0
+    count = int((data.weight > 0.0).sum())
+    if count < 4 * len(features.deviations):
+        return None
+    problem, prior = _problem(features, frame, values, first, data, belief)
+    fit = problem.minimise(prior.mean.copy(), prior, most=MOST, tolerance=1e-4)
+    if not np.isfinite(fit.cost):
+        return None
+    return fit, max(float(fit.sse.sum()) / count, 1e-3)
+
+
+def _problem(
+    features: Features, frame: Frame, values: Array, first: int, data: FitData, belief: ParameterPrior
+) -> tuple[FitProblem, GaussianPrior]:
+    """Squares over theta and the state at step `first`, and the prior of both."""
+    nodes = len(features.network.nodes)
+    scaling = features.deviations.scaling(values)
+    state = features.state_at(frame, first, values)
+    centre = np.concatenate([np.clip(belief.mean, -REACH, REACH), state[:nodes]])
+    # A healthy twin's errors last: without tempering, they would drive what the data cannot tell to its bound.
+    precision = np.diag(np.concatenate([belief.sd, np.full(nodes, STATE_SD)]) ** -2.0) * CORRELATED_STEPS
+    return FitProblem(features.kernel, scaling, values, data, state), GaussianPrior(centre, precision)
+
+
+def _conclude(
+    features: Features,
+    frame: Frame,
+    values: Array,
+    belief: ParameterPrior,
+    fit: GaussNewtonFit,
+    chi: float,
+    steps: int,
+    evaluations: int,
+) -> ContextFit:
+    count = len(features.deviations)
+    scaling = features.deviations.scaling(values)
+    first = max(CONTEXT - TARGET - steps, frame.begin)
+    data = _data(features, frame, first, CONTEXT - TARGET + 1)
+    residual = np.where(data.weight > 0.0, fit.data.readings - data.measured, np.nan)
+    widened = variance_inflation(residual[:-1], step_noise(features))
+    nodes = len(features.network.nodes)
+    prior = np.diag(np.concatenate([belief.sd, np.full(nodes, STATE_SD)]) ** -2.0)
+    covariance = np.linalg.inv(fit.normal / widened + prior)[:count, :count]
+    told, number = tell(fit.normal, scaling.prior_sd(), widened)
+    sd = np.minimum(np.sqrt(np.diag(covariance)), belief.sd)
+    likely = _likelihood(fit, features.state_at(frame, first, values)[:nodes], count, widened)
+    return ContextFit(
+        fit.v[:count].copy(), sd, number, told, chi, steps, fit.state, fit.data.end.copy(), likely, widened, evaluations
+    )
+
+
+def _likelihood(fit: GaussNewtonFit, state: Array, count: int, widened: float) -> Likelihood:
+    """Of the `count` deviations, by the normal equations at the fit; the initial state was `state` (k,) +- STATE_SD."""
+    normal, slope = fit.normal / widened, fit.data.jtr / widened
+    own = normal[count:, count:] + np.eye(len(state)) * STATE_SD**-2
+    gain = np.linalg.solve(own, normal[count:, :count]).T
+    information = normal[:count, :count] - gain @ normal[count:, :count]
+    pulled = slope[count:] + (fit.v[count:] - state) * STATE_SD**-2
+    information = 0.5 * (information + information.T)
+    return Likelihood(information, information @ fit.v[:count] - (slope[:count] - gain @ pulled))
+
+
+def tell(normal: Array, plausible: Array, widened: float = 1.0) -> tuple[np.ndarray, float]:
+    """Which parameters (q,) data tells, and the condition number of all of them.
+
+    Backward elimination as for a single window (`identifiability`), and on until the condition number of the
+    rest is below `LIMIT`. A parameter whose standard error is small with all the others unknown is told in any case.
+
+    Args:
+        normal: (q + k, q + k) J'J of the data, noise-weighted. plausible: (q,) prior standard deviations.
+    """
+    told = window_information(normal, plausible, widened)
+    q = plausible.size
+    kept = [k for k in range(q) if not told.unidentifiable[k]]
+    state = normal[q:, q:] / widened + np.eye(len(normal) - q) * STATE_SD**-2
+    cross = normal[:q, q:] / widened
+    information = (normal[:q, :q] / widened - cross @ np.linalg.solve(state, cross.T)) * np.outer(plausible, plausible)
+    sure = told.spread < SMALL * plausible
+    while kept and condition_number(information[np.ix_(kept, kept)]) > LIMIT:
+        spread = np.diag(np.linalg.inv(information[np.ix_(kept, kept)] + 1e-12 * np.eye(len(kept))))
+        del kept[int(np.argmax(spread))]
+    mask = np.zeros(q, dtype=bool)
+    mask[kept] = True
+    return mask | sure, told.condition
+
+
+def identifiable(features: Features, frame: Frame, values: Array, since: int) -> np.ndarray:
+    """Parameters (P,) that the steps from `since` to the window's end tell, target included: which labels count.
+
+    Args:
+        since: step of the window from which on the rig is as it is now.
+    """
+    first = max(since, frame.begin)
+    none: np.ndarray = np.zeros(len(features.deviations), dtype=bool)
+    if CONTEXT - first < TARGET // 2:
+        return none
+    data = _data(features, frame, first, CONTEXT)
+    if not (data.weight > 0.0).any():
+        return none
+    problem, prior = _problem(features, frame, values, first, data, _commissioned(features))
+    at = problem.linearise(prior.mean)
+    return tell(at.jtj, features.deviations.prior_sd, CORRELATED_STEPS)[0]
+
+
+def least_error(features: Features, frame: Frame, values: Array, theta: Array, since: int) -> Array:
+    """Cramer-Rao bound (P,) of theta's standard errors from the steps since `since` up to the target.
+
+    The initial state is unknown, the noise that of `step_noise` with `CORRELATED_STEPS` alike, theta the truth; what
+    the data cannot tell is infinite.
+    """
+    deviations = features.deviations
+    first = max(since, frame.begin)
+    if CONTEXT - TARGET - first < 12:
+        return np.full(len(deviations), np.inf)
+    data = _data(features, frame, first, CONTEXT - TARGET)
+    problem, prior = _problem(features, frame, values, first, data, _commissioned(features))
+    at = prior.mean.copy()
+    at[: len(deviations)] = np.clip(np.nan_to_num(theta), -REACH, REACH)
+    normal = problem.linearise(at).jtj
+    return window_information(normal, deviations.prior_sd, CORRELATED_STEPS).spread

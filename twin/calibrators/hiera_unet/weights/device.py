@@ -1,0 +1,48 @@
+"""Where a network runs."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import sys
+
+from twin.calibrators.hiera_unet.model.config import HieraError
+
+NEEDED = ("torch", "safetensors")
+MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1
+"""Numbers of glibc's mallopt(3)."""
+MAPPED_BYTES, KEPT_BYTES = 1 << 25, 1 << 26
+"""What glibc may not map apart, its largest, and what a forward of the full network needs twice over."""
+
+
+def ready(device: str = "cpu", threads: int = 0) -> None:
+    """Make sure that a network can run on `device`, on so many threads of the processor (0: as torch chooses).
+
+    Raises:
+        HieraError: a package is missing, or there is no such device.
+    """
+    missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+    if missing:
+        raise HieraError(
+            f"the network calibrator needs {' and '.join(missing)}, which this installation lacks; install the extra "
+            "with `pip install -c constraints.txt -e '.[ml]'`"
+        )
+    import torch
+
+    if threads:
+        torch.set_num_threads(threads)
+    _keep_memory()
+    kind = device.split(":")[0]
+    if kind not in ("cpu", "cuda"):
+        raise HieraError(f"there is no device {device!r}; give cpu or cuda")
+    if kind == "cuda" and not torch.cuda.is_available():
+        raise HieraError("there is no GPU that this torch can use; give --device cpu")
+
+
+def _keep_memory() -> None:
+    """Have glibc keep the memory that a forward frees; it gives it back by default, and a tenth of the next forward
+    goes into having thousands of pages zeroed again."""
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    if mallopt is not None:
+        mallopt(MMAP_THRESHOLD, MAPPED_BYTES)
+        mallopt(TRIM_THRESHOLD, KEPT_BYTES)

@@ -1,0 +1,1 @@
+"""Laws without a name: any recorded input or temperature as driver, in several forms, at every site of a network."""

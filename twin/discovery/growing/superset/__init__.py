@@ -1,0 +1,1 @@
+"""Candidate superset: one network with every effect of a catalogue, hidden masses, effects shared by equal places."""
