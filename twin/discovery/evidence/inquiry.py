@@ -138,7 +138,7 @@ class Inquiry:
         missed = found.finding.fit is None and odds > claim and not formless
         wrong = found.finding.fit is not None and self._held_out.far_off(found.finding, split)
         if (missed or wrong) and most > split:
-            fuller = self._searched(most)
+            fuller = self._searched(most, found)
             if fuller.finding.fit is not None and (missed or self._left(fuller) < self._left(found, most)):
                 found = fuller
                 notes = (
@@ -148,7 +148,7 @@ class Inquiry:
         beside = self._beside(found.finding, prior, claim)
         later = 0 if beside is None else max(most, self._amid(beside))
         if later > found.split:
-            fuller = self._searched(later)
+            fuller = self._searched(later, found)
             more = len(fuller.finding.entries) > len(found.finding.entries)
             if more and self._left(fuller) < self._left(found, later):
                 found = fuller
@@ -189,10 +189,11 @@ class Inquiry:
         bins, onset = len(self.grid.time), entry.shape.onset_s / self.grid.step_s
         return min(max((int(onset) + bins) // 2, int(onset / WELL_SEEN)), bins - KEPT)
 
-    def _searched(self, split: int) -> SplitFinding:
+    def _searched(self, split: int, shorter: SplitFinding | None = None) -> SplitFinding:
+        """Return the finding in the record up to bin `split`, beside what a shorter part of it has shown."""
         whole = split >= len(self.grid.time)
         train = self.whole if whole else self.part(self.grid.part(0, split))
-        found = searched(train, self.say)
+        found = searched(train, self.say, () if shorter is None else (shorter.finding.entries,))
         return SplitFinding(finding_of(found, train), train, split, found)
 
 

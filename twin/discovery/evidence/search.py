@@ -143,8 +143,14 @@ class Prior:
         return math.log(share * weight * KINDS.get(place[0], 0.5) / self._total)
 
 
-def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
-    """Return the hypotheses of a part of a record with their posterior odds."""
+def searched(
+    part: Part, say: Callable[[str], None] = lambda _: None, given: Sequence[tuple[Entry, ...]] = ()
+) -> Found:
+    """Return the hypotheses of a part of a record with their posterior odds.
+
+    Args:
+        given: effects that a shorter part showed; what is not linear in its size a longer one may hide.
+    """
     contest = part.contest
     laws: list[CandidateLaw] = [*part.laws, *part.opened]
     prior = Prior(part.laws, part.opened)
@@ -157,7 +163,7 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
     first = [refined(contest, e) for e in leading(scanned, prior)]
     level = sorted((_set(part, (e,), prior) for e in first), key=lambda h: -h.odds)
     misfit = contest.misfit
-    found: list[Hypothesis] = []
+    found = [h for group in given if (h := _carried(part, group, prior, misfit)) is not None]
     for count in range(1, MOST_EFFECTS + 1):
         if not level or level[0].odds < (CLAIM if count > 1 else 0.0):
             break
@@ -178,6 +184,17 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None) -> Found:
     found = [replace(h, log_bayes=h.log_bayes - nothing) for h in found]
     unlisted = {place: odds - nothing for place, odds in log_odds_unlisted(part).items()}
     return Found(tuple(found), scanned, retuned, unlisted)
+
+
+def _carried(part: Part, group: tuple[Entry, ...], prior: Prior, misfit: float) -> Hypothesis | None:
+    """Return effects that were found in another part of the record, fitted in this one; None for none."""
+    if not group:
+        return None
+    part.know(e.candidate for e in group if all(e.candidate.id != law.candidate.id for law in part.opened))
+    laws = {law.candidate.id: law for law in (*part.opened, *part.laws)}
+    entries = tuple(replace(e, law=laws[e.candidate.id]).refreshed(part.contest) for e in group)
+    ((fit, _),) = fitted(part, [entries])
+    return replace(_with_fit(part, replace(_set(part, entries, prior), entries=entries), fit, misfit), settled=True)
 
 
 def _explained(found: list[Hypothesis], contest: Contest) -> bool:
