@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -13,17 +14,24 @@ from scipy.stats import norm
 from tests.discovery.conftest import Bench
 from twin.discovery.diagnosis import Diagnosis, Effect
 from twin.discovery.effects.catalogue import with_columns
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.engine import diagnose
+from twin.discovery.evidence.inquiry import coinciding
 from twin.discovery.evidence.marginal import log_bayes_of_sizes, log_mass
+from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.priors import SPREAD
-from twin.discovery.healthy.basis import Columns
+from twin.discovery.healthy.basis import Columns, basis
+from twin.discovery.records.grid import on_grid
+from twin.discovery.scoring.search import Entry
+from twin.discovery.scoring.sweep import Courses
 from twin.elements.candidates import Candidate
 from twin.kernel import Kernel
 from twin.network import Array
 from twin.revisions import with_elements
 
 HOUR = 3600.0
+LAW = CandidateLaw(Candidate("heat_source", "tank", "constant", "new", {}, "W", 20.0, 0.0, 900.0, ""), None, None)
 
 
 def heated(bench: Bench, course: Callable[[Array], Array]) -> Columns:
@@ -83,7 +91,13 @@ def test_the_evidence_of_a_size_is_its_integral(top: float, bottom: float, bound
 
 
 @pytest.mark.parametrize(
-    "shape", [Shape("spell", 700.0, 1900.0), Shape("periodic", 130.0, 900.0, 0.3), Shape("pulse", 400.0, 250.0)]
+    "shape",
+    [
+        Shape("spell", 700.0, 1900.0),
+        Shape("periodic", 130.0, 900.0, 0.3),
+        Shape("periodic", 2230.0, 900.0, 0.3, into_s=100.0),
+        Shape("pulse", 400.0, 250.0),
+    ],
 )
 def test_block_means_of_what_ends_are_its_average(shape: Shape) -> None:
     edges = np.linspace(0.0, 6000.0, 31)
@@ -132,6 +146,57 @@ def test_heat_that_comes_back_is_named_with_its_period(bench: Bench, healthy: Co
     # Its state at the record's end, on or off, would be a wrong twin.
     assert found.network is None and any("not added to the twin" in note for note in found.notes)
     assert effect.value == pytest.approx(80.0, rel=0.03) and effect.growth_s == pytest.approx(5400.0, rel=0.01)
+
+
+def test_heat_that_begins_to_come_back_amid_a_turn_is_one_effect(bench: Bench, healthy: Columns) -> None:
+    """The turns, of 47 minutes, are not those of any coarse grid, and the first one is cut by the onset."""
+    on, period = 1100.0, 2820.0
+    onset = 8.0 * period + 400.0
+    record = heated(bench, lambda t: 90.0 * (t > onset) * ((t % period) < on))
+    effect = only(diagnose(bench.network, record, healthy))
+    assert (effect.kind, effect.where, effect.driver) == ("heat_source", "tank", "periodic")
+    assert effect.value == pytest.approx(90.0, rel=0.05) and effect.growth_s == pytest.approx(period, rel=0.005)
+    assert effect.onset_s == pytest.approx(onset, abs=180.0)
+
+
+def test_periods_are_tried_as_close_as_the_record_tells_them(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(10.0, seed=8)
+    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
+    courses = Courses.of(Part.of(basis(bench.network, healthy, grid), grid).contest)
+    shapes, columns, of = courses.turns
+    coarse = next(shapes for shapes, _ in courses.by_name if shapes[0].name == "periodic")
+    rates = np.unique([1.0 / s.growth_s for s in shapes])
+    assert np.diff(rates).max() <= 1.0 / (2.9 * grid.span_s)
+    assert columns.shape[1] == len(shapes) == len(of) and {s.duty for s in shapes} == {s.duty for s in coarse}
+    assert all(s.duty == coarse[i].duty for s, i in zip(shapes, of, strict=True))
+
+
+def test_two_effects_with_the_same_turns_are_no_two_faults() -> None:
+    def back(period_s: float, onset_s: float = 0.0) -> Entry:
+        return Entry(LAW, Shape("periodic", onset_s, period_s), np.empty(0), 1.0, 0.1, 0.0)
+
+    span = 30.0 * HOUR
+    assert coinciding((back(4000.0), back(4020.0, 1500.0)), span, 15.0) is not None
+    assert coinciding((back(4000.0), back(5000.0)), span, 15.0) is None
+    assert coinciding((back(0.4 * span), back(0.41 * span)), span, 15.0) is None
+
+
+@pytest.mark.parametrize("until_h", [16.0, 11.0])
+def test_a_thermometer_that_sticks_is_told_with_its_level(bench: Bench, healthy: Columns, until_h: float) -> None:
+    record = bench.record(16.0, seed=4)
+    j = bench.network.sensor_names.index("T_radiator_C")
+    measured = record.measured.copy()
+    first = int(np.searchsorted(record.time_s, 5.0 * HOUR))
+    stuck = slice(first, int(np.searchsorted(record.time_s, until_h * HOUR)))
+    level = float(measured[first - 60 : first, j].mean())
+    noise = bench.network.sigma[j] * np.random.default_rng(3).normal(0.0, 1.0, len(measured[stuck]))
+    measured[stuck, j] = level + noise
+    found = diagnose(bench.network, replace(record, measured=measured), healthy)
+    effect = only(found)
+    assert (effect.kind, effect.where, effect.unit) == ("sensor", "T_radiator_C", "1")
+    assert effect.value == pytest.approx(1.0, abs=0.05) and effect.onset_s == pytest.approx(5.0 * HOUR, abs=300.0)
+    told = re.search(r"T_radiator_C sticks at ([0-9.]+) degC", found.summary)
+    assert told is not None and float(told[1]) == pytest.approx(level, abs=0.3)
 
 
 def test_a_pulse_of_heat_is_told_by_its_energy(bench: Bench, healthy: Columns) -> None:

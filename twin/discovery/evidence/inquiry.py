@@ -232,9 +232,7 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     if fewer and together is not None and best is not None:
         enough = best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)
         classes = {class_of(e) for e in best.entries}
-        others = [
-            h for h in found.hypotheses if h.fit is not None and {class_of(e) for e in h.entries} < classes
-        ]
+        others = [h for h in found.hypotheses if h.fit is not None and {class_of(e) for e in h.entries} < classes]
         others = [h for h in others if h.odds >= enough and _at_one_moment(h, contest) is None]
         best = others[0] if others else best
     claimed = best is not None and best.odds >= least and _at_one_moment(best, contest) is None
@@ -269,18 +267,31 @@ def _at_one_moment(h: Hypothesis | None, contest: Contest) -> tuple[Entry, Entry
 
 
 def coinciding(entries: Sequence[Entry], span_s: float, step_s: float) -> tuple[Entry, Entry] | None:
-    """Return two effects that begin so close together that one cause of no listed form is likelier than two; or None.
+    """Return two effects that begin so close together, or come back so alike, that one cause of no listed form is
+    likelier than two; or None.
 
-    Of two independent faults, the second begins by chance within d of the first with probability 2 d / span.
+    Of two independent faults, the second begins by chance within d of the first with probability 2 d / span. Of those
+    that come back it has by chance the same turns in the whole record, of all that are no shorter, with probability
+    2 period / span.
     """
     least = math.log(SURE / (1.0 - SURE))
-    late = [e for e in entries if e.shape.onset_s > step_s]
-    for one, other in itertools.combinations(late, 2):
-        apart_s = abs(one.shape.onset_s - other.shape.onset_s)
-        within_s = max(apart_s, SE90 * math.hypot(one.onset_sd_s, other.onset_sd_s), step_s)
-        if math.log(UNLISTED / FAULT) + math.log(span_s / (2.0 * within_s)) > least:
+    for one, other in itertools.combinations(entries, 2):
+        by_chance = _same_turns_by_chance(one, other, span_s)
+        if min(one.shape.onset_s, other.shape.onset_s) > step_s:
+            apart_s = abs(one.shape.onset_s - other.shape.onset_s)
+            within_s = max(apart_s, SE90 * math.hypot(one.onset_sd_s, other.onset_sd_s), step_s)
+            by_chance = min(by_chance, 2.0 * within_s / span_s)
+        if math.log(UNLISTED / FAULT) - math.log(by_chance) > least:
             return one, other
     return None
+
+
+def _same_turns_by_chance(one: Entry, other: Entry, span_s: float) -> float:
+    """Return the probability that two effects come back alike by chance; 1 where they do not."""
+    a, b = one.shape, other.shape
+    if a.name != "periodic" or b.name != "periodic" or abs(1.0 / a.growth_s - 1.0 / b.growth_s) * span_s > 1.0:
+        return 1.0
+    return min(2.0 * a.growth_s / span_s, 1.0)
 
 
 def _ranked(found: Found, best: Hypothesis) -> tuple[Ranked, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import EARLY_S, TIMED, Shape, courses_of
 from twin.discovery.evidence.marginal import Joint, log_bayes_of_sizes
-from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE
+from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE, SPREAD
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE, Courses, LawSquares, returning, rows_by_name
@@ -26,8 +26,8 @@ ENDED = (0.95, 0.85, 0.7, 0.5)
 """Shares of the time from its onset to the record's end in which a ramp may have come to its end."""
 TOGETHER = 32
 """Laws that are looked at together, which bounds the memory."""
-LEADING_TURNS = 8
-"""Periodic courses of a law whose squares are computed exactly."""
+LEADING_TURNS, BEGINNINGS = 8, 8
+"""Periodic courses of a law whose squares are computed exactly, and moments since which it may come back."""
 _TINY = 1e-12
 
 
@@ -130,9 +130,7 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
             ]
             # It may have come in amid a turn.
             tried += [
-                replace(s, onset_s=s.onset_s + d, into_s=s.into_s + d)
-                for s in (shape, *tried)
-                for d in (-reach, reach)
+                replace(s, onset_s=s.onset_s + d, into_s=s.into_s + d) for s in (shape, *tried) for d in (-reach, reach)
             ]
         elif shape.name == "ramp" and not shape.free(float(edges_s[-1])):
             # It may have come to its end before the record does.
@@ -224,24 +222,33 @@ def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns
 def _turns(
     law: CandidateLaw, squares: LawSquares, score: Array, gram: Array, courses: Courses, bottoms: Array, rest: float
 ) -> list[Entry]:
-    """Return the likeliest periodic course of a law.
+    """Return the likeliest periodic course of a law, there all along or since one of some moments.
 
     Its score tells the period as closely as the record is long. Its squares hardly change between the few periods of
-    which `bottoms` (k,) are known, and are made anew for the courses that lead.
+    which `bottoms` (k,) are known, and those of a later beginning are about its share of them; they are made anew for
+    the courses that lead.
     """
     shapes, columns, of = courses.turns
-    odds, _ = log_bayes_of_sizes(law.candidate, score @ columns, bottoms[of])
-    total = logsumexp(odds) + rest - math.log(2.0 * len(shapes))
-    lead = np.argsort(odds)[-LEADING_TURNS:]
-    those = columns[:, lead]
-    own = np.maximum(np.einsum("bj,bj->j", those, gram @ those), float(bottoms.min()))
+    cuts = np.linspace(0, len(score), BEGINNINGS + 1).astype(int)[:-1]
+    left = 1.0 - cuts / len(score)
+    tops = np.stack([score[i:j] @ columns[i:j] for i, j in zip(cuts, [*cuts[1:], len(score)], strict=True)])
+    tops = tops[::-1].cumsum(axis=0)[::-1]
+    odds = _roughly(law.candidate, tops, left[:, None] * bottoms[of])
+    prior = np.full(len(cuts), math.log((1.0 - ALL_ALONG) / (len(cuts) - 1)))
+    prior[0] = math.log(ALL_ALONG)
+    weighted = (odds + prior[:, None]).ravel()
+    total = logsumexp(weighted) + rest - math.log(2.0 * len(shapes))
+    lead = np.argpartition(weighted, -LEADING_TURNS)[-LEADING_TURNS:]
+    begun = [_begun(shapes[i % len(shapes)], float(courses.edges_s[cuts[i // len(shapes)]])) for i in lead]
+    those = courses_of(begun, courses.edges_s).T
+    own = np.maximum(np.einsum("bj,bj->j", those, gram @ those), _TINY * max(float(bottoms.max()), _TINY))
     exact, size = log_bayes_of_sizes(law.candidate, score @ those, own)
     k = int(np.argmax(exact))
-    occam = total - float(odds[lead[-1]])
+    occam = total - float(odds.ravel()[lead].max())
     return [
         Entry(
             law,
-            shapes[lead[k]],
+            begun[k],
             squares.blocks * those[:, k],
             float(size[k]),
             float(own[k]) ** -0.5,
@@ -250,6 +257,21 @@ def _turns(
             log_occam=occam,
         )
     ]
+
+
+def _roughly(candidate: Candidate, top: Array, bottom: Array) -> Array:
+    """Return log B of sizes without what bounds make of it, but for sizes of a sign that the candidate has not."""
+    prior = SPREAD * candidate.typical
+    mean = top / (bottom + prior**-2.0)
+    odds = 0.5 * mean * top - 0.5 * np.log1p(prior**2 * bottom)
+    impossible = ((mean > 0.0) & (candidate.upper <= 0.0)) | ((mean < 0.0) & (candidate.lower >= 0.0))
+    return np.where(impossible, -math.inf, odds)
+
+
+def _begun(shape: Shape, since_s: float) -> Shape:
+    """Return what comes back with its first turn at or after a moment."""
+    turns = max(math.ceil((since_s - shape.onset_s) / shape.growth_s), 0)
+    return replace(shape, onset_s=shape.onset_s + turns * shape.growth_s)
 
 
 def _spells(contest: Contest, law: CandidateLaw, blocks: Array, score: Array, gram: Array, rest: float) -> list[Entry]:

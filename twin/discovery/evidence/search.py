@@ -143,9 +143,7 @@ class Prior:
         return math.log(share * weight * KINDS.get(place[0], 0.5) / self._total)
 
 
-def searched(
-    part: Part, say: Callable[[str], None] = lambda _: None, given: Sequence[tuple[Entry, ...]] = ()
-) -> Found:
+def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Sequence[tuple[Entry, ...]] = ()) -> Found:
     """Return the hypotheses of a part of a record with their posterior odds.
 
     Args:
