@@ -31,7 +31,7 @@ The second is the time that remains with pipes, from mixing in them.
 ADJUSTED_C = 25.0
 """Temperature of a room in which thermometers are adjusted, degC."""
 STUCK_APART_K = 5.0
-"""Distance of the levels at which a thermometer is first taken to stick, K; ever closer ones follow where one scores."""
+"""Distance of the levels at which a thermometer is first taken to stick, K; ever closer ones follow."""
 STUCK_WITHIN_K = 0.05
 """Closest distance of two such levels, K: half the resolution of an industrial thermometer."""
 LEAST_STUCK_C, MOST_STUCK_C = -30.0, 150.0
