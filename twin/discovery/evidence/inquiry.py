@@ -230,7 +230,9 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     least = max(claim, found.unlisted if best is None else found.rival_of(best))
     together = _at_one_moment(best, contest) if best is not None and best.odds >= least else None
     if fewer and together is not None and best is not None:
-        enough = best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)
+        # What comes back in the turns of another is certainly of one cause, whatever share of it the other has.
+        same = _same_turns_by_chance(*together, contest.grid.span_s) < 1.0
+        enough = least if same else best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)
         classes = {class_of(e) for e in best.entries}
         others = [h for h in found.hypotheses if h.fit is not None and {class_of(e) for e in h.entries} < classes]
         others = [h for h in others if h.odds >= enough and _at_one_moment(h, contest) is None]

@@ -111,8 +111,8 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
     best, size, bottom, shape, course = at([entry.shape])
     start = best
     if shape.name == "periodic":
-        # A scan takes what comes back as there from the first turn on.
-        turns_s = np.arange(shape.onset_s, LAST_SHARE * edges_s[-1], shape.growth_s)
+        # A scan knows the turn with which it began within an eighth of the record.
+        turns_s = np.arange(shape.onset_s % shape.growth_s, LAST_SHARE * edges_s[-1], shape.growth_s)
         best, size, bottom, shape, course = at([replace(shape, onset_s=float(t)) for t in turns_s])
     reach = contest.step_s if shape.onset_s > 0.0 or shape.name in TIMED else 0.0
     while reach >= NEAREST_S:
