@@ -13,6 +13,7 @@ import numpy as np
 from twin.discovery.diagnosis import Rung
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import CandidateLaw
+from twin.discovery.effects.shapes import Shape
 from twin.discovery.evidence.marginal import form_quadratic, joint
 from twin.discovery.evidence.part import Part, continued, fitted, slower
 from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, SPREAD, UNLISTED
@@ -43,6 +44,8 @@ MOST_LATE = 4
 SLOWER = (1.7, 1.3, 1.1)
 """Ratios of time constants that are tried in turn around the likeliest of those that the catalogue has, a factor of 3
 apart."""
+AMID = (0.25, 0.5, 0.75)
+"""Shares of the first turn's time that are tried to be over when what comes back comes in."""
 BEGUN = 3
 """Rounds of a fit after which its squares can be compared."""
 
@@ -359,10 +362,10 @@ def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) 
 
 
 def _retimed(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses with the leading slow ones of different claims fitted with other time constants and
-    onsets."""
+    """Return the hypotheses with the leading ones of different claims, of what is slow or comes back, fitted with other
+    time constants and onsets."""
     near = found[0].odds - AMBIGUOUS - LEADS * abs(found[0].odds)
-    slow = [h for h in found if h.fit is not None and h.odds > near and any(e.candidate.slower for e in h.entries)]
+    slow = [h for h in found if h.fit is not None and h.odds > near and any(map(_is_retimed, h.entries))]
     first: dict[object, Hypothesis] = {}
     for h in slow:
         first.setdefault(h.labels, h)
@@ -372,8 +375,12 @@ def _retimed(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -
     return _settled_fits(part, sorted(tried, key=lambda h: -h.odds), misfit) if first else found
 
 
+def _is_retimed(entry: Entry) -> bool:
+    return entry.candidate.slower is not None or entry.shape.name == "periodic"
+
+
 def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return fits of a hypothesis with other time constants and onsets of what is slow in it."""
+    """Return fits of a hypothesis with other time constants and onsets of what is slow in it or comes back."""
     tried: list[Hypothesis] = []
 
     def fit_each(i: int, entries: list[Entry]) -> None:
@@ -388,6 +395,18 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
         best = max((best, *new), key=lambda h: h.odds)
 
     for i, entry in enumerate(best.entries):
+        if entry.shape.name == "periodic":
+            # A fit moves an onset by less than a turn, and only to first order is the first turn that of the scan.
+            for way in (-1.0, 1.0):
+                while (other := _turned(best.entries[i].shape, way, part.grid.span_s)) is not None:
+                    before = best
+                    fit_each(i, [replace(best.entries[i], shape=other).refreshed(part.contest)])
+                    if best is before:
+                        break
+            begun = best.entries[i].shape
+            on_s = begun.duty * begun.growth_s
+            amid = [replace(begun, onset_s=begun.onset_s + f * on_s, into_s=f * on_s) for f in AMID if not begun.into_s]
+            fit_each(i, [replace(best.entries[i], shape=shape).refreshed(part.contest) for shape in amid])
         if entry.candidate.slower is None:
             continue
         for share in SLOWER:
@@ -400,6 +419,12 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
         shapes = [replace(now.shape, onset_s=t) for t in moved if reach_s and 0.0 < t < last_s]
         fit_each(i, [replace(now, shape=shape).refreshed(part.contest) for shape in shapes])
     return tried
+
+
+def _turned(shape: Shape, way: float, span_s: float) -> Shape | None:
+    """Return what comes back begun a whole turn later or sooner, or None where that is not in the record."""
+    onset_s = shape.onset_s - shape.into_s + way * shape.growth_s
+    return replace(shape, onset_s=onset_s, into_s=0.0) if 0.0 <= onset_s < LAST_SHARE * span_s else None
 
 
 def log_odds_unlisted(part: Part) -> dict[Place, float]:
