@@ -137,14 +137,18 @@ class Inquiry:
         formless = found.finding.unlisted > max(found.finding.odds, claim)
         missed = found.finding.fit is None and odds > claim and not formless
         wrong = found.finding.fit is not None and self._held_out.far_off(found.finding, split)
-        if (missed or wrong) and most > split:
-            fuller = self._searched(most, found)
-            if fuller.finding.fit is not None and (missed or self._left(fuller) < self._left(found, most)):
+        # Where all of the record allows a claim, what shows in its very end alone is looked for there.
+        for end in (most, bins - KEPT) if missed else (most,) if wrong else ():
+            if end <= found.split:
+                continue
+            fuller = self._searched(end, found)
+            if fuller.finding.fit is not None and (missed or self._left(fuller) < self._left(found, end)):
                 found = fuller
                 notes = (
                     "the part that was to be kept out of the fit showed what the rest did not; so the fit was given "
-                    f"the record up to {self._hours(most)}",
+                    f"the record up to {self._hours(end)}",
                 )
+                break
         beside = self._beside(found.finding, prior, claim)
         later = 0 if beside is None else max(most, self._amid(beside))
         if later > found.split:
