@@ -11,13 +11,19 @@ from twin.discovery.answer.case import AssessedFinding
 from twin.discovery.answer.leads import with_leads
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis
-from twin.discovery.evidence.commissioned import as_commissioned, as_under_another_load, nothing, retuned_alone
+from twin.discovery.evidence.commissioned import (
+    as_commissioned,
+    as_healthy_elsewhere,
+    as_under_another_load,
+    nothing,
+    retuned_alone,
+)
 from twin.discovery.evidence.held_out import binned
 from twin.discovery.evidence.inquiry import Inquiry
 from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.weighing import weighed
 from twin.discovery.healthy.basis import Basis, Columns, basis
-from twin.discovery.healthy.visited import beside_unvisited
+from twin.discovery.healthy.visited import beside_unvisited, unvisited
 from twin.discovery.planning.experiment import Limits
 from twin.discovery.planning.forecast import Forecast, either, forecast, plan_of, too_little, too_still, unseen_kinds
 from twin.discovery.records.grid import Grid, on_grid, sample_period
@@ -125,7 +131,11 @@ def diagnose(
         limits=limits,
         later=tuple(part.grid for part in further),
     )
-    found = beside_unvisited(conclude(case, tuple(notes)), network, record, healthy)
+    found = conclude(case, tuple(notes))
+    elsewhere = unvisited(network, record, healthy) if found.verdict == "unexplained" and healthy is not None else []
+    if elsewhere and _as_healthy_elsewhere(case):
+        found = conclude(replace(case, finding=nothing(finding), beyond=True), (*notes, *elsewhere))
+    found = beside_unvisited(found, network, record, healthy)
     found = with_leads(found, case, record, healthy)
     if alone is not None:
         # With its course taken off nothing explains the rest: the course was not all its own.
@@ -136,6 +146,13 @@ def diagnose(
     left = again(without(alone, network, replace(record, inputs=given.inputs)))
     left = beside(alone, left, network, start, still)
     return found if left.verdict in ("effect found", "ambiguous") else left
+
+
+def _as_healthy_elsewhere(case: AssessedFinding) -> bool:
+    """Return whether the twin as it was is off by no more than it may be in health under another load."""
+    probe, names = case.known.probe, case.known.probe.network.sensor_names
+    off = case.grid.measured - probe.run(case.grid, probe.first_state(case.grid)).readings
+    return as_healthy_elsewhere(case.errors, off[:, [names.index(name) for name in case.errors]], case.split)
 
 
 def _said(known: Basis, *others: Segments | Standstill | None) -> list[str]:

@@ -23,7 +23,8 @@ class AssessedFinding:
         known: noise, prior and structure. whole: the contest over all of the record.
         split: row of `grid` from which no fit saw it. errors: per sensor, from there on.
         free: what an unknown at each site would have been, free from block to block, the likeliest first.
-        usual: what is left of the re-tuned twin is what it has always left, so nothing is missing.
+        usual: what is left of the re-tuned twin is what it has always left, so nothing is missing. beyond: inputs go
+            far beyond the healthy record's range, and the twin leaves no more than it may leave there in health.
         single: thermometers that are one of several. still: those that stopped, and when.
         limits: of the rig, for the next experiment. later: records made since, by which the finding has been weighed.
     """
@@ -36,6 +37,7 @@ class AssessedFinding:
     errors: dict[str, SensorError]
     free: tuple[Course, ...]
     usual: bool = False
+    beyond: bool = False
     single: tuple[Members, ...] = ()
     still: tuple[Stuck, ...] = ()
     limits: Limits | None = None

@@ -26,4 +26,4 @@ def adequate(case: AssessedFinding) -> bool:
     """
     finding = case.finding
     named = finding.odds if finding.fit is None else -math.inf
-    return case.usual or max(named, finding.unlisted) < finding.claim
+    return case.usual or case.beyond or max(named, finding.unlisted) < finding.claim

@@ -35,6 +35,10 @@ from twin.discovery.refit.model import Model
 from twin.discovery.thermometers.at_fault import placed, standing
 from twin.network import Array, Network
 
+_BEYOND = (
+    "something misfits that no effect of the catalogue explains, by no more than a healthy twin may leave where inputs "
+    "go far beyond their range in the healthy record; a healthy record with such inputs would tell whether it is new"
+)
 _USUAL = (
     "re-tuned, the twin is off on the held-out segment by no more than one as good as when it was commissioned may "
     "be under another load; whether what it left as it was means anything, only a healthy record could tell"
@@ -108,6 +112,8 @@ def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
 
 
 def _fine(case: AssessedFinding) -> Answer:
+    if case.beyond:
+        return Answer("adequate", notes=(_BEYOND,))
     loud = case.usual and max(case.finding.odds, case.finding.unlisted) >= case.finding.claim
     return Answer("adequate", notes=(_USUAL,) if loud else ())
 

@@ -6,9 +6,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.evidence.finding import Finding
-from twin.network import Network
+from twin.network import Array, Network
 
 AS_GOOD = 1.1
 """Times the error when commissioned that a re-tuned twin may have and still count as good as then."""
@@ -36,6 +38,23 @@ def as_under_another_load(network: Network, errors: Mapping[str, SensorError]) -
     beyond = sum(max((e.before / e.noise) ** 2 - 1.0, 0.0) for e in errors.values())
     then = sum(max((known.get(name, 0.0) / e.noise) ** 2 - 1.0, 0.0) for name, e in errors.items())
     return then > 0.0 and beyond <= OTHER_LOAD * then
+
+
+def as_healthy_elsewhere(errors: Mapping[str, SensorError], off: Array, split: int) -> bool:
+    """Return whether a twin is off, in every part of a record, by no more than in health under another load.
+
+    Args:
+        errors: of each sensor, with what is usual in health. off: (n, m) K, measured minus the twin as it was, of the
+            same sensors. split: row from which `errors` are; every part is as long as what follows it.
+    """
+    length = len(off) - split
+    squares = np.where(np.isfinite(off), off, 0.0) ** 2
+    sums = np.vstack([np.zeros(off.shape[1]), squares.cumsum(axis=0)])
+    parts = (sums[length:] - sums[:-length]) / length
+    noise, usual = np.array([(e.noise, max(e.usual, e.noise)) for e in errors.values()]).T
+    beyond = np.maximum(parts / noise**2 - 1.0, 0.0).sum(axis=1).max()
+    then = float(((usual / noise) ** 2 - 1.0).sum())
+    return then > 0.0 and float(beyond) <= OTHER_LOAD * then
 
 
 def nothing(finding: Finding) -> Finding:

@@ -237,9 +237,7 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
         # What comes back in the turns of another is certainly of one cause, whatever share of it the other has.
         same = _same_turns_by_chance(*together, contest.grid.span_s) < 1.0
         enough = least if same else best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)
-        classes = {class_of(e) for e in best.entries}
-        others = [h for h in found.hypotheses if h.fit is not None and {class_of(e) for e in h.entries} < classes]
-        others = [h for h in others if h.odds >= enough and _at_one_moment(h, contest) is None]
+        others = [h for h in part_of(best, found.hypotheses, enough) if _at_one_moment(h, contest) is None]
         best = others[0] if others else best
     claimed = best is not None and best.odds >= least and _at_one_moment(best, contest) is None
     ranked = _ranked(found, best) if claimed and best is not None else ()
@@ -265,6 +263,13 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     folds = validate(contest, Model.of(part.basis.probe, best.fit.entries), best.fit)
     part.reset()
     return replace(finding, entries=best.fit.entries, fit=_as_used(best, part), folds=folds)
+
+
+def part_of(best: Hypothesis, hypotheses: Sequence[Hypothesis], enough: float) -> list[Hypothesis]:
+    """Return the fitted hypotheses of log odds `enough` with some of the kinds and places of `best`."""
+    classes = {class_of(e) for e in best.entries}
+    fits = [h for h in hypotheses if h.fit is not None and h.odds >= enough]
+    return [h for h in fits if {class_of(e) for e in h.entries} < classes]
 
 
 def _at_one_moment(h: Hypothesis | None, contest: Contest) -> tuple[Entry, Entry] | None:
