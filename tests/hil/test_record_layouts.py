@@ -71,7 +71,7 @@ def test_every_layout_gives_the_same_record(tmp_path: Path, text: str) -> None:
 
 def test_lines_that_are_left_out_are_named(tmp_path: Path) -> None:
     record = _read(tmp_path, "Rig;7\n\nTime;T_in;fan\ns;°C;W\n" + _rows("{t};{comma};55"))
-    said = "line 3 is taken for the heading, and a line below it gives units; lines 1, 4 left out"
+    said = "line 3 is taken for the heading, and line 4 gives units; line 1 left out"
     assert record.messages[0] == said
 
 

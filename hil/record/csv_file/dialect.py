@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 from hil.record.csv_file.labview_exports import plain_heading
 from hil.record.times import SECONDS_PER, is_time_name
-from hil.record.units import has_open_factor, meaning_of
+from hil.record.units import has_open_factor, looks_like_unit, meaning_of
 from hil.record.values import MARKS, MISSING, readings
 
 DELIMITERS = (",", ";", "\t", "|")
@@ -44,6 +44,22 @@ _FACTORS = (
 )
 """First cells of a line, lower case, that gives a factor for each column."""
 _FACTOR = re.compile(r"[x×*]\s?\d+(?:[.,]\d+)?|\d+(?:[.,]\d+)?\s?[x×*]")
+_PROCESSING = (
+    "avg",
+    "average",
+    "mean",
+    "min",
+    "max",
+    "minimum",
+    "maximum",
+    "std",
+    "smp",
+    "sample",
+    "tot",
+    "total",
+    "raw",
+)
+"""Cells, lower case, of a line that gives the processing of each column, as loggers write one below the units."""
 _CHANNEL = re.compile(r"(?:ch|channel|kanal|ai|an|tc|in)[ _.-]?\d+", re.IGNORECASE)
 """Number of a channel, for which a line below may give the tag."""
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?[,;\t|"]*', re.IGNORECASE)
@@ -190,7 +206,7 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     _require_one_table(delimiter, lines, line)
     _require_no_factors(table[: first + MOST_BELOW], line, first_row=table[first][0].number)
     left_out = [str(one.number) for one in lines if one.number < table[first][0].number and one.number != line.number]
-    over = [(one, row) for one, row in above[:heading] if len(known_units(row, names)) > sum(map(bool, row)) / 2]
+    over = [(one, row) for one, row in above[:heading] if _are_units(row, names)]
     units_line, units = next(
         ((one.number, found) for one, row in (*below, *over) if (found := _units(row, names))), (0, {})
     )
@@ -198,14 +214,12 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
         units_line, units = line.number, own_units
     names, tags = _tagged(names, [(one.number, row) for one, row in below if one.number != units_line])
     said: tuple[str, ...] = () if not tags else (f"line {tags} names the channels",)
-    left_out = [number for number in left_out if number != str(tags)]
-    if left_out:
+    left_out = [number for number in left_out if number not in (str(tags), str(units_line))]
+    if left_out or (units and not own_units):
         which = "line" if len(left_out) == 1 else "lines"
-        told = f", and a line {'below' if below else 'above'} it gives units" if units else ""
-        said = (
-            *said,
-            f"line {line.number} is taken for the heading{told}; {which} {', '.join(left_out)} left out",
-        )
+        told = f", and line {units_line} gives units" if units and not own_units else ""
+        rest = f"; {which} {', '.join(left_out)} left out" if left_out else ""
+        said = (*said, f"line {line.number} is taken for the heading{told}{rest}")
     return Dialect(delimiter, tuple(names), line.number, max(above[-1][0].number, line.number), units, units_line, said)
 
 
@@ -350,7 +364,9 @@ def _heading(above: Sequence[tuple[Line, list[str]]]) -> int:
     named = [i for i, (_, row) in enumerate(above) if any(is_time_name(cell) for cell in row)]
     for i in named:
         row = above[i][1]
-        if i == named[-1] or 2 * len(known_units(row, row)) < sum(map(bool, row)):
+        if i == named[-1] or not (
+            known_units(row, row) and 2 * len(known_units(row, row, also_foreign=True)) >= sum(map(bool, row))
+        ):
             return i
     for i, (_, row) in enumerate(above):
         if all(row) and len(set(row)) == len(row):
@@ -358,21 +374,31 @@ def _heading(above: Sequence[tuple[Line, list[str]]]) -> int:
     return 0
 
 
+def _are_units(row: Sequence[str], names: Sequence[str]) -> bool:
+    return len(known_units(row, names, also_foreign=True)) > sum(map(bool, row)) / 2
+
+
 def _units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
     """Return the units that a line below the names gives, as written, by column; empty where it gives none.
 
-    Cells that are no known units are among them where at least as many are.
+    Cells that are no units are among them where at least as many are, or where the line gives the unit of the times.
     """
     there = {place: cell for place, cell in enumerate(row) if cell.lower() not in (*MISSING, "1")}
-    known = known_units(row, names)
-    if not known or 2 * len(known) < len(there):
-        return known
-    return {place: cell for place, cell in there.items() if place in known or cell != names[place]}
+    found = known_units(row, names, also_foreign=True)
+    is_timed = any(is_time_name(names[place]) for place in found)
+    if not is_timed and 2 * len(found) < len(there):
+        return found
+    own = {place for place, cell in there.items() if cell == names[place] or cell.lower() in _PROCESSING}
+    return {place: cell for place, cell in there.items() if place in found or place not in own} if found else {}
 
 
-def known_units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
-    """Return the cells of a line that are known units, by column."""
-    return {place: cell for place, cell in enumerate(row) if cell and _is_unit(cell, names[place])}
+def known_units(row: Sequence[str], names: Sequence[str], *, also_foreign: bool = False) -> dict[int, str]:
+    """Return the cells of a line that are known units, or units that no signal is in as well, by column."""
+    return {
+        place: cell
+        for place, cell in enumerate(row)
+        if cell and (_is_unit(cell, names[place]) or (also_foreign and looks_like_unit(cell)))
+    }
 
 
 def _is_unit(cell: str, name: str) -> bool:
