@@ -257,9 +257,21 @@ def _remedy_of_repeats(raw: RawRecord, axis: TimeAxis) -> str:
         return f"'{first}' has too few digits for the times of the rows: write all digits, without an exponent"
     if re.fullmatch(r"[+-]?\d+[.,]\d+", first):
         return f"'{first}' has too few digits for the times of the rows: write more decimals, or seconds"
+    labels = (
+        name for name, cells in zip(raw.names, raw.cells, strict=True) if name not in axis.columns and _few(cells)
+    )
+    if (label := next(labels, None)) is not None:
+        return f"if column '{label}' names devices or sensors, call it 'device' for a column for each, or split the file"
     return (
         "write times with fractions of a second or with their date, and if these are two records in one file, split it"
     )
+
+
+def _few(cells: Any) -> bool:
+    """Return True for a column of a few texts, which may name the sources of the rows."""
+    text, numbers = trimmed(cells), parse(cells)
+    different = 0 if text is None or (numbers is not None and numbers.bad < numbers.present) else len(text.unique())
+    return 2 <= different <= len(cells) // 2
 
 
 def _last_known(

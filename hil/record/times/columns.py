@@ -74,13 +74,14 @@ def find_columns(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions)
 def _in_utc(raw: RawRecord, name: str) -> str:
     """Return the column of dates and times whose name has a time zone, where that of the column `name` has none."""
     cells = dict(zip(raw.names, raw.cells, strict=True))
-    if zone_of(name) is not None or not _holds_moments(cells[name]):
+    if zone_of(name) is not None or not holds_moments(cells[name]):
         return name
-    zoned = (one for one in raw.names if is_time_name(one) and zone_of(one) is not None and _holds_moments(cells[one]))
+    zoned = (one for one in raw.names if is_time_name(one) and zone_of(one) is not None and holds_moments(cells[one]))
     return next(zoned, name)
 
 
-def _holds_moments(cells: Any) -> bool:
+def holds_moments(cells: Any) -> bool:
+    """Return True for a column of dates with times of day."""
     return all_cells(cells, is_moment) and not all_cells(cells, is_date)
 
 
