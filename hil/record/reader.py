@@ -261,7 +261,7 @@ def _remedy_of_repeats(raw: RawRecord, axis: TimeAxis) -> str:
         name for name, cells in zip(raw.names, raw.cells, strict=True) if name not in axis.columns and _few(cells)
     )
     if (label := next(labels, None)) is not None:
-        return f"if column '{label}' names devices or sensors, call it 'device' for a column for each, or split the file"
+        return f"if column '{label}' names devices or sensors, call it 'device' for a column for each, or split it"
     return (
         "write times with fractions of a second or with their date, and if these are two records in one file, split it"
     )
