@@ -122,6 +122,7 @@ class Engine:
         outcome.trips = self._interlocks.standing().trips
         if outcome.status == "done":
             outcome.deviations = self._work.deviations.found(self._clock.period_s)
+        outcome.deviations += [outcome.disobeyed] if outcome.disobeyed else []
         self._supervisor.close()
         outcome.problems += self._recorder.problems
         await self._connection.close()
