@@ -26,7 +26,7 @@ from drivers.signals import Quality, column_name, split_column
 from hil.files import replacing
 from hil.journal import ExportedRecord, export_record
 from hil.profile import WRITTEN_UNITS
-from hil.record.clock_jumps import clock_questions, without_jumps
+from hil.record.clock_jumps import clock_questions, without_jumps, without_rollovers
 from hil.record.file import read_raw
 from hil.record.order import describe_steps, order
 from hil.record.plausibility import SENTINELS, without_implausible
@@ -142,9 +142,10 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
     axis = numbered(raw) if at_rest else read_time(raw, signs, choice)
     messages += axis.messages
     if not at_rest:
+        axis, rolled = without_rollovers(raw, axis)
         near, said = without_jumps(raw, axis)
         axis = _restarted(axis, near)
-        messages += [*said, *clock_questions(axis, near, choice.time_scale)]
+        messages += [*rolled, *said, *clock_questions(axis, near, choice.time_scale)]
     rows, moved = order(raw, axis, signs)
     messages += moved
     stamps = axis.seconds[rows]
