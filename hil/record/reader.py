@@ -32,7 +32,7 @@ from hil.record.order import describe_steps, order
 from hil.record.plausibility import SENTINELS, without_implausible
 from hil.record.rated_columns import QUALITY, find_ratings
 from hil.record.raw import RawRecord, ReadingOptions, RecordError
-from hil.record.times import TimeAxis, numbered, read_time, span
+from hil.record.times import TimeAxis, is_time_name, numbered, read_time, span
 from hil.record.units import without_cell_units
 from hil.record.values import (
     LOST,
@@ -258,6 +258,9 @@ def _remedy_of_repeats(raw: RawRecord, axis: TimeAxis) -> str:
         return f"'{first}' has too few digits for the times of the rows: write all digits, without an exponent"
     if re.fullmatch(r"[+-]?\d+[.,]\d+", first):
         return f"'{first}' has too few digits for the times of the rows: write more decimals, or seconds"
+    finer = (name for name in raw.names if name not in axis.columns and is_time_name(name))
+    if (other := next((name for name in finer if _rises(raw, name)), None)) is not None:
+        return f"column '{other}' counts in finer steps: --time-column '{other}' takes it"
     labels = (
         name for name, cells in zip(raw.names, raw.cells, strict=True) if name not in axis.columns and _few(cells)
     )
@@ -266,6 +269,11 @@ def _remedy_of_repeats(raw: RawRecord, axis: TimeAxis) -> str:
     return (
         "write times with fractions of a second or with their date, and if these are two records in one file, split it"
     )
+
+
+def _rises(raw: RawRecord, name: str) -> bool:
+    numbers = parse(raw.cells[raw.names.index(name)])
+    return numbers is not None and not numbers.bad and bool((np.diff(numbers.values) > 0.0).all())
 
 
 def _few(cells: Any) -> bool:
