@@ -184,7 +184,7 @@ class Engine:
         a snapshot that was read after it."""
         alone = await self._guard.probe()
         for why in alone:
-            self._recorder.event(
+            self._recorder.announce(
                 "WARN",
                 f"the guardian cannot have a connection of its own beside the run's ({why}); where this process hangs "
                 "it is ended first, and the guardian takes its place",
