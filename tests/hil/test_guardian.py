@@ -36,7 +36,7 @@ import asyncio, sys, time
 from pathlib import Path
 from drivers.rig.connection import RigConnection
 from drivers.rig_file.reader import load_rig
-from hil.guardian.client import GuardianClient, NoGuard
+from hil.guardian.client import GuardianClient
 
 async def main(rig_path, log, how):
     rig = load_rig(Path(rig_path))

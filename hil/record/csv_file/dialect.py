@@ -201,6 +201,8 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     names = _told_apart(names, [row for _, row in above[:heading]])
     names, own_units = _named_above(names, [row for _, row in above[:heading]])
     below = above[heading + 1 :]
+    names, used = _completed(names, [(one.number, row) for one, row in above[:heading]], below)
+    below = [(one, row) for one, row in below if one.number not in used]
     if len(below) > MOST_BELOW:
         return None
     _require_one_table(delimiter, lines, line)
@@ -214,7 +216,11 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
         units_line, units = line.number, own_units
     names, tags = _tagged(names, [(one.number, row) for one, row in below if one.number != units_line])
     said: tuple[str, ...] = () if not tags else (f"line {tags} names the channels",)
-    left_out = [number for number in left_out if number not in (str(tags), str(units_line))]
+    left_out = [number for number in left_out if number not in (str(tags), str(units_line), *map(str, used))]
+    if used:
+        said = (*said, f"names of line {line.number} are completed by line {' and '.join(map(str, used))}")
+    elif lost := _lost_names(names, [row for one, row in table if str(one.number) in left_out]):
+        said = (*said, f"line {line.number} names no column {', '.join(lost)}: write the names into that line")
     if left_out or (units and not own_units):
         which = "line" if len(left_out) == 1 else "lines"
         told = f", and line {units_line} gives units" if units and not own_units else ""
@@ -252,6 +258,46 @@ def _named_above(names: list[str], over: Sequence[Sequence[str]]) -> tuple[list[
         ):
             return [row[place] if place in units else name for place, name in enumerate(names)], units
     return names, {}
+
+
+def _completed(
+    names: list[str], over: Sequence[tuple[int, Sequence[str]]], below: Sequence[tuple[Line, Sequence[str]]]
+) -> tuple[list[str], list[int]]:
+    """Return the names with those that the heading lacks, and the numbers of the lines that they are from.
+
+    They stand in a line of tags above it (loggers), in several that tell columns apart together (pandas), or below
+    names that span several columns (merged cells of a spreadsheet).
+    """
+    empty = [place for place, name in enumerate(names) if not name]
+    parts, used = [""] * len(empty), []
+    for number, row in reversed(over):
+        cells = [row[place] for place in empty]
+        if not all(cells) or any(map(is_value, cells)) or 2 * sum(map(looks_like_unit, cells)) > len(cells):
+            continue
+        is_group = len(set(cells)) < len(cells) and not any(row[place] for place, name in enumerate(names) if name)
+        if len(set(parts)) < len(parts) or not all(parts) or is_group:
+            parts = [f"{cell}_{part}".rstrip("_") for cell, part in zip(cells, parts, strict=True)]
+            used = [number, *used]
+    if used and len(set(parts)) == len(parts):
+        named = dict(zip(empty, parts, strict=True))
+        return [named.get(place, name) for place, name in enumerate(names)], used
+    spanned = list(names)
+    for place in empty:
+        spanned[place] = spanned[place - 1] if place and not is_time_name(spanned[place - 1]) else ""
+    spans = [place for place, name in enumerate(spanned) if spanned.count(name) > 1 and name]
+    for line, row in below:
+        full = {place: f"{spanned[place]} {row[place]}" for place in spans if row[place]}
+        if empty and set(empty) <= set(spans) == set(full) and len(set(full.values())) == len(full):
+            if all(looks_like_unit(row[place]) for place in spans):
+                return spanned, []
+            return [full.get(place, name) for place, name in enumerate(names)], [line.number]
+    return names, []
+
+
+def _lost_names(names: Sequence[str], left_out: Sequence[Sequence[str]]) -> list[str]:
+    """Return the numbers of columns without a name for which a line that is left out has one."""
+    places = [place for place, name in enumerate(names) if not name]
+    return [str(place + 1) for place in places if any(row[place] and not is_value(row[place]) for row in left_out)]
 
 
 def _tagged(names: list[str], below: Sequence[tuple[int, Sequence[str]]]) -> tuple[list[str], int]:
