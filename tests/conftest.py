@@ -20,6 +20,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `hil` has it, and for t
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts what runs in its background deaf to Ctrl-C, and so would be every process that a test interrupts.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, lambda *_: None)  # the same of nohup: a started process has the default again
 
 # How long one example takes is a matter of the machine, and no test asserts it. HIL_EXAMPLES=1000 looks further.
 hypothesis.settings.register_profile("hil", deadline=None, max_examples=int(os.environ.get("HIL_EXAMPLES", "50")))

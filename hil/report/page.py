@@ -112,6 +112,8 @@ def _note(text: str) -> Html:
 def _summary(manifest: dict[str, Any]) -> Html:
     reason = f": {manifest['reason']}" if manifest["reason"] else ""
     safe = "The heater was left at its safe value, read back." if left_safe(manifest) else "NOT confirmed safe."
+    if manifest.get("untouched") and not left_safe(manifest):
+        safe = "It had written nothing to the rig."
     # A report is made while nobody runs the run: one that is still running then was interrupted.
     status = "interrupted" if manifest["exit_status"] == "running" else manifest["exit_status"]
     found = [*manifest.get("problems", []), *manifest.get("deviations", [])]

@@ -104,6 +104,7 @@ class _Manifest(DocumentShape):
     segments: list[_Segment] = []
     problems: list[str] = []
     safe: bool | None = None
+    untouched: bool = False
     away: str = ""
     deviations: list[str] = []
     guardian: str = ""
@@ -153,7 +154,7 @@ def checked_manifest(document: Any, path: Path, failure: Failure) -> dict[str, A
     return checked
 
 
-_OF_AN_END = ("safe", "away", "guardian", "trips", "problems", "deviations")
+_OF_AN_END = ("safe", "untouched", "away", "guardian", "trips", "problems", "deviations")
 """Entries of a manifest that describe how a run ended; they hold no longer once it goes on."""
 
 
@@ -165,7 +166,8 @@ def without_end(manifest: dict[str, Any]) -> dict[str, Any]:
 def left_safe(manifest: dict[str, Any]) -> bool | None:
     """Return True where the run ended with its outputs at their safe values, read back, and False where it did not.
 
-    None for a run that goes on or was interrupted: whatever `safe` says then is of an earlier end.
+    None for a run that goes on or was interrupted: whatever `safe` says then is of an earlier end. None also for one
+    that ended before it wrote to the rig or read what the rig held.
     """
     if manifest.get("exit_status") == "running" or manifest.get("safe") is None:
         return None

@@ -231,7 +231,7 @@ async def test_a_run_on_a_hot_rig_is_refused_and_nothing_is_written(tmp_path):
     finally:
         globals()["RIG"] = globals_rig
     assert outcome.status == "faulted"
-    assert "not started: T_tank is 2" in outcome.reason
+    assert "not started: T_tank is 2" in outcome.reason and outcome.untouched
     assert trial.power_at_the_end == 0.0
 
 

@@ -170,3 +170,21 @@ def test_a_signal_after_the_run_does_not_replace_the_exit_code() -> None:
         "raise SystemExit(3)\n"
     )
     assert subprocess.run([sys.executable, "-c", code], timeout=60.0, check=False).returncode == 3
+
+
+@pytest.mark.parametrize(
+    ("by_nohup", "heard"), [("signal.signal(signal.SIGHUP, signal.SIG_IGN)", None), ("", "SIGHUP")]
+)
+def test_a_run_that_was_started_by_nohup_outlives_its_terminal(by_nohup: str, heard: str | None) -> None:
+    code = (
+        "import os, signal\n"
+        "from hil.run.engine.signals import RunSignals\n"
+        f"{by_nohup}\n"
+        "with RunSignals() as signals:\n"
+        "    signals.hold()\n"
+        "    os.kill(os.getpid(), signal.SIGHUP)\n"
+        f"    assert (signals.first and signals.first.name) == {heard!r}\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n"
+        f"    assert signals.first.name == {heard or 'SIGTERM'!r}\n"
+    )
+    assert subprocess.run([sys.executable, "-c", code], timeout=60.0, check=False).returncode == 0

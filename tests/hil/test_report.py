@@ -15,6 +15,8 @@ from hil.report.actuators import pair_actuators
 from hil.report.figures import MEASURED, RunCurves, pictures
 from hil.report.page import write_report
 from hil.report.statistics import NONE, number, set_against_read, signal_statistics, time_unit
+from hil.run.engine.status import Outcome
+from hil.run.session.manifest import end_entries
 from hil.run_folder.folder import RunFolder, new_manifest
 from tests.hil.ended_run import ended_run
 from tests.hil.synthetic_journal import make
@@ -121,6 +123,16 @@ def test_a_report_states_what_the_meters_did_not_follow(tmp_path):
     manifest = new_manifest({}, network_mode="shadow")
     folder.write_manifest(manifest | {"exit_status": "done with deviations", "deviations": [said], "safe": True})
     assert f'<p class="WARN">{said}</p>' in page_of(folder)
+
+
+def test_a_report_of_a_run_that_ended_before_it_wrote_anything_alarms_nobody(tmp_path):
+    folder = made(tmp_path / "run", samples(), header())
+    manifest = new_manifest({}, network_mode="shadow")
+    entries = end_entries(folder, manifest, Outcome("aborted", "stopped by SIGTERM", untouched=True), None, 0.2)
+    assert entries["safe"] is None
+    folder.write_manifest(manifest | entries)
+    page = page_of(folder)
+    assert "stopped by SIGTERM. It had written nothing to the rig." in page and "NOT confirmed safe" not in page
 
 
 def test_a_set_point_stands_beside_the_read_back_that_the_rig_file_declares():

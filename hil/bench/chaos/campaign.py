@@ -18,7 +18,7 @@ from hil.bench.chaos.clock import NoCompilerError, need_compiler
 from hil.bench.chaos.kinds import CHAOS_KINDS
 from hil.bench.chaos.plan import ChaosCase, chaos_cases
 from hil.bench.chaos.verdict import LIMIT_S, ROUGH_S, ChaosResult, as_document
-from hil.bench.faults import STALL_S, WATCHDOG_S, fingerprint, hear_sigint
+from hil.bench.faults import STALL_S, WATCHDOG_S, fingerprint, hear_signals
 from hil.bench.measure import Cell, ReportTable
 from hil.files import replacing
 
@@ -81,7 +81,7 @@ def measure(
         said = "; ".join(result.failures) or result.left_out or result.ended
         progress(len(finished) / len(cases), f"{result.name}: {said}")
 
-    hear_sigint()
+    hear_signals()
     results = asyncio.run(campaign(cases, seed, jobs=jobs, keep=keep, done=done))
     skipped += sorted({f"{r.name}: {r.left_out}" for r in results if r.left_out})
     return chaos_tables(results), tuple(skipped), not any(result.failures for result in results)

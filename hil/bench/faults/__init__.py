@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.bench.faults.campaign import fingerprint, hear_sigint
+    from hil.bench.faults.campaign import fingerprint, hear_signals
     from hil.bench.faults.case import STALL_S
     from hil.bench.faults.disk import OwnDisk
     from hil.bench.faults.kinds import KINDS
@@ -33,7 +33,7 @@ __all__ = [
     "Stage",
     "campaign",
     "fingerprint",
-    "hear_sigint",
+    "hear_signals",
     "judge",
     "last_words",
     "prepare",
@@ -49,7 +49,7 @@ __getattr__, __dir__ = lazy_names(
             "campaign",
             "judge",
         ),
-        "campaign": ("fingerprint", "hear_sigint"),
+        "campaign": ("fingerprint", "hear_signals"),
         "case": ("STALL_S",),
         "disk": ("OwnDisk",),
         "kinds": ("KINDS",),

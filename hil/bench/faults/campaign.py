@@ -94,7 +94,7 @@ def measure(
         progress(len(finished) / len(cases), f"{result.kind}: {said}")
 
     before = _cpu_s()
-    hear_sigint()
+    hear_signals()
     results = asyncio.run(campaign(cases, seed, jobs=jobs, keep=keep, done=done))
     spent_s = (_cpu_s() - before) / max(len(results), 1)
     found = pair_tables(results, seed) if two else tables(results, spent_s)
@@ -300,8 +300,10 @@ def _cpu_s() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in used)
 
 
-def hear_sigint() -> None:
-    """Undo what a shell does to a command in its background: it is deaf to SIGINT, and so would be every run that it
-    starts, until that run attends to the signal."""
+def hear_signals() -> None:
+    """Undo what a shell does to a command in its background, or nohup: what it ignores, every run that it starts would
+    ignore too. A campaign itself outlives its terminal."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, lambda *_: None)  # a started process has the default in place of a handler

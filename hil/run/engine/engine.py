@@ -109,7 +109,7 @@ class Engine:
             interrupted = await self._ending.safely(event, reason, outcome)
             fatal = fatal or interrupted
         else:
-            outcome.safe = self._found_safe  # nothing was heated since
+            outcome.safe, outcome.untouched = self._found_safe, True  # nothing was heated since
             hot = still_hot(self._parts.rig, self._parts.limits, self._parts.heater_meters.of(self._work.snapshot))
             if hot and not outcome.safe:
                 outcome.problems.append(f"{hot}; this run has written nothing to the rig: look at it now")

@@ -48,7 +48,8 @@ class RunSignals:
     before it: a key that is held down sends many, and they are one request.
     While Python cannot run a handler, signals gather; their number is read from the wake-up descriptor, to which the
     system's handler writes a byte for each. With `until_exit` those that ask for an end are ignored for
-    the rest of the process, where nothing comes after the run.
+    the rest of the process, where nothing comes after the run. A SIGHUP that the process was started to ignore, as by
+    nohup, stays ignored: whoever did so wants the run to outlive its terminal.
     """
 
     def __init__(self, *, until_exit: bool = False) -> None:
@@ -87,7 +88,8 @@ class RunSignals:
                 end.setblocking(False)
             signal.set_wakeup_fd(self._arrivals[1].fileno(), warn_on_full_buffer=False)
             for number in _REASONS:
-                signal.signal(number, self)
+                if number != signal.SIGHUP or self._before[number] != signal.SIG_IGN:
+                    signal.signal(number, self)
 
     @contextlib.contextmanager
     def phase(self, act: Callable[[signal.Signals, bool], None]) -> Iterator[None]:

@@ -35,7 +35,8 @@ class Status:
 class Outcome:
     """End of a run. `ticks` counts from the run's beginning, gaps included; `restore_s` is the time of thermal restore
     after a gap, `restarts` the number of restarts of the rig's program. `safe` is True where the safe values were read
-    back from the rig and no heater's meter contradicts them, `away` the measured value that did not get there."""
+    back from the rig and no heater's meter contradicts them, `away` the measured value that did not get there. A run
+    that ended `untouched` has written nothing to the rig."""
 
     status: Literal["done", "aborted", "faulted"]
     reason: str
@@ -43,6 +44,7 @@ class Outcome:
     overruns: int = 0
     safe: bool = False
     away: str = ""
+    untouched: bool = False
     problems: list[str] = field(default_factory=list)
     trips: tuple[str, ...] = ()
     restore_s: float = 0.0

@@ -244,6 +244,8 @@ def _made(step: Callable[[], None], stop: _StopRequest) -> str | None:
 def _lost(folder: RunFolder, manifest: dict[str, Any], what: str, then: str) -> FolderLostError:
     """Return the error about a lost folder, with the end of the run and the place of the saved manifest."""
     rig = "the rig was left safe" if left_safe(manifest) else "the rig was NOT confirmed safe: look at it now"
+    if manifest.get("untouched") and not left_safe(manifest):
+        rig = "nothing was written to the rig"
     reason = f" ({manifest['reason']})" if manifest.get("reason") else ""
     copy = _last_copy(folder, manifest)
     where = f"how it ended stands in {copy}" if copy is not None else "run.json could be saved nowhere"
