@@ -269,7 +269,8 @@ def _completed(
     names that span several columns (merged cells of a spreadsheet).
     """
     empty = [place for place, name in enumerate(names) if not name]
-    parts, used = [""] * len(empty), []
+    parts = [""] * len(empty)
+    used: list[int] = []
     for number, row in reversed(over):
         cells = [row[place] for place in empty]
         if not all(cells) or any(map(is_value, cells)) or 2 * sum(map(looks_like_unit, cells)) > len(cells):

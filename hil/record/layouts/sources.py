@@ -188,7 +188,9 @@ def _apart(raw: RawRecord, place: int, labels: NDArray[np.object_], different: l
         names=tuple(names),
         cells=tuple(cells),
         messages=(*raw.messages, *said),
-        **{key: {**rest[key], **known[key]} for key in known},
+        units={**rest["units"], **known["units"]},
+        plausible={**rest["plausible"], **known["plausible"]},
+        conversions={**rest["conversions"], **known["conversions"]},
     )
 
 
