@@ -70,3 +70,15 @@ def test_labviews_first_line_may_have_another_separator(tmp_path: Path, first: s
     record = _read(tmp_path, head + segment + rows)
     assert record.time_s == pytest.approx([30.0 * k for k in range(9)])
     assert record.columns["T_in_C"].tolist() == [20.5 + k for k in range(9)]
+
+
+@pytest.mark.parametrize(("day", "asks"), [(44623, True), (48000, False)])
+def test_day_numbers_that_may_count_from_1904_are_named(tmp_path: Path, day: int, asks: bool) -> None:
+    record = _read(tmp_path, "Date,T_in_C\n" + "".join(f"{day + k / 2880:.8f},20\n" for k in range(20)))
+    assert any("counts from 1904 the record begins on 2026-03-04" in said for said in record.messages) == asks
+
+
+def test_two_names_for_one_column_are_named(tmp_path: Path) -> None:
+    record = _read(tmp_path, "time_s,T_in_C,T_in [°C]\n" + "".join(f"{k},20,30\n" for k in range(9)))
+    assert list(record.columns) == ["T_in_C", "T_in [°C]"]
+    assert any("'T_in [°C]' is kept under this name without a unit, since there is" in said for said in record.messages)

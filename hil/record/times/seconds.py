@@ -28,6 +28,8 @@ ZONELESS = "without a time zone, taken as UTC"
 _COMPACT = (19_500_101_000000, 21_001_231_235959)
 """Dates and times written as one number, 20260304233000: as milliseconds since 1970 they would be after 2580."""
 _DAY_S = 86400.0
+_TO_1904 = 1462
+"""Days from the beginning of a spreadsheet's dates of 1900 to that of the dates of 1904 (old Macs)."""
 _NO_CLOCK = 2.0**63
 """Number above any count of a clock, in nanoseconds too."""
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
@@ -134,7 +136,10 @@ def _of_days(days: NDArray[np.float64], count: DayCount) -> Seconds:
     seconds = np.round((days - first) * 86400.0, 3)
     start = _EPOCH + datetime.timedelta(seconds=round((first - count.of_1970) * 86400.0, 3))
     _require_full_clock(np.round((days - count.of_1970) * 86400.0) * 1e6)
-    return Seconds(seconds, start, f"{count.name} {ZONELESS}", zoneless=True)
+    note, from_1904 = "", start + datetime.timedelta(days=_TO_1904)
+    if "spreadsheet" in count.name and from_1904 < datetime.datetime.now(datetime.UTC):
+        note = f"days from 1900; in a workbook that counts from 1904 the record begins on {from_1904:%Y-%m-%d}"
+    return Seconds(seconds, start, f"{count.name} {ZONELESS}", note, zoneless=True)
 
 
 def _require_full_clock(micros: NDArray[np.float64]) -> None:
