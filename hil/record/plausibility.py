@@ -105,7 +105,8 @@ def without_implausible(
         messages.append(_counted(name, marks, values, "a mark for no measurement", place))
         values = np.where(marks, np.nan, values)
     low, high = declared or plausible_range(unit)
-    low = max(low, _coldest(name, unit, values))
+    coldest = _coldest(name, unit, values)
+    low = coldest if declared is None and coldest > -np.inf else max(low, coldest)
     with np.errstate(invalid="ignore"):
         outside = (values < low) | (values > high)
     if outside.any():
@@ -140,8 +141,12 @@ def _coldest(name: str, unit: str, values: Values) -> float:
     """
     if name.endswith(("_F", "_degF")):
         return _COLDEST["degF"]
+    if unit == "degC":
+        others = values[np.isfinite(values) & (values > _COLDEST[unit])]  # All colder than any rig: differences in K.
+        is_absolute = not len(others) or float(np.median(others)) > COLDEST_K - 273.15
+        return _COLDEST[unit] if is_absolute else -273.15
     if unit != "K":
-        return _COLDEST.get(unit, -np.inf)
+        return -np.inf
     known = values[np.isfinite(values) & (values != 0.0)]
     is_absolute = len(known) > 0 and float(np.median(known)) > COLDEST_K and not is_difference(name)
     return _COLDEST[unit] if is_absolute else -np.inf

@@ -45,6 +45,7 @@ from hil.record.values import (
     may_be_lost,
     of_a_room,
     parse,
+    readings,
     remarks,
     standing_still,
     trimmed,
@@ -278,8 +279,11 @@ def _rises(raw: RawRecord, name: str) -> bool:
 
 def _few(cells: Any) -> bool:
     """Return True for a column of a few texts, which may name the sources of the rows."""
-    text, numbers = trimmed(cells), parse(cells)
-    different = 0 if text is None or (numbers is not None and numbers.bad < numbers.present) else len(text.unique())
+    text = trimmed(cells)
+    if text is None:
+        return False
+    labels = [cell for cell in text.unique().to_pylist() if cell]
+    different = 0 if any(readings(cell) != (None, None) for cell in labels) else len(labels)
     return 2 <= different <= len(cells) // 2
 
 

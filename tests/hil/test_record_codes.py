@@ -190,3 +190,8 @@ def test_absolute_zero_is_never_a_reading(tmp_path: Path, name: str, zero: str, 
 def test_zero_is_a_reading_of_a_difference(tmp_path: Path, name: str) -> None:
     record = _read(tmp_path, name, _with("0", LOOP, AT))
     assert np.isfinite(record.columns[name]).all()
+
+
+def test_a_control_error_in_kelvin_keeps_its_zeros(tmp_path: Path) -> None:
+    record = _read(tmp_path, "T_error_K", [f"{0.1 * (k % 30):.2f}" for k in range(100)])
+    assert np.isfinite(record.columns["T_error_C"]).all()

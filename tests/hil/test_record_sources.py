@@ -64,6 +64,14 @@ def test_sources_of_different_rates_are_told_apart(tmp_path: Path) -> None:
     }
 
 
+def test_sources_with_decimal_commas_are_told_apart(tmp_path: Path) -> None:
+    rows = [f"{k};{('a', 'b')[k % 2]};{20 + 30 * (k % 2)},5" for k in range(40)]
+    record = _read(tmp_path, "time_s;device;T_in_C", rows)
+    assert {name: np.nanmean(values) for name, values in record.columns.items()} == {"a_T_in_C": 20.5, "b_T_in_C": 50.5}
+    with pytest.raises(RecordError, match="column 'where' names 2 sources"):
+        _read(tmp_path, "time_s;where;T_in_C", rows)
+
+
 def test_each_source_has_the_unit_of_its_rows(tmp_path: Path) -> None:
     rows = [f"{k // 2},{('heater', 'tank')[k % 2]},{('W', '°C')[k % 2]},{700 - 670 * (k % 2)}" for k in range(40)]
     record = _read(tmp_path, "time_s,statistic_id,unit,mean", rows)

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from drivers.signals import split_column
 from hil.files import require_cells
-from hil.record.layouts.long_format import SERIES, VALUES
+from hil.record.layouts.long_format import SERIES, VALUES, is_numeric
 from hil.record.quality import holds_flags, is_rating_name, is_remark_name, may_rate, texts_of
 from hil.record.raw import RawRecord, RecordError
 from hil.record.times import holds_moments, is_time_name
 from hil.record.units import name_and_unit, unit_name
-from hil.record.values import may_be_lost, parse
+from hil.record.values import Numbers, may_be_lost, parse
 
 MOST_SOURCES = 200
 """Most devices of one table; a column of more different texts holds remarks."""
@@ -96,12 +96,12 @@ def _labels(cells: Any, name: str, *, also_numbers: bool) -> NDArray[np.object_]
     labels: NDArray[np.object_] = np.array(texts, dtype=object)
     if int((labels == "").sum()) > may_be_lost(len(texts)) or holds_flags(texts):
         return None
-    numbers = parse(cells)
-    if numbers is None or numbers.bad == numbers.present:
+    if not is_numeric(cells, 0.0):
         return labels
     if not also_numbers:
         return None
-    if numbers.bad:  # `1A`, `2B` and 3
+    numbers = parse(cells)
+    if numbers is None or numbers.bad:  # `1A`, `2B` and 3
         return labels
     known = numbers.values[np.isfinite(numbers.values)]
     if not len(known) or (known < 0).any() or (known != np.round(known)).any():
@@ -130,7 +130,7 @@ def _zigzags(raw: RawRecord, labels: NDArray[np.object_]) -> bool:
         own = split_column(name) or name_and_unit(name)
         if own is None or own[1] not in ("degC", "K", "degF"):
             continue
-        numbers = parse(cells)
+        numbers = _values(cells)
         if numbers is None or numbers.bad > may_be_lost(numbers.present):
             continue
         across = np.abs(np.diff(numbers.values))[labels[1:] != labels[:-1]]
@@ -194,6 +194,12 @@ def _apart(raw: RawRecord, place: int, labels: NDArray[np.object_], different: l
     )
 
 
+def _values(cells: Any) -> Numbers | None:
+    """Return the numbers of a column with the decimal sign that more of its cells have."""
+    found = [numbers for sign in (".", ",") if (numbers := parse(cells, sign)) is not None]  # type: ignore[arg-type]
+    return min(found, key=lambda numbers: numbers.bad, default=None)
+
+
 def _is_shared(raw: RawRecord, place: int) -> bool:
     """Return True for times, units, remarks, and ratings of all values of a row."""
     name = raw.names[place]
@@ -217,7 +223,7 @@ def _belongs_to_a_source(raw: RawRecord, place: int) -> bool:
         return False
     if may_rate(name):
         return True
-    numbers = parse(cells)
+    numbers = _values(cells)
     if numbers is None or numbers.bad > numbers.present / 2:
         return False
     if split_column(name) is None and name_and_unit(name) is None and name.strip().lower() not in VALUES:
