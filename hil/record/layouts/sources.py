@@ -196,7 +196,7 @@ def _apart(raw: RawRecord, place: int, labels: NDArray[np.object_], different: l
 
 def _values(cells: Any) -> Numbers | None:
     """Return the numbers of a column with the decimal sign that more of its cells have."""
-    found = [numbers for sign in (".", ",") if (numbers := parse(cells, sign)) is not None]  # type: ignore[arg-type]
+    found = [numbers for sign in (".", ",") if (numbers := parse(cells, sign)) is not None]
     return min(found, key=lambda numbers: numbers.bad, default=None)
 
 
