@@ -249,6 +249,8 @@ class _HomeAssistantImport:
             whole(self.path, item.line_of(key), key, item.plain(key, default), 0, 65535)
             for key, default in (("command_on", 1), ("command_off", 0))
         )
+        if keys["table"] == "coil":
+            self._require_upright(item.line_of("command_on"), "command_on", on, off)
         if keys["table"] == "holding":
             keys["doc"] = f"{on} switches on, {off} switches off"
         found = item.get("verify")
@@ -268,12 +270,24 @@ class _HomeAssistantImport:
         labels = {}
         for key, text, command in (("state_on", "on", on), ("state_off", "off", off)):
             for state in self._states(verify, key, command):
+                if table in ("coil", "discrete"):
+                    self._require_upright(verify.line_of(key), key, int(text == "on") == int(state != 0), False)
                 labels[str(state)] = text
         self._unused(verify, {"delay"}, {}, "verify")
         if (table, address) == (keys["table"], keys["address"]):
             return None
         more: dict[str, Any] = {"table": table, "address": address, "kind": "status"}
         return more if table in ("coil", "discrete") else more | {"labels": labels}
+
+    def _require_upright(self, line: int, key: str, on: float, off: float) -> None:
+        """Raise ImportFileError for a bit that is 0 when on: a rig file has nothing for that."""
+        if not on or off:
+            raise ImportFileError(
+                self.path,
+                line,
+                f"its {key} makes 0 of a bit mean on, or no difference; an inverted bit is not read here: take the "
+                "switch out, and drive the bit by a point of its own",
+            )
 
     def _states(self, verify: _YamlTable, key: str, default: int) -> list[int]:
         given = verify.get(key)

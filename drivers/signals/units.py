@@ -44,7 +44,7 @@ PLAUSIBLE: dict[str, tuple[float, float]] = {
     "W": (-1e7, 1e7),
     "kW": (-1e4, 1e4),
     "%": (-500.0, 500.0),
-    "degC": (-273.15, 2315.0),
+    "degC": (-272.0, 2315.0),
     "K": (-2588.15, 2588.15),
     "L/min": (-1e6, 1e6),
     "m3/h": (-6e4, 6e4),
@@ -78,7 +78,8 @@ PLAUSIBLE: dict[str, tuple[float, float]] = {
 overload mark, an error code or a decoding mistake, and no reading. The ranges are wide on purpose, since a point may
 declare its own.
 
-- degC: absolute zero, and 2315 degC, the end of thermocouple type C, the highest of IEC 60584-1. K: differences.
+- degC: 1.15 K, below which no thermometer of a rig works, and 2315 degC, the end of thermocouple type C, the highest of
+  IEC 60584-1. K: differences.
 - W, VA, var and their multiples: 10 MW, both signs (cooling, generation). Energies: 10 MW for ten years.
 - %: five times full scale; IEC 60034-1 and servo drives stay below four times rated, heat pumps below 500 %.
 - V: 1.2 MV, the highest voltage of equipment in IEC 60038. A: 1 MA, above any furnace or electrolysis line.

@@ -12,7 +12,7 @@ from hil.lazy_names import lazy_names
 if TYPE_CHECKING:
     from hil.record.csv_file import DialectError, beginning_of, find_dialect, is_annotated, is_labview, is_waveforms
     from hil.record.file import foreign_kind
-    from hil.record.long_format import VALUES
+    from hil.record.layouts import VALUES
     from hil.record.public import (
         PIPE_TESTS,
         WATER_DENSITY,
@@ -68,7 +68,7 @@ __getattr__, __dir__ = lazy_names(
         "csv_file.encodings": ("beginning_of",),
         "file": ("foreign_kind",),
         "units.headings": ("name_and_unit",),
-        "long_format": ("VALUES",),
+        "layouts.long_format": ("VALUES",),
         "public": (
             "PublicRecord",
             "PIPE_TESTS",

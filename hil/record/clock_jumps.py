@@ -6,6 +6,7 @@ a number was damaged, or a line is no row. Jumps back are handled with the order
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 
 import numpy as np
@@ -27,6 +28,42 @@ _ROUND_MS = (0.1, 0.2, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 60.0)
 """Periods at which loggers sample, s, whose thousandfold is no such period."""
 _LEAST_MS = 1000.0
 """Typical step from which times are asked about: shorter ones are usual in seconds, too."""
+
+_BITS = (16, 24, 32)
+"""Sizes of counters of times, in bits."""
+_COUNTS_S = (1.0, 0.1, 0.01, 1e-3, 1e-4, 1e-6, 1e-9)
+"""Counts of such counters, s."""
+_FEW_STEPS = 2.0
+"""Typical steps that a rolled-over counter is on after the last time before: more may be another recording."""
+
+
+def without_rollovers(raw: RawRecord, axis: TimeAxis) -> tuple[TimeAxis, list[str]]:
+    """Return the axis with times that go on where a counter of 16, 24 or 32 bits began again, and a message.
+
+    Each step back is by all counts of one size, less one or two typical steps; any other steps back are left alone.
+    """
+    rows = np.flatnonzero(np.isfinite(axis.seconds))
+    steps = np.diff(axis.seconds[rows])
+    back = steps < 0.0
+    if axis.start is not None or "segment" in raw.names or not back.any() or (steps > 0.0).sum() < 2:
+        return axis, []
+    typical = float(np.median(steps[steps > 0.0]))
+    for bits in _BITS:
+        for count_s in _COUNTS_S:
+            whole = 2.0**bits * count_s
+            on = steps[back] + whole
+            if typical > 0.01 * whole or not ((on > 0.0) & (on <= _FEW_STEPS * typical)).all():
+                continue
+            seconds = axis.seconds.copy()
+            seconds[rows[1:]] += whole * np.cumsum(back)
+            first = raw.place(int(rows[1:][back][0]))
+            times = "once" if back.sum() == 1 else f"{int(back.sum())} times"
+            said = (
+                f"{axis.column} goes back {times} by 2^{bits} counts of {count_s:g} s (first at {first}), as a counter "
+                f"of {bits} bits that began again: the times go on there"
+            )
+            return dataclasses.replace(axis, seconds=seconds), [said]
+    return axis, []
 
 
 def without_jumps(raw: RawRecord, axis: TimeAxis) -> tuple[NDArray[np.float64], list[str]]:

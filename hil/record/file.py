@@ -11,9 +11,8 @@ from pathlib import Path
 
 from hil.files import TEXT_COPIES, read_parquet, require_size
 from hil.record.csv_file import EncodingError, read_csv, utf8
-from hil.record.long_format import one_column_a_series
+from hil.record.layouts import one_below_the_other, one_column_a_series, one_column_a_source
 from hil.record.raw import RawRecord, RecordError, unique
-from hil.record.side_by_side import one_below_the_other
 from hil.record.times import is_time_name
 from hil.record.units import with_heading_units, with_unit_columns
 
@@ -106,7 +105,7 @@ def _with_units(raw: RawRecord) -> RawRecord:
     by_row = {name for name, (factor, _) in raw.conversions.items() if not isinstance(factor, float)}
     if by_row and (len(spread.cells[0]) != len(raw.cells[0]) or not by_row <= spread.conversions.keys()):
         raise RecordError(f"{raw.path}: a line among its rows gives other units than the top; split the file there")
-    raw = with_heading_units(spread)
+    raw = with_heading_units(one_column_a_source(spread) if len(spread.cells) == len(raw.cells) else spread)
     try:
         return with_unit_columns(raw)
     except RecordError as error:

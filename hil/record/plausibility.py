@@ -13,14 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import plausible_range, split_column
+from hil.record.values import COLDEST_K, is_difference
 
 Values = NDArray[np.float64]
 
 SENTINELS = (-9999.0, -999.0, 32767.0, -32768.0, 327.67, 3276.7)
 """Values that loggers write in place of a missing temperature; none of them is a temperature of a liquid loop."""
 
-CODES = (-999.0, -9998.0, 6999.0, 7999.0, -6999.0, -7999.0)
-"""Values that devices write instead of a reading of any quantity; 6999 and 7999 are the full scale of Campbell loggers.
+CODES = (-999.0, -9998.0, 6999.0, 7999.0, -6999.0, -7999.0, -273.15, -459.67)
+"""Values that devices write instead of a reading of any quantity; 6999 and 7999 are the full scale of Campbell loggers,
+and the last two absolute zero in degC and degF.
 
 One of these is taken for a mark only where the rest of the column proves it (`_stand_apart`).
 """
@@ -56,6 +58,11 @@ _MOST_CODES = 4
 _LEVELS = re.compile(r"(^|_)(set|setpoint|sp|soll|target|ref|reference|demand|cmd)(_|\d|$)|setpoint|sollwert", re.I)
 """Names of set-points, which jump between levels."""
 
+_COLDEST = {"degC": -272.0, "K": 1.15, "degF": -457.6}
+"""Lower end of readings by unit: 1.15 K, below which no thermometer of a rig works.
+
+Absolute zero is a register of zeros or a conversion without an input, and loggers round it to -273 or -273.2.
+"""
 _DRIVEN = ("W", "kW", "%", "V", "mV", "kV", "A", "mA", "VA", "var", "rpm", "Hz", "1")
 """Units of quantities that a controller may switch for single rows; a pulse of them is no code."""
 FEW = 8
@@ -98,6 +105,8 @@ def without_implausible(
         messages.append(_counted(name, marks, values, "a mark for no measurement", place))
         values = np.where(marks, np.nan, values)
     low, high = declared or plausible_range(unit)
+    coldest = _coldest(name, unit, values)
+    low = coldest if declared is None and coldest > -np.inf else max(low, coldest)
     with np.errstate(invalid="ignore"):
         outside = (values < low) | (values > high)
     if outside.any():
@@ -123,6 +132,24 @@ def without_implausible(
             messages.append(_counted(name, apart, numbers, "a code for no measurement far from all others", place))
             values, numbers = np.where(apart, np.nan, values), np.where(apart, np.nan, numbers)
     return values
+
+
+def _coldest(name: str, unit: str, values: Values) -> float:
+    """Return the lower end of absolute temperatures in `values (n,)`; minus infinity for any other quantity.
+
+    A column in K holds absolute temperatures where most numbers but zero are as large as those are, and no difference.
+    """
+    if name.endswith(("_F", "_degF")):
+        return _COLDEST["degF"]
+    if unit == "degC":
+        others = values[np.isfinite(values) & (values > _COLDEST[unit])]  # All colder than any rig: differences in K.
+        is_absolute = not len(others) or float(np.median(others)) > COLDEST_K - 273.15
+        return _COLDEST[unit] if is_absolute else -273.15
+    if unit != "K":
+        return -np.inf
+    known = values[np.isfinite(values) & (values != 0.0)]
+    is_absolute = len(known) > 0 and float(np.median(known)) > COLDEST_K and not is_difference(name)
+    return _COLDEST[unit] if is_absolute else -np.inf
 
 
 def _extremes(numbers: Values) -> list[float]:

@@ -26,13 +26,13 @@ from drivers.signals import Quality, column_name, split_column
 from hil.files import replacing
 from hil.journal import ExportedRecord, export_record
 from hil.profile import WRITTEN_UNITS
-from hil.record.clock_jumps import clock_questions, without_jumps
+from hil.record.clock_jumps import clock_questions, without_jumps, without_rollovers
 from hil.record.file import read_raw
 from hil.record.order import describe_steps, order
 from hil.record.plausibility import SENTINELS, without_implausible
 from hil.record.rated_columns import QUALITY, find_ratings
 from hil.record.raw import RawRecord, ReadingOptions, RecordError
-from hil.record.times import TimeAxis, numbered, read_time, span
+from hil.record.times import TimeAxis, is_time_name, numbered, read_time, span
 from hil.record.units import without_cell_units
 from hil.record.values import (
     LOST,
@@ -45,6 +45,7 @@ from hil.record.values import (
     may_be_lost,
     of_a_room,
     parse,
+    readings,
     remarks,
     standing_still,
     trimmed,
@@ -142,9 +143,10 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
     axis = numbered(raw) if at_rest else read_time(raw, signs, choice)
     messages += axis.messages
     if not at_rest:
+        axis, rolled = without_rollovers(raw, axis)
         near, said = without_jumps(raw, axis)
         axis = _restarted(axis, near)
-        messages += [*said, *clock_questions(axis, near, choice.time_scale)]
+        messages += [*rolled, *said, *clock_questions(axis, near, choice.time_scale)]
     rows, moved = order(raw, axis, signs)
     messages += moved
     stamps = axis.seconds[rows]
@@ -257,9 +259,32 @@ def _remedy_of_repeats(raw: RawRecord, axis: TimeAxis) -> str:
         return f"'{first}' has too few digits for the times of the rows: write all digits, without an exponent"
     if re.fullmatch(r"[+-]?\d+[.,]\d+", first):
         return f"'{first}' has too few digits for the times of the rows: write more decimals, or seconds"
+    finer = (name for name in raw.names if name not in axis.columns and is_time_name(name))
+    if (other := next((name for name in finer if _rises(raw, name)), None)) is not None:
+        return f"column '{other}' counts in finer steps: --time-column '{other}' takes it"
+    labels = (
+        name for name, cells in zip(raw.names, raw.cells, strict=True) if name not in axis.columns and _few(cells)
+    )
+    if (label := next(labels, None)) is not None:
+        return f"if column '{label}' names devices or sensors, call it 'device' for a column for each, or split it"
     return (
         "write times with fractions of a second or with their date, and if these are two records in one file, split it"
     )
+
+
+def _rises(raw: RawRecord, name: str) -> bool:
+    numbers = parse(raw.cells[raw.names.index(name)])
+    return numbers is not None and not numbers.bad and bool((np.diff(numbers.values) > 0.0).all())
+
+
+def _few(cells: Any) -> bool:
+    """Return True for a column of a few texts, which may name the sources of the rows."""
+    text = trimmed(cells)
+    if text is None:
+        return False
+    labels = [cell for cell in text.unique().to_pylist() if cell]
+    different = 0 if any(readings(cell) != (None, None) for cell in labels) else len(labels)
+    return 2 <= different <= len(cells) // 2
 
 
 def _last_known(

@@ -238,3 +238,21 @@ def test_hubs_of_packages_are_read():
     packages = {"homeassistant": {"packages": {"a": hub({"name": "x", "address": 1}), "b": {"light": []}}}}
     draft = draft_of(Path("ha.yaml"), placed(packages))
     assert [point.name for bus in draft.buses for point in bus.points] == ["x"]
+
+
+@pytest.mark.parametrize(
+    "switch",
+    [
+        {"command_on": 0, "command_off": 1},
+        {"command_on": 0, "command_off": 0},
+        {"command_on": 1, "command_off": 1},
+        {"verify": {"input_type": "discrete_input", "address": 9, "state_on": 0, "state_off": 1}},
+        {"verify": {"input_type": "coil", "address": 9, "state_on": [1, 0]}},
+    ],
+)
+def test_an_inverted_coil_is_left_out(tmp_path, switch):
+    written_as = {"name": "Heater", "address": 5, "write_type": "coil"} | switch
+    beside = {"name": "Fan", "address": 6, "write_type": "coil", "command_on": 1, "command_off": 0}
+    draft = draft_of(tmp_path / "ha.yaml", placed(hub(switches=[written_as, beside])))
+    assert [point.name for point in draft.buses[0].points] == ["Fan"]
+    assert any("an inverted bit is not read here" in note and "left out" in note for note in draft.notes)

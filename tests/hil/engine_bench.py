@@ -10,6 +10,7 @@ import numpy as np
 
 import hil.run.outputs.safing
 from drivers.rig_file.model import Rig
+from hil.guardian.client import Guard, NoGuard
 from hil.journal.states import HEATED, UNTOUCHED, State
 from hil.profile.load_profile import Profile
 from hil.run.engine.components import Options
@@ -49,7 +50,9 @@ class EngineBench:
         resumption: Resumption | None = None,
         rearm: bool = False,
         watch: Watch | None = None,
+        guard: Guard | None = None,
     ) -> None:
+        self.told: list[str] = []
         self._restores = resumption is not None
         self.loop = asyncio.new_event_loop()
         self.rig = SimulatedRig(rig)
@@ -73,7 +76,14 @@ class EngineBench:
             self.clock,
             profile(duration_s),
             journal,
-            Options(residuals=self._off, resumption=resumption, rearm=rearm, watch=watch),
+            Options(
+                residuals=self._off,
+                resumption=resumption,
+                rearm=rearm,
+                watch=watch,
+                guard=guard or NoGuard(),
+                told=self.told.append,
+            ),
         )
         self.rig.watch = self._look
         self.task = self.loop.create_task(self.engine.run())

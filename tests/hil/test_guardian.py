@@ -20,11 +20,13 @@ import pytest
 from drivers.rig import RigConnection
 from drivers.rig_file.reader import load_rig
 from hil.guardian import process
-from hil.guardian.client import GuardianClient
+from hil.guardian.client import GuardianClient, NoGuard
 from hil.guardian.plan import plan_of
 from hil.rig.notices import unguarded
 from hil.run.outputs import write_safe
+from tests.hil.engine_bench import EngineBench
 from tests.hil.guarded_device import HEATER, Device
+from tests.hil.simulated_rig import rig_with
 
 PROJECT = Path(__file__).resolve().parents[2]
 WAIT_S = 60.0
@@ -447,3 +449,16 @@ def test_the_shipped_rig_has_a_plan_that_turns_the_heater_off_first():
     ]
     assert wire["writes"][0]["pdu"] == "0600000000"
     assert [meter["name"] for meter in wire["meters"]] == ["heater_power"]
+
+
+def test_a_run_whose_guardian_has_no_connection_of_its_own_says_so_at_its_start():
+    class Alone(NoGuard):
+        async def probe(self) -> list[str]:
+            return ["the device closed a second connection"]
+
+    with EngineBench(rig_with(interlocks=()), guard=Alone()) as bench:
+        bench.ticks(5)
+        said = [line for line in bench.told if "the guardian cannot have a connection of its own" in line]
+        assert len(said) == 1 and "the device closed a second connection" in said[0]
+        assert bench.told.index(said[0]) < next(k for k, line in enumerate(bench.told) if "running:" in line)
+        assert any("the guardian cannot have" in text for _, text in bench.journal.events)

@@ -126,3 +126,30 @@ def test_a_quote_that_does_not_end_is_named_with_its_line(tmp_path: Path) -> Non
 def test_a_note_over_two_lines_is_read(tmp_path: Path) -> None:
     record = _text(tmp_path, "time_s,T_in_C,note\n" + "".join(f'{k},20,"first\nsecond"\n' for k in range(9)))
     assert len(record.time_s) == 9
+
+
+@pytest.mark.parametrize(
+    ("name", "bits", "count_s", "step", "rows"),
+    [
+        ("time_s", 16, 1.0, 1, 100),
+        ("time_ms", 32, 1e-3, 500, 100),
+        ("time_us", 32, 1e-6, 250_000, 100),
+        ("time_ms", 16, 1e-3, 500, 400),  # It begins again three times.
+    ],
+)
+def test_a_counter_that_began_again_goes_on(
+    tmp_path: Path, name: str, bits: int, count_s: float, step: int, rows: int
+) -> None:
+    counts = [2**bits - 40 * step + step * k for k in range(rows)]
+    record = _read(tmp_path, [count % 2**bits for count in counts], name)
+    assert np.diff(record.time_s) == pytest.approx([step * count_s] * (rows - 1))
+    assert record.columns["T_in_C"] == pytest.approx([20 + k / 8 for k in range(rows)])
+    assert any(f"a counter of {bits} bits that began again" in said for said in record.messages)
+
+
+@pytest.mark.parametrize("back", [70_000, 65_000, 3_000])
+def test_other_steps_back_are_no_rollover(tmp_path: Path, back: int) -> None:
+    stamps = [*range(70_000, 70_100), *range(70_100 - back, 70_200 - back)]
+    path = tmp_path / "again.csv"
+    path.write_text("time_s,T_in_C\n" + "".join(f"{stamp},20\n" for stamp in stamps))
+    assert not any("began again" in said for said in read_record(path).messages)

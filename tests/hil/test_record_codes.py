@@ -165,3 +165,33 @@ STEPPED = [f"{level + 0.05 * np.sin(k / 3):.3f}" for k, level in enumerate([6.0]
 def test_events_of_a_measured_quantity_stay(tmp_path: Path, name: str, cells: list[str]) -> None:
     record = _read(tmp_path, name, cells)
     assert np.isfinite(record.columns[name]).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "zero", "above"),
+    [
+        ("T_in_C", "-273.15", 0.0),
+        ("T_in_C", "-273", 0.0),
+        ("boiler [°C]", "-273.2", 0.0),
+        ("T_in_K", "0", 273.15),
+        ("T_in_K", "0.000", 273.15),
+        ("boiler_K", "0", 273.15),
+        ("T_in_F", "-459.67", 60.0),
+    ],
+)
+@pytest.mark.parametrize("at", [[30], [30, 31, 32], [0, 1, 99], list(range(40, 100))])
+def test_absolute_zero_is_never_a_reading(tmp_path: Path, name: str, zero: str, above: float, at: list[int]) -> None:
+    record = _read(tmp_path, name, _with(zero, [f"{float(cell) + above:.2f}" for cell in LOOP], at))
+    (values,) = record.columns.values()
+    assert np.flatnonzero(np.isnan(values)).tolist() == at
+
+
+@pytest.mark.parametrize("name", ["dT_K", "superheat_K", "T_difference_K", "flow_L_per_min", "fan_W"])
+def test_zero_is_a_reading_of_a_difference(tmp_path: Path, name: str) -> None:
+    record = _read(tmp_path, name, _with("0", LOOP, AT))
+    assert np.isfinite(record.columns[name]).all()
+
+
+def test_a_control_error_in_kelvin_keeps_its_zeros(tmp_path: Path) -> None:
+    record = _read(tmp_path, "T_error_K", [f"{0.1 * (k % 30):.2f}" for k in range(100)])
+    assert np.isfinite(record.columns["T_error_C"]).all()

@@ -71,7 +71,7 @@ def test_every_layout_gives_the_same_record(tmp_path: Path, text: str) -> None:
 
 def test_lines_that_are_left_out_are_named(tmp_path: Path) -> None:
     record = _read(tmp_path, "Rig;7\n\nTime;T_in;fan\ns;°C;W\n" + _rows("{t};{comma};55"))
-    said = "line 3 is taken for the heading, and a line below it gives units; lines 1, 4 left out"
+    said = "line 3 is taken for the heading, and line 4 gives units; line 1 left out"
     assert record.messages[0] == said
 
 
@@ -161,3 +161,34 @@ def test_a_column_of_structures_is_refused_or_left_out(tmp_path: Path) -> None:
     pq.write_table(table, tmp_path / "nested.parquet")
     with pytest.raises(RecordError, match=r"nested\.parquet"):
         read_record(tmp_path / "nested.parquet")
+
+
+@pytest.mark.parametrize(
+    ("above", "columns"),
+    [
+        ('Tag,"",Tank,Room\nUnit,"",C,W\nDate,Time,"",""', ["Tank_C", "Room_W"]),
+        ('Ch,"",CH1,CH2\nTag,"",Tank,Room\nDate,Time,,', ["Tank", "Room"]),
+        (",,tank,tank\n,,mean,max\nDate,Time,,", ["tank_mean", "tank_max"]),
+        ("Date,Time,Tank,\n,,T [°C],p [bar]", ["Tank T_C", "Tank p_bar"]),
+        ("Date,Time,Tank,\n,,°C,bar", ["Tank_C", "Tank_bar"]),
+    ],
+)
+def test_names_in_other_lines_complete_the_heading(tmp_path: Path, above: str, columns: list[str]) -> None:
+    rows = "".join(f"2026-03-04,10:00:{k:02d},{20 + k}.5,{k}.25\n" for k in range(20))
+    record = _read(tmp_path, f"{above}\n{rows}")
+    assert list(record.columns) == columns
+    assert record.columns[columns[1]].tolist() == [k + 0.25 for k in range(20)]
+
+
+def test_names_that_no_line_completes_are_reported(tmp_path: Path) -> None:
+    rows = "".join(f"{k},{20 + k}.5,{k}.25\n" for k in range(20))
+    record = _read(tmp_path, f"x,Tank,Tank\ntime_s,,\n{rows}")
+    assert any("names no column 2, 3: write the names into that line" in said for said in record.messages)
+
+
+def test_japanese_text_is_read_as_such(tmp_path: Path) -> None:
+    path = tmp_path / "logger.csv"
+    path.write_bytes(("time_s,温度 [℃]\n" + "".join(f"{k},20.5\n" for k in range(9))).encode("cp932"))
+    record = read_record(path)
+    assert list(record.columns) == ["温度_C"]
+    assert "line 1 is not UTF-8; read as Shift-JIS" in record.messages

@@ -69,6 +69,37 @@ def test_a_line_of_units_that_changes_the_unit_of_a_name_is_refused(tmp_path: Pa
         _read(tmp_path, _two("time_s;T_in_C", f"s;{unit}"))
 
 
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ("time_s,heater_W,share_pct,T_in_C", "s,BTU/h,ratio,Rankine"),
+        ("Timestamp,T_in_C,flow_L_per_min", ",°Ré,gpm"),
+        ("time_s,T_in_C,p_bar,quux", "sec,°C,wobble,frob"),
+        ("time_s,p_bar,level,x", "s,psi,furlong,smoot"),
+    ],
+)
+def test_unknown_units_that_contradict_the_names_are_refused_however_many(
+    tmp_path: Path, lines: tuple[str, str]
+) -> None:
+    columns = lines[0].count(",")
+    stamps = [f"2026-03-04 10:00:{k:02d}" if "Timestamp" in lines[0] else str(k) for k in range(9)]
+    with pytest.raises(RecordError, match=r"by its name, and line 2 gives '.*' for it, which is another unit"):
+        _read(tmp_path, [*lines, *(f"{stamp}{',20' * columns}" for stamp in stamps)])
+
+
+def test_unknown_units_stay_with_their_columns_where_most_are_unknown(tmp_path: Path) -> None:
+    rows = [f"{k},20,3,4,5" for k in range(9)]
+    record = _read(tmp_path, ["time_s,T_in,flow,p,cond", "s,°C,gpm,psi,µS/cm", *rows])
+    assert list(record.columns) == ["T_in_C", "flow [gpm]", "p [psi]", "cond [µS/cm]"]
+    assert "line 1 is taken for the heading, and line 2 gives units" in record.messages
+
+
+@pytest.mark.parametrize("line", ["s,Avg,Smp", ",TT 101,FT 102", ",Avg,Max", ",tank top,HP side"])
+def test_a_line_of_processing_or_tags_is_no_line_of_units(tmp_path: Path, line: str) -> None:
+    record = _read(tmp_path, ["time_s,T_in_C,fan_W", line, *(f"{k},20,3" for k in range(9))])
+    assert list(record.columns) == ["T_in_C", "fan_W"]
+
+
 def test_a_unit_that_is_not_known_stays_in_the_name(tmp_path: Path) -> None:
     record = _read(tmp_path, ["time;tank;level", "s;°C;furlong", *(f"{k};20;3" for k in range(9))])
     assert list(record.columns) == ["tank_C", "level [furlong]"]

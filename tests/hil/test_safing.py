@@ -15,7 +15,7 @@ from drivers.rig_file.reader import load_rig
 from drivers.signals.points import DeviceExceptionError, DriverError, Quality
 from hil.run.engine.operator import Verb
 from hil.run.outputs import safing
-from hil.run.outputs.heaters import not_cold, safe_limit, safe_limits
+from hil.run.outputs.heaters import Descent, not_cold, safe_limit, safe_limits
 from hil.run.outputs.safing import attempt_s, write_safe
 from hil.run.outputs.setpoints import Setpoints
 from tests.hil.engine_bench import EngineBench
@@ -133,6 +133,46 @@ def test_a_heater_that_does_not_obey_gets_no_second_dead_time_when_the_run_ends(
         bench.ticks(200)
         assert bench.rig.beat == withheld
         assert "still reads 350.0 W" in bench.outcome.away
+
+
+@pytest.mark.parametrize("paused_first", [False, True])
+@pytest.mark.parametrize("kept_W", [350.0, 90.0])
+def test_a_heater_that_only_the_rigs_watchdog_cuts_is_a_deviation(kept_W, paused_first):
+    """It acknowledges OFF and heats on, at all of its power or a part; without a heartbeat it goes off."""
+    with EngineBench(rig_with(interlocks=()), duration_s=60.0) as bench:
+        warm(bench)
+        silent_s, last_beat = 0.0, bench.rig.beat
+
+        def disobeys(passed_s: float) -> None:
+            nonlocal silent_s, last_beat
+            silent_s = silent_s + passed_s if bench.rig.beat == last_beat else 0.0
+            last_beat = bench.rig.beat
+            if bench.state in ("paused", "finishing") and bench.rig.readings.get("heater_power") != 0.0:
+                bench.rig.readings["heater_power"] = 0.0 if silent_s > 5.0 else kept_W
+
+        bench.rig.watch = disobeys
+        if paused_first:
+            bench.ask(Verb.PAUSE)
+            bench.ticks(20)
+            bench.engine.request_stop("the test")
+        bench.ticks(200)
+        assert bench.outcome.safe and not bench.outcome.in_order
+        assert any("went off only after the heartbeat was withheld" in said for said in bench.outcome.deviations)
+        assert paused_first or bench.outcome.verdict == "done with deviations"
+        assert any("did not obey" in text for _, text in bench.journal.events if isinstance(text, str))
+
+
+@pytest.mark.parametrize("fall_s", [0.5, 3.0, 10.0, 25.0])
+@pytest.mark.parametrize("shape", ["line", "lag"])
+def test_a_heater_that_comes_down_in_its_time_has_obeyed(fall_s, shape):
+    heater = SHIPPED.get("heater_power_set")
+    descent = Descent(SHIPPED, safe_limits(SHIPPED), 0.5)
+    assert heater.readback_within_s >= 25.0
+    for k in range(80):
+        t = 0.5 * k
+        left = max(1.0 - t / fall_s, 0.0) if shape == "line" else math.exp(-5.0 * t / fall_s)
+        descent.stays({"heater_power": 700.0 * left}, t)
+    assert descent.not_obeyed() == ""
 
 
 async def test_a_mute_device_keeps_no_other_waiting_and_an_attempt_has_an_end(tmp_path, monkeypatch):

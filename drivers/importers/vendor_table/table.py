@@ -43,10 +43,10 @@ from drivers.importers.vendor_table.columns import (
 )
 from drivers.importers.vendor_table.headings import heading_key
 from drivers.importers.vendor_table.ranges import PlausibleRanges, RangeScale, require_values, scale_of_range
+from drivers.importers.vendor_table.remarks import doubt_in_remark, number_in_remark
 from drivers.importers.vendor_table.scale import (
     ScaleError,
     divisor_of,
-    factor_in_words,
     factor_of,
     unit_and_factor,
 )
@@ -366,11 +366,8 @@ class _VendorTable:
         value = next(iter(factors.values()), 1.0)
         comma = self.columns.decimal_comma
         ranged = scale_of_range(self.path, line, cells, kind, comma, has_factor=bool(factors))
-        if "int" in kind and not cells.get("bits") and not factors and ranged is None:
-            words = factor_in_words(cells["name"], cells.get("doc", ""))
-            if words is not None:
-                said = f"its name or remark says {words!r}; put the factor in a column scale, 1 where there is none"
-                raise ImportFileError(self.path, line, said)
+        if not cells.get("bits"):
+            self._remark_agrees(line, cells, kind, has_factor=bool(factors) or ranged is not None)
         offset = self._offset(line, cells, address)
         called = f"{cells['name']}: taken as raw x"
         if ranged is not None:
@@ -395,6 +392,15 @@ class _VendorTable:
         if offset:
             keys["offset"] = offset
         return keys, ranged
+
+    def _remark_agrees(self, line: int, cells: dict[str, str], kind: str, *, has_factor: bool) -> None:
+        """Raise ImportFileError where a remark makes it uncertain how the value is read; note a number in it."""
+        doubt = doubt_in_remark(cells, kind, WIDTH.get(kind, 1), has_factor=has_factor, order=self.order)
+        if doubt is not None:
+            raise ImportFileError(self.path, line, doubt)
+        if "int" in kind and not has_factor and (number := number_in_remark(cells.get("doc", ""))) is not None:
+            said = f"taken as raw x 1; its remark has {number!r}, which no column explains: see if that is a factor"
+            self.collector.note(line, f"{cells['name']}: {said}")
 
     def _offset(self, line: int, cells: dict[str, str], address: int) -> float | None:
         """Return the offset of a value, None where there is none; raise ImportFileError where it is the address."""

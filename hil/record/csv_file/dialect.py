@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 from hil.record.csv_file.labview_exports import plain_heading
 from hil.record.times import SECONDS_PER, is_time_name
-from hil.record.units import has_open_factor, meaning_of
+from hil.record.units import has_open_factor, looks_like_unit, meaning_of
 from hil.record.values import MARKS, MISSING, readings
 
 DELIMITERS = (",", ";", "\t", "|")
@@ -44,6 +44,22 @@ _FACTORS = (
 )
 """First cells of a line, lower case, that gives a factor for each column."""
 _FACTOR = re.compile(r"[x×*]\s?\d+(?:[.,]\d+)?|\d+(?:[.,]\d+)?\s?[x×*]")
+_PROCESSING = (
+    "avg",
+    "average",
+    "mean",
+    "min",
+    "max",
+    "minimum",
+    "maximum",
+    "std",
+    "smp",
+    "sample",
+    "tot",
+    "total",
+    "raw",
+)
+"""Cells, lower case, of a line that gives the processing of each column, as loggers write one below the units."""
 _CHANNEL = re.compile(r"(?:ch|channel|kanal|ai|an|tc|in)[ _.-]?\d+", re.IGNORECASE)
 """Number of a channel, for which a line below may give the tag."""
 _SEPARATOR_LINE = re.compile(r'"?sep=(.)"?[,;\t|"]*', re.IGNORECASE)
@@ -185,12 +201,14 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     names = _told_apart(names, [row for _, row in above[:heading]])
     names, own_units = _named_above(names, [row for _, row in above[:heading]])
     below = above[heading + 1 :]
+    names, used = _completed(names, [(one.number, row) for one, row in above[:heading]], below)
+    below = [(one, row) for one, row in below if one.number not in used]
     if len(below) > MOST_BELOW:
         return None
     _require_one_table(delimiter, lines, line)
     _require_no_factors(table[: first + MOST_BELOW], line, first_row=table[first][0].number)
     left_out = [str(one.number) for one in lines if one.number < table[first][0].number and one.number != line.number]
-    over = [(one, row) for one, row in above[:heading] if len(known_units(row, names)) > sum(map(bool, row)) / 2]
+    over = [(one, row) for one, row in above[:heading] if _are_units(row, names)]
     units_line, units = next(
         ((one.number, found) for one, row in (*below, *over) if (found := _units(row, names))), (0, {})
     )
@@ -198,14 +216,16 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
         units_line, units = line.number, own_units
     names, tags = _tagged(names, [(one.number, row) for one, row in below if one.number != units_line])
     said: tuple[str, ...] = () if not tags else (f"line {tags} names the channels",)
-    left_out = [number for number in left_out if number != str(tags)]
-    if left_out:
+    left_out = [number for number in left_out if number not in (str(tags), str(units_line), *map(str, used))]
+    if used:
+        said = (*said, f"names of line {line.number} are completed by line {' and '.join(map(str, used))}")
+    elif lost := _lost_names(names, [row for one, row in table if str(one.number) in left_out]):
+        said = (*said, f"line {line.number} names no column {', '.join(lost)}: write the names into that line")
+    if left_out or (units and not own_units):
         which = "line" if len(left_out) == 1 else "lines"
-        told = f", and a line {'below' if below else 'above'} it gives units" if units else ""
-        said = (
-            *said,
-            f"line {line.number} is taken for the heading{told}; {which} {', '.join(left_out)} left out",
-        )
+        told = f", and line {units_line} gives units" if units and not own_units else ""
+        rest = f"; {which} {', '.join(left_out)} left out" if left_out else ""
+        said = (*said, f"line {line.number} is taken for the heading{told}{rest}")
     return Dialect(delimiter, tuple(names), line.number, max(above[-1][0].number, line.number), units, units_line, said)
 
 
@@ -238,6 +258,47 @@ def _named_above(names: list[str], over: Sequence[Sequence[str]]) -> tuple[list[
         ):
             return [row[place] if place in units else name for place, name in enumerate(names)], units
     return names, {}
+
+
+def _completed(
+    names: list[str], over: Sequence[tuple[int, Sequence[str]]], below: Sequence[tuple[Line, Sequence[str]]]
+) -> tuple[list[str], list[int]]:
+    """Return the names with those that the heading lacks, and the numbers of the lines that they are from.
+
+    They stand in a line of tags above it (loggers), in several that tell columns apart together (pandas), or below
+    names that span several columns (merged cells of a spreadsheet).
+    """
+    empty = [place for place, name in enumerate(names) if not name]
+    parts = [""] * len(empty)
+    used: list[int] = []
+    for number, row in reversed(over):
+        cells = [row[place] for place in empty]
+        if not all(cells) or any(map(is_value, cells)) or 2 * sum(map(looks_like_unit, cells)) > len(cells):
+            continue
+        is_group = len(set(cells)) < len(cells) and not any(row[place] for place, name in enumerate(names) if name)
+        if len(set(parts)) < len(parts) or not all(parts) or is_group:
+            parts = [f"{cell}_{part}".rstrip("_") for cell, part in zip(cells, parts, strict=True)]
+            used = [number, *used]
+    if used and len(set(parts)) == len(parts):
+        named = dict(zip(empty, parts, strict=True))
+        return [named.get(place, name) for place, name in enumerate(names)], used
+    spanned = list(names)
+    for place in empty:
+        spanned[place] = spanned[place - 1] if place and not is_time_name(spanned[place - 1]) else ""
+    spans = [place for place, name in enumerate(spanned) if spanned.count(name) > 1 and name]
+    for line, row in below:
+        full = {place: f"{spanned[place]} {row[place]}" for place in spans if row[place]}
+        if empty and set(empty) <= set(spans) == set(full) and len(set(full.values())) == len(full):
+            if all(looks_like_unit(row[place]) for place in spans):
+                return spanned, []
+            return [full.get(place, name) for place, name in enumerate(names)], [line.number]
+    return names, []
+
+
+def _lost_names(names: Sequence[str], left_out: Sequence[Sequence[str]]) -> list[str]:
+    """Return the numbers of columns without a name for which a line that is left out has one."""
+    places = [place for place, name in enumerate(names) if not name]
+    return [str(place + 1) for place in places if any(row[place] and not is_value(row[place]) for row in left_out)]
 
 
 def _tagged(names: list[str], below: Sequence[tuple[int, Sequence[str]]]) -> tuple[list[str], int]:
@@ -350,7 +411,9 @@ def _heading(above: Sequence[tuple[Line, list[str]]]) -> int:
     named = [i for i, (_, row) in enumerate(above) if any(is_time_name(cell) for cell in row)]
     for i in named:
         row = above[i][1]
-        if i == named[-1] or 2 * len(known_units(row, row)) < sum(map(bool, row)):
+        if i == named[-1] or not (
+            known_units(row, row) and 2 * len(known_units(row, row, also_foreign=True)) >= sum(map(bool, row))
+        ):
             return i
     for i, (_, row) in enumerate(above):
         if all(row) and len(set(row)) == len(row):
@@ -358,21 +421,31 @@ def _heading(above: Sequence[tuple[Line, list[str]]]) -> int:
     return 0
 
 
+def _are_units(row: Sequence[str], names: Sequence[str]) -> bool:
+    return len(known_units(row, names, also_foreign=True)) > sum(map(bool, row)) / 2
+
+
 def _units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
     """Return the units that a line below the names gives, as written, by column; empty where it gives none.
 
-    Cells that are no known units are among them where at least as many are.
+    Cells that are no units are among them where at least as many are, or where the line gives the unit of the times.
     """
     there = {place: cell for place, cell in enumerate(row) if cell.lower() not in (*MISSING, "1")}
-    known = known_units(row, names)
-    if not known or 2 * len(known) < len(there):
-        return known
-    return {place: cell for place, cell in there.items() if place in known or cell != names[place]}
+    found = known_units(row, names, also_foreign=True)
+    is_timed = any(is_time_name(names[place]) for place in found)
+    if not is_timed and 2 * len(found) < len(there):
+        return found
+    own = {place for place, cell in there.items() if cell == names[place] or cell.lower() in _PROCESSING}
+    return {place: cell for place, cell in there.items() if place in found or place not in own} if found else {}
 
 
-def known_units(row: Sequence[str], names: Sequence[str]) -> dict[int, str]:
-    """Return the cells of a line that are known units, by column."""
-    return {place: cell for place, cell in enumerate(row) if cell and _is_unit(cell, names[place])}
+def known_units(row: Sequence[str], names: Sequence[str], *, also_foreign: bool = False) -> dict[int, str]:
+    """Return the cells of a line that are known units, or units that no signal is in as well, by column."""
+    return {
+        place: cell
+        for place, cell in enumerate(row)
+        if cell and (_is_unit(cell, names[place]) or (also_foreign and looks_like_unit(cell)))
+    }
 
 
 def _is_unit(cell: str, name: str) -> bool:

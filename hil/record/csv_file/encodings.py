@@ -69,3 +69,17 @@ def _by_zeros(sample: bytes) -> str | None:
         if zeros >= _MOST * half and sample[1 - odd :: 2].count(0) == 0:
             return encoding
     return None
+
+
+_NOT_LATIN = frozenset((0x81, 0x8D, 0x8F, 0x90, 0x9D))
+"""Bytes that are no character of Windows' Latin code page 1252; 0x81 begins `℃` in Shift-JIS."""
+
+
+def shift_jis(content: bytes) -> str | None:
+    """Return Japanese text in Shift-JIS, which is no text in a Latin encoding; None for any other text."""
+    if not _NOT_LATIN & set(content):
+        return None
+    try:
+        return content.decode("cp932")
+    except UnicodeDecodeError:
+        return None

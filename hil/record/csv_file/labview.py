@@ -59,6 +59,11 @@ class _Layout:
         return cell if self.number(cell) is None else cell.strip().replace(self.sign, ".")
 
 
+_FIRST_TAG = re.compile(
+    r"(?:Writer|Reader)_Version([\t,;|])|(?:Separator|Decimal_Separator|Multi_Headings|X_Columns)([\t,;|])"
+)
+
+
 @dataclass
 class _Segment:
     """Layout and header of one segment, by tag, each with its line; names of its columns and their line; its rows."""
@@ -143,7 +148,11 @@ def _segments(path: Path, text: str) -> list[_Segment]:
             head, layout, current, begun, is_special = {}, None, None, number, False
             mark = bare.lstrip()[len(_MAGIC) :][:1] or "\t"
             continue
-        cells = [cell.strip() for cell in bare.split(layout.separator if layout else mark)]
+        if layout is None and not head and (begins := _FIRST_TAG.match(bare)) is not None:
+            mark = begins[1] or begins[2]  # The first line may end without a separator, or with another one.
+        separator = layout.separator if layout else mark
+        separator = mark if separator not in bare and mark in bare and not is_value(bare) else separator
+        cells = [cell.strip() for cell in bare.split(separator)]
         tag = cells[0]
         if tag in (_SPECIAL_BEGIN, _SPECIAL_END):
             is_special = tag == _SPECIAL_BEGIN

@@ -11,7 +11,7 @@ from hil.files import require_columns
 from hil.record.csv_file.annotated import is_annotated, read_annotated
 from hil.record.csv_file.cut_end import ends_cut
 from hil.record.csv_file.dialect import BLANKS, Dialect, find_dialect, heading_cells, is_value, split
-from hil.record.csv_file.encodings import unwrapped
+from hil.record.csv_file.encodings import shift_jis, unwrapped
 from hil.record.csv_file.labview import is_labview, read_labview
 from hil.record.csv_file.labview_exports import without_waveform_lines
 from hil.record.csv_file.lines_among_rows import heading_lines, is_other_line, without_other_lines
@@ -41,7 +41,11 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
     except UnicodeDecodeError as error:
         encoding = "latin-1"
         text = content.decode(encoding)
-        messages.append(f"line {content.count(bytes([10]), 0, error.start) + 1} is not UTF-8; read as Latin-1")
+        name = "Latin-1"
+        if (japanese := shift_jis(content)) is not None:
+            text, name, encoding = japanese, "Shift-JIS", "utf-8"
+        messages.append(f"line {content.count(bytes([10]), 0, error.start) + 1} is not UTF-8; read as {name}")
+        content = content if japanese is None else text.encode()
     if (bare := unwrapped(text)) != text:
         text, content, encoding = bare, bare.encode(), "utf-8"
         messages.append("each line stands in quotes: read without them")

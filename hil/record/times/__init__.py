@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from hil.record.times.columns import holds_moments
     from hil.record.times.names import SECONDS_PER, is_time_name, names_dates, names_unit, seconds_per_unit
     from hil.record.times.time_axis import GAP_PERIODS, TimeAxis, numbered, read_time, span
     from hil.record.times.zones import zone_of
@@ -18,6 +19,7 @@ __all__ = [
     "GAP_PERIODS",
     "SECONDS_PER",
     "TimeAxis",
+    "holds_moments",
     "is_time_name",
     "names_dates",
     "names_unit",
@@ -31,6 +33,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "columns": ("holds_moments",),
         "names": (
             "SECONDS_PER",
             "is_time_name",

@@ -58,6 +58,8 @@ def find_columns(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions)
             return _with_partner(raw, name, signs)
     place = f" line {raw.header_line}" if raw.header_line else ""
     nameless = ", where the first column has no name" if raw.names[0] == "column_1" else ""
+    if (whole := _beside_parts(raw, signs)) is not None:
+        return (whole,)
     counted = next((name for name in raw.names if names_subseconds(name)), None)
     if counted is not None:
         name, seconds = counted, names_subseconds(counted)
@@ -71,16 +73,31 @@ def find_columns(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions)
     )
 
 
+def _beside_parts(raw: RawRecord, signs: dict[str, Sign]) -> str | None:
+    """Return a column of whole seconds beside one of parts of a second, as `secs` and `nsecs`; None where none is."""
+    parts = {name for name in raw.names if names_subseconds(name) or names_subseconds(name.rsplit(".", 1)[-1])}
+    cells = dict(zip(raw.names, raw.cells, strict=True))
+    for name in raw.names:
+        last = name.strip().lower().rsplit(".", 1)[-1]
+        if name in parts or not parts or names_count(last) != 1.0:
+            continue
+        numbers = parse(cells[name], signs.get(name, "."))
+        if numbers is not None and not numbers.bad and (np.nan_to_num(numbers.values) % 1.0 == 0.0).all():
+            return name
+    return None
+
+
 def _in_utc(raw: RawRecord, name: str) -> str:
     """Return the column of dates and times whose name has a time zone, where that of the column `name` has none."""
     cells = dict(zip(raw.names, raw.cells, strict=True))
-    if zone_of(name) is not None or not _holds_moments(cells[name]):
+    if zone_of(name) is not None or not holds_moments(cells[name]):
         return name
-    zoned = (one for one in raw.names if is_time_name(one) and zone_of(one) is not None and _holds_moments(cells[one]))
+    zoned = (one for one in raw.names if is_time_name(one) and zone_of(one) is not None and holds_moments(cells[one]))
     return next(zoned, name)
 
 
-def _holds_moments(cells: Any) -> bool:
+def holds_moments(cells: Any) -> bool:
+    """Return True for a column of dates with times of day."""
     return all_cells(cells, is_moment) and not all_cells(cells, is_date)
 
 
@@ -140,10 +157,19 @@ def _kind(name: str, cells: Any, sign: Sign) -> str:
     return "time" if len(values) and (values >= 0.0).all() and (values < 1.0).all() else ""
 
 
+_BLANKS = str.maketrans(dict.fromkeys("\u00a0\u2007\u2009\u202f", " "))
+"""Blanks that break no line, as browsers write them before AM and PM."""
+
+
+def plain_blanks(cell: str) -> str:
+    """Return a cell with plain blanks in place of those that break no line."""
+    return cell.translate(_BLANKS)
+
+
 def all_cells(cells: Any, test: Any) -> bool:
     """Return True where the first cells of a column of text all pass a test."""
     text = trimmed(cells)
     if text is None:
         return False
     first = text.drop_null()[:_SAMPLE].to_pylist()
-    return bool(first) and all(test(cell) for cell in first)
+    return bool(first) and all(test(plain_blanks(cell)) for cell in first)

@@ -55,6 +55,8 @@ _MOMENT = (
 )
 _FORMATS = {"hhmmss": "HHMMSS", "hhmm": "HHMM", "hh:mm:ss": "HHMMSS", "hh:mm": "HHMM"}
 """Forms of a clock's digits, by their spelling in lower case."""
+_PAIRS = {"hh:mm": "hh:mm", "h:mm": "hh:mm", "mm:ss": "mm:ss", "m:ss": "mm:ss", "min:sec": "mm:ss", "min:s": "mm:ss"}
+"""Forms of two numbers with a colon, by their spelling in lower case."""
 _DATE_FORMATS = ("yyyymmdd", "ddmmyyyy", "mmddyyyy", "yymmdd", "ddmmyy", "mmddyy")
 _UNIT = re.compile(r"(.+?)[ _]*[\[(]\s*([a-zµ]+)\s*[\])]|(.+?)\s*[/_ ]\s*(?:in\s+)?([a-zµ]+)|([a-zµ]+)")
 
@@ -62,7 +64,7 @@ _UNIT = re.compile(r"(.+?)[ _]*[\[(]\s*([a-zµ]+)\s*[\])]|(.+?)\s*[/_ ]\s*(?:in\
 def seconds_per_unit(name: str) -> float | None:
     """Return seconds per unit of the time column `name`, 1 if the name gives no unit; None if it names no time."""
     low = name.strip().lower()
-    if format_of(name) is not None or _date_format(low) is not None:
+    if format_of(name) is not None or pair_of(name) is not None or _date_format(low) is not None:
         return 1.0
     if _spelt(low) in (*_ELAPSED, *_MOMENT) or _spelt(without_zone(name).lower()) in (*_ELAPSED, *_MOMENT):
         return 1.0
@@ -82,7 +84,7 @@ def names_unit(name: str) -> bool:
     """Return True for the name of a time that gives its unit."""
     low = name.strip().lower()
     spelt = {_spelt(low), _spelt(without_zone(name).lower())}
-    is_clock = format_of(name) is not None or _date_format(low) is not None
+    is_clock = format_of(name) is not None or pair_of(name) is not None or _date_format(low) is not None
     return seconds_per_unit(name) is not None and not is_clock and not spelt & {*_ELAPSED, *_MOMENT}
 
 
@@ -109,6 +111,13 @@ def format_of(name: str) -> str | None:
     words = _spelt(name.strip().lower()).split(" ")
     stem = " ".join(words[:-1])
     return _FORMATS.get(words[-1]) if stem in ("", *_ELAPSED, *_MOMENT) else None
+
+
+def pair_of(name: str) -> str | None:
+    """Return hh:mm or mm:ss for a name of a time that says so (`Time [mm:ss]`); None for any other name."""
+    words = _spelt(name.strip().lower()).split(" ")
+    stem = " ".join(words[:-1])
+    return _PAIRS.get(words[-1]) if stem in ("", *_ELAPSED, *_MOMENT) else None
 
 
 def _date_format(low: str) -> str | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import re
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.record.raw import RawRecord, ReadingOptions
-from hil.record.times.columns import has_unit, scale_of
+from hil.record.times.columns import has_unit, plain_blanks, scale_of
 from hil.record.times.counts import names_count, seconds_of_day
 from hil.record.times.digits import clock_text, clock_texts, date_texts, may_be_clock, may_be_dates
-from hil.record.times.names import names_days
+from hil.record.times.names import names_days, pair_of
 from hil.record.times.numbers import EPOCH_S, DayCount, are_days, compact_moments, count_of, day_count
 from hil.record.times.parts import find_parts, stamp_texts
 from hil.record.times.text import Stamps, TimeTextError, read_stamps, read_times_of_day
@@ -27,6 +28,8 @@ ZONELESS = "without a time zone, taken as UTC"
 _COMPACT = (19_500_101_000000, 21_001_231_235959)
 """Dates and times written as one number, 20260304233000: as milliseconds since 1970 they would be after 2580."""
 _DAY_S = 86400.0
+_TO_1904 = 1462
+"""Days from the beginning of a spreadsheet's dates of 1900 to that of the dates of 1904 (old Macs)."""
 _NO_CLOCK = 2.0**63
 """Number above any count of a clock, in nanoseconds too."""
 _EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
@@ -92,7 +95,24 @@ def text_of(cells: Any) -> list[str | None]:
 
     text = trimmed(cells)
     found: list[str | None] = (cells.cast(pa.string()) if text is None else text).to_pylist()
-    return found
+    return [None if cell is None else plain_blanks(cell) for cell in found]
+
+
+def _with_three_fields(cells: list[str | None], form: str | None) -> list[str | None]:
+    """Return times of two numbers as hours, minutes and seconds, as the name of their column says which they are."""
+    if form is None:
+        return cells
+    out: list[str | None] = []
+    for cell in cells:
+        pair = None if cell is None else re.fullmatch(r"(\d{1,5}):([0-5]\d(?:[.,]\d+)?)", cell)
+        if pair is None:
+            out.append(cell)
+        elif form == "hh:mm":
+            out.append(f"{cell}:00")
+        else:
+            hours, minutes = divmod(int(pair[1]), 60)
+            out.append(f"{hours:02d}:{minutes:02d}:{pair[2]}")
+    return out
 
 
 def of_stamps(stamps: Stamps) -> Seconds | None:
@@ -116,7 +136,10 @@ def _of_days(days: NDArray[np.float64], count: DayCount) -> Seconds:
     seconds = np.round((days - first) * 86400.0, 3)
     start = _EPOCH + datetime.timedelta(seconds=round((first - count.of_1970) * 86400.0, 3))
     _require_full_clock(np.round((days - count.of_1970) * 86400.0) * 1e6)
-    return Seconds(seconds, start, f"{count.name} {ZONELESS}", zoneless=True)
+    note, from_1904 = "", start + datetime.timedelta(days=_TO_1904)
+    if "spreadsheet" in count.name and from_1904 < datetime.datetime.now(datetime.UTC):
+        note = f"days from 1900; in a workbook that counts from 1904 the record begins on {from_1904:%Y-%m-%d}"
+    return Seconds(seconds, start, f"{count.name} {ZONELESS}", note, zoneless=True)
 
 
 def _require_full_clock(micros: NDArray[np.float64]) -> None:
@@ -158,7 +181,7 @@ def _seconds(
     if numbers is None:
         return None
     if numbers.bad > numbers.present / 2:
-        written = text_of(cells)
+        written = _with_three_fields(text_of(cells), pair_of(name))
         clock = read_times_of_day(written)
         return of_stamps(clock if clock is not None else read_stamps(written, choice.dates))
     values = np.where(np.abs(numbers.values) < _NO_CLOCK, numbers.values, np.nan)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
         suffixed,
         with_heading_units,
     )
-    from hil.record.units.meanings import broken_sign, conversion, has_open_factor, meaning_of, unit_of
+    from hil.record.units.meanings import broken_sign, conversion, has_open_factor, looks_like_unit, meaning_of, unit_of
     from hil.record.units.unit_columns import row_units, unit_name, with_unit_columns
 
 __all__ = [
@@ -26,6 +26,7 @@ __all__ = [
     "conversion",
     "fahrenheit_hint",
     "has_open_factor",
+    "looks_like_unit",
     "meaning_of",
     "name_and_unit",
     "row_units",
@@ -49,7 +50,7 @@ __getattr__, __dir__ = lazy_names(
             "suffixed",
             "with_heading_units",
         ),
-        "meanings": ("broken_sign", "conversion", "has_open_factor", "meaning_of", "unit_of"),
+        "meanings": ("broken_sign", "conversion", "has_open_factor", "looks_like_unit", "meaning_of", "unit_of"),
         "unit_columns": ("row_units", "unit_name", "with_unit_columns"),
     },
 )

@@ -128,6 +128,7 @@ def with_heading_units(raw: RawRecord) -> RawRecord:
             raise RecordError(f"{raw.path}: column '{heading}' is in {own[1]} and in {other} by its name; correct it")
         new = name if own else suffixed(name, unit)
         if new in names:
+            hints.append(f"column '{heading}' is kept under this name without a unit, since there is a column {new}")
             continue
         names[place] = new
         said.append(f"'{heading}' as {new}" + ("" if factor == 1.0 else f", its numbers times {factor:.10g}"))

@@ -95,6 +95,29 @@ def broken_sign(text: str) -> tuple[str, str] | None:
     return (sign, _BROKEN[sign]) if bare[-1:] in ("C", "F", "K") and sign in _BROKEN else None
 
 
+_FOREIGN = re.compile(
+    r"(?:us|i)?gpm|s?cfm|acfm|s?lpm|sccm|psi[agd]?|(?:in|mm)hg|torr|at[ma]|(?:in|mm)?h2o|mwc|mmws|ft|feet|inch|inche?s|yd|"
+    r"lbs?|lbf|oz|btuh?|mbh|bhp|k?cal|therm|rankine|reaumur|degr|grad|frac(?:tion)?|ratio|counts?|digits?|ticks?|"
+    r"ph|ppm|ppb|ntu|lux|k?nm|knots?|kn|mph|fps|rps|gal|tons?|ltr|lit(?:er|re)s?|mg"
+)
+"""Units and kinds of numbers, lower case, that no signal of this project is in.
+
+Words that also name something else in a rig, such as `in` (inlet) and `HP` (high pressure), are not among them.
+"""
+_PER = (
+    r"(?:h|hr|hrs|hour|std|min|s|sec|d|day|m|m2|m3|m²|m³|cm|mm|ft|ft2|ft3|in|in2|in²|kg|g|lb|l|gal|k|c|°c|°f|f|rev|v|a)"
+)
+_SYMBOLIC = re.compile(
+    rf"[a-zµ°³²0-9]{{1,6}}\s?/\s?{_PER}|°\s?\w{{1,3}}|µ\w{{1,3}}(?:/\w+)?|\w{{1,3}}[²³](?:/\w+)?|%.*|0\.\.1"
+)
+
+
+def looks_like_unit(text: str) -> bool:
+    """Return True for a text that is a unit, though perhaps none that is known here: `gpm`, `BTU/hr`, `m³/s`, `°Ré`."""
+    bare = text.strip().strip("[](){} ").lower()
+    return meaning_of(text) is not None or _FOREIGN.fullmatch(bare) is not None or _SYMBOLIC.fullmatch(bare) is not None
+
+
 def has_open_factor(text: str) -> bool:
     """Return True for a known unit with a number whose meaning is open, as in `x10 W`, `10 W`, `°C*10` and `°C/10`."""
     bare = text.strip().strip("[]{} ")

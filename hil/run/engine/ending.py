@@ -109,7 +109,15 @@ class Ending:
             by = "" if acted is None or not acted.safe else f"; the guardian had made it so ({acted.reason})"
             is_measured = any(parts.rig.get(name).readback is not None for name in safe)
             seen = "and the measured values have followed" if is_measured else "and no point measures what they move"
-            note("INFO", f"safe: {listed}; read back, {seen}{by}")
+            stood = self._work.descent.not_obeyed() if parts.rig.heartbeat is not None else ""
+            if stood:
+                outcome.disobeyed = (
+                    f"a heater did not obey when it was switched off ({stood}): it went off only after the heartbeat "
+                    "was withheld, by the rig's own watchdog; repair it before the next run"
+                )
+                note("ERROR", f"safe values are held by the rig ({listed}), but {outcome.disobeyed}")
+            else:
+                note("INFO", f"safe: {listed}; read back, {seen}{by}")
         return result.safe
 
     def _guard_has_made_safe(self) -> bool:

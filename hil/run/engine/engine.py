@@ -122,6 +122,7 @@ class Engine:
         outcome.trips = self._interlocks.standing().trips
         if outcome.status == "done":
             outcome.deviations = self._work.deviations.found(self._clock.period_s)
+        outcome.deviations += [outcome.disobeyed] if outcome.disobeyed else []
         self._supervisor.close()
         outcome.problems += self._recorder.problems
         await self._connection.close()
@@ -183,7 +184,7 @@ class Engine:
         a snapshot that was read after it."""
         alone = await self._guard.probe()
         for why in alone:
-            self._recorder.event(
+            self._recorder.announce(
                 "WARN",
                 f"the guardian cannot have a connection of its own beside the run's ({why}); where this process hangs "
                 "it is ended first, and the guardian takes its place",

@@ -151,6 +151,13 @@ class Recorder:
             with contextlib.suppress(BaseException):
                 self._told(f"{at.time_s:8.0f} s  {step.target}: {step.reason}")
 
+    def announce(self, level: str, text: str) -> None:
+        """Record an event, and show it in the terminal."""
+        self.event(level, text)
+        if self._told is not None:
+            with contextlib.suppress(Exception):
+                self._told(f"{self._at.time_s:8.0f} s  {text}")
+
     def segment(self, number: int, gap_s: float, aim_tick: int, reason: str) -> None:
         """Record that the run goes on here after a gap; raises JournalError."""
         at = self._at

@@ -53,6 +53,9 @@ class Outcome:
     """Action of the guardian, where it acted."""
     deviations: list[str] = field(default_factory=list)
     """Set-points of a run to the end whose meters did not show what was asked, a sentence each."""
+    disobeyed: str = ""
+    """Heater that stayed on when it was switched off, until the heartbeat was withheld, as a sentence; among the
+    deviations."""
 
     @property
     def in_order(self) -> bool:

@@ -81,6 +81,10 @@ def not_cold(rig: Rig, limits: tuple[SafeLimit, ...], readings: Mapping[str, flo
 
 DEAD_TIME_S = 1.0
 """So long a meter may show nothing of a heater that was switched off, s: it samples, averages and is polled."""
+STANDS = 0.5
+"""Share of the fall of a straight line to the limit below which a meter stands still."""
+LEAST_STOOD = 2
+"""Checks at which a meter stood still, from which its heater did not obey: noise may hold a falling one up once."""
 
 
 class Descent:
@@ -96,10 +100,22 @@ class Descent:
         self._limits = limits
         self._dead_s = max(DEAD_TIME_S, 2.0 * period_s)
         self._first: dict[str, tuple[float, float]] = {}
+        self._last: dict[str, tuple[float, float]] = {}
+        self._stood: dict[str, int] = {}
+        self._said: dict[str, str] = {}
 
     def clear(self) -> None:
-        """Forget the way: the heaters are heated again."""
+        """Forget the way: the heaters are heated again. The heaters that have not obeyed stay known."""
         self._first.clear()
+        self._last.clear()
+
+    def not_obeyed(self) -> str:
+        """Return which meter stood still or rose after its heater was told to be safe, as a sentence; empty for none.
+
+        It is one that did not come down as declared (`stays`), and fell by less than `STANDS` of the straight line to
+        its limit, the slowest way that keeps the declared time.
+        """
+        return next((self._said[meter] for meter, times in self._stood.items() if times >= LEAST_STOOD), "")
 
     def stays(self, readings: Mapping[str, float], now_s: float) -> str:
         """Return which meter does not come down as declared, as a sentence; empty where all do or are there."""
@@ -109,12 +125,17 @@ class Descent:
                 continue
             value = abs(value)
             first, began_s = self._first.setdefault(limit.meter, (value, now_s))
+            before, before_s = self._last.get(limit.meter, (value, now_s))
+            self._last[limit.meter] = value, now_s
             share = min((now_s - began_s - self._dead_s) / limit.within_s, 1.0)
             if share <= 0.0:
                 continue
             floor = max(limit.at_most, 1e-3 * first)
             if value > first * (floor / first) ** share + self._rig.get(limit.heater).readback_tolerance:
                 unit = self._rig.get(limit.meter).unit
+                if now_s > before_s and before - value < STANDS * first * (now_s - before_s) / limit.within_s:
+                    self._stood[limit.meter] = self._stood.get(limit.meter, 0) + 1
+                    self._said[limit.meter] = f"{limit.meter} read {value:.1f} {unit}, and {first:.1f} {unit} at first"
                 return f"{limit.meter} does not come down: it reads {value:.1f} {unit}, and {first:.1f} {unit} at first"
         return ""
 

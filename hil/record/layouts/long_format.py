@@ -56,10 +56,10 @@ def one_column_a_series(raw: RawRecord) -> RawRecord:
         i
         for i in rest
         if (text := trimmed(raw.cells[i])) is not None
-        and not _numeric(raw.cells[i])
+        and not is_numeric(raw.cells[i])
         and text.null_count <= may_be_lost(len(text))
     ]
-    if not labels or len(labels) < len(rest) or not _numeric(raw.cells[value], 0.0):
+    if not labels or len(labels) < len(rest) or not is_numeric(raw.cells[value], 0.0):
         return raw
     texts = [_strings(raw.cells[i]) for i in labels]
     moments = _strings(raw.cells[time])
@@ -105,7 +105,8 @@ def _bad_readings(raw: RawRecord, rated: Sequence[int]) -> tuple[NDArray[np.bool
     return bad, said
 
 
-def _numeric(cells: Any, share: float = 0.5) -> bool:
+def is_numeric(cells: Any, share: float = 0.5) -> bool:
+    """Return True for a column of numbers, with either decimal sign, in more than `share` of its cells."""
     seen = evidence_of(cells)
     if seen is None:
         return parse(cells) is not None
