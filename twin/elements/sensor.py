@@ -118,10 +118,11 @@ class Sensor(Element):
         )
         about = {f"{self.name}.gain": 1.0, f"{self.name}.bias_K": -ADJUSTED_C}
         found.insert(2, replace(slope, change="new", changes=about))
-        found += [
-            self._stuck(where, float(level), STUCK_APART_K)
-            for level in np.arange(LEAST_STUCK_C, MOST_STUCK_C + 1.0, STUCK_APART_K)
-        ]
+        if f"{self.name}_sticks.size" in sites.values:
+            found.append(self._stuck_otherwise(where, sites.values))
+        else:
+            levels = np.arange(LEAST_STUCK_C, MOST_STUCK_C + 1.0, STUCK_APART_K)
+            found += [self._stuck(where, float(level), STUCK_APART_K) for level in levels]
         if self.other:
             now_c = sites.values[f"{self.name}.cross_talk"]
             says = f"picks up another share of the temperature of {self.other}: a change by {{value}}"
@@ -161,7 +162,7 @@ class Sensor(Element):
         return Candidate(
             "sensor",
             where,
-            "constant",
+            "temperature",
             "new",
             {f"{self.name}_follows.gain": -1.0, f"{self.name}_sticks.size": level_c},
             "1",
@@ -181,6 +182,21 @@ class Sensor(Element):
             },
             shapes=("step",) if apart_c == STUCK_APART_K else SHAPES,
             near=near if finer else None,
+        )
+
+    def _stuck_otherwise(self, where: str, values: Mapping[str, float]) -> Candidate:
+        """Return another share of every change that a thermometer misses which sticks already."""
+        share = -values[f"{self.name}_follows.gain"]
+        level_c = values[f"{self.name}_sticks.size"] / share if share else 0.0
+        says = f"sticks at {level_c:.1f} degC: it misses {{share}} more of every change than before"
+        return replace(
+            self._stuck(where, level_c, STUCK_APART_K),
+            change="existing",
+            says=says,
+            lower=-share,
+            upper=1.0 - share,
+            adds={},
+            near=None,
         )
 
     def emit(self, n: Names) -> Fragment:

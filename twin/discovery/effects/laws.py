@@ -17,6 +17,7 @@ from twin.discovery.effects.probe import FreeRun
 from twin.discovery.records.grid import Grid, filled
 from twin.elements.candidates import Candidate
 from twin.elements.flow import Flow
+from twin.elements.law import LawReading
 from twin.elements.sensor import STUCK_APART_K
 from twin.network import Array, Network
 
@@ -141,10 +142,10 @@ def _reading(network: Network, candidate: Candidate, grid: Grid, run: FreeRun) -
     out = np.zeros((len(grid.time), len(network.sensors)))
     for name, weight in candidate.changes.items():
         element, parameter = name.split(".")
-        if element in candidate.adds:
-            table = candidate.adds[element]
-            seen = run.temperatures[:, network.nodes.index(table["of"])] if "of" in table else 1.0
-            out[:, network.sensor_names.index(table["sensor"])] += weight * seen
+        if element not in network.sensor_names:
+            sensor, node = _read_by_law(network, candidate, element)
+            seen = run.temperatures[:, network.nodes.index(node)] if node else 1.0
+            out[:, network.sensor_names.index(sensor)] += weight * seen
             continue
         j = network.sensor_names.index(element)
         seen = run.temperatures[:, network.nodes.index(network.sensors[j].node)]
@@ -163,10 +164,20 @@ def _reading(network: Network, candidate: Candidate, grid: Grid, run: FreeRun) -
     return out
 
 
+def _read_by_law(network: Network, candidate: Candidate, element: str) -> tuple[str, str]:
+    """Return the sensor of a law of a reading, new or of the network, and the node that it follows, or ""."""
+    if element in candidate.adds:
+        table = candidate.adds[element]
+        return str(table["sensor"]), str(table.get("of", ""))
+    law = next(e for e in network.elements if isinstance(e, LawReading) and e.name == element)
+    return law.sensor, law.of
+
+
 def _has_been_there(off: Array) -> bool:
-    """Return True where thermometers have been within reach of the level at which they stick, from `off` (n, m), K."""
-    own = off[:, off.any(axis=0)]
-    return own.size > 0 and float(own.min()) < STUCK_APART_K and float(own.max()) > -STUCK_APART_K
+    """Return True where thermometers have been at the level at which they stick, or between it and the next one, from
+    `off` (n, m), K."""
+    own, half = off[:, off.any(axis=0)], 0.5 * STUCK_APART_K
+    return own.size > 0 and float(own.min()) < half and float(own.max()) > -half
 
 
 def _delay(network: Network, formulas: Formulas, candidate: Candidate, grid: Grid, known: Array, base: Array) -> Array:

@@ -138,21 +138,23 @@ class Inquiry:
         missed = found.finding.fit is None and odds > claim and not formless
         wrong = found.finding.fit is not None and self._held_out.far_off(found.finding, split)
         # Where all of the record allows a claim, what shows in its very end alone is looked for there.
+        tried: dict[int, SplitFinding] = {}
         for end in (most, bins - KEPT) if missed else (most,) if wrong else ():
             if end <= found.split:
                 continue
-            fuller = self._searched(end, found)
+            tried[end] = fuller = self._searched(end, found)
             if fuller.finding.fit is not None and (missed or self._left(fuller) < self._left(found, end)):
                 found = fuller
                 notes = (
                     "the part that was to be kept out of the fit showed what the rest did not; so the fit was given "
                     f"the record up to {self._hours(end)}",
                 )
+            if found is fuller or any(e.log_bayes + prior.of(e) > claim for e in fuller.found.scanned):
                 break
         beside = self._beside(found.finding, prior, claim)
         later = 0 if beside is None else max(most, self._amid(beside))
         if later > found.split:
-            fuller = self._searched(later, found)
+            fuller = tried.get(later) or self._searched(later, found)
             more = len(fuller.finding.entries) > len(found.finding.entries)
             if more and self._left(fuller) < self._left(found, later):
                 found = fuller

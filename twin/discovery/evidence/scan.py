@@ -86,8 +86,10 @@ def family_of(candidate: Candidate) -> str:
 
 
 def may_end(candidate: Candidate) -> bool:
-    """Return True for a law that may come and go: one of each place and kind is enough, what it follows fits tell."""
-    return candidate.shapes != ("step",) and not candidate.begins and candidate.driver in STEADY
+    """Return True for a law that may come and go: one of each place and kind is enough, what it follows fits tell. A
+    thermometer that sticks is no form of another one."""
+    sticks = candidate.kind == "sensor" and bool(candidate.adds)
+    return candidate.shapes != ("step",) and not candidate.begins and (candidate.driver in STEADY or sticks)
 
 
 def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entry:
