@@ -32,10 +32,12 @@ ADOPTED = {
 
 
 def every_form(candidates: tuple[Candidate, ...]) -> Iterator[Candidate]:
+    """Yield one candidate of each set of elements and parameters; others differ by weights alone."""
+    found: dict[object, Candidate] = {}
     for candidate in candidates:
-        yield candidate
-        if candidate.near is not None:
-            yield from candidate.near()
+        for form in (candidate, *(candidate.near() if candidate.near is not None else ())):
+            found.setdefault((form.kind, form.where, form.driver, *form.adds, *form.changes), form)
+    yield from found.values()
 
 
 def taken_up(network: Network, candidate: Candidate) -> Network:
