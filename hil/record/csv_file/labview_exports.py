@@ -2,10 +2,12 @@
 
 A graph writes `Time - Tank` and `Amplitude - Tank` for each plot. "Export Waveforms to Spreadsheet File" writes the
 lines `waveform`, `t0` and `delta t` with a cell for each channel, and below them rows with or without times.
+SignalExpress calls them `Channel name`, `Start time` and `Time increment`, and has a line of units.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 
@@ -21,6 +23,8 @@ _TIMES, _VALUES = re.compile(r"time(\[\d+\])?", re.IGNORECASE), re.compile(r"Y(\
 _UNNAMED_WAVE = re.compile(r"\[\d+\]")
 _TAGS = (_WAVEFORM, _BEGIN, _STEP) = ("waveform", "t0", "delta t")
 """First cells of the lines above exported waveforms."""
+_ALSO = {"channel name": _WAVEFORM, "start time": _BEGIN, "time increment": _STEP}
+_UNITS = ("unit", "units")
 
 
 def plain_heading(row: Sequence[str]) -> list[str]:
@@ -56,9 +60,10 @@ def is_waveforms(text: str) -> bool:
 
 
 def _cells(lines: Sequence[str]) -> dict[str, list[str]]:
-    """Return the cells of lines by the first cell of each, lower case."""
+    """Return the cells of lines by the first cell of each, lower case and by LabVIEW's name."""
     rows = [[cell.strip() for cell in line.split("\t")] for line in lines]
-    return {row[0].lower(): row[1:] for row in rows}
+    tags = [row[0].lower().removesuffix(":") for row in rows]
+    return {_ALSO.get(tag, tag): row[1:] for tag, row in zip(tags, rows, strict=True)}
 
 
 def without_waveform_lines(text: str) -> tuple[str, tuple[str, ...]]:
@@ -77,7 +82,15 @@ def without_waveform_lines(text: str) -> tuple[str, tuple[str, ...]]:
     top = next(number for number, line in enumerate(lines) if line.strip())
     about = _cells(lines[top : top + len(_TAGS)])
     names = [f"Y{name}" if _UNNAMED_WAVE.fullmatch(name) else name for name in about[_WAVEFORM] if name]
-    first = next((n for n in range(top + len(_TAGS), len(lines)) if lines[n].strip()), len(lines))
+    below = top + len(_TAGS)
+    for tag, units in _cells(lines[below : below + 1]).items():
+        if tag in _UNITS:
+            names = [
+                f"{name} ({unit})" if meaning_of(unit) is not None else name
+                for name, unit in itertools.zip_longest(names, units[: len(names)], fillvalue="")
+            ]
+            below += 1
+    first = next((n for n in range(below, len(lines)) if lines[n].strip()), len(lines))
     preamble = ["#"] * first
     if first == len(lines):
         return text, ()
