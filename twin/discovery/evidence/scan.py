@@ -88,8 +88,12 @@ def family_of(candidate: Candidate) -> str:
 def may_end(candidate: Candidate) -> bool:
     """Return True for a law that may come and go: one of each place and kind is enough, what it follows fits tell. A
     thermometer that sticks is no form of another one."""
-    sticks = candidate.kind == "sensor" and bool(candidate.adds)
-    return candidate.shapes != ("step",) and not candidate.begins and (candidate.driver in STEADY or sticks)
+    tried = candidate.driver in STEADY or _sticks(candidate)
+    return candidate.shapes != ("step",) and not candidate.begins and tried
+
+
+def _sticks(candidate: Candidate) -> bool:
+    return candidate.kind == "sensor" and bool(candidate.adds)
 
 
 def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entry:
@@ -217,6 +221,8 @@ def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns
                 add(shapes, courses.returns[:, rows], least_rows, rest - math.log(2.0 * len(rows)))
                 continue
             for i, law in enumerate(laws):
+                if _sticks(law.candidate):
+                    continue  # one that sticks now and then is told by its first time
                 out += _turns(law, squares[i], scores[i], grams[i], courses, least_rows[i], rest)
     return out
 
@@ -238,15 +244,16 @@ def _turns(
     odds = _roughly(law.candidate, tops, left[:, None] * bottoms[of])
     prior = np.full(len(cuts), math.log((1.0 - ALL_ALONG) / (len(cuts) - 1)))
     prior[0] = math.log(ALL_ALONG)
-    weighted = (odds + prior[:, None]).ravel()
+    weighted = odds + prior[:, None]
     total = logsumexp(weighted) + rest - math.log(2.0 * len(shapes))
-    lead = np.argpartition(weighted, -LEADING_TURNS)[-LEADING_TURNS:]
-    begun = [_begun(shapes[i % len(shapes)], float(courses.edges_s[cuts[i // len(shapes)]])) for i in lead]
+    since, alike = weighted.argmax(axis=0), weighted.max(axis=0)
+    lead = np.argpartition(alike, -LEADING_TURNS)[-LEADING_TURNS:]
+    begun = [_begun(shapes[i], float(courses.edges_s[cuts[since[i]]])) for i in lead]
     those = courses_of(begun, courses.edges_s).T
     own = np.maximum(np.einsum("bj,bj->j", those, gram @ those), _TINY * max(float(bottoms.max()), _TINY))
     exact, size = log_bayes_of_sizes(law.candidate, score @ those, own)
     k = int(np.argmax(exact))
-    occam = total - float(odds.ravel()[lead].max())
+    occam = total - float(odds[since[lead], lead].max())
     return [
         Entry(
             law,
