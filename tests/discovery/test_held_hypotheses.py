@@ -11,7 +11,7 @@ import pytest
 from tests.discovery.conftest import Bench
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.evidence.commissioned import as_healthy_elsewhere
-from twin.discovery.evidence.inquiry import part_of
+from twin.discovery.evidence.inquiry import with_fewer_effects
 from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.search import searched
 from twin.discovery.healthy.basis import Columns, basis
@@ -43,7 +43,7 @@ def test_of_two_effects_one_is_told_by_another_law_of_its_place() -> None:
     other_law = hypothesis(97.0, ("sensor", "T_tank_C", "pump_speed"))
     elsewhere = hypothesis(99.0, ("sensor", "T_heater_C", "constant"))
     unlikely = hypothesis(60.0, ("flow", "loop", "constant"))
-    assert part_of(both, [both, elsewhere, other_law, unlikely], 96.0) == [other_law]  # type: ignore[arg-type,list-item]
+    assert with_fewer_effects(both, [both, elsewhere, other_law, unlikely], 96.0) == [other_law]  # type: ignore[arg-type,list-item]
 
 
 @pytest.mark.parametrize(("worst", "quiet"), [(1.0, True), (2.3, True), (2.8, False)])

@@ -105,3 +105,9 @@ def test_signal_express_names_its_lines_otherwise_and_gives_units(tmp_path, unit
     np.testing.assert_allclose(record.time_s, np.arange(ROWS) / 2)
     np.testing.assert_allclose(record.columns[names[0]], 20.0 + np.arange(ROWS))
     np.testing.assert_allclose(record.columns[names[1]], 1.5 * np.arange(ROWS))
+
+
+def test_channels_of_signal_express_with_other_steps_are_refused_by_its_own_tag(tmp_path):
+    top = "Channel name:\tTank\tPump\nStart time\tx\tx\nTime increment\t0.5\t0.2\nUnit\tDeg C\tkW\n\n"
+    with pytest.raises(RecordError, match=r"line 3 gives channels of different 'Time increment', and the rows"):
+        read(tmp_path, top + rows("{a}\t{b}"))

@@ -80,6 +80,16 @@ def test_a_rig_that_stays_too_hot_gets_less_and_less_heat():
         assert bench.rig.heater_W == pytest.approx(700.0)
 
 
+@pytest.mark.parametrize(("resumption", "untouched"), [(None, True), (cut_at(120.0, AIM), False)])
+def test_a_resumed_run_that_is_refused_was_not_without_effect_on_the_rig(resumption, untouched):
+    """Its earlier part heated, so that nobody may be told that it wrote nothing."""
+    rig = rig_with()
+    cold = tuple(p.model_copy(update={"alarm": (-5.0, 10.0)}) if p.name == "T_tank" else p for p in rig.point)
+    with EngineBench(rig.model_copy(update={"point": cold}), resumption=resumption) as bench:
+        bench.ticks(30)
+        assert "not started" in bench.outcome.reason and bench.outcome.untouched is untouched
+
+
 def test_what_is_set_in_watts_and_safe_at_zero_leads_without_a_role():
     rig = rig_with()
     nameless = tuple(p.model_copy(update={"role": None}) for p in rig.point)

@@ -81,6 +81,7 @@ def without_waveform_lines(text: str) -> tuple[str, tuple[str, ...]]:
     lines = text.split("\n")
     top = next(number for number, line in enumerate(lines) if line.strip())
     about = _cells(lines[top : top + len(_TAGS)])
+    written = dict(zip(about, (line.split("\t")[0].strip() for line in lines[top:]), strict=False))
     names = [f"Y{name}" if _UNNAMED_WAVE.fullmatch(name) else name for name in about[_WAVEFORM] if name]
     below = top + len(_TAGS)
     for tag, units in _cells(lines[below : below + 1]).items():
@@ -107,14 +108,14 @@ def without_waveform_lines(text: str) -> tuple[str, tuple[str, ...]]:
     for tag in (_BEGIN, _STEP):
         if len(set(filter(None, about[tag]))) > 1:
             raise ValueError(
-                f" line {top + 1 + _TAGS.index(tag)} gives channels of different '{tag}', and the rows have no "
-                "times; export the waveforms with a column of times, or each to a file of its own"
+                f" line {top + 1 + _TAGS.index(tag)} gives channels of different '{written[tag]}', and the rows have "
+                "no times; export the waveforms with a column of times, or each to a file of its own"
             )
     try:
         step = float(about[_STEP][0].replace(",", "."))
     except (IndexError, ValueError):
         raise ValueError(
-            f" line {top + len(_TAGS)} gives no number for '{_STEP}', and the rows have no times; "
+            f" line {top + len(_TAGS)} gives no number for '{written[_STEP]}', and the rows have no times; "
             "export the waveforms with a column of times"
         ) from None
     preamble[-1] = "\t".join(["time_s", *names])

@@ -109,10 +109,12 @@ class Engine:
             interrupted = await self._ending.safely(event, reason, outcome)
             fatal = fatal or interrupted
         else:
-            outcome.safe, outcome.untouched = self._found_safe, True  # nothing was heated since
+            outcome.safe = self._found_safe  # nothing was heated since
+            outcome.untouched = self._options.resumption is None  # else an earlier part of the run wrote
             hot = still_hot(self._parts.rig, self._parts.limits, self._parts.heater_meters.of(self._work.snapshot))
             if hot and not outcome.safe:
-                outcome.problems.append(f"{hot}; this run has written nothing to the rig: look at it now")
+                wrote = "this run has written nothing to the rig: " if outcome.untouched else ""
+                outcome.problems.append(f"{hot}; {wrote}look at it now")
             self._machine.take(event, reason)
         if self._machine.state in ENDED:
             outcome.status = self._machine.state.value  # type: ignore[assignment]

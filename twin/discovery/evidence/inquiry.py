@@ -239,7 +239,8 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
         # What comes back in the turns of another is certainly of one cause, whatever share of it the other has.
         same = _same_turns_by_chance(*together, contest.grid.span_s) < 1.0
         enough = least if same else best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)
-        others = [h for h in part_of(best, found.hypotheses, enough) if _at_one_moment(h, contest) is None]
+        fewer_ones = with_fewer_effects(best, found.hypotheses, enough)
+        others = [h for h in fewer_ones if _at_one_moment(h, contest) is None]
         best = others[0] if others else best
     claimed = best is not None and best.odds >= least and _at_one_moment(best, contest) is None
     ranked = _ranked(found, best) if claimed and best is not None else ()
@@ -267,7 +268,7 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     return replace(finding, entries=best.fit.entries, fit=_as_used(best, part), folds=folds)
 
 
-def part_of(best: Hypothesis, hypotheses: Sequence[Hypothesis], enough: float) -> list[Hypothesis]:
+def with_fewer_effects(best: Hypothesis, hypotheses: Sequence[Hypothesis], enough: float) -> list[Hypothesis]:
     """Return the fitted hypotheses of log odds `enough` with some of the kinds and places of `best`."""
     classes = {class_of(e) for e in best.entries}
     fits = [h for h in hypotheses if h.fit is not None and h.odds >= enough]

@@ -26,7 +26,7 @@ ENDED = (0.95, 0.85, 0.7, 0.5)
 """Shares of the time from its onset to the record's end in which a ramp may have come to its end."""
 TOGETHER = 32
 """Laws that are looked at together, which bounds the memory."""
-LEADING_TURNS, BEGINNINGS = 8, 8
+LEADING_TURNS, STARTS = 8, 8
 """Periodic courses of a law whose squares are computed exactly, and moments since which it may come back."""
 _TINY = 1e-12
 
@@ -237,7 +237,7 @@ def _turns(
     the courses that lead.
     """
     shapes, columns, of = courses.turns
-    cuts = np.linspace(0, len(score), BEGINNINGS + 1).astype(int)[:-1]
+    cuts = np.linspace(0, len(score), STARTS + 1).astype(int)[:-1]
     left = 1.0 - cuts / len(score)
     tops = np.stack([score[i:j] @ columns[i:j] for i, j in zip(cuts, [*cuts[1:], len(score)], strict=True)])
     tops = tops[::-1].cumsum(axis=0)[::-1]
