@@ -65,6 +65,7 @@ check: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m tests.language
+	$(BIN)/python -m pytest -q --collect-only --no-header -p no:cacheprovider tests > /dev/null || $(BIN)/python -m pytest -q --collect-only tests
 
 # The documentation site, as docs/_build/index.html. A warning is an error. It needs no network, to build or to read.
 docs: $(STAMP)

@@ -31,11 +31,13 @@ def exit_code(error: BaseException) -> int | None:
 
     if isinstance(error, ConfigurationError):
         return USAGE
+    names = {kind.__name__ for kind in type(error).__mro__}
+    if "HistorianError" in names:  # a store is an input, unless it fails while it is used
+        return FOUND if "HistorianFailedError" in names else USAGE
     if isinstance(error, DriverError | JournalError | RigBusyError | RigLockError | TrackingError | FolderLostError):
         return FOUND
     if isinstance(error, RunFolderError):
         return USAGE
-    names = {kind.__name__ for kind in type(error).__mro__}
     if names & {
         "ProfileError",
         "ScenarioError",

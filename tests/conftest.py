@@ -30,8 +30,15 @@ hypothesis.settings.load_profile("hil")
 PROJECT = Path(__file__).resolve().parents[1]
 
 
-@pytest_asyncio.fixture(autouse=True)
-async def _no_leaked_tasks(request: pytest.FixtureRequest) -> AsyncIterator[None]:
+@pytest.fixture(autouse=True)
+def _asynchronous(request: pytest.FixtureRequest) -> None:
+    """Have the tasks of an async test looked after; an event loop for every other test would cost seconds."""
+    if asyncio.iscoroutinefunction(getattr(request, "function", None)):
+        request.getfixturevalue("_no_leaked_tasks")
+
+
+@pytest_asyncio.fixture
+async def _no_leaked_tasks() -> AsyncIterator[None]:
     """Fail any async test that leaves tasks running."""
     yield
     await asyncio.sleep(0)

@@ -75,7 +75,7 @@ def test_public_functions_state_errors_and_shapes(package: str) -> None:
 def _is_called_by_a_framework(node: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
     """Return True for a command of click, whose parameters are options, a kernel of numba, and a torch module."""
     decorators = " ".join(ast.unparse(each) for each in node.decorator_list)
-    return node.name == FORWARD or re.search(r"\bcommand\b|\bnjit\b", decorators) is not None
+    return node.name == FORWARD or re.search(r"\bcommand\b|\bnjit\b|\bcompiled_kernel\b", decorators) is not None
 
 
 def test_functions_have_few_parameters() -> None:

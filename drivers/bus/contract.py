@@ -63,7 +63,7 @@ def judge_of(point: Point) -> Judge:
     is no measurement.
     """
     scale, offset, sentinels, labels = point.scale, point.offset, point.sentinels, point.label_of
-    scaled = tuple((sentinel, 1e-9 * max(1.0, abs(sentinel))) for sentinel in point.invalid)
+    scaled = point.scaled_sentinels
     low, high = plausible_range(point.unit) if point.plausible is None else point.plausible
 
     def judged(raw: float) -> tuple[float, int]:

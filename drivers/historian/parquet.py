@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -14,12 +14,19 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from drivers.historian.arrow import PER_SECOND, samples_by_tag, table_of
-from drivers.historian.protocol import COLUMNS, HistorianError, Samples, empty
+from drivers.historian.arrow import PER_SECOND, refuse_other_types, samples_by_tag, table_of
+from drivers.historian.protocol import COLUMNS, HistorianError, HistorianFailedError, Samples, empty
+from drivers.historian.write_errors import why_unwritten
+
+_MAGIC = b"PAR1"
+"""First bytes of every Parquet file."""
 
 
 class ParquetStore:
-    """A folder of Parquet files, or one file. A time without zone is UTC; other columns and files are left alone."""
+    """A folder of Parquet files, or one file. A time without zone is UTC; other columns and files are left alone.
+
+    A file that begins as a Parquet file and cannot be read is damaged, and no other one: it may hold samples.
+    """
 
     def __init__(self, path: Path, *, create: bool = False) -> None:
         self.path = path
@@ -30,19 +37,27 @@ class ParquetStore:
             try:
                 path.mkdir(parents=True)
             except OSError as error:
-                raise HistorianError(f"{path}: the folder cannot be made: {error.strerror}") from error
+                raise HistorianFailedError(f"{path}: the folder cannot be made: {why_unwritten(error)}") from error
         files = self._files()
         if not files and not create:
             raise HistorianError(f"{path}: no Parquet file here has the columns {', '.join(COLUMNS)}; {self._seen()}")
 
+    @property
+    def zoned(self) -> bool | None:
+        """True where the time stamps carry a zone of their own, False where none does, None where some do."""
+        kinds = {
+            getattr(pq.read_schema(path).field("timestamp").type, "tz", None) is not None for path in self._files()
+        }
+        return None if len(kinds) > 1 else kinds != {False}
+
     def tags(self) -> tuple[str, ...]:
         names: set[str] = set()
-        for table in self._tables(("tag",)):
+        for _, table in self._tables(("tag",)):
             names.update(name for name in pc.unique(table["tag"]).to_pylist() if name is not None)
         return tuple(sorted(names))
 
     def span(self) -> tuple[float, float] | None:
-        ends = [pc.min_max(table["timestamp"]) for table in self._tables(("timestamp",)) if table.num_rows]
+        ends = [pc.min_max(table["timestamp"]) for _, table in self._tables(("timestamp",)) if table.num_rows]
         times = [
             end[key].cast(pa.int64()).as_py() / PER_SECOND[end[key].type.unit]
             for end in ends
@@ -53,8 +68,12 @@ class ParquetStore:
 
     def read(self, tags: Sequence[str], start_s: float = -np.inf, end_s: float = np.inf) -> dict[str, Samples]:
         pieces: dict[str, list[Samples]] = {tag: [] for tag in tags}
-        for table in self._tables(COLUMNS):
-            for tag, samples in samples_by_tag(table, frozenset(tags), start_s, end_s).items():
+        for path, table in self._tables(COLUMNS):
+            try:
+                found = samples_by_tag(table, frozenset(tags), start_s, end_s)
+            except HistorianError as error:
+                raise HistorianError(f"{path}: {error}") from error
+            for tag, samples in found.items():
                 pieces[tag].append(samples)
         return {tag: _joined(parts) for tag, parts in pieces.items()}
 
@@ -73,8 +92,8 @@ class ParquetStore:
             unfinished.replace(final)
         except OSError as error:
             unfinished.unlink(missing_ok=True)
-            raise HistorianError(
-                f"{final}: {rows} samples could not be written: {error.strerror or error}; make room"
+            raise HistorianFailedError(
+                f"{final}: {rows} samples could not be written: {why_unwritten(error)}"
             ) from error
 
     def close(self) -> None:
@@ -95,26 +114,50 @@ class ParquetStore:
         return [path for path in found if self._columns(path) >= set(COLUMNS)]
 
     def _columns(self, path: Path) -> set[str]:
+        """Return the columns of a file, none of one that only has the ending of a Parquet file."""
         try:
+            if not path.is_file():
+                return set()
+            with path.open("rb") as file:
+                if file.read(len(_MAGIC)) != _MAGIC:
+                    return set()
             return set(pq.read_schema(path).names)
-        except (OSError, pa.ArrowInvalid) as error:
+        except (OSError, pa.ArrowException) as error:
             raise HistorianError(
-                f"{path}: is no Parquet file that can be read ({str(error).splitlines()[0]})"
+                f"{path}: is damaged and cannot be read ({_reason(error)}); restore it, or take it out of the store"
             ) from error
 
     def _seen(self) -> str:
         found = [self.path] if self.path.is_file() else sorted(self.path.glob("*.parquet"))
         if not found:
             return "there is no Parquet file"
-        return "; ".join(
-            f"{path.name} lacks {', '.join(sorted(set(COLUMNS) - self._columns(path)))}" for path in found[:3]
-        )
+        return "; ".join(self._lack(path) for path in found[:3])
 
-    def _tables(self, columns: Sequence[str]) -> list[Any]:
-        try:
-            return [pq.read_table(path, columns=list(columns), read_dictionary=["tag"]) for path in self._files()]
-        except (OSError, pa.ArrowInvalid) as error:
-            raise HistorianError(f"{self.path}: cannot be read: {str(error).splitlines()[0]}") from error
+    def _lack(self, path: Path) -> str:
+        columns = self._columns(path)
+        if not columns:
+            return f"{path.name} is no Parquet file"
+        return f"{path.name} lacks {', '.join(sorted(set(COLUMNS) - columns))}"
+
+    def _tables(self, columns: Sequence[str]) -> Iterator[tuple[Path, Any]]:
+        """Yield each file with its table, one at a time."""
+        for path in self._files():
+            try:
+                table = pq.ParquetFile(path, read_dictionary=["tag"]).read(columns=list(columns))
+            except (OSError, pa.ArrowException) as error:
+                raise HistorianError(
+                    f"{path}: cannot be read: {_reason(error)}; restore it, or take it out of the store"
+                ) from error
+            try:
+                refuse_other_types(table.schema)
+            except HistorianError as error:
+                raise HistorianError(f"{path}: {error}") from error
+            yield path, table
+
+
+def _reason(error: BaseException) -> str:
+    reason = getattr(error, "strerror", None) or (str(error).splitlines() or ["no reason is given"])[0]
+    return str(reason)
 
 
 def _joined(parts: list[Samples]) -> Samples:

@@ -19,7 +19,15 @@ COLUMNS = ("timestamp", "tag", "value", "quality")
 
 
 class HistorianError(DriverError):
-    """A store that cannot be read or written; the message is one sentence with the remedy."""
+    """A store that is not there or not as it must be; the message is one sentence with the remedy."""
+
+
+class HistorianFailedError(HistorianError):
+    """A store that fails while it is used: a full disk, a database that went away."""
+
+
+class HistorianAwayError(HistorianFailedError):
+    """A store that does not answer for now: the same may be asked of it again later."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +45,10 @@ class Samples:
 
 class HistorianStore(Protocol):
     """A store of raw samples. Every method raises HistorianError with one sentence where the store fails."""
+
+    @property
+    def zoned(self) -> bool | None:
+        """True where the time stamps carry a zone of their own, False where none does, None where some do."""
 
     def tags(self) -> tuple[str, ...]:
         """Return the names of the tags that have samples, sorted."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ POSTGRES = ("postgresql://", "postgres://")
 DUCKDB_ENDINGS = (".duckdb", ".db")
 
 
-def open_store(address: str | Path, *, create: bool = False) -> HistorianStore:
+def open_store(
+    address: str | Path, *, create: bool = False, say: Callable[[str], None] = lambda text: None
+) -> HistorianStore:
     """Return the store at `address`.
 
     A folder with Parquet files (or a single Parquet file), a DuckDB file (`.duckdb`, `.db`), or a PostgreSQL
@@ -24,6 +27,8 @@ def open_store(address: str | Path, *, create: bool = False) -> HistorianStore:
         Path or URL.
     create
         Make an empty store where there is none.
+    say
+        Called with a sentence when a database goes away and when it is back.
 
     Raises
     ------
@@ -32,7 +37,7 @@ def open_store(address: str | Path, *, create: bool = False) -> HistorianStore:
     """
     text = str(address)
     if text.startswith(POSTGRES):
-        postgres: HistorianStore = _library("postgres", "psycopg").PostgresStore(text, create=create)
+        postgres: HistorianStore = _library("postgres", "psycopg").PostgresStore(text, create=create, say=say)
         return postgres
     if "://" in text:
         raise HistorianError(

@@ -83,4 +83,5 @@ def _add(signal: DbcSignal, collector: Collector, bus: DraftBus) -> None:
             raise ImportFileError(
                 collector.path, line, f"unit {signal.unit!r} is not known; correct its unit in the DBC"
             )
-    bus.points.append(collector.point("can", signal.name, line, point))
+    guessed = {"stale_after_s": "three cycles of its message", "invalid": "by the names of its value table"}
+    bus.points.append(collector.point("can", signal.name, line, point, guessed))

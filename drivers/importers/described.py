@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 from drivers.can import DbcSignal, describe_dbc
 from drivers.importers.draft import Draft, DraftBus, DraftPoint
-from drivers.signals import ROLES, ByteOrder, ConfigurationError, RegisterType, canonical_unit
+from drivers.signals import ROLES, WIDTH, ByteOrder, ConfigurationError, RegisterType, canonical_unit
 
 MODBUS, CAN = "plc", "can"
 PLACE_SYNTAX = "holding:0, input:12:int16*0.01, 40001:float32:CDAB, or MESSAGE.SIGNAL of a DBC"
@@ -186,7 +186,8 @@ def draft_of_description(rig: Described, out: Path) -> Draft:
         }
         said = {
             "plausible": "guessed: a reading beyond it is recorded as out of range",
-            "alarm": "beyond it the run ends",
+            "alarm": "guessed: beyond it the run ends",
+            "stale_after_s": "guessed: three periods, or cycles of its message",
         }
         points.setdefault(place.bus, []).append(_point(name, place, keys, said))
     sections = _sections(rig, points, heaters)
@@ -215,9 +216,10 @@ def _driven(one: DescribedActuator, name: str, first: bool, period_s: float) -> 
         "safe_order": order,
     }
     said = {
-        "limits": "no profile goes beyond",
+        "limits": "guessed: no profile goes beyond",
         "max_rate": f"guessed: {unit} a second",
         "safe_value": f"guessed: {why}",
+        "safe_order": "guessed: the lowest is made safe first",
     }
     if one.read is None:  # profiles and twins find it by its own name
         return [(one.written.bus, _point(name, one.written, keys, said))]
@@ -228,12 +230,25 @@ def _driven(one: DescribedActuator, name: str, first: bool, period_s: float) -> 
     back["stale_after_s"] = 3.0 * period_s
     return [
         (one.written.bus, _point(f"{name}_set", one.written, keys, said)),
-        (one.read.bus, _point(name, one.read, back, {"plausible": "guessed"})),
+        (
+            one.read.bus,
+            _point(name, one.read, back, {"plausible": "guessed", "stale_after_s": "guessed: three periods"}),
+        ),
     ]
 
 
 def _point(name: str, place: SignalPlace, keys: dict[str, Any], remarks: dict[str, str]) -> DraftPoint:
-    return DraftPoint(name, 0, {"bus": place.bus, **place.keys, **keys}, remarks=remarks)
+    assumed: dict[str, Any] = {}
+    if place.keys.get("table") in ("holding", "input"):
+        kind = place.keys.get("type", "uint16")
+        if "type" not in place.keys:
+            assumed["type"] = kind
+        if "order" not in place.keys and WIDTH.get(kind, 1) > 1:
+            assumed["order"] = "ABCD"
+        if "scale" not in place.keys and "int" in kind and keys.get("unit") != "1":
+            assumed["scale"] = 1.0
+    guessed = dict.fromkeys(assumed, "guessed: the place does not give it")
+    return DraftPoint(name, 0, {"bus": place.bus, **place.keys, **assumed, **keys}, remarks=guessed | remarks)
 
 
 def _stale_after(rig: Described) -> dict[str, float]:
@@ -272,6 +287,6 @@ def _sections(rig: Described, points: dict[str, list[DraftPoint]], heaters: list
             said.append(
                 "[[interlock]]            # no heat without flow\n"
                 f'kind = "no_flow"\nlevel = "alarm"\nheater = "{name}"\nabove = 20.0             # guessed: W\n'
-                'flow = "flow"\nlow = 0.5                # guessed: L/min\non_delay_s = 2.0'
+                'flow = "flow"\nlow = 0.5                # guessed: L/min\non_delay_s = 2.0         # guessed'
             )
     return said

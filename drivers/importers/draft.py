@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,11 +42,12 @@ class DraftPoint:
 
 @dataclass(slots=True)
 class DraftBus:
-    """Bus of the rig file and its points."""
+    """Bus of the rig file and its points. `remarks` are written behind keys."""
 
     name: str
     keys: dict[str, Any]
     points: list[DraftPoint] = field(default_factory=list)
+    remarks: dict[str, str] = field(default_factory=dict)
     _by_many: list[int] = field(default_factory=list)
     _by_one: list[int] = field(default_factory=list)
 
@@ -73,8 +74,8 @@ class DraftBus:
 class Draft:
     """Rig file before it is written. `notes` are items that were left out or changed, for user and file head.
 
-    `head` replaces the default text at the top, `rig` are further keys of `[rig]` with a remark each, and `sections`
-    are written as they are, before the points.
+    `head` replaces the default text at the top, `rig` are further keys of `[rig]` with a remark each, `period_remark`
+    is written behind the period, and `sections` are written as they are, before the points.
     """
 
     source: Path
@@ -83,6 +84,7 @@ class Draft:
     head: str = ""
     rig: dict[str, tuple[Any, str]] = field(default_factory=dict)
     sections: list[str] = field(default_factory=list)
+    period_remark: str = ""
 
 
 def read_text(path: Path) -> str:
@@ -215,20 +217,37 @@ class Collector:
             self.notes.append(f"line {line}: {error}; written as '1'")
             return "1", f"unit in {self.path.name}: {unit.strip()}"
 
-    def point(self, bus: str, wanted: str, line: int, keys: dict[str, Any]) -> DraftPoint:
-        """Return a point that `hil check` accepts; raise ImportFileError with the line of the mistake."""
+    def point(
+        self, bus: str, wanted: str, line: int, keys: dict[str, Any], guessed: Mapping[str, str] | None = None
+    ) -> DraftPoint:
+        """Return a point that `hil check` accepts; raise ImportFileError with the line of the mistake.
+
+        Parameters
+        ----------
+        bus, wanted
+            Name of its bus, and its name in the source.
+        line
+            Line of the source.
+        keys
+            Keys of the rig file; those that are None are not written.
+        guessed
+            Reason for the value of each key that the source does not state; it is written behind that key.
+        """
         placeholder = placeholder_in(wanted)
         if placeholder is not None:
             raise ImportFileError(self.path, line, f"its name holds {placeholder}; write what that stands for")
         names = dict(self._names)
         try:
-            return self._point(bus, wanted, line, keys)
+            point = self._point(bus, wanted, line, keys)
         except ImportFileError:
             self._names = names
             raise
+        point.remarks |= {key: f"guessed: {why}" for key, why in (guessed or {}).items() if key in point.keys}
+        return point
 
     def _point(self, bus: str, wanted: str, line: int, keys: dict[str, Any]) -> DraftPoint:
-        given = str(keys.pop("unit", "") or "1")
+        stated = str(keys.pop("unit", "") or "").strip()
+        given = stated or "1"
         name = self.name(wanted)
         comment = f"called {_plain(wanted)!r} in {self.path.name}" if name != wanted else ""
         keys = {"bus": bus, **{key: value for key, value in keys.items() if value is not None}}
@@ -256,7 +275,12 @@ class Collector:
             self._layout.taken_by(point)
             self._lines[(bus, name)] = line
         unit, about = self.unit(line, given)
-        return DraftPoint(name, line, keys | {"unit": unit}, "; ".join(filter(None, (about, comment))))
+        drafted = DraftPoint(name, line, keys | {"unit": unit}, "; ".join(filter(None, (about, comment))))
+        if about:
+            drafted.remarks["unit"] = "guessed: the unit is not known here"
+        elif not stated and point.kind == "measured" and point.labels is None and point.type != "bool":
+            drafted.remarks["unit"] = "guessed: no unit is given"
+        return drafted
 
 
 def _plain(text: str) -> str:
@@ -281,7 +305,8 @@ def _toml(value: Any) -> str:
 
 _HEAD = """\
 # Rig file made of {source} by `hil init`. Addresses are zero-based, as they are on the wire.
-# `hil check` explains it and names every mistake. An import does not know these keys, and a rig should have them:
+# `hil check` explains it and names every mistake. Check every line that is marked "guessed": the source does not state
+# its value. An import does not know these keys, and a rig should have them:
 #   plausible = [low, high]   range of good readings; a value beyond it is recorded as out of range
 #   limits, safe_value, max_rate, readback   for points that a profile may drive (access = "rw")
 #   role = "heater_power"     function of a point, which the thermal restore of `hil resume` needs
@@ -294,10 +319,11 @@ def rig_file_text(draft: Draft, name: str, *, period_s: float = 1.0) -> str:
     lines = [draft.head or _HEAD.format(source=_plain(draft.source.name))]
     if draft.notes:
         lines += ["# To check:", *(f"#   {_plain(note)}" for note in draft.notes), ""]
-    lines += ["[rig]", f"name = {_toml(name)}", f"period_s = {_toml(period_s)}"]
+    lines += ["[rig]", f"name = {_toml(name)}", _line("period_s", period_s, draft.period_remark)]
     lines += [_line(key, value, remark) for key, (value, remark) in draft.rig.items()]
     for bus in draft.buses:
-        lines += ["", f"[bus.{bus.name}]", *(f"{key} = {_toml(value)}" for key, value in bus.keys.items())]
+        lines += ["", f"[bus.{bus.name}]"]
+        lines += [_line(key, value, bus.remarks.get(key, "")) for key, value in bus.keys.items()]
     for section in draft.sections:
         lines += ["", section]
     for bus in draft.buses:

@@ -68,13 +68,27 @@ def overloads(rig: Rig, polled: Sequence[Polling]) -> list[tuple[tuple[str, ...]
 def missing_declarations(rig: Rig) -> list[str]:
     """Return a sentence for each optional declaration that the rig file lacks and that matters when something fails."""
     measured = [p for p in rig.point if p.is_polled and p.kind == "measured" and p.labels is None and p.type != "bool"]
+    unlimited = [p.name for p in rig.unlimited]
+    written = (*rig.setpoints, *rig.unlimited)
     groups = (
         (
-            "no plausible range but that of the unit",
+            "no limits and no safe_value, so that no profile may drive them and no run makes them safe; give each "
+            'limits, safe_value and max_rate, or kind = "status" if it is not to be driven',
+            unlimited,
+        ),
+        (
+            "no plausible range but that of the unit; give plausible = [low, high]",
             [p.name for p in measured if p.plausible is None],
         ),
-        ("no max_rate, so that a profile may jump", [p.name for p in rig.setpoints if p.max_rate is None]),
-        ("no readback, so that nobody sees whether it obeys", [p.name for p in rig.setpoints if p.readback is None]),
+        (
+            "no max_rate, so that a profile may jump; give max_rate in the unit a second",
+            [p.name for p in rig.setpoints if p.max_rate is None],
+        ),
+        (
+            "no readback, so that hil does not see whether the actuator obeys; where it is measured, give "
+            'readback = "NAME" of that point, in the same unit',
+            [p.name for p in written if p.readback is None],
+        ),
     )
     return [f"{what}: {', '.join(names)}" for what, names in groups if names] + _unwatched(rig)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -29,6 +30,11 @@ from drivers.signals import (
 )
 
 Interval = tuple[float, float]
+
+
+def _tolerance(sentinel: float) -> float:
+    """Return the difference by which raw * scale + offset may miss a sentinel for rounding alone."""
+    return 1e-9 * max(1.0, abs(sentinel))
 
 
 class Point(Section):
@@ -162,11 +168,19 @@ class Point(Section):
                 return f"{value:g} {self.unit} cannot be written: raw {error}; correct type, scale or limits"
         low, high = raw_bounds(self.type, self.bits)
         for sentinel in self.invalid:
-            scaled = (sentinel - self.offset) / self.scale
-            met = any(low <= raw <= high for raw in (*raw_sentinels((sentinel,), self.type), scaled))
+            met = any(low <= raw <= high and raw == math.floor(raw) for raw in self._raw_of(sentinel))
             if not met and not (math.isnan(sentinel) or self.type.startswith("float")):
                 return f"invalid {sentinel:g} never comes out of a {self.type}; give the raw number, or its value"
         return None
+
+    def _raw_of(self, sentinel: float) -> Iterator[float]:
+        """Yield the raw numbers that a sentinel may stand for: itself, and the whole one that gives its value."""
+        yield from (raw for raw in raw_sentinels((sentinel,), self.type) if math.isfinite(raw))
+        scaled = (sentinel - self.offset) / self.scale
+        if math.isfinite(scaled):
+            value = round(scaled) * self.scale + self.offset
+            if abs(value - sentinel) <= _tolerance(sentinel):
+                yield float(round(scaled))
 
     @property
     def is_setpoint(self) -> bool:
@@ -187,6 +201,11 @@ class Point(Section):
     def sentinels(self) -> frozenset[float]:
         """Raw numbers that mean a faulty sensor."""
         return raw_sentinels(self.invalid, self.type if self.table is not None else "float64")
+
+    @property
+    def scaled_sentinels(self) -> tuple[tuple[float, float], ...]:
+        """Values in the unit that mean a faulty sensor, each with the tolerance within which a value equals it."""
+        return tuple((sentinel, _tolerance(sentinel)) for sentinel in self.invalid)
 
     @cached_property
     def label_of(self) -> dict[int, str] | None:
@@ -257,6 +276,17 @@ class Rig(Section):
     def setpoints(self) -> tuple[Point, ...]:
         """Points that a profile may drive, in file order."""
         return tuple(point for point in self.point if point.is_setpoint)
+
+    @property
+    def unlimited(self) -> tuple[Point, ...]:
+        """Points that may be written and have no limits, but for states and those of the heartbeat, in file order."""
+        beat = self.heartbeat
+        named = () if beat is None else (beat.point, beat.arm, beat.watchdog)
+        return tuple(
+            point
+            for point in self.point
+            if point.access != "r" and not point.is_setpoint and point.kind == "measured" and point.name not in named
+        )
 
     @property
     def watchdog_s(self) -> float | None:

@@ -60,8 +60,6 @@ SHELVED = frozenset({_S.SHELVED, _S.SHELVED_ACTIVE})
 """States in which the alarm is shelved."""
 WAITING = frozenset({_S.UNACKNOWLEDGED, _S.RETURNED, _S.LATCHED})
 """States that wait for an operator."""
-ALARM_STATES_STANDING = frozenset(_S) - {_S.NORMAL}
-"""States of the alarms that a list shows."""
 
 
 def next_alarm_state(state: AlarmState, event: AlarmEvent, *, latching: bool = False) -> AlarmState | None:

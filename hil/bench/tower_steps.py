@@ -1,7 +1,8 @@
 """Trials of sudden thermometer errors in a tower's record: time to the alarm, and the fouling that the refit reports.
 
 A trial takes a week of a cell, adds a step to its outlet readings from some minute on, and calibrates the week as
-`hil tower calibrate` does: fit, search for steps, refit with a jump of the bias opened. The same week without the step
+`hil tower calibrate` does: fit, search for steps, refit with a jump of the bias opened. An archive that reports by
+exception stores the first scan after a step, so the trial does. The same week without the step
 gives the deviations that nothing has happened to. A step is called fouling where the refit moves fill, air or
 uniformity by more than one standard deviation of the plain fit.
 """
@@ -30,7 +31,7 @@ from hil.tower import (
     site_of,
 )
 from twin import Network
-from twin.tower import DAY_S, DEVIATIONS, Array, CellModel, Fitted, Step, design_of, minutes_of, value_of
+from twin.tower import DAY_S, DEVIATIONS, MEASURED, Array, CellModel, Fitted, Step, design_of, minutes_of, value_of
 
 BEFORE_DAYS, AFTER_DAYS = 5.0, 2.0
 """A step is confirmed by the day after it, and its level is known from the days before."""
@@ -38,6 +39,8 @@ IN_TIME_MIN = 18.0
 """Limit of the paper for a step of 0.5 K."""
 RUNNING_MIN = 240
 """Minutes before and after a step in which the cell must run steadily: a thermometer that stands dry shows nothing."""
+SCAN_SHARE = 0.01
+"""Share of the intervals between stored samples that are no longer than a scan."""
 CASES = (
     "trial",
     "cell",
@@ -149,8 +152,7 @@ def _watched(network: Network, record: CellRecord) -> NDArray[np.bool_]:
 
 
 def _trial(network: Network, week: CellRecord, notes: StationNotes, plain: Fitted, at: float, size: float) -> Trial:
-    columns = {**week.columns, "t_out_C": week.columns["t_out_C"] + size * (week.time_s >= at)}
-    refit, steps = _fit(network, replace(week, columns=columns), notes)
+    refit, steps = _fit(network, _stepped(week, at, size), notes)
     near = [s for s in steps if at - 600.0 <= s.alarm_s <= at + 6 * 3600.0 and s.lasting]
     row = int(plain.posterior.cells_at(np.array([week.time_s[-1]]))[0])
     change = refit.posterior.slow[row] - plain.posterior.slow[row]
@@ -164,6 +166,20 @@ def _trial(network: Network, week: CellRecord, notes: StationNotes, plain: Fitte
         (fill, air, uniformity),
         float(change[DEVIATIONS.index("bias")]),
     )
+
+
+def _stepped(week: CellRecord, at: float, size: float) -> CellRecord:
+    """Return a week whose outlet thermometer steps; the first scan after the step is a sample of the archive."""
+    stored = np.flatnonzero(week.origin["t_out_C"] == MEASURED)
+    scan = max(int(np.quantile(np.diff(stored), SCAN_SHARE)), 1)
+    step = int(np.searchsorted(week.time_s, at))
+    before = int(stored[np.searchsorted(stored, step) - 1])
+    first = before + scan * -(-(step - before) // scan)
+    origin = week.origin["t_out_C"].copy()
+    if first < len(origin) and np.isfinite(week.columns["t_out_C"][first]):
+        origin[first] = MEASURED
+    columns = {**week.columns, "t_out_C": week.columns["t_out_C"] + size * (week.time_s >= at)}
+    return replace(week, columns=columns, origin={**week.origin, "t_out_C": origin})
 
 
 def tables_of(trials: Sequence[Trial], size: float) -> list[ReportTable]:

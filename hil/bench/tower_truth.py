@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.bench.measure import Cell, ReportTable
-from hil.tower import CellResult, StationNotes, TruthColumns, govern, read_truth, withheld
+from hil.tower import CellResult, StationNotes, TruthColumns, govern, informed, read_truth
 from twin.tower import DAY_S, DEVIATIONS, NORMAL, QUANTILE, WET_C, Array
 
 OUTLET = ("cell", "part", "minutes", "commissioned K", "calibrated K", "p90 K", "within 90 %", "width K", "score K")
@@ -124,7 +124,7 @@ def _deviation_rows(result: CellResult, truth: TruthColumns) -> list[tuple[Cell,
     rows = np.flatnonzero(np.diff(np.floor(result.minutes.time_s / DAY_S), prepend=-1.0) > 0.0)
     found: list[tuple[Cell, ...]] = []
     for j, name in enumerate(DEVIATIONS):
-        value, sd = (v[rows] for v in withheld(result, j))
+        value, sd = (v[rows] for v in informed(result, j))
         true = np.interp(result.minutes.time_s[rows], times, truth[name]) - (0.0 if name == "bias" else 1.0)
         stated = np.isfinite(value)
         share = 100.0 * float(1.0 - stated.mean())

@@ -36,7 +36,7 @@ VERBS = {
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",
     "serve": "Serve a panel of runs to browsers",
-    "stream": "Send a live or finished run to MQTT or PostgreSQL",
+    "stream": "Send a run to MQTT or PostgreSQL, or serve it by OPC UA",
     "test": "Judge a run by a test plan: verdicts, JUnit XML",
     "tower": "Cooling towers: historian, aligned record, calibration",
     "track": "Replay the calibrators on a record",

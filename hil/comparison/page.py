@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from hil.comparison.differences import Comparison, Difference
-from hil.files import Html, document, element, joined, replacing, table
+from hil.files import Html, document, element, estimate_text, joined, replacing, table
 from hil.report import HINT, PLOT_STYLE, SCRIPT, ZoomCurve, number, symbol, zoom_plot
 from hil.run_folder import RunFolderError, require_output
 from hil.testing import Matrix
@@ -118,7 +118,7 @@ def _drifts(made: Comparison) -> Html:
     for drift in made.drifts:
         cells: list[Html | str] = [f"{drift.parameter} ({drift.calibrator})"]
         for value, half, beyond in zip(drift.values, drift.half_widths, drift.beyond, strict=True):
-            text = number(value) + (f" ± {half:.2g}" if half is not None else "")
+            text = number(value) if value is None or half is None else estimate_text(value, half)
             cells.append(element("b", text, class_="WARN") if beyond else text)
         rows.append(cells)
     note = "At the end of each run, ± 90 %. Marked: the change exceeds both intervals together."

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import datetime
+import json
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from drivers.rig_file import file_sha256
 from hil import __version__
-from hil.diagnosis.store import CURVES, curves_of, write_curves, write_document
+from hil.diagnosis.store import CURVES, DOCUMENT, PAGE, REVIEW, curves_of, write_curves, write_document
 from twin.discovery import Diagnosis
 
 
@@ -37,7 +39,7 @@ def provenance(
         "versions": {
             "hil": __version__,
             "python": platform.python_version(),
-            **{name: metadata.version(name) for name in ("numpy", "scipy", "numba", "pyarrow", "matplotlib")},
+            **{name: metadata.version(name) for name in ("numpy", "scipy", "llvmlite", "pyarrow", "matplotlib")},
         },
         "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "host": platform.node(),
@@ -45,10 +47,39 @@ def provenance(
 
 
 def write(diagnosis: Diagnosis, sensors: tuple[str, ...], out: Path, extra: dict[str, object]) -> Path:
-    """Write document, curves and page into the folder; return the page. `sensors` are the twin's."""
+    """Write document, curves and page into the folder; return the page. `sensors` are the twin's.
+
+    A diagnosis that was made there with another twin is kept in a folder below, `before-1` and so on.
+    """
     from hil.diagnosis.page import write_page
 
+    _keep_other(out, _twin_of(extra))
     out.mkdir(parents=True, exist_ok=True)
     write_document({**diagnosis.document(), **extra}, out)
     write_curves(curves_of(diagnosis, sensors), out / CURVES)
     return write_page(out)
+
+
+def _keep_other(folder: Path, twin: str | None) -> None:
+    """Move the files of a diagnosis with another twin than that of this SHA-256 out of the way."""
+    try:
+        there = _twin_of(json.loads((folder / DOCUMENT).read_bytes()))
+    except (OSError, ValueError):
+        return
+    if there is None or there == twin:
+        return
+    number = 1
+    while (kept := folder / f"before-{number}").exists():
+        number += 1
+    kept.mkdir()
+    for name in (DOCUMENT, CURVES, PAGE, REVIEW):
+        if (folder / name).is_file():
+            (folder / name).rename(kept / name)
+
+
+def _twin_of(document: Mapping[str, Any]) -> str | None:
+    """Return the SHA-256 of the twin of a diagnosis, None where it does not say."""
+    try:
+        return str(document["provenance"]["files"]["twin"]["sha256"])
+    except (KeyError, TypeError):
+        return None

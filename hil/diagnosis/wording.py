@@ -73,8 +73,8 @@ def odds(document: dict[str, Any]) -> str:
     million = math.log(1e6)
     times = "over a million to one" if log_odds > million else f"{float(f'{math.exp(log_odds):.1g}'):,.0f} to one"
     return (
-        f"After this record the odds that something is there are {times} (log {log_odds:.4g}); a claim needs log odds "
-        f"of {needed:.3g}."
+        f"After this record the odds that an effect exists are {times} (natural logarithm {log_odds:.4g}); a claim "
+        f"needs {needed:.3g}."
     )
 
 

@@ -11,7 +11,9 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.files.atomic import replacing
+    from hil.files.estimates import estimate_text
     from hil.files.folder_check import read_json, require_plain, require_unshared
+    from hil.files.held_folder import held, replacing_all, require_complete, take_lock
     from hil.files.html import Html, document, element, image, joined, plot_data, table
     from hil.files.limits import TEXT_COPIES, Failure, read_parquet, require_cells, require_columns, require_size
     from hil.files.line_file import append_line, read_lines
@@ -39,6 +41,8 @@ __all__ = [
     "connect_read_only",
     "document",
     "element",
+    "estimate_text",
+    "held",
     "image",
     "is_blank",
     "joined",
@@ -51,13 +55,16 @@ __all__ = [
     "read_lines",
     "read_parquet",
     "replacing",
+    "replacing_all",
     "require_cells",
     "require_columns",
+    "require_complete",
     "require_plain",
     "require_size",
     "require_unshared",
     "safe_file_name",
     "table",
+    "take_lock",
     "utf8_path",
 ]
 
@@ -65,10 +72,17 @@ __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "atomic": ("replacing",),
+        "estimates": ("estimate_text",),
         "folder_check": (
             "read_json",
             "require_plain",
             "require_unshared",
+        ),
+        "held_folder": (
+            "held",
+            "replacing_all",
+            "require_complete",
+            "take_lock",
         ),
         "html": (
             "Html",

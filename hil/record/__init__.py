@@ -11,8 +11,8 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.record.csv_file import DialectError, beginning_of, find_dialect, is_annotated, is_labview, is_waveforms
-    from hil.record.file import foreign_kind
-    from hil.record.layouts import VALUES
+    from hil.record.file import foreign_kind, read_cells
+    from hil.record.layouts import VALUES, tag_samples
     from hil.record.public import (
         PIPE_TESTS,
         WATER_DENSITY,
@@ -48,8 +48,10 @@ __all__ = [
     "is_labview",
     "is_waveforms",
     "name_and_unit",
+    "read_cells",
     "read_record",
     "require_record_suffix",
+    "tag_samples",
     "tclab",
     "wet_tower",
     "write_record",
@@ -66,9 +68,10 @@ __getattr__, __dir__ = lazy_names(
             "find_dialect",
         ),
         "csv_file.encodings": ("beginning_of",),
-        "file": ("foreign_kind",),
+        "file": ("foreign_kind", "read_cells"),
         "units.headings": ("name_and_unit",),
         "layouts.long_format": ("VALUES",),
+        "layouts.tags": ("tag_samples",),
         "public": (
             "PublicRecord",
             "PIPE_TESTS",

@@ -52,6 +52,11 @@ _FOREIGN_TEXT = (
 
 def read_raw(path: Path) -> RawRecord:
     """Return the columns of the file at `path`, Parquet or CSV by its content; raise RecordError."""
+    return _with_rows(_with_units(read_cells(path)))
+
+
+def read_cells(path: Path) -> RawRecord:
+    """Return the columns of the file at `path` as it stores them, whatever its layout; raise RecordError."""
     try:
         require_size(path, RecordError, 1 if path.suffix == ".parquet" else TEXT_COPIES)
         content = path.read_bytes()
@@ -63,7 +68,7 @@ def read_raw(path: Path) -> RawRecord:
         raise RecordError(f"{path} is empty; give a record with a header and at least one row")
     digest = hashlib.sha256(content).hexdigest()
     if content.startswith(b"PAR1"):
-        return _with_rows(_with_units(_parquet(path, content, digest)))
+        return _parquet(path, content, digest)
     if (what := foreign_kind(content)) is not None:
         raise RecordError(f"{path} {what}")
     if path.suffix == ".parquet":
@@ -74,7 +79,7 @@ def read_raw(path: Path) -> RawRecord:
         raise RecordError(f"{path} {error}") from error
     if b"\0" in content:
         raise RecordError(f"{path}{_zero_bytes(content)}")
-    return _with_rows(_with_units(read_csv(path, content, digest)))
+    return read_csv(path, content, digest)
 
 
 def foreign_kind(content: bytes) -> str | None:

@@ -279,8 +279,8 @@ def _without_first(name: str) -> str:
 
 def holds_flags(cells: Sequence[str | None]) -> bool:
     """Return True for cells of True and False alone, in any language, which name nothing."""
-    different = {cell.strip().lower() for cell in cells if cell}
-    return bool(different) and different <= _TRUE | _FALSE
+    flags = _TRUE | _FALSE
+    return any(cells) and all(cell.strip().lower() in flags for cell in cells if cell)
 
 
 def texts_of(cells: Any) -> list[str | None]:

@@ -22,6 +22,13 @@ TRACKED = ("#1f77c9", "#2a9d6f", "#8a4fbf", "#b03a5b")
 _OTHERS = ("#a8322a", "#1f77c9", "#2a9d6f", "#b8860b", "#8a4fbf", "#0f8b8d", "#b03a5b", "#6b705c", "#e07b1f", "#30343a")
 _MOST_POINTS = 4000
 """Most points of a curve: a figure of 1200 pixels shows no more."""
+_DPI = 110
+"""Resolution of a figure, dots an inch: 11 inches are 1210 pixels."""
+_GRID_ALPHA = 0.25
+_PAD_IN, _TIME_AXIS_IN, _LEFT_IN = 0.1, 0.5, 0.7
+"""Margins of a figure in inches: beside texts and between rows, below the last row for the labels of the time axis, and
+for labels on the left until they are measured.
+"""
 _MEAN_OVER_S = 300.0
 """Longest averaging time of residuals in s; a run shorter than 100 minutes has means over a twentieth."""
 
@@ -176,7 +183,7 @@ def _picture(heading: str, plots: Any, drawn: RunCurves, time_s: Floats | None =
         return joined([])
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, sum(plot.height for plot, _ in known) + 0.8), layout="constrained")
+    figure = Figure(figsize=(11, sum(plot.height for plot, _ in known) + 0.8), dpi=_DPI)
     ratios = [plot.height for plot, _ in known]
     rows = np.atleast_1d(figure.subplots(len(known), 1, sharex=True, gridspec_kw={"height_ratios": ratios}))
     for axes, (plot, curves) in zip(rows, known, strict=True):
@@ -195,15 +202,18 @@ def _picture(heading: str, plots: Any, drawn: RunCurves, time_s: Floats | None =
         if time_s is not None:
             axes.axhline(0, color=MEASURED, linewidth=0.6)
         axes.set_ylabel(plot.title)
-        axes.grid(alpha=0.25)
+        axes.grid(alpha=_GRID_ALPHA)
         if plot.own_legend:
             # Outside the axes, so that it covers no curve.
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
+    above = None
     if not known[0][0].own_legend:
         drawn_as = [pair for axes in rows for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
         handles = {label: handle for handle, label in drawn_as}
-        figure.legend(handles.values(), handles, loc="outside upper right", ncols=6, frameon=False)
+        above = figure.legend(handles.values(), handles, loc="upper right", ncols=6, frameon=False)
     rows[-1].set_xlabel(f"time / {drawn.unit.symbol}")
+    _one_time_axis(list(rows))
+    _fit(figure, list(rows), above)
     return joined([element("h2", heading), _embedded(figure)])
 
 
@@ -218,6 +228,47 @@ def _thinned(drawn: RunCurves, values: Floats) -> tuple[Floats, Floats]:
 
 
 def _embedded(figure: Any) -> Html:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
+    from matplotlib.image import imsave
+
+    canvas, buffer = figure.canvas, io.BytesIO()
+    canvas.draw()
+    imsave(buffer, canvas.buffer_rgba(), format="png", origin="upper", dpi=_DPI)
     return image("png", buffer.getvalue())
+
+
+def _one_time_axis(rows: list[Any]) -> None:
+    """Draw the time axis of the last row alone; the others have its grid. Each tick is half a dozen objects."""
+    from matplotlib import rcParams
+    from matplotlib.collections import LineCollection
+
+    ticks = rows[-1].get_xticks()
+    for axes in rows[:-1]:
+        axes.xaxis.set_visible(False)
+        lines = LineCollection(
+            [[(tick, 0.0), (tick, 1.0)] for tick in ticks],
+            colors=rcParams["grid.color"],
+            linewidths=rcParams["grid.linewidth"],
+            alpha=_GRID_ALPHA,
+            transform=axes.get_xaxis_transform(),
+        )
+        axes.add_collection(lines, autolim=False)
+
+
+def _fit(figure: Any, rows: list[Any], above: Any) -> None:
+    """Make room for the labels, the legends beside the rows and that `above` them.
+
+    The rows share their time axis, so only the widths of texts vary. A layout of matplotlib's own measures every text
+    four times, which takes as long as all the rest of the report.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    width, height = figure.get_size_inches() * _DPI
+    pad, line = _PAD_IN * _DPI, _TIME_AXIS_IN * _DPI
+    beside = [axes.get_legend().get_window_extent(renderer).width for axes in rows if axes.get_legend() is not None]
+    over = 0.0 if above is None else above.get_window_extent(renderer).height
+    sides = {"right": 1.0 - (max(beside, default=0.0) + pad) / width, "top": 1.0 - (over + pad) / height}
+    between = len(rows) * pad / (height - over - line)
+    figure.subplots_adjust(left=_LEFT_IN * _DPI / width, bottom=line / height, hspace=between, **sides)
+    labels = max(axes.bbox.x0 - axes.yaxis.get_tightbbox(renderer).x0 for axes in rows)
+    figure.subplots_adjust(left=(labels + pad) / width)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.files import Html, document, element, joined, replacing, table
+from hil.files import Html, document, element, estimate_text, joined, replacing, table
 from hil.journal import JournalReader, JournalSamples, TwinOutput
 from hil.report.about import label_section, note_section, quality_section
 from hil.report.alarm_table import alarm_section
@@ -192,7 +192,7 @@ def _gates(reader: JournalReader, unit: TimeUnit) -> Html:
     if not proposals:
         return joined([])
     rows = [
-        [name, f"{a.value:.4g} ± {a.half_width:.2g}", f"{a.count}", unit.of(a.first_s), unit.of(a.last_s)]
+        [name, estimate_text(a.value, a.half_width), f"{a.count}", unit.of(a.first_s), unit.of(a.last_s)]
         for name, a in accepted(proposals).items()
     ]
     head = ["parameter", "accepted last", "in a row", f"since / {unit.symbol}", f"last / {unit.symbol}"]

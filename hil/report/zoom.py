@@ -53,13 +53,25 @@ def thinned(
     """
     if len(time_s) <= most:
         return time_s, values
-    kept: set[int] = {0, len(time_s) - 1}
-    for piece in np.array_split(np.arange(len(time_s)), most // 3 - 1):  # three points of each, and the two ends
-        x = values[piece]
-        known = np.isfinite(x)
-        if known.any():
-            kept |= {int(piece[np.nanargmin(x)]), int(piece[np.nanargmax(x)])}
-        if not known.all():
-            kept.add(int(piece[np.argmin(known)]))
-    rows = np.array(sorted(kept))
+    pieces = np.array_split(np.arange(len(time_s)), most // 3 - 1)  # three points of each, and the two ends
+    begin = np.array([piece[0] for piece in pieces])[:, None]
+    end = np.array([piece[-1] for piece in pieces])[:, None]
+    at = np.minimum(begin + np.arange(len(pieces[0])), end)  # a shorter piece repeats its last row
+    x = values[at]
+    known = np.isfinite(x)
+    some = known.any(axis=1)
+    least = np.where(np.isnan(x), np.inf, x).argmin(axis=1)
+    greatest = np.where(np.isnan(x), -np.inf, x).argmax(axis=1)
+    gap = known.argmin(axis=1)
+    first = begin[:, 0]
+    rows = np.unique(
+        np.concatenate(
+            [
+                [0, len(time_s) - 1],
+                (first + least)[some],
+                (first + greatest)[some],
+                (first + gap)[~known.all(axis=1)],
+            ]
+        )
+    )
     return time_s[rows], values[rows]

@@ -19,7 +19,7 @@ from hil.files import printable, utf8_path
 from hil.review.batches import Estimates, ReviewBatch, Rows, States, Texts
 from hil.review.plan import NEUTRAL, Colour, Panel, ReviewPlan, Stack, symbol, twin_colours
 
-TIMELINE = "test_time"
+TIMELINE, DATES = "test_time", "UTC"
 _SETTLED = 3
 _AFTER_TIME = "  "
 
@@ -37,6 +37,7 @@ class Recording:
         self._stream.send_recording_name(printable(name))
         self._header = plan.header
         self._live = url is not None
+        self._start_s = plan.start_s
         self._colours: dict[str, Colour] = {}
         self._send_styles(plan)
         self._plan: ReviewPlan | None = None
@@ -81,6 +82,9 @@ class Recording:
     def send(self, batch: ReviewBatch) -> None:
         """Send one batch as one chunk."""
         times = [rr.TimeColumn(TIMELINE, duration=_nanoseconds(batch.time_s))]
+        if self._start_s is not None:
+            moments = np.round((self._start_s + batch.time_s) * 1e3).astype("datetime64[ms]")
+            times.append(rr.TimeColumn(DATES, timestamp=moments.astype("datetime64[ns]")))
         match batch:
             case Rows(entity, time_s, values):
                 columns = rr.Scalars.columns(scalars=np.ascontiguousarray(values).ravel())
@@ -134,10 +138,12 @@ def _text_columns() -> rrb.TextLogColumns:
 
 
 def _blueprint(plan: ReviewPlan, end_s: float, live: bool) -> rrb.Blueprint:
+    timeline, origin = (TIMELINE, 0.0) if plan.start_s is None else (DATES, plan.start_s)
+
     def view(panel: Panel, around: float) -> Any:
         margin = max(around, panel.margin)
-        start = rrb.TimeRangeBoundary.absolute(seconds=-margin * end_s)
-        whole = rrb.TimeRange(start=start, end=rrb.TimeRangeBoundary.absolute(seconds=end_s))
+        start = rrb.TimeRangeBoundary.absolute(seconds=origin - margin * end_s)
+        whole = rrb.TimeRange(start=start, end=rrb.TimeRangeBoundary.absolute(seconds=origin + end_s))
         axis = rrb.TimeAxis(view_range=whole)
         contents = list(panel.contents)
         match panel.kind:
@@ -170,7 +176,7 @@ def _blueprint(plan: ReviewPlan, end_s: float, live: bool) -> rrb.Blueprint:
 
     return rrb.Blueprint(
         rrb.Tabs(*(part(tab, tab.margin) for tab in plan.tabs), active_tab=0),
-        rrb.TimePanel(timeline=TIMELINE, play_state="following" if live else "paused", state="collapsed"),
+        rrb.TimePanel(timeline=timeline, play_state="following" if live else "paused", state="collapsed"),
         auto_layout=False,
         auto_views=False,
         collapse_panels=True,

@@ -1,13 +1,15 @@
 """Review of a tower's calibration: outlet measured, by the twin and with its interval, and the four deviations.
 
 /tower/cell<N>/measured, /tower/cell<N>/twin   degC, (n, 1) and (n, 4): calibrated, interval, as commissioned
-/tower/cell<N>/error                           measured minus calibrated, and minus commissioned, K, (n, 2)
+/tower/cell<N>/error                           measured minus calibrated, minus commissioned, and the former's interval,
+                                               K, (n, 4)
 /tower/cell<N>/<deviation>                     deviation with its 90 % interval, (n, 3)
 /tower/cell<N>/network/outlet, .../<deviation> the same of a network that was asked, degC and share or K, (n, 3)
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +53,7 @@ def write_tower_review(table: Path, rrd: Path, name: str, network: Path | None =
     asked = {} if network is None else _cells(network)
     start = min(float(c["time_s"][0]) for c in cells.values())
     end = max(float(c["time_s"][-1]) for c in cells.values()) - start
-    plan = _plan(cells, name, end, frozenset(asked))
+    plan = replace(_plan(cells, name, end, frozenset(asked)), start_s=start)
     with replacing(rrd) as unfinished, utf8_path(unfinished) as path:
         recording = Recording(plan, name, path=path)
         for cell, columns in cells.items():
@@ -104,7 +106,8 @@ def _curves(cell: int, c: TableColumns) -> list[tuple[str, NDArray[np.float64]]]
     base = f"/tower/cell{cell}"
     measured = c.get("t_out_measured", np.full(len(c["time_s"]), np.nan))
     twin = np.stack([c["t_out"], c["t_out_lo"], c["t_out_hi"], c["t_out_commissioned"]], axis=1)
-    error = np.stack([measured - c["t_out"], measured - c["t_out_commissioned"]], axis=1)
+    half = 0.5 * (c["t_out_hi"] - c["t_out_lo"])
+    error = np.stack([measured - c["t_out"], measured - c["t_out_commissioned"], -half, half], axis=1)
     found = [(f"{base}/measured", measured[:, None]), (f"{base}/twin", twin), (f"{base}/error", error)]
     for name in DEVIATIONS:
         band = [c.get(f"{name}{end}", np.full(len(c[name]), np.nan)) for end in ("", "_lo", "_hi")]
@@ -129,7 +132,9 @@ def _plan(cells: dict[int, TableColumns], name: str, end_s: float, asked: frozen
         lines += [
             Lines(f"{base}/measured", ("measured",), (NEUTRAL,)),
             Lines(f"{base}/twin", ("calibrated", "5 %", "95 %", "as commissioned"), (BLUE, FAINT, FAINT, ORANGE)),
-            Lines(f"{base}/error", ("minus calibrated", "minus commissioned"), (BLUE, ORANGE)),
+            Lines(
+                f"{base}/error", ("minus calibrated", "minus commissioned", "5 %", "95 %"), (BLUE, ORANGE, FAINT, FAINT)
+            ),
             *(Lines(f"{base}/{d}", (d, "5 %", "95 %"), (BLUE, FAINT, FAINT)) for d in DEVIATIONS),
         ]
         of_network = (f"{base}/network/outlet",) if cell in asked else ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from drivers.rig_file import ModbusTcpBus, Point, Rig, line_of, read_regular
@@ -23,7 +24,8 @@ def notices(rig: Rig, file: Path) -> list[str]:
         and (what := restore_obstacle(rig, rig.setpoints)) is not None
     ):
         found.append(f"{file}: {what}")
-    return [*found, *_entity_numbers(rig, file, text), *unguarded(rig, file)]
+    unlimited = _without_heartbeat(rig.unlimited, file) if rig.heartbeat is None and not rig.setpoints else []
+    return [*found, *_entity_numbers(rig, file, text), *unlimited, *unguarded(rig, file)]
 
 
 _ENTITY_NUMBERS = {"holding": 40000, "input": 30000, "discrete": 10000}
@@ -57,19 +59,26 @@ def unguarded(rig: Rig, file: Path) -> list[str]:
         return []
     found = []
     if rig.heartbeat is None:
-        names = ", ".join(point.name for point in rig.setpoints)
-        found.append(
-            f"{file}: there is no [heartbeat], so that the device has no watchdog that hil knows: it keeps {names} "
-            "when this machine loses power or hangs. The guardian process sets the safe values after `kill -9`, as "
-            "long as this machine runs. Add [heartbeat] with the device's watchdog, or switch on a time-out in the "
-            "device"
-        )
+        found += _without_heartbeat(rig.setpoints, file)
     if all(point.alarm is None for point in rig.point) and all(spec.level != "alarm" for spec in rig.interlock):
         found.append(
             f"{file}: no point has alarm limits and no [[interlock]] is an alarm, so that nothing trips the run when "
             "the rig gets too hot; give alarm to the points that show it"
         )
     return [*found, *_late_guardian(rig, file)]
+
+
+def _without_heartbeat(written: Sequence[Point], file: Path) -> list[str]:
+    """Return the note on points that the device keeps when this machine is gone, as no heartbeat is declared."""
+    if not written:
+        return []
+    names = ", ".join(point.name for point in written)
+    return [
+        f"{file}: there is no [heartbeat], so that the device has no watchdog that hil knows: it keeps {names} "
+        "when this machine loses power or hangs. The guardian process sets the safe values after `kill -9`, as "
+        "long as this machine runs. Add [heartbeat] with the device's watchdog, or switch on a time-out in the "
+        "device"
+    ]
 
 
 def _late_guardian(rig: Rig, file: Path) -> list[str]:
@@ -108,5 +117,6 @@ def _no_role(point: Point) -> str | None:
         return None
     return (
         f"role {point.role!r} of {point.name} is none that hil knows; did you mean "
-        f"{nearest_role(point.role, point.unit)!r}? The known ones are {', '.join(ROLES)}"
+        f"{nearest_role(point.role, point.unit)!r}? The known ones are {', '.join(ROLES)}; take role out if none "
+        "fits: roles serve `hil resume`, the report and `hil review` alone, and a twin finds its columns by name"
     )

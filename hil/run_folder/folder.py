@@ -11,7 +11,6 @@ import platform
 import shlex
 import shutil
 import sys
-import time
 import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -21,15 +20,21 @@ from typing import Any
 
 from drivers.rig_file import file_sha256
 from hil import __version__
-from hil.files import ENDINGS, LONGEST_DATABASE_PATH, longest_name, read_json, replacing, require_plain, safe_file_name
+from hil.files import (
+    ENDINGS,
+    LONGEST_DATABASE_PATH,
+    longest_name,
+    read_json,
+    replacing,
+    require_plain,
+    safe_file_name,
+    take_lock,
+)
 from hil.run_folder.manifest_check import checked_manifest
 
-LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "numba", "pyarrow", "rerun-sdk")
+LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "llvmlite", "pyarrow", "rerun-sdk")
 BYTES_PER_TICK = 2500
 """Bytes of a tick on disk, in journal, record and review together, rounded up."""
-
-ASKING_S = 0.5
-"""Time for which a lock on a folder is tried, s: a reader that asks holds it between two system calls."""
 
 
 class RunFolderError(Exception):
@@ -38,19 +43,6 @@ class RunFolderError(Exception):
 
 class FolderLostError(RunFolderError):
     """Folder of a run that was deleted, or cannot be written any more; the message states the rest of the run."""
-
-
-def _lock(handle: int) -> None:
-    """Lock a folder for its run, past the moments in which `RunFolder.is_held` asks; raises OSError."""
-    deadline = time.monotonic() + ASKING_S
-    while True:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return
-        except BlockingIOError:
-            if time.monotonic() >= deadline:
-                raise
-        time.sleep(ASKING_S / 50)
 
 
 def _damaged(sentence: str) -> RunFolderError:
@@ -183,7 +175,7 @@ class RunFolder:
         handle = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
         try:
             try:
-                _lock(handle)
+                take_lock(handle)
             except BlockingIOError:
                 asked = f"ask it with `hil ctl status {shlex.quote(str(self.path))}`"
                 raise RunFolderError(f"{self.path} is a run that still goes on; {asked}") from None

@@ -1,4 +1,4 @@
-"""Streams of a run to other systems: MQTT and PostgreSQL, by a process that follows the journal.
+"""Streams of a run to other systems: MQTT, PostgreSQL and OPC UA, by a process that follows the journal.
 
 The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
 """

@@ -1,4 +1,4 @@
-"""Address of a store: its kind, host and port, the prefix of topics, and its form without the password."""
+"""Address of a store or server: its kind, host and port, the prefix of topics, and its form without the password."""
 
 from __future__ import annotations
 
@@ -14,8 +14,12 @@ from hil.stream.errors import StoreDownError, StreamError
 
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 """Ports that IANA has for MQTT, plain and over TLS."""
-SCHEMES = (*PORTS, "postgresql", "postgres")
+SCHEMES = (*PORTS, "postgresql", "postgres", "opc.tcp")
+SERVER = "opc.tcp"
+SERVER_PORT = 4840
+"""Port that IANA has for OPC UA."""
 PASSWORD_VARIABLE = "HIL_MQTT_PASSWORD"
+SERVER_PASSWORD_VARIABLE = "HIL_OPCUA_PASSWORD"
 _LONGEST_NAME = 100
 """Bytes of an address that a file name repeats: room for the digest and the endings."""
 
@@ -25,7 +29,8 @@ class Address:
     """Address of a store. `shown` is the address without a password, for messages and files.
 
     `url` is the address as given and `password` that of a broker; no message or file may repeat them. `host`, `port`,
-    `prefix` and `user` are those of a broker and empty for a database, whose library reads them from the URL.
+    `prefix` and `user` are those of a broker and empty for a database, whose library reads them from the URL. An OPC UA
+    server listens on `host` and `port`; `prefix` is the path of its endpoint.
     """
 
     scheme: str
@@ -43,6 +48,11 @@ class Address:
         return self.scheme in PORTS
 
     @property
+    def is_server(self) -> bool:
+        """Return True for OPC UA, where the stream itself is the server."""
+        return self.scheme == SERVER
+
+    @property
     def file_name(self) -> str:
         """Return a file name that belongs to this address alone, without an ending."""
         digest = hashlib.sha256(self.shown.encode("utf-8", "replace")).hexdigest()[:8]
@@ -51,9 +61,11 @@ class Address:
 
 
 def parse_address(text: str) -> Address:
-    """Return the address that `text` states: `mqtt://[user@]host[:port]/PREFIX`, `mqtts://...` or `postgresql://...`.
+    """Return the address that `text` states: `mqtt://[user@]host[:port]/PREFIX`, `mqtts://...`, `postgresql://...` or
+    `opc.tcp://[user@]host[:port]/`.
 
-    The password of a broker may be in the environment, in `HIL_MQTT_PASSWORD`.
+    The password of a broker may be in the environment, in `HIL_MQTT_PASSWORD`, that of an OPC UA server in
+    `HIL_OPCUA_PASSWORD`.
 
     Raises
     ------
@@ -63,7 +75,12 @@ def parse_address(text: str) -> Address:
     scheme, found, _ = text.partition("://")
     if not found or scheme not in SCHEMES:
         named = f"{scheme}:// is no store that is known" if found else "an address begins with the kind of its store"
-        raise StreamError(f"{named}; use mqtt://HOST/PREFIX, mqtts://HOST/PREFIX or postgresql://USER@HOST/DATABASE")
+        raise StreamError(
+            f"{named}; use mqtt://HOST/PREFIX, mqtts://HOST/PREFIX, postgresql://USER@HOST/DATABASE or "
+            "opc.tcp://127.0.0.1:4840/"
+        )
+    if scheme == SERVER:
+        return _server(text)
     if scheme not in PORTS:
         return Address(scheme, without_password(text), text)
     parts, port = _parts(text)
@@ -76,6 +93,23 @@ def parse_address(text: str) -> Address:
     bracketed = f"[{host}]" if ":" in host else host
     shown = f"{scheme}://{before}{bracketed}:{port}/{prefix}"
     return Address(scheme, shown, text, host, port, prefix, user, password)
+
+
+def _server(text: str) -> Address:
+    """Return the address on which an OPC UA server listens; raises StreamError without repeating a password."""
+    wrong = "the address of the server cannot be read: use opc.tcp://ADDRESS:PORT/ with an address of this machine"
+    try:
+        parts = urlsplit(text)
+        port = SERVER_PORT if parts.port is None else parts.port
+    except ValueError:
+        raise StreamError(wrong) from None
+    host, path = parts.hostname or "", unquote(parts.path).strip("/")
+    if not host or any(c in text for c in "?#") or not path.isprintable():
+        raise StreamError(wrong)
+    user = unquote(parts.username) if parts.username else None
+    password = unquote(parts.password) if parts.password else os.environ.get(SERVER_PASSWORD_VARIABLE)
+    bracketed = f"[{host}]" if ":" in host else host
+    return Address(SERVER, f"{SERVER}://{bracketed}:{port}/{path}", text, host, port, path, user, password)
 
 
 def _parts(text: str) -> tuple[SplitResult, int]:

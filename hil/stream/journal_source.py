@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from pathlib import Path
+from pathlib import Path, PurePath
 from types import TracebackType
 from typing import Any, Self
 
@@ -47,7 +47,12 @@ class JournalSource:
         header = self._reader.header
         name = folder.resolve().name
         self.run = RunIdentity(
-            str(manifest.get("uid") or name), name, header.profile, header.period_s, tuple(header.signals)
+            str(manifest.get("uid") or name),
+            name,
+            header.profile,
+            header.period_s,
+            tuple(header.signals),
+            _rig_name(manifest),
         )
         self._start_s = math.nan
         self._state: StateRow | None = None
@@ -95,10 +100,31 @@ class JournalSource:
             samples.tick,
             at_us,
             values,
+            samples.values,
             samples.quality,
             tuple(RunEvent(row.id, self._moment_us(row.time_s, row.wall_s), row.level, row.text) for row in events),
             self._present_state(),
         )
+
+    def tick_before(self, time_us: int) -> int:
+        """Return the last tick whose time is earlier than `time_us`, µs since 1970 (UTC), or -1.
+
+        Raises
+        ------
+        StreamError
+            A time in the journal is none.
+        """
+        if not math.isfinite(self._start_s):
+            self._start_s = self._reader.start_wall_s()
+        before, not_before = -1, self._reader.last()[0]
+        while before < not_before:
+            middle = (before + not_before) // 2
+            row = self._reader.samples(middle, 1)
+            if len(row.tick) and int(self._utc_us(row.time_s)[0]) < time_us:
+                before = int(row.tick[0])
+            else:
+                not_before = middle
+        return before
 
     def close(self) -> None:
         """Close the journal."""
@@ -156,3 +182,11 @@ class JournalSource:
                 "that made it"
             )
         return np.asarray(np.round(at_s * 1e6), dtype=np.int64)
+
+
+def _rig_name(manifest: dict[str, Any]) -> str:
+    """Return the name of the rig file of a run, "rig" where the manifest has none."""
+    files = manifest.get("files")
+    rig = files.get("rig") if isinstance(files, dict) else None
+    path = rig.get("path") if isinstance(rig, dict) else None
+    return (PurePath(path).stem if isinstance(path, str) else "") or "rig"

@@ -65,6 +65,7 @@ class MqttStore:
     """
 
     longest_block = 1000
+    stays = False
 
     def __init__(
         self, address: Address, run: RunIdentity, positions: PositionFile, *, start: Position, stride: int

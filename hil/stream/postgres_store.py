@@ -51,6 +51,8 @@ class PostgresStore:
         The server does not answer.
     """
 
+    stays = False
+
     def __init__(self, address: Address, run: RunIdentity) -> None:
         self._shown, self._run = address.shown, run
         self._password = _parameters(address).get("password")

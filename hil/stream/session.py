@@ -30,12 +30,20 @@ class StreamOptions:
 
     `every_s` is the time from a message of a signal to the next, s of rig time, and `everything` sends a finished run
     in full; a database gets every sample in any case. A store that is down for `give_up_s` seconds ends the stream;
-    None for never.
+    None for never. `certificate`, `key` and the `trusted` certificates of clients are for an OPC UA server, as files.
     """
 
     every_s: float | None = None
     everything: bool = False
     give_up_s: float | None = None
+    certificate: Path | None = None
+    key: Path | None = None
+    trusted: tuple[Path, ...] = ()
+
+    @property
+    def has_certificates(self) -> bool:
+        """Return True where any file of an OPC UA server is given."""
+        return self.certificate is not None or self.key is not None or bool(self.trusted)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,31 +64,44 @@ def stream_run(run: Path, to: str, options: StreamOptions, announce: Callable[[s
     """Send the samples and events of a run to a store until the run has ended, and return what was sent.
 
     A live run is followed. A store that does not answer is called again, and then gets all that it has not confirmed.
+    An OPC UA server goes on after the end of the run, until KeyboardInterrupt.
 
     Parameters
     ----------
     run
         Run folder with a journal.
     to
-        Address: `mqtt://HOST/PREFIX`, `mqtts://HOST/PREFIX` or `postgresql://USER@HOST/DATABASE`.
+        Address: `mqtt://HOST/PREFIX`, `mqtts://HOST/PREFIX`, `postgresql://USER@HOST/DATABASE`, or
+        `opc.tcp://ADDRESS:PORT/` for a server of this machine.
     options
-        Choice of samples, and patience.
+        Choice of samples, patience, certificates.
     announce
-        Function for one sentence when the store goes away and when it is back.
+        Function for one sentence when the store goes away, when it is back, and when a server listens.
 
     Raises
     ------
     StreamError
-        Wrong address or password, no journal, no library, or another stream of the run to this address.
+        Wrong address, password or certificate, no journal, no library, a port in use, or another stream of the run to
+        this address.
     StoreDownError
         The store was down for longer than `give_up_s`.
     JournalError, RunFolderError
         The run cannot be read.
     """
     address = parse_address(to)
+    if options.has_certificates and not address.is_server:
+        raise StreamError("--cert, --key and --trust are for an OPC UA server; leave them out for this store")
     with ExitStack() as stack:
-        source = stack.enter_context(JournalSource(run))
-        opened, positions = _opener(address, run, source, options, stack)
+        if address.is_server:
+            _require_no_choice(options)
+            module = _library("opcua_store", "asyncua", "asyncua", "opcua")
+            access = module.checked_access(address, options.certificate, options.key, options.trusted)
+            source = stack.enter_context(JournalSource(run))
+            start = source.last_position()
+            opened, positions = (lambda: module.OpcuaStore(access, run, source.run, start, announce)), None
+        else:
+            source = stack.enter_context(JournalSource(run))
+            opened, positions = _opener(address, run, source, options, stack)
         return replace(_Stream(source, address, opened, options, announce).follow(), positions=positions)
 
 
@@ -130,7 +151,7 @@ class _Stream:
             ended = self._source.ended()
             block = self._source.read(self._at, store.longest_block, ended=ended)
             if block.is_empty and block.state == state:
-                if ended:
+                if ended and not store.stays:
                     return
                 time.sleep(POLL_S)
                 continue
@@ -198,11 +219,19 @@ def _unless_down(check: Callable[[], None]) -> None:
         return
 
 
-def _library(module: str, package: str, project: str) -> Any:
+def _require_no_choice(options: StreamOptions) -> None:
+    """Check that no option of other stores is given; raises StreamError."""
+    if options.every_s is not None or options.everything or options.give_up_s is not None:
+        raise StreamError(
+            "an OPC UA server has every sample of a run and goes on until Ctrl-C; leave out --every, --all, --give-up"
+        )
+
+
+def _library(module: str, package: str, project: str, extra: str = "stream") -> Any:
     try:
         importlib.import_module(package)
     except ImportError:
         raise StreamError(
-            f"this store needs the package {project}, which is not installed; pip install 'hil-rig[stream]'"
+            f"this store needs the package {project}, which is not installed; pip install 'hil-rig[{extra}]'"
         ) from None
     return importlib.import_module(f"hil.stream.{module}")

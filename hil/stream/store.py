@@ -22,13 +22,14 @@ class Position:
 
 @dataclass(frozen=True, slots=True)
 class RunIdentity:
-    """Identity of a run: unique id, name of its folder, profile, period in s of rig time, signals."""
+    """Identity of a run: unique id, name of its folder, profile, period in s of rig time, signals, name of the rig."""
 
     uid: str
     name: str
     profile: str
     period_s: float
     signals: tuple[Signal, ...]
+    rig: str = "rig"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +55,15 @@ class RunEvent:
 class Block:
     """Part of a run after `before`: `tick (n,)`, `time_us (n,)`, `values (n, k)`, `quality (n, k)`, events, state.
 
-    Times are in µs since 1970 (UTC), values in the units of their signals and NaN where missing or not GOOD.
+    Times are in µs since 1970 (UTC), values in the units of their signals and NaN where missing or not GOOD. `received`
+    `(n, k)` are the values as they were read, also those that are not GOOD.
     """
 
     before: Position
     tick: NDArray[np.int64]
     time_us: NDArray[np.int64]
     values: NDArray[np.float64]
+    received: NDArray[np.float64]
     quality: NDArray[np.uint8]
     events: tuple[RunEvent, ...]
     state: RunState
@@ -84,6 +87,8 @@ class Store(Protocol):
 
     longest_block: int
     """Ticks of a block at most."""
+    stays: bool
+    """True for a server, which goes on after the end of the run."""
 
     def position(self) -> Position:
         """Return the confirmed position, after which the stream goes on."""

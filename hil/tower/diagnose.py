@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from hil.files import replacing
+from hil.files import estimate_text, replacing
 from hil.record import RecordError
-from hil.tower.calibration import PreparedCell, prepare_cells, step_openings, thermometer_steps
-from hil.tower.station import TowerOutputError, iso
+from hil.tower.calibration import PreparedCell, prepare_cells, undeclared_jumps
+from hil.tower.station import iso, writing
 from twin.network import Revision
 from twin.revisions import save_revision
 from twin.tower import UNITS, CellEffect, Opening
-from twin.tower.calibration import CalibrationError, Fitted
+from twin.tower.calibration import NORMAL, CalibrationError, Fitted
 from twin.tower.diagnosis import (
     CellCase,
     CellHypothesis,
@@ -51,7 +51,7 @@ def diagnose_station(
         A file cannot be used, or the record is too short.
     """
     cells, notes = prepare_cells(record, twins, labels)
-    records = {one.record.cell: one.record for one in cells}
+    by_cell = {one.record.cell: one for one in cells}
     cases = [
         CellCase(
             one.record.cell,
@@ -66,12 +66,13 @@ def diagnose_station(
         for one in cells
     ]
 
-    def steps(cell: int, fitted: Fitted) -> tuple[Opening, ...]:
-        return step_openings(thermometer_steps(fitted, records[cell]))
+    def jumps(cell: int, fitted: Fitted) -> tuple[Opening, ...]:
+        one = by_cell[cell]
+        return undeclared_jumps(fitted, one.record, one.priors, one.labels, one.openings)[1]
 
     zone = notes.datasheet.get("timezone")
     try:
-        found = search_effects(cases, zone if isinstance(zone, str) else None, steps, say)
+        found = search_effects(cases, zone if isinstance(zone, str) else None, jumps, say)
     except CalibrationError as error:
         raise RecordError(f"{record}: without its held-out weeks it {error}") from error
     return StationDiagnosis(record, tuple(cells), found)
@@ -137,10 +138,11 @@ def says(entry: dict[str, Any]) -> str:
     driver = f"follows {entry['driver']}" if entry["kind"] == "follows" else f"driven by {entry['driver']}{form}"
     since = f"since {entry['time']}" if entry["time"] else "all along"
     errors = entry["error_K"]
+    size = f"{estimate_text(entry['size'], NORMAL * entry['sd'])} ({entry['size_is']})"
     return (
-        f"cell {entry['cell']}: {entry['mechanism']} ({entry['path']}), {driver}, {since}: {entry['size']:.3g} "
-        f"+- {entry['sd']:.2g} ({entry['size_is']}); held-out error {errors['before']:.3f} -> {errors['after']:.3f} K, "
-        f"without the weeks' offsets {errors['before_without_offset']:.3f} -> {errors['after_without_offset']:.3f} K"
+        f"cell {entry['cell']}: {entry['mechanism']} ({entry['path']}), {driver}, {since}: {size}; held-out error "
+        f"{errors['before']:.3f} -> {errors['after']:.3f} K, without the weeks' offsets "
+        f"{errors['before_without_offset']:.3f} -> {errors['after_without_offset']:.3f} K"
     )
 
 
@@ -157,19 +159,15 @@ def _leading(one: CellHypothesis) -> dict[str, Any]:
 
 
 def write_document(diagnosis: StationDiagnosis, out: Path, revisions: Sequence[Path]) -> Path:
-    """Write `diagnosis.json` into the folder `out`.
+    """Write `diagnosis.json` into the folder `out`, which the caller holds.
 
     Raises
     ------
     TowerOutputError
         The folder cannot be written.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with replacing(out / DOCUMENT) as unfinished:
-            unfinished.write_text(json.dumps(document(diagnosis, revisions), indent=1) + "\n")
-    except OSError as error:
-        raise TowerOutputError(f"{out}: cannot be written: {error.strerror or error}; choose another folder") from error
+    with writing(out), replacing(out / DOCUMENT) as unfinished:
+        unfinished.write_text(json.dumps(document(diagnosis, revisions), indent=1) + "\n")
     return out / DOCUMENT
 
 

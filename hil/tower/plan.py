@@ -9,16 +9,23 @@ from pathlib import Path
 import numpy as np
 
 from hil.record import RecordError
-from hil.tower.station import iso, read_cell
+from hil.tower.calibration import priors_of, site_of
+from hil.tower.station import iso, read_cell, read_notes
 from twin.tower import (
+    DAY_S,
     IDS,
+    MOST_CONDITION,
+    Array,
     CellDeviations,
+    CellModel,
     Identifiability,
     StepTest,
     blocks_of,
     cell_of,
     design_of,
+    effects_of,
     minutes_of,
+    model_sensitivities,
     plan_tests,
     value_of,
 )
@@ -29,16 +36,24 @@ FEWEST_BLOCKS = 36
 
 @dataclass(frozen=True)
 class StepTestPlan:
-    """Step tests for a cell, best first, and what the day they start from tells without one."""
+    """Step tests for a cell, best first, and what the day they start from tells without one.
+
+    `until`: end of that day, UTC. `enough`: the best test makes the deviations identifiable.
+    """
 
     cell: int
-    day: str
+    until: str
     without: Identifiability
     tests: Sequence[StepTest]
 
+    @property
+    def enough(self) -> bool:
+        """True if the best test brings the condition below its limit."""
+        return bool(self.tests) and self.tests[0].told.condition <= MOST_CONDITION
+
 
 def plan(record: Path, twin: Path, warmer: float) -> StepTestPlan:
-    """Return the step tests of a cell, from the last day of the record on which it ran steadily for six hours.
+    """Return the step tests of a cell, from the last 24 hours of the record in which it ran steadily for six.
 
     Raises
     ------
@@ -48,19 +63,31 @@ def plan(record: Path, twin: Path, warmer: float) -> StepTestPlan:
     network = load(twin)
     cell = cell_of(network)
     read = read_cell(record, cell)
-    design = design_of(network)
-    minutes = minutes_of(read.time_s, read.columns, read.origin, design.m_w0, value_of(network, "cell.bypass_share"))
+    design, share, effects = design_of(network), value_of(network, "cell.bypass_share"), effects_of(network)
+    minutes = minutes_of(read.time_s, read.columns, read.origin, design.m_w0, share, effects)
     blocks, _ = blocks_of(minutes)
-    days = np.floor(blocks.time_s / 86400.0).astype(np.int64)
-    there = [day for day in np.unique(days) if (days == day).sum() >= FEWEST_BLOCKS]
-    if not there:
+    end = _last_day(blocks.time_s)
+    if end is None:
         raise RecordError(f"{read.path}: has no day with six steady hours; give a record in which the cell runs")
-    rows = np.flatnonzero(days == there[-1])
+    rows = np.flatnonzero((blocks.time_s > end - DAY_S) & (blocks.time_s <= end))
     at = CellDeviations(*(value_of(network, IDS[name]) for name in ("fill", "air", "uniformity", "bias")))
     sensors = ["outlet"]
     if np.isfinite(blocks.log_power[rows]).any() and design.power > 0.0:
         sensors.append("fan")
     if "basin_C" in read.columns and np.isfinite(read.columns["basin_C"]).any():
         sensors.append("basin")
-    without, tests = plan_tests(design, blocks.operation.inputs.take(rows), at, sensors, warmer)
-    return StepTestPlan(cell, iso(float(there[-1]) * 86400.0)[:10], without, tests)
+    model = CellModel(design, site_of(read_notes(record), share), effects)
+    slow = np.array([at.fill - 1.0, at.air - 1.0, at.uniformity - 1.0, at.bias, 0.0], dtype=np.float64)
+    constants, _ = priors_of(network).constant()
+    sensitivities = model_sensitivities(model, blocks.operation.take(rows), slow, constants, sensors)
+    day = blocks.operation.inputs.take(rows)
+    without, tests = plan_tests(design, day, at, sensors, warmer, rows_of=sensitivities)
+    return StepTestPlan(cell, iso(end), without, tests)
+
+
+def _last_day(block_s: Array) -> float | None:
+    """Return the end of the last day, as the calibration's windows have it, with six steady hours; None without one."""
+    for end in block_s[::-1]:
+        if ((block_s > end - DAY_S) & (block_s <= end)).sum() >= FEWEST_BLOCKS:
+            return float(end)
+    return None

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.files import estimate_text
 from hil.tracking.bands import NORMAL90
 from hil.tracking.twins import Proposed
 
@@ -108,7 +109,7 @@ class Advice:
         for name, now in accepted([proposed]).items():
             if abs(now.value - self._said[name]) > now.half_width:
                 unit = "" if self._units[name] == "1" else f" {self._units[name]}"
-                told.append(f"{name} {self._said[name]:.4g} -> {now.value:.4g} ± {now.half_width:.2g}{unit}")
+                told.append(f"{name} {self._said[name]:.4g} -> {estimate_text(now.value, now.half_width)}{unit}")
                 self._said[name] = now.value
         return f"{proposed.calibrator} would change {', '.join(told)}" if told else None
 
@@ -230,7 +231,7 @@ def _note(name: str, a: Accepted, network: Network) -> str:
     parameter = network.parameters[name]
     unit = "" if parameter.unit == "1" else f" {parameter.unit}"
     return (
-        f"{name}: {parameter.value:.4g} -> {a.value:.4g} ± {a.half_width:.2g}{unit} (90 %), accepted in {a.count} "
+        f"{name}: {parameter.value:.4g} -> {estimate_text(a.value, a.half_width)}{unit} (90 %), accepted in {a.count} "
         f"proposals in a row, last at {a.last_s / 3600:.2f} h"
     )
 

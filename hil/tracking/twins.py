@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.files import estimate_text
 from hil.tracking.bands import NORMAL90, Band, Bands
 
 if TYPE_CHECKING:
@@ -308,7 +309,7 @@ def parameter_cell(cell: Sequence[Any] | None) -> str:
     if cell is None:
         return ""
     value, half, held = cell
-    return f"{value:.4g} held" if held else f"{value:.4g}" if half is None else f"{value:.4g} ± {half:.2g}"
+    return f"{value:.4g} held" if held else f"{value:.4g}" if half is None else estimate_text(value, half)
 
 
 def _final(document: dict[str, Any]) -> dict[str, tuple[float, float | None, bool]]:

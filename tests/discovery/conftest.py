@@ -1,7 +1,9 @@
 """A loop, and records made by it with something added that the loop does not know of.
 
-The records come from the twin's own equations at one second with the noise of a thermometer, so that a test runs in
-seconds; rigs with other physics are in `tests/hil/test_diagnose.py` and `test_strangers.py`.
+The records come from the equations of the twin, so that a test runs in seconds; rigs with other physics are in
+`tests/hil/test_diagnose.py` and `test_strangers.py`. A search costs by the minutes of a record, up to four hours, and
+so many tests ask a loop with little water, whose day is two hours long (`brisk`). Where it matters how well a long
+record is told, they take the loop as it is shipped (`bench`).
 """
 
 from __future__ import annotations
@@ -19,26 +21,36 @@ from twin.revisions import with_elements
 from twin.twinfile import load
 
 STEP_S = 5.0
+HOUR = 450.0
+"""What an hour is to the loop with little water: loads change eight times as often, s."""
+TANK, NOISE_K = 30_000.0, 0.02
+"""Its heat capacity, J/K, and the noise of its thermometers: an eighth of the samples tells about as much."""
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Makes records of the loop; `inputs` are power, pump, fan and room."""
+    """Makes records of the loop; `inputs` are power, pump, fan and room, which change by the hour of `hour_s`."""
 
     network: Network
+    hour_s: float = 3600.0
+
+    def of(self, network: Network) -> Bench:
+        """The bench of another rig."""
+        return replace(self, network=network)
 
     def inputs(self, hours: float, seed: int) -> tuple[Array, Array]:
         rng = np.random.default_rng(seed)
-        n = int(hours * 3600.0 / STEP_S)
+        n = int(hours * self.hour_s / STEP_S)
         t = np.arange(n) * STEP_S
+        pace = self.hour_s / 3600.0
 
         def levels(choices: list[float], hold_s: float) -> Array:
-            drawn = rng.choice(choices, int(t[-1] / hold_s) + 1)
-            return np.asarray(drawn[(t / hold_s).astype(int)], dtype=np.float64)
+            drawn = rng.choice(choices, int(t[-1] / (pace * hold_s)) + 1)
+            return np.asarray(drawn[(t / (pace * hold_s)).astype(int)], dtype=np.float64)
 
         power = levels([620.0, 700.0, 780.0, 860.0], 2400.0)
         pump, fan = levels([70.0, 85.0, 100.0], 5400.0), levels([50.0, 70.0, 100.0], 4500.0)
-        return t, np.column_stack([power, pump, fan, 22.0 + 1.5 * np.sin(t / 14000.0)])
+        return t, np.column_stack([power, pump, fan, 22.0 + 1.5 * np.sin(t / (pace * 14000.0))])
 
     def record(
         self,
@@ -54,9 +66,9 @@ class Bench:
         rng = np.random.default_rng(seed + 100)
         state: Array = np.array([37.0, 36.8, 34.5, 34.0])
         parts, begun = [], 0
-        cuts = [c for c in (onset_h * 3600.0, until_h * 3600.0) if 0.0 < c < t[-1]]
+        cuts = [c for c in (onset_h * self.hour_s, until_h * self.hour_s) if 0.0 < c < t[-1]]
         for low, high in zip([0.0, *cuts], [*cuts, t[-1] + STEP_S], strict=True):
-            on = changed is not None and onset_h * 3600.0 <= low < until_h * 3600.0
+            on = changed is not None and onset_h * self.hour_s <= low < until_h * self.hour_s
             net = changed if on and changed is not None else self.network
             last = int(np.searchsorted(t, high))
             until = min(last + 1, len(t))
@@ -76,18 +88,32 @@ class Bench:
 def stopped(record: Columns) -> Columns:
     """The record with two stops of pump and heater, in which water stands in the sun."""
     inputs, measured = record.inputs.copy(), record.measured.copy()
-    for first in (4000, 8000):
-        rows = slice(first, first + 400)
+    for first in (500, 1000):
+        rows = slice(first, first + 50)
         inputs[rows, :3] = 0.0
-        measured[rows] += np.linspace(0.0, 4.0, 400)[:, None]
+        measured[rows] += np.linspace(0.0, 4.0, 50)[:, None]
     return replace(record, inputs=inputs, measured=measured)
 
 
 @pytest.fixture(scope="session")
 def bench() -> Bench:
+    """The loop as it is shipped."""
     return Bench(load(LOOP))
 
 
 @pytest.fixture(scope="session")
 def healthy(bench: Bench) -> Columns:
     return bench.record(10.0, seed=7)
+
+
+@pytest.fixture(scope="session")
+def brisk() -> Bench:
+    """A loop with little water and good thermometers, whose days are two hours long."""
+    network = load(LOOP)
+    sigma = {f"{s.name}.sigma": NOISE_K for s in network.sensors}
+    return Bench(network.with_values({**sigma, "tank.capacitance": TANK}), HOUR)
+
+
+@pytest.fixture(scope="session")
+def brisk_healthy(brisk: Bench) -> Columns:
+    return brisk.record(10.0, seed=7)

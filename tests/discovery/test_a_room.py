@@ -84,15 +84,15 @@ def test_one_mass_is_told_by_one_time_constant_and_says_which(room: Network) -> 
     assert f"time constant of {constant_s / 60.0:.0f} min" in masses[0].says
 
 
-def test_most_of_a_record_is_not_called_nothing(room: Network) -> None:
+def test_most_of_a_record_is_kept_and_the_rest_is_called_structural_error(room: Network) -> None:
     record = lived_in(room, {"wall": WALL, "sun": SUN})
     strict = room.with_values({"T_room_C.sigma": 0.008})
     found = diagnose_grown(strict, record, most=2)
-    assert found.verdict == "unexplained" and not found.effects and found.network is None
-    assert found.summary.startswith("Most of this record is explained, not all") and "sigma" in found.summary
-    # Of two with one kind, place and driver nobody could tell which is which.
-    masses = [a.why_not for a in found.alternatives if a.kind == "thermal_mass"]
-    assert masses and "with a time constant of" in masses[0] and len(set(masses)) == len(masses)
+    assert found.verdict == "effect found" and found.network is not None
+    assert {e.kind for e in found.effects} == {"heat_source", "thermal_mass"}
+    assert "structural error" in found.summary and "sigma" in found.summary
+    (mass,) = [e for e in found.effects if e.kind == "thermal_mass"]
+    assert "with a time constant of" in mass.says and mass.says in found.summary
 
 
 def test_a_few_samples_are_too_little_to_grow_on(room: Network) -> None:

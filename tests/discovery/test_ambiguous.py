@@ -46,7 +46,7 @@ def truths(bench: Bench) -> dict[tuple[str, str, str], Network]:
     }
 
 
-@pytest.mark.parametrize(("truth", "twin_cause"), [(HEATED, GAINED), (GAINED, HEATED), (WARMED, LOST), (LOST, WARMED)])
+@pytest.mark.parametrize(("truth", "twin_cause"), [(GAINED, HEATED), (WARMED, LOST)])
 def test_causes_alike_at_one_load_are_a_set_and_the_planned_record_names_the_right_one(
     bench: Bench, healthy: Columns, truth: tuple[str, str, str], twin_cause: tuple[str, str, str]
 ) -> None:

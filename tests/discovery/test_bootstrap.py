@@ -72,7 +72,7 @@ def test_gaps_and_single_thermometers_are_drawn_too(bench: Bench, healthy: Colum
 @pytest.mark.usefixtures("own_cache")
 def test_healthy_draws_give_no_alarm_and_raise_the_odds_little(bench: Bench) -> None:
     told: list[int] = []
-    found = bootstrap_claims(bench.network, bench.record(4.0, seed=7), 10, done=told.append)
+    found = bootstrap_claims(bench.network, bench.record(2.0, seed=7), 10, done=told.append)
     assert told == list(range(1, 11))
     assert found.alarms <= 1
     assert len(found.odds) == 10 and max(found.odds) < CLAIM + 3.0

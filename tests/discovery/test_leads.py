@@ -20,7 +20,7 @@ from twin.discovery.engine import diagnose
 from twin.discovery.growing.answer import diagnose_grown
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.leads.concentration import ResidualSquares, input_ranges, segments
-from twin.discovery.leads.rows import suspicious_inputs, suspicious_readings, suspicious_states
+from twin.discovery.leads.rows import near_steps, suspicious_inputs, suspicious_readings, suspicious_states
 from twin.discovery.leads.words import place_leads
 from twin.network import Array
 from twin.twinfile import load
@@ -164,6 +164,14 @@ def test_an_input_that_drops_for_a_row_is_named_unless_it_does_so_by_nature() ->
     assert (found.row, found.off) == (600, (-500.0,))
     held[50::100] = 0.0
     assert suspicious_inputs(time, held, least) == ()
+
+
+def test_rows_beside_a_step_of_an_input_are_known_and_noise_and_ramps_make_none() -> None:
+    rng = np.random.default_rng(8)
+    inputs = np.column_stack([np.repeat([40.0, 80.0], 300), rng.normal(50.0, 1.0, 600), np.linspace(0.0, 100.0, 600)])
+    near = near_steps(inputs, np.array([1.0, 0.1, 1.0]))
+    assert np.flatnonzero(near).tolist() == [298, 299, 300, 301]
+    assert not near_steps(inputs[:, 1:], np.array([0.1, 1.0])).any()
 
 
 def test_one_state_off_among_many_is_named_and_a_twin_that_fits_none_names_none() -> None:

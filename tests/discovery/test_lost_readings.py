@@ -35,21 +35,23 @@ def test_a_room_thermometer_in_error_is_told_the_right_way_round(bench: Bench, h
     assert all(e.after < 1.15 * e.noise for e in found.errors.values())
 
 
-def test_a_thermometer_that_errs_above_room_temperature_is_told_in_that_form(bench: Bench, healthy: Columns) -> None:
-    changed = bench.with_values(T_radiator_C__gain=1.06, T_radiator_C__bias_K=-1.5)
-    found = diagnose(bench.network, bench.record(16.0, 5, changed, onset_h=4.0), healthy)
+def test_a_thermometer_that_errs_above_room_temperature_is_told_in_that_form(
+    brisk: Bench, brisk_healthy: Columns
+) -> None:
+    changed = brisk.with_values(T_radiator_C__gain=1.06, T_radiator_C__bias_K=-1.5)
+    found = diagnose(brisk.network, brisk.record(16.0, 5, changed, onset_h=4.0), brisk_healthy)
     (effect,) = found.effects
     assert (effect.kind, effect.where, effect.driver) == ("sensor", "T_radiator_C", "temperature")
     assert effect.value == pytest.approx(0.06, rel=0.15) and "above 25 degC" in effect.says
 
 
 @pytest.mark.parametrize("gone", ["T_radiator_C", "T_heater_C"])
-def test_a_sensor_that_is_missing_everywhere_is_no_refusal(bench: Bench, healthy: Columns, gone: str) -> None:
-    known = without(healthy, bench, gone)
-    twin = commission(bench.network, known.time_s, known.inputs, known.measured)
+def test_a_sensor_that_is_missing_everywhere_is_no_refusal(brisk: Bench, brisk_healthy: Columns, gone: str) -> None:
+    known = without(brisk_healthy, brisk, gone)
+    twin = commission(brisk.network, known.time_s, known.inputs, known.measured)
     assert any(gone in note for note in twin.notes)
-    changed = bench.with_values(modules_power__power=60.0)
-    record = without(bench.record(16.0, 1, changed, onset_h=5.0), bench, gone)
+    changed = brisk.with_values(modules_power__power=60.0)
+    record = without(brisk.record(16.0, 1, changed, onset_h=5.0), brisk, gone)
     found = diagnose(twin.network, record, known)
     (effect,) = found.effects
     assert (effect.kind, effect.where) == ("heat_source", "modules")
@@ -57,9 +59,9 @@ def test_a_sensor_that_is_missing_everywhere_is_no_refusal(bench: Bench, healthy
     assert any(gone in note for note in found.notes) and gone not in found.errors
 
 
-def test_a_sensor_that_the_healthy_record_lacks_claims_nothing(bench: Bench, healthy: Columns) -> None:
-    record = bench.record(16.0, 4, bench.with_values(T_tank_C__bias_K=1.0), onset_h=0.0)
-    found = diagnose(bench.network, record, without(healthy, bench, "T_tank_C"))
+def test_a_sensor_that_the_healthy_record_lacks_claims_nothing(brisk: Bench, brisk_healthy: Columns) -> None:
+    record = brisk.record(16.0, 4, brisk.with_values(T_tank_C__bias_K=1.0), onset_h=0.0)
+    found = diagnose(brisk.network, record, without(brisk_healthy, brisk, "T_tank_C"))
     assert found.verdict == "adequate"
     assert any("T_tank_C" in note and "healthy record" in note for note in found.notes)
 

@@ -93,6 +93,19 @@ def test_laws_of_an_earlier_twin_that_has_none_of_them_say_nothing(bench: Bench,
     assert told.candidates == () and told.moves.shape == (known.probe.q, 0)
 
 
+def test_a_law_that_a_revision_has_adopted_is_not_looked_for_in_the_record_of_the_twin_before_it(
+    bench: Bench, healthy: Columns
+) -> None:
+    """It has the name that it had as an addition, and changes an element that this twin lacks."""
+    known, part = known_of(bench, healthy, bench.record(2.0, seed=4))
+    assert known.health is not None
+    addition = next(law.candidate for law in part.laws if law.candidate.kind == "heat_source" and law.candidate.adds)
+    adopted = replace(addition, change="existing", adds={})
+    assert adopted.id == addition.id
+    assert known.health.amplitudes([addition], known.probe.scaling.ids).candidates != ()
+    assert known.health.amplitudes([adopted], known.probe.scaling.ids).candidates == ()
+
+
 def test_an_effect_all_along_of_the_size_that_it_had_in_health_is_taken_as_known(bench: Bench, late: Bench) -> None:
     """Of another size, or begun later, it is a change."""
     known, part = known_of(bench, late.record(10.0, seed=7), late.record(16.0, seed=4))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tests.discovery.conftest import STEP_S, Bench
+from tests.discovery.conftest import HOUR, STEP_S, Bench
 from tests.discovery.test_thermometers import SENSOR, with_six
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.engine import diagnose
@@ -35,19 +35,19 @@ def diagnosed(bench: Bench, healthy: Columns, record: Columns, off: Array) -> Di
     return diagnose(bench.network, with_six(bench, record, 6, lambda _: off), with_six(bench, healthy, 5))
 
 
-def test_a_place_in_poor_contact_is_not_a_thermometer_that_errs(bench: Bench, healthy: Columns) -> None:
+def test_a_place_in_poor_contact_is_not_a_thermometer_that_errs(brisk: Bench, brisk_healthy: Columns) -> None:
     """It comes to its new temperature within a minute, and is the colder the warmer the modules are."""
-    record = bench.record(14.0)
-    since = slowly(np.where(record.time_s > 5.0 * 3600.0, 1.0, 0.0), 40.0)
-    found = diagnosed(bench, healthy, record, -0.04 * since * excess(bench, record))
+    record = brisk.record(14.0)
+    since = slowly(np.where(record.time_s > 5.0 * HOUR, 1.0, 0.0), 40.0)
+    found = diagnosed(brisk, brisk_healthy, record, -0.04 * since * excess(brisk, record))
     assert [(e.kind, e.where, e.driver) for e in found.effects] == [("heat_loss", "pm3", "temperature_difference")]
     assert found.effects[0].unit == "K" and found.effects[0].value < -0.3
     assert not any(a.kind == "sensor" for a in found.indistinguishable)
 
 
-def test_an_error_that_is_there_at_once_is_the_thermometers(bench: Bench, healthy: Columns) -> None:
-    record = bench.record(14.0)
-    found = diagnosed(bench, healthy, record, np.where(record.time_s > 5.0 * 3600.0, -0.5, 0.0))
+def test_an_error_that_is_there_at_once_is_the_thermometers(brisk: Bench, brisk_healthy: Columns) -> None:
+    record = brisk.record(14.0)
+    found = diagnosed(brisk, brisk_healthy, record, np.where(record.time_s > 5.0 * HOUR, -0.5, 0.0))
     assert found.verdict == "effect found" and found.indistinguishable == ()
     assert [(e.kind, e.where, e.driver) for e in found.effects] == [("sensor", "T_pm3_C", "constant")]
 
@@ -62,29 +62,29 @@ def test_a_loss_that_grows_is_told_from_a_thermometer_that_drifts(bench: Bench, 
     assert effect.confidence < 0.99
 
 
-def test_heat_that_a_clock_switches_at_one_place_is_no_error_of_reading(bench: Bench, healthy: Columns) -> None:
-    record = bench.record(14.0)
-    on = slowly(np.where((record.time_s - 3700.0) % 9977.0 < 4296.0, 0.6, 0.0), 20.0)
-    found = diagnosed(bench, healthy, record, on)
+def test_heat_that_a_clock_switches_at_one_place_is_no_error_of_reading(brisk: Bench, brisk_healthy: Columns) -> None:
+    record = brisk.record(14.0)
+    on = slowly(np.where((record.time_s - 460.0) % 1247.0 < 537.0, 0.6, 0.0), 20.0)
+    found = diagnosed(brisk, brisk_healthy, record, on)
     assert found.verdict == "unexplained"
     assert "T_pm3_C" in {e.where for e in found.effects}
 
 
-def test_two_that_differ_are_told_each_by_itself(bench: Bench, healthy: Columns) -> None:
+def test_two_that_differ_are_told_each_by_itself(brisk: Bench, brisk_healthy: Columns) -> None:
     """Neither is odd among all, as the other is; each is without it."""
-    record = bench.record(16.0)
-    record = with_six(bench, record, 6, lambda t: np.where(t > 5.0 * 3600.0, 0.6, 0.0))
-    each, j = record.members[SENSOR].copy(), bench.network.sensor_names.index(SENSOR)
-    each[:, 4] += np.where(record.time_s > 9.0 * 3600.0, -0.5, 0.0)
+    record = brisk.record(16.0)
+    record = with_six(brisk, record, 6, lambda t: np.where(t > 5.0 * HOUR, 0.6, 0.0))
+    each, j = record.members[SENSOR].copy(), brisk.network.sensor_names.index(SENSOR)
+    each[:, 4] += np.where(record.time_s > 9.0 * HOUR, -0.5, 0.0)
     measured = record.measured.copy()
     measured[:, j] = each.mean(axis=1)
     both = replace(record, measured=measured, members={SENSOR: each})
-    found = diagnose(bench.network, both, with_six(bench, healthy, 5))
+    found = diagnose(brisk.network, both, with_six(brisk, brisk_healthy, 5))
     told = {e.where: e for e in found.effects}
     assert set(told) == {"T_pm3_C", "T_pm5_C"} and {e.kind for e in found.effects} == {"sensor"}
     assert told["T_pm3_C"].value == pytest.approx(0.6, abs=0.05)
     assert told["T_pm5_C"].value == pytest.approx(-0.5, abs=0.05)
-    assert told["T_pm5_C"].onset_s == pytest.approx(9.0 * 3600.0, abs=900.0)
+    assert told["T_pm5_C"].onset_s == pytest.approx(9.0 * HOUR, abs=HOUR / 4)
 
 
 def test_an_error_and_heat_at_the_same_place_are_two(bench: Bench, healthy: Columns) -> None:
@@ -104,12 +104,12 @@ def test_an_error_and_heat_at_the_same_place_are_two(bench: Bench, healthy: Colu
     assert told["sensor", "T_pm3_C"].onset_s == pytest.approx(10.0 * 3600.0, abs=900.0)
 
 
-def test_heat_at_one_place_is_told_there_in_words_too(bench: Bench, healthy: Columns) -> None:
+def test_heat_at_one_place_is_told_there_in_words_too(brisk: Bench, brisk_healthy: Columns) -> None:
     """The thermometer beside it differs for no reason of its own."""
-    heated = bench.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 60.0})
-    record = bench.record(14.0, changed=heated, onset_h=4.0)
-    warmer = slowly(np.where(record.time_s > 4.0 * 3600.0, 1.0, 0.0), 40.0)
-    found = diagnosed(bench, healthy, record, warmer)
+    heated = brisk.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 60.0})
+    record = brisk.record(14.0, changed=heated, onset_h=4.0)
+    warmer = slowly(np.where(record.time_s > 4.0 * HOUR, 1.0, 0.0), 40.0)
+    found = diagnosed(brisk, brisk_healthy, record, warmer)
     assert found.verdict == "effect found"
     (heat,) = found.effects
     assert (heat.kind, heat.where) == ("heat_source", "pm3")

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin.discovery.evidence.marginal import _onto
+from twin.discovery.evidence.marginal import likeliest, log_bayes_of_sizes
+from twin.discovery.evidence.scan import logsumexp
 from twin.discovery.scoring.contest import Contest
-from twin.discovery.scoring.sweep import _late_sums, squares_of
+from twin.discovery.scoring.sweep import _late_sums, _steps_of, squares_of
+from twin.elements.candidates import Candidate
 
 SITES, B = 4, 7
 
@@ -20,8 +22,14 @@ def contest() -> Any:
     rng = np.random.default_rng(3)
     columns = rng.normal(size=(40, SITES * B))
     score = rng.normal(size=SITES * B)
-    made = SimpleNamespace(sites=SITES, b=B, gram=columns.T @ columns, score=score, memo={})
+    slopes = rng.normal(size=(40, 2))
+    normal = slopes.T @ slopes + np.eye(2)
+    taken = np.linalg.solve(normal, slopes.T @ columns)
+    gram = columns.T @ columns - columns.T @ slopes @ taken
+    made = SimpleNamespace(sites=SITES, b=B, m=1, gram=gram, score=score, memo={}, slopes=slopes)
+    made._columns, made._taken = columns, taken
     made.scored = lambda p: Contest.scored(made, p)  # type: ignore[arg-type]
+    made.small_gram = lambda p: Contest.small_gram(made, p)  # type: ignore[arg-type]
     return made
 
 
@@ -41,12 +49,34 @@ def test_a_step_has_the_square_of_all_its_blocks_together(contest: Any) -> None:
     np.testing.assert_allclose(_late_sums(gram), np.diag(steps.T @ gram @ steps), rtol=1e-12)
 
 
-def test_columns_that_are_zero_at_most_sites_show_as_the_gram_matrix_says(contest: Any) -> None:
-    every = np.zeros((3, SITES, B))
-    every[0, 1] = every[1, 1] = 2.0
-    every[1, 3], every[2, 0] = -1.0, np.arange(B)
-    flat = every.reshape(3, -1)
-    np.testing.assert_allclose(_onto(contest, flat), contest.gram @ flat.T, atol=1e-9)
+def test_steps_of_many_laws_have_the_squares_of_each_alone(contest: Any) -> None:
+    vectors = np.zeros((4, SITES, B))
+    vectors[0, 1], vectors[1, 1], vectors[2, 3] = 1.0, np.arange(B), 2.0
+    vectors[3, 1], vectors[3, 2] = -1.0, np.linspace(0.0, 1.0, B)
+    alone = [_late_sums(Contest.small_gram(contest, p)) for p in vectors]
+    np.testing.assert_allclose(_steps_of(contest, vectors), alone, atol=1e-9)
+
+
+def test_signatures_have_the_products_that_the_gram_matrix_says(contest: Any) -> None:
+    vector, courses = np.zeros((SITES, B)), np.random.default_rng(6).normal(size=(B, 3))
+    vector[1], vector[3] = 2.0, np.arange(B)
+    flat = (vector[:, :, None] * courses).reshape(SITES * B, 3)
+    seen = Contest.seen_at(contest, vector, courses)
+    np.testing.assert_allclose(seen, contest._columns @ flat, atol=1e-9)
+    np.testing.assert_allclose(Contest.onto(contest, seen), contest.gram @ flat, atol=1e-9)
+
+
+@pytest.mark.parametrize("bounds", [(-np.inf, np.inf), (0.0, 900.0), (-5.0, 0.0)])
+@pytest.mark.parametrize("most", [1.0, 30.0])
+def test_effects_that_count_beside_the_rest_are_told_by_a_bound(bounds: tuple[float, float], most: float) -> None:
+    candidate = Candidate("heat_source", "tank", "constant", "new", {}, "W", 20.0, *bounds, "")
+    rng = np.random.default_rng(7)
+    bottom = rng.uniform(1e-4, 2.0, 4000)
+    top = most * np.sqrt(bottom) * rng.normal(size=4000)
+    every = log_bayes_of_sizes(candidate, top, bottom)[0]
+    kept = likeliest(candidate, top, bottom)
+    assert int(np.argmax(every)) in kept and (most < 10.0 or len(kept) < 2000)
+    assert logsumexp(every[kept]) == pytest.approx(logsumexp(every), abs=1e-12)
 
 
 @pytest.mark.parametrize("b", [B, SITES * B])

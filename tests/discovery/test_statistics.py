@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.discovery.conftest import Bench
+from tests.discovery.conftest import HOUR, Bench
 from twin.discovery.diagnosis import Fold
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.engine import diagnose
@@ -59,21 +59,21 @@ def test_the_threshold_is_what_noise_seldom_reaches() -> None:
     assert null.quantile(0.01) == pytest.approx(3.5 - 0.3 * np.log(-np.log(0.99)), abs=0.15)
 
 
-def test_blocks_left_out_speak_for_what_is_there_and_against_what_is_not(bench: Bench, healthy: Columns) -> None:
-    heated = bench.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 150.0})
-    real = diagnose(bench.network, bench.record(24.0, changed=heated, onset_h=4.0), healthy)
+def test_blocks_left_out_speak_for_what_is_there_and_against_what_is_not(brisk: Bench, brisk_healthy: Columns) -> None:
+    heated = brisk.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 150.0})
+    real = diagnose(brisk.network, brisk.record(24.0, changed=heated, onset_h=4.0), brisk_healthy)
     assert holds(real.folds) and all(f.gain > 0.0 for f in real.folds)
     # What ended again, taken for something that stays: it gains where it is and loses where it is not.
-    ended = bench.record(24.0, changed=heated, onset_h=4.0, until_h=11.0)
-    grid = on_grid(bench.network, ended.time_s, ended.inputs, ended.measured)
-    known = basis(bench.network, healthy, grid)
+    ended = brisk.record(24.0, changed=heated, onset_h=4.0, until_h=11.0)
+    grid = on_grid(brisk.network, ended.time_s, ended.inputs, ended.measured)
+    known = basis(brisk.network, brisk_healthy, grid)
     state = known.probe.first_state(grid)
     run = known.probe.run(grid, state)
     contest = Contest(known.probe, grid, state, run, known.noise, known.prior)
     law = next(
         w for w in known.book.laws(grid, run) if (w.candidate.kind, w.candidate.where) == ("heat_source", "tank")
     )
-    entry = Entry(law, Shape("step", 4.0 * 3600.0), np.empty(0), 150.0, 1.0, 0.0)
+    entry = Entry(law, Shape("step", 4.0 * HOUR), np.empty(0), 150.0, 1.0, 0.0)
     model = Model.of(known.probe, (entry,))
     assert not holds(validate(contest, model, fit(contest, model, state)))
 
@@ -86,14 +86,14 @@ def test_a_block_that_says_nothing_is_not_asked() -> None:
     assert holds(tuple(Fold(0.0, 1.0, 10, g) for g in (-9.0, 21.0, 7.0)))  # as chance does to a weak one
 
 
-def test_a_faint_effect_may_have_begun_at_more_times_than_a_strong_one(bench: Bench, healthy: Columns) -> None:
-    onset_s, spans = 5.0 * 3600.0, []
+def test_a_faint_effect_may_have_begun_at_more_times_than_a_strong_one(brisk: Bench, brisk_healthy: Columns) -> None:
+    onset_s, spans = 5.0 * HOUR, []
     for power in (1.0, 100.0):
-        record = bench.record(12.0, changed=bench.with_values(modules_power__power=power), onset_h=5.0)
-        grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
-        part = Part.of(basis(bench.network, healthy, grid), grid)
+        record = brisk.record(12.0, changed=brisk.with_values(modules_power__power=power), onset_h=5.0)
+        grid = on_grid(brisk.network, record.time_s, record.inputs, record.measured)
+        part = Part.of(basis(brisk.network, brisk_healthy, grid), grid)
         heat = next(e for e in part.scanned if e.label == ("heat_source", "modules", "constant"))
         first_s, last_s = able_to_begin(part.contest, heat, np.zeros(0))
         assert first_s - part.contest.step_s <= onset_s <= last_s + part.contest.step_s
         spans.append(last_s - first_s)
-    assert spans[1] < 600.0 < spans[0]
+    assert spans[1] < HOUR / 6 < spans[0]

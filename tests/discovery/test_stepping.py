@@ -26,8 +26,8 @@ def smooth(wanted: np.ndarray, reach: float = np.inf, unit: float = 1.0) -> Leas
     def course(v: np.ndarray) -> np.ndarray:
         return unit * v[0] * np.exp(-v[1] * t) + v[2] * t
 
-    def look(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return 10.0 * np.stack([course(wanted) + 0.01 * np.sin(9.0 * t) - course(v) for v in rows]), rows
+    def look(rows: np.ndarray) -> np.ndarray:
+        return 10.0 * np.stack([course(wanted) + 0.01 * np.sin(9.0 * t) - course(v) for v in rows])
 
     def slopes(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         decay = np.exp(-v[1] * t)
@@ -48,7 +48,7 @@ def test_smooth_squares_become_as_small_as_scipy_makes_them(a: float, b: float, 
     found, *_ = minimise(squares, np.array([1.0, 1.0, 0.0]), 40)
 
     def both(v: np.ndarray) -> np.ndarray:
-        return np.concatenate([squares.look(v[None])[0][0], 0.1 * v])
+        return np.concatenate([squares.look(v[None])[0], 0.1 * v])
 
     best = least_squares(both, [1.0, 1.0, 0.0], bounds=(squares.low, squares.high))
     # It ends where a step gains less than LEAST, of which several may be left; what matters to a diagnosis is 20.
@@ -115,12 +115,12 @@ def test_a_step_that_is_no_number_leads_nowhere() -> None:
     squares = smooth(np.array([2.0, 1.0, 0.5]))
     seen: list[np.ndarray] = []
 
-    def look(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def look(rows: np.ndarray) -> np.ndarray:
         assert np.isfinite(rows).all()
         seen.append(rows)
         return squares.look(rows)
 
-    place = SearchPoint(np.array([1.0, 1.0, 0.0]), np.zeros(30), np.zeros(3), 1e9)
+    place = SearchPoint(np.array([1.0, 1.0, 0.0]), np.zeros(30), 1e9)
     tried = [TrialStep(np.full(3, np.nan), 1.0, 1.0, 0.0), TrialStep(np.array([1.0, 0.0, 0.5]), 1.0, 1.0, 0.0)]
     step, found = _best(replace(squares, look=look), place, tried)
     assert step is tried[1] and found.v == pytest.approx([2.0, 1.0, 0.5]) and len(seen) == 1

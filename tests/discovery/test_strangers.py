@@ -18,7 +18,8 @@ SECOND_BESIDE = ("d6",)
 have been as warm as its place, and something else has to stand for its first hours."""
 
 
-@pytest.mark.parametrize("case", [f"d{k}" for k in range(8)])
+# A second healthy rig is in `hil bench structure`, heat in the modules in the record of the poor logger below.
+@pytest.mark.parametrize("case", ["d0", "d2", "d3", "d4", "d5", "d6"])
 def test_a_stranger_is_diagnosed(stranger: Path, case: str) -> None:  # noqa: F811
     key = json.loads((stranger / "KEY.json").read_text())[case]
     twin = from_datasheet(stranger / case / "datasheet.json")
@@ -73,5 +74,6 @@ def test_a_stranger_is_diagnosed_from_what_a_poor_logger_kept(stranger: Path, ca
         said = said[:1]
     assert said == ([] if truth["kind"] == "none" else [(truth["kind"], truth["where"])])
     for effect in found.effects[:1]:
+        assert effect.change == truth["change"] and effect.driver in truth["driver"].split("|")
         assert abs(effect.onset_s - key["onset_s"]) < 1800.0
         assert all(e.after < 1.6 * max(e.noise, e.usual) for e in found.errors.values())

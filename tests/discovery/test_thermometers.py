@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.discovery.conftest import Bench, stopped
+from tests.discovery.conftest import HOUR, Bench, stopped
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
 from twin.network import Array
@@ -20,7 +20,8 @@ def with_six(bench: Bench, record: Columns, seed: int, fault: Callable[[Array], 
     """The record with the six thermometers behind the modules' reading; `fault` (K) is added to the third."""
     j = bench.network.sensor_names.index(SENSOR)
     mean = record.measured[:, j]
-    noise = np.random.default_rng(seed).normal(0.0, 0.05, (len(mean), COUNT))
+    sigma = bench.network.parameters[f"{SENSOR}.sigma"].value
+    noise = np.random.default_rng(seed).normal(0.0, sigma, (len(mean), COUNT))
     along = (mean - record.inputs[:, 3])[:, None] * np.linspace(-0.02, 0.02, COUNT)
     each = mean[:, None] + along + noise - noise.mean(axis=1, keepdims=True)
     if fault is not None:
@@ -31,14 +32,14 @@ def with_six(bench: Bench, record: Columns, seed: int, fault: Callable[[Array], 
 
 
 def comes_and_goes(time_s: Array) -> Array:
-    hours = time_s / 3600.0
+    hours = time_s / HOUR
     return np.where(((hours > 2) & (hours < 3.5)) | ((hours > 5) & (hours < 6)) | ((hours > 7) & (hours < 9)), 3.0, 0.0)
 
 
-def test_a_thermometer_that_explains_everything_is_all_that_is_told(bench: Bench, healthy: Columns) -> None:
+def test_a_thermometer_that_explains_everything_is_all_that_is_told(brisk: Bench, brisk_healthy: Columns) -> None:
     """No error of the catalogue comes and goes, but where it is, and that nothing else is missing, is known."""
-    record = with_six(bench, bench.record(10.0), 6, comes_and_goes)
-    found = diagnose(bench.network, record, with_six(bench, healthy, 5))
+    record = with_six(brisk, brisk.record(10.0), 6, comes_and_goes)
+    found = diagnose(brisk.network, record, with_six(brisk, brisk_healthy, 5))
     assert found.verdict == "unexplained" and found.network is None
     assert [(e.kind, e.where) for e in found.effects] == [("unknown", "T_pm3_C")]
     assert found.effects[0].value == pytest.approx(3.0, rel=0.1)
@@ -46,22 +47,26 @@ def test_a_thermometer_that_explains_everything_is_all_that_is_told(bench: Bench
 
 
 @pytest.mark.parametrize("node", ["tank", "modules"])
-def test_what_is_found_beside_one_that_comes_and_goes_is_told_too(bench: Bench, healthy: Columns, node: str) -> None:
+def test_what_is_found_beside_one_that_comes_and_goes_is_told_too(
+    brisk: Bench, brisk_healthy: Columns, node: str
+) -> None:
     """In the mean the one would be half of the answer, and put the heat where that thermometer is."""
-    heated = bench.with_element("heat", {"kind": "heat_source", "node": node, "power": 60.0})
-    record = with_six(bench, bench.record(16.0, changed=heated, onset_h=4.0), 6, comes_and_goes)
-    found = diagnose(bench.network, record, with_six(bench, healthy, 5))
+    heated = brisk.with_element("heat", {"kind": "heat_source", "node": node, "power": 60.0})
+    record = with_six(brisk, brisk.record(16.0, changed=heated, onset_h=4.0), 6, comes_and_goes)
+    found = diagnose(brisk.network, record, with_six(brisk, brisk_healthy, 5))
     assert found.verdict == "unexplained" and found.network is None  # what comes and goes is of no catalogue
     one, heat = found.effects
     assert (one.kind, one.where) == ("unknown", "T_pm3_C")
     assert (heat.kind, heat.where, heat.driver) == ("heat_source", node, "constant")
-    assert heat.value == pytest.approx(60.0, rel=0.05) and heat.onset_s == pytest.approx(4.0 * 3600.0, abs=120.0)
+    assert heat.value == pytest.approx(60.0, rel=0.05) and heat.onset_s == pytest.approx(4.0 * HOUR, abs=HOUR / 30)
     assert "T_pm3_C is off by up to" in found.summary and "Beside that: " in found.summary
 
 
-def test_a_standstill_beside_one_that_comes_and_goes_is_told_as_what_it_is(bench: Bench, healthy: Columns) -> None:
-    record = with_six(bench, stopped(bench.record()), 6, comes_and_goes)
-    found = diagnose(bench.network, record, with_six(bench, healthy, 5))
+def test_a_standstill_beside_one_that_comes_and_goes_is_told_as_what_it_is(
+    brisk: Bench, brisk_healthy: Columns
+) -> None:
+    record = with_six(brisk, stopped(brisk.record()), 6, comes_and_goes)
+    found = diagnose(brisk.network, record, with_six(brisk, brisk_healthy, 5))
     assert found.verdict == "unexplained" and "Without that the twin is adequate" in found.summary
     assert any(" stood for " in note for note in found.notes)
     assert not any("the inputs are unknown" in note for note in found.notes)
@@ -81,11 +86,11 @@ def test_one_that_drifts_is_told_with_what_it_comes_to(
     assert low <= from_h * 3600.0 <= high < low + 5400.0
 
 
-def test_a_thermometer_beside_something_else_does_not_explain_it_away(bench: Bench, healthy: Columns) -> None:
-    heated = bench.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 150.0})
-    record = bench.record(8.0, changed=heated, onset_h=2.0, until_h=5.0)
-    record = with_six(bench, record, 6, lambda t: np.where(t > 9000.0, 2.0, 0.0))
-    found = diagnose(bench.network, record, with_six(bench, healthy, 5))
+def test_a_thermometer_beside_something_else_does_not_explain_it_away(brisk: Bench, brisk_healthy: Columns) -> None:
+    heated = brisk.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 150.0})
+    record = brisk.record(8.0, changed=heated, onset_h=2.0, until_h=5.0)
+    record = with_six(brisk, record, 6, lambda t: np.where(t > 2.5 * HOUR, 2.0, 0.0))
+    found = diagnose(brisk.network, record, with_six(brisk, brisk_healthy, 5))
     assert found.verdict == "effect found"
     error, heat = found.effects
     assert (error.kind, error.where) == ("sensor", "T_pm3_C") and error.value == pytest.approx(2.0, rel=0.1)
@@ -93,38 +98,38 @@ def test_a_thermometer_beside_something_else_does_not_explain_it_away(bench: Ben
     assert found.summary.startswith("T_pm3_C reads") and "Beside that: " in found.summary
 
 
-def test_a_loose_contact_that_is_right_on_average_is_not_adequate(bench: Bench, healthy: Columns) -> None:
+def test_a_loose_contact_that_is_right_on_average_is_not_adequate(brisk: Bench, brisk_healthy: Columns) -> None:
     def jumps(time_s: Array) -> Array:
         off = np.zeros(len(time_s))
-        for k, begins in enumerate(np.linspace(600.0, time_s[-1] - 900.0, 12)):
-            off[(time_s > begins) & (time_s < begins + 150.0)] = (0.8, -0.8)[k % 2]
+        for k, begins in enumerate(np.linspace(100.0, time_s[-1] - 200.0, 12)):
+            off[(time_s > begins) & (time_s < begins + 60.0)] = (0.8, -0.8)[k % 2]
         return off
 
-    known = with_six(bench, healthy, 5)
-    found = diagnose(bench.network, with_six(bench, bench.record(10.0), 6, jumps), known)
+    known = with_six(brisk, brisk_healthy, 5)
+    found = diagnose(brisk.network, with_six(brisk, brisk.record(10.0), 6, jumps), known)
     assert found.verdict == "unexplained" and found.network is None
     assert [(e.kind, e.where) for e in found.effects if e.where != SENSOR] == [("unknown", "T_pm3_C")]
     assert "T_pm3_C is off by up to" in found.summary
-    assert diagnose(bench.network, with_six(bench, bench.record(10.0), 6), known).verdict == "adequate"
+    assert diagnose(brisk.network, with_six(brisk, brisk.record(10.0), 6), known).verdict == "adequate"
 
 
-def test_the_error_of_one_is_not_taken_for_heat_at_its_place_alone(bench: Bench, healthy: Columns) -> None:
-    heated = bench.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 60.0})
-    record = bench.record(14.0, changed=heated, onset_h=2.0)
-    record = with_six(bench, record, 6, lambda t: np.where(t > 18000.0, 1.0, 0.0))
-    found = diagnose(bench.network, record, with_six(bench, healthy, 5))
+def test_the_error_of_one_is_not_taken_for_heat_at_its_place_alone(brisk: Bench, brisk_healthy: Columns) -> None:
+    heated = brisk.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 60.0})
+    record = brisk.record(14.0, changed=heated, onset_h=2.0)
+    record = with_six(brisk, record, 6, lambda t: np.where(t > 5.0 * HOUR, 1.0, 0.0))
+    found = diagnose(brisk.network, record, with_six(brisk, brisk_healthy, 5))
     assert sorted((e.kind, e.where) for e in found.effects) == [("heat_source", "modules"), ("sensor", "T_pm3_C")]
     error = next(e for e in found.effects if e.kind == "sensor")
-    assert error.value == pytest.approx(1.0, rel=0.1) and error.onset_s == pytest.approx(18000.0, abs=600.0)
+    assert error.value == pytest.approx(1.0, rel=0.1) and error.onset_s == pytest.approx(5.0 * HOUR, abs=HOUR / 6)
 
 
 def test_a_thermometer_that_drifts_beside_a_mass_at_its_place_is_a_fault_of_its_own(
-    bench: Bench, healthy: Columns
+    brisk: Bench, brisk_healthy: Columns
 ) -> None:
     """The mass is at the modules, not at the one whose thermometer drifts."""
-    table = {"kind": "hidden_mass", "node": "modules", "conductance": 45.0, "capacity": 45000.0}
-    made = bench.record(16.0, 8, bench.with_element("block", table))
-    record = with_six(bench, made, 6, lambda t: -0.6 * np.clip((t / 3600.0 - 2.0) / 14.0, 0.0, 1.0))
-    found = diagnose(bench.network, record, with_six(bench, healthy, 5))
+    table = {"kind": "hidden_mass", "node": "modules", "conductance": 45.0, "capacity": 9000.0}
+    made = brisk.record(16.0, 8, brisk.with_element("block", table))
+    record = with_six(brisk, made, 6, lambda t: -0.6 * np.clip((t / HOUR - 2.0) / 14.0, 0.0, 1.0))
+    found = diagnose(brisk.network, record, with_six(brisk, brisk_healthy, 5))
     assert [(e.kind, e.where) for e in found.effects] == [("sensor", "T_pm3_C"), ("thermal_mass", "modules")]
     assert found.effects[0].value == pytest.approx(-0.6, abs=0.1)

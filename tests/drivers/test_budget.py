@@ -90,3 +90,65 @@ def test_what_a_rig_file_leaves_unsaid_is_noted():
     notes = missing_declarations(rig.model_copy(update={"point": bare}))
     assert any("no plausible range" in note and "flow" in note for note in notes)
     assert any("no max_rate" in note and "heater_power_set" in note for note in notes)
+
+
+UNLIMITED = """\
+[rig]
+name = "bench"
+[bus.plc]
+transport = "modbus_tcp"
+[[point]]
+name = "pump_set"
+bus = "plc"
+table = "holding"
+address = 0
+unit = "%"
+access = "rw"
+[[point]]
+name = "mode"
+bus = "plc"
+table = "holding"
+address = 1
+unit = "1"
+access = "rw"
+kind = "status"
+[[point]]
+name = "valve_set"
+bus = "plc"
+table = "holding"
+address = 2
+unit = "%"
+access = "w"
+"""
+LIMITS = "limits = [0.0, 100.0]\nsafe_value = 0.0\nmax_rate = 5.0\n"
+
+
+def _notes(path: Path, text: str) -> list[str]:
+    path.write_text(text, encoding="utf-8")
+    result = CliRunner().invoke(command, [str(path)])
+    assert result.exit_code == 0, result.output
+    return [line for line in result.output.splitlines() if line.startswith("note: ")]
+
+
+def test_points_that_may_be_written_and_have_no_limits_are_named_with_all_that_they_lack(tmp_path):
+    limits, readback, heartbeat = sorted(_notes(tmp_path / "rig.toml", UNLIMITED), key=lambda note: "[heart" in note)
+    assert limits.startswith("note: no limits and no safe_value") and limits.endswith(": pump_set, valve_set")
+    assert "give each limits, safe_value and max_rate" in limits
+    assert 'give readback = "NAME"' in readback and readback.endswith(": pump_set, valve_set")
+    assert "there is no [heartbeat]" in heartbeat and "it keeps pump_set, valve_set when" in heartbeat
+
+
+def test_points_with_limits_of_states_and_of_the_heartbeat_do_not_lack_any(tmp_path):
+    given = UNLIMITED.replace('access = "rw"\n[[', f'access = "rw"\n{LIMITS}[[').replace(
+        'access = "w"\n', 'access = "r"\n'
+    )
+    assert not any("no limits" in note for note in _notes(tmp_path / "rig.toml", given))
+    beat = UNLIMITED.replace("[bus.plc]", '[heartbeat]\npoint = "pump_set"\narm = "valve_set"\n[bus.plc]')
+    assert not any("no limits" in note for note in _notes(tmp_path / "beat.toml", beat))
+
+
+def test_a_rig_that_is_only_read_lacks_no_protection(tmp_path):
+    text = (
+        UNLIMITED.replace('"rw"', '"r"').replace('"w"', '"r"').replace('unit = "%"', 'unit = "%"\nplausible = [0, 100]')
+    )
+    assert _notes(tmp_path / "rig.toml", text) == []

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from drivers.historian import HistorianError, HistorianStore, Samples, open_store
+from drivers.historian import HistorianAwayError, HistorianError, HistorianStore, Samples, open_store
 from tests.drivers.postgres_server import Server, emptied, serving
 
 duckdb = pytest.importorskip("duckdb", reason="duckdb is not installed")
@@ -99,7 +99,7 @@ def test_parquet_files_without_the_columns_are_named(tmp_path: Path) -> None:
 
 def test_a_file_that_is_no_parquet_is_named(tmp_path: Path) -> None:
     (tmp_path / "raw.parquet").write_text("timestamp,tag\n")
-    with pytest.raises(HistorianError, match=r"raw.parquet: is no Parquet file"):
+    with pytest.raises(HistorianError, match=r"raw.parquet is no Parquet file"):
         open_store(tmp_path)
 
 
@@ -198,14 +198,19 @@ def test_reading_goes_on_where_it_was_when_the_database_went_away(
 def test_a_database_that_stays_away_is_one_sentence(database: str, server: Server) -> None:
     from drivers.historian.postgres import PostgresStore
 
-    store = PostgresStore(database, create=True, patience_s=0.5)
+    said: list[str] = []
+    store = PostgresStore(database, create=True, patience_s=0.5, say=said.append)
     server.stop()
     try:
         with pytest.raises(HistorianError, match=r"went away and did not come back within 0.5 s") as gone:
             store.read(["A"])
+        with pytest.raises(HistorianAwayError):
+            store.read(["A"])
     finally:
         server.start()
     assert "correct" not in str(gone.value)
+    assert store.tags() == ()
+    assert [one.split(": ")[1].split(";")[0] for one in said] == ["went away", "is back"]
     store.close()
 
 

@@ -21,7 +21,7 @@ from drivers.virtual.rig import start_virtual_rig
 PROJECT = Path(__file__).resolve().parents[2]
 RIG = PROJECT / "profiles" / "rigs" / "virtual.toml"
 STALE_AFTER_S = 1.0
-STOPPED_S = 4.0
+STOPPED_S = 2.5
 STOPS = 3
 PERIOD_S = 0.02
 """Of the rig: many frames come in a gap, so that the reader looks while they are taken out of the queue."""

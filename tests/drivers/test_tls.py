@@ -22,7 +22,7 @@ from drivers.rig_file.bus_sections import ModbusTlsBus
 from drivers.rig_file.reader import RigFileError, load_rig
 from drivers.signals.points import ConfigurationError, LinkError, Quality
 from drivers.virtual.rig import VirtualRig, start_virtual_rig
-from hil.bench.faults.tls import authority, make_certificates, signed
+from hil.bench.faults.tls import Certificates, authority, make_certificates, signed
 
 PROJECT = Path(__file__).resolve().parents[2]
 POINTS = tuple(point for point in load_rig(PROJECT / "profiles/rigs/virtual.toml").point if point.bus == "plc")
@@ -49,11 +49,21 @@ class Secured:
         return text
 
 
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Certificates]:
+    """Certificates, made once, and their folder."""
+    folder = tmp_path_factory.mktemp("certificates")
+    return folder, make_certificates(folder)
+
+
 @pytest.fixture
-async def secured(tmp_path: Path) -> AsyncIterator[Secured]:
-    made = make_certificates(tmp_path)
-    async with await start_virtual_rig(period_s=0.1, tls=made.rig) as rig:
-        yield Secured(rig, made.harness, tmp_path, (tmp_path / "authority.pem", tmp_path / "authority.key"))
+async def secured(certificates: tuple[Path, Certificates], tmp_path: Path) -> AsyncIterator[Secured]:
+    folder, made = certificates
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    certificate, key, ca = (tmp_path / path.name for path in made.rig)
+    files = {name: tmp_path / path.name for name, path in made.harness.items()}
+    async with await start_virtual_rig(period_s=0.1, tls=(certificate, key, ca)) as rig:
+        yield Secured(rig, files, tmp_path, (tmp_path / "authority.pem", tmp_path / "authority.key"))
 
 
 async def test_reads_and_writes_go_through_tls_and_nothing_else_does(secured):

@@ -8,13 +8,20 @@ from typing import Any
 
 from hil.journal.writer import JournalWriter
 from hil.run_folder.folder import RunFolder, new_manifest
-from tests.hil.synthetic_journal import make, put_ticks
+from tests.hil.synthetic_journal import make, narrowed, put_ticks
 
 
-def ended_run(path: Path, *, ticks: int = 300, ended: bool = True) -> tuple[RunFolder, dict[str, Any]]:
-    """A run of `ticks` in a new folder `path`, with two twins; with `ended` its journal says that it is done."""
+def ended_run(
+    path: Path, *, ticks: int = 300, ended: bool = True, narrow: bool = False
+) -> tuple[RunFolder, dict[str, Any]]:
+    """A run of `ticks` in a new folder `path`, with two twins; with `ended` its journal says that it is done.
+
+    With `narrow` it has few signals and one twin, for what does not depend on them: files are made faster.
+    """
     path.mkdir(parents=True)
     folder, truth = RunFolder(path), make(ticks)
+    if narrow:
+        truth = narrowed(truth)
     writer = JournalWriter(folder.journal, truth.header)
     writer.state(0, 0.0, 0.0, "restoring", "start", "running", "the test")
     put_ticks(writer, truth, 0, ticks)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ SENSORS = {
     "T_radiator_C": ("T_radiator_C",),
     "T_tank_C": ("T_tank_C",),
 }
+NARROW = ("heater_power_set", "heater_power", "T_tank")
 COMMISSIONED = {
     "heater.capacity": (4200.0, "J/K"),
     "modules.capacity": (9800.0, "J/K"),
@@ -128,6 +130,20 @@ def make(ticks: int, *, period_s: float = 1.0, twins: tuple[str, ...] = ("static
         if i:
             outputs[twin][: int(0.02 * ticks)] = np.nan
     return Truth(header, time_s, values, quality, outputs)
+
+
+def narrowed(truth: Truth) -> Truth:
+    """The same run of a rig with a heater and a tank alone, and one twin: its report has three plots, not thirteen."""
+    kept = [k for k, signal in enumerate(truth.header.signals) if signal.name in NARROW]
+    header = dataclasses.replace(
+        truth.header,
+        signals=tuple(truth.header.signals[k] for k in kept),
+        twin_sensors={"T_tank_C": SENSORS["T_tank_C"]},
+        twin_names=("static",),
+        noise_K={"T_tank_C": truth.header.noise_K["T_tank_C"]},
+    )
+    static = truth.twins["static"][:, [list(SENSORS).index("T_tank_C")]]
+    return Truth(header, truth.time_s, truth.values[:, kept], truth.quality[:, kept], {"static": static})
 
 
 def put_ticks(writer: JournalWriter, truth: Truth, first: int, stop: int, twin_lag: int = 0) -> None:

@@ -69,7 +69,7 @@ def test_what_was_accepted_becomes_one_revision_that_can_be_reverted(twin: Path,
     assert oldest.path == twin and not newest.faults
     revision = newest.network.revision
     assert revision.made_by == "hil track it" and "2 of 3 parameters" in revision.evidence
-    assert "fins.UA_100: 60 -> 45 ± 0.82" in revision.notes[0] and "LOW_SENSITIVITY in" in revision.notes[-1]
+    assert "fins.UA_100: 60 -> 45.00 ± 0.82" in revision.notes[0] and "LOW_SENSITIVITY in" in revision.notes[-1]
     assert revision.held_out_s == (HOURS * 3600 - 1 - 0.2 * (HOURS * 3600 - 1), HOURS * 3600 - 1)
     for sensor, before in revision.error_before_K.items():
         assert revision.error_after_K[sensor] < 0.06 < before
@@ -165,6 +165,8 @@ def test_a_closed_gate_or_a_worse_twin_saves_nothing(twin: Path, record: Record,
 def test_advice_is_given_where_it_is_news(twin: Path) -> None:
     advise = Advice(load(twin)).news
     assert advise(proposed(300.0, {"fins.UA_100": 60.3})) is None
-    assert advise(proposed(600.0, {"fins.UA_100": 45.0})) == ("hiera_unet would change fins.UA_100 60 -> 45 ± 0.82 W/K")
+    assert advise(proposed(600.0, {"fins.UA_100": 45.0})) == (
+        "hiera_unet would change fins.UA_100 60 -> 45.00 ± 0.82 W/K"
+    )
     assert advise(proposed(900.0, {"fins.UA_100": 45.5})) is None
     assert advise(proposed(900.0, {"fins.UA_100": 20.0}, closed="OUT_OF_ENVELOPE")) is None

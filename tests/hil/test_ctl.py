@@ -21,20 +21,21 @@ from hil.review.rerun_io import read_words
 from hil.run.engine.control_socket import ControlError, ask, live_runs, serving
 from hil.run.engine.operator import RefusedError, Verb
 from hil.run_folder.folder import RunFolder
+from tests.hil.command_line import typed
 
 PROJECT = Path(__file__).resolve().parents[2]
 HIL = [sys.executable, "-m", "hil"]
 LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,700,100,70\n900000,700,100,70\n"
 
 
-def ctl(runs: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def from_a_second_terminal(runs: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [*HIL, "ctl", *arguments, "--runs", str(runs)]
     return subprocess.run(command, capture_output=True, text=True, cwd=PROJECT, timeout=180)
 
 
 def test_a_run_in_lockstep_is_held_paused_resumed_and_aborted_from_a_second_terminal(tmp_path):
     (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
-    assert ctl(tmp_path, "status").returncode == 2  # nothing runs
+    assert typed("ctl", "status", "--runs", tmp_path).returncode == 2  # nothing runs
     process = subprocess.Popen(
         [
             *HIL,
@@ -58,28 +59,28 @@ def test_a_run_in_lockstep_is_held_paused_resumed_and_aborted_from_a_second_term
             assert time.monotonic() < deadline and process.poll() is None
             time.sleep(0.1)
         folder = live_runs(tmp_path)[0]
-        assert "held at" in ctl(tmp_path, "hold").stdout
+        assert "held at" in typed("ctl", "hold", "--runs", tmp_path).stdout
         held_s = time.monotonic()
-        held = json.loads(ctl(tmp_path, "status", "--json").stdout)["status"]
+        held = json.loads(typed("ctl", "status", "--json", "--runs", tmp_path).stdout)["status"]
         assert (held["state"], held["setpoints"]["heater_power_set"]) == ("held", 700.0)
-        shown = ctl(tmp_path, "status").stdout
+        shown = typed("ctl", "status", "--runs", tmp_path).stdout
         assert "heater_power_set 700.0 W" in shown
         assert "T_tank " in shown and " °C" in shown
         assert "plc_uptime" not in shown  # of no use to an operator; --json has it
         assert max(map(len, shown.splitlines())) <= max(100, len(str(folder)) + 80)
-        paused = ctl(tmp_path, "pause", "--reason", "topping up")
+        paused = from_a_second_terminal(tmp_path, "pause", "--reason", "topping up")
         assert "safe values read back" in paused.stdout
-        later = json.loads(ctl(tmp_path, "status", str(folder), "--json").stdout)["status"]
+        later = json.loads(typed("ctl", "status", folder, "--json", "--runs", tmp_path).stdout)["status"]
         assert (later["state"], later["reason"]) == ("paused", "topping up (hil ctl)")
         assert later["setpoints"]["heater_power_set"] == 0.0
         assert later["profile_s"] == held["profile_s"]
         # It waits at a person's pace, a tick of one second a second; a lockstep that runs on makes hundreds.
         assert later["time_s"] - held["time_s"] < 2.0 * (time.monotonic() - held_s) + 10.0
-        refused = ctl(tmp_path, "ack")
+        refused = typed("ctl", "ack", "--runs", tmp_path)
         assert (refused.returncode, refused.stdout) == (1, "")
         assert "nothing has tripped" in refused.stderr
-        assert "running at" in ctl(tmp_path, "resume").stdout
-        assert "safe values read back" in ctl(tmp_path, "abort").stdout
+        assert "running at" in typed("ctl", "resume", "--runs", tmp_path).stdout
+        assert "safe values read back" in from_a_second_terminal(tmp_path, "abort").stdout
         _, err = process.communicate(timeout=180)
     finally:
         process.kill()

@@ -40,8 +40,12 @@ def fails(*arguments, **options):
     raise OSError(28, "No space left on device")
 
 
+def made(path, **options):
+    return ended_run(path, narrow=True, **options)
+
+
 def test_every_file_is_made_and_the_manifest_says_that_none_is_missing(tmp_path):
-    folder, manifest = ended_run(tmp_path / "run")
+    folder, manifest = made(tmp_path / "run")
     said = []
     derived = derive_files(folder, manifest, said.append)
     assert names(folder) == ALL
@@ -59,7 +63,7 @@ def test_every_file_is_made_and_the_manifest_says_that_none_is_missing(tmp_path)
     ],
 )
 def test_a_file_that_fails_leaves_the_others_and_is_made_later(tmp_path, monkeypatch, broken, lost):
-    folder, manifest = ended_run(tmp_path / "run")
+    folder, manifest = made(tmp_path / "run")
     said = []
     with monkeypatch.context() as context:
         context.setattr(broken, fails)
@@ -76,7 +80,7 @@ def test_a_file_that_fails_leaves_the_others_and_is_made_later(tmp_path, monkeyp
 
 
 def test_a_defect_in_one_file_is_named_as_one_and_leaves_the_others(tmp_path, monkeypatch):
-    folder, manifest = ended_run(tmp_path / "run")
+    folder, manifest = made(tmp_path / "run")
     monkeypatch.setattr("hil.review.write_review", lambda *paths: {}["gone"])
     derived = derive_files(folder, manifest, lambda text: None)
     assert derived.missing == {"review.rrd": "KeyError: 'gone'; a defect of hil, please report it"}
@@ -85,7 +89,7 @@ def test_a_defect_in_one_file_is_named_as_one_and_leaves_the_others(tmp_path, mo
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_the_making_at_once_and_leaves_what_is_made(tmp_path, monkeypatch, number):
-    folder, manifest = ended_run(tmp_path / "run")
+    folder, manifest = made(tmp_path / "run")
     before = signal.getsignal(number)
     began = time.monotonic()
 
@@ -110,14 +114,14 @@ def test_a_signal_ends_the_making_at_once_and_leaves_what_is_made(tmp_path, monk
 
 
 def test_a_signal_after_the_last_file_changes_no_exit_code(tmp_path):
-    folder, manifest = ended_run(tmp_path / "run")
+    folder, manifest = made(tmp_path / "run")
     assert DerivedFiles(folder, {}, signal.SIGTERM).exit_code(True) == 0
     assert derive_files(folder, manifest, lambda text: None).stopped_by is None
 
 
 def test_nothing_is_made_from_the_journal_of_another_run(tmp_path):
-    folder, manifest = ended_run(tmp_path / "run")
-    other, its_manifest = ended_run(tmp_path / "other")
+    folder, manifest = made(tmp_path / "run")
+    other, its_manifest = made(tmp_path / "other")
     for run, uid in ((folder, manifest["uid"]), (other, its_manifest["uid"])):
         with contextlib.closing(sqlite3.connect(run.journal)) as database, database:
             database.execute("INSERT INTO meta VALUES (?, ?)", (RUN_UID, json.dumps(uid)))
@@ -130,7 +134,7 @@ def test_nothing_is_made_from_the_journal_of_another_run(tmp_path):
 
 
 def test_a_folder_that_was_moved_gets_its_files_where_it_is_now(tmp_path):
-    folder, manifest = ended_run(tmp_path / "run")
+    folder, manifest = made(tmp_path / "run")
     said = []
     with folder.owned():
         (tmp_path / "other").mkdir()
@@ -142,7 +146,7 @@ def test_a_folder_that_was_moved_gets_its_files_where_it_is_now(tmp_path):
 
 
 def test_a_folder_whose_place_another_took_is_found_where_it_went(tmp_path):
-    folder, manifest = ended_run(tmp_path / "run")
+    folder, manifest = made(tmp_path / "run")
     with folder.owned():
         folder.path.rename(tmp_path / "moved")
         folder.path.mkdir()
@@ -152,7 +156,7 @@ def test_a_folder_whose_place_another_took_is_found_where_it_went(tmp_path):
 
 @pytest.mark.parametrize("again", [False, True])
 def test_a_folder_that_was_deleted_is_said_to_be_and_the_end_is_saved_beside_it(tmp_path, again):
-    folder, manifest = ended_run(tmp_path / "runs" / "run")
+    folder, manifest = made(tmp_path / "runs" / "run")
     with folder.owned():
         shutil.rmtree(folder.path)
         if again:
@@ -170,7 +174,7 @@ def test_a_folder_that_was_deleted_is_said_to_be_and_the_end_is_saved_beside_it(
 
 def test_a_folder_that_is_deleted_with_its_parent_is_said_to_be(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    folder, manifest = ended_run(tmp_path / "runs" / "run")
+    folder, manifest = made(tmp_path / "runs" / "run")
     manifest["safe"] = False
     with folder.owned():
         shutil.rmtree(tmp_path / "runs")
@@ -180,7 +184,7 @@ def test_a_folder_that_is_deleted_with_its_parent_is_said_to_be(tmp_path, monkey
 
 
 def test_a_folder_that_cannot_be_written_any_more_is_said_to_be(tmp_path, monkeypatch):
-    folder, manifest = ended_run(tmp_path / "run")
+    folder, manifest = made(tmp_path / "run")
 
     def refuses(self, document):
         raise OSError(30, "Read-only file system")
@@ -194,7 +198,7 @@ def test_a_folder_that_cannot_be_written_any_more_is_said_to_be(tmp_path, monkey
 
 
 def test_a_run_killed_before_it_could_say_how_it_ended_is_reported_by_its_journal(tmp_path):
-    folder, manifest = ended_run(tmp_path / "run")
+    folder, manifest = made(tmp_path / "run")
     folder.write_manifest(manifest | {"exit_status": "running", "reason": ""})
     regenerate_files(folder, False, lambda text: None)
     found = folder.read_manifest()
@@ -203,7 +207,7 @@ def test_a_run_killed_before_it_could_say_how_it_ended_is_reported_by_its_journa
 
 
 def test_a_run_that_was_cut_is_reported_as_far_as_it_came_and_stays_cut(tmp_path):
-    folder, manifest = ended_run(tmp_path / "run", ended=False)
+    folder, manifest = made(tmp_path / "run", ended=False)
     folder.write_manifest(manifest)
     regenerate_files(folder, False, lambda text: None)
     assert names(folder) == ALL
@@ -212,14 +216,14 @@ def test_a_run_that_was_cut_is_reported_as_far_as_it_came_and_stays_cut(tmp_path
 
 
 def test_a_live_run_is_not_reported(tmp_path):
-    folder, manifest = ended_run(tmp_path / "run", ended=False)
+    folder, manifest = made(tmp_path / "run", ended=False)
     folder.write_manifest(manifest)
     with folder.owned(), pytest.raises(RunFolderError, match="still goes on"):
         regenerate_files(folder, False, lambda text: None)
 
 
 def test_record_and_review_are_made_again_where_they_are_older_or_it_is_asked(tmp_path):
-    folder, manifest = ended_run(tmp_path / "run")
+    folder, manifest = made(tmp_path / "run")
     derive_files(folder, manifest, lambda text: None)
     said = []
     regenerate_files(folder, False, said.append)
@@ -235,14 +239,14 @@ def test_record_and_review_are_made_again_where_they_are_older_or_it_is_asked(tm
 
 @pytest.mark.parametrize("exit_status", ["done", "running"])
 def test_a_run_that_went_to_its_end_is_not_resumed_and_its_files_are_pointed_at(tmp_path, exit_status):
-    folder, manifest = ended_run(tmp_path / "run")
+    folder, manifest = made(tmp_path / "run")
     folder.write_manifest(manifest | {"exit_status": exit_status})
     with pytest.raises(RunFolderError, match=r"has run to its end; `hil report .*` makes its record and report"):
         request_of(folder, folder.read_manifest(), {})
 
 
 def test_the_record_of_an_ended_run_is_made_for_whoever_reads_it(tmp_path):
-    folder, manifest = ended_run(tmp_path / "run")
+    folder, manifest = made(tmp_path / "run")
     folder.write_manifest(manifest)
     folder.twin.touch()
     assert subject_of(folder.path, None).record == folder.record
@@ -274,7 +278,7 @@ def test_a_run_folder_is_checked_and_commissioned_by_its_record(tmp_path):
 
 
 def test_a_report_of_an_interrupted_run_says_nothing_of_the_safe_end_before_it(tmp_path):
-    folder, manifest = ended_run(tmp_path / "run", ended=False)
+    folder, manifest = made(tmp_path / "run", ended=False)
     folder.write_manifest(manifest | {"exit_status": "running", "safe": True})
     regenerate_files(folder, False, lambda text: None)
     page = folder.report.read_text(encoding="utf-8")

@@ -1,6 +1,6 @@
-"""`hil diagnose` as a user types it, on a rig of separate processes over real Modbus and CAN.
+"""`hil diagnose` as a user types it, on records of the virtual rig.
 
-Runs, commissioning and the first diagnosis are processes of their own; what is asked of them after that is not.
+The first diagnosis is a process of its own; what is asked after that is not.
 """
 
 from __future__ import annotations
@@ -13,7 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.rig_file.reader import load_rig
+from drivers.virtual.plant.effects import load_effects
+from hil.profile.load_profile import read_profile
 from hil.record.reader import read_record, write_record
+from hil.synthetic.plant_record import direct_record
 from tests.hil.command_line import typed
 from twin.kernel import simulate
 from twin.twinfile import load
@@ -24,6 +28,7 @@ HEAT = (
     f'[[effect]]\nkind = "heat_source"\nwhere = "modules"\ndriver = "constant"\npower_W = 150\nonset_s = {ONSET_S:g}\n'
 )
 LOADS = PROJECT / "profiles" / "loads"
+RIG = PROJECT / "profiles" / "rigs" / "virtual.toml"
 
 
 def beginning(load: Path, hours: float) -> str:
@@ -44,32 +49,21 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """The first hours of two shipped loads: healthy ones, and ones with heat that no twin was told of."""
     place = tmp_path_factory.mktemp("runs")
     (place / "heat.toml").write_text(HEAT, encoding="utf-8")
-    found = {}
-    for name, shipped, hours, extra in (
-        ("healthy", "commissioning_10h", 4.0, ()),
-        ("heated", "battle_10h", 5.0, ("--with", place / "heat.toml")),
-    ):
+    for name, shipped, hours in (("healthy", "commissioning_10h", 4.0), ("heated", "battle_10h", 5.0)):
         (place / f"{name}.csv").write_text(beginning(LOADS / f"{shipped}.csv", hours), encoding="utf-8")
-        done = hil(
-            "run",
-            place / f"{name}.csv",
-            "--virtual",
-            "--lockstep",
-            "--no-twin",
-            "--seed",
-            5,
-            "--runs",
-            place / name,
-            "--json",
-            *extra,
-        )
-        assert done.returncode == 0, done.stderr
-        found[name] = Path(json.loads(done.stdout)["folder"])
-    done = hil(
+    # A record without the wires is as one over them: tests/hil/test_bench_discovery.py. Records over them are diagnosed
+    # in tests/hil/test_live_diagnosis.py and tests/hil/test_explain.py.
+    found, heat = {}, load_effects(place / "heat.toml")
+    for name, effects in (("healthy", ()), ("heated", heat)):
+        found[name] = place / name
+        found[name].mkdir()
+        made = direct_record(read_profile(place / f"{name}.csv"), load_rig(RIG), seed=5, unit=5, effects=effects)
+        write_record(made, found[name] / "record.parquet")
+    done = typed(
         "commission",
         found["healthy"] / "record.parquet",
         "--twin",
-        "profiles/twins/loop.toml",
+        PROJECT / "profiles/twins/loop.toml",
         "--out",
         place / "rig.toml",
     )

@@ -6,11 +6,14 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 from subprocess import CompletedProcess
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from drivers.rig_file.reader import load_rig
+from hil.cli import group
 from hil.diagnosis.experiment_file import limits_of
 from hil.profile.load_profile import read_profile, validate
 from hil.record.reader import Record, write_record
@@ -152,10 +155,21 @@ def test_a_plan_is_forecast_before_it_is_run(place: Mapping[str, Path], tmp_path
     assert bare.returncode == 2 and "--healthy" in bare.stderr
 
 
+def test_groups_of_the_same_names_are_stated_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Masses with other time constants have the same names, and are one line."""
+    one, other = (("thermal_mass", node, "history") for node in ("plate", "tank"))
+    found = SimpleNamespace(groups=((one, other), (other, one), (one, one, other)), unseen=())
+    monkeypatch.setattr("twin.discovery.ambiguity_groups", lambda network: found)
+    done = CliRunner().invoke(group, ["check", str(LOOP), "--catalogue"])
+    lines = [line for line in done.output.splitlines() if line.startswith("no input distinguishes: ")]
+    assert lines == ["no input distinguishes: thermal mass at plate (history); thermal mass at tank (history)"]
+
+
 def test_a_catalogue_is_checked(place: Mapping[str, Path]) -> None:
     done = typed("check", place["twin"], "--catalogue")
     assert done.returncode == 0, done.stderr
     groups = [line for line in done.stdout.splitlines() if line.startswith("no input distinguishes: ")]
     assert any("actuator at pump_speed (constant)" in x and "flow at loop (constant)" in x for x in groups)
+    assert "To separate those of two places, measure there" in done.stdout
     refused = typed("check", RIG, "--catalogue")
     assert refused.returncode == 2 and "--catalogue" in refused.stderr

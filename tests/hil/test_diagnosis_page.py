@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from hil.diagnosis.page.figures import pictures
 from hil.diagnosis.results import write
 from hil.diagnosis.store import (
     CURVES,
+    DOCUMENT,
     DiagnosisFolderError,
     Findings,
     curves_of,
@@ -54,6 +56,20 @@ def test_curves_come_back_as_they_were_written(tmp_path):
         assert (a.site, a.unit, a.log_evidence) == (b.site, b.unit, b.log_evidence)
         np.testing.assert_array_equal(a.mean, b.mean)
         np.testing.assert_array_equal(a.sd, b.sd)
+
+
+def test_a_diagnosis_with_another_twin_is_kept_and_one_with_the_same_twin_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("a file of the operator")
+    for twin in ("a", "a", "b", "c"):
+        write(
+            made(),
+            SENSORS,
+            tmp_path,
+            {"provenance": {"files": {"twin": {"path": "twin.toml", "sha256": twin}}}, "of": twin},
+        )
+    found = {str(p.parent.relative_to(tmp_path)): json.loads(p.read_text())["of"] for p in tmp_path.rglob(DOCUMENT)}
+    assert found == {".": "c", "before-1": "a", "before-2": "b"}
+    assert (tmp_path / "before-2" / CURVES).is_file() and (tmp_path / "mine.txt").is_file()
 
 
 def test_a_folder_without_curves_is_one_sentence(tmp_path, folder):

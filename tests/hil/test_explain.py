@@ -21,6 +21,7 @@ from hil.run.session.interrupted_run import request_of as request_of_run
 from hil.run_folder.folder import RunFolder, new_manifest
 from tests.hil.command_line import typed
 from tests.hil.made_explanation import PLAN, RIG, Scripted, diagnosis, made_files, request_of
+from tests.hil.slow_period import slow_period_rig
 from twin.discovery.diagnosis import Diagnosis
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -39,7 +40,7 @@ def test_a_run_with_two_causes_alike_is_settled_by_an_experiment_on_the_virtual_
     (tmp_path / "gain.toml").write_text(GAIN, encoding="utf-8")
     for name in ("virtual.toml", "virtual.healthy.parquet"):
         shutil.copy(PROJECT / "profiles/twins" / name, tmp_path)
-    options = ("--virtual", "--lockstep", "--no-viewer")
+    options = ("--rig", slow_period_rig(tmp_path, 5.0), "--virtual", "--lockstep", "--no-viewer")
     made = typed("run", "steady.csv", "--no-twin", "--with", "gain.toml", "--seed", 4, "--json", *options)
     assert made.returncode == 0, made.stderr
     first = Path(json.loads(made.stdout)["folder"])

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import dataclasses
 import shutil
+import uuid
+from pathlib import Path
 
 import pytest
 
@@ -31,23 +34,55 @@ OF_FRAMES = (
 )
 """Replies that the driver refuses: tests/contract has each on every transport, and the run sees the same link fault of
 all. "late replies" and "garbled over TLS" stand for them here; `hil bench faults` has them all."""
+ALIKE = ("CAN silent", "SIGINT")
+"""A bus-off is silence as well, and SIGTERM takes the way of SIGINT, which tests/hil/test_run.py sends, too."""
 HUNG, KILLED = ("loop hangs", 0), ("SIGKILL", 3)
+AFTER = ("link drop", "disk full", "thermocouple open", "rig reboot")
+"""Followed until the run has gone on with the fault over."""
 
 
 def cases() -> list[tuple[str, int]]:
-    names = [name for name in KINDS if name not in (*COSTLY, *OF_FRAMES)]
+    names = [name for name in KINDS if name not in (*COSTLY, *OF_FRAMES, *ALIKE, *AFTER, HUNG[0])]
     names = [name for name in names if KINDS[name].place != "tls" or shutil.which("openssl")]
     return [(kind, number + 1) for kind, number in singles(len(names), names)] + [HUNG, KILLED]
 
 
+TOKEN = uuid.uuid4().hex
+"""In the environment of all that the campaign starts."""
+
+
 @pytest.fixture(scope="module")
-def results() -> list[FaultResult]:
-    return asyncio.run(campaign(cases(), SEED, jobs=3, resume=False))
+def followed() -> list[FaultResult]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HIL_TEST_TOKEN", TOKEN)
+        return asyncio.run(campaign([(name, 0) for name in AFTER], SEED, jobs=4))
+
+
+@pytest.fixture(scope="module")
+def results(followed) -> list[FaultResult]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HIL_TEST_TOKEN", TOKEN)
+        return asyncio.run(campaign(cases(), SEED, jobs=3, resume=False)) + followed
+
+
+def started(token: str) -> list[str]:
+    """The commands of the live processes with `token` in their environment."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # it has gone, or is another user's
+            if token.encode() in (place / "environ").read_bytes():
+                found.append((place / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace"))
+    return found
+
+
+def test_a_campaign_leaves_no_process_behind_not_even_a_guardian_without_its_rig(results):
+    assert {result.by for result in results} >= {"guardian", "harness"}
+    assert started(TOKEN) == []
 
 
 @pytest.mark.timeout(900)
 def test_a_fault_of_each_kind_breaks_no_must(results):
-    assert len(results) == len(cases()) >= 24
+    assert len(results) == len(cases()) + len(AFTER) >= 21
     broken = [f"{r.kind} {r.number}: {'; '.join(r.failures)} [{r.reason}]" for r in results if r.failures]
     assert not broken, "\n".join(broken)
     struck = [r for r in results if r.heated and r.ended != "rode through"]
@@ -73,17 +108,13 @@ def test_a_loop_that_hangs_or_was_killed_is_made_safe_by_its_guardian(results, c
     assert gone.unsaved_s < 1.0
 
 
-AFTER = ("link drop", "disk full", "thermocouple open", "rig reboot")
-
-
 @pytest.mark.timeout(600)
-def test_a_run_goes_on_after_a_link_a_disk_a_sensor_and_a_rig_that_are_in_order_again():
-    found = asyncio.run(campaign([(name, 0) for name in AFTER], SEED, jobs=4))
-    broken = [f"{r.kind}: {'; '.join(r.failures)} [{r.reason}]" for r in found if r.failures]
+def test_a_run_goes_on_after_a_link_a_disk_a_sensor_and_a_rig_that_are_in_order_again(followed):
+    broken = [f"{r.kind}: {'; '.join(r.failures)} [{r.reason}]" for r in followed if r.failures]
     assert not broken, "\n".join(broken)
-    assert [r.resumed for r in found] == [True] * len(AFTER)
-    assert not any(r.lost or r.wrong for r in found)
-    assert dict(tables(found, 1.0)[1].rows)["resumable runs resumed"] == "4 of 4"
+    assert [r.resumed for r in followed] == [True] * len(AFTER)
+    assert not any(r.lost or r.wrong for r in followed)
+    assert dict(tables(followed, 1.0)[1].rows)["resumable runs resumed"] == "4 of 4"
 
 
 TWO_AT_A_TIME = ("thermocouple stuck + link drop", "pump stop + disk full", "late replies, brief + loop hangs")

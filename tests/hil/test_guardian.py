@@ -68,6 +68,10 @@ asyncio.run(main(*sys.argv[1:]))
 """
 
 
+GUARDIANS: list[int] = []
+"""Processes of guardians that tests have started; some would try for ever to reach a device that is gone."""
+
+
 @contextlib.contextmanager
 def engine(tmp_path: Path, device: Device, how: str = "beats", **more: Any) -> Iterator[subprocess.Popen[str]]:
     """A process that heats and beats."""
@@ -81,13 +85,17 @@ def engine(tmp_path: Path, device: Device, how: str = "beats", **more: Any) -> I
         running.wait()
         assert running.stdout is not None
         running.stdout.close()
+        while GUARDIANS:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(GUARDIANS.pop(), signal.SIGKILL)
 
 
 def started(running: subprocess.Popen[str]) -> tuple[str, int]:
     """How the guardian found the device, and its process."""
     assert running.stdout is not None
     words = running.stdout.readline().split()
-    return words[0], int(words[1])
+    GUARDIANS.append(int(words[1]))
+    return words[0], GUARDIANS[-1]
 
 
 def until(condition: Callable[[], bool], seconds: float = WAIT_S) -> bool:
@@ -168,7 +176,8 @@ def test_a_stop_of_half_a_second_and_a_whole_pause_are_no_silence(tmp_path):
         time.sleep(1.0)
         assert device.registers[HEATER] == 500
         assert running.poll() is None
-    assert until(lambda: device.off_s is not None)
+        running.kill()
+        assert until(lambda: device.off_s is not None)
     device.close()
 
 

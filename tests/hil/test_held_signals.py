@@ -20,7 +20,8 @@ from hil.run.session.derived_files import derive_files
 from tests.hil.ended_run import ended_run, wait_until
 
 PROJECT = Path(__file__).resolve().parents[2]
-LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,700,100,70\n9000,700,100,70\n"
+LOAD = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,100,100,70\n9000,100,100,70\n"
+"""Its meter is below 10 W, and the rig safe, in 4 s after a stop."""
 
 
 def many(number: signal.Signals, count: int, every_s: float) -> None:
@@ -46,7 +47,8 @@ def test_a_key_that_is_held_down_is_one_request_and_a_later_one_is_another(monke
 
 
 def test_the_echoes_of_the_stop_cut_no_file_off_and_a_deliberate_signal_ends_the_making_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr(held, "SECOND_REQUEST_S", 0.3)
+    # Longer than a busy machine may keep the thread of the echoes waiting between two of them.
+    monkeypatch.setattr(held, "SECOND_REQUEST_S", 1.0)
     folder, manifest = ended_run(tmp_path / "run")
     with RunSignals() as signals:
         with signals.phase(lambda number, is_deliberate: None):
@@ -57,7 +59,7 @@ def test_the_echoes_of_the_stop_cut_no_file_off_and_a_deliberate_signal_ends_the
         burst.join()
 
         def slow(*paths: object) -> None:
-            time.sleep(0.4)
+            time.sleep(1.2)
             many(signal.SIGINT, 30, 0.01)
             time.sleep(30.0)
 
@@ -67,6 +69,26 @@ def test_the_echoes_of_the_stop_cut_no_file_off_and_a_deliberate_signal_ends_the
     assert derived.missing == {"review.rrd": "stopped by SIGINT", "report.html": "stopped by SIGINT"}
     assert folder.read_manifest()["missing"] == derived.missing
     assert "report " in said[-1] and "makes them from the journal" in said[-1]
+
+
+def test_a_signal_in_a_finalizer_where_python_discards_exceptions_ends_the_making(tmp_path, monkeypatch):
+    folder, manifest = ended_run(tmp_path / "run")
+
+    class Finalized:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGTERM)
+            time.sleep(0.01)
+
+    def slow(*paths: object) -> None:
+        Finalized()
+        time.sleep(30.0)
+
+    monkeypatch.setattr("hil.review.write_review", slow)
+    began = time.monotonic()
+    derived = derive_files(folder, manifest, lambda text: None)
+    assert derived.missing == {"review.rrd": "stopped by SIGTERM", "report.html": "stopped by SIGTERM"}
+    assert time.monotonic() - began < 20.0
+    assert not any(isinstance(thread, threading.Timer) for thread in threading.enumerate())
 
 
 def test_signals_that_gather_while_python_runs_no_handler_are_an_echo(monkeypatch):

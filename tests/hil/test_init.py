@@ -210,3 +210,87 @@ def test_a_host_that_no_rig_file_takes_is_refused(tmp_path, option, given, said)
     out = tmp_path / "rig.toml"
     done = CliRunner().invoke(init, [option, given, "--heater", "set=holding:0*0.1,max=900", "--out", str(out)])
     assert done.exit_code == 2 and said in " ".join(done.output.split()) and not out.exists()
+
+
+REGISTERS = """\
+name,address,type,order,scale,unit,access,remark
+heater_set,40001,uint16,,,W,,
+pump_set,40002,uint16,,0.1,%,rw,
+heater_power,30001,float32,,,W,r,
+flow,30003,float32,CDAB,,L/min,r,
+count,30005,uint32,,,,r,
+torque,30007,int16,,1,in-lb,r,
+T_tank,30010,int16,,0.1,degC,r,
+"""
+
+
+def _guessed(path: Path) -> dict[str, set[str]]:
+    """Return the keys that are marked as guessed, by section or point."""
+    found: dict[str, set[str]] = {}
+    where = ""
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.startswith("["):
+            where = line.strip("[]")
+        elif line.startswith("name = ") and where != "rig":
+            where = line.split('"')[1]
+        elif "# guessed" in line and not line.startswith("#"):
+            found.setdefault(where, set()).add(line.split(" = ")[0])
+    return found
+
+
+def test_each_assumption_of_an_import_is_marked_and_what_is_given_is_not(tmp_path):
+    (tmp_path / "table.csv").write_text(REGISTERS, encoding="utf-8")
+    source = ("--from", tmp_path / "table.csv", "--addressing", "modicon")
+    assert made(*source, "--out", tmp_path / "rig.toml").exit_code == 0
+    points = {
+        "heater_set": {"scale", "access"},
+        "heater_power": {"order"},
+        "count": {"order", "unit"},
+        "torque": {"unit"},
+    }
+    assert _guessed(tmp_path / "rig.toml") == points | {
+        "rig": {"period_s"},
+        "bus.plc": {"host", "port", "device_id"},
+    }
+    stated = ("--host", "10.0.0.5", "--port", "1502", "--device-id", "3", "--period", "1", "--order", "ABCD")
+    assert made(*source, *stated, "--out", tmp_path / "stated.toml").exit_code == 0
+    assert _guessed(tmp_path / "stated.toml") == {
+        "heater_set": {"scale", "access"},
+        "count": {"unit"},
+        "torque": {"unit"},
+    }
+    assert accepted(tmp_path / "rig.toml").get("heater_power").order == "ABCD"
+
+
+def test_each_assumption_about_a_place_is_marked(tmp_path):
+    places = (
+        "--thermocouple",
+        "T_a=input:20",
+        "--thermocouple",
+        "T_b=input:24:float32",
+        "--flow",
+        "input:2:float32:CDAB",
+    )
+    assert made(*places, "--out", tmp_path / "rig.toml").exit_code == 0
+    marked = _guessed(tmp_path / "rig.toml")
+    checks = {"plausible", "alarm", "stale_after_s"}
+    assert (marked["T_a"], marked["T_b"], marked["flow"]) == (
+        checks | {"type", "scale"},
+        checks | {"order"},
+        {"plausible"},
+    )
+    assert (accepted(tmp_path / "rig.toml").get("T_b").order, marked["bus.plc"]) == (
+        "ABCD",
+        {"host", "port", "device_id"},
+    )
+
+
+def test_a_fresh_import_with_set_points_is_told_what_protection_it_lacks(tmp_path):
+    (tmp_path / "table.csv").write_text(REGISTERS, encoding="utf-8")
+    assert (
+        made("--from", tmp_path / "table.csv", "--addressing", "modicon", "--out", tmp_path / "rig.toml").exit_code == 0
+    )
+    said = CliRunner().invoke(check, [str(tmp_path / "rig.toml")]).output
+    for lack in ("no limits and no safe_value", "no readback", "no plausible range", "there is no [heartbeat]"):
+        (note,) = [line for line in said.splitlines() if line.startswith("note: ") and lack in line]
+        assert "pump_set" in note or lack == "no plausible range"

@@ -31,7 +31,9 @@ from hil.run.session.interrupted_run import request_of
 from hil.run.session.manifest import settings_of
 from hil.run.session.request import RunRequest
 from hil.run_folder.folder import RunFolder, create_run_folder, new_manifest
+from tests.hil.command_line import typed
 from tests.hil.made_diagnosis import SAYS, effect, made
+from tests.hil.slow_period import slow_period_rig
 from twin.discovery.diagnosis import SensorError
 from twin.network import Network
 from twin.twinfile import load
@@ -45,6 +47,9 @@ LOAD = """time_s,heater_power_W,pump_speed_pct,fan_speed_pct
 5400,850,85,80
 {end},850,85,80
 """
+PERIOD_S = 5.0
+LAST_S = 7400
+"""Just beyond the second hour, at which it is diagnosed while it goes on."""
 HEAT = '[[effect]]\nkind = "heat_source"\nwhere = "modules"\ndriver = "constant"\npower_W = 180\nonset_s = 1805\n'
 
 
@@ -193,18 +198,20 @@ async def test_an_operator_may_skip_the_last_diagnosis(live):
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    """Two and a half hours in which the modules begin to heat after half an hour."""
+    """Two hours in which the modules begin to heat after half an hour."""
     place = tmp_path_factory.mktemp("live")
-    for name, end in (("healthy", 6000), ("load", 9000)):
+    for name, end in (("healthy", 6000), ("load", LAST_S)):
         (place / f"{name}.csv").write_text(LOAD.format(end=end), encoding="utf-8")
     (place / "heat.toml").write_text(HEAT, encoding="utf-8")
+    slow_period_rig(place, PERIOD_S)
     healthy = run(place, "healthy", "--no-twin").record
-    return run(place, "load", "--with", place / "heat.toml", "--diagnose", "1h", "--adopt", "--healthy", healthy)
+    return run(place, "load", "--with", place / "heat.toml", "--diagnose", "2h", "--adopt", "--healthy", healthy)
 
 
 def run(place: Path, load: str, *more: object) -> RunFolder:
     command = [sys.executable, "-m", "hil", "run", place / f"{load}.csv", "--virtual", "--lockstep", "--no-viewer"]
-    command += ["--runs", place / "runs", "--json", "--calibrator", "least_squares", *more]
+    command += ["--rig", place / "slow.toml", "--runs", place / "runs", "--json", *more]
+    command += [] if "--no-twin" in more else ["--calibrator", "least_squares"]
     done = subprocess.run([*map(str, command)], capture_output=True, text=True, cwd=PROJECT, timeout=550)
     assert done.returncode == 0, done.stderr
     return RunFolder(Path(json.loads(done.stdout)["folder"]))
@@ -215,7 +222,7 @@ def test_a_run_tells_what_its_twin_lacks_and_every_tick_is_there(ran):
         told = [text for (text,) in database.execute("SELECT text FROM events") if text.startswith("diagnosis")]
         ticks = [tick for (tick,) in database.execute("SELECT tick FROM samples ORDER BY tick")]
     database.close()
-    assert ticks == list(range(9001)) and ran.read_manifest()["overruns"] == 0
+    assert ticks == list(range(int(LAST_S / PERIOD_S) + 1)) and ran.read_manifest()["overruns"] == 0
     assert any("effect found" in text and "modules give off" in text and "since 30 min" in text for text in told)
     assert ran.read_manifest()["diagnosis"] == "effect found"
     assert has_diagnosis(ran.diagnosis) and (ran.diagnosis / "diagnosis.html").is_file()
@@ -235,13 +242,7 @@ def test_what_was_adopted_is_a_revision_of_the_runs_twin(ran):
 
 def test_healthy_without_diagnose_is_a_usage_error(tmp_path):
     (tmp_path / "load.csv").write_text(LOAD.format(end=9000), encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "-m", "hil", "run", str(tmp_path / "load.csv"), "--virtual", "--adopt"],
-        capture_output=True,
-        text=True,
-        cwd=PROJECT,
-        timeout=180,
-    )
+    done = typed("run", tmp_path / "load.csv", "--virtual", "--adopt")
     assert done.returncode == 2 and "--diagnose" in done.stderr
 
 

@@ -57,8 +57,10 @@ def test_a_file_of_a_run_is_refused_also_through_a_link_and_before_it_is_there(r
 
 
 def test_another_file_in_or_beside_a_run_is_accepted(run, tmp_path):
+    before = sorted(run.path.iterdir())
     require_output(run.path / "temperatures.csv", RunFolderError)
     require_output(tmp_path / "report.html", RunFolderError)  # no run here
+    assert sorted(run.path.iterdir()) == before and not (tmp_path / "report.html").exists()  # asked, and not written
 
 
 def test_a_source_is_refused_by_each_of_its_names(tmp_path):
@@ -71,7 +73,7 @@ def test_a_source_is_refused_by_each_of_its_names(tmp_path):
             require_output(path, RunFolderError, [source])
 
 
-INPUTS = {"--notify-file", "--cert", "--key", "--runs"}
+INPUTS = {"--notify-file", "--cert", "--key", "--trust", "--runs"}
 """Options of a path that need not be there, and that no command writes as a file."""
 
 

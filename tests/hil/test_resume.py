@@ -37,12 +37,14 @@ PROJECT = Path(__file__).resolve().parents[2]
 HIL = [sys.executable, "-m", "hil"]
 LOAD = """time_s,heater_power_W,pump_speed_pct,fan_speed_pct
 0,700,100,70
-2400,880,100,70
-4200,600,85,70
-8400,600,85,70
+900,880,100,70
+2700,600,85,70
+3600,600,85,70
 """
+LAST_S = 3600
 BEGINNING = "".join(LOAD.splitlines(keepends=True)[:4])
-"""The first half of it, for what does not depend on how long a run goes on after its gap."""
+"""The first part of it, for what does not depend on how long a run goes on after its gap."""
+NO_SOCKET = shutil.ignore_patterns("control.sock")
 TEMPERATURES = ("T_heater_C", "T_pm1_C", "T_radiator_C", "T_tank_C")
 
 
@@ -92,6 +94,14 @@ class Story:
     cut: int
 
 
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run without a twin that was killed, for what does not depend on calibrators."""
+    place = tmp_path_factory.mktemp("bare")
+    (place / "load.csv").write_text(BEGINNING, encoding="utf-8")
+    return killed(place, 700, "--virtual", "--lockstep", "--no-twin")
+
+
 def rows(journal: Path) -> dict[str, list[Any]]:
     """Everything that a journal holds of samples, windows and events."""
     reader = JournalReader(journal)
@@ -112,12 +122,13 @@ def story(tmp_path_factory: pytest.TempPathFactory) -> Story:
     place = tmp_path_factory.mktemp("resume")
     (place / "load.csv").write_text(LOAD, encoding="utf-8")
     asked = ("--virtual", "--lockstep", "--seed", 3, "--calibrator", "pso", "--calibrator", "least_squares")
-    folder = killed(place, random.randint(1500, 6000), *asked)
+    folder = killed(place, random.randint(700, 1500), *asked)
     acknowledged = rows(folder / "journal.sqlite")
-    shutil.copytree(folder, place / "as it was cut", ignore=lambda _, names: [n for n in names if n == "control.sock"])
-    done = hil("resume", folder, "--no-viewer", "--json")
+    shutil.copytree(folder, place / "as it was cut", ignore=NO_SOCKET)
+    time.sleep(2.0)  # a run that is resumed within its period has no gap
+    done = typed("resume", folder, "--no-viewer", "--json")
     assert done.returncode == 0, done.stderr
-    whole = hil("run", place / "load.csv", *asked, "--no-viewer", "--runs", place / "whole", "--json")
+    whole = typed("run", place / "load.csv", *asked, "--no-viewer", "--runs", place / "whole", "--json")
     assert whole.returncode == 0, whole.stderr
     whole_folder = RunFolder(Path(json.loads(whole.stdout)["folder"]))
     printed = json.loads(done.stdout)
@@ -159,8 +170,8 @@ def test_the_gap_is_there_for_everyone_to_see(story):
 def test_profile_time_goes_on_where_it_stood_and_every_second_of_it_is_run_once(story):
     record = read_record(story.folder.record)
     profile_s = record.columns["profile_s"]
-    assert profile_s[-1] == 8400
-    assert sorted(set(profile_s.tolist())) == list(range(8401))
+    assert profile_s[-1] == LAST_S
+    assert sorted(set(profile_s.tolist())) == list(range(LAST_S + 1))
     restoring = (record.time_s > story.cut) & (profile_s == story.cut)
     assert restoring.sum() == pytest.approx(story.printed["segments"][0]["restore_s"], abs=3)
 
@@ -170,7 +181,7 @@ def outside_the_gap(record: Record, cut: int) -> dict[str, np.ndarray]:
     profile_s = record.columns.get("profile_s", record.time_s)
     moves = np.concatenate([[True], np.diff(profile_s) > 0])
     order = {int(p): i for i, p in enumerate(profile_s) if moves[i]}
-    kept = [order[p] for p in range(8400) if not cut - 1 <= p < cut + 600]
+    kept = [order[p] for p in range(LAST_S) if not cut - 1 <= p < cut + 600]
     return {name: values[kept] for name, values in record.columns.items()}
 
 
@@ -252,30 +263,30 @@ def test_a_run_that_is_over_or_goes_on_is_refused(story):
 
 def test_a_run_that_a_signal_aborted_goes_on(tmp_path):
     (tmp_path / "load.csv").write_text(BEGINNING, encoding="utf-8")
-    folder = RunFolder(killed(tmp_path, 1500, "--virtual", "--lockstep", "--no-twin", by=signal.SIGTERM))
+    folder = RunFolder(killed(tmp_path, 700, "--virtual", "--lockstep", "--no-twin", by=signal.SIGTERM))
     cut = folder.read_manifest()
     assert (cut["exit_status"], cut["safe"]) == ("aborted", True)
-    done = hil("resume", folder.path, "--no-viewer", "--json")
+    done = typed("resume", folder.path, "--no-viewer", "--json")
     assert done.returncode == 0, done.stderr
     manifest = folder.read_manifest()
     assert manifest["exit_status"] == "done"
     assert manifest["segments"][0]["why"].startswith("the run aborted (stopped by ")
     profile_s = read_record(folder.record).columns["profile_s"]
-    assert sorted(set(profile_s.tolist())) == list(range(4201))
+    assert sorted(set(profile_s.tolist())) == list(range(2701))
 
 
 def test_a_run_whose_trip_has_its_cause_still_is_refused_by_name_and_stays_as_it_was(tmp_path):
     (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
-    effect = '[[effect]]\nkind = "sensor"\nwhere = "T_pm2_C"\ndriver = "constant"\nopen_circuit = true\nonset_s = 900\n'
+    effect = '[[effect]]\nkind = "sensor"\nwhere = "T_pm2_C"\ndriver = "constant"\nopen_circuit = true\nonset_s = 300\n'
     (tmp_path / "open.toml").write_text(effect, encoding="utf-8")
     asked = ("--virtual", "--lockstep", "--no-twin", "--with", tmp_path / "open.toml", "--no-viewer")
-    tripped = hil("run", tmp_path / "load.csv", *asked, "--runs", tmp_path / "runs")
+    tripped = typed("run", tmp_path / "load.csv", *asked, "--runs", tmp_path / "runs")
     assert tripped.returncode == 1
     assert "when its cause is gone, go on with it: " in tripped.stdout
     folder = RunFolder(next((tmp_path / "runs").iterdir()))
     before = rows(folder.journal)
     for _ in range(2):
-        refused = hil("resume", folder.path, "--no-viewer")
+        refused = typed("resume", folder.path, "--no-viewer")
         assert refused.returncode == 1
         assert "not started: T_pm2 has been without a good value for 5 s: sensor fault" in refused.stdout
     after = rows(folder.journal)
@@ -303,7 +314,7 @@ def test_a_run_that_was_killed_while_its_report_was_written_gets_it(story, tmp_p
 
 def clock_moved(source: Path, to: Path, **changes: float | str) -> None:
     """A copy of the cut run whose rows are older, or whose note of the clocks is another."""
-    shutil.copytree(source, to)
+    shutil.copytree(source, to, ignore=NO_SOCKET)
     with sqlite3.connect(to / "journal.sqlite") as database:
         if "older_s" in changes:
             database.execute("UPDATE samples SET wall_s = wall_s - ?", (changes.pop("older_s"),))
@@ -312,27 +323,27 @@ def clock_moved(source: Path, to: Path, **changes: float | str) -> None:
     database.close()
 
 
-def test_a_gap_of_ten_years_is_questioned_and_the_stated_one_is_taken(story, tmp_path):
-    cut, ten_years_s = story.folder.path.parents[1] / "as it was cut", 10 * 365.25 * 86400
-    clock_moved(cut, tmp_path / "run", older_s=ten_years_s)
+def test_a_gap_of_ten_years_is_questioned_and_the_stated_one_is_taken(bare, tmp_path):
+    ten_years_s = 10 * 365.25 * 86400
+    clock_moved(bare, tmp_path / "run", older_s=ten_years_s)
     before = rows(tmp_path / "run" / "journal.sqlite")
     refused = typed("resume", tmp_path / "run", "--no-viewer")
     assert refused.returncode == 2
     assert "longer than 7 d" in refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1
     assert rows(tmp_path / "run" / "journal.sqlite") == before
-    done = hil("resume", tmp_path / "run", "--gap", "12min", "--timeout", 60, "--no-viewer", "--json")
+    done = typed("resume", tmp_path / "run", "--gap", "12min", "--timeout", 60, "--no-viewer", "--json")
     assert json.loads(done.stdout)["segments"][0]["gap_s"] == pytest.approx(720.0, abs=60.0)
 
 
-def test_a_wall_clock_that_jumped_within_a_boot_is_told_and_changes_no_gap(story, tmp_path):
-    cut, noted = story.folder.path.parents[1] / "as it was cut", 5 * 86400.0
-    with sqlite3.connect(cut / "journal.sqlite") as database:
+def test_a_wall_clock_that_jumped_within_a_boot_is_told_and_changes_no_gap(bare, tmp_path):
+    noted = 5 * 86400.0
+    with sqlite3.connect(bare / "journal.sqlite") as database:
         clock = json.loads(database.execute("SELECT value FROM meta WHERE key = 'clock'").fetchone()[0])
     database.close()
     # As if the clock had been five days behind while the run went on, and then been set right.
-    clock_moved(cut, tmp_path / "run", older_s=noted, wall_at_boot_s=clock["wall_at_boot_s"] - noted)
-    done = hil("resume", tmp_path / "run", "--timeout", 60, "--no-viewer", "--json")
+    clock_moved(bare, tmp_path / "run", older_s=noted, wall_at_boot_s=clock["wall_at_boot_s"] - noted)
+    done = typed("resume", tmp_path / "run", "--timeout", 60, "--no-viewer", "--json")
     assert json.loads(done.stdout)["segments"][0]["gap_s"] < 3600.0
 
 
@@ -364,7 +375,7 @@ def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_co
     assert not np.isfinite(columns.measured[~first & (record.time_s < anew)]).any()
     assert not any("longest segment" in message for message in messages)
     whole, messages = read_columns(network, story.whole.record, None)
-    assert len(whole.time_s) == 8401
+    assert len(whole.time_s) == LAST_S + 1
     assert not any("cut" in message for message in messages)
     said = interruption_summary(story.folder.read_manifest())
     assert said.startswith(" (cut once: ")
@@ -372,17 +383,18 @@ def test_a_resumed_run_is_diagnosed_on_both_sides_of_the_gap_and_says_what_it_co
     assert interruption_summary(story.whole.read_manifest()) == ""
 
 
-def test_a_restore_that_takes_too_long_ends_safe_and_can_be_tried_again(story, tmp_path):
-    shutil.copytree(story.folder.path.parents[1] / "as it was cut", tmp_path / "run")
+def test_a_restore_that_takes_too_long_ends_safe_and_can_be_tried_again(bare, tmp_path):
+    shutil.copytree(bare, tmp_path / "run", ignore=NO_SOCKET)
+    cut = last_tick(bare / "journal.sqlite")
     for attempt in range(2):
-        done = hil("resume", tmp_path / "run", "--timeout", 60, "--no-viewer", "--json")
+        done = typed("resume", tmp_path / "run", "--timeout", 60, "--no-viewer", "--json")
         assert done.returncode == 1, done.stderr
         manifest = json.loads(done.stdout)
         assert (manifest["exit_status"], manifest["safe"]) == ("faulted", True)
         assert manifest["reason"].startswith("not resumed: after 60 s of thermal restore T_")
         assert len(manifest["segments"]) == attempt + 1
         # The aim is still where the rig was when the profile's clock went.
-        assert manifest["segments"][-1]["profile_s"] == story.cut
+        assert manifest["segments"][-1]["profile_s"] == cut
 
 
 def test_a_rig_that_goes_on_by_itself_is_safe_when_its_watchdog_runs_out_and_is_resumed_warm(tmp_path):
@@ -403,13 +415,13 @@ def test_a_rig_that_goes_on_by_itself_is_safe_when_its_watchdog_runs_out_and_is_
         assert server.stdout is not None
         assert b"Virtual rig" in server.stdout.readline()
         control = f"127.0.0.1:{ports[2]}"
-        folder = killed(tmp_path, 2000, "--rig", tmp_path / "rig.toml", "--control", control, "--no-twin")
+        folder = killed(tmp_path, 700, "--rig", tmp_path / "rig.toml", "--control", control, "--no-twin")
         assert _heater(ports[0]) > 600.0
         deadline = time.monotonic() + 20
         while _heater(ports[0]) > 0.0:  # nobody beats the heart
             assert time.monotonic() < deadline
             time.sleep(0.2)
-        done = hil("resume", folder, "--no-viewer", "--json")
+        done = typed("resume", folder, "--no-viewer", "--json")
         assert done.returncode == 0, done.stderr
         manifest = json.loads(done.stdout)
         assert manifest["exit_status"] == "done"

@@ -82,8 +82,9 @@ def test_a_role_that_nothing_knows_is_told_with_the_nearest_and_all(tmp_path, kn
     path = rig_file(tmp_path, (f'role = "{known}"', f'role = "{role}"'))
     line = path.read_text(encoding="utf-8").splitlines().index(f'role = "{role}"') + 1
     assert told(path) == [
-        f"{path}, line {line}: role '{role}' of {known} is none that hil knows; did you mean '{meant}'? The known ones "
-        f"are {', '.join(ROLES)}"
+        f"{path}, line {line}: role '{role}' of {known} is none that hil knows; did you mean "
+        f"'{meant}'? The known ones are {', '.join(ROLES)}; take role out if none fits: roles serve `hil resume`, the "
+        "report and `hil review` alone, and a twin finds its columns by name"
     ]
 
 

@@ -22,6 +22,7 @@ from hil.record.reader import read_record
 from hil.report.page import measured_sensors
 from hil.review import ViewerError, read_columns, screenshot
 from hil.run_folder.folder import RunFolder
+from tests.hil.command_line import typed
 
 PROJECT = Path(__file__).resolve().parents[2]
 HIL = [sys.executable, "-m", "hil"]
@@ -31,6 +32,7 @@ LOAD = """time_s,heater_power_W,pump_speed_pct,fan_speed_pct
 1500,650,100,100
 {end},650,100,100
 """
+BRIEF = "time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,300,100,70\n{end},300,100,70\n"
 HEAT = '[[effect]]\nkind = "heat_source"\nwhere = "modules"\ndriver = "constant"\npower_W = 180\nonset_s = 605\n'
 
 
@@ -149,7 +151,7 @@ def test_a_picture_of_the_review_has_no_complaints(finished, tmp_path):
 
 
 def test_tracking_the_record_again_gives_the_same_table(finished):
-    done = hil(
+    done = typed(
         "track",
         finished.folder.record,
         "--twin",
@@ -167,7 +169,7 @@ def test_tracking_the_record_again_gives_the_same_table(finished):
 
 
 def test_a_signal_while_files_are_made_leaves_the_record_and_says_how_to_make_the_rest(tmp_path):
-    (tmp_path / "load.csv").write_text(LOAD.format(end=1600), encoding="utf-8")
+    (tmp_path / "load.csv").write_text(BRIEF.format(end=300), encoding="utf-8")
     command = [*HIL, "run", str(tmp_path / "load.csv"), "--virtual", "--lockstep", "--no-twin", "--no-viewer"]
     process = subprocess.Popen(
         [*command, "--runs", str(tmp_path / "runs")], cwd=PROJECT, stderr=subprocess.PIPE, text=True
@@ -185,16 +187,21 @@ def test_a_signal_while_files_are_made_leaves_the_record_and_says_how_to_make_th
     assert "Traceback" not in said
     manifest = folder.read_manifest()
     assert (manifest["exit_status"], set(manifest["missing"])) == ("done", {"review.rrd", "report.html"})
-    assert len(read_record(folder.record).time_s) == 1601
+    assert len(read_record(folder.record).time_s) == 301
     assert not list(folder.path.glob(".*"))
-    assert hil("report", folder.path).returncode == 0
+    assert typed("report", folder.path).returncode == 0
     assert folder.review.is_file()
     assert folder.report.is_file()
 
 
 @pytest.mark.parametrize(
     ("number", "twin"),
-    [(signal.SIGINT, []), (signal.SIGTERM, []), (signal.SIGHUP, ["--no-twin"]), (signal.SIGQUIT, ["--no-twin"])],
+    [
+        (signal.SIGINT, []),
+        (signal.SIGTERM, ["--calibrator", "least_squares"]),
+        (signal.SIGHUP, ["--no-twin"]),
+        (signal.SIGQUIT, ["--no-twin"]),
+    ],
 )
 def test_a_signal_ends_the_run_with_the_heater_safe(tmp_path, number, twin):
     (tmp_path / "load.csv").write_text(LOAD.format(end=40000), encoding="utf-8")
@@ -234,13 +241,13 @@ def test_a_rig_that_runs_already_is_taken_over_in_lockstep(tmp_path):
     rig.write_text(
         text.replace('"../twins/virtual.toml"', f'"{PROJECT}/profiles/twins/virtual.toml"'), encoding="utf-8"
     )
-    (tmp_path / "load.csv").write_text(LOAD.format(end=1600), encoding="utf-8")
+    (tmp_path / "load.csv").write_text(BRIEF.format(end=300), encoding="utf-8")
     server = subprocess.Popen([*HIL, "rig", "--mode", "lockstep", *arguments], cwd=PROJECT, stdout=subprocess.PIPE)
     try:
         assert server.stdout is not None
         assert b"Virtual rig" in server.stdout.readline()
         for _ in range(2):
-            done = hil(
+            done = typed(
                 "run",
                 tmp_path / "load.csv",
                 "--rig",
@@ -250,10 +257,11 @@ def test_a_rig_that_runs_already_is_taken_over_in_lockstep(tmp_path):
                 "--runs",
                 tmp_path / "runs",
                 "--no-twin",
+                "--no-viewer",
                 "--json",
             )
             assert done.returncode == 0, done.stderr
-            assert json.loads(done.stdout)["ticks"] == 1600
+            assert json.loads(done.stdout)["ticks"] == 300
     finally:
         server.terminate()
         server.communicate(timeout=20)
@@ -278,7 +286,7 @@ def _ticks(journal: Path) -> int:
 @pytest.mark.parametrize("rig_names_a_twin", [True, False])
 def test_a_run_shorter_than_a_window_goes_without_a_twin(tmp_path, rig_names_a_twin):
     load = tmp_path / "load.csv"
-    load.write_text("time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,300,100,70\n20,300,100,70\n", "utf-8")
+    load.write_text(BRIEF.format(end=20), encoding="utf-8")
     rig, shipped = tmp_path / "rig.toml", PROJECT / "profiles" / "rigs"
     named = (shipped / "virtual.toml").read_text(encoding="utf-8")
     assert 'twin = "../twins/virtual.toml"' in named
@@ -287,14 +295,14 @@ def test_a_run_shorter_than_a_window_goes_without_a_twin(tmp_path, rig_names_a_t
     (tmp_path / "thermocouples.dbc").write_bytes((shipped / "thermocouples.dbc").read_bytes())
     asked = ("run", load, "--rig", rig, "--virtual", "--lockstep", "--no-viewer", "--runs", tmp_path / "runs", "--json")
     if rig_names_a_twin:
-        for refused in (hil(*asked), hil("check", load, "--rig", rig)):
+        for refused in (typed(*asked), typed("check", load, "--rig", rig)):
             assert refused.returncode == 2
             assert "load.csv lasts 20 s" in refused.stderr and "(hil run --no-twin)" in refused.stderr
         assert not (tmp_path / "runs").exists()
         asked += ("--no-twin",)
     else:
-        assert hil("check", load, "--rig", rig).returncode == 0
-    done = hil(*asked)
+        assert typed("check", load, "--rig", rig).returncode == 0
+    done = typed(*asked)
     assert done.returncode == 0, done.stderr
     folder = RunFolder(Path(json.loads(done.stdout)["folder"]))
     assert folder.read_manifest()["exit_status"] == "done"

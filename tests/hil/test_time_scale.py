@@ -59,7 +59,7 @@ async def hil(*arguments: object) -> tuple[int, str, str]:
 
 async def test_record_of_a_fast_rig_agrees_with_its_own_uptime(tmp_path):
     load = tmp_path / "load.csv"
-    load.write_text("time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,300,100,70\n100,300,100,70\n")
+    load.write_text("time_s,heater_power_W,pump_speed_pct,fan_speed_pct\n0,300,100,70\n50,300,100,70\n")
     virtual = await start_virtual_rig(mode="scaled", speed=SPEED)
     try:
         rig = rig_file(tmp_path, SPEED, virtual.modbus_port, virtual.can_port)
@@ -75,7 +75,7 @@ async def test_record_of_a_fast_rig_agrees_with_its_own_uptime(tmp_path):
     samples, names = reader.samples(), [signal.name for signal in reader.header.signals]
     reader.close()
     ahead = samples.values[:, names.index("plc_uptime")] - samples.time_s
-    assert samples.time_s[-1] >= 100.0
+    assert samples.time_s[-1] >= 50.0
     assert took_s < 60.0
     # The rig's cycle and the tick are not in step, so that a reading is up to a period old; a busy machine delays some.
     assert (np.abs(ahead - np.median(ahead)) <= 1.0).mean() > 0.9

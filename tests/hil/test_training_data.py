@@ -67,17 +67,24 @@ def test_specimens_differ_by_section_and_keep_the_shape_of_the_rig():
         assert np.ptp(ratio[built.section == k]) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_generated_folder_has_its_splits_and_is_not_made_twice(tmp_path):
-    store = data.generate(3, 20, tmp_path)
+@pytest.fixture(scope="module")
+def twenty(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """The store of a folder of twenty windows, made at once."""
+    store = data.generate(3, 20, tmp_path_factory.mktemp("twenty"))
     assert store is not None
+    return store
+
+
+def test_a_generated_folder_has_its_splits_and_is_not_made_twice(twenty):
+    store, folder = twenty, twenty.folder
     assert store.manifest["windows"] >= 20
     shards = store.manifest["shards"]
     assert {entry["split"] for entry in shards.values()} == set(SPLITS)
     assert len({entry["seed"] for entry in shards.values()}) == len(shards)
-    stamps = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.npz")}
-    again = data.generate(3, 20, tmp_path)
+    stamps = {path: path.stat().st_mtime_ns for path in folder.glob("*.npz")}
+    again = data.generate(3, 20, folder)
     assert again is not None and again.digest == store.digest
-    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.npz")} == stamps
+    assert {path: path.stat().st_mtime_ns for path in folder.glob("*.npz")} == stamps
     test = store.windows("test")
     assert len(test) and np.isfinite(test.x).all()
 
@@ -95,9 +102,7 @@ class After(Stop):
         return self.left < 0
 
 
-def test_what_was_cut_or_was_less_is_added_to_and_is_the_same_as_at_once(tmp_path, monkeypatch):
-    whole = data.generate(3, 20, tmp_path / "whole")
-    assert whole is not None
+def test_what_was_cut_or_was_less_is_added_to_and_is_the_same_as_at_once(twenty, tmp_path, monkeypatch):
     made = []
     plain = data.plant_campaign
     monkeypatch.setattr(data, "plant_campaign", lambda f, s, n: made.append((s, n)) or plain(f, s, n))
@@ -111,7 +116,7 @@ def test_what_was_cut_or_was_less_is_added_to_and_is_the_same_as_at_once(tmp_pat
         with pytest.raises(TwinFileError, match="no training data there"):
             Store(parts, FEATURES)
     assert 0.0 < before < shares[0] and len(shares) > 1 and shares == sorted(shares)
-    assert store.digest == whole.digest and data.complete(parts, 3, 20)
+    assert store.digest == twenty.digest and data.complete(parts, 3, 20)
     assert len(made) == len(set(made))
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.signals.points import ConfigurationError
 from hil.run.session.request import RunRequest, prepare
-from tests.hil.test_resume import hil
+from tests.hil.command_line import typed
 
 PROFILES = Path(__file__).resolve().parents[2] / "profiles"
 VIRTUAL = PROFILES / "rigs" / "virtual.toml"
@@ -61,7 +61,7 @@ def test_a_sensor_cannot_be_a_set_point_and_an_input_must_be_somewhere(tmp_path)
 
 def test_the_twin_of_a_run_follows_the_set_points(tmp_path):
     rig = rig_without(tmp_path, "pump_speed", "fan_speed")
-    done = hil(
+    done = typed(
         "run",
         tmp_path / "load.csv",
         "--rig",

@@ -1,5 +1,7 @@
 """Commissioning on records whose truth is known, against scipy, and on records that cannot be fitted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -69,6 +71,22 @@ def test_names_what_the_record_cannot_tell(loop: Network) -> None:
     assert {"fins.fan_exponent", "fins.UA_still"} <= set(done.unidentifiable)
     assert any("did not vary" in note for note in done.notes)
     assert all(np.isfinite(list(done.values.values())))
+
+
+def test_a_parameter_that_ends_where_its_effect_is_off_is_no_hint(loop: Network) -> None:
+    ids = ("fins.UA_100", "T_tank_C.lag_s")
+    t, u, y = record(loop.with_values(TRUTH), n=2400)
+    early = y.copy()
+    tank = loop.sensor_names.index("T_tank_C")
+    early[:-20, tank] = y[20:, tank]  # a reading before its time: the lag ends at 0
+    done = commission(loop, t, u, early, CommissionOptions(tunables=ids, starts=1))
+    assert done.at_bound == ("T_tank_C.lag_s",)
+    assert any(note.startswith("T_tank_C.lag_s = 0: the record shows no such effect") for note in done.notes)
+    assert not any("ended on a bound" in note for note in done.notes)
+    narrow = loop.with_values({"fins.UA_100": 40.0})
+    parameters = {**narrow.parameters, "fins.UA_100": replace(narrow.parameters["fins.UA_100"], upper=41.0)}
+    done = commission(replace(narrow, parameters=parameters), t, u, y, CommissionOptions(tunables=ids[:1], starts=1))
+    assert any("fins.UA_100 ended on a bound" in note for note in done.notes)
 
 
 def test_is_deterministic_and_fast_code_agrees_with_scipy(loop: Network) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,9 @@ from twin.kernel import simulate
 from twin.network import Network, Revision
 from twin.steady import steady_readings
 from twin.tower.cell import CellDeviations, Design, Inputs, solve_cell
-from twin.tower.twin_file import cell_network
+from twin.tower.estimates import Priors
+from twin.tower.model import NAMES, CellModel, DesignPoint, Operation
+from twin.tower.twin_file import BOUNDS, cell_network
 
 DESIGN = Design(250.0, 205.0, 1.5, 0.7, 40.0, 1.15, evaporation=1.05, idle=1.0)
 
@@ -65,3 +68,24 @@ def test_each_deviation_is_a_candidate_of_the_diagnosis() -> None:
     found = {next(iter(c.changes)): c for c in cell.changed_candidates(sites)}
     assert set(found) == {"cell.fill", "cell.air", "cell.uniformity"}
     assert found["cell.fill"].lower == pytest.approx(0.2 - 0.9) and found["cell.fill"].upper == pytest.approx(1.8 - 0.9)
+
+
+def test_fan_power_of_cell_and_record_follow_one_law_of_the_air() -> None:
+    u = operating_points(50, seed=3)
+    u[:, 2] = np.maximum(u[:, 2], 10.0)
+    design = replace(DESIGN, kappa=-1.3)
+    inputs = Inputs(u[:, 0], u[:, 1], u[:, 2] / 100.0, u[:, 3], u[:, 4], u[:, 5])
+    cell = solve_cell(inputs, design, CellDeviations(air=0.9)).power
+    operation = Operation(inputs, *(np.zeros(50) for _ in range(4)), np.zeros((50, 0)))
+    constants = Priors(BOUNDS).constant()[0]
+    constants[NAMES.index("power_gain")] = 0.0
+    record = np.exp(
+        CellModel(design, DesignPoint()).log_power(operation, np.tile([0.0, -0.1, 0.0, 0.0], (50, 1)), constants)
+    )
+    assert cell == pytest.approx(record, rel=1e-6)
+    assert cell - 1.0 == pytest.approx(0.9**1.3 * (solve_cell(inputs, design).power - 1.0), rel=1e-9)
+
+
+def test_a_twin_has_the_pressure_of_its_site() -> None:
+    net = cell_network(1, "Z", DESIGN, 0.7, 0.1, (0.02, 0.1), Revision(), pressure_kPa=84.0)
+    assert net.inputs["pressure_kPa"].nominal == 84.0

@@ -7,6 +7,7 @@ import pytest
 
 from tests.twin.conftest import START, drive
 from twin.calibrators import make_calibrator
+from twin.calibrators.assimilate import assimilate
 from twin.calibrators.base import SampleFilter
 from twin.calibrators.kalman import BoundedTransform, KalmanFilter
 from twin.gauss_newton import Scaling
@@ -119,3 +120,16 @@ def test_covariance_comes_with_the_numbers(loop: Network) -> None:
     assert done.covariance is not None
     assert np.linalg.eigvalsh(done.covariance / np.outer(*[np.sqrt(np.diag(done.covariance))] * 2)).min() > -1e-9
     assert any("comes from earlier windows" in flag for flag in done.flags)
+
+
+def test_a_reading_that_is_not_finite_is_no_reading() -> None:
+    given = [np.random.default_rng(0).normal(0.0, 1.0, shape) for shape in ((6, 2, 3), (6, 2), (6, 2))]
+    answers = []
+    for missing in (np.nan, np.inf, -np.inf):
+        jacobian, predicted, measured = (a.copy() for a in given)
+        measured[2, 1] = missing
+        estimate, covariance = np.zeros(3), np.eye(3)
+        out = np.empty((6, 2)), np.empty((6, 2))
+        found = assimilate(jacobian, predicted, measured, np.ones(2), estimate, covariance, *out)
+        answers.append((found, estimate.tolist(), covariance.tolist()))
+    assert answers[0] == answers[1] == answers[2] and answers[0][0][1] == 11

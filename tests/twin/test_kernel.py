@@ -163,11 +163,11 @@ def test_two_processes_compile_at_once_and_a_third_finds_the_cache(tmp_path: Pat
     both = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     answers = {p.communicate(timeout=120)[0] for p in both}
     assert [p.returncode for p in both] == [0, 0]
-    machine_code = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.nbc")}
+    machine_code = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.o")}
     assert machine_code
     answers.add(subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout)
     assert len(answers) == 1
-    assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.nbc")} == machine_code
+    assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.o")} == machine_code
 
 
 RADIATION = '\n[elements.glow]\nkind = "radiation"\nnode = "tank"\nambient = "T_ambient_C"\narea = 1.5\n'

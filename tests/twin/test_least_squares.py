@@ -7,6 +7,8 @@ from scipy.optimize import least_squares
 from tests.twin.conftest import START, drive
 from twin.calibrators import make_calibrator
 from twin.calibrators.base import Calibration, Window
+from twin.calibrators.posterior import WindowPrior, fit_window, window_data
+from twin.calibrators.structural_error import HeldParameters, structural_covariance
 from twin.calibrators.windows import WindowSamples, make_window
 from twin.gauss_newton import FitData, FitProblem, GaussianPrior, Scaling
 from twin.kernel import Kernel, mask_measurements, simulate
@@ -138,6 +140,10 @@ def test_descent_goes_on_where_several_tunables_reach_their_longest_step(loop: N
     assert fit.sse.sum() < 1e-3
 
 
+SMALL = 0.02
+"""Error of a held parameter, in its plausible width."""
+
+
 def off_structure(net: Network, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Two hours of a rig that is off its twin by 0.04 K, for five minutes one way and then another."""
     t, u = drive(7200, seed)
@@ -160,6 +166,34 @@ def test_ninety_per_cent_intervals_hold_the_truth_of_a_rig_that_is_not_its_twin(
                 narrow.append(sd[tunable] > 0.0)
     assert all(narrow) and len(held) > 200
     assert 0.8 < np.mean(held) < 0.995
+
+
+def test_the_interval_allows_for_the_error_of_a_parameter_that_is_held(loop: Network) -> None:
+    """A held parameter that is off by its standard deviation moves the others as far as the covariance says."""
+    ids = loop.tunables("nine")
+    kernel, scaling = Kernel(loop, ids), Scaling.of(loop, ids)
+    wide, z = scaling.prior_sd(), scaling.to_z(loop.values[scaling.index])
+    before = WindowPrior(z, np.diag(wide**2), START)
+    fit, q = fit_window(kernel, scaling, loop.sigma, window(loop, loop, 1), before), len(ids)
+    seen = []
+    for which in np.flatnonzero(fit.held):
+        off, variance = z.copy(), np.zeros(q)
+        off[which] += SMALL * wide[which]
+        w = window(loop, loop.with_values(dict(zip(ids, scaling.to_values(off).tolist(), strict=True))), 1)
+        moved = fit_window(kernel, scaling, loop.sigma, w, before, info=fit.info)
+        if not np.array_equal(moved.held, fit.held):
+            continue  # it contradicts the value at which it is held, and is released
+        problem = FitProblem(kernel, scaling, w.parameters, window_data(w, loop.sigma), START)
+        found = []
+        for sd in (0.0, SMALL * wide[which]):
+            variance[which] = sd**2
+            held = HeldParameters(fit.held, variance)
+            found.append(structural_covariance(problem, moved.fit.v, moved.fit.normal, held, w, wide, moved.chi))
+        added = np.sqrt(np.diag(found[1] - found[0])[~fit.held])
+        shift = np.abs(moved.fit.v[:q] - fit.fit.v[:q])[~fit.held]
+        seen.append(float((added / wide[~fit.held]).max()))
+        np.testing.assert_allclose(added, shift, rtol=0.3, atol=0.2 * added.max())
+    assert max(seen) > 0.01 * SMALL
 
 
 def test_intervals_do_not_shrink_with_the_sampling_rate(loop: Network) -> None:

@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.twin.conftest import ROOT
-from twin.kernel import Kernel, mask_measurements
+from twin.kernel import Kernel, mask_measurements, simulate
 from twin.kernel.codegen import LANES, kernel_source
-from twin.network import Network
+from twin.network import Network, TwinFileError
 from twin.twinfile import load, parse
 
 TWINS = ROOT / "profiles" / "twins"
@@ -24,7 +24,7 @@ CHECKED = """
 import sys
 from pathlib import Path
 import numpy as np
-from twin.kernel import Kernel, mask_measurements
+from twin.kernel import Kernel, mask_measurements, simulate
 from twin.twinfile import load
 net = load(Path(sys.argv[1]))
 ids = net.tunables()
@@ -177,3 +177,81 @@ def test_the_number_of_particles_changes_nothing(pipe: Kernel, seed: int, count:
     sse, _ = pipe.cost(np.tile(net.values, (count, 1)), start, time, inputs, y, weight)
     assert sse == pytest.approx(np.tile(sse[:1], (count, 1)), rel=1e-12)
     assert sse[0, 0] == pytest.approx(0.01 * len(time), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("noise", "dead_s", "rms", "most"), [(0.0, 600.0, 1e-7, 1e-6), (5.0, 150.0, 1e-7, 1e-6), (5.0, 600.0, 0.01, 0.3)]
+)
+def test_a_command_under_way_is_the_same_in_pieces_whether_it_is_smooth_or_measured(
+    noise: float, dead_s: float, rms: float, most: float
+) -> None:
+    """A measured input changes with every sample, so that more changes are under way than a state remembers."""
+    text = (TWINS / "loop.toml").read_text() + (
+        f'\n[elements.late]\nkind = "actuator"\ncolumn = "heater_power_W"\ndead_time_s = {dead_s}\n'
+    )
+    network = parse(text)
+    kernel, n = Kernel(network, ()), 1201
+    t = np.arange(n, dtype=float)
+    u = np.tile(network.nominal_inputs, (n, 1))
+    u[:, 0] = np.where((t // 200) % 2 == 0, 1500.0, 200.0) + noise * np.random.default_rng(0).standard_normal(n)
+    state = np.full((1, len(network.nodes)), 25.0)
+    whole = kernel.trace(network.values, state, t, u)[0][0]
+    # As one reading after the other, and in windows: means of means must not smear what is on its way.
+    for width in (7, 330):
+        at, rows = state, []
+        for first in range(0, n - 1, width):
+            part = slice(first, min(first + width + 1, n))
+            readings, at = kernel.trace(network.values, at, t[part], u[part])
+            rows.append(readings[0][:-1])
+        off = np.concatenate(rows) - whole[:-1]
+        assert np.sqrt(np.mean(off**2)) < rms and np.abs(off).max() < most
+
+
+@pytest.mark.parametrize(
+    ("form", "parameters"),
+    [
+        ("memory", "gain = -0.02\nlag_s = 50.0"),
+        ("threshold", "size = -1.0\non = 60.0\noff = 50.0"),
+        ("rate", "gain = 1.0\nlag_s = 100.0"),
+    ],
+)
+def test_a_meter_reads_what_an_element_remembers_at_its_own_sample(form: str, parameters: str) -> None:
+    """The same for every particle, and in pieces as in one go."""
+    text = (TWINS / "loop.toml").read_text() + (
+        f'\n[elements.wear]\nkind = "law_flow"\nflow = "circuit"\ndriver = "fan_speed_pct"\nform = "{form}"\n'
+        f'change_in = "L_min"\n{parameters}\n'
+        '\n[elements.M]\nkind = "meter"\nof = "circuit"\nquantity = "mass_flow"\ncolumns = ["M_kg_s"]\nsigma = 0.01\n'
+    )
+    network = parse(text)
+    kernel, t, at = Kernel(network), 10.0 * np.arange(61.0), network.sensor_names.index("M")
+    u = np.tile(network.nominal_inputs, (61, 1))
+    u[:, network.input_columns.index("fan_speed_pct")] = np.where(t < 300.0, 100.0, 0.0)
+    state = np.full((70, len(network.nodes)), 30.0)
+    whole = kernel.trace(np.tile(network.values, (70, 1)), state, t, u)[0]
+    assert np.ptp(whole[:, :, at], axis=0).max() < 1e-12
+    _, end = kernel.trace(network.values, state[:1], t[:31], u[:31])
+    later, _ = kernel.trace(network.values, end, t[30:], u[30:])
+    np.testing.assert_allclose(later[0], whole[0, 30:], rtol=1e-9)
+    if form == "memory":  # at rest it is its driver
+        assert whole[0, 0, at] == pytest.approx(whole[0, 1, at], rel=1e-4)
+
+
+def test_arrays_of_another_length_are_refused_before_a_kernel_reads_beyond_them() -> None:
+    network = load(TWINS / "loop.toml")
+    kernel, t = Kernel(network, ()), np.arange(1000.0)
+    u, x = np.tile(network.nominal_inputs, (1000, 1)), np.full(len(network.nodes), 25.0)
+    few = np.zeros((10, len(network.instruments)))
+    with pytest.raises(TwinFileError, match="1000 stamps need as many rows"):
+        simulate(network, t, u[:10], x)
+    with pytest.raises(TwinFileError, match="finite parameters"):
+        simulate(network, t, u, x, network.values[:3])
+    with pytest.raises(TwinFileError, match="finite parameters"):
+        simulate(network, t, u, x, np.where(np.arange(len(network.values)) == 1, np.nan, network.values))
+    with pytest.raises(ValueError, match="must have the shape"):
+        kernel.cost(network.values, x, t, u, few, few)
+    with pytest.raises(ValueError, match="as many rows of inputs"):
+        kernel.trace(network.values, x, t, u[:10])
+    for cuts in ([0, 500], [0, -5], [3]):
+        pieces = network.values[None, None] if cuts != [0, -5] else np.tile(network.values, (2, 1, 1))
+        with pytest.raises(ValueError, match="as many cuts"):
+            kernel.trace_pieces(pieces, x, t, u, cuts)

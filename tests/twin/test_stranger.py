@@ -27,10 +27,14 @@ def test_a_healthy_stranger_is_commissioned_to_its_noise(stranger: Path, case: s
         assert done.rmse_after[name] < done.rmse_before[name]
 
 
-@pytest.mark.parametrize("calibrator", ["pso", "least_squares"])
-def test_a_changed_stranger_is_tracked(stranger: Path, calibrator: str) -> None:
+@pytest.fixture(scope="module")
+def healthy(stranger: Path) -> Network:
     net = from_datasheet(stranger / "d1" / "datasheet.json")
-    healthy = commission(net, *read(stranger / "d1" / "commissioning.parquet", net)).network
+    return commission(net, *read(stranger / "d1" / "commissioning.parquet", net)).network
+
+
+@pytest.mark.parametrize("calibrator", ["pso", "least_squares"])
+def test_a_changed_stranger_is_tracked(stranger: Path, healthy: Network, calibrator: str) -> None:
     t, u, y = read(stranger / "d1" / "campaign.parquet", healthy)
     tracker = TwinTracker(healthy, calibrator)
     update = tracker.push(t, u, y)

@@ -3,12 +3,51 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from twin.kernel import numba_may_cache
+from twin.kernel import compile_kernel
+
+_SOURCE = '''
+@typed('void(f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,::1])')
+def kernel(jacobian, predicted, measured, variance, estimate, covariance, filtered, spread, found, work):
+    """Rows of `work`: the gain, and the covariance of the estimate with the reading. A reading counts if finite."""
+    size = jacobian.shape[2]
+    for i in range(jacobian.shape[0]):
+        for j in range(jacobian.shape[1]):
+            y = measured[i, j]
+            if y - y == 0.0:
+                error, expected = y - predicted[i, j], variance[j]
+                for a in range(size):
+                    error -= jacobian[i, j, a] * estimate[a]
+                    s = 0.0
+                    for b in range(size):
+                        s += covariance[a, b] * jacobian[i, j, b]
+                    work[1, a] = s
+                for a in range(size):
+                    expected += jacobian[i, j, a] * work[1, a]
+                found[0] += error * error / expected
+                found[1] += 1.0
+                for a in range(size):
+                    work[0, a] = work[1, a] / expected
+                    estimate[a] += work[0, a] * error
+                for a in range(size):
+                    for b in range(a, size):
+                        value = covariance[a, b] - work[0, a] * work[1, b] - work[1, a] * work[0, b]
+                        value = value + work[0, a] * work[0, b] * expected
+                        covariance[a, b] = value
+                        covariance[b, a] = value
+        for j in range(jacobian.shape[1]):
+            reading, square = predicted[i, j], 0.0
+            for a in range(size):
+                reading += jacobian[i, j, a] * estimate[a]
+                s = 0.0
+                for b in range(size):
+                    s += covariance[a, b] * jacobian[i, j, b]
+                square += jacobian[i, j, a] * s
+            filtered[i, j] = reading
+            spread[i, j] = max(square, 0.0) ** 0.5
+'''
 
 
-@njit(cache=numba_may_cache())  # type: ignore[untyped-decorator, unused-ignore]
 def assimilate(
     jacobian: np.ndarray,
     predicted: np.ndarray,
@@ -45,43 +84,7 @@ def assimilate(
     tuple
         Sum of the normalised innovations squared, and their number.
     """
-    n, m, size = jacobian.shape
-    total, count = 0.0, 0
-    gain, shared = np.empty(size), np.empty(size)
-    for i in range(n):
-        for j in range(m):
-            y = measured[i, j]
-            if not np.isfinite(y):
-                continue
-            row = jacobian[i, j]
-            error, expected = y - predicted[i, j], variance[j]
-            for a in range(size):
-                error -= row[a] * estimate[a]
-                s = 0.0
-                for b in range(size):
-                    s += covariance[a, b] * row[b]
-                shared[a] = s
-            for a in range(size):
-                expected += row[a] * shared[a]
-            total += error * error / expected
-            count += 1
-            for a in range(size):
-                gain[a] = shared[a] / expected
-                estimate[a] += gain[a] * error
-            for a in range(size):
-                for b in range(a, size):
-                    value = covariance[a, b] - gain[a] * shared[b] - shared[a] * gain[b] + gain[a] * gain[b] * expected
-                    covariance[a, b] = value
-                    covariance[b, a] = value
-        for j in range(m):
-            row = jacobian[i, j]
-            reading, square = predicted[i, j], 0.0
-            for a in range(size):
-                reading += row[a] * estimate[a]
-                s = 0.0
-                for b in range(size):
-                    s += covariance[a, b] * row[b]
-                square += row[a] * s
-            filtered[i, j] = reading
-            spread[i, j] = np.sqrt(max(square, 0.0))
-    return total, count
+    found, work = np.zeros(2), np.empty((2, jacobian.shape[2]))
+    given = [np.ascontiguousarray(a, dtype=np.float64) for a in (jacobian, predicted, measured, variance)]
+    compile_kernel(_SOURCE)(*given, estimate, covariance, filtered, spread, found, work)
+    return float(found[0]), int(found[1])

@@ -32,7 +32,7 @@ from twin.calibrators.base import Calibration, FilteredReadings, Window, from_js
 from twin.calibrators.identifiability import window_information
 from twin.calibrators.posterior import WindowPosterior, WindowPrior, fit_window, limit_covariance, window_data
 from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
-from twin.calibrators.structural_error import structural_covariance
+from twin.calibrators.structural_error import HeldParameters, structural_covariance
 from twin.gauss_newton import FitProblem, Linearisation, Scaling
 from twin.kernel import Kernel
 from twin.network import Array, Network
@@ -228,8 +228,9 @@ class KalmanFilter:
         again = self._again(window, missed) if cost > SURPRISE and missed > SURPRISE else None
         if again is not None and np.sqrt(again.fit.sse.sum()) < np.sqrt(fitted.sse.sum()):
             self._restart(window, again)
+            held = HeldParameters.of(again)
             lasts = structural_covariance(
-                self._problem(window), again.fit.v, again.fit.normal, again.held, window, self._wide, again.chi
+                self._problem(window), again.fit.v, again.fit.normal, held, window, self._wide, again.chi
             )
             again = replace(again, covariance=limit_covariance(again.covariance + lasts, self._wide))
             report = again.report(self._scaling)
@@ -284,10 +285,8 @@ class KalmanFilter:
         values = self._values(w)
         info = window_information(fitted.jtj, self._wide)
         names = [i for i, hit in zip(self.ids, info.unidentifiable, strict=True) if hit]
-        moved = np.zeros(q, dtype=bool)
-        lasts = structural_covariance(
-            self._problem(window), v, fitted.jtj, moved, window, self._wide, max(cost**2, 1.0)
-        )
+        none = HeldParameters(np.zeros(q, dtype=bool), np.zeros(q))
+        lasts = structural_covariance(self._problem(window), v, fitted.jtj, none, window, self._wide, max(cost**2, 1.0))
         bounded, slope = self._bounded.slope(w), scaling.slope(values)
         known = self._piece.covariance[:q, :q] * np.outer(bounded, bounded)
         return CalibrationReport(

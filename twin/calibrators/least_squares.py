@@ -18,7 +18,7 @@ import numpy as np
 from twin.calibrators.base import Calibration, Window, normalised_misfit
 from twin.calibrators.posterior import WindowPosterior, WindowPrior, fit_window, limit_covariance, window_data
 from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
-from twin.calibrators.structural_error import model_error, sample_sd, structural_covariance
+from twin.calibrators.structural_error import HeldParameters, model_error, sample_sd, structural_covariance
 from twin.gauss_newton import FitProblem, Scaling
 from twin.kernel import Kernel
 from twin.network import Array, Network
@@ -68,7 +68,8 @@ class LeastSquares:
         """
         scaling, wide = self._scaling, self._scaling.prior_sd()
         problem = FitProblem(self.kernel, scaling, window.parameters, window_data(window, weight), window.state)
-        lasts = structural_covariance(problem, done.fit.v, done.fit.normal, done.held, window, wide, done.chi)
+        held = HeldParameters.of(done)
+        lasts = structural_covariance(problem, done.fit.v, done.fit.normal, held, window, wide, done.chi)
         return replace(done, covariance=limit_covariance(done.covariance + lasts, wide)).report(scaling)
 
     def state(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from twin.calibrators.base import Calibration, Window, from_json, to_json
 from twin.calibrators.identifiability import WindowInformation, window_information
 from twin.calibrators.posterior import WindowPrior, fit_window, limit_covariance, window_data
 from twin.calibrators.results import WindowFit, fitted_calibration
-from twin.calibrators.structural_error import structural_covariance
+from twin.calibrators.structural_error import HeldParameters, structural_covariance
 from twin.gauss_newton import FitData, FitProblem, Scaling, fit_initial_state
 from twin.kernel import Kernel, mask_measurements
 from twin.network import Array, Network, TunableSet, TwinFileError
@@ -193,12 +193,9 @@ class ParticleSwarm:
             )
             if np.isfinite(done.fit.cost):
                 problem = FitProblem(self.kernel, scaling, window.parameters, window_data(window, sigma), start)
-                lasts = structural_covariance(
-                    problem, done.fit.v, done.fit.normal, done.held, window, scaling.prior_sd(), done.chi
-                )
-                report = replace(done, covariance=limit_covariance(done.covariance + lasts, scaling.prior_sd())).report(
-                    scaling
-                )
+                wide, held = scaling.prior_sd(), HeldParameters.of(done)
+                lasts = structural_covariance(problem, done.fit.v, done.fit.normal, held, window, wide, done.chi)
+                report = replace(done, covariance=limit_covariance(done.covariance + lasts, wide)).report(scaling)
                 self._best = self._space.positions(done.fit.values)
                 self.last = (window.time, window.inputs, done.fit.state)
                 evaluations = cost.evaluations + done.fit.evaluations * (1 + done.fit.v.size)

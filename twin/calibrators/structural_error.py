@@ -9,10 +9,12 @@ of the residuals.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from twin.calibrators.base import Window
-from twin.calibrators.posterior import STATE_SD
+from twin.calibrators.posterior import STATE_SD, WindowPosterior
 from twin.gauss_newton import FitProblem
 from twin.network import Array, Network
 
@@ -22,6 +24,19 @@ CORRELATED_S = 60.0
 """Time over which a healthy twin's error is correlated, s: the samples in between count as one."""
 PERSISTENCE_S = 300.0
 """Assumed duration of an error for its effect on parameters, s."""
+
+
+@dataclass(frozen=True)
+class HeldParameters:
+    """Parameters that a fit did not move: `which` (q,) bool, and the `variance` (q,) in z with which each is known."""
+
+    which: np.ndarray
+    variance: Array
+
+    @classmethod
+    def of(cls, fitted: WindowPosterior) -> HeldParameters:
+        """Return those of a fit, with the variances that they had before it."""
+        return cls(fitted.held, np.diag(fitted.covariance))
 
 
 def model_error(network: Network) -> Array:
@@ -79,11 +94,19 @@ def persistent_error_covariance(
 
 
 def structural_covariance(
-    problem: FitProblem, v: Array, normal: Array, held: np.ndarray, window: Window, wide: Array, chi: float = 1.0
+    problem: FitProblem,
+    v: Array,
+    normal: Array,
+    held: HeldParameters,
+    window: Window,
+    wide: Array,
+    chi: float = 1.0,
 ) -> Array:
-    """Return the covariance (q, q) in z that the twin's structural error causes in a window's fit.
+    """Return the covariance (q, q) in z that a window's fit gets from what it does not estimate.
 
-    A persistent error is not averaged over windows, so no more than the widest prior counts against it.
+    That is the twin's structural error, and the values at which parameters are held: the others then stand for their
+    errors too (consider parameters; Schmidt, Advances in Control Systems 3 (1966) 293). Neither is averaged over
+    windows, so no more than the widest prior counts against them.
 
     Parameters
     ----------
@@ -92,7 +115,7 @@ def structural_covariance(
     normal
         (q + k, q + k) J'J at v.
     held
-        (q,) bool, parameters that the fit did not move.
+        Parameters that the fit did not move.
     window
         The window.
     wide
@@ -100,16 +123,18 @@ def structural_covariance(
     chi
         As for `persistent_error_covariance`.
     """
-    q, k = held.size, v.size - held.size
+    q, k = held.which.size, v.size - held.which.size
     apart = np.concatenate([wide, np.full(k, max(window.error_K, STATE_SD))])
-    off = np.concatenate([held, np.zeros(k, dtype=bool)])
+    off = np.concatenate([held.which, np.zeros(k, dtype=bool)])
     precision = normal / chi
+    cross = precision[:, off].copy()
+    cross[off] = 0.0
     precision[off] = 0.0
     precision[:, off] = 0.0
     precision += np.diag(np.where(off, 0.0, apart**-2.0))
-    found: Array = persistent_error_covariance(problem, v, precision, error_size(window, problem.kernel.network), chi)[
-        :q, :q
-    ]
+    shift = np.linalg.pinv(precision, hermitian=True) @ cross * np.sqrt(held.variance[held.which])
+    error = error_size(window, problem.kernel.network)
+    found: Array = (persistent_error_covariance(problem, v, precision, error, chi) + shift @ shift.T)[:q, :q]
     return found
 
 

@@ -28,6 +28,8 @@ BEYOND = 0.1
 """Share of an input's declared range by which a segment may leave the range of the rest."""
 FEWEST, FEWEST_IN_TIME = 10, 50
 """Residuals from which a variance is estimated, and from which an autocorrelation time is."""
+AT_BOUND = 1e-6
+"""Share of its range within which a value that ended on a bound is at it: more than the optimiser rounds by, 1e-9."""
 INITIAL_SD_K = 5.0
 """Standard deviation of the initial state's prior, K: wide, because most records begin in motion."""
 
@@ -318,6 +320,22 @@ def variance_inflation(residual: Array, sigma: Array) -> float:
     return worst
 
 
+def _switched_off(network: Network, at_bound: Mapping[str, float]) -> dict[str, float]:
+    """Return the parameters that ended at a bound of their kind which is its default, 0 or 1: their effect is off."""
+    specs = {f"{e.name}.{spec.name}": spec for e in network.elements for spec in e.parameter_specs()}
+    found = {}
+    for name, value in at_bound.items():
+        spec = specs[name]
+        nearest = min((spec.lower, spec.upper), key=lambda bound: abs(bound - value))
+        if (
+            spec.default == nearest
+            and nearest in (0.0, 1.0)
+            and abs(value - nearest) < AT_BOUND * (spec.upper - spec.lower)
+        ):
+            found[name] = nearest
+    return found
+
+
 def _correlation_time(r: Array) -> float:
     """Return the autocorrelation time of r (n,) in samples, 1 for white noise."""
     spectrum = np.abs(np.fft.rfft(r, 2 * r.size)) ** 2
@@ -347,9 +365,15 @@ def _notes(
     if unidentified:
         names = ", ".join(unidentified)
         notes.append(f"the record does not identify {names}; their values come from the twin file")
-    bound = [name for name, hit in zip(ids, best.at_bound, strict=True) if hit]
+    hit = {name: value for name, value, at in zip(ids, best.values.tolist(), best.at_bound, strict=True) if at}
+    absent = _switched_off(network, hit)
+    bound = [name for name in hit if name not in absent]
     if bound:
         notes.append(f"{', '.join(bound)} ended on a bound; the model may lack an effect")
+    off = [f"{name} = {value:g}" for name, value in absent.items()]
+    if off:
+        names = ", ".join(off)
+        notes.append(f'{names}: the record shows no such effect; status = "fixed" in the twin file ends its fit')
     if widened > 100.0:
         notes.append(f"residuals are far from white (intervals widened {np.sqrt(widened):.0f} times)")
     return notes

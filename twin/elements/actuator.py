@@ -2,13 +2,18 @@
 
     c(t)  = command(t - dead_time_s)
     lag_s * da/dt = c - a
-    value = gain * a * (1 - droop * a / full) + offset, times the change that a `law_actuator` may name
+    d = full * (a / full)^exponent
+    value = gain * d * (1 - droop * a / full) + offset, times the change that a `law_actuator` may name
+
+An actuator or meter of anything but a temperature delivers nothing where that is less than nothing: `offset` below zero
+is a dead band.
 
 The value is the mean over each sample interval, so that it is continuous in dead time and lag and no energy is
-lost between the samples. With gain = 1 and everything else 0 it is the column itself.
+lost between the samples. With gain = exponent = 1 and everything else 0 it is the column itself.
 
 Source: first-order lag with dead time (Astrom & Hagglund, Advanced PID Control, 2006, sec. 2.5); `droop` is the share
-that is missing at full command, as in a supply that sags or a pump that works against its own friction.
+that is missing at full command, as in a supply that sags or a pump that works against its own friction. `exponent`
+describes a measured curve, such as that of a lamp's power over its voltage or of an installed valve.
 """
 
 from __future__ import annotations
@@ -25,6 +30,9 @@ from twin.elements.meter import unit_of
 LUMPED_S = 25.0
 """Lag that an element's heat capacity and the transport of water give to an immediate step, s."""
 
+LEAST_SHARE = 1.0e-9
+"""Least share of the full command in a power law, whose logarithm is finite."""
+
 
 @dataclass(frozen=True)
 class Actuator(Element):
@@ -34,6 +42,7 @@ class Actuator(Element):
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
         ParameterSpec("gain", "1", 1.0, 0.0, 8.0, "fixed", "output over command"),
         ParameterSpec("droop", "1", 0.0, -0.5, 0.9, "fixed", "share missing at full command"),
+        ParameterSpec("exponent", "1", 1.0, 0.2, 5.0, "fixed", "power of the command that the output follows"),
         ParameterSpec("dead_time_s", "s", 0.0, 0.0, 600.0, "fixed", "time before a command shows"),
         ParameterSpec("lag_s", "s", 0.0, 0.0, 3600.0, "fixed", "time constant of the output"),
     )
@@ -43,7 +52,7 @@ class Actuator(Element):
     def parameter_specs(self) -> tuple[ParameterSpec, ...]:
         suffix = self.column.rsplit("_", 1)[-1]
         unit = {"pct": "%", "C": "degC"}.get(suffix, suffix)
-        full = 1000.0 if suffix == "W" else 100.0
+        full = _full(self.column)
         offset = ParameterSpec("offset", unit, 0.0, -1.0e3, 1.0e3, "fixed", "0 for a command or meter in calibration")
         return (*self.parameters, ParameterSpec("full", unit, full, 1.0e-3, 1.0e6, "fixed", "full command"), offset)
 
@@ -55,23 +64,29 @@ class Actuator(Element):
             if column not in having and column not in (sites.clock, STAMP):
                 name = f"actuator_of_{column}"
                 table = {name: {"kind": cls.kind, "column": column}}
-                found += [replace(c, adds=table) for c in _faults(column, name, _NEUTRAL)]
+                full = sites.scales.get(column, 0.0) or _full(column)
+                found += [replace(c, adds=table) for c in _faults(column, name, _NEUTRAL, full)]
         return tuple(found)
 
     def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         now = {key: sites.values[f"{self.name}.{key}"] for key in _NEUTRAL}
         changed = {f"{self.name}.{key}" for key, value in now.items() if value != _NEUTRAL[key]}
-        faults = _faults(self.column, self.name, now)
+        faults = _faults(self.column, self.name, now, sites.values[f"{self.name}.full"])
         return tuple(replace(c, change="existing") if changed & set(c.changes) else c for c in faults)
 
     def emit(self, n: Names) -> Fragment:
         value = n.arrived()
+        if n.constant("exponent") != 1.0:
+            full = n.par("full")
+            value = f"{full} * exp({n.par('exponent')} * log(max({value} / {full}, {LEAST_SHARE})))"
         if n.constant("gain") != 1.0:
             value = f"{n.par('gain')} * {value}"
         if n.constant("droop") != 0.0:
             value += f" * (1.0 - {n.par('droop')} * {n.arrived()} / {n.par('full')})"
         if n.constant("offset") != 0.0:
             value += f" + {n.par('offset')}"
+            if not self.column.endswith("_C"):
+                value = f"max({value}, 0.0)"
         changes = n.changed_by(input_target(self.column))
         for change in changes:
             value = f"({value}) * {change.format(command=n.arrived())}"
@@ -85,11 +100,16 @@ class Actuator(Element):
         return Fragment(drive=drive, exports=exports)
 
 
-_NEUTRAL = {"gain": 1.0, "droop": 0.0, "lag_s": 0.0, "offset": 0.0}
+_NEUTRAL = {"gain": 1.0, "exponent": 1.0, "droop": 0.0, "lag_s": 0.0, "offset": 0.0}
 
 
-def _faults(column: str, name: str, now: Mapping[str, float]) -> list[Candidate]:
-    """Return the possible faults of an actuator, or of a temperature's meter, that has these values now."""
+def _full(column: str) -> float:
+    return 1000.0 if column.endswith("_W") else 100.0
+
+
+def _faults(column: str, name: str, now: Mapping[str, float], full: float) -> list[Candidate]:
+    """Return the possible faults of an actuator, or of a temperature's meter, that has these values now; `full` is its
+    full command."""
     what, unit = column.rsplit("_", 1)
     if unit == "C":
         return [
@@ -131,6 +151,20 @@ def _faults(column: str, name: str, now: Mapping[str, float]) -> list[Candidate]
             -0.4 - droop,
             0.8 - droop,
             "falls short by {share} at full command",
+        ),
+        # Fans start at 10 to 20 % of their command, pumps that lift water at 20 to 30 %.
+        Candidate(
+            "actuator",
+            what,
+            what,
+            "new",
+            {f"{name}.offset": -1.0},
+            "%" if unit == "pct" else unit,
+            0.1 * full,
+            min(now["offset"], 0.0),
+            0.5 * full + now["offset"],
+            "delivers nothing up to a command of {value}, and as much less above it",
+            shapes=("step",),
         ),
         # Bounded at zero: an actuator that would act before its command is not late, and the hypothesis is refused.
         Candidate(

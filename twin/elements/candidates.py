@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from twin.elements.base import Element
 
-SHAPES = ("step", "ramp", "saturating")
-"""Time courses of an effect: at once, growing in proportion to time, or growing to a final size."""
+STAYING = ("step", "ramp", "saturating")
+"""Time courses of what stays: at once, growing in proportion to time, or growing to a final size."""
+PASSING = ("spell", "periodic", "pulse")
+"""Time courses of what passes: it ends, comes back, or fades."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class Candidate:
         Name -> table of the elements that are added.
     replaces
         Element -> keys of its table that differ.
+    exhausts
+        True if `upper` is all that there is, such as the water of a volume: a size may end there.
     shapes
         Possible time courses.
     lumped
@@ -62,7 +66,8 @@ class Candidate:
     adds: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     replaces: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     inverse: bool = False
-    shapes: tuple[str, ...] = SHAPES
+    exhausts: bool = False
+    shapes: tuple[str, ...] = (*STAYING, *PASSING)
     lumped: float = 0.0
     near: Callable[[], tuple[Candidate, ...]] | None = None
     begins: str = ""
@@ -78,6 +83,16 @@ class Candidate:
     def is_open(self) -> bool:
         """Return True for a law without a name."""
         return bool(self.adopts)
+
+    @property
+    def sticks(self) -> bool:
+        """Return True for a thermometer that reads the same whatever it measures."""
+        return self.kind == "sensor" and any(name.endswith("_sticks") for name in self.adds)
+
+    @property
+    def passes(self) -> bool:
+        """Return True for an event, which never stays."""
+        return self.shapes == PASSING
 
     @property
     def id(self) -> str:

@@ -48,7 +48,8 @@ class EmpiricalHeat(Element):
             ParameterSpec(f"x_{k}", unit, None, -FARTHEST_KNOT, FARTHEST_KNOT, "fixed", "knot") for k in _numbers()
         )
         heat = tuple(
-            ParameterSpec(f"q_{k}", "W", None, -MOST_HEAT_W, MOST_HEAT_W, "fixed", "fitted") for k in _numbers()
+            ParameterSpec(f"q_{k}", "W", None, -MOST_HEAT_W, MOST_HEAT_W, "fixed", "heat at the knot")
+            for k in _numbers()
         )
         return (*where, *heat)
 

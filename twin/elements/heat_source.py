@@ -27,7 +27,7 @@ from functools import partial
 from typing import ClassVar
 
 from twin.elements.base import Element, Names, ParameterSpec, place
-from twin.elements.candidates import Candidate, EffectSize, Sites
+from twin.elements.candidates import PASSING, Candidate, EffectSize, Sites
 from twin.elements.fragments import Export, Fragment
 
 LAWS = ("proportional", "linear", "squared", "cubed", "daily", "daylight")
@@ -54,6 +54,8 @@ _UNITS = {
 }
 _OTHER_LAWS = ("_C", "_pct", "_h")
 """Endings of inputs that nothing uses and that have laws of their own, or no heat: temperatures, speeds, a clock."""
+MOST_PASSING_W = 1.0e5
+"""Heat that comes in for a time at most, W: as much as the element allows."""
 TYPICAL_W, MUCH = 20.0, 1.0e4
 """Heat of interest that an input may bring in over its range, W, and the largest, in multiples of it."""
 
@@ -80,7 +82,7 @@ class HeatSource(Element):
         if self.law in POWERS:
             return (ParameterSpec("power_100", "W", 0.0, -1.0e4, 1.0e4, "tunable", "heat at 100 % speed"),)
         if self.law in ("daily", "daylight"):
-            source = "component of the daily swing; both zero without one"
+            source = "component of the daily swing; both 0 without a daily swing"
             swing = (
                 ParameterSpec("cosine", "W", 0.0, -1.0e4, 1.0e4, "tunable", f"midnight {source}"),
                 ParameterSpec("sine", "W", 0.0, -1.0e4, 1.0e4, "tunable", f"six o'clock {source}"),
@@ -160,7 +162,7 @@ class HeatSource(Element):
                     # A day that itself grows would imitate any other growing effect.
                     source = replace(source, shapes=("step",))
                     source = replace(source, near=partial(_other_days, source, peak_h, 12.0, share))
-                found.append(source)
+                found += [source, _passing(source)] if driver == "constant" and len(nodes) == 1 else [source]
         return tuple(found)
 
     def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
@@ -171,7 +173,8 @@ class HeatSource(Element):
             power = self.parameter_candidate(
                 "power", "heat_source", where, "constant", EffectSize("W", 20.0, -now if now else 0.0, 2000.0), says
             )
-            return (power if now else replace(power, change="new"),)
+            power = power if now else replace(power, change="new")
+            return power, _passing(power)
         if self.law == "proportional":
             now, where = sites.values[f"{self.name}.factor"], self.driver.rsplit("_", 1)[0]
             says = "gives {value} more heat than its reading says"
@@ -251,6 +254,11 @@ class HeatSource(Element):
         if self.law == "proportional":
             return Fragment(heat={self.node: f"{n.par('factor')} * {column}"})
         return Fragment(heat={self.node: f"{n.par('gain')} * ({column} - {n.par('reference')})"})
+
+
+def _passing(constant: Candidate) -> Candidate:
+    """Return the candidate of heat that comes in for a time, which may bring in a minute what is usual in an hour."""
+    return replace(constant, typical=60.0 * constant.typical, lower=0.0, upper=MOST_PASSING_W, shapes=PASSING)
 
 
 _UNKNOWN = "gives off {value} that the twin does not know of"

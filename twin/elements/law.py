@@ -27,7 +27,7 @@ from typing import ClassVar
 
 from twin.column_names import UNITS_OF_SUFFIX
 from twin.elements.base import STAMP, Element, Names, ParameterSpec, place
-from twin.elements.candidates import input_target
+from twin.elements.candidates import PASSING, Candidate, Sites, input_target
 from twin.elements.fragments import ElementState, Fragment, SampleMemory
 from twin.elements.law_forms import (
     COURSES,
@@ -50,6 +50,11 @@ MOST_FLOW = 1.0e4
 MOST_SHARE = 9.0
 """Largest relative increase of a flow or of an actuator's output."""
 REMEMBERING = ("memory", "rate")
+FILLED_IN = {"cold": (10.0, ""), "hot": (60.0, ", or as much heat")}
+"""Temperature of water from the mains and from a boiler, degC, and what else it may be. A record tells the product of
+its amount and of how far it is from the rig's temperature."""
+TYPICAL_FILLING, MOST_FILLING = 1.0 / 60.0, 10.0
+"""A litre a minute, and a bucket in a second, kg/s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,6 +247,31 @@ class LawFluid(Law):
     total: ClassVar[tuple[str, float]] = ("kg", 1.0e4)
 
     node: str = place("node", "node that the fluid enters")
+
+    @classmethod
+    def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
+        """Return water that is filled in for a time where water flows."""
+        wet, known = {*sites.before, *sites.before.values()}, {e.name for e in sites.elements}
+        return tuple(
+            Candidate(
+                "heat_source",
+                sites.places[node],
+                "constant",
+                "new",
+                {f"{name}.size": 1.0},
+                "kg/s",
+                TYPICAL_FILLING,
+                0.0,
+                MOST_FILLING,
+                f"gets {{value}} of {word} water (of {temperature:.0f} degC, or more of less {word} water{otherwise})",
+                adds={name: {"kind": cls.kind, "node": node, "temperature": temperature}},
+                shapes=PASSING,
+            )
+            for node in sites.nodes
+            if node in wet
+            for word, (temperature, otherwise) in FILLED_IN.items()
+            if (name := f"{word}_water_into_{node}") not in known
+        )
 
     def own_nodes(self) -> tuple[str, ...]:
         return (self.node,)

@@ -29,6 +29,7 @@ from twin.elements.flow import WATER_DENSITY
 from twin.elements.fragments import ElementState, Fragment, PlugFlowDelay
 
 LEAST_S = 1.0
+"""Shortest time constant of a wall, and of a volume whose water passes as a plug, s."""
 LUMPED_S, PIPED_S = 20.0, 6.0
 """Transport time that a twin of mixed volumes may hide, s, and one with pipes, which does not model mixing in them."""
 WALL_CONSTANTS_S = (3.0, 10.0, 30.0, 100.0, 300.0)
@@ -150,6 +151,8 @@ class Pipe(Element):
 def _plug(sites: Sites, node: str) -> Candidate:
     """Return the candidate of incoming water that passes as a plug, where the twin has it mixed in the node's
     volume.
+
+    Some of it stays mixed, as much as flows in `LEAST_S`: an empty volume would make every step as short as nothing.
     """
     name = f"pipe_to_{node}"
     flow = next(e for e in sites.having("flow") if node in e.path)
@@ -164,8 +167,9 @@ def _plug(sites: Sites, node: str) -> Candidate:
         "L",
         0.1 * volume,
         0.0,
-        volume,
+        max(volume - LEAST_S * sites.litres_per_s, 0.0),
         "holds {value} that pass one after the other, unmixed",
         adds={name: {"kind": Pipe.kind, "to": node, "ambient": sites.room}},
+        exhausts=True,
         shapes=("step",),
     )

@@ -21,7 +21,7 @@ from typing import ClassVar
 import numpy as np
 
 from twin.elements.base import Element, Names, ParameterSpec, place
-from twin.elements.candidates import SHAPES, Candidate, EffectSize, Sites
+from twin.elements.candidates import PASSING, STAYING, Candidate, EffectSize, Sites
 from twin.elements.fragments import Fragment, SensorLag
 
 LUMPED_S, PIPED_S = 25.0, 6.0
@@ -180,7 +180,7 @@ class Sensor(Element):
                 },
                 f"{self.name}_sticks": {"kind": "law_reading", "sensor": self.name, "form": "constant"},
             },
-            shapes=("step",) if apart_c == STUCK_APART_K else SHAPES,
+            shapes=("step",) if apart_c == STUCK_APART_K else (*STAYING, *PASSING),
             near=near if finer else None,
         )
 

@@ -8,6 +8,7 @@ come from twin files, which are data. They are keys of the tables here and never
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -94,6 +95,7 @@ class Symbols:
         return self._locals[key]
 
 
+@functools.cache
 def _plain(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_]", "_", name)
 

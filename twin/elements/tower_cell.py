@@ -46,7 +46,7 @@ class TowerCell(Element):
         ParameterSpec("exponent", "1", 0.6, 0.0, 2.0, "fixed", "of water over air in the Merkel number, Kloppers"),
         ParameterSpec("fan_power", "kW", 0.0, 0.0, 1.0e5, "fixed", "of the shaft at full speed and that density"),
         ParameterSpec("fan_idle", "kW", 0.0, 0.0, 1.0e5, "fixed", "losses of motor and drive at any speed"),
-        ParameterSpec("kappa", "1", 0.0, -5.0, 5.0, "fixed", "relative rise of fan power for a relative loss of air"),
+        ParameterSpec("kappa", "1", 0.0, -5.0, 5.0, "fixed", "fan power goes with the air to the power -kappa"),
         ParameterSpec("evaporation", "1", 1.0, 0.5, 2.0, "fixed", "evaporation over that of Merkel's method"),
         ParameterSpec("bypass_share", "1", 0.0, 0.0, 1.0, "fixed", "of the water that an open bypass valve lets past"),
         ParameterSpec("error_K", "K", 0.1, 0.001, 5.0, "fixed", "RMSE of the clean cell at its test points"),
@@ -154,7 +154,7 @@ class TowerCell(Element):
             "heat_rejected": Export("kW", f"0.001 * {n.local('mcp')} * ({u['t_in']} - {n.local('mixed')})"),
             "fan_power": Export(
                 "kW",
-                f"{par('fan_idle')} + {shaft} * (1.0 + {par('kappa')} * (1.0 - {par('air')}))",
+                f"{par('fan_idle')} + {shaft} * exp(-{par('kappa')} * log({par('air')}))",
                 ((speed, u["fan_share"]),),
             ),
             "evaporation": Export("kg/s", lost, tuple(steps)),

@@ -15,9 +15,10 @@ from twin.elements.base import Element, Names, ParameterSpec, place
 from twin.elements.fragments import Fragment
 
 KINDS = ("recirculation", "neighbour", "bypass_leak", "solar", "underwetting", "follows")
+"""Names of the effects among which a diagnosis chooses: those of `twin.tower.diagnosis.candidates`."""
 PATHS = ("exhaust", "past_fill", "wetted", "outlet", "inlet", "wet_bulb", "water")
 DRIVERS = ("always", "wind_direction", "wind_speed", "neighbours_speed", "solar", "low_flow", "column")
-"""As in `twin.tower.effects`; a test holds the two equal."""
+"""Paths and drivers as in `twin.tower.effects`."""
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.historian.columns import OF_CELL, OF_STATION
-    from twin.historian.events import Event, disturbed, influence_of
-    from twin.historian.plausible import in_usual_units, order_and_silence
-    from twin.historian.record import CellMinutes, cell_minutes, shared_minutes
+    from twin.historian.events import INFLUENCE, Event, disturbed, influence_of
+    from twin.historian.plausible import in_usual_units, order_and_silence, without_strays
+    from twin.historian.record import CellMinutes, cell_minutes, out_of_range, shared_minutes
     from twin.historian.tags import Defect, Series, Tag
-    from twin.historian.units import UnitError, unit_of
+    from twin.historian.units import SPEEDS, UnitError, full_speed_of, unit_of
 
 _MODULES = {
     "columns": (
@@ -22,6 +22,7 @@ _MODULES = {
         "OF_STATION",
     ),
     "events": (
+        "INFLUENCE",
         "Event",
         "disturbed",
         "influence_of",
@@ -29,10 +30,12 @@ _MODULES = {
     "plausible": (
         "in_usual_units",
         "order_and_silence",
+        "without_strays",
     ),
     "record": (
         "CellMinutes",
         "cell_minutes",
+        "out_of_range",
         "shared_minutes",
     ),
     "tags": (
@@ -41,15 +44,19 @@ _MODULES = {
         "Tag",
     ),
     "units": (
+        "SPEEDS",
         "UnitError",
+        "full_speed_of",
         "unit_of",
     ),
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [
+    "INFLUENCE",
     "OF_CELL",
     "OF_STATION",
+    "SPEEDS",
     "CellMinutes",
     "Defect",
     "Event",
@@ -58,11 +65,14 @@ __all__ = [
     "UnitError",
     "cell_minutes",
     "disturbed",
+    "full_speed_of",
     "in_usual_units",
     "influence_of",
     "order_and_silence",
+    "out_of_range",
     "shared_minutes",
     "unit_of",
+    "without_strays",
 ]
 
 

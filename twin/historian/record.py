@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -10,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.historian.checks import check_flags
-from twin.historian.columns import OF_CELL, OF_STATION, Column
+from twin.historian.columns import OF_CELL, OF_STATION, Column, column_unit
+from twin.historian.defects.quality import JOINED_S
 from twin.historian.minutes import How, held_minutes, mean_minutes, minute_edges, staleness_min
 from twin.historian.regimes import regimes
-from twin.historian.tags import Array, Series, longest_interval_s
-from twin.historian.units import unit_of
+from twin.historian.tags import Array, Defect, Series, longest_interval_s
+from twin.historian.units import SPEEDS, full_speed_of, unit_of
 from twin.tower.air import wet_bulb
 
 CLOSURE_K = 0.35
@@ -158,17 +158,60 @@ def canonical(series: Series, full_speed: str) -> Series:
 
     unit = unit_of(series.tag.unit)
     value = unit.scale * series.value + unit.offset
-    if unit.dimension == "frequency":
-        number = re.match(r"\s*([0-9.]+)", full_speed)
-        value = 100.0 * value / (float(number.group(1)) if number else 60.0)
+    if unit.dimension in SPEEDS:
+        value = 100.0 * value / full_speed_of(full_speed)[0]
     return replace(series, value=value)
 
 
 def _plausible(series: Series, column: Column) -> Series:
-    from dataclasses import replace
+    """Return a series, in the record's unit, without what its column cannot have, which becomes holes."""
+    return series.without(_out_of_range(series, column))
 
-    keep = (series.value >= column.low) & (series.value <= column.high)
-    return replace(series, time_s=series.time_s[keep], value=series.value[keep], quality=series.quality[keep])
+
+def _out_of_range(series: Series, column: Column) -> list[tuple[float, float]]:
+    """Return from the first sample of each run that its column cannot have to the last, s since 1970."""
+    outside = ~((series.value >= column.low) & (series.value <= column.high))
+    edge = np.diff(np.concatenate([[0], outside.astype(np.int8), [0]]))
+    first, last = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1) - 1
+    return list(zip(series.time_s[first].tolist(), series.time_s[last].tolist(), strict=True))
+
+
+def _joined(spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return the spans, those that are close to one another as one."""
+    joined: list[tuple[float, float]] = []
+    for start, end in spans:
+        if joined and start - joined[-1][1] <= JOINED_S:
+            joined[-1] = joined[-1][0], end
+        else:
+            joined.append((start, end))
+    return joined
+
+
+def out_of_range(series: Sequence[Series], full_speed: str) -> list[Defect]:
+    """Return the spans in which tags hold values that their columns cannot have.
+
+    Parameters
+    ----------
+    series
+        Good samples of the tags, in their own units.
+    full_speed
+        Speed of 100 %, with its unit.
+    """
+    found = []
+    for one in series:
+        column = OF_CELL.get(one.tag.role) or OF_STATION.get(one.tag.role)
+        if column is None:
+            continue
+        inside = canonical(one, full_speed)
+        for start, end in _joined(_out_of_range(inside, column)):
+            part = inside.between(start, float(np.nextafter(end, np.inf)))
+            values = part.value[(part.value < column.low) | (part.value > column.high)]
+            says = (
+                f"{one.tag.name} holds {len(values)} values such as {values[0]:.4g} {column_unit(column)}, outside "
+                f"{column.low:g} to {column.high:g}"
+            )
+            found.append(Defect("out_of_range", (one.tag.name,), start, end, says, "left out"))
+    return found
 
 
 def _direction(series: Series, edges: Array, limit: float) -> tuple[Array, NDArray[np.uint8]]:

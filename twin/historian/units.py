@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 WATER_DENSITY = 997.0
@@ -27,6 +28,7 @@ CANONICAL = {
     "angle": "deg",
     "state": "1",
     "frequency": "Hz",
+    "rotation": "rpm",
     "length": "m",
 }
 
@@ -67,6 +69,7 @@ UNITS: dict[str, Unit] = {
     "1": Unit("share", 100.0),
     "0/1": Unit("state"),
     "Hz": Unit("frequency"),
+    "rpm": Unit("rotation"),
     "m/s": Unit("speed"),
     "km/h": Unit("speed", 1.0 / 3.6),
     "mph": Unit("speed", 0.44704),
@@ -78,19 +81,8 @@ UNITS: dict[str, Unit] = {
 }
 """Factors by NIST SP 811; a ton is one of refrigeration."""
 
-PLAUSIBLE = {
-    "temperature": (-60.0, 130.0),
-    "mass flow": (-1e2, 1e5),
-    "power": (-1e3, 1e6),
-    "pressure": (-50.0, 2e4),
-    "share": (-10.0, 130.0),
-    "speed": (-1.0, 90.0),
-    "angle": (-360.0, 720.0),
-    "state": (-0.5, 1e3),
-    "frequency": (-1.0, 500.0),
-    "length": (-10.0, 100.0),
-}
-"""Lowest and highest canonical value that a plant's instrument can show; what is outside is missing."""
+SPEEDS = ("frequency", "rotation")
+"""Dimensions of a fan's speed that become per cent of that at 100 %: of its drive's supply, and of its shaft."""
 
 
 class UnitError(ValueError):
@@ -119,3 +111,20 @@ def alternatives(text: str) -> dict[str, Unit]:
         for name, unit in UNITS.items()
         if unit.dimension == own.dimension and (unit.scale, unit.offset) != (own.scale, own.offset)
     }
+
+
+def full_speed_of(text: str) -> tuple[float, Unit]:
+    """Return number and unit of the speed that a fan has at 100 %, such as `60 Hz` or `320 rpm`; Hz without unit.
+
+    Raises
+    ------
+    UnitError
+        It is no number above zero with one of these units.
+    """
+    match = re.fullmatch(r"\s*([0-9]+(?:[.,][0-9]+)?)\s*([A-Za-z]*)\s*", text)
+    if match is None or not float(match[1].replace(",", ".")) > 0.0:
+        raise UnitError(f"{text!r} is no speed; write a number with Hz or rpm, such as 60 Hz")
+    unit = unit_of(match[2] or "Hz")
+    if unit.dimension not in SPEEDS:
+        raise UnitError(f"{text!r} is no speed of a fan; write a number with Hz or rpm, such as 60 Hz")
+    return float(match[1].replace(",", ".")), unit

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.kernel.c_translator import CSource, c_source
-    from twin.kernel.cache import cache_folder, numba_may_cache
+    from twin.kernel.cache import cache_folder, compile_kernel
     from twin.kernel.codegen import FEW_LANES, LANES
     from twin.kernel.generated_code import define_functions, evaluate_formula
     from twin.kernel.simulation import Kernel, clean_time, hold_inputs, mask_measurements, simulate, with_stamps
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "cache": (
         "cache_folder",
-        "numba_may_cache",
+        "compile_kernel",
     ),
     "c_translator": (
         "CSource",
@@ -51,11 +51,11 @@ __all__ = [
     "c_source",
     "cache_folder",
     "clean_time",
+    "compile_kernel",
     "define_functions",
     "evaluate_formula",
     "hold_inputs",
     "mask_measurements",
-    "numba_may_cache",
     "simulate",
     "with_stamps",
 ]

@@ -1,44 +1,41 @@
-"""Cache of compiled kernels, in a folder that belongs to this user alone.
+"""Compilation of kernels, and a cache of their machine code in a folder that belongs to this user alone.
 
-numba stores its index and its machine code as pickles, which are executed when they are read. So the folder must be
-this user's own, closed to everybody else, and not in a shared temporary place. Every file in it is checked before use:
-owner, permissions, and the SHA-256 noted when it was written. A file that does not pass is removed and compiled anew.
-Without such a folder a kernel is compiled in a temporary one and forgotten.
+Machine code is executed as it is read. So the folder must be this user's own, closed to everybody else, and not in a
+shared temporary place. Every file in it is checked before use: owner, permissions, and the SHA-256 in front of the
+code. A file that does not pass is compiled anew. Without such a folder nothing is stored.
 
-Writers hold a file lock and replace files atomically, so that several processes can share the cache.
+Files are replaced atomically, so that several processes can share the cache.
 """
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
+import ctypes
 import functools
 import hashlib
-import json
 import logging
-import math
 import os
-import shutil
 import stat
-import sys
 import tempfile
-import threading
-from collections.abc import Callable, Iterator
+from array import array
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
-from twin.kernel.generated_code import BUILTINS, check_source, compile_tree
+import llvmlite
+import numpy as np
+from llvmlite import binding as llvm
+
+from twin.kernel.generated_code import KERNEL_NAMES, check_source
+from twin.kernel.llvm_translator import AXES, ENTRY, llvm_text
+from twin.kernel.typed_source import Kind, ModuleKinds
 
 FOLDER = "hil-twin"
 """Name of the cache folder inside the user's cache directory."""
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-_DIGESTS = "digests.json"
-_LAYOUT = 2
-"""Version of a kernel folder's layout; part of the key, so that folders of another version are ignored."""
-FAST = {"contract", "nsz", "arcp"}
-"""Freedom of rounding with which kernels are compiled: fused multiply-adds, sign of zero, reciprocals."""
-_BUILDING = threading.Lock()
+_TRANSLATION = ("typed_source.py", "llvm_translator.py", "cache.py")
+"""Modules of which the machine code of a source depends; they are part of the key."""
+_DIGEST = 32
 _log = logging.getLogger(__name__)
 
 
@@ -46,31 +43,87 @@ _log = logging.getLogger(__name__)
 def compile_kernel(source: str) -> Callable[..., None]:
     """Return machine code for a generated source, from the disk cache where possible.
 
+    The function takes arrays in C order, of the types in the source, and numbers. It releases Python's lock.
+
     Raises
     ------
     twin.kernel.generated_code.GeneratedCodeError
         The source holds more than a kernel needs.
     """
-    import numba
-
-    key = hashlib.sha256(f"{_LAYOUT}\n{numba.__version__}\n{sys.version}\n{source}".encode()).hexdigest()[:32]
+    tree = check_source(source, KERNEL_NAMES)
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    processor = f"{llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}"
+    given = f"{_translation()}\n{llvmlite.__version__}\n{processor}\n{source}"
+    key = hashlib.sha256(given.encode()).hexdigest()[:32]
     root = cache_root()
-    if root is None:
-        with tempfile.TemporaryDirectory(prefix=f"{FOLDER}-") as temporary:
-            return _load(Path(temporary), key, source)
-    folder = root / key
-    with _locked(root / f"{key}.lock"):
-        if not _intact(folder, source):
-            shutil.rmtree(folder, ignore_errors=True)
-        try:
-            kernel = _load(folder, key, source)
-        except Exception:
-            # Files of a numba that was replaced in place raise any error of unpickling; a rebuild distinguishes a
-            # useless cache from broken source.
-            shutil.rmtree(folder, ignore_errors=True)
-            kernel = _load(folder, key, source)
-        _note(folder)
-        return kernel
+    path = None if root is None else root / f"{key}.o"
+    code = None if path is None else _read(path)
+    if code is None:
+        code = _compiled(llvm_text(tree))
+        if path is not None:
+            _write(path, code)
+    return _MachineCode(code, ModuleKinds(tree).functions[ENTRY].parameters)
+
+
+@functools.cache
+def _translation() -> str:
+    """Return the SHA-256 of this version of the translation and of the calling convention."""
+    found = hashlib.sha256()
+    for name in _TRANSLATION:
+        found.update(Path(__file__).with_name(name).read_bytes())
+    return found.hexdigest()
+
+
+def _machine() -> Any:
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(),
+        features=llvm.get_host_cpu_features().flatten(),
+        opt=3,
+        codemodel="jitdefault",
+        jit=True,
+    )
+
+
+def _compiled(text: str) -> bytes:
+    """Return LLVM assembly as an object file."""
+    module, machine = llvm.parse_assembly(text), _machine()
+    module.verify()
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.loop_vectorization = options.slp_vectorization = options.loop_unrolling = True
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+    code: bytes = machine.emit_object(module)
+    return code
+
+
+class _MachineCode:
+    """An object file in memory, called as a function of arrays and numbers; its memory is freed with it."""
+
+    def __init__(self, code: bytes, parameters: Sequence[Kind]) -> None:
+        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
+        self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        self._engine.finalize_object()
+        self._entry = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(self._engine.get_function_address(ENTRY))
+        self._parameters = [
+            (kind.axes, np.dtype(np.int64 if kind.whole else np.float64), [1] * (AXES - kind.axes))
+            for kind in parameters
+        ]
+
+    def __call__(self, *arguments: Any) -> None:
+        words: list[int] = []
+        for given, (axes, dtype, rest) in zip(arguments, self._parameters, strict=True):
+            if axes:
+                if given.ndim != axes or given.dtype != dtype or not given.flags.c_contiguous:
+                    raise TypeError(
+                        f"a kernel takes {axes} axes of {dtype} in C order, and got {given.ndim} of {given.dtype}"
+                        f"{'' if given.flags.c_contiguous else ' in another order'}"
+                    )
+                words += (given.__array_interface__["data"][0], *given.shape, *rest)
+            else:
+                words.append(given if dtype.kind == "i" else int(np.float64(given).view(np.int64)))
+        packed = array("q", words)
+        self._entry(packed.buffer_info()[0])
 
 
 def cache_root() -> Path | None:
@@ -118,15 +171,6 @@ def privacy_problem(folder: Path) -> str:
     return "" if os.access(folder, os.W_OK) else "cannot be written"
 
 
-def numba_may_cache() -> bool:
-    """Return True if numba may store machine code where it is told to: beside the source, or in a private folder."""
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    try:
-        return not given or not privacy_problem(Path(given))
-    except OSError:
-        return False
-
-
 def cache_folder(name: str) -> Path | None:
     """Return a folder of that name in the cache, beside the kernels, or None where nothing can be stored."""
     root = cache_root()
@@ -149,120 +193,27 @@ def _no_cache(reason: str) -> None:
     )
 
 
-def _intact(folder: Path, source: str) -> bool:
-    """Return True if a kernel's folder holds the source and just the noted files, unchanged and this user's."""
+def _read(path: Path) -> bytes | None:
+    """Return the machine code of a file; None for one that is missing, damaged, a link, or not this user's alone."""
     try:
-        noted = json.loads(_bytes(folder / _DIGESTS))
-        found = {path.name: hashlib.sha256(_bytes(path)).hexdigest() for path in _kept(folder)}
-        own = all(_ours(path, path.lstat()) for path in (folder, folder / "__pycache__"))
-        return own and noted == found and _bytes(_source_file(folder)) == source.encode()
-    except (OSError, ValueError):
-        return False
+        with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & OTHERS_WRITE:
+                return None
+            content = file.read()
+    except OSError:
+        return None
+    digest, code = content[:_DIGEST], content[_DIGEST:]
+    return code if hashlib.sha256(code).digest() == digest else None
 
 
-def _note(folder: Path) -> None:
-    """Note the digests of what numba has put into a kernel's folder."""
+def _write(path: Path, code: bytes) -> None:
+    """Keep machine code where that is possible."""
     with contextlib.suppress(OSError):
-        found = {path.name: hashlib.sha256(_bytes(path)).hexdigest() for path in _kept(folder)}
-        _replace(folder / _DIGESTS, json.dumps(found))
-
-
-def _kept(folder: Path) -> list[Path]:
-    return sorted((folder / "__pycache__").iterdir())
-
-
-def _source_file(folder: Path) -> Path:
-    return folder / f"kernel_{folder.name}.py"
-
-
-def _bytes(path: Path) -> bytes:
-    """Return the content of a regular file of this user that nobody else may write; links are not followed.
-
-    Raises
-    ------
-    OSError
-        The file is missing or is something else.
-    """
-    with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW), "rb") as file:
-        if not _ours(path, os.fstat(file.fileno())):
-            raise PermissionError(f"{path} is not this user's alone")
-        return file.read()
-
-
-def _ours(path: Path, status: os.stat_result) -> bool:
-    kind = stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)
-    return kind and status.st_uid == os.getuid() and not status.st_mode & OTHERS_WRITE
-
-
-def _replace(path: Path, text: str) -> None:
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8") as f:
-        f.write(text)
-    os.replace(f.name, path)
-
-
-def _load(folder: Path, key: str, source: str) -> Callable[..., None]:
-    """Run a kernel's source, checked; numba compiles its functions or takes them from the folder."""
-    import numba
-    import numpy as np
-
-    given = {"nb": numba, "np": np, "log": math.log, "FAST": FAST}
-    tree = check_source(source, given)
-    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    (folder / "__pycache__").mkdir(exist_ok=True, mode=0o700)
-    path = _source_file(folder)
-    # numba compares the stamp of the source with that in its index, so an existing file stays untouched.
-    if not path.exists() or path.read_bytes() != source.encode():
-        _replace(path, source)
-    module = ModuleType(f"hil_twin_kernel_{key}")
-    module.__dict__.update({"__builtins__": dict(BUILTINS), "__file__": str(path), **given})
-    # numba's cached code refers to its module by name while it is being loaded.
-    sys.modules[module.__name__] = module
-    with _BUILDING, _beside_the_source(numba.config), _operators_resolved_once():
-        exec(compile_tree(tree, str(path)), module.__dict__)
-    kernel: Callable[..., None] = module.__dict__["kernel"]
-    return kernel
-
-
-@contextlib.contextmanager
-def _operators_resolved_once() -> Iterator[None]:
-    """Have numba resolve an operator on the same scalar types once a kernel; a third of the time of compiling one.
-
-    A kernel has some 1700 operations of 50 kinds, and numba searches its overloads for each of them. The signatures are
-    the same ones. Threads that compile other functions meanwhile may share them.
-    """
-    from numba.core import types
-
-    functions: Any = types.functions.BaseFunction
-    resolve = functions.get_call_type
-    known: dict[Any, Any] = {}
-
-    def remembered(function: Any, context: Any, args: Any, kws: Any) -> Any:
-        if kws or not all(isinstance(arg, types.Number | types.Boolean) for arg in args):
-            return resolve(function, context, args, kws)
-        key = (context, function, tuple(args))  # the context itself: an id may be given again
-        if key not in known:
-            known[key] = resolve(function, context, args, kws)
-        return known[key]
-
-    functions.get_call_type = remembered
-    try:
-        yield
-    finally:
-        functions.get_call_type = resolve
-
-
-@contextlib.contextmanager
-def _beside_the_source(config: Any) -> Iterator[None]:
-    """Make numba store its files beside the source, because the folder that NUMBA_CACHE_DIR names may be shared."""
-    elsewhere, config.CACHE_DIR = config.CACHE_DIR, ""
-    try:
-        yield
-    finally:
-        config.CACHE_DIR = elsewhere
-
-
-@contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    with path.open("w") as handle:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
+        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+        try:
+            with open(handle, "wb") as file:
+                file.write(hashlib.sha256(code).digest() + code)
+            os.replace(name, path)
+        except OSError:
+            os.unlink(name)

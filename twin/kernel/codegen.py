@@ -39,6 +39,8 @@ much as a full one.
 """
 MOST_STEPS = 1.0e6
 """Largest number of substeps in one sample interval."""
+INSTANT = "1.0e-3"
+"""Interval, s, over which the mean of a memory is its value at an instant, and rounding leaves eleven digits."""
 ALWAYS = -1
 """Index, beside those of input columns, of all that changes from sample to sample: the memories of samples."""
 Mode = Literal["cost", "trace"]
@@ -309,7 +311,7 @@ class KernelGenerator:
         their own, with the inputs of the sample.
         """
         s = self.system
-        steps = dict(s.metering)
+        steps = {**self._remembered_now(), **s.metering}
         used = set().union(*(names_in(text) for text in steps.values())) if steps else set()
         read: dict[str, str] = {}
         for c in sorted(int(name[1:]) for name in used if re.fullmatch(r"u\d+", name)):
@@ -335,6 +337,21 @@ class KernelGenerator:
             else:
                 shared.append(line)
         return shared, body, names
+
+    def _remembered_now(self) -> dict[str, str]:
+        """Return the values of the memories that meters need, at the instant of a sample: name -> expression.
+
+        Those in the work array are means over the interval before, of another block of lanes at the first sample.
+        """
+        s, found = self.system, {}
+        columns = [self.network.input_columns.index(d.column) for _, d in s.drives if d.varies]
+        now = {f"u{c}": f"inputs[i, {c}]" for c in columns} | {"span": INSTANT}
+        needed = set().union(*(names_in(text) for text in s.metering.values())) if s.metering else set()
+        for name, memory in s.memories:
+            value, _ = s.stored(name, memory)
+            if value in needed:
+                found[value] = renamed(memory.value, now)
+        return found
 
     def copied(self, row: int, count: int, place: str, store: bool) -> list[str]:
         """Return loops that copy rows of the work array from or to an array."""
@@ -400,7 +417,6 @@ class KernelGenerator:
         used_names = {name for line in (*fixed, *block) for name in NAME.findall(line)}
         wanted = [i for i in range(len(self.network.ids)) if f"p{i}" in used_names]
         head += [*(f"p{i} = base[{i}]" for i in wanted if f"p{i}" not in self.parameters), *fixed]
-        jit = f"{_SIGNATURE[self.mode]!r}, cache=True, fastmath=FAST, nogil=True, error_model='numpy'"
         functions = EXP + (ARRIVED if any(d.dead_time for _, d in s.drives) else "")
         return "\n".join(
             [
@@ -417,7 +433,7 @@ class KernelGenerator:
                 self.delays.functions if self.delays else "",
                 "",
                 *self.text.functions,
-                f"@nb.njit({jit})",
+                f"@typed({_SIGNATURE[self.mode]!r})",
                 f"def {name}(base, lanes, start, past, {rows}, time, inputs, {measured}{out}, end, future):",
                 *indent([*head, "for b in range(start.shape[0]):", *indent(block)]),
                 "",

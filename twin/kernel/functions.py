@@ -1,10 +1,10 @@
 """Functions that generated kernels call, as text: they are compiled beside each kernel, for its number of lanes.
 
-LANES, SLOTS and NEVER are constants of the generated module; FAST is `twin.kernel.cache.FAST`.
+LANES, SLOTS and NEVER are constants of the generated module.
 """
 
 EXP = '''
-@nb.njit(inline='always')
+@inlined
 def exp(x):
     """exp(x) by halving, a Taylor polynomial and squaring: no call, so the lane loop stays vectorised."""
     y = min(max(x, -60.0), 60.0) * 0.00390625
@@ -19,7 +19,7 @@ def exp(x):
     return y * y
 '''
 ARRIVED = '''
-@nb.njit('f8(f8[::1], f8[:,::1], i8, i8, f8)', cache=True, error_model='numpy')
+@typed('f8(f8[::1], f8[:,::1], i8, i8, f8)')
 def arrived(time, inputs, column, i, dead):
     """Return the mean of a held input over interval i, `dead` seconds ago; before the first sample it was constant."""
     first, last = time[i] - dead, time[i + 1] - dead
@@ -40,7 +40,7 @@ def arrived(time, inputs, column, i, dead):
     return (total + inputs[low, column] * (last - at)) / (last - first)
 '''
 DELAY_STATE = '''
-@nb.njit('void(f8[:,::1], f8[:,:,::1], i8, i8, i8)', cache=True)
+@typed('void(f8[:,::1], f8[:,:,::1], i8, i8, i8)')
 def fill_volumes(V, past, b, line, row):
     """Set the volumes of a flow at which its slots begin, from now; at rest all but the last slots are far away."""
     for e in range(SLOTS):
@@ -48,7 +48,7 @@ def fill_volumes(V, past, b, line, row):
             V[line + e, l] = past[b, row + e, l] if past.shape[0] > 0 else (e - SLOTS + 1) * NEVER
 
 
-@nb.njit('void(f8[:,::1], f8[:,::1], f8[:,:,::1], i8, i8, i8, i8)', cache=True)
+@typed('void(f8[:,::1], f8[:,::1], f8[:,:,::1], i8, i8, i8, i8)')
 def fill_water(H, R, past, b, line, row, water):
     """Set the water of a delay, slot by slot; at rest it is that in row `water`."""
     for e in range(SLOTS):
@@ -58,7 +58,7 @@ def fill_water(H, R, past, b, line, row, water):
                 H[3 * (line + e) + part, l] = past[b, row + part * SLOTS + e, l] if past.shape[0] > 0 else rest
 
 
-@nb.njit('void(f8[:,::1], f8[:,:,::1], i8, i8, i8, i8, i8)', cache=True)
+@typed('void(f8[:,::1], f8[:,:,::1], i8, i8, i8, i8, i8)')
 def hand_volumes(V, future, b, line, row, tip, since):
     """Store the volumes for `fill_volumes`, oldest slot first, from the newest boundary; then steps since closing."""
     many = V.shape[1] > 1
@@ -69,7 +69,7 @@ def hand_volumes(V, future, b, line, row, tip, since):
         future[b, row + SLOTS, l] = since
 
 
-@nb.njit('void(f8[:,::1], f8[:,:,::1], i8, i8, i8, i8)', cache=True)
+@typed('void(f8[:,::1], f8[:,:,::1], i8, i8, i8, i8)')
 def hand_water(H, future, b, line, row, tip):
     """Store the water for `fill_water`."""
     for e in range(SLOTS):
@@ -78,7 +78,7 @@ def hand_water(H, future, b, line, row, tip):
                 future[b, row + part * SLOTS + e, l] = H[3 * (line + ((tip + 1 + e) & (SLOTS - 1))) + part, l]
 '''
 _NOTE = '''
-@nb.njit('void(f8[:,::1], f8[:,::1], i8, i8, i8, {type})', cache=True, fastmath=FAST, error_model='numpy')
+@typed('void(f8[:,::1], f8[:,::1], i8, i8, i8, {type})')
 def note(H, R, i, water, steps, share):
     """Fill slot i from the rows of R: water that enters at the start, its slope there, water at the end.
 
@@ -111,9 +111,7 @@ SHARED_FLOW = (
     _note("f8", "share")
     + '''
 
-@nb.njit(
-    'i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, f8, f8, i8, i8)', cache=True, fastmath=FAST, error_model='numpy'
-)
+@typed('i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, f8, f8, i8, i8)')
 def look(V, H, R, flow, line, s, y, span, tip, out):
     """Write the water from volume y to y + span as a quadratic in time into rows from `out`; return y's slot."""
     while s != ((tip + 1) & (SLOTS - 1)) and V[flow + s, 0] > y:
@@ -160,7 +158,7 @@ SEPARATE_FLOW = (
     _note("i8", "R[share, l]")
     + '''
 
-@nb.njit('i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, i8, i8, i8)', cache=True, fastmath=FAST, error_model='numpy')
+@typed('i8(f8[:,::1], f8[:,::1], f8[:,::1], i8, i8, i8, i8, i8, i8)')
 def look(V, H, R, flow, line, s, place, tip, out):
     """Write each lane's water from volume y = R[place] to y + R[place + 1] as a quadratic in time into rows from `out`.
 
@@ -211,8 +209,8 @@ def look(V, H, R, flow, line, s, place, tip, out):
 '''
 )
 PIECES = '''
-@nb.njit('void(f8[::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[:,::1], f8[:,:,:,::1], '
-         'f8[:,:,::1], f8[:,:,::1])', cache=True, nogil=True)
+@typed('void(f8[::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], i8[::1], f8[::1], f8[:,::1], f8[:,:,:,::1], '
+       'f8[:,:,::1], f8[:,:,::1])')
 def kernel(base, lanes, start, past, cuts, time, inputs, Y, end, future):
     """Simulate one piece after the other, each from the end of the one before; both read the sample at a cut."""
     n = time.shape[0]

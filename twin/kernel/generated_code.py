@@ -11,7 +11,7 @@ import ast
 import functools
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import CodeType
 from typing import Any
 
@@ -21,8 +21,14 @@ MATH: Mapping[str, Callable[..., Any]] = {"exp": math.exp, "log": math.log}
 """Functions of plain numbers that formulas call."""
 BUILTINS: Mapping[str, Any] = {"abs": abs, "int": int, "max": max, "min": min, "range": range}
 """The Python builtins that generated code may use."""
+KERNEL_NAMES = ("np", "typed", "inlined", *MATH)
+"""Names that a kernel may use beside those: arrays, functions of numbers, and the decorators of its functions.
+
+``@typed('i8(f8[:,::1], f8)')`` gives the types of result and arguments: ``i8`` and ``f8``, arrays in C order, ``void``.
+``@inlined`` marks a function of floating-point numbers that is copied to where it is called.
+"""
 _ARRAY_FUNCTIONS = frozenset(("zeros", "empty", "ceil"))
-_OPTIONS = frozenset(("cache", "fastmath", "nogil", "error_model", "inline"))
+_TYPES = re.compile(r"(void|[fi]8)\(([fi]8(\[(:,)*::1\])?(, (?!\))|(?=\))))*\)")
 _IDENTIFIER = re.compile(r"(?!__)[A-Za-z_][A-Za-z0-9_]*")
 _SYNTAX: tuple[type[ast.AST], ...] = (
     *(ast.Module, ast.FunctionDef, ast.arguments, ast.arg, ast.Return, ast.Expr, ast.Assign, ast.AugAssign, ast.For),
@@ -31,12 +37,17 @@ _SYNTAX: tuple[type[ast.AST], ...] = (
     *(ast.operator, ast.unaryop, ast.boolop, ast.cmpop),
 )
 
+_PLAIN = frozenset(
+    (ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.USub, ast.Pow, ast.Load, ast.Store, ast.Assign, ast.Subscript)
+)
+"""Nodes of that syntax of which nothing more is asked, and of which most of a source consists."""
+
 
 class GeneratedCodeError(RuntimeError):
     """Generated source with a construct that no formula needs: a defect of a generator, or an attack."""
 
 
-def check_source(source: str, given: Mapping[str, Any]) -> ast.Module:
+def check_source(source: str, given: Iterable[str]) -> ast.Module:
     """Return the syntax tree of generated source that holds nothing but arithmetic on arrays.
 
     Parameters
@@ -93,7 +104,7 @@ def define_functions(source: str, file: str, given: Mapping[str, Any] = MATH) ->
 def _checked_code(source: str, file: str, given: frozenset[str]) -> CodeType:
     """Check and compile; a search of effects asks for the same few dozen texts again and again, and the check of one
     takes longer than its formulas on a whole record."""
-    return compile_tree(check_source(source, dict.fromkeys(given)), file)
+    return compile_tree(check_source(source, given), file)
 
 
 def evaluate_formula(formula: str, names: Mapping[str, float]) -> float:
@@ -109,17 +120,30 @@ def evaluate_formula(formula: str, names: Mapping[str, float]) -> float:
     return float(scope["formula"](**names))
 
 
+def _nodes_of(tree: ast.AST) -> list[ast.AST]:
+    """Return all nodes of a tree, a node before its parts, as `ast.walk` does, which asks more of each."""
+    found = [tree]
+    for node in found:
+        for name in node._fields:
+            value = getattr(node, name, None)
+            if isinstance(value, ast.AST):
+                found.append(value)
+            elif isinstance(value, list):
+                found += [part for part in value if isinstance(part, ast.AST)]
+    return found
+
+
 class _Check:
     """A walk over a syntax tree in which every kind of node, name, call and constant must be known."""
 
     def __init__(self, tree: ast.Module, given: frozenset[str]) -> None:
-        nodes = list(ast.walk(tree))
+        nodes = _nodes_of(tree)
         defined = {n.name for n in nodes if isinstance(n, ast.FunctionDef)}
         self.known = given | defined | {n.arg for n in nodes if isinstance(n, ast.arg)}
         self.known |= {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
         self.callable = given | defined
         self.options: set[int] = set()
-        """Nodes of decorators, and texts that are docstrings: strings are allowed there alone."""
+        """Types in decorators, and texts that are docstrings: strings are allowed there alone."""
         self.called: set[int] = set()
         for node in nodes:
             if isinstance(node, ast.FunctionDef):
@@ -140,16 +164,20 @@ class _Check:
         if a.vararg or a.kwarg or a.defaults or a.kw_defaults or a.kwonlyargs or a.posonlyargs or node.returns:
             self.refuse(node, "a function with other than plain arguments")
         for decorator in node.decorator_list:
-            if not isinstance(decorator, ast.Call) or ast.unparse(decorator.func) != "nb.njit":
+            if isinstance(decorator, ast.Name) and decorator.id == "inlined":
+                continue
+            types = decorator.args[0] if isinstance(decorator, ast.Call) and len(decorator.args) == 1 else None
+            if not (isinstance(types, ast.Constant) and isinstance(types.value, str) and _TYPES.fullmatch(types.value)):
                 self.refuse(node, "a decorator")
             assert isinstance(decorator, ast.Call)
-            for given in decorator.keywords:
-                if given.arg not in _OPTIONS or not isinstance(given.value, ast.Constant | ast.Name):
-                    self.refuse(node, f"the option {given.arg!r} of a decorator")
-            self.options |= {id(n) for n in ast.walk(decorator)}
+            if not isinstance(decorator.func, ast.Name) or decorator.func.id != "typed":
+                self.refuse(node, "a decorator")
+            self.options.add(id(types))
 
     def node(self, node: ast.AST) -> None:
         """Check one node of any kind."""
+        if type(node) in _PLAIN:
+            return
         if not isinstance(node, _SYNTAX):
             self.refuse(node, f"the syntax {type(node).__name__}")
         if isinstance(node, ast.Name | ast.arg | ast.FunctionDef):

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from twin.elements.base import STAMP
 from twin.kernel.cache import compile_kernel
-from twin.kernel.codegen import LANES, Mode, kernel_source
+from twin.kernel.codegen import FEW_LANES, LANES, Mode, kernel_source
 from twin.kernel.state_layout import StateLayout
 from twin.network import Array, Network, TwinFileError
 
@@ -87,9 +87,12 @@ class Kernel:
         Raises
         ------
         ValueError
-            There is no sample, or a parameter or state is not finite.
+            There is no sample, a parameter or state is not finite, or an array has another size.
         """
         parameters, state = np.atleast_2d(parameters), np.atleast_2d(state)
+        wanted = (len(time), len(self.network.instruments))
+        if measured.shape != wanted or weight.shape != wanted:
+            raise ValueError(f"measured and weight must have the shape {wanted}, not {measured.shape}, {weight.shape}")
         count, k, m = max(len(parameters), len(state)), len(self.network.nodes), len(self.network.instruments)
         sse, end = np.empty((count, m)), np.empty((count, k))
         for low in range(0, count, CHUNK):
@@ -111,13 +114,13 @@ class Kernel:
         parameters, state, time, inputs
             Arrays as described for the class.
         lanes
-            Number of particles in a block, 1, FEW_LANES or LANES; by default 1 or LANES, as suits P. Each is compiled
+            Number of particles in a block, 1, FEW_LANES or LANES; by default the fewest that hold P. Each is compiled
             by itself.
 
         Raises
         ------
         ValueError
-            There is no sample, a parameter or state is not finite, or inputs lack columns.
+            There is no sample, a parameter or state is not finite, or an array has another size.
         """
         return self.trace_pieces(np.atleast_2d(parameters)[None], state, time, inputs, [0], lanes)
 
@@ -136,6 +139,9 @@ class Kernel:
         lanes
             As for `trace`.
         """
+        ends = [*cuts, len(time)]
+        if len(cuts) != len(parameters) or cuts[0] != 0 or any(a > b for a, b in zip(ends[:-1], ends[1:], strict=True)):
+            raise ValueError(f"{len(parameters)} pieces need as many cuts, from 0 on and in order, not {list(cuts)}")
         call = self._call(parameters, state, time, inputs, lanes=lanes)
         m = len(self.network.instruments)
         readings = np.empty((call.blocks, len(call.time), m, call.lanes))
@@ -156,8 +162,13 @@ class Kernel:
         if not len(time):
             raise ValueError("there is no sample to simulate")
         parameters, state = np.atleast_2d(parameters), np.atleast_2d(state)
+        if len(inputs) != len(time) or parameters.shape[-1] != len(self.network.ids):
+            raise ValueError(
+                f"{len(time)} samples need as many rows of inputs, and {len(self.network.ids)} parameters; got "
+                f"{len(inputs)} and {parameters.shape[-1]}"
+            )
         count = count or max(parameters.shape[-2], len(state))
-        lanes = lanes or (1 if count == 1 else LANES)
+        lanes = lanes or next((width for width in (1, FEW_LANES) if count <= width), LANES)
         return _Call(self._layout, parameters, state, time, inputs, count, lanes, self.lane)
 
 
@@ -180,7 +191,7 @@ class _Call:
         self._base = parameters.reshape(-1, parameters.shape[-1])[0].copy()
         self._lane = _in_blocks(parameters[..., lane], count, lanes)
         temperatures, past, history = layout.split(state)
-        if not (np.isfinite(self._lane).all() and np.isfinite(state[:, : layout.nodes]).all()):
+        if not (np.isfinite(parameters).all() and np.isfinite(state[:, : layout.nodes]).all()):
             raise ValueError("parameters and initial states must be finite")
         needed = len(layout.network.input_columns)
         if inputs.ndim != 2 or inputs.shape[1] < needed:
@@ -249,10 +260,14 @@ def simulate(
     Raises
     ------
     TwinFileError
-        Time goes back or is not finite, or the number of input columns is wrong.
+        Time goes back or is not finite, an array has another size, or a parameter is not finite.
     """
     values = network.values if parameters is None else np.asarray(parameters, dtype=np.float64)
     t, u = clean_time(time), hold_inputs(network, inputs)
+    if len(u) != len(t):
+        raise TwinFileError(f"{len(t)} stamps need as many rows of inputs, not {len(u)}")
+    if values.shape != network.values.shape or not np.isfinite(values).all():
+        raise TwinFileError(f"twin {network.name!r} needs {len(network.ids)} finite parameters, got {values.size}")
     return Kernel(network, ()).trace(values, np.asarray(state, dtype=np.float64), t, u)[0][0]
 
 

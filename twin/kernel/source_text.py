@@ -93,7 +93,7 @@ class KernelText:
 
     def _define(self, name: str, types: str, arguments: str, lines: list[str]) -> None:
         self.functions += [
-            f"@nb.njit('void({types})', cache=True, fastmath=FAST, error_model='numpy')",
+            f"@typed('void({types})')",
             f"def {name}({arguments}):",
             *indent(lines),
             "",

@@ -15,8 +15,8 @@ from twin.kernel.delays import delay_layout
 from twin.network import Array, Network, TwinFileError
 from twin.network.assembly import NetworkEquations
 
-COMMANDS = 64
-"""Number of changes of a command that are remembered for its dead time."""
+COMMANDS = 256
+"""Number of values of a command that are remembered for its dead time."""
 
 
 class StateLayout:
@@ -61,6 +61,8 @@ class StateLayout:
         self.rows = self._lines if same else 0
         columns = [network.input_columns.index(d.column) for _, d in own.drives if d.dead_time]
         self._columns = np.array(columns, dtype=np.intp)
+        times = [p for p in network.parameters.values() if p.name == "dead_time_s"]
+        self._longest_s = max((p.upper if p.status == "tunable" else p.value for p in times), default=0.0)
         self._commands = COMMANDS * (1 + len(columns)) if columns else 0
         self.size = self._width + self._lines + self._commands
 
@@ -115,17 +117,40 @@ class StateLayout:
         return np.concatenate([time[0] + rows[:, 0], time]), np.vstack([before, inputs])
 
     def recent_commands(self, time: Array, inputs: Array) -> Array:
-        """Return the latest changes of the commands with a dead time, flat: their age (<= 0, s) and values."""
+        """Return the latest values of the commands with a dead time, flat: their age (<= 0, s) and values.
+
+        They are the changes, or means where more of those may still arrive than are remembered: a measured input
+        changes with every sample.
+        """
         if not self._commands:
             return np.empty(0)
         values = inputs[:, self._columns]
         change = np.concatenate([[True], (np.diff(values, axis=0) != 0.0).any(axis=1)])
         change[-1] = False
-        latest = np.flatnonzero(change)[-COMMANDS:]
+        begins, values = time[change], values[change]
+        if len(begins) > COMMANDS and begins[-COMMANDS] > time[-1] - self._longest_s:
+            begins, values = self._means(begins, values, float(time[-1]))
+        begins, values = begins[-COMMANDS:], values[-COMMANDS:]
         rows = np.full((COMMANDS, 1 + len(self._columns)), np.nan)
-        if len(latest):
-            rows[-len(latest) :] = np.column_stack([time[latest] - time[-1], values[latest]])
+        if len(begins):
+            rows[-len(begins) :] = np.column_stack([begins - time[-1], values])
         return rows.ravel()
+
+    def _means(self, begins: Array, values: Array, end: float) -> tuple[Array, Array]:
+        """Return the beginnings of equal intervals up to `end`, and means of held commands in them.
+
+        The intervals lie on one grid for all calls, so that means of means are not smeared further.
+        """
+        width = self._longest_s / (COMMANDS - 2)
+        first = max(width * np.floor((end - self._longest_s) / width), begins[0])
+        grid = width * np.arange(np.floor(first / width) + 1, np.ceil(end / width) + 1)
+        # An edge that rounding has moved beside another one is the same.
+        grid = grid[(grid > first + 1e-6 * width) & (grid < end - 1e-6 * width)]
+        edges = np.concatenate([[first], grid, [end]])
+        until = np.append(begins, end)
+        sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(values * np.diff(until)[:, None], axis=0)])
+        at = np.stack([np.interp(edges, until, column) for column in sums.T], axis=1)
+        return edges[:-1], np.diff(at, axis=0) / np.diff(edges)[:, None]
 
 
 def _names(system: NetworkEquations) -> list[str]:

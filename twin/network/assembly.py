@@ -70,16 +70,11 @@ class NetworkEquations:
         parameters = {p.id: network.ids.index(p.same_as or p.id) for p in network.parameters.values()}
         self._symbols = symbols = Symbols(parameters, network.input_columns, network.nodes)
         streams = feeding_streams(network)
-        neutral = {
-            p.id: p.value
-            for p in network.parameters.values()
-            if p.value in (0.0, 1.0) and _stays(network, p.same_as or p.id, free)
-        }
         parts: list[tuple[str, Fragment]] = []
-        own = {
-            e.name: {name[len(e.name) + 1 :]: v for name, v in neutral.items() if name.startswith(f"{e.name}.")}
-            for e in network.elements
-        }
+        own: dict[str, dict[str, float]] = {e.name: {} for e in network.elements}
+        for p in network.parameters.values():
+            if p.value in (0.0, 1.0) and p.element in own and _stays(network, p.same_as or p.id, free):
+                own[p.element][p.id[len(p.element) + 1 :]] = p.value
         changes: dict[str, tuple[str, ...]] = {}
         for e in network.elements:
             if target := e.changes():

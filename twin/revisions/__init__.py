@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         save_revision,
         with_elements,
     )
+    from twin.revisions.undone import UndoneRevision, revisions_made_of, undone_revisions
 
 _MODULES = {
     "revision_chain": (
@@ -35,6 +36,11 @@ _MODULES = {
         "save_revision",
         "with_elements",
     ),
+    "undone": (
+        "UndoneRevision",
+        "revisions_made_of",
+        "undone_revisions",
+    ),
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
@@ -42,12 +48,15 @@ __all__ = [
     "ChainEntry",
     "ElementDiff",
     "TwinDiff",
+    "UndoneRevision",
     "chain",
     "diff",
     "next_path",
     "parent_of",
     "revert",
+    "revisions_made_of",
     "save_revision",
+    "undone_revisions",
     "with_elements",
 ]
 

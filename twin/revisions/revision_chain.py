@@ -35,6 +35,8 @@ __all__ = [
     "with_elements",
 ]
 
+UNDOES = "undoes "
+"""First word of the first note of a revert."""
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 """Empty mapping, the default of optional arguments."""
 
@@ -139,7 +141,7 @@ class ChainEntry:
 
 
 @dataclass(frozen=True)
-class _TwinFile:
+class TwinFile:
     """A twin file of the folder: SHA-256 of its text, and that of its parent."""
 
     path: Path
@@ -158,7 +160,7 @@ def chain(path: str | Path) -> tuple[ChainEntry, ...]:
         The file itself cannot be used.
     """
     path = Path(path)
-    files = _folder(path)
+    files = twin_files(path)
     entries: list[ChainEntry] = []
     network = load(path)
     while True:
@@ -239,7 +241,7 @@ def parent_of(path: str | Path) -> Path:
     revision = load(path).revision
     if not revision.parent:
         raise TwinFileError(f"{path}: was made of no other twin file; it has no parent")
-    parent, end, _ = _parent(path, revision, _folder(path))
+    parent, end, _ = _parent(path, revision, twin_files(path))
     if parent is None:
         raise TwinFileError(f"{path}: {end}")
     return parent
@@ -259,15 +261,15 @@ def revert(path: str | Path, made_by: str = "revert") -> Path:
     if diff(before, network).empty:
         raise TwinFileError(f"{path}: is the same twin as its parent {parent.name}; there is nothing to undo")
     notes = [
-        f"undoes {path.name} (revision {network.revision.number}): "
+        f"{UNDOES}{path.name} (revision {network.revision.number}): "
         f"restores {parent.name} (revision {before.revision.number})"
     ]
-    notes += [f"{c.path.name} was made of it too and stays as it is" for c in _children(network, _folder(path))]
+    notes += [f"{c.path.name} was made of it too and stays as it is" for c in _children(network, twin_files(path))]
     revision = Revision(made_by=made_by, notes=tuple(notes))
     return save_revision(dataclasses.replace(before, revision=revision), path)
 
 
-def _parent(path: Path, revision: Revision, files: tuple[_TwinFile, ...]) -> tuple[Path | None, str, bool]:
+def _parent(path: Path, revision: Revision, files: tuple[TwinFile, ...]) -> tuple[Path | None, str, bool]:
     """Return the parent's file; without one None, a sentence with the reason, and True if somebody edited it."""
     if not revision.parent:
         return None, "", False
@@ -284,14 +286,14 @@ def _parent(path: Path, revision: Revision, files: tuple[_TwinFile, ...]) -> tup
     return None, f"{called} not in this folder; put it beside {path.name}", False
 
 
-def _children(network: Network, files: tuple[_TwinFile, ...]) -> list[_TwinFile]:
+def _children(network: Network, files: tuple[TwinFile, ...]) -> list[TwinFile]:
     return [other for other in files if other.parent == network.digest]
 
 
-def _folder(path: Path) -> tuple[_TwinFile, ...]:
+def twin_files(path: Path) -> tuple[TwinFile, ...]:
     """Return the twin files beside a file, by name; other files are skipped."""
 
-    def found() -> Iterator[_TwinFile]:
+    def found() -> Iterator[TwinFile]:
         for file in sorted(path.parent.glob("*.toml")):
             try:
                 text = read_text(file)
@@ -300,7 +302,7 @@ def _folder(path: Path) -> tuple[_TwinFile, ...]:
                 continue
             revision = data.get("revision", {})
             if "elements" in data and isinstance(revision, dict):
-                yield _TwinFile(file, digest(text), str(revision.get("parent", "")))
+                yield TwinFile(file, digest(text), str(revision.get("parent", "")))
 
     return tuple(found())
 

@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from twin.tower.clean_cell.commissioning import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
     from twin.tower.diagnosis.adoption import adopted, effects_of
     from twin.tower.effects import UNITS, CellEffect
-    from twin.tower.estimates import DAY_S, Opening, Priors, time_grid
-    from twin.tower.identify import MOST_CONDITION, MOST_HIDDEN, Identifiability
+    from twin.tower.estimates import DAY_S, Opening, Priors, moved_grid, time_grid
+    from twin.tower.identify import MOST_CONDITION, MOST_HIDDEN, Identifiability, condition_text
     from twin.tower.minutes import MEASURED, Minutes, blocks_of, first_order_lag, minutes_of
     from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel, DesignPoint
-    from twin.tower.planning import StepTest, plan_tests
+    from twin.tower.planning import StepTest, model_sensitivities, plan_tests
     from twin.tower.recursive import Recursion, filter_cell
     from twin.tower.shared_observations.basin import Drain, with_basin
     from twin.tower.shared_observations.evaporation import Balance, with_evaporation
-    from twin.tower.smoother import estimate
+    from twin.tower.smoother import WALK, estimate
     from twin.tower.twin_file import BOUNDS, IDS, cell_network, cell_of, design_of, station_of_twin, value_of
-    from twin.tower.windows import TargetWindow, distances, windows_of
+    from twin.tower.windows import CONTEXT_S, TargetWindow, novelty, windows_of
 
 _MODULES = {
     "recursive": (
@@ -96,6 +96,7 @@ _MODULES = {
         "Identifiability",
         "MOST_CONDITION",
         "MOST_HIDDEN",
+        "condition_text",
     ),
     "minutes": (
         "first_order_lag",
@@ -103,6 +104,7 @@ _MODULES = {
         "Minutes",
         "blocks_of",
         "minutes_of",
+        "model_sensitivities",
     ),
     "model": (
         "SLOW",
@@ -112,14 +114,16 @@ _MODULES = {
         "DesignPoint",
     ),
     "planning": (
+        "model_sensitivities",
         "StepTest",
         "plan_tests",
     ),
-    "smoother": ("estimate",),
+    "smoother": ("WALK", "estimate"),
     "estimates": (
         "DAY_S",
         "Opening",
         "Priors",
+        "moved_grid",
         "time_grid",
     ),
     "change_detection.steps": (
@@ -136,8 +140,9 @@ _MODULES = {
         "value_of",
     ),
     "windows": (
+        "CONTEXT_S",
         "TargetWindow",
-        "distances",
+        "novelty",
         "windows_of",
     ),
 }
@@ -146,6 +151,7 @@ _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for 
 __all__ = [
     "BASELINES",
     "BOUNDS",
+    "CONTEXT_S",
     "DAY_S",
     "DEVIATIONS",
     "IDS",
@@ -157,6 +163,7 @@ __all__ = [
     "QUANTILE",
     "SLOW",
     "UNITS",
+    "WALK",
     "WET_C",
     "WINDOW_S",
     "Array",
@@ -187,8 +194,8 @@ __all__ = [
     "blocks_of",
     "cell_network",
     "cell_of",
+    "condition_text",
     "design_of",
-    "distances",
     "effects_of",
     "estimate",
     "filter_cell",
@@ -197,6 +204,9 @@ __all__ = [
     "fit_cell",
     "fit_clean_cell",
     "minutes_of",
+    "model_sensitivities",
+    "moved_grid",
+    "novelty",
     "plan_tests",
     "predict_cell",
     "solve_cell",

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.tower.air import Array
+from twin.tower.cell_observations.evidence import Label
 from twin.tower.clean_cell import discrepancy
 from twin.tower.model import GLOBALS, Operation
 
@@ -95,6 +96,13 @@ class Estimate:
         In blocks.
     linear_residual
         Of the last linear problem, whose mode this is exactly, and `linear_weights`, its weights.
+    considered
+        Changes of all quantities by one standard deviation of each considered constant (unknowns, m). The covariance
+        is that for these constants at their means.
+    label_sites
+        Labels, each with value and standard deviation of the Gaussian that stands for it.
+    widening
+        Factors of the standard deviations of the slow deviations (5,), () for none.
     """
 
     edges_s: Array
@@ -109,10 +117,26 @@ class Estimate:
     time_correlation: float
     linear_residual: Array
     linear_weights: Array
+    considered: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    label_sites: tuple[tuple[Label, float, float], ...] = ()
+    widening: Array = field(default_factory=lambda: np.zeros(0))
 
     def sd(self) -> Array:
-        """Return the standard deviations of the slow deviations (k, 5)."""
-        return np.sqrt(np.diag(self.covariance)[: self.slow.size]).reshape(self.slow.shape)
+        """Return the standard deviations of the slow deviations (k, 5), those by the considered constants included."""
+        count = self.slow.size
+        variance = np.diag(self.covariance)[:count] + self.considered_variance(np.arange(count))
+        sd = np.sqrt(variance).reshape(self.slow.shape)
+        return np.asarray(sd * self.widening if self.widening.size else sd)
+
+    def considered_variance(self, rows: NDArray[np.intp]) -> Array:
+        """Return the variance of quantities by the considered constants (rows,)."""
+        return (self.considered[rows] ** 2).sum(axis=1) if self.considered.size else np.zeros(len(rows))
+
+    def constant_covariance(self) -> Array:
+        """Return the covariance of the constants, the considered ones included (constants, constants)."""
+        at = self.slow.size
+        spread = self.considered[at:] if self.considered.size else np.zeros((len(self.constant), 0))
+        return np.asarray(self.covariance[at:, at:] + spread @ spread.T)
 
     def cells_at(self, time_s: Array) -> NDArray[np.intp]:
         """Return the grid cell of each time."""
@@ -124,3 +148,17 @@ def time_grid(start_s: float, end_s: float) -> Array:
     """Return the edges (k + 1,) of the grid, s: half days, or as many as `MOST_CELLS` allow."""
     count = int(np.clip(np.ceil((end_s - start_s) / (0.5 * DAY_S)), 1, MOST_CELLS))
     return np.linspace(start_s, max(end_s, start_s + 1.0), count + 1)
+
+
+def moved_grid(edges_s: Array, jumps_s: Sequence[float]) -> Array:
+    """Return the edges (k + 1,) with the nearest inner one moved to each jump of known time.
+
+    A deviation is constant within a cell of the grid, so that a jump inside of one is wrong on both sides.
+    """
+    edges, free = edges_s.copy(), np.ones(len(edges_s), dtype=bool)
+    free[[0, -1]] = False
+    for time_s in sorted(jumps_s):
+        nearest = int(np.abs(edges_s - time_s).argmin())
+        if free[nearest] and edges[nearest - 1] < time_s < edges[nearest + 1]:
+            edges[nearest], free[nearest] = time_s, False
+    return edges

@@ -16,10 +16,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.cell import CellDeviations, Design, Inputs, solve_cell
-from twin.tower.model import DEVIATIONS
+from twin.tower.model import DEVIATIONS, GLOBALS
 from twin.tower.twin_file import BOUNDS
 
 MOST_CONDITION = 80.0
@@ -33,6 +34,13 @@ EXCITATION = {"flow": 0.12, "fan": 0.15, "wet_bulb": 2.5}
 """Ranges within a window from which it is looked at at all: shares of design flow and of full speed, K."""
 _STEP = 0.01
 CLEAN = CellDeviations()
+INFINITE = 1e9
+"""Condition number where a direction is not seen at all; those that are seen reach 1e7, by rounding."""
+
+
+def condition_text(condition: float) -> str:
+    """Return a condition number in words: whole, and "infinite" where a direction is not seen at all."""
+    return "infinite" if condition >= INFINITE else f"{condition:.0f}"
 
 
 @dataclass(frozen=True)
@@ -68,6 +76,10 @@ class Identifiability:
         if self.hidden > MOST_HIDDEN:
             return "MISSING_REQUIRED"
         return f"LOW_SENSITIVITY:{self.frozen[0]}" if self.condition > MOST_CONDITION and self.frozen else ""
+
+    def condition_says(self) -> str:
+        """Return the condition number in words."""
+        return condition_text(self.condition)
 
     def says(self) -> str:
         """Return the combined direction in words."""
@@ -113,6 +125,32 @@ def cell_sensitivities(
     return np.stack(columns, axis=1)
 
 
+def weighed_sensitivities(jac: Array, power: NDArray[np.bool_], kappa: float, second: bool) -> list[Array]:
+    """Return the sensitivities of outlet, fan's power and, where it is used, basin in their tolerances, each (n, 4).
+
+    Parameters
+    ----------
+    jac
+        Of the outlet's reading to each deviation (n, 4).
+    power
+        Rows with a fan power (n,).
+    kappa
+        Of the fan's power in a loss of air.
+    second
+        A basin thermometer is in use.
+    """
+    fan = np.zeros_like(jac)
+    fan[:, DEVIATIONS.index("air")] = np.where(power, kappa, 0.0)
+    # The level of the fan's power is open by as much as its prior: a window learns little of the air from it.
+    level = next(one.sd for one in GLOBALS if one.name == "power_gain")
+    rows = [jac / TOLERANCE["outlet"], fan / np.hypot(TOLERANCE["fan"], level)]
+    if second:
+        water = jac.copy()
+        water[:, DEVIATIONS.index("bias")] = 0.0
+        rows.append(water / TOLERANCE["basin"])
+    return rows
+
+
 def _observed(
     design: Design, u: Inputs, sensors: Sequence[str], at: CellDeviations, name: str, step: float, kappa: float
 ) -> Array:
@@ -122,7 +160,7 @@ def _observed(
     rows = {
         "outlet": (out.t_out + values["bias"]) / TOLERANCE["outlet"],
         "basin": out.t_out / TOLERANCE["basin"],
-        "fan": np.full(len(u.t_in), (1.0 + kappa * (1.0 - values["air"])) / TOLERANCE["fan"]),
+        "fan": np.full(len(u.t_in), values["air"] ** -kappa / TOLERANCE["fan"]),
         "evaporation": np.log(np.maximum(out.evaporation, 1e-6 * design.m_w0)) / TOLERANCE["evaporation"],
     }
     return np.concatenate([rows[sensor] for sensor in sensors])
@@ -166,4 +204,6 @@ def _condition(information: Array) -> tuple[float, Array]:
     """Return condition number and least known direction of an information matrix."""
     values, vectors = np.linalg.eigh(information)
     largest, smallest = float(values[-1]), float(max(values[0], 0.0))
-    return (float(np.sqrt(largest / smallest)) if smallest > 1e-14 * largest and largest > 0.0 else 1e9), vectors[:, 0]
+    return (float(np.sqrt(largest / smallest)) if smallest > 1e-14 * largest and largest > 0.0 else INFINITE), vectors[
+        :, 0
+    ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,10 @@ MOVED = {"speed": 0.04, "flow": 0.05, "bypass": 0.03, "t_in": 1.0}
 """Changes within 5 minutes that disturb a steady state: of full speed, of design flow, of the valve, and K."""
 FLOWING = 0.2
 """Share of design flow above which a cell runs."""
+DAY_MIN = 1440
+MOST_CONTRADICTED = 0.5
+"""Share of a day's outlets that contradict other readings, from which none of the day is used: more are wrong than
+right."""
 OFF_CHECK = 4 + 8
 """Bits of `check`: outlet below wet bulb, outlet above inlet."""
 MEASURED, LINKED = 1, 3
@@ -57,6 +61,11 @@ class Minutes:
             self.steady[rows],
             self.regime[rows],
         )
+
+    def without(self, rows: NDArray[np.bool_]) -> Minutes:
+        """Return the minutes with `rows` (n,) as if nothing were known of them."""
+        unread = np.where(rows, np.nan, self.outlet), np.where(rows, np.nan, self.power)
+        return replace(self, outlet=unread[0], power=unread[1], known=self.known & ~rows, steady=self.steady & ~rows)
 
 
 def minutes_of(
@@ -106,12 +115,32 @@ def minutes_of(
     )
     known &= np.nan_to_num(inputs.m_w) > FLOWING * m_w0
     known &= np.nan_to_num(inputs.t_in - wet) > 0.5
-    bad = (np.nan_to_num(column("check")).astype(int) & OFF_CHECK) > 0
     t_out, power = column("t_out_C"), column("fan_power_kW")
+    bad = contradicted(column("check"), np.isfinite(t_out))
     outlet = np.where(_sampled(origin, "t_out_C", n) & ~bad, t_out, np.nan)
     power = np.where(_sampled(origin, "fan_power_kW", n) & (power > 0.0), power, np.nan)
     steady = known & _steady(inputs, share, m_w0, known)
     return Minutes(time_s, operation, outlet, power, known, steady, column("regime", 2.0).astype(np.uint8))
+
+
+def contradicted(check: Array, there: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the minutes whose outlet contradicts the wet bulb or the inlet, or lies in a day that mostly does (n,).
+
+    A fault lasts: a reading of it that happens to be possible is no better than the others of its day.
+
+    Parameters
+    ----------
+    check
+        Failed checks of each minute (n,), as in the aligned record.
+    there
+        Minutes with an outlet (n,).
+    """
+    bad = (np.nan_to_num(check).astype(int) & OFF_CHECK) > 0
+    n, half = len(bad), DAY_MIN // 2
+    sums = [np.concatenate([[0], np.cumsum(rows)]) for rows in (bad & there, there)]
+    low, high = np.maximum(np.arange(n) - half, 0), np.minimum(np.arange(n) + half + 1, n)
+    failed, seen = (total[high] - total[low] for total in sums)
+    return np.asarray(bad | (failed > MOST_CONTRADICTED * np.maximum(seen, 1)))
 
 
 def _filled(values: Array, otherwise: float) -> Array:

@@ -17,13 +17,13 @@ The smooth functions vanish at design, where the clean cell was measured, so the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from twin.tower import air as moist
 from twin.tower.air import Array
-from twin.tower.cell import STARVING, WETTED, CellDeviations, Design, Inputs, Rows, solve_cell
+from twin.tower.cell import KAPPA, STARVING, WETTED, CellDeviations, Design, Inputs, Rows, solve_cell
 from twin.tower.clean_cell import discrepancy
 from twin.tower.effects import CellEffect, after_fill, before_fill
 
@@ -103,7 +103,7 @@ GLOBALS: tuple[Global, ...] = (
     Global("neighbours_1", 0.0, 0.1, "K for neighbours' fans at full speed over at rest"),
     Global(
         "kappa",
-        -1.3,
+        KAPPA,
         1.7,
         "power of the air in the fan's power, negative: 0.4 by fouling of the path, -3 by a slipping belt; kept at its "
         "mean, its spread is that of a level (`twin.tower.cell_observations.fan_power`)",
@@ -236,7 +236,3 @@ class CellModel:
         total = total + q["wind_1"] * (o.wind - CALM) / 5.0 + q["neighbours_1"] * (o.neighbours - 1.0)
         # Water that hardly cools cannot be off by more than it cools.
         return np.asarray(np.clip(total, -1.5, 1.5) * np.clip(fall / (0.3 * site.fall), 0.0, 1.0))
-
-    def with_design(self, **changes: float) -> CellModel:
-        """Return the model of a clean cell with other constants."""
-        return CellModel(replace(self.design, **changes), self.site, self.effects)

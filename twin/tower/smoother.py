@@ -1,15 +1,17 @@
 """Maximum a posteriori estimate of slow deviations over a whole record: Gauss-Newton on a grid of time.
 
-The deviations are constant within a cell of the grid and walk at random from one to the next; a documented event
-opens a jump at its date. The prior of a deviation is that of a part that wears: its mean a third of the bound on the
-lossy side, its standard deviation a third of the bound, so that the bound is two standard deviations below and a gain
-of a third of it two above. A thermometer's bias has mean 0. Residuals of the model are correlated in time, so a block
-of them counts as less than one observation, by their integrated autocorrelation time (Geyer 1992).
+The deviations are constant within a cell of the grid and walk at random from one to the next, a fill about a rate that
+is unknown and lasts; a documented event opens a jump at its date.
+The prior of a deviation is that of a part that wears: its mean a third of the bound on the lossy side, its standard
+deviation a third of the bound, so that the bound is two standard deviations below and a gain of a third of it two
+above. A thermometer's bias has mean 0. Residuals of the model are correlated in time, so a block of them counts as less
+than one observation, by their integrated autocorrelation time (Geyer 1992).
 
 Scale and autocorrelation time are estimated in the first passes and kept in the others. A step is halved until it
 lowers the objective of its pass, so that the estimate is a mode.
 
-Source: Bell, SIAM J. Optim. 4 (1994) 626 (Gauss-Newton as the iterated Kalman smoother).
+Sources: Bell, SIAM J. Optim. 4 (1994) 626 (Gauss-Newton as the iterated Kalman smoother); Schmidt, Adv. Control Syst. 3
+(1966) 293 (considered constants).
 """
 
 from __future__ import annotations
@@ -31,6 +33,12 @@ WALK = {"fill": 0.002, "air": 0.0015, "uniformity": 0.002, "bias": 0.01, "flow_m
 drift by some 0.05 K a month, flow meters by some 0.3 %."""
 TREND = {"fill": -0.0006, "air": -0.0001, "uniformity": -0.0003, "bias": 0.0, "flow_meter": 0.0}
 """Mean change of a day."""
+CLEANED_D = 120.0
+"""Days between two cleanings of a cell: some three a year."""
+RATE_SD = {"fill": 0.25 / (2.0 * CLEANED_D)}
+"""Standard deviation of the mean change of a day, a constant of the record: water that scales fast takes the fill's
+bound of 25 % between two cleanings, as two of them. A walk alone has no lasting rate, so it would follow such a fill
+late, and give the rest to the other deviations."""
 JUMP = {"fill": 0.08, "air": 0.06, "uniformity": 0.05, "bias": 0.4, "flow_meter": 0.0}
 """Standard deviation of a jump that an event opens: a cleaning gives back what was lost, a new thermometer is another
 one."""
@@ -48,6 +56,10 @@ the slow
 deviations to explain: without a limit a bad fit would weigh itself ever less."""
 HUBER = 2.5
 """Standard deviations beyond which a block is weighed down."""
+CONSIDERED = ("fill_share", "wetting")
+"""Constants that multiply a walk: kept at their means, their spread considered in the intervals (Schmidt 1966)."""
+HELD = 1e6
+"""Precision at which they are kept, in those of their priors."""
 STEPS = np.array([0.01, 0.01, 0.01, 0.01, 0.01])
 
 
@@ -91,9 +103,28 @@ def walk_variance(edges_s: Array, name: str, openings: Sequence[Opening]) -> tup
         if opening.parameter != name:
             continue
         inside = (edges_s[1:-1] >= opening.start_s - 0.5 * DAY_S) & (edges_s[1:-1] <= opening.end_s + 0.5 * DAY_S)
+        exact = (edges_s[1:-1] >= opening.start_s) & (edges_s[1:-1] <= opening.end_s)
+        if exact.any() and opening.end_s - opening.start_s < 0.5 * DAY_S:
+            inside = exact  # the grid has an edge at a jump of known time
         if inside.any():
             variance[inside] += JUMP[name] ** 2 / inside.sum()
     return variance, TREND[name] * days
+
+
+def walk_precision(edges_s: Array, name: str, openings: Sequence[Opening]) -> tuple[Array, Array]:
+    """Return the precision (k - 1, k - 1) of a deviation's increments between the cells of a time grid, and their mean.
+
+    An unknown rate is marginalised: it adds a variance that is common to all increments (Sherman & Morrison, Ann. Math.
+    Stat. 21 (1950) 124).
+    """
+    variance, drift = walk_variance(edges_s, name, openings)
+    variance = variance + 1e-14
+    precision = np.diag(1.0 / variance)
+    if name in RATE_SD:
+        days = np.diff(0.5 * (edges_s[:-1] + edges_s[1:])) / DAY_S
+        seen = days / variance
+        precision -= np.outer(seen, seen) / (1.0 / RATE_SD[name] ** 2 + float(days @ seen))
+    return precision, drift
 
 
 class _Solver:
@@ -115,7 +146,9 @@ class _Solver:
         self.cell = np.clip(np.searchsorted(edges_s, blocks.time_s, side="right") - 1, 0, self.k - 1)
         self.labels = [label for label in labels if edges_s[0] - 3 * DAY_S <= label.time_s <= edges_s[-1] + 3 * DAY_S]
         self.mean_g, self.sd_g = priors.constant()
+        self.multipliers = np.array([self.k * self.s + NAMES.index(name) for name in CONSIDERED])
         self.precision, self.prior_mean = self._prior(openings)
+        self._hold()
         # Changes of the constants count in tenths of their priors' standard deviations.
         self.unit = np.concatenate([np.ones(self.k * self.s), 10.0 * self.sd_g])
         o = blocks.operation
@@ -134,19 +167,18 @@ class _Solver:
         precision, linear = np.zeros((n, n)), np.zeros(n)
         for j, name in enumerate(SLOW):
             mean, sd = self.priors.slow(name)
-            variance, drift = walk_variance(self.edges, name, openings)
-            variance = variance + 1e-14
+            inner, drift = walk_precision(self.edges, name, openings)
             rows = np.arange(k) * s + j
             precision[rows[0], rows[0]] += 1.0 / sd**2
             linear[rows[0]] += mean / sd**2
-            for i, v in enumerate(variance):
-                a, b = rows[i], rows[i + 1]
-                precision[a, a] += 1.0 / v
-                precision[b, b] += 1.0 / v
-                precision[a, b] -= 1.0 / v
-                precision[b, a] -= 1.0 / v
-                linear[b] += drift[i] / v
-                linear[a] -= drift[i] / v
+            steps = np.zeros((k, k))
+            steps[1:, 1:] += inner
+            steps[:-1, :-1] += inner
+            steps[1:, :-1] -= inner
+            steps[:-1, 1:] -= inner
+            precision[np.ix_(rows, rows)] += steps
+            pull = inner @ drift
+            linear[rows] += np.append(0.0, pull) - np.append(pull, 0.0)
             # A walk may not leave the bounds however long it goes on: the prior holds, weakly, at every time.
             precision[rows, rows] += 1.0 / (2.0 * sd) ** 2 / k
             linear[rows] += mean / (2.0 * sd) ** 2 / k
@@ -156,6 +188,28 @@ class _Solver:
             precision[np.ix_(ends, ends)] += np.linalg.inv(self.priors.learned[1]) - np.diag(1.0 / self.sd_g**2)
         linear[ends] = precision[np.ix_(ends, ends)] @ self.mean_g
         return precision, linear
+
+    def _hold(self) -> None:
+        """Keep the constants that multiply a walk at their means, and note how their prior moves the others.
+
+        The product of such a constant and a walk fits the same readings with a larger constant and a smaller walk, and
+        the determinant that pays for it in the marginal likelihood is absent from a joint mode (Neyman & Scott 1948).
+        """
+        own = self.multipliers - self.k * self.s
+        self.coupling = self.precision[:, self.multipliers].copy()
+        learned = self.priors.learned
+        spread = np.diag(self.sd_g[own] ** 2) if learned is None else learned[1][np.ix_(own, own)]
+        self.spread = np.linalg.cholesky(spread)
+        held = HELD / self.sd_g[own] ** 2
+        self.precision[self.multipliers, self.multipliers] += held
+        self.prior_mean[self.multipliers] += held * self.mean_g[own]
+
+    def _considered(self, factor: tuple[Array, bool], normal: Array) -> Array:
+        """Return the changes of all unknowns by a standard deviation of each considered constant (n, m)."""
+        columns = normal[:, self.multipliers] - self.precision[:, self.multipliers] + self.coupling
+        moved = -cho_solve(factor, columns)
+        moved[self.multipliers] = np.eye(len(self.multipliers))
+        return np.asarray(moved @ self.spread)
 
     def run(self, start: Estimate | None) -> Estimate:
         if start is None:
@@ -198,7 +252,8 @@ class _Solver:
             last = number == PASSES - 1 or (number >= (RESCALED if start is None else 2) and change < 2e-4)
             if last:
                 break
-            variance = self._label_variance(factor)
+            variance = self._label_variance(factor, self._considered(factor, normal))
+        considered = self._considered(factor, normal)
         covariance = _inverse(factor[0])
         slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
         residual = self.blocks.outlet - self.model.reading(self.blocks.operation, slow[self.cell], g)
@@ -218,6 +273,8 @@ class _Solver:
             self.tau,
             linear,
             w_t,
+            considered,
+            tuple((one, *self._sites[i]) for i, one in enumerate(self.labels)),
         )
 
     def _outlet(self, here: Array, g: Array) -> Array:
@@ -333,14 +390,14 @@ class _Solver:
         k = int(np.clip(np.searchsorted(self.edges, label.time_s, side="right") - 1, 0, self.k - 1))
         return k * self.s + SLOW.index(label.parameter)
 
-    def _label_variance(self, factor: tuple[Array, bool]) -> Array:
+    def _label_variance(self, factor: tuple[Array, bool], considered: Array) -> Array:
         """Return the posterior variance of what each label is about (labels,)."""
         rows = [self._label_row(label) for label in self.labels]
         if not rows:
             return np.zeros(0)
         unit = np.zeros((len(self.prior_mean), len(rows)))
         unit[rows, np.arange(len(rows))] = 1.0
-        return np.asarray(cho_solve(factor, unit)[rows, np.arange(len(rows))])
+        return np.asarray(cho_solve(factor, unit)[rows, np.arange(len(rows))] + (considered[rows] ** 2).sum(axis=1))
 
     def _add_labels(self, normal: Array, right: Array, x: Array, variance: Array) -> None:
         """Add the labels as Gaussian observations; `variance` of their deviations, none before the first solution."""
@@ -353,8 +410,7 @@ class _Solver:
             else:
                 mean, spread = self._cavity(number, float(x[row]), float(variance[number]))
                 value, sd = interval_as_gaussian(label.low, label.high, mean, spread)
-            if label.sd is None:
-                self._sites[number] = (value, sd)
+            self._sites[number] = (value, sd)
             normal[row, row] += 1.0 / sd**2
             right[row] += value / sd**2
 

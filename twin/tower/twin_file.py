@@ -4,6 +4,7 @@ it."""
 from __future__ import annotations
 
 import re
+import unicodedata
 from dataclasses import replace
 from typing import Any
 
@@ -38,6 +39,7 @@ def cell_network(
     error_K: float,
     sd: tuple[float, float],
     revision: Revision,
+    pressure_kPa: float = 101.3,
 ) -> Network:
     """Return the twin of a clean cell.
 
@@ -53,12 +55,14 @@ def cell_network(
         Of the Merkel number's logarithm and of the exponent.
     revision
         Origin and evidence.
+    pressure_kPa
+        Of the site.
     """
     inputs: dict[str, Any] = {}
     for name, nominal, low, high, unit in _INPUTS:
         flow = name == "m_w_kg_s"
         inputs[name] = {
-            "nominal": design.m_w0 if flow else nominal,
+            "nominal": design.m_w0 if flow else pressure_kPa if name == "pressure_kPa" else nominal,
             "lower": low,
             "upper": 3.0 * design.m_w0 if flow else high,
             "unit": unit,
@@ -81,7 +85,7 @@ def cell_network(
         "exponent": _fixed(design.exponent, fitted),
         "fan_power": _fixed(design.power, fitted),
         "fan_idle": _fixed(design.idle, fitted),
-        "kappa": _fixed(design.kappa, "unknown until air and fan power have been measured together"),
+        "kappa": _fixed(design.kappa, "prior mean of a record; no test point shows it"),
         "evaporation": _fixed(design.evaporation, fitted),
         "bypass_share": _fixed(bypass_share, sheet),
         "merkel_sd": _fixed(min(max(sd[0], 1e-3), 0.5), fitted),
@@ -185,5 +189,7 @@ def station_of_twin(network: Network) -> str:
 
 
 def _plain(station: str) -> str:
-    text = re.sub(r"[^A-Za-z0-9]+", "_", station).strip("_").lower()
+    plain = unicodedata.normalize("NFKD", station.replace("ß", "ss"))
+    plain = "".join(letter for letter in plain if not unicodedata.combining(letter))
+    text = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_").lower()
     return f"{text}_" if text else ""

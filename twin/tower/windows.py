@@ -6,18 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import fdtri
 
 from twin.tower.air import Array
 from twin.tower.calibration import WINDOW_S, Calibrated
 from twin.tower.cell import Inputs
-from twin.tower.identify import TOLERANCE, Identifiability, excited, identifiability
+from twin.tower.identify import TOLERANCE, Identifiability, excited, identifiability, weighed_sensitivities
 from twin.tower.minutes import Minutes
-from twin.tower.model import DEVIATIONS, GLOBALS, NAMES, CellModel
+from twin.tower.model import DEVIATIONS, NAMES, CellModel
 from twin.tower.shared_observations import GAIN
 from twin.tower.twin_file import BOUNDS
 
 CONTEXT_S = 86400.0
 BLOCK_MIN = 10.0
+ENVELOPE = 0.995
+"""Share of further operating points of the same kind that are usual."""
+FEWEST = 8
+"""Windows before, twice as many as there are features, from which more is told than their mean."""
 
 
 @dataclass(frozen=True)
@@ -93,23 +98,16 @@ def windows_of(
 def _scaled(calibrated: Calibrated, second: bool, makeup: bool) -> Array:
     """Return the scaled sensitivities of each block by sensor (sensors, n, 4)."""
     jac = calibrated.posterior.jacobian[:, : len(DEVIATIONS)]
-    bounds = np.array([BOUNDS[name] for name in DEVIATIONS])
-    fan = np.zeros_like(jac)
-    kappa = calibrated.posterior.constant[NAMES.index("kappa")]
-    fan[:, 1] = np.where(np.isfinite(calibrated.blocks.log_power), kappa, 0.0)
-    # The level of the fan's power is open by as much as its prior: a window learns little of the air from it.
-    level = next(one.sd for one in GLOBALS if one.name == "power_gain")
-    rows = [jac / TOLERANCE["outlet"], fan / np.hypot(TOLERANCE["fan"], level)]
-    water = jac.copy()
-    water[:, DEVIATIONS.index("bias")] = 0.0
-    if second:
-        rows.append(water / TOLERANCE["basin"])
+    kappa = float(calibrated.posterior.constant[NAMES.index("kappa")])
+    rows = weighed_sensitivities(jac, np.isfinite(calibrated.blocks.log_power), kappa, second)
     if makeup:
+        water = jac.copy()
+        water[:, DEVIATIONS.index("bias")] = 0.0
         u = calibrated.blocks.operation.inputs
         fall = np.maximum(u.t_in - calibrated.blocks.outlet, 1.0)[:, None]
         # A cell's own share of the station's evaporation is known as well as the sum: the others' errors are its own.
         rows.append(np.where(np.isfinite(fall), -water / fall, 0.0) / np.hypot(TOLERANCE["evaporation"], GAIN))
-    return np.stack(rows) * bounds
+    return np.stack(rows) * np.array([BOUNDS[name] for name in DEVIATIONS])
 
 
 def _features(minutes: Minutes, within: slice, m_w0: float) -> Array:
@@ -121,18 +119,42 @@ def _features(minutes: Minutes, within: slice, m_w0: float) -> Array:
     return np.array([float(np.mean(v[known])) for v in values])
 
 
-def distances(features: Sequence[Array], reference: Sequence[int]) -> Array:
-    """Return the Mahalanobis distance of each operating point from those of the reference windows, with shrunk
-    covariance.
+def novelty(features: Sequence[Array], usable: Sequence[bool]) -> Array:
+    """Return how far each operating point is from those before it, as a share of the usual distance.
 
-    Source: Ledoit & Wolf, J. Multivariate Anal. 88 (2004) 365, with the fixed weight of a tenth.
+    Distances are Hotelling's T with a shrunk covariance (Ledoit & Wolf, J. Multivariate Anal. 88 (2004) 365, with the
+    fixed weight of a tenth). The limit holds `ENVELOPE` of further points of the same normal distribution (Hotelling,
+    Ann. Math. Stat. 2 (1931) 360).
+
+    Parameters
+    ----------
+    features
+        (4,) of each window in order of time.
+    usable
+        Windows that later ones are compared with.
+
+    Returns
+    -------
+    ndarray
+        (n,), above 1 outside; NaN without features, or with fewer than `FEWEST` usable windows before.
     """
     x = np.array(features, dtype=float).reshape(-1, 4)
-    base = x[np.asarray(reference, dtype=int)] if len(reference) else x
-    base = base[np.isfinite(base).all(axis=1)]
-    if len(base) < 8:
-        return np.full(len(x), np.nan)
-    covariance = np.cov(base.T)
-    spread = 0.9 * covariance + 0.1 * np.diag(np.diag(covariance)) + 1e-6 * np.eye(4)
-    offset = x - base.mean(axis=0)
-    return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", offset, np.linalg.inv(spread), offset)))
+    kept = np.isfinite(x).all(axis=1) & np.asarray(usable, dtype=bool)
+    p = x.shape[1]
+    # Sums of the rows before each; about the middle of all, so that squares do not cancel.
+    middle = x[kept].mean(axis=0) if kept.any() else np.zeros(p)
+    y = np.where(kept[:, None], x - middle, 0.0)
+    count = np.cumsum(kept) - kept
+    total = np.cumsum(y, axis=0) - y
+    squares = np.einsum("ij,ik->ijk", y, y)
+    squares = np.cumsum(squares, axis=0) - squares
+    found = np.full(len(x), np.nan)
+    for k in np.flatnonzero(np.isfinite(x).all(axis=1) & (count >= FEWEST)):
+        n = int(count[k])
+        mean = total[k] / n
+        covariance = (squares[k] - n * np.outer(mean, mean)) / (n - 1)
+        spread = 0.9 * covariance + 0.1 * np.diag(np.diag(covariance)) + 1e-6 * np.eye(p)
+        offset = x[k] - middle - mean
+        limit = p * (n * n - 1.0) / (n * (n - p)) * fdtri(p, n - p, ENVELOPE)
+        found[k] = np.sqrt(offset @ np.linalg.solve(spread, offset) / limit)
+    return found

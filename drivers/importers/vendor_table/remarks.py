@@ -16,12 +16,14 @@ _HARMLESS = re.compile(
     r"(?:\b(?:chapter|chap|ch|section|sec|kapitel|kap|abschnitt|chapitre|version|ver|v|revision|rev|fw|sw|firmware|software|"
     r"page|pp?|seite|figure|fig|abb|table|tab|tabelle|see|siehe|voir|since|seit|manual|iso|iec|en|din|no|nr)\b|§)"
     r"[\s.:#]*(?:[A-Z]{1,4}\s*)?v?\d+(?:[.\-:/]\d+)*[a-z]?|"
-    r"(?:±|\+/-|\b(?:accuracy|tolerance|genauigkeit|toleranz|uncertainty|noise)\b)[^;,]{0,12}?\d+(?:[.,]\d+)?",
+    r"(?:±|\+/-|\b(?:accuracy|tolerance|genauigkeit|toleranz|uncertainty|noise|"
+    r"(?:max\w*|typ\w*|measur\w+|relative|absolute|mess)[. -]{0,2}(?:error|fehler))\b)[^;,]{0,12}?\d+(?:[.,]\d+)?",
     re.I,
 )
 """Dates, places in documents, versions, and accuracies."""
 _RAW = r"(?:raw|value|val|reg(?:ister)?|counts?|wert|rohwert|reading|data|valeur|adc|x)"
 _NUMBER = r"-?\d+(?:[.,]\d+)?"
+_SIGN = r"[-+\u2212\u2013]?"
 _COUNT = r"(?:\d+|one|two|three|four|ein|eine|zwei|drei|un|une|deux|trois)"
 _UNIT = r"(?:\s?[°%µ\w/]{1,6})?"
 _FACTOR = re.compile(
@@ -56,17 +58,48 @@ _FORMAT = re.compile(
     re.I,
 )
 _FAULT = (
-    r"(?:invalid|not available|unavailable|n/a|nan|null|error|fault|fail\w*|broken|open|short\w*|missing|no sensor|"
-    r"defe[ck]t|over-?range|under-?range|overflow|out of range|disconnected|ung[üu]e?ltig|fehler\w*|defekt|drahtbruch|"
-    r"kurzschluss|invalide|erreur|d[ée]faut)"
+    r"(?:invalid|undefined|not (?:available|connected|present|valid|fitted|measured)|unavailable|disconnected|"
+    r"unplugged|n/a|nan|null|err(?:ors?)?|faults?|faulty|fail\w*|broken|break(?:age)?|burn-?out|open|short\w*|missing|implausible|"
+    r"defe[ck]t\w*|no (?:sensor|probe|signal|value|data|reading|measurement)|out of (?:range|order|service)|"
+    r"over-?range|under-?range|overflow|underflow|"
+    r"ung[üu]e?ltig\w*|unplausib\w*|\w*fehler\w*|\w*bruch|\w*unterbrechung|\w*kurzschlu(?:ss|ß)|st(?:ö|oe)rung|"
+    r"nicht (?:verf|vorh|angeschl|belegt)\w*|kein\w* (?:\w*f(?:ü|ue)hler|sensor|signal|\w*wert|messung)|"
+    r"invalide|erreur|d[ée]faut|panne|coupure|rupture|absente?|court-?circuit|indisponible|"
+    r"pas de (?:sonde|capteur|signal|valeur)|non (?:disponible|valide))"
 )
-_CERTAIN = r"(?:-?0x[0-9a-f]{2,}|\b[0-9a-f]{4}h|-?3276[78]|65535|-?9{3,}|-\d{3,})"
-_MEANS = r"[^.;,\d]{0,20}?(?:=|:|->|→|\b(?:means?|is|when|if|indicates?|bei|wenn|bedeutet|si)\b)[^.;,\d]{0,20}?"
+_CERTAIN = (
+    r"(?:-?0x[0-9a-f]{2,}\b|\b[0-9a-f]{4}h\b|"
+    rf"(?<![\w.,]){_SIGN}(?:3[.,]?2[.,]?7[.,]?6[.,]?[78]|6[.,]?5[.,]?5[.,]?3[.,]?5|9(?:[.,]?9){{2,}})(?![\w]*\d|[.,]\d)|"
+    r"(?<![\w.,])[-\u2212]\d{3,}(?:[.,]\d+)?(?![\w]*\d|[.,]\d))"
+)
+"""Numbers that stand for no value wherever a fault is named near them, raw or in the unit: 32767 and 3276.7."""
+_CODE_NUMBER = (
+    rf"(?<![\w.,])(?:{_SIGN}\d+[.,]\d+(?:e[-+]?\d+)?(?!\d|[.,]\d)|{_SIGN}\d+e[-+]?\d+\b|\d{{3,}}\b(?![.,]\d)|"
+    r"[-+\u2212]\d+\b(?![.,]\d))"
+)
+"""Numbers that may be a code where words link them to a fault. Small ones without a sign or decimals may be states."""
+_EQUALS = (
+    r"(?:=|≙|≡|->|→|"
+    r"\b(?:means?|equals|stands for|signals|signif\w+|bedeutet|hei(?:ß|ss)t|entspricht|steht f(?:ü|ue)r)\b)"
+)
+_LINK = rf"(?:{_EQUALS}|:|\(|\b(?:is|when|if|indicates?|bei|wenn|si|indique|value|code|reads?|gives|returns|wert)\b)"
+_BETWEEN = r"[^.;,\d]{0,20}?"
+_SENSOR = r"\b\w*(?:sensor|f(?:ü|ue)hler|probe|sonde|capteur)\b"
+_NO_END = r"(?!\s*(?:the )?(?:max|full|upper|lower|min|limit|end|obere|untere|range))"
 _CODE = re.compile(
-    rf"\b{_FAULT}\b[^.;]{{0,20}}?{_CERTAIN}\b|{_CERTAIN}\b[^.;]{{0,20}}?\b{_FAULT}|"
-    rf"\b{_FAULT}\b{_MEANS}\d{{3,}}\b|\b\d{{3,}}\b{_MEANS}\b{_FAULT}",
+    rf"\b{_FAULT}\b[^.;]{{0,20}}?{_CERTAIN}|{_CERTAIN}[^.;]{{0,20}}?\b{_FAULT}|"
+    rf"{_CERTAIN}\s*[°%\w]{{0,4}}\s*{_EQUALS}{_NO_END}\s*[^\W\d]|{_SENSOR}{_BETWEEN}{_EQUALS}\s*{_CERTAIN}|"
+    rf"\b{_FAULT}\b{_BETWEEN}{_LINK}{_BETWEEN}{_CODE_NUMBER}|"
+    rf"{_CODE_NUMBER}{_BETWEEN}(?:{_LINK}|\b(?:on|upon|at|for|in case of|en cas de|pour)\b){_BETWEEN}\b{_FAULT}|"
+    rf"\b(?:on|upon|at|if|when|in case of|bei|wenn|si|en cas de)\b{_BETWEEN}\b{_FAULT}\b{_BETWEEN}{_CODE_NUMBER}",
     re.I,
 )
+_CODE_OF_A_QUANTITY = re.compile(
+    rf"(?<!bit )(?<![\w.,])\d{{1,2}}\b(?![.,]\d){_BETWEEN}{_EQUALS}{_BETWEEN}\b{_FAULT}|"
+    rf"\b{_FAULT}\b{_BETWEEN}{_EQUALS}{_BETWEEN}\d{{1,2}}\b(?![.,]\d)",
+    re.I,
+)
+"""Small codes, as in `99 = sensor break`: of a register without a unit such a number may be a state."""
 _SOME_NUMBER = re.compile(
     rf"(?<![\w.,])\d+[.,]\d+|(?<![\w.,])10+(?![\w.,]*\d)|{_NUMBER}\s*(?:\.\.+|…|\bto\b|\bbis\b)\s*{_NUMBER}|\b\d+\s?-\s?\d+\s?mA",
     re.I,
@@ -95,8 +128,9 @@ def doubt_in_remark(cells: Mapping[str, str], kind: str, registers: int, *, has_
         found = _ORDER.search(text)
         if found is not None and (registers > 1 or "byte" in text.lower()):
             return f"its remark says {_shown(found)}; put the order in a column order (ABCD, CDAB, BADC or DCBA)"
-    if not cells.get("invalid") and (found := _CODE.search(text)):
-        return f"its remark says {_shown(found)}; put the code in a column invalid, - where there is none"
+    if not cells.get("invalid") and (found := _code_in(text, has_unit=_has_unit(cells))):
+        remedy = "put the code in a column invalid (raw or in the unit), - where there is none"
+        return f"its remark says {_shown(found)}; {remedy}"
     if is_integer and not has_factor:
         words = factor_in_words(cells["name"], text)
         found = _FACTOR.search(text)
@@ -106,6 +140,15 @@ def doubt_in_remark(cells: Mapping[str, str], kind: str, registers: int, *, has_
     if not cells.get("offset") and not has_factor and (found := _OFFSET.search(text)):
         return f"its remark says {_shown(found)}; put the offset in a column offset, 0 where there is none"
     return None
+
+
+def _code_in(text: str, *, has_unit: bool) -> re.Match[str] | None:
+    """Return the words that name a code for "no value"; a small one counts only for a quantity with a unit."""
+    return _CODE.search(text) or (_CODE_OF_A_QUANTITY.search(text) if has_unit else None)
+
+
+def _has_unit(cells: Mapping[str, str]) -> bool:
+    return cells.get("unit", "").strip() not in ("", "1", "-", "--", "–", "none", "n/a")
 
 
 def number_in_remark(remark: str) -> str | None:

@@ -60,7 +60,7 @@ def import_csv(
     addressing: Addressing | None,
     bus: dict[str, Any],
     *,
-    order: str = "ABCD",
+    order: str | None = None,
     encoding: str | None = None,
     is_device_given: bool = False,
 ) -> Draft:
@@ -78,7 +78,7 @@ def import_csv(
     bus
         Keys of the bus in the rig file.
     order
-        Order of values of more than one register, where the table has no column for it.
+        Order of values of more than one register, where the table has no column for it; without it, ABCD is guessed.
     encoding
         Encoding of the file; without it, UTF-8 and cp1252 are tried.
     is_device_given
@@ -124,10 +124,12 @@ def import_csv(
                 said = f"has {len(row)} cells and the heading {len(head)}; quote cells that hold a delimiter"
                 raise ImportFileError(path, line, said)
             if any(cells.values()):
-                keys = table.keys(line, cells)
+                keys, guessed = table.keys(line, cells)
                 device = device_of(path, line, cells)
                 owner = buses.of(path, line, bus if device is None else bus | {"device_id": device})
-                point = collector.point(owner.name, cells["name"], line, keys)
+                if device is None and not is_device_given:
+                    owner.remarks["device_id"] = "guessed: no column and no --device-id gives it"
+                point = collector.point(owner.name, cells["name"], line, keys, guessed)
                 owner.points.append(point)
                 if WIDTH.get(point.keys.get("type", "uint16")) == 1:  # One register, or one bit.
                     owner.written_with(line, function_codes(cells), collector)
@@ -262,13 +264,14 @@ class _VendorTable:
     path: Path
     columns: VendorColumns
     addresses: Addresses
-    order: str
+    order: str | None
     collector: Collector
     ranges: PlausibleRanges
 
-    def keys(self, line: int, cells: dict[str, str]) -> dict[str, Any]:
-        """Return the keys of a line's point; raise ImportFileError."""
+    def keys(self, line: int, cells: dict[str, str]) -> tuple[dict[str, Any], dict[str, str]]:
+        """Return the keys of a line's point, and the reason for each that is guessed; raise ImportFileError."""
         path = self.path
+        guessed: dict[str, str] = {}
         if not cells["name"]:
             raise ImportFileError(path, line, "has no name; give one or take the line out")
         for key, cell in cells.items():
@@ -291,12 +294,17 @@ class _VendorTable:
             keys["type"] = kind
             keys["order"] = self._order_of(line, cells, kind)
             keys["length"] = length
+            if self.order is None and not any(cells.get(key) for key in ("order", "swap", "word_swap", "byte_swap")):
+                guessed["order"] = "high word first, as the Modbus standard has it; compare a known value"
         column = bits_of(path, line, cells)
         keys["bits"] = self.addresses.bits(line, where, kind, table, column)
         registers = (length or 0) if kind == "string" else WIDTH.get(kind, 1)
         self.addresses.require_width(line, where, kind, registers)
         if keys["bits"] is not None and column is None and (doubt := self.addresses.doubt(where)) is not None:
             self.collector.note(line, f"{cells['name']}: {doubt}")
+            guessed["bits"] = "see the note on this line of the source"
+        if self.columns.is_hex and "hex" not in self.columns.inside.get("address", "") and "x" not in cells["address"]:
+            guessed["address"] = "taken as hexadecimal"
         if kind == "bool" and keys["bits"] is not None and "type" in keys:
             keys["type"] = "uint16"  # The type of the bit; its register is read as a whole.
         keys["access"] = access_of(path, line, cells) or access
@@ -304,7 +312,10 @@ class _VendorTable:
             self.collector.note(
                 line, f"{cells['name']}: a bit of a register is read only here; its access was not used"
             )
-        if keys["access"] == "r" or keys["bits"] is not None or kind == "string":
+        if keys["access"] is None and table in ("holding", "coil") and keys["bits"] is None and kind != "string":
+            keys["access"] = "r"
+            guessed["access"] = "no column gives it, so that it is only read"
+        elif keys["access"] == "r" or keys["bits"] is not None or kind == "string":
             keys["access"] = None
         keys["kind"] = "status" if kind in ("bool", "string") or keys["bits"] is not None else None
         keys["unit"] = cells.get("unit", "")
@@ -314,9 +325,28 @@ class _VendorTable:
         if kind not in ("bool", "string"):
             scaled, ranged = self._scaling(line, cells, address, kind)
             keys |= scaled
+            if not cells.get("unit"):
+                keys["unit"] = ""
+            if ranged is not None:
+                guessed |= dict.fromkeys(("scale", "offset"), "by the raw range")
+            elif "offset" in scaled:
+                guessed["offset"] = "taken as raw x scale + offset"
+            if "int" in kind and keys["unit"] and keys["bits"] is None and not self._has_factor(cells):
+                keys.setdefault("scale", 1.0)
+                guessed.setdefault("scale", "no factor is given")
         keys["plausible"] = self.ranges.ends(line, cells, kind, ranged)
         keys["doc"] = cells.get("doc") or None
-        return keys
+        return keys, guessed
+
+    def _has_factor(self, cells: dict[str, str]) -> bool:
+        """Return True where a column or the unit of a line, all of them certain, gives the value of one count."""
+        certain = {
+            "is_exponent_column": self.columns.is_exponent,
+            "is_value_of_a_count": self.columns.is_value_of_a_count,
+        }
+        scale = factor_of(cells.get("scale", ""), **certain)
+        divided, (_, in_unit) = divisor_of(cells.get("divisor", "")), unit_and_factor(cells.get("unit", ""))
+        return any(factor is not None for factor in (scale, divided, in_unit))
 
     def _order_of(self, line: int, cells: dict[str, str], kind: str) -> str | None:
         """Return the order of bytes by the columns order and swap; raise ImportFileError where it is not certain."""
@@ -325,10 +355,10 @@ class _VendorTable:
         except ValueError as error:
             raise ImportFileError(self.path, line, str(error)) from None
         if swapped is None:
-            return order_of(self.path, line, cells, kind, self.order)
+            return order_of(self.path, line, cells, kind, self.order or "ABCD")
         if swapped in ("BADC", "DCBA") and kind in ("int16", "uint16", "string"):
             raise ImportFileError(self.path, line, f"the bytes of {kind} are swapped, which is not read here")
-        if swapped != "ABCD" and (cells.get("order") or self.order != "ABCD"):
+        if swapped != "ABCD" and (cells.get("order") or self.order not in (None, "ABCD")):
             raise ImportFileError(self.path, line, "has an order and a swap besides; leave one of them out")
         return order_of(self.path, line, cells, kind, swapped)
 
@@ -395,7 +425,7 @@ class _VendorTable:
 
     def _remark_agrees(self, line: int, cells: dict[str, str], kind: str, *, has_factor: bool) -> None:
         """Raise ImportFileError where a remark makes it uncertain how the value is read; note a number in it."""
-        doubt = doubt_in_remark(cells, kind, WIDTH.get(kind, 1), has_factor=has_factor, order=self.order)
+        doubt = doubt_in_remark(cells, kind, WIDTH.get(kind, 1), has_factor=has_factor, order=self.order or "ABCD")
         if doubt is not None:
             raise ImportFileError(self.path, line, doubt)
         if "int" in kind and not has_factor and (number := number_in_remark(cells.get("doc", ""))) is not None:

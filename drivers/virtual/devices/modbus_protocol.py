@@ -48,7 +48,8 @@ def _serve(registers: Registers, function: int, pdu: bytes) -> bytes:
         return bytes((4, 2 * count)) + registers.inputs[2 * first : 2 * (first + count)]
     if function == 3:
         _fixed(pdu, 5)
-        return bytes((3, 2 * count)) + _read_holding(registers, first, count)
+        values = _read_holding(registers, first, count)
+        return bytes((3, 2 * count)) + values
     if function == 16:
         return _write_many(registers, pdu, first, count)
     if function == 6:

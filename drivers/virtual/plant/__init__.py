@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from drivers.virtual.plant.ambient import Room
-    from drivers.virtual.plant.compiled_cache import may_cache
     from drivers.virtual.plant.effects import FORMS, EffectFileError, Form, PlantEffect, load_effects
     from drivers.virtual.plant.geometry import CHANNELS, MODULES, PLACES, Array, Cells, build_cells
     from drivers.virtual.plant.instruments import Instruments
     from drivers.virtual.plant.kernel import NOMINAL_FLOW_L_PER_MIN
+    from drivers.virtual.plant.machine_code import may_cache
     from drivers.virtual.plant.plant import Plant
     from drivers.virtual.plant.simulated_plant import SimulatedPlant
     from drivers.virtual.plant.thermocouple_module import FRAME_IDS, OPEN_CIRCUIT, ThermocoupleModule
@@ -39,7 +39,7 @@ _HOME = {
     "ThermocoupleModule": "drivers.virtual.plant.thermocouple_module",
     "build_cells": "drivers.virtual.plant.geometry",
     "load_effects": "drivers.virtual.plant.effects",
-    "may_cache": "drivers.virtual.plant.compiled_cache",
+    "may_cache": "drivers.virtual.plant.machine_code",
 }
 
 __all__ = [

@@ -5,18 +5,22 @@ its numerical diffusion at 0.1 s and 25 mL cells stands in for the axial dispers
 smeared by about 1 s after 16 cells). All conductances are far below the explicit limit at 0.1 s.
 """
 
-import numpy as np
-from numba import njit
+import ctypes
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from types import FunctionType
+from typing import Any
 
-from drivers.virtual.plant.compiled_cache import may_cache
+import numpy as np
+
+from drivers.virtual.plant import geometry, water
 from drivers.virtual.plant.geometry import MAX_HEATER_W, Array, Cells
+from drivers.virtual.plant.machine_code import compiled_kernel, machine_code
 from drivers.virtual.plant.water import density_of, temperature_of, viscosity_of
 
-CACHE = may_cache()
 SUBSTEP_S = 0.1
 
-# The compiled cache is keyed on this file: constants that the kernel reads stand here, not in `geometry`.
-# After a change in `water`, touch this file.
 TANK_JET_MIXING = 9.0
 """Water exchanged between the zones per unit of return flow."""
 TANK_FLOOR_MIXING = 0.004
@@ -78,10 +82,12 @@ SLOW_STATES = 8
 INPUTS = 16
 
 _HEATER, _MODULES, _RADIATOR, _TANK = 1, 3, 5, 7
+_WHOLE_NUMBERS = (5, 7)
+"""Arrays of integers among those of `Advance`: sections of the cells, and first cells of the sections."""
 
 
-@njit(cache=CACHE)
-def advance(
+@compiled_kernel
+def _advance(
     cells: Cells,
     lag: Array,
     inputs: Array,
@@ -215,7 +221,6 @@ def advance(
     slow[HOTTEST] = hottest
 
 
-@njit(cache=CACHE)
 def _air_side(
     inputs: Array, fan: float, ambient: float, recirculation: float, solid: Array, first: int, count: int
 ) -> tuple[float, float]:
@@ -236,3 +241,93 @@ def _air_side(
     k = recirculation / (1.0 - recirculation) / air
     rejected = one * excess / (1.0 + k * one * count)
     return ambient + k * rejected, one
+
+
+class Advance:
+    """Advance of a plant's arrays in place, as machine code; the arrays are the arguments of `_advance`, in order.
+
+    Raises TypeError for an array of another size or kind: the machine code would write beside it.
+    """
+
+    def __init__(self, cells: Cells, lag: Array, *arrays: Array) -> None:
+        # Kept alive, since the machine code has their addresses alone.
+        self._arrays = (*map(np.ascontiguousarray, cells), np.ascontiguousarray(lag), *arrays)
+        n, sections, heater, channels = cells.water_kg.size, cells.film_exponent.size, arrays[-4].size, lag.size
+        sizes = [n] * 6 + [sections] * 2 + [channels, INPUTS] + [n] * 6 + [heater, channels, SLOW_STATES, sections]
+        for k, (array, size) in enumerate(zip(self._arrays, sizes, strict=True)):
+            kind = np.int64 if k in _WHOLE_NUMBERS else np.float64
+            if array.shape != (size,) or array.dtype != kind or not array.flags.c_contiguous:
+                raise TypeError(f"array {k} of the plant is {array.dtype} {array.shape}, not {kind.__name__} ({size},)")
+        self._addresses = np.array([array.ctypes.data for array in self._arrays], dtype=np.uintp)
+        self._sizes = np.array([n, sections, heater, channels], dtype=np.int64)
+        self._unused = np.zeros(2, dtype=np.uintp)  # result and error of numba's calling convention
+        result, table = self._unused.ctypes.data, self._addresses.ctypes.data
+        self._at = (result, result + self._unused.itemsize, table, table, self._sizes.ctypes.data)
+        self._code = _machine_code()
+
+    def __call__(self, substeps: int, dt: float) -> None:
+        """Advance by `substeps` of `dt` seconds."""
+        self._code(*self._at, substeps, dt)
+
+
+@functools.cache
+def _machine_code() -> Callable[..., int]:
+    table = ctypes.c_void_p
+    return machine_code(
+        "plant_advance",
+        _compiled,
+        [Path(str(module)) for module in (__file__, water.__file__, geometry.__file__)],
+        (table, table, table, ctypes.c_int64, ctypes.c_double),
+    )
+
+
+def _compiled() -> tuple[str, str]:
+    """Compile `_advance` with all that it calls; return its LLVM code and its name there."""
+    import numba
+    from numba import carray, types
+
+    njit: Any = numba.njit  # its annotations lack the options that keep Python's interface out
+
+    def jit(function: Any, inline: bool = False, **names: Any) -> Any:
+        own = FunctionType(function.__code__, {**function.__globals__, **names}, function.__name__)
+        return njit(own, error_model="numpy", forceinline=inline)
+
+    named = {function.__name__: jit(function) for function in (temperature_of, density_of, viscosity_of, _air_side)}
+    advance = jit(_advance, True, **named)
+
+    def entry(doubles: Any, integers: Any, sizes: Any, substeps: int, dt: float) -> None:
+        """Call `_advance` with the arrays at addresses: `doubles` and `integers` are the same table of them."""
+        n, sections, heater, channels = sizes[0], sizes[1], sizes[2], sizes[3]
+        cells = Cells(
+            carray(doubles[0], n),
+            carray(doubles[1], n),
+            carray(doubles[2], n),
+            carray(doubles[3], n),
+            carray(doubles[4], n),
+            carray(integers[5], n),
+            carray(doubles[6], sections),
+            carray(integers[7], sections),
+        )
+        advance(
+            cells,
+            carray(doubles[8], channels),
+            carray(doubles[9], INPUTS),
+            carray(doubles[10], n),
+            carray(doubles[11], n),
+            carray(doubles[12], n),
+            carray(doubles[13], n),
+            carray(doubles[14], n),
+            carray(doubles[15], n),
+            carray(doubles[16], heater),
+            carray(doubles[17], channels),
+            carray(doubles[18], SLOW_STATES),
+            carray(doubles[19], sections),
+            substeps,
+            dt,
+        )
+
+    table = types.CPointer(types.CPointer(types.float64)), types.CPointer(types.CPointer(types.int64))
+    signature = types.void(*table, types.CPointer(types.int64), types.int64, types.float64)
+    found = njit(signature, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(entry)
+    (kind,) = found.signatures
+    return found.inspect_llvm(kind), found.overloads[kind].fndesc.llvm_func_name

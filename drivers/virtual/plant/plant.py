@@ -48,6 +48,22 @@ class Plant:
         self.junction: Array = np.full(len(JUNCTION_LAG_S), start)
         self.slow: Array = np.zeros(k.SLOW_STATES)
         self.slow[[k.BLOCK_C, k.HOTTEST]] = start
+        physics = self._physics
+        self._advance = k.Advance(
+            self._cells,
+            self._lag,
+            self.inputs,
+            physics.power_water,
+            physics.power_solid,
+            physics.loss,
+            physics.loss_exponent,
+            self.enthalpy,
+            self.solid,
+            self.element,
+            self.junction,
+            self.slow,
+            self._film,
+        )
 
     @property
     def time_s(self) -> float:
@@ -86,26 +102,9 @@ class Plant:
         inputs[k.SET_PUMP] = pump_fraction
         inputs[k.SET_FAN] = fan_fraction
         inputs[k.AMBIENT_C] = self.ambient_C
-        physics = self._physics
-        if physics.effects:
+        if self._physics.effects:
             self._apply_effects()
-        k.advance(
-            self._cells,
-            self._lag,
-            inputs,
-            physics.power_water,
-            physics.power_solid,
-            physics.loss,
-            physics.loss_exponent,
-            self.enthalpy,
-            self.solid,
-            self.element,
-            self.junction,
-            self.slow,
-            self._film,
-            self._substeps,
-            self._dt,
-        )
+        self._advance(self._substeps, self._dt)
         self.steps += 1
         self.ambient_C = self._room.step(self.steps * self.period_s)
 

@@ -1,4 +1,4 @@
-"""Properties of liquid water between 0 and 90 degC, as compiled scalar functions.
+"""Properties of liquid water between 0 and 90 degC, as scalar functions, which the kernel compiles with itself.
 
 Enthalpy is the state of every water cell, so that heat is conserved to rounding although the specific heat
 depends on temperature. Coefficients: least-squares fits to tabulated values of liquid water at 1 atm, 0 to 90 degC
@@ -6,11 +6,7 @@ depends on temperature. Coefficients: least-squares fits to tabulated values of 
 """
 
 import numpy as np
-from numba import njit
 
-from drivers.virtual.plant.compiled_cache import may_cache
-
-CACHE = may_cache()
 HEAT_REFERENCE = 4180.0
 """J/(kg K): makes the enthalpy variable ``enthalpy / HEAT_REFERENCE`` nearly a temperature in degC."""
 
@@ -20,7 +16,6 @@ _A3 = -3.4360858e-6
 _A4 = 1.26683e-8
 
 
-@njit(cache=CACHE)
 def temperature_of(enthalpy: float) -> float:
     """Return the temperature in degC of water with specific enthalpy in J/kg (zero at 0 degC).
 
@@ -31,7 +26,6 @@ def temperature_of(enthalpy: float) -> float:
     return x * (_A1 + x * (_A2 + x * (_A3 + x * _A4)))
 
 
-@njit(cache=CACHE)
 def enthalpy_of(temperature: float) -> float:
     """Return the specific enthalpy in J/kg of water at a temperature in degC: Newton's inverse of `temperature_of`."""
     x = temperature
@@ -41,14 +35,12 @@ def enthalpy_of(temperature: float) -> float:
     return x * HEAT_REFERENCE
 
 
-@njit(cache=CACHE)
 def density_of(temperature: float) -> float:
     """Return the density in kg/m3 at a temperature in degC, about a parabola around 4 degC."""
     d = temperature - 4.0
     return 1000.0 - d * d * (6.7910e-3 - 2.4754e-5 * d)
 
 
-@njit(cache=CACHE)
 def viscosity_of(temperature: float) -> float:
     """Return the dynamic viscosity in Pa s at a temperature in degC (Vogel's equation, constants for 0 to 100 degC)."""
     return 2.414e-5 * np.power(10.0, 247.8 / (temperature + 133.15))

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from drivers.virtual.tower.effects import EFFECTS
     from drivers.virtual.tower.export import (
         COMMISSIONING,
+        STATION_FILES,
         commissioning_rows,
         datasheet,
         event_rows,
@@ -23,7 +24,14 @@ if TYPE_CHECKING:
         write_station,
     )
     from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE, SITES, StationDesign
-    from drivers.virtual.tower.station import DAYS_A_MONTH, Simulated, SimulationPlan, simulate, state_by_minute
+    from drivers.virtual.tower.station import (
+        DAYS_A_MONTH,
+        Simulated,
+        SimulationPlan,
+        simulate,
+        state_by_minute,
+        with_defects,
+    )
 
 _HOME = {
     "state_by_minute": "drivers.virtual.tower.station",
@@ -35,6 +43,7 @@ _HOME = {
     "datasheet": "drivers.virtual.tower.export",
     "commissioning_rows": "drivers.virtual.tower.export",
     "COMMISSIONING": "drivers.virtual.tower.export",
+    "STATION_FILES": "drivers.virtual.tower.export",
     "EFFECTS": "drivers.virtual.tower.effects",
     "DAYS_A_MONTH": "drivers.virtual.tower.station",
     "SimulationPlan": "drivers.virtual.tower.station",
@@ -46,6 +55,7 @@ _HOME = {
     "serve_station": "drivers.virtual.tower.device",
     "simulate": "drivers.virtual.tower.station",
     "write_dictionary": "drivers.virtual.tower.device",
+    "with_defects": "drivers.virtual.tower.station",
     "write_station": "drivers.virtual.tower.export",
 }
 
@@ -56,6 +66,7 @@ __all__ = [
     "EFFECTS",
     "MIAMI_SITE",
     "SITES",
+    "STATION_FILES",
     "Replay",
     "Simulated",
     "SimulationPlan",
@@ -69,6 +80,7 @@ __all__ = [
     "serve_station",
     "simulate",
     "state_by_minute",
+    "with_defects",
     "write_dictionary",
     "write_station",
 ]

@@ -39,6 +39,18 @@ RIG_UNIT = {
     "kPa": ("kPa", 1.0, 0.0),
     "psi": ("kPa", 6.894757, 0.0),
     "hPa": ("mbar", 1.0, 0.0),
+    "mbar": ("mbar", 1.0, 0.0),
+    "bar": ("kPa", 100.0, 0.0),
+    "Pa": ("kPa", 1e-3, 0.0),
+    "W": ("kW", 1e-3, 0.0),
+    "hp": ("kW", 0.745699872, 0.0),
+    "km/h": ("m/s", 1.0 / 3.6, 0.0),
+    "gpm": ("L/s", 3.785411784 / 60.0, 0.0),
+    "L/min": ("L/s", 1.0 / 60.0, 0.0),
+    "m3/s": ("L/s", 1e3, 0.0),
+    "t/h": ("kg/s", 1.0 / 3.6, 0.0),
+    "°C": ("degC", 1.0, 0.0),
+    "°F": ("degC", 5.0 / 9.0, -160.0 / 9.0),
     "kW": ("kW", 1.0, 0.0),
     "MW": ("kW", 1e3, 0.0),
     "mph": ("m/s", 0.44704, 0.0),
@@ -129,11 +141,12 @@ def load_station(folder: Path) -> tuple[Served, ...]:
         if unit not in RIG_UNIT:
             known = ", ".join(RIG_UNIT)
             raise StationFolderError(
-                f"{folder / 'tags.csv'}: {row['tag']} is in {unit!r}; units that can be served are {known}"
+                f"{folder / 'tags.csv'}: {row['tag']} is in {unit!r}; convert its samples, or remove its line: "
+                f"units that can be served are {known}"
             )
         mine = np.flatnonzero(index == codes.get(row["tag"], -1))
         mine = mine[np.argsort(stamp[mine], kind="stable")]
-        cell = (row.get("cell") or "").strip()
+        cell = _cell(folder / "tags.csv", row["tag"], (row.get("cell") or "").strip())
         point = f"cell{cell}_{row['role']}" if cell else row["role"]
         to, factor, offset = RIG_UNIT[unit]
         found.append(
@@ -156,6 +169,18 @@ def load_station(folder: Path) -> tuple[Served, ...]:
             f"{folder}: raw.parquet has no sample of the tags in tags.csv; use the files of one station"
         )
     return tuple(found)
+
+
+def _cell(file: Path, tag: str, text: str) -> str:
+    """Return a cell as a whole number, which tables of a spreadsheet may hold as `1.0`; nothing for the station."""
+    try:
+        number = float(text or 0.0)
+        whole = int(number)
+    except (ValueError, OverflowError):
+        number, whole = float("nan"), 0
+    if number != whole or whole < 0:
+        raise StationFolderError(f"{file}: {tag} has cell {text!r}; give a whole number, or nothing for the station")
+    return str(whole) if whole else ""
 
 
 class Replay:

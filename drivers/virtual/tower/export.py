@@ -18,6 +18,18 @@ from drivers.virtual.tower.physics import ratios, wet_bulb
 from drivers.virtual.tower.sites import EnteringAir, StationDesign
 from drivers.virtual.tower.station import Simulated, state_by_minute
 
+STATION_FILES = frozenset(
+    (
+        "raw.parquet",
+        "tags.csv",
+        "datasheet.json",
+        "commissioning.csv",
+        "events.csv",
+        "labels.csv",
+        "truth.parquet",
+    )
+)
+"""Names of all files that `write_station` can write."""
 TESTS = (
     (1.0, 1.0),
     (1.0, 1.0),

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.virtual.tower.physics import CELL, STATE, compiled, dry_air_density, plant, wet_bulb
+from drivers.virtual.tower.physics import CELL, STATE, compiled, dry_air_density, wet_bulb
 from drivers.virtual.tower.physics import cell as physics
 from drivers.virtual.tower.weather import CHICAGO, MIAMI, Climate
 
@@ -263,15 +263,6 @@ def design_air(site: StationDesign) -> tuple[float, float]:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if wet_bulb(dry, middle, site.pressure) < site.wet else (low, middle)
     return dry, 0.5 * (low + high)
-
-
-def hidden_row(effects: dict[str, Array]) -> Array:
-    """Return the row of undeclared effects that the plant takes; those not named are nothing."""
-    row = np.zeros(len(plant.HIDDEN))
-    row[plant.HIDDEN.index("leaking_cell")] = -1.0
-    for values in effects.values():
-        row = np.where(np.isfinite(values), values, row)
-    return row
 
 
 assert len(STATE) == 5

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -154,6 +154,13 @@ def simulate(
     seeding = Seeding.draw(tags, days, site.timezone, truth, streams["defects"]) if plan.defects else Seeding()
     samples = _historian(tags, truth, plan, seeding, streams)
     return Simulated(plan, built, recorded, truth, done, tags, samples, seeding, year.source, answer, streams)
+
+
+def with_defects(made: Simulated) -> Simulated:
+    """Return the same station with an archive into which defects are seeded: instruments scan anew, the plant stays."""
+    seeding = Seeding.draw(made.instruments, made.plan.days, made.site.timezone, made.truth, made.streams["defects"])
+    samples = _historian(made.instruments, made.truth, made.plan, seeding, made.streams)
+    return replace(made, plan=replace(made.plan, defects=True), samples=samples, seeded=seeding)
 
 
 def _whole(parts: Sequence[NDArray[np.float32]], plan: SimulationPlan, n: int) -> NDArray[np.float32]:

@@ -41,8 +41,8 @@ from hil.bench.faults import (
     prepare,
     rig_text,
 )
+from hil.bench.measure import processes
 
-MARKER = "HIL_BENCH_CASE"
 WATCHDOG_OFF_S = 600.0
 """Time-out of a watchdog that never cuts within a case: the rig still takes heartbeats and arming."""
 READBACK_WITHIN_S = 10.0
@@ -102,7 +102,7 @@ class ChaosStage(Stage):
 
     def descendants(self) -> list[int]:
         """Return the live processes that the run has started, without itself."""
-        return [pid for pid in marked(self.marker) if pid != self.pid]
+        return [pid for pid in processes.marked(self.marker) if pid != self.pid]
 
     def guardians(self) -> list[int]:
         """Return the run's guardian; an empty list if there is none."""
@@ -131,26 +131,9 @@ class ChaosStage(Stage):
             helper.kill()
             helper.wait()
         self.helpers.clear()
-        for pid in marked(self.marker):
+        for pid in processes.marked(self.marker):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-
-
-def marked(marker: str) -> list[int]:
-    """Return the processes whose environment holds `marker`, without ended ones."""
-    word = f"{MARKER}={marker}".encode()
-    found = []
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        with contextlib.suppress(OSError):
-            if word in (entry / "environ").read_bytes() and not _is_zombie(entry):
-                found.append(int(entry.name))
-    return found
-
-
-def _is_zombie(entry: Path) -> bool:
-    return (entry / "stat").read_bytes().rpartition(b")")[2].split()[0] == b"Z"
 
 
 def _command(pid: int) -> bytes:
@@ -253,7 +236,7 @@ async def _start(
 
 def environment(marker: str, clock: SteppedClock | None = None, *, is_terminal: bool = False) -> dict[str, str]:
     """Return the environment of a run of a case."""
-    variables = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", MARKER: marker}
+    variables = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", processes.MARKER: marker}
     variables["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         variables.pop(name, None)

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from hil.bench.commands.output import JSON, OUT, SEED, finish
+from hil.bench.commands.output import JSON, OUT, SEED, data_folder, finish
 from hil.cli.options import INPUT_FILE
 
 
 @click.command("tower")
-@click.argument("record", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.argument("record", required=False, type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--twin", "twins", multiple=True, type=INPUT_FILE, help="Twin file of a cell; may be repeated.")
 @click.option(
     "--network",
@@ -30,11 +30,17 @@ from hil.cli.options import INPUT_FILE
     "--steps", type=click.IntRange(1), help="Trials with a step of the outlet thermometer, instead of the baselines."
 )
 @click.option("--step-size", default=0.5, show_default=True, help="Size of these steps, K.")
+@click.option(
+    "--stations",
+    type=click.IntRange(1),
+    help="Simulated stations with hidden recirculation, and with defects, instead of RECORD.",
+)
+@click.option("--months", type=click.FloatRange(0.5, 14.0), default=2.0, show_default=True, help="Length of these.")
 @SEED
 @OUT
 @JSON
 def tower_command(
-    record: Path,
+    record: Path | None,
     twins: tuple[Path, ...],
     networks: tuple[Path, ...],
     windows: int | None,
@@ -43,6 +49,8 @@ def tower_command(
     truth: Path | None,
     steps: int | None,
     step_size: float,
+    stations: int | None,
+    months: float,
     seed: int,
     out: Path | None,
     as_json: bool,
@@ -51,6 +59,8 @@ def tower_command(
 
     With --network: trained members and their rivals on simulated stations that no training saw.
 
+    With --stations: diagnosis of an undeclared recirculation and defects of the archive, on stations of as many seeds.
+
     With --steps: steps of an outlet thermometer, how soon each is found, and the fouling that the refit then reports.
 
     \b
@@ -58,7 +68,13 @@ def tower_command(
       hil bench tower record --twin cell1.toml
       hil bench tower record --twin cell1.toml --twin cell2.toml --steps 200
       hil bench tower training/tower --network training/tower_small_0.safetensors
+      hil bench tower --stations 10 --months 2
     """
+    if stations is not None:
+        _stations(range(seed, seed + stations), months, out, as_json)
+        return
+    if record is None:
+        raise click.UsageError("name the aligned RECORD, or simulate stations with --stations")
     if networks or results is not None:
         _networks(record, networks, windows, results, out, as_json)
         return
@@ -76,6 +92,17 @@ def tower_command(
 
     tables, skipped = compare(record, twins, labels, truth)
     finish("tower", 0, tuple(tables), tuple(skipped), out, as_json)
+
+
+def _stations(seeds: range, months: float, out: Path | None, as_json: bool) -> None:
+    import tempfile
+
+    from hil.bench.tower_stations import tables_of, try_stations
+
+    with tempfile.TemporaryDirectory(prefix="hil-stations-") as folder:
+        weather = data_folder() / "weather"
+        trials = try_stations(Path(folder), seeds, months, weather, lambda text: click.echo(text, err=True))
+    finish("tower_stations", seeds.start, tuple(tables_of(trials)), (), out, as_json)
 
 
 def _networks(

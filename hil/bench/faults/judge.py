@@ -21,7 +21,6 @@ from hil.bench.faults.rig import PERIOD_S, STALE_AFTER_S
 from hil.files import connect_read_only
 from hil.journal import JournalReader
 
-MOVES_W = 1.0
 _SLACK_S = 0.3
 _SIGMAS = 6.0
 _TOLERANCE: dict[str, float] = {

@@ -190,6 +190,7 @@ class Stage:
 async def set_stage(case: FaultCase, generator: random.Random, place: Path, onset_s: float) -> AsyncIterator[Stage]:
     """Start rig, wires and a run in `place`; a first fault of the rig itself begins at `onset_s` of its time."""
     async with contextlib.AsyncExitStack() as stack:
+        stack.callback(_end_processes, place)
         # Long work goes to a thread: the relays of parallel cases must not wait for it.
         certificates: Certificates | None = None
         if "tls" in case.places:
@@ -229,6 +230,13 @@ async def set_stage(case: FaultCase, generator: random.Random, place: Path, onse
         yield Stage(generator, rig, plc, can, harness, truth, disk)
 
 
+def _end_processes(place: Path) -> None:
+    """End what the runs of `place` left behind: a guardian tries for an hour to reach a rig that is gone."""
+    for pid in processes.marked(str(place)):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+
+
 async def _start(case: FaultCase, place: Path, disk: OwnDisk | None) -> Harness:
     command = [sys.executable, "-m", "hil", "run", str(place / "load.csv"), "--rig", str(place / "rig.toml")]
     command += ["--calibrator", "least_squares"] if "twin" in case.places else ["--no-twin"]
@@ -242,7 +250,7 @@ async def _start(case: FaultCase, place: Path, disk: OwnDisk | None) -> Harness:
 
 async def spawn(command: list[str], place: Path) -> asyncio.subprocess.Process:
     """Start a command of ours with two files as its terminal."""
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", processes.MARKER: str(place)}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         environment.pop(name, None)

@@ -5,6 +5,9 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
+MARKER = "HIL_BENCH_CASE"
+"""Variable of the environment by which the processes of a case are found, whatever started them."""
+
 
 def children(pid: int) -> list[int]:
     """Return the processes that any of its threads has started."""
@@ -14,6 +17,23 @@ def children(pid: int) -> list[int]:
             with contextlib.suppress(OSError):  # The thread has just ended.
                 found += map(int, (task / "children").read_text().split())
     return found
+
+
+def marked(marker: str) -> list[int]:
+    """Return the processes whose environment has `marker` as variable `MARKER`, without ended ones."""
+    word = f"{MARKER}={marker}".encode()
+    found = []
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        with contextlib.suppress(OSError):
+            if word in (entry / "environ").read_bytes() and not _is_zombie(entry):
+                found.append(int(entry.name))
+    return found
+
+
+def _is_zombie(entry: Path) -> bool:
+    return (entry / "stat").read_bytes().rpartition(b")")[2].split()[0] == b"Z"
 
 
 def command(pid: int) -> bytes:

@@ -311,8 +311,15 @@ def _catalogue(file: Path, out: Console) -> None:
     entries = {(c.kind, c.where, c.driver) for c in catalogue(network)}
     out.print(f"A diagnosis tests {len(entries)} effects that the twin may lack")
     found = ambiguity_groups(network)
-    for group in found.groups:
-        out.print(f"no input distinguishes: {'; '.join(label_text(x) for x in group)}", soft_wrap=True)
+    groups = dict.fromkeys("; ".join(sorted({label_text(x) for x in group})) for group in found.groups)
+    for names in groups:
+        out.print(f"no input distinguishes: {names}", soft_wrap=True)
+    if groups:
+        out.print(
+            "A diagnosis reports all effects of such a line together. To separate those of two places, measure there: "
+            "a further thermometer, power meter or flow meter, as a sensor or meter of the twin",
+            soft_wrap=True,
+        )
     for label in found.unseen:
         out.print(f"no input shows: {label_text(label)}", soft_wrap=True)
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from drivers.rig_file import Rig
 
 
+_WITH_ADDRESS = (".toml", ".conf", ".yaml", ".yml")
+"""Endings of sources that state the addresses of their devices."""
 _LAST_PORT = 65535
 """Last port of TCP (RFC 9293)."""
 
@@ -33,9 +35,7 @@ _LAST_PORT = 65535
 @click.option(
     "--order",
     type=click.Choice(["ABCD", "CDAB", "BADC", "DCBA"]),
-    default="ABCD",
-    show_default=True,
-    help="Byte order of values of more than one register of a CSV, unless it has a column.",
+    help="Byte order of values of more than one register of a CSV without a column for it; default: ABCD, as a guess.",
 )
 @click.option("--host", default="127.0.0.1", show_default=True, help="Host of the Modbus device.")
 @click.option(
@@ -66,7 +66,7 @@ def command(
     source: Path,
     out: Path,
     addressing: str | None,
-    order: str,
+    order: str | None,
     host: str,
     port: int,
     device_id: int,
@@ -138,7 +138,27 @@ def command(
                 "in a terminal to be asked; `hil init --help` has examples"
             )
         draft, name, period = draft_of_description(rig, out), rig.name, rig.period_s
+    if source is not None or said:
+        _mark_defaults(draft, source)
     _write(draft, out, name, period, source)
+
+
+def _mark_defaults(draft: Draft, source: Path | None) -> None:
+    """Mark keys whose values are defaults of this command, that neither the user nor the source has given."""
+    context = click.get_current_context()
+
+    def is_default(option: str) -> bool:
+        return context.get_parameter_source(option) is not ParameterSource.COMMANDLINE
+
+    has_address = source is not None and source.suffix.lower() in _WITH_ADDRESS
+    options = ["channel"] if has_address else ["host", "port", "channel"]
+    options += ["device_id"] if source is None else []
+    for bus in draft.buses:
+        for option in filter(is_default, options):
+            if option in bus.keys:
+                bus.remarks[option] = f"guessed: no --{option.replace('_', '-')} was given"
+    if is_default("period"):
+        draft.period_remark = "guessed: no --period was given"
 
 
 def _somebody_is_there() -> bool:
@@ -149,7 +169,7 @@ def _imported(
     source: Path,
     out: Path,
     addressing: str | None,
-    order: str,
+    order: str | None,
     encoding: str | None,
     bus: dict[str, Any],
     can: dict[str, Any],

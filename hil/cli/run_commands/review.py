@@ -27,8 +27,9 @@ LIVE_REVIEW_S = 180.0
 def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot: Path | None) -> None:
     """Show RUN, a run folder: measured against static and tracked twin, residuals, parameters, events.
 
-    If RUN has been diagnosed, one tab shows the diagnosis. A folder that `hil diagnose` wrote may be given, too, and
-    one that `hil tower calibrate` wrote: outlet measured against the twin with its interval, and the deviations.
+    If RUN has been diagnosed, one tab shows the diagnosis. A folder that `hil diagnose` wrote of a run or record may be
+    given, too, and one that `hil tower calibrate` wrote: outlet measured against the twin with its interval, and the
+    deviations. The diagnosis of a tower has no picture: calibrate with its revisions, and review that.
 
     \b
     Example:
@@ -82,23 +83,28 @@ def _is_tower(folder: Path) -> bool:
 
 def _tower_review(folder: Path) -> Path:
     """Write the review of a tower's calibration and return its file."""
+    from drivers.historian import why_unwritten
+    from hil.files import held, require_complete
     from hil.record import RecordError
     from hil.review import write_tower_review
     from hil.run_folder import RunFolder
     from hil.tower import NETWORK_TABLE, TABLE
 
     if not (folder / TABLE).is_file():
+        what = "the diagnosis of a tower, which has no picture, and " if (folder / "diagnosis.json").is_file() else ""
         raise RecordError(
-            f"{folder}: holds no {TABLE} to show; calibrate with hil tower calibrate and review its folder"
+            f"{folder}: holds {what}no {TABLE} to show; calibrate with hil tower calibrate and review its folder"
         )
     rrd = RunFolder(folder).review
     network = folder / NETWORK_TABLE
     try:
-        write_tower_review(folder / TABLE, rrd, folder.resolve().name, network if network.is_file() else None)
+        with held(folder, RecordError):
+            require_complete(folder, RecordError)
+            write_tower_review(folder / TABLE, rrd, folder.resolve().name, network if network.is_file() else None)
     except ValueError as error:
         raise RecordError(str(error)) from error
     except OSError as error:
-        raise RecordError(f"{rrd}: cannot be written: {error.strerror or error}; make room") from error
+        raise RecordError(f"{rrd}: cannot be written: {why_unwritten(error)}") from error
     return rrd
 
 

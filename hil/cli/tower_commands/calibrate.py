@@ -18,6 +18,16 @@ if TYPE_CHECKING:
     from hil.tower import CellGovernance, NetworkGovernance, NetworkMode
 
 
+BALANCE = {
+    "NO_MAKEUP": "no make-up flow is recorded",
+    "NO_BASIN": "the datasheet gives no basin.volume_m3",
+    "NOT_ALL_CELLS": "not all cells of the station are calibrated",
+    "NO_WHOLE_SUM": "no six hours running have all flows",
+    "NOT_CLOSED": "most of its sums contradict the cells",
+}
+"""Reasons for which the water balance is not used, in words."""
+
+
 @click.command()
 @click.argument("record", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option(
@@ -48,6 +58,8 @@ if TYPE_CHECKING:
     show_default=True,
     help="Use of the network's proposals, as --mode; one of both at most is controlled.",
 )
+@click.option("--propose-reverted", is_flag=True, help="Propose values again that `hil twin revert` undid.")
+@click.option("--replace", is_flag=True, help="Remove another calibration that OUT holds, with its records.")
 def command(
     record: Path,
     twins: tuple[Path, ...],
@@ -57,12 +69,18 @@ def command(
     mode: str,
     card: Path | None,
     network_mode: NetworkMode,
+    propose_reverted: bool,
+    replace: bool,
 ) -> None:
     """Calibrate cells on RECORD, the aligned record of their station.
 
     Writes OUT/calibrated.parquet, the outlet with its 90 % interval and the deviations by minute, OUT/records.jsonl,
     a record for every five minutes, and OUT/review_queue.json. In the controlled mode a deviation that passes all
-    gates is saved as a revision of the twin; `hil twin revert` undoes it.
+    gates is saved as a revision of the twin; `hil twin revert` undoes it. A value that was reverted is not proposed
+    again until a new day of the record or a new label shows it, or with --propose-reverted.
+
+    OUT belongs to one calibration: the same twins, labels, events and modes. When RECORD goes on beyond the former
+    one, records of the new times are appended. Anything else is refused there unless --replace is given.
 
     With --network, OUT/network.parquet holds the network's outlet and deviations with 90 % intervals by its symmetric
     branch, OUT/network_records.jsonl those of its causal branch. The twins need a healthy record that RECORD holds. An
@@ -73,15 +91,22 @@ def command(
       hil tower calibrate record --twin cell1.toml --twin cell2.toml --labels labels.csv --out out
       hil tower calibrate record --twin cell1.toml --out out --network profiles/trained/tower_small
     """
+    from hil.files import held, replacing_all
     from hil.tower import (
-        NETWORK_RECORDS,
-        RECORDS,
+        TABLE,
+        TowerOutputError,
+        adopt_accepted,
         ask_network,
         calibrate_station,
+        cells_of,
         check_network,
-        check_records,
+        continue_chains,
         govern,
-        remove_network_table,
+        is_of_calibration,
+        require_same,
+        sources_of,
+        unused_labels,
+        write_about,
         write_network_table,
         write_table,
         writing,
@@ -95,19 +120,25 @@ def command(
         raise click.UsageError(f"--network-mode {network_mode} needs a network; name its card with --network")
     if card is not None:
         check_network(card, network_mode, record, twins)
-    if out.is_dir():
-        check_records(out / RECORDS)
-        check_records(out / NETWORK_RECORDS)
-    results, notes = calibrate_station(record, twins, labels, events)
-    asked = None if card is None else ask_network(card, results, notes, network_mode, _note)
-    with writing(out):
-        path = write_table(results, out)
-        if asked is None:
-            remove_network_table(out)
-        else:
-            write_network_table(asked, results, out)
-        governed = govern(results, notes, out, mode, asked)
-    _show(governed, path)
+    sources = sources_of(record, twins, labels=labels, events=events, card=card, modes=(mode, network_mode))
+    with writing(out), held(out, TowerOutputError):
+        continued = not replace and require_same(out, sources)
+        results, notes = calibrate_station(record, twins, labels, events)
+        if labels is not None:
+            times = [time_s for one in results for time_s in (one.minutes.time_s[0], one.minutes.time_s[-1])]
+            for remark in unused_labels(labels, cells_of(record), (min(times), max(times))):
+                _note(remark)
+        asked = None if card is None else ask_network(card, results, notes, network_mode, _note)
+        with replacing_all(out, is_of_calibration) as part:
+            if continued:
+                continue_chains(out, part)
+            write_table(results, part)
+            if asked is not None:
+                write_network_table(asked, results, part)
+            governed = govern(results, notes, part, mode, asked, propose_reverted)
+            write_about(part, sources)
+        governed = adopt_accepted(governed, mode, network_mode)
+    _show(governed, out / TABLE)
 
 
 def _note(text: str) -> None:
@@ -120,19 +151,21 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
     from rich.table import Table
 
     from hil.run.session import console
-    from hil.tower import iso
+    from hil.tower import iso, step_sentence
     from twin.tower import DEVIATIONS
+    from twin.tower.calibration import NORMAL
 
     terminal = console()
     table = Table(
-        title="Deviations at the end of the record, and the outlet's error against its readings", title_justify="left"
+        title="Deviations at the end of the record with 90 % intervals, and the outlet's error against its readings",
+        title_justify="left",
     )
-    for heading in ("cell", "calibrator", *DEVIATIONS, "error before K", "after K", "held back"):
+    for heading in ("cell", "calibrator", *DEVIATIONS, "error before K", "after K", "windows held back"):
         table.add_column(heading)
     for one in cells:
         c, m = one.result.calibrated, one.result.minutes
         last = int(np.flatnonzero(m.known)[-1])
-        values = [f"{c.deviations[last, j] + (j < 3):.3f} ± {c.sd[last, j]:.3f}" for j in range(4)]
+        values = [f"{c.deviations[last, j] + (j < 3):.3f} ± {NORMAL * c.sd[last, j]:.3f}" for j in range(4)]
         before = np.nanmean(np.abs(m.outlet - c.commissioned))
         after = np.nanmean(np.abs(m.outlet - c.deviations[:, 3] - c.t_out))
         held = ", ".join(f"{name} {100 * share:.0f} %" for name, share in one.withheld.items())
@@ -143,11 +176,7 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
     for one in cells:
         for step in one.result.steps:
             if step.lasting:
-                subject = "the water" if step.kind == "water" else "the outlet thermometer"
-                terminal.print(
-                    f"cell {one.result.cell}: {subject} stepped by {step.size:+.2f} K at {iso(step.start_s)}",
-                    markup=False,
-                )
+                terminal.print(f"cell {one.result.cell}: {step_sentence(step)}", markup=False, soft_wrap=True)
         for time_s, names in one.alarms:
             terminal.print(f"cell {one.result.cell}: drift alarm at {iso(time_s)}: {', '.join(names)}", markup=False)
         if refused := one.low_sensitivity:
@@ -162,7 +191,14 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
         if one.network is not None and one.network.outlet:
             terminal.print(f"cell {one.result.cell}: network: {one.network.outlet}", markup=False, soft_wrap=True)
         if one.balance:
-            terminal.print(f"cell {one.result.cell}: the water balance is not used: {one.balance}", markup=False)
+            terminal.print(
+                f"cell {one.result.cell}: the station's water balance is not used, since {BALANCE[one.balance]} "
+                f"({one.balance})",
+                markup=False,
+                soft_wrap=True,
+            )
+        for remark in one.remarks:
+            terminal.print(f"cell {one.result.cell}: {remark}", markup=False, soft_wrap=True)
         if one.revision is not None:
             terminal.print(f"written: {one.revision}", markup=False, soft_wrap=True)
     terminal.print(f"written: {path}", markup=False, soft_wrap=True)
@@ -172,8 +208,10 @@ def _add_network(table: Table, network: NetworkGovernance, before: NDArray[np.fl
     """Add the row of a network: its last answer, and its error on the minutes that it answered."""
     import numpy as np
 
+    from twin.tower.calibration import NORMAL
+
     last = network.last
-    values = ["-"] * 4 if last is None else [f"{v:.3f} ± {sd:.3f}" for _, v, sd in network.proposals(last)]
+    values = ["-"] * 4 if last is None else [f"{v:.3f} ± {NORMAL * sd:.3f}" for _, v, sd in network.proposals(last)]
     residual = network.residual()
     there = np.isfinite(residual) & np.isfinite(before)
     errors = [f"{np.abs(e[there]).mean():.3f}" if there.any() else "-" for e in (before, residual)]

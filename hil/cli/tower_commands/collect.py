@@ -41,11 +41,12 @@ def command(rig: Path, into: str, every_s: float | None, minutes: float | None) 
         nonlocal done
         done = now
 
-    with open_store(into, create=True) as store:
+    with open_store(into, create=True, say=lambda text: out.print(text, markup=False, soft_wrap=True)) as store:
         out.print(f"{len(loaded.point)} points into {Path(into).name or into}; Ctrl-C ends", markup=False)
         with contextlib.suppress(KeyboardInterrupt):
             asyncio.run(
                 collect_points(loaded, store, every_s=every_s or loaded.period_s, minutes=minutes, progress=note)
             )
+    lost = f"; the store was away {done.away} times" if done.away else ""
     failed = f"; {done.failures} polls failed, the last: {done.last_failure}" if done.failures else ""
-    click.echo(f"{done.samples} samples of {done.polls} polls stored{failed}")
+    click.echo(f"{done.samples} samples of {done.polls} polls stored{lost}{failed}")

@@ -34,7 +34,16 @@ def command(record: Path, cell: int, datasheet: Path, points: Path, out: Path, h
     from hil.record import RecordError
     from hil.run.session import console
     from hil.run_folder import RunFolderError, require_output
-    from hil.tower import cells_of, commission_cell, learn_healthy, parse_span, path_beside, write_healthy
+    from hil.tower import (
+        TowerOutputError,
+        cells_of,
+        commission_cell,
+        learn_healthy,
+        parse_span,
+        path_beside,
+        write_healthy,
+        writing,
+    )
     from twin import save
 
     require_output(out, RunFolderError, (datasheet, points))
@@ -44,11 +53,22 @@ def command(record: Path, cell: int, datasheet: Path, points: Path, out: Path, h
         raise RecordError(f"{record}: has no cell {cell}; it has {', '.join(f'cell {n}' for n in there) or 'no cell'}")
     network, fitted, found = commission_cell(cell, datasheet, points)
     kept = None if span is None else learn_healthy(record, network, span)
+    beside = path_beside(out, network)
     if kept is not None:
-        require_output(path_beside(out, network), RunFolderError, (datasheet, points))
+        require_output(beside, RunFolderError, (datasheet, points))
+        if beside.exists():
+            raise RecordError(
+                f"{beside}: is a healthy record already, which another twin uses; give --out in another folder, or "
+                "take it away"
+            )
     save(network, out)
     if kept is not None:
-        write_healthy(kept, path_beside(out, network))
+        try:
+            with writing(beside):
+                write_healthy(kept, beside)
+        except TowerOutputError:
+            out.unlink(missing_ok=True)  # a twin without the healthy record that was asked for
+            raise
     terminal, design = console(), fitted.design
     terminal.print(
         f"cell {cell}: Merkel number {design.merkel:.3f}, exponent {design.exponent:.3f}, air {design.m_a0:.1f} "
@@ -67,7 +87,7 @@ def command(record: Path, cell: int, datasheet: Path, points: Path, out: Path, h
         terminal.print(remark, markup=False)
     if kept is not None:
         terminal.print(
-            f"healthy record: {(kept.end_s - kept.start_s) / 86400.0:.0f} days, {path_beside(out, network)}",
+            f"healthy record: {(kept.end_s - kept.start_s) / 86400.0:.0f} days, {beside}",
             markup=False,
             soft_wrap=True,
         )

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import click
@@ -20,6 +21,16 @@ def is_tower(target: Path) -> bool:
     from hil.tower import cells_of
 
     return target.is_dir() and (bool(cells_of(target)) or (target / "calibrated.parquet").is_file())
+
+
+@contextlib.contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Hold the folder of the results, so that no other process writes there meanwhile."""
+    from hil.files import held
+    from hil.tower import TowerOutputError, writing
+
+    with writing(folder), held(folder, TowerOutputError):
+        yield
 
 
 def diagnose_tower(
@@ -52,6 +63,8 @@ def diagnose_tower(
     ------
     RecordError
         The folder holds no aligned record.
+    TowerOutputError
+        The folder of the results cannot be written, or another process works on it.
     click.UsageError
         No twin is named, or an option does not apply.
     """
@@ -73,9 +86,11 @@ def diagnose_tower(
             stages += 1
             steps.update(min(float(stages), STEPS), stage)
 
-        found = diagnose_station(record, twins, labels, say)
-    revisions = [] if dry else adopt(found)
-    path = None if dry else write_document(found, out or Path(f"diagnosis-{record.resolve().name}"), revisions)
+        folder = out or Path(f"diagnosis-{record.resolve().name}")
+        with contextlib.nullcontext() if dry else _held(folder):
+            found = diagnose_station(record, twins, labels, say)
+            revisions = [] if dry else adopt(found)
+            path = None if dry else write_document(found, folder, revisions)
     content = document(found, revisions)
     if as_json:
         click.echo(json.dumps(content | {"seconds": round(time.monotonic() - began, 1)}, indent=1))

@@ -24,8 +24,8 @@ SHOWN = 6
 def command(record: Path, twin: Path, warmer: float) -> None:
     """Propose the step test of fan and flow that makes a cell's deviations identifiable.
 
-    Starts from the last day of RECORD on which the cell ran. The tests are those that let the outlet rise by no more
-    than WARMER; the first lowers the condition number most. Above 80 a window is refused.
+    Starts from the last 24 hours of RECORD in which the cell ran. The tests are those that let the outlet rise by no
+    more than WARMER; the first lowers the condition number most. Above 80 a window is refused.
 
     \b
     Example:
@@ -35,12 +35,14 @@ def command(record: Path, twin: Path, warmer: float) -> None:
 
     from hil.run.session import console
     from hil.tower import plan_step_test
+    from twin.tower import MOST_CONDITION
+    from twin.tower.calibration import NORMAL
 
     found = plan_step_test(record, twin, warmer)
     terminal = console()
     terminal.print(
-        f"cell {found.cell}: on {found.day} the condition number was {found.without.condition:.0f}; known least is "
-        f"{found.without.says()}",
+        f"cell {found.cell}: in the day up to {found.until} the condition number was {found.without.condition_says()}; "
+        f"the combination of the deviations that it shows least is {found.without.says()}",
         markup=False,
     )
     if not found.tests:
@@ -49,15 +51,27 @@ def command(record: Path, twin: Path, warmer: float) -> None:
             markup=False,
         )
         return
-    table = Table(title="Step tests, best first: 7 steps of 75 min at the usual load", title_justify="left")
-    for heading in ("fan", "flow", "condition", "fill sd", "outlet"):
+    if not found.enough:
+        terminal.print(
+            f"no test that keeps the outlet within {warmer:g} K brings the condition below {MOST_CONDITION:.0f}; allow "
+            "more with --warmer, or give labels to hil tower calibrate: a certificate of the thermometer, a traverse, "
+            "an inspection",
+            markup=False,
+            soft_wrap=True,
+        )
+    table = Table(
+        title="Step tests, best first: 7 steps of 75 min at the usual load. Intervals are by that day and the test "
+        "alone, without labels and the days before: compare tests by them. A calibration's are narrower",
+        title_justify="left",
+    )
+    for heading in ("fan", "flow", "condition", "fill ± (90 %)", "outlet"):
         table.add_column(heading)
     for test in found.tests[:SHOWN]:
         table.add_row(
             f"{100 * test.fan:.0f} %",
             f"{100 * test.flow:.0f} %",
-            f"{test.told.condition:.0f}",
-            f"{100 * test.told.sd['fill']:.1f} %",
+            test.told.condition_says(),
+            f"{100 * NORMAL * test.told.sd['fill']:.1f} %",
             f"+{test.warmer:.1f} / -{test.colder:.1f} K",
         )
     terminal.print(table)

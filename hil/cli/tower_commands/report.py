@@ -17,20 +17,22 @@ INPUT_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 @click.option("--cell", type=int, help="Cell of the picture; default: the first.")
 @click.option("--labels", type=INPUT_FILE, help="Inspections, traverses and certificates for the picture, CSV.")
 @click.option("--record", type=INPUT_FOLDER, help="Aligned record, whose maintenance is marked in the picture.")
-@click.option("--truth", type=INPUT_FILE, help="Truth of a simulated station, to compare with: table and picture.")
+@click.option(
+    "--truth", type=INPUT_FILE, help="Truth of a station, Parquet as of hil tower simulate --score: table and picture."
+)
 def command(
     out: Path, picture: Path | None, cell: int | None, labels: Path | None, record: Path | None, truth: Path | None
 ) -> None:
     """Print the report of OUT, the folder of a calibration, and write it to OUT/report.md.
 
-    The chain of the records is checked: a line that was changed or removed is reported.
+    The chain of the records is checked up to its end: a line that was changed, added or removed is reported.
 
     \b
     Example:
       hil tower report out
       hil tower report out --picture cell1.png --cell 1 --labels labels.csv --record record
     """
-    from hil.files import replacing
+    from hil.files import held, replacing
     from hil.record import RecordError
     from hil.run.session import console
     from hil.run_folder import RunFolderError, require_output
@@ -38,11 +40,13 @@ def command(
         NETWORK_TABLE,
         REPORT,
         TABLE,
+        TowerOutputError,
         compare,
         draw_cell,
         events_of,
         read_minutes,
         read_notes,
+        read_remarks,
         read_truth,
         report_text,
         writing,
@@ -54,17 +58,19 @@ def command(
         folders = (out, *([] if record is None else [record]))
         read = [path for path in (labels, truth) if path is not None]
         require_output(picture, RunFolderError, [*read, *(path for folder in folders for path in folder.iterdir())])
-    text = report_text(out)
     true = None if truth is None else read_truth(truth)
     remedy = "calibrate again"
     needed = ("t_out", "t_out_lo", "t_out_hi", "t_out_commissioned", "fill", "air", "uniformity", "bias")
     wanted = picture is not None or true is not None
-    found = read_minutes(out / TABLE, needed, remedy) if wanted else {}
-    network = read_minutes(out / NETWORK_TABLE, needed, remedy) if wanted and (out / NETWORK_TABLE).is_file() else {}
-    if true is not None:
-        text += "\n" + "\n".join(compare(found, true, network)) + "\n"
-    with writing(out), replacing(out / REPORT) as unfinished:
-        unfinished.write_text(text)
+    with writing(out), held(out, TowerOutputError):
+        text = report_text(out)
+        found = read_minutes(out / TABLE, needed, remedy) if wanted else {}
+        asked = wanted and (out / NETWORK_TABLE).is_file()
+        network = read_minutes(out / NETWORK_TABLE, needed, remedy) if asked else {}
+        if true is not None:
+            text += "\n" + "\n".join(compare(found, true, network)) + "\n"
+        with replacing(out / REPORT) as unfinished:
+            unfinished.write_text(text)
     console().print(text, markup=False)
     if picture is None:
         return
@@ -83,5 +89,6 @@ def command(
             labels=labels,
             events=events,
             network=network.get(drawn),
+            remarks=read_remarks(out / TABLE).get(drawn, ()),
         )
     click.echo(f"written: {picture}")

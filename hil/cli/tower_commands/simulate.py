@@ -59,9 +59,10 @@ def command(
       hil tower simulate --out station --months 1 --cells 2
       hil tower simulate --out station --hide recirculation --defects --score
     """
-    from drivers.virtual.tower import SITES, SimulationPlan, key_of, simulate, write_station
-    from hil.record import RecordError
+    from drivers.virtual.tower import SITES, STATION_FILES, SimulationPlan, key_of, simulate, write_station
+    from hil.files import held, replacing, replacing_all
     from hil.run.session import console
+    from hil.tower import TowerOutputError, writing
 
     say = console(stderr=True)
     folder = weather or (Path(os.environ["HIL_DATA"]) / "weather" if os.environ.get("HIL_DATA") else None)
@@ -69,8 +70,7 @@ def command(
         months, cells, seed, start.replace(tzinfo=datetime.UTC), tuple(dict.fromkeys(hide)), defects, folder
     )
     key = {}
-    try:
-        out.mkdir(parents=True, exist_ok=True)
+    with writing(out), held(out, TowerOutputError):
         (out / "KEY.json").unlink(missing_ok=True)
         for site in SITES:
             recorded = plan.recorded()[site.station]
@@ -78,15 +78,13 @@ def command(
                 continue
             made = simulate(site, recorded, plan, lambda text: say.print(text, markup=False, highlight=False))
             name = f"station{site.station}"
-            write_station(made, out / name, score=score)
+            with held(out / name, TowerOutputError), replacing_all(out / name, STATION_FILES.__contains__) as part:
+                write_station(made, part, score=score)
             key[name] = key_of(made)
             samples = sum(len(one.time_s) for one in made.samples.values())
             what = f"{plan.days} days, {recorded} of {site.cells} cells recorded, {samples} samples"
             click.echo(f"{out / name}: {what}")
             del made
         if score:
-            (out / "KEY.json").write_text(json.dumps(key, indent=1) + "\n")
-    except OSError as error:
-        raise RecordError(
-            f"{out}: cannot be written: {error.strerror or error}; choose another folder or make room"
-        ) from error
+            with replacing(out / "KEY.json") as unfinished:
+                unfinished.write_text(json.dumps(key, indent=1) + "\n")

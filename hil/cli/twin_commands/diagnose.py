@@ -97,7 +97,7 @@ def command(
     beginning are added, in sets, strongest evidence first.
 
     On an aligned record of a tower, a folder, effects that its cells' twins lack are named by mechanism and driver,
-    with the outlet's error on held-out weeks before and after.
+    with the outlet's error on held-out weeks before and after. It writes diagnosis.json and revisions, and no page.
 
     \b
     Example:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import json
 import sys
 from collections.abc import Mapping
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
     from twin import ChainEntry, ElementDiff, TwinDiff
 
+DATES_FROM_S = 1e8
+"""Times above three years are no hours of a run: they count from 1970."""
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 
 
@@ -155,10 +158,18 @@ def _sentences(entry: ChainEntry) -> list[str]:
     lines += [f"evidence: {revision.evidence}"] if revision.evidence else []
     for what, span in (("fitted", revision.window_s), ("errors", revision.held_out_s)):
         if span is not None:
-            lines.append(f"{what} over {span[0] / 3600:.2f} to {span[1] / 3600:.2f} h of the record")
+            lines.append(f"{what} over {_span(*span)}")
     if revision.record_file:
         lines.append(f"stored record: {revision.record_file}")
     return [*lines, *revision.notes, *entry.remarks]
+
+
+def _span(start_s: float, end_s: float) -> str:
+    """Return a segment of a record as hours from its start, or as dates where its times are seconds since 1970."""
+    if start_s < DATES_FROM_S:
+        return f"{start_s / 3600:.2f} to {end_s / 3600:.2f} h of the record"
+    first, last = (f"{datetime.datetime.fromtimestamp(t, datetime.UTC):%Y-%m-%d %H:%M}" for t in (start_s, end_s))
+    return f"{first} to {last} UTC"
 
 
 def _show_diff(found: TwinDiff, a: Path, b: Path) -> None:

@@ -39,6 +39,7 @@ _LEAST_K = 1e-4
 def pictures(findings: Findings) -> dict[str, str]:
     """Return SVG text by name, for the figures that the diagnosis has data for."""
     import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     makers = {
         "residuals": _residuals,
@@ -56,7 +57,8 @@ def pictures(findings: Findings) -> dict[str, str]:
             figure = make(findings)
             if figure is not None:
                 buffer = io.StringIO()
-                figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+                # `savefig` does the same, but draws everything once more before.
+                FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None, "Creator": None})
                 drawn[name] = buffer.getvalue()
     return drawn
 

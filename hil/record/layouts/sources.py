@@ -92,14 +92,15 @@ def one_column_a_source(raw: RawRecord) -> RawRecord:
 
 def _labels(cells: Any, name: str, *, also_numbers: bool) -> NDArray[np.object_] | None:
     """Return the labels (n,) of a column of texts or of whole numbers, "" for none; None for a column of values."""
+    numeric = is_numeric(cells, 0.0)
+    if numeric and not also_numbers:  # most columns, and to write their numbers as text takes longer than all else
+        return None
     texts = [(text or "").strip() for text in texts_of(cells)]
     labels: NDArray[np.object_] = np.array(texts, dtype=object)
     if int((labels == "").sum()) > may_be_lost(len(texts)) or holds_flags(texts):
         return None
-    if not is_numeric(cells, 0.0):
+    if not numeric:
         return labels
-    if not also_numbers:
-        return None
     numbers = parse(cells)
     if numbers is None or numbers.bad:  # `1A`, `2B` and 3
         return labels

@@ -10,20 +10,25 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.record.times.columns import holds_moments
+    from hil.record.times.columns import find_columns, holds_moments
     from hil.record.times.names import SECONDS_PER, is_time_name, names_dates, names_unit, seconds_per_unit
+    from hil.record.times.seconds import read_seconds
     from hil.record.times.time_axis import GAP_PERIODS, TimeAxis, numbered, read_time, span
+    from hil.record.times.wall_clock import TimeTextError
     from hil.record.times.zones import zone_of
 
 __all__ = [
     "GAP_PERIODS",
     "SECONDS_PER",
     "TimeAxis",
+    "TimeTextError",
+    "find_columns",
     "holds_moments",
     "is_time_name",
     "names_dates",
     "names_unit",
     "numbered",
+    "read_seconds",
     "read_time",
     "seconds_per_unit",
     "span",
@@ -33,7 +38,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "columns": ("holds_moments",),
+        "columns": ("find_columns", "holds_moments"),
         "names": (
             "SECONDS_PER",
             "is_time_name",
@@ -41,6 +46,7 @@ __getattr__, __dir__ = lazy_names(
             "names_unit",
             "seconds_per_unit",
         ),
+        "seconds": ("read_seconds",),
         "time_axis": (
             "GAP_PERIODS",
             "TimeAxis",
@@ -48,6 +54,7 @@ __getattr__, __dir__ = lazy_names(
             "read_time",
             "span",
         ),
+        "wall_clock": ("TimeTextError",),
         "zones": ("zone_of",),
     },
 )

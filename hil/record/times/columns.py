@@ -34,7 +34,13 @@ def has_unit(raw: RawRecord, column: str) -> bool:
 
 
 def find_columns(raw: RawRecord, signs: dict[str, Sign], choice: ReadingOptions) -> tuple[str, ...]:
-    """Return the column of times, those of dates and of times of day, or those of the parts of a date."""
+    """Return the column of times, those of dates and of times of day, or those of the parts of a date.
+
+    Raises
+    ------
+    RecordError
+        There is none, or the choice names a column that is not there.
+    """
     if choice.time_column is not None:
         wanted = (choice.time_column,) if choice.time_column in raw.names else tuple(choice.time_column.split(","))
         wanted = tuple(name.strip() for name in wanted)

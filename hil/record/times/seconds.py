@@ -49,6 +49,13 @@ class Seconds:
 def read_seconds(
     raw: RawRecord, columns: tuple[str, ...], signs: dict[str, Sign], choice: ReadingOptions
 ) -> Seconds | None:
+    """Return the seconds of the rows by their columns of times, None where these hold no time.
+
+    Raises
+    ------
+    TimeTextError
+        The times may be read in two ways.
+    """
     if (parts := find_parts(columns)) is not None:
         cells = dict(zip(raw.names, raw.cells, strict=True))
         return of_stamps(read_stamps(stamp_texts(parts, cells, signs)))

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from hil.files import estimate_text
 from hil.journal import BandRow, ProposalRow
 from hil.review.batches.columns import Estimates, ReviewBatch, Rows, States, Texts
 from hil.review.plan import path
@@ -41,7 +42,7 @@ def gate_state(document: Mapping[str, object]) -> str:
 
 def proposal_text(proposed: Proposed) -> str:
     """Return a proposal in one line: accepted parameters, and codes that hold the others."""
-    taken = [f"{name} = {a.value:.4g} ± {a.half_width:.2g}" for name, a in accepted([proposed]).items()]
+    taken = [f"{name} = {estimate_text(a.value, a.half_width)}" for name, a in accepted([proposed]).items()]
     codes: dict[str, list[str]] = {}
     for name, code in proposed.document["held"].items():
         codes.setdefault(code, []).append(name)

@@ -129,7 +129,7 @@ class ReviewPlan:
     """Styles and tabs of a review.
 
     `columns_of` maps entities to columns of a sample row, `colours` are those of estimates without a twin, `notes` are
-    texts by entity that hold at all times."""
+    texts by entity that hold at all times, `start_s` is the time of the first row since 1970, for axes with dates."""
 
     header: Header
     lines: tuple[Lines, ...]
@@ -138,6 +138,7 @@ class ReviewPlan:
     columns_of: dict[str, tuple[str, ...]] = field(default_factory=dict)
     colours: dict[str, Colour] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
+    start_s: float | None = None
 
 
 def path(*parts: str) -> str:

@@ -10,7 +10,9 @@ import contextlib
 import json
 import shlex
 import signal
+import sys
 import tempfile
+import threading
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +30,7 @@ from hil.tracking import Adoption, Proposed, adopt, adoption_manifest, closed_ga
 RECORD, REVIEW, REPORT, REVISION = "record.parquet", "review.rrd", "report.html", "adopted revision"
 VERDICT = "verdict.json"
 _NOT_YET = "not made yet"
+_REPEAT_S = 0.02
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
@@ -68,27 +71,53 @@ class _StoppedError(BaseException):
 
 
 class _StopRequest:
-    """Deliberate signal that ends the work: it interrupts a block that runs `armed`."""
+    """Deliberate signal that ends the work: it interrupts a block that runs `armed`.
+
+    A signal may come while Python runs a finalizer or a callback of a weak reference, where it discards every
+    exception; the signal is repeated then, until the block has ended.
+    """
 
     def __init__(self) -> None:
         self.received: signal.Signals | None = None
         self._armed = False
+        self._discarded = False
+        self._repeats: list[threading.Timer] = []
 
     @contextlib.contextmanager
     def armed(self) -> Iterator[None]:
         """Raise _StoppedError in the block when a signal comes; outside of it the signal is only stored."""
-        self._armed = True
+        before = sys.unraisablehook
+
+        def discarded(unraisable: sys.UnraisableHookArgs) -> None:
+            if isinstance(unraisable.exc_value, _StoppedError):
+                self._repeat()
+            else:
+                before(unraisable)
+
+        self._armed, sys.unraisablehook = True, discarded
         try:
             if self.received is not None:
                 raise _StoppedError
             yield
         finally:
-            self._armed = False
+            self._armed, sys.unraisablehook = False, before
+            for repeat in self._repeats:
+                repeat.cancel()
+                if repeat.is_alive():
+                    repeat.join()
+            self._repeats.clear()
+
+    def _repeat(self) -> None:
+        self._discarded = True
+        main, number = threading.main_thread().ident, self.received
+        if main is not None and number is not None:
+            self._repeats.append(threading.Timer(_REPEAT_S, signal.pthread_kill, (main, number)))
+            self._repeats[-1].start()
 
     def __call__(self, number: signal.Signals, is_deliberate: bool) -> None:
-        if not is_deliberate or number not in _ENDING or self.received is not None:
-            return  # an echo: an end that has begun is not disturbed
-        self.received = number
+        if number not in _ENDING or not (is_deliberate or self._discarded):
+            return  # an echo disturbs no end that has begun
+        self.received, self._discarded = self.received or number, False
         if self._armed:
             raise _StoppedError
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.tower.calibration.calibrated_table import TABLE, withheld, write_table
+    from hil.tower.calibration.calibrated_table import TABLE, informed, read_remarks, write_table
     from hil.tower.calibration.commission import commission_cell, learn_healthy
-    from hil.tower.calibration.healthy import Healthy, parse_span, path_beside, read_healthy, write_healthy
+    from hil.tower.calibration.healthy import Healthy, healthy_of, parse_span, path_beside, write_healthy
     from hil.tower.calibration.picture import draw_cell
     from hil.tower.calibration.prepared_cells import (
         PreparedCell,
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
         priors_of,
         site_of,
     )
+    from hil.tower.calibration.remarks import conflict_sentence, contradiction_sentence, remarks_of, step_sentence
     from hil.tower.calibration.station_fit import (
         DRIVEN,
         CellResult,
         calibrate,
         fit_with_steps,
-        step_openings,
-        thermometer_steps,
+        undeclared_jumps,
     )
     from hil.tower.calibration.truth import TruthColumns, compare, read_minutes, read_truth
 
@@ -42,8 +42,12 @@ __all__ = [
     "calibrate",
     "commission_cell",
     "compare",
+    "conflict_sentence",
+    "contradiction_sentence",
     "draw_cell",
     "fit_with_steps",
+    "healthy_of",
+    "informed",
     "learn_healthy",
     "load_all",
     "openings_of",
@@ -51,13 +55,13 @@ __all__ = [
     "path_beside",
     "prepare_cells",
     "priors_of",
-    "read_healthy",
     "read_minutes",
+    "read_remarks",
     "read_truth",
+    "remarks_of",
     "site_of",
-    "step_openings",
-    "thermometer_steps",
-    "withheld",
+    "step_sentence",
+    "undeclared_jumps",
     "write_healthy",
     "write_table",
 ]
@@ -71,15 +75,16 @@ __getattr__, __dir__ = lazy_names(
         ),
         "healthy": (
             "Healthy",
+            "healthy_of",
             "parse_span",
             "path_beside",
-            "read_healthy",
             "write_healthy",
         ),
         "picture": ("draw_cell",),
-        "calibrated_table": ("TABLE", "withheld", "write_table"),
+        "calibrated_table": ("TABLE", "informed", "read_remarks", "write_table"),
+        "remarks": ("conflict_sentence", "contradiction_sentence", "remarks_of", "step_sentence"),
         "prepared_cells": ("PreparedCell", "load_all", "openings_of", "prepare_cells", "priors_of", "site_of"),
-        "station_fit": ("CellResult", "DRIVEN", "calibrate", "fit_with_steps", "step_openings", "thermometer_steps"),
+        "station_fit": ("CellResult", "DRIVEN", "calibrate", "fit_with_steps", "undeclared_jumps"),
         "truth": (
             "TruthColumns",
             "compare",

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hil.record import RecordError
-from hil.tower.calibration.healthy import Healthy
+from hil.tower.calibration.healthy import Healthy, clean_cell_of
 from hil.tower.calibration.prepared_cells import priors_of, site_of
-from hil.tower.station import read_cell, read_notes, read_object, read_rows
+from hil.tower.station import read_cell, read_datasheet, read_notes, read_rows
 from twin.network import Network, Revision, digest
-from twin.tower import CellModel, Inputs, cell_network, cell_of, design_of, minutes_of, value_of
+from twin.tower import Array, CellModel, Inputs, cell_network, cell_of, design_of, minutes_of, value_of
 from twin.tower.calibration import CalibrationError, fit_cell
 from twin.tower.clean_cell import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
 
@@ -35,6 +37,7 @@ RANGES = {
     "water_flow_kg_s": (0.01, 1e5),
     "fan_speed_pct": (5.0, 120.0),
     "pressure_kPa": (50.0, 110.0),
+    "air_flow_kg_s": (0.01, 1e5),
 }
 """Values that a test point can have in these units; others are in another unit, which the message names."""
 HINTS = {
@@ -42,6 +45,13 @@ HINTS = {
     "kPa": "it looks like hPa: divide by 10",
     "pct": "give it in %, 0 to 100",
 }
+FAR = {"t/h": 3.6**0.5, "lb": 2.2046**0.5, "hp": 1.341**0.5, "W": 1000.0**0.5}
+"""Factors from which a quantity is nearer to one in a usual wrong unit than to itself: the root of that unit's factor.
+That of hp is near the service factor of motors, 1.15, too."""
+MAINS_HZ = 60.0
+"""Highest mains frequency: speeds that do not exceed it may be frequencies."""
+OUTLIER = (4.0, 0.3)
+"""Robust standard deviations, and K, beyond which a test point is off the others: thermometers are good to 0.1 K."""
 WET_BULB_MARGIN_K = 0.2
 """By which a measured outlet may lie below the entering wet bulb: two thermometers' uncertainty."""
 
@@ -65,6 +75,8 @@ def read_points(path: Path, cell: int, site_kPa: float = 101.325) -> Commissioni
     rows, names, cells = [], [], set()
     for line, row in read_rows(path, REQUIRED):
         number = _number(path, line, "cell", row["cell"])
+        if number != int(number):
+            raise RecordError(f"{path}:{line}: cell is {number:g}; give a whole number")
         cells.add(int(number))
         if int(number) != cell:
             continue
@@ -96,22 +108,38 @@ def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, 
     RecordError
         A file cannot be used, or the fit describes no cooling tower.
     """
-    sheet = read_object(datasheet)
+    sheet = read_datasheet(datasheet)
     design = sheet.get("design", {})
-    try:
-        water_flow = float(design["water_flow_kg_s"])
-        loading = float(design.get("water_to_air", math.nan))
-        share = float(sheet.get("bypass", {}).get("share_when_open", 0.0))
-        site = float(design.get("pressure_kPa", 101.325))
-    except (KeyError, TypeError, ValueError) as error:
+    water_flow = float(design.get("water_flow_kg_s", 0.0))
+    if water_flow <= 0.0:
         raise RecordError(
-            f"{datasheet}: design.water_flow_kg_s, the design water flow of a cell, is needed as a number"
-        ) from error
+            f"{datasheet}: design.water_flow_kg_s, the design water flow of a cell, is needed as a number above 0"
+        )
+    loading = float(design.get("water_to_air", math.nan))
+    share = float(sheet.get("bypass", {}).get("share_when_open", 0.0))
+    site = float(design.get("pressure_kPa", 101.325))
     found = read_points(points, cell, site)
+    flows, air = found.points.inputs.m_w / water_flow, found.points.m_a / (found.points.inputs.speed * water_flow)
+    _refuse_far(points, cell, ("water_flow_kg_s", flows), f"design.water_flow_kg_s of {datasheet}", FAR["t/h"])
+    if loading > 0.0:
+        reference = f"the air at this fan_speed_pct by design.water_to_air of {datasheet}"
+        if float(found.points.inputs.speed.max()) * 100.0 <= MAINS_HZ:
+            reference += (
+                f" (the fan's highest speed is {100.0 * float(found.points.inputs.speed.max()):g}: is it in Hz?)"
+            )
+        _refuse_far(points, cell, ("air_flow_kg_s", air * loading), reference, FAR["lb"])
     try:
         fitted = fit_clean_cell(found.points, water_flow, water_flow / loading if loading > 0.0 else None)
     except CommissioningError as error:
-        raise RecordError(f"{points}: cell {cell} {error}") from error
+        raise RecordError(f"{points}: cell {cell}: {error}") from error
+    fitted = replace(fitted, remarks=(*fitted.remarks, *_outliers(fitted, found.names)))
+    rated = _rated_kW(datasheet, sheet)
+    if fitted.design.power + fitted.design.idle > FAR["hp"] * rated:
+        raise RecordError(
+            f"{points}: cell {cell} has a fan of {fitted.design.power + fitted.design.idle:.1f} kW at full speed, but "
+            f"fan.rated_power_kW of {datasheet} is {rated:g}; is fan_power_kW in "
+            f"{'W' if fitted.design.power + fitted.design.idle > FAR['W'] * rated else 'hp'}? correct one of the two"
+        )
     evidence = f"{len(found.names)} test points, {fitted.rmse:.3f} K RMSE of the outlet"
     revision = Revision(
         made_by="hil tower commission",
@@ -122,7 +150,7 @@ def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, 
         notes=fitted.remarks,
     )
     station = str(sheet.get("station", ""))
-    return cell_network(cell, station, fitted.design, share, fitted.rmse, fitted.sd, revision), fitted, found
+    return cell_network(cell, station, fitted.design, share, fitted.rmse, fitted.sd, revision, site), fitted, found
 
 
 def learn_healthy(record: Path, network: Network, span: tuple[float, float]) -> Healthy:
@@ -147,8 +175,40 @@ def learn_healthy(record: Path, network: Network, span: tuple[float, float]) -> 
         found = fit_cell(model, minutes, priors_of(network), clean.labels(cell.cell), ()).posterior
     except CalibrationError as error:
         raise RecordError(f"{cell.path}: the healthy span {error}") from error
-    at = found.slow.size
-    return replace(clean, mean=found.constant, covariance=found.covariance[at:, at:])
+    constant, spread = found.constant, found.constant_covariance()
+    return replace(clean, mean=constant, covariance=spread, clean_cell=clean_cell_of(network))
+
+
+def _refuse_far(path: Path, cell: int, of: tuple[str, Array], reference: str, factor: float) -> None:
+    """Raise RecordError where the median of a column's share of its design value is far from one."""
+    name, share = of
+    there = share[np.isfinite(share)]
+    middle = float(np.median(there)) if len(there) else 1.0
+    if not 1.0 / factor <= middle <= factor:
+        raise RecordError(
+            f"{path}: {name} of cell {cell} is {middle:.3g} times {reference} in the median; check the units"
+        )
+
+
+def _outliers(fitted: CommissionedCell, names: Sequence[str]) -> list[str]:
+    """Return a sentence on each test point that is off the others."""
+    size = np.abs(fitted.residual)
+    limit = max(OUTLIER[0] * 1.4826 * float(np.median(size)), OUTLIER[1])
+    return [
+        f"test point {names[k]} is {-fitted.residual[k]:+.2f} K off the others: check it, or leave it out"
+        for k in np.flatnonzero(size > limit).tolist()
+    ]
+
+
+def _rated_kW(path: Path, sheet: dict[str, Any]) -> float:
+    """Return the rated power of a fan by the datasheet, kW; infinite where it is not given."""
+    fan = sheet.get("fan")
+    rated = fan.get("rated_power_kW") if isinstance(fan, dict) else None
+    if rated is None:
+        return math.inf
+    if not isinstance(rated, int | float) or not rated > 0.0:
+        raise RecordError(f"{path}: fan.rated_power_kW is {rated!r}; give a number above 0, or leave it out")
+    return float(rated)
 
 
 def _number(path: Path, line: int, name: str, text: str) -> float:
@@ -157,7 +217,8 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise RecordError(f"{path}:{line}: {name} is {text or 'empty'!r}, which is no number; correct it")
+        what = "empty" if not text.strip() else f"{text!r}, which is no number"
+        raise RecordError(f"{path}:{line}: {name} is {what}; give the value that was measured")
     return value
 
 

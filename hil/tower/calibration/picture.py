@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import csv
 import datetime
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from hil.files import replacing
 from hil.tower.calibration.truth import TruthColumns
 from twin.historian import Event, influence_of
+from twin.tower.calibration import NORMAL
 
 TITLES = {
     "fill": "fill, share of clean",
@@ -25,6 +27,8 @@ TITLES = {
     "bias": "bias of the outlet thermometer, K",
 }
 BLUE, BAND, DARK, ORANGE, GREEN, PINK = "#0072B2", "#bcd7ea", "#30343a", "#E69F00", "#009E73", "#CC79A7"
+CAPTION = 160
+"""Letters in a line of the caption: as many fit into the width of the picture."""
 POINTS = 600
 """Points of a curve: a picture of 1100 pixels shows no more."""
 
@@ -38,6 +42,7 @@ def draw_cell(
     labels: Path | None = None,
     events: tuple[Event, ...] = (),
     network: TruthColumns | None = None,
+    remarks: Sequence[str] = (),
 ) -> None:
     """Draw the calibration of a cell into `path` (.png or .svg), with the curves of a network that was asked.
 
@@ -55,6 +60,8 @@ def draw_cell(
         File of tests of the fill, or None.
     events
         Entries of the maintenance record.
+    remarks
+        Sentences on contradictions, for the caption.
 
     Raises
     ------
@@ -100,11 +107,13 @@ def draw_cell(
                     color=GREEN,
                 )
     axes[0].legend(loc="upper right", fontsize=8, frameon=False, ncols=3)
-    axes[1].legend(loc="upper right", fontsize=8, frameon=False, ncols=4)
+    # Above the axis, since the band has the colour of its own legend.
+    axes[1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False, ncols=4)
     for axis in axes:
         axis.grid(alpha=0.25)
         axis.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(f"Cell {cell}: calibration with 90 % intervals", fontsize=11)
+    caption = [f"Cell {cell}: calibration with 90 % intervals", *(textwrap.fill(one, CAPTION) for one in remarks)]
+    figure.suptitle("\n".join(caption), fontsize=11 if len(caption) == 1 else 8)
     with replacing(path) as unfinished:
         figure.savefig(unfinished, dpi=100, format=path.suffix.lstrip(".") or "png")
 
@@ -158,7 +167,7 @@ def _labels(axes: Mapping[str, Any], path: Path, cell: int) -> None:
                 continue
             moment = datetime.datetime.fromisoformat(row["time"].replace("Z", "+00:00")).replace(tzinfo=None)
             if row["kind"] == "point":
-                value, spread = float(row["value"]), 1.645 * float(row["sd"])
+                value, spread = float(row["value"]), NORMAL * float(row["sd"])
                 low, high = value - spread, value + spread
             else:
                 low, high = float(row["lo"]), float(row["hi"])

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.record import RecordError
-from hil.tower.calibration.healthy import known_by, path_beside, read_healthy
+from hil.tower.calibration.healthy import healthy_of, known_by
 from hil.tower.station import (
     CellRecord,
     StationNotes,
@@ -39,7 +39,7 @@ from twin.tower import (
 )
 from twin.tower.cell_observations import Label
 from twin.tower.diagnosis import effects_of
-from twin.twinfile import load
+from twin.twinfile import is_edited, load, read_text
 
 
 def prepare_cells(
@@ -78,7 +78,7 @@ def load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Netwo
     Raises
     ------
     RecordError, TwinFileError
-        A twin is of no cell of the record, or of the cell of another one.
+        A twin is of no cell of the record, or of the cell of another one, was edited, or leaves a deviation no room.
     """
     loaded: dict[int, tuple[Path, Network]] = {}
     there = cells_of(record)
@@ -103,8 +103,22 @@ def load_all(twins: Sequence[Path], record: Path) -> dict[int, tuple[Path, Netwo
                 f"{path}: is of station {of_twin!r} and {record} of station {of_record!r}; give the twins of that "
                 f"station"
             )
+        _refuse_unusable(path, network)
         loaded[cell] = (path, network)
     return loaded
+
+
+def _refuse_unusable(path: Path, network: Network) -> None:
+    """Raise TwinFileError for a twin whose evidence no longer holds, or that leaves a deviation no room."""
+    if is_edited(read_text(path), network.revision.checksum):
+        raise TwinFileError(
+            f"{path}: was edited after it was saved, so its evidence no longer holds (`hil twin log` shows it); "
+            "restore the file, or remove its line checksum if the change is meant"
+        )
+    for identifier in IDS.values():
+        low, high = (float(bound[0]) for bound in network.bounds([identifier]))
+        if not low < high:
+            raise TwinFileError(f"{path}: {identifier} has no room between its bounds {low:g} and {high:g}; widen them")
 
 
 def _prepare(
@@ -126,7 +140,7 @@ def _prepare(
             f"OTHER_UNITS: {minutes_read.path}: the flow is {flow:.0f} kg/s at the median and the twin's design flow "
             f"{design.m_w0:g} kg/s; give the twin of this station instead of {path}, or the flow in kg/s"
         )
-    healthy = read_healthy(path_beside(path, network))
+    healthy = healthy_of(path, network)
     priors, stated = known_by(healthy, priors_of(network), minutes, cell)
     edges = time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1]))
     model = CellModel(design, site_of(notes, share), effects)
@@ -160,22 +174,11 @@ def site_of(notes: StationNotes, bypass_share: float) -> DesignPoint:
 
 
 def openings_of(notes: StationNotes, cell: int) -> tuple[Opening, ...]:
-    """Return the jumps that the station's events open for a cell.
-
-    Raises
-    ------
-    RecordError
-        An event of the record has no time.
-    """
+    """Return the jumps that the station's events open for a cell."""
     found = []
     for event in notes.events:
-        if int(event.get("cell", 0)) not in (0, cell):
+        if event["cell"] not in (0, cell):
             continue
-        try:
-            start, end = seconds(event["from"]), seconds(event["to"])
-        except (KeyError, ValueError, AttributeError) as error:
-            raise RecordError(
-                f"station.json: an event has no time that can be read ({error}); align the store again"
-            ) from error
-        found += [Opening(start, end, name) for name in event.get("parameters", ())]
+        start, end = seconds(event["from"]), seconds(event["to"])
+        found += [Opening(start, end, name) for name in event["parameters"]]
     return tuple(found)

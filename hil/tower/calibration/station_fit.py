@@ -3,21 +3,67 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.record import RecordError
 from hil.tower.calibration.prepared_cells import PreparedCell, prepare_cells
 from hil.tower.calibration.shared_water import joined_by_basin, joined_by_makeup
 from hil.tower.station import CellRecord, StationNotes
 from twin.network import Network
-from twin.tower import CellModel, Minutes, Opening, Priors, time_grid
-from twin.tower.calibration import Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
+from twin.tower import (
+    DAY_S,
+    SLOW,
+    WALK,
+    Array,
+    CellModel,
+    Minutes,
+    Opening,
+    Priors,
+    blocks_of,
+    moved_grid,
+    time_grid,
+)
+from twin.tower.calibration import (
+    FEWEST_BLOCKS,
+    Calibrated,
+    CalibrationError,
+    Fitted,
+    LabelConflict,
+    fit_cell,
+    label_conflicts,
+    predict_cell,
+    widened,
+)
 from twin.tower.cell_observations import Label
-from twin.tower.change_detection import Step, find_steps, undeclared_changes
+from twin.tower.change_detection import (
+    Contradiction,
+    Step,
+    contradictory_steps,
+    find_steps,
+    jumping_column,
+    merged,
+    spans_beyond,
+    undeclared_changes,
+    with_fan,
+)
 
+ONLY_REST = np.array([float(name != "air") for name in SLOW])
+"""Deviations without the air: an air that has followed a step hides it from the fan's power."""
+HALF_DAY_S = 43200.0
+"""Length of an opening up to which its time is known: the grid gets an edge there."""
+ROUNDS = 3
+"""Fits after the first one that leave contradictory spans out: what is left over at their edges may contradict too."""
+WITNESSES = ("t_in_C", "m_w_kg_s", "fan_speed_pct", "dry_C", "wet_C", "pressure_kPa")
+"""Columns of a record that the outlet is predicted from: one that jumps there is the likelier cause."""
+IMPOSSIBLE = {
+    8: "the outlet is above the inlet (are the tags of inlet and outlet swapped?)",
+    4: "the outlet is below the wet bulb (is one of them in another unit?)",
+}
+"""Words of the bits of `check`."""
 DRIVEN = 0.25
 """Share of full fan speed above which a thermometer is watched for steps: below, free convection acts too."""
 
@@ -39,6 +85,10 @@ class CellResult:
     unused: str = ""
     """Why the station's water balance is not used, "" where it is."""
     changes: tuple[Opening, ...] = ()
+    contradictions: tuple[Contradiction, ...] = ()
+    """Spans of the record that contradict the rest: nothing is known of their minutes."""
+    conflicts: tuple[LabelConflict, ...] = ()
+    """Labels that contradict what is known without them."""
 
 
 def calibrate(
@@ -55,6 +105,8 @@ def calibrate(
     records = [draft.record for draft in drafts]
     fitted, second = joined_by_basin([draft.fitted for draft in drafts], records, notes)
     fitted, unused = joined_by_makeup(fitted, records, notes)
+    found = [label_conflicts(one.posterior, WALK) for one in fitted]
+    fitted = [replace(one, posterior=widened(one.posterior, c)) for one, c in zip(fitted, found, strict=True)]
     return [
         CellResult(
             d.record.cell,
@@ -69,8 +121,10 @@ def calibrate(
             d.record.cell in second,
             unused,
             d.changes,
+            d.contradictions,
+            conflicts,
         )
-        for d, one in zip(drafts, fitted, strict=True)
+        for d, one, conflicts in zip(drafts, fitted, found, strict=True)
     ], notes
 
 
@@ -94,21 +148,76 @@ class SeparateCellFit:
     labels: tuple[Label, ...]
     steps: tuple[Step, ...] = ()
     changes: tuple[Opening, ...] = ()
+    contradictions: tuple[Contradiction, ...] = ()
 
 
 def _fit(one: PreparedCell) -> SeparateCellFit:
+    minutes = one.minutes
+    found: tuple[Contradiction, ...] = ()
     try:
-        fitted, steps, changes = fit_with_steps(
-            one.model, one.minutes, one.record, one.priors, one.labels, one.openings
-        )
+        fitted, steps, changes = fit_with_steps(one.model, minutes, one.record, one.priors, one.labels, one.openings)
+        for _ in range(ROUNDS):
+            more = _contradictions(fitted, steps, one.priors)
+            if not more:
+                break
+            found = merged((*found, *more))
+            rest = one.minutes.without(_inside(one.minutes.time_s, found))
+            if np.isfinite(blocks_of(rest)[0].outlet).sum() < FEWEST_BLOCKS:
+                break
+            fitted, steps, changes = fit_with_steps(one.model, rest, one.record, one.priors, one.labels, one.openings)
     except CalibrationError as error:
-        raise RecordError(f"{one.record.path}: {error}") from error
-    return SeparateCellFit(one.twin, one.network, one.record, fitted, one.priors, one.labels, steps, changes)
+        raise RecordError(f"{one.record.path}: {_impossible(one) or error}") from error
+    found = _witnessed(one, found)
+    return SeparateCellFit(one.twin, one.network, one.record, fitted, one.priors, one.labels, steps, changes, found)
+
+
+def _impossible(one: PreparedCell) -> str:
+    """Return a sentence where most outlets cannot be, "" otherwise."""
+    check = np.nan_to_num(one.record.columns.get("check", np.zeros(0))).astype(np.int64)
+    seen = np.isfinite(one.record.columns["t_out_C"])
+    if not seen.any() or not len(check):
+        return ""
+    for bit, words in IMPOSSIBLE.items():
+        share = float(np.mean((check[seen] & bit) > 0))
+        if share > 0.5:
+            return f"{words} in {100.0 * share:.0f} % of its minutes; mend tags.csv and align again"
+    return ""
+
+
+def _contradictions(fitted: Fitted, steps: Sequence[Step], priors: Priors) -> tuple[Contradiction, ...]:
+    """Return the spans in which the outlet's thermometer does what no thermometer does."""
+    time_s, bound = fitted.minutes.time_s, priors.bounds["bias"]
+    days = float(time_s[-1] - time_s[0]) / DAY_S
+    posterior = fitted.posterior
+    # Wrong steps bend the bias about them: it is judged when they are left out.
+    return contradictory_steps(steps, days, bound) or spans_beyond(
+        posterior.edges_s, posterior.slow[:, SLOW.index("bias")], bound
+    )
+
+
+def _inside(time_s: Array, spans: Sequence[Contradiction]) -> NDArray[np.bool_]:
+    rows = np.zeros(len(time_s), dtype=bool)
+    for one in spans:
+        rows |= (time_s >= one.start_s) & (time_s <= one.end_s)
+    return rows
+
+
+def _witnessed(one: PreparedCell, found: tuple[Contradiction, ...]) -> tuple[Contradiction, ...]:
+    """Return contradictions with the column that jumps there."""
+    if not found:
+        return found
+    columns = {name: one.record.columns[name] for name in WITNESSES if name in one.record.columns}
+    # A cell with its fan on has water: a flow that is known to be small then is itself a witness.
+    u = one.minutes.operation.inputs
+    running = (u.speed > DRIVEN) & (u.m_w > 0.0)
+    named = jumping_column(one.minutes.time_s, running, columns, found)
+    return tuple(replace(span, column=column) for span, column in zip(found, named, strict=True))
 
 
 def step_openings(steps: Sequence[Step]) -> tuple[Opening, ...]:
-    """Return the jumps of the bias that lasting steps of a thermometer open."""
-    return tuple(Opening(s.start_s, s.alarm_s, "bias") for s in steps if s.lasting and s.kind == "thermometer")
+    """Return the jumps that lasting steps open: of the bias for a thermometer, of the air for a fan."""
+    opened = {"thermometer": "bias", "fan": "air"}
+    return tuple(Opening(s.start_s, s.alarm_s, opened[s.kind]) for s in steps if s.lasting and s.kind in opened)
 
 
 def fit_with_steps(
@@ -139,15 +248,38 @@ def fit_with_steps(
     """
     edges = time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1]))
     fitted = fit_cell(model, minutes, priors, labels, openings, edges)
+    steps, jumps = undeclared_jumps(fitted, record, priors, labels, openings)
+    of_steps = step_openings(steps)
+    timed = [one for one in jumps if one.parameter == "bias" or one in of_steps]
+    known = [one.start_s for one in timed if one.end_s - one.start_s < HALF_DAY_S]
+    edges = moved_grid(edges, known)
+    refitted = fit_cell(model, minutes, priors, labels, (*openings, *jumps), edges, fitted.posterior)
+    return refitted, steps, jumps[len(of_steps) :]
+
+
+def undeclared_jumps(
+    fitted: Fitted, record: CellRecord, priors: Priors, labels: Sequence[Label], openings: Sequence[Opening]
+) -> tuple[tuple[Step, ...], tuple[Opening, ...]]:
+    """Return the steps of a cell's outlet thermometer, and the jumps that no event announces: those that lasting steps
+    open, then those of the smoother.
+
+    Parameters
+    ----------
+    fitted, record
+        A fit of the cell without them, and the record that it is from.
+    priors, labels, openings
+        Those of the fit.
+    """
     steps = thermometer_steps(fitted, record)
-    known = (*openings, *step_openings(steps))
-    changes = undeclared_changes(model, fitted.blocks, priors, labels, known, fitted.posterior)
-    return fit_cell(model, minutes, priors, labels, (*known, *changes), edges, fitted.posterior), steps, changes
+    opened = step_openings(steps)
+    known, start = (*openings, *opened), fitted.posterior
+    start = replace(start, edges_s=moved_grid(start.edges_s, [one.start_s for one in opened]))
+    return steps, (*opened, *undeclared_changes(fitted.model, fitted.blocks, priors, labels, known, start))
 
 
 def thermometer_steps(fitted: Fitted, record: CellRecord) -> tuple[Step, ...]:
     """Return the steps of a cell's outlet thermometer; the basin's thermometer shows whether the water itself has
-    stepped."""
+    stepped, and the fan's power whether the air has."""
     predicted = predict_cell(fitted)
     driven = fitted.minutes.operation.inputs.speed > DRIVEN
     rows = np.flatnonzero(
@@ -155,4 +287,11 @@ def thermometer_steps(fitted: Fitted, record: CellRecord) -> tuple[Step, ...]:
     )
     residual = fitted.minutes.outlet[rows] - predicted.t_out[rows]
     second = record.columns["basin_C"][rows] - predicted.t_out[rows] if "basin_C" in record.columns else None
-    return tuple(find_steps(record.time_s[rows], residual, second))
+    steps = find_steps(record.time_s[rows], residual, second)
+    if not any(one.lasting for one in steps):
+        return tuple(steps)
+    p, o = fitted.posterior, fitted.minutes.operation.take(rows)
+    twin = fitted.model.log_power(o, p.slow[p.cells_at(record.time_s[rows])] * ONLY_REST, p.constant)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        power = np.log(fitted.minutes.power[rows]) - twin
+    return tuple(with_fan(steps, record.time_s[rows], power))

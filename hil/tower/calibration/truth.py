@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -31,12 +32,20 @@ def read_minutes(path: Path, needed: tuple[str, ...], remedy: str) -> dict[int, 
     """
     try:
         table = pq.read_table(path)
-    except (OSError, pa.ArrowInvalid) as error:
+    except (OSError, pa.ArrowException) as error:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise RecordError(f"{path}: cannot be read ({reason}); {remedy}") from error
     missing = [name for name in ("time", "cell", *needed) if name not in table.column_names]
     if missing:
         raise RecordError(f"{path}: has no column {', '.join(missing)}; {remedy}")
+    for name in ("time", "cell", *needed):
+        kind = table.schema.field(name).type
+        number = pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind)
+        if not (pa.types.is_timestamp(kind) if name == "time" else number):
+            raise RecordError(
+                f"{path}: column {name} holds {kind} and no {'times' if name == 'time' else 'numbers'}; {remedy}"
+            )
+    table = table.filter(pc.is_valid(table["cell"]))
     columns = {name: table[name].to_numpy() for name in table.column_names}
     columns["time"] = columns["time"].astype("datetime64[ms]")
     return {
@@ -67,15 +76,28 @@ def compare(
     ----------
     network
         Minutes of a network that was asked. Both calibrators are then compared on the minutes that it answered.
+
+    Raises
+    ------
+    RecordError
+        The truth and the calibration have no running minute in common.
     """
     asked = network or {}
+    together = {cell: _minutes_together(found, truth.get(cell)) for cell, found in calibrated.items()}
+    if not any(together.values()):
+        cells = ", ".join(map(str, calibrated))
+        raise RecordError(
+            f"the truth has no running minute of the calibrated cells {cells}; give the truth of the station and "
+            "months that were calibrated"
+        )
     by = " calibrator |" if asked else ""
     head = (
         f"| cell |{by} outlet as commissioned K | calibrated K | within 90 % | fill % | air % | uniformity % | bias K |"
     )
     rows = [head, "|---" * (head.count("|") - 1) + "|"]
     for cell, found in calibrated.items():
-        if cell not in truth:
+        if not together[cell]:
+            rows.append(f"| {cell} |{' Gauss-Newton |' if asked else ''}{' - |' * 7}")
             continue
         answer = asked.get(cell)
         if answer is None:
@@ -84,7 +106,12 @@ def compare(
         answered = np.isfinite(answer["t_out"])
         rows.append(f"| {cell} | Gauss-Newton | {_errors(_taken(found, answer['time'][answered]), truth[cell])} |")
         rows.append(f"| {cell} | network | {_errors(_taken(answer, answer['time'][answered]), truth[cell])} |")
-    return ["Mean absolute errors against the truth of the simulated station:", "", *rows] if len(rows) > 2 else []
+    return ["Mean absolute errors against the truth of the simulated station:", "", *rows]
+
+
+def _minutes_together(found: TruthColumns, true: TruthColumns | None) -> int:
+    """Return the number of minutes that a calibration shares with the truth while the cell runs."""
+    return 0 if true is None else int(np.isin(true["time"][true["running"].astype(bool)], found["time"]).sum())
 
 
 def _taken(found: TruthColumns, time: NDArray[Any]) -> TruthColumns:

@@ -10,33 +10,47 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from hil.tower.governance.calibration_folder import (
+        continue_chains,
+        is_of_calibration,
+        require_same,
+        sources_of,
+        write_about,
+    )
     from hil.tower.governance.network_service import NetworkGovernance
-    from hil.tower.governance.records import NETWORK_RECORDS, RECORDS, Indicators, check_records, drift_alarms
+    from hil.tower.governance.records import Indicators, drift_alarms
     from hil.tower.governance.report_page import REPORT, report
-    from hil.tower.governance.service import CellGovernance, govern
+    from hil.tower.governance.service import CellGovernance, adopt_accepted, govern
 
 __all__ = [
-    "NETWORK_RECORDS",
-    "RECORDS",
     "REPORT",
     "CellGovernance",
     "Indicators",
     "NetworkGovernance",
-    "check_records",
+    "adopt_accepted",
+    "continue_chains",
     "drift_alarms",
     "govern",
+    "is_of_calibration",
     "report",
+    "require_same",
+    "sources_of",
+    "write_about",
 ]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "calibration_folder": (
+            "continue_chains",
+            "is_of_calibration",
+            "require_same",
+            "sources_of",
+            "write_about",
+        ),
         "network_service": ("NetworkGovernance",),
         "records": (
             "Indicators",
-            "NETWORK_RECORDS",
-            "RECORDS",
-            "check_records",
             "drift_alarms",
         ),
         "report_page": (
@@ -45,6 +59,7 @@ __getattr__, __dir__ = lazy_names(
         ),
         "service": (
             "CellGovernance",
+            "adopt_accepted",
             "govern",
         ),
     },

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from hil.files import estimate_text
 from hil.tower.calibration import CellResult
-from hil.tower.governance.gates import Verdict
+from hil.tower.governance.gates import ProposalsOf, Verdict
+from hil.tower.governance.reverted import label_evidence, same_revision
 from hil.tower.station import iso
 from twin.network import Revision
 from twin.revisions import save_revision
 from twin.tower import DEVIATIONS, IDS, Array, TargetWindow
+from twin.tower.calibration import NORMAL
 
-ProposalsOf = Callable[[int], Sequence[tuple[str, float, float]]]
-"""Name, value and standard deviation of each deviation that is proposed in a window of this number."""
+
+@dataclass(frozen=True)
+class Adoption:
+    """Revision that was saved, None where none was; `remark` is a sentence for the user, "" without one."""
+
+    revision: Path | None
+    remark: str = ""
 
 
 def save_accepted(
@@ -25,8 +34,8 @@ def save_accepted(
     proposals: ProposalsOf,
     made_by: str,
     residual_after: Array,
-) -> Path | None:
-    """Save the deviations of the last windows that passed all gates; return the revision, None where none passed.
+) -> Adoption:
+    """Save the deviations of the last windows that passed all gates, if no revision of the twin holds them already.
 
     Parameters
     ----------
@@ -54,14 +63,13 @@ def save_accepted(
             notes.append(f"{name} stays: {', '.join(codes) or 'no window ran'}")
             continue
         value, sd = next((v, s) for n, v, s in proposals(passed[-1]) if n == name)
-        low, high = (float(b[0]) for b in result.network.bounds([IDS[name]]))
-        if not low < value < high:
-            notes.append(f"{name} stays: {value:.3f} is outside its bounds {low:g} to {high:g}")
-            continue
         values[IDS[name]] = float(f"{value:.5g}")
-        notes.append(f"{name} {value:.4g} +- {sd:.2g} at {iso(windows[passed[-1]].end_s)}")
+        notes.append(f"{name} {estimate_text(value, NORMAL * sd)} (90 %) at {iso(windows[passed[-1]].end_s)}")
     if not values:
-        return None
+        return Adoption(None)
+    evidence = label_evidence(result.labels)
+    if there := same_revision(result.twin, made_by, result.record.digest, evidence, values):
+        return Adoption(None, f"{there.name} holds the accepted values already; no revision is written")
     revision = Revision(
         made_by=made_by,
         notes=tuple(notes),
@@ -71,9 +79,9 @@ def save_accepted(
         error_after_K={"outlet": _rms(residual_after)},
         window_s=(float(result.minutes.time_s[0]), float(result.minutes.time_s[-1])),
         effects=tuple(f"{name} {values[name]:.4g}" for name in values),
-        evidence="windows that passed all gates",
+        evidence=evidence,
     )
-    return save_revision(result.network.with_values(values, revision), result.twin)
+    return Adoption(save_revision(result.network.with_values(values, revision), result.twin))
 
 
 def _rms(values: Array) -> float:

@@ -1,7 +1,8 @@
 """Governance of a calibration: append-only records, review queue, states, drift alarm.
 
 `records.jsonl` has a line for every five minutes of a cell, some 300 bytes, so 32 MB a year. A line holds the hash of
-the line before, so a line that was changed or removed later is found. Its keys:
+the line before, so a line that was changed or removed later is found; `calibration.json` holds the end of the chain.
+Its keys:
 
 | key | content |
 |---|---|
@@ -31,7 +32,7 @@ from numpy.typing import NDArray
 from hil.files import replacing
 from hil.record import RecordError
 from hil.tower.governance.gates import Verdict
-from hil.tower.station import iso
+from hil.tower.station import iso, misfit, seconds
 from twin.tower import Array, TargetWindow
 
 RECORDS, QUEUE = "records.jsonl", "review_queue.json"
@@ -42,9 +43,11 @@ twin."""
 EVERY_S = 300.0
 HASH = 12
 """Hex digits of a hash: 48 bits identify a line among some 1e5 with a chance of 1e-5 that two agree."""
+_LINE = {"t": str, "c": int, "f": [str], "p": str}
+_REMEDY = "restore the file, or calibrate into another folder"
 DRIFT_HOURS = 24
-DRIFT_LIMITS = {"residual_mean": 0.25, "coverage": 0.80, "withheld": 0.5, "missing": 0.25, "distance": 4.0}
-"""K; shares; standard deviations of the operating points. Two of them beyond their limits for a day raise the alarm."""
+DRIFT_LIMITS = {"residual_mean": 0.25, "coverage": 0.80, "withheld": 0.5, "missing": 0.25, "distance": 1.0}
+"""K; shares; novelty of the operating point. Two of them beyond their limits for a day raise the alarm."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,14 @@ def _running(rows: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 @dataclass(frozen=True)
+class ChainEnd:
+    """End of a chain of records: number of its lines, and hash of the last one, "" for none."""
+
+    lines: int
+    last: str
+
+
+@dataclass(frozen=True)
 class CellLines:
     """Content of a cell's records, by line (n,): times, deviations and standard deviations (n, 4), and the rest."""
 
@@ -108,32 +119,25 @@ class CellLines:
 
 def append_records(path: Path, cells: Sequence[CellLines], state: str) -> int:
     """Append the records of the cells to the file and return their number; times that it has already are not written
-    again.
+    again. The file is a copy that replaces the other one when all is written, so an error leaves nothing half written.
 
     Raises
     ------
     RecordError
-        The file ends in the middle of a line or a line of it was changed.
+        A line of the file was changed.
     OSError
         The file cannot be written.
     """
-    last, until = check_records(path)
-    count, size = 0, path.stat().st_size if path.is_file() else 0
-    try:
-        with path.open("a", encoding="utf-8") as handle:
-            for cell in cells:
-                for line in _lines(cell, state, until.get(cell.cell, -np.inf)):
-                    line["p"] = last
-                    text = json.dumps(line, separators=(",", ":"), allow_nan=False)
-                    last = hashlib.sha256(text.encode()).hexdigest()[:HASH]
-                    handle.write(text + "\n")
-                    count += 1
-    except OSError:
-        # Nothing is left half written, as on a disk that is full.
-        if path.is_file():
-            with path.open("r+b") as handle_b:
-                handle_b.truncate(size)
-        raise
+    end, until = _checked(path)
+    last, count = end.last, 0
+    with path.open("a", encoding="utf-8") as handle:
+        for cell in cells:
+            for line in _lines(cell, state, until.get(cell.cell, -np.inf)):
+                line["p"] = last
+                text = json.dumps(line, separators=(",", ":"), allow_nan=False)
+                last = _hash(text.encode())
+                handle.write(text + "\n")
+                count += 1
     return count
 
 
@@ -175,39 +179,78 @@ def _rounded(values: Array, digits: int) -> list[float | None]:
     return [_number(v, digits) for v in values]
 
 
-def check_records(path: Path) -> tuple[str, dict[int, float]]:
-    """Return the hash of the last line, and the last time of each cell s; "" and nothing of a file that is not there.
+def check_records(path: Path, end: ChainEnd | None) -> None:
+    """Check a chain of records up to its end.
+
+    Parameters
+    ----------
+    path
+        The file.
+    end
+        End of the chain as `calibration.json` tells it; None where no such chain was written.
 
     Raises
     ------
     RecordError
-        A line is damaged, or does not follow from the one before.
+        A line is damaged, does not follow from the one before, or the chain ends elsewhere.
     """
     if not path.is_file():
-        return "", {}
-    last, until = "", {}
-    with path.open(encoding="utf-8") as handle:
-        for number, text in enumerate(handle, 1):
-            try:
-                line = json.loads(text)
-                follows = line["p"] == last and text.endswith("\n")
-                until[int(line["c"])] = _epoch(line["t"])
-            except (ValueError, KeyError, TypeError) as error:
-                raise RecordError(
-                    f"{path}:{number}: is no record of a calibration; restore the file or give another folder"
-                ) from error
-            if not follows:
-                raise RecordError(
-                    f"{path}:{number}: does not follow from the line before: a line was changed or removed; restore "
-                    f"the file or "
-                    "give another folder"
-                )
-            last = hashlib.sha256(text.rstrip("\n").encode()).hexdigest()[:HASH]
-    return last, until
+        if end is not None:
+            raise RecordError(f"{path}: is missing, and {end.lines} records were written; {_REMEDY}")
+        return
+    found, _ = _checked(path)
+    if end is None:
+        raise RecordError(f"{path}: is no file of this calibration, which wrote no such records; take it away")
+    if found.lines != end.lines:
+        what = "removed from" if found.lines < end.lines else "added to"
+        raise RecordError(
+            f"{path}: has {found.lines} records and {end.lines} were written: lines were {what} its end; {_REMEDY}"
+        )
+    if found.last != end.last:
+        raise RecordError(f"{path}:{found.lines}: is not the last line that was written: it was changed; {_REMEDY}")
 
 
-def _epoch(text: str) -> float:
-    return float(np.datetime64(text.rstrip("Z"), "s").astype(np.int64))
+def _checked(path: Path) -> tuple[ChainEnd, dict[int, float]]:
+    """Return the end of a chain whose lines follow from one another, and the last time of each cell, s."""
+    until: dict[int, float] = {}
+    last, number = "", 0
+    if not path.is_file():
+        return ChainEnd(0, ""), {}
+    try:
+        with path.open("rb") as handle:
+            for number, text in enumerate(handle, 1):
+                until.update([_checked_line(path, number, text, last)])
+                last = _hash(text.rstrip(b"\n"))
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read ({error.strerror}); {_REMEDY}") from error
+    return ChainEnd(number, last), until
+
+
+def _checked_line(path: Path, number: int, text: bytes, before: str) -> tuple[int, float]:
+    """Return cell and time of a line that follows from the hash of the one before."""
+    try:
+        line = json.loads(text)
+        fault = misfit(line, _LINE)
+        time_s = 0.0 if fault else seconds(line["t"])
+    except (ValueError, RecursionError) as error:
+        fault, time_s = str(error), 0.0
+    if fault:
+        raise RecordError(f"{path}:{number}: is no record of a calibration ({fault}); {_REMEDY}")
+    if line["p"] != before or not text.endswith(b"\n"):
+        raise RecordError(
+            f"{path}:{number}: does not follow from the line before: a line was changed or removed; {_REMEDY}"
+        )
+    return line["c"], time_s
+
+
+def chain_end(path: Path) -> ChainEnd:
+    """Return the end of a chain that was just written; raises OSError."""
+    lines = path.read_bytes().splitlines()
+    return ChainEnd(len(lines), _hash(lines[-1]) if lines else "")
+
+
+def _hash(text: bytes) -> str:
+    return hashlib.sha256(text).hexdigest()[:HASH]
 
 
 def write_queue(path: Path, entries: Sequence[dict[str, Any]]) -> None:

@@ -9,15 +9,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 
+from hil.files import require_complete
 from hil.record import RecordError
-from hil.tower.calibration import TABLE
-from hil.tower.governance.records import NETWORK_RECORDS, QUEUE, RECORDS, check_records
+from hil.tower.calibration import TABLE, read_minutes, read_remarks
+from hil.tower.governance.calibration_folder import check_chains
+from hil.tower.governance.records import NETWORK_RECORDS, QUEUE, RECORDS
 from hil.tower.network import NETWORK, NETWORK_TABLE, read_about
-from twin.tower import DEVIATIONS
+from hil.tower.station import misfit, read_object
+from twin.tower import DEVIATIONS, condition_text
+from twin.tower.calibration import NORMAL
 
 REPORT = "report.md"
+_NEEDED = ("t_out", "t_out_lo", "t_out_hi", "t_out_commissioned", *DEVIATIONS)
+_PROPOSALS = {"proposals": [{"time": str, "cell": int}]}
+_PROPOSAL = {
+    "parameter": str,
+    "value": float,
+    "sd": float,
+    "accepted": bool,
+    "codes": [str],
+    "condition": float,
+    "combined": str,
+    "calibrator?": str,
+}
+_HAPPENED = {"event": str, "size_K?": float, "indicators?": [str], "text?": str}
 
 
 @dataclass(frozen=True)
@@ -40,12 +56,12 @@ def report(out: Path) -> str:
     Raises
     ------
     RecordError
-        The folder holds no calibration, or its records were changed.
+        The folder holds no calibration, or its records were changed, or a file of it is damaged.
     """
+    require_complete(out, RecordError)
     if not (out / TABLE).is_file():
         raise RecordError(f"{out}: holds no {TABLE}; make it with hil tower calibrate")
-    check_records(out / RECORDS)
-    check_records(out / NETWORK_RECORDS)
+    check_chains(out)
     cells, columns = _read(out / TABLE)
     found = [_of(columns, cells == c, int(c), "Gauss-Newton") for c in np.unique(cells)]
     network = out / NETWORK_TABLE
@@ -55,6 +71,7 @@ def report(out: Path) -> str:
         found += [_of(answered, cells == c, int(c), "network") for c in np.unique(cells)]
     found.sort(key=lambda one: one.cell)
     text = ["# Calibration", "", _span(columns["time"]), "", *_outlet_table(found)]
+    text += [f"\nCell {cell}: {one}." for cell, sentences in read_remarks(out / TABLE).items() for one in sentences]
     if asked:
         text += ["", read_about(network).sentence()]
     text += ["", *_flags(out / RECORDS)]
@@ -66,15 +83,18 @@ def report(out: Path) -> str:
 
 def _read(path: Path) -> tuple[Any, dict[str, Any]]:
     """Return the cell of each row of a table, and its other columns."""
-    try:
-        table = pq.read_table(path)
-        return table["cell"].to_numpy(), {n: table[n].to_numpy() for n in table.schema.names if n != "cell"}
-    except (OSError, ValueError, KeyError) as error:
-        raise RecordError(f"{path}: cannot be read ({error}); calibrate again") from error
+    found = read_minutes(path, _NEEDED, "calibrate again")
+    if not found:
+        raise RecordError(f"{path}: has no minute; calibrate again")
+    columns = {name: np.concatenate([one[name] for one in found.values()]) for name in ("time", "cell", *_NEEDED)}
+    return columns.pop("cell"), columns
 
 
 def _span(time: Any) -> str:
-    return f"From {str(time.min())[:16]} to {str(time.max())[:16]} UTC. Intervals are 90 %; a dash is a withheld value."
+    return (
+        f"From {str(time.min())[:16]} to {str(time.max())[:16]} UTC. Intervals are 90 %; a dash is a deviation "
+        f"that the record hardly informs."
+    )
 
 
 def _of(columns: dict[str, Any], rows: Any, cell: int, calibrator: str) -> _Cell:
@@ -121,15 +141,14 @@ def _flags(path: Path) -> list[str]:
         return ["No records."]
     count: Counter[str] = Counter()
     total = 0
-    with path.open(encoding="utf-8") as handle:
+    with path.open("rb") as handle:
         for text in handle:
-            line = json.loads(text)
             total += 1
-            count.update(line["f"])
+            count.update(json.loads(text)["f"])
     lines = [
         f"{total} records of five minutes, in an unbroken chain. Reason codes:",
         "",
-        "| code | share of records |",
+        "| code | share of all records |",
         "|---|---|",
     ]
     return lines + [f"| `{code}` | {100 * number / total:.1f} % |" for code, number in count.most_common()]
@@ -138,17 +157,21 @@ def _flags(path: Path) -> list[str]:
 def _proposals(path: Path) -> list[str]:
     if not path.is_file():
         return ["The calibrator is in its shadow state; there is no review queue."]
-    entries = json.loads(path.read_text()).get("proposals", [])
-    lines = ["## Review queue", ""]
+    entries = read_object(path, _PROPOSALS, "calibrate again")["proposals"]
+    lines = ["## Review queue", "", "Verdicts are those of the last window that ran, not of the shares above.", ""]
     for e in entries:
+        shape = _PROPOSAL if "parameter" in e else _HAPPENED
+        if fault := misfit(e, shape):
+            raise RecordError(f"{path}: a proposal's {fault}; calibrate again")
         if "parameter" in e:
             by = ", network" if e.get("calibrator") == NETWORK else ""
             verdict = "all gates hold" if e["accepted"] else f"held back: {', '.join(e['codes'])}"
             if any(code.startswith("LOW_SENSITIVITY") for code in e["codes"]):
-                verdict += f"; condition {e['condition']:g}, known least: {e['combined']}"
-            lines.append(
-                f"- {e['time']} cell {e['cell']}{by}: {e['parameter']} {e['value']:.3f} ± {e['sd']:.3f}; {verdict}"
-            )
+                verdict += f"; condition {condition_text(e['condition'])}, the combination shown least: {e['combined']}"
+            value = f"{e['value']:.3f} ± {NORMAL * e['sd']:.3f}"
+            lines.append(f"- {e['time']} cell {e['cell']}{by}: {e['parameter']} {value}; {verdict}")
+        elif "text" in e:
+            lines.append(f"- {e['time']} cell {e['cell']}: {e['text']}")
         else:
             further = f" of {e['size_K']:+.2f} K" if "size_K" in e else f" by {', '.join(e.get('indicators', []))}"
             lines.append(f"- {e['time']} cell {e['cell']}: {e['event'].replace('_', ' ')}{further}")

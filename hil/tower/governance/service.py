@@ -12,9 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.tower.calibration import CellResult, site_of
-from hil.tower.governance.adoption import save_accepted
-from hil.tower.governance.gates import GateEvidence, Verdict, judge
+from hil.tower.calibration import (
+    CellResult,
+    conflict_sentence,
+    contradiction_sentence,
+    remarks_of,
+    site_of,
+    step_sentence,
+)
+from hil.tower.governance.adoption import Adoption, save_accepted
+from hil.tower.governance.gates import GateEvidence, ProposalsOf, Verdict, held_beyond_bounds, judge
 from hil.tower.governance.network_service import NetworkGovernance, network_governance
 from hil.tower.governance.records import (
     EVERY_S,
@@ -27,6 +34,7 @@ from hil.tower.governance.records import (
     drift_alarms,
     write_queue,
 )
+from hil.tower.governance.reverted import hold_reverted
 from hil.tower.network import StationAnswers
 from hil.tower.station import StationNotes, iso, seconds
 from twin.tower import (
@@ -36,7 +44,7 @@ from twin.tower import (
     CellModel,
     TargetWindow,
     design_of,
-    distances,
+    novelty,
     value_of,
     windows_of,
 )
@@ -45,12 +53,13 @@ from twin.tower.calibration import WINDOW_S
 REQUIRED = ("t_in_C", "t_out_C", "m_w_kg_s", "fan_speed_pct", "fan_power_kW", "dry_C", "pressure_kPa")
 """Channels that a calibration needs, beside a wet bulb."""
 INSPECTIONS = ("inspection",)
+STEP_CODES = {"water": "CONTRADICTORY_EVENT", "thermometer": "THERMOMETER_STEP", "fan": "FAN_STEP"}
 
 
 @dataclass(frozen=True)
 class CellGovernance:
     """Windows, verdicts and alarms of a cell, and the revision of its twin where one was saved; `network`: the same of
-    a network that was asked."""
+    a network that was asked; `remarks`: sentences for the user."""
 
     result: CellResult
     windows: Sequence[TargetWindow]
@@ -59,6 +68,7 @@ class CellGovernance:
     revision: Path | None
     balance: str
     network: NetworkGovernance | None = None
+    remarks: tuple[str, ...] = ()
 
     @property
     def withheld(self) -> dict[str, float]:
@@ -76,16 +86,24 @@ class CellGovernance:
         if told.refused == "MISSING_REQUIRED":
             return f"the last window is refused: {100 * told.hidden:.0f} % of its channels are hidden"
         return (
-            f"the last day does not identify all deviations (condition {told.condition:.0f}, limit "
-            f"{MOST_CONDITION:.0f}); known least: {told.says()}; {', '.join(told.frozen)} is held back. "
+            f"the last day does not identify all deviations (condition {told.condition_says()}, limit "
+            f"{MOST_CONDITION:.0f}); the combination that it shows least is {told.says()}; "
+            f"{', '.join(told.frozen)} is held back. "
             f"`hil tower plan` proposes a step test"
         )
 
 
 def govern(
-    results: Sequence[CellResult], notes: StationNotes, out: Path, state: str, asked: StationAnswers | None = None
+    results: Sequence[CellResult],
+    notes: StationNotes,
+    out: Path,
+    state: str,
+    asked: StationAnswers | None = None,
+    propose_reverted: bool = False,
 ) -> list[CellGovernance]:
-    """Write records and review queue of the cells into `out`, and revisions of their twins in the controlled state.
+    """Write records and review queue of the cells into `out`.
+
+    `adopt_accepted` saves the revisions of the twins afterwards.
 
     Parameters
     ----------
@@ -99,12 +117,14 @@ def govern(
         Use of the calibration: shadow, advisory or controlled.
     asked
         Answers of a network, which are governed in their own mode.
+    propose_reverted
+        Propose values again that an operator reverted.
 
     Raises
     ------
     RecordError
         The records that are there were changed.
-    OSError, TwinFileError
+    OSError
         A file cannot be written.
     ValueError
         Both calibrators would revise the twins.
@@ -115,10 +135,22 @@ def govern(
     found, lines, queue = [], [], []
     for result in results:
         windows, verdicts, balance = _judged(result, notes)
+        gates, remarks = verdicts, remarks_of(result)
+        proposed = _proposals_of(result, windows)
+        verdicts = held_beyond_bounds(windows, gates, proposed, result.network)
+        if not propose_reverted:
+            verdicts, said = hold_reverted(result, windows, verdicts, proposed)
+            remarks = (*remarks, *said)
         alarms = drift_alarms(_indicators(result, windows, verdicts))
         lines.append(_lines(result, windows, verdicts))
-        network = None if asked is None else network_governance(result, windows, verdicts, asked)
-        found.append(CellGovernance(result, windows, verdicts, alarms, None, balance, network))
+        network = None if asked is None else network_governance(result, windows, gates, asked)
+        if network is not None:
+            of_network = held_beyond_bounds(windows, network.verdicts, network.proposals, result.network)
+            if not propose_reverted:
+                of_network, said = hold_reverted(result, windows, of_network, network.proposals)
+                remarks = (*remarks, *said)
+            network = replace(network, verdicts=of_network)
+        found.append(CellGovernance(result, windows, verdicts, alarms, None, balance, network, remarks))
         if state != "shadow":
             queue += _queue(result, windows, verdicts, alarms, state)
         if network is not None and mode != "shadow":
@@ -127,13 +159,31 @@ def govern(
     if asked is not None:
         governed = [one.network.lines(_twin_digest(one.result)) for one in found if one.network is not None]
         append_records(out / NETWORK_RECORDS, governed, mode)
-    if state == "controlled":
-        found = [_controlled(one) for one in found]
-    if mode == "controlled":
-        found = [_controlled_by_network(one) for one in found]
     if state != "shadow" or mode != "shadow":
         write_queue(out / QUEUE, queue)
     return found
+
+
+def adopt_accepted(cells: Sequence[CellGovernance], state: str, network_mode: str) -> list[CellGovernance]:
+    """Save the accepted deviations of the calibrator that is controlled as revisions of the twins.
+
+    Parameters
+    ----------
+    cells
+        Governed cells, whose records are written.
+    state, network_mode
+        Use of the proposals of Gauss-Newton and of the network.
+
+    Raises
+    ------
+    TwinFileError
+        The folder of a twin cannot be written.
+    """
+    if state == "controlled":
+        return [_controlled(one) for one in cells]
+    if network_mode == "controlled":
+        return [_controlled_by_network(one) for one in cells]
+    return list(cells)
 
 
 def _judged(result: CellResult, notes: StationNotes) -> tuple[list[TargetWindow], list[Verdict], str]:
@@ -142,19 +192,18 @@ def _judged(result: CellResult, notes: StationNotes) -> tuple[list[TargetWindow]
     columns, n = result.record.columns, len(result.record.time_s)
     hidden = np.mean([~np.isfinite(columns.get(name, np.full(n, np.nan))) for name in REQUIRED], axis=0)
     windows = windows_of(model, result.minutes, result.calibrated, hidden, result.second, not result.unused)
-    told = [k for k, w in enumerate(windows) if not w.told.refused]
-    distance = distances([w.features for w in windows], told)
     dropped = _shares(result, windows, ~np.isfinite(columns.get("wet_C", np.full(n, np.nan))))
     bypass = _shares(result, windows, result.minutes.operation.bypass > 0.05)
     balance = result.unused
     inspections = [
-        seconds(e["time"])
-        for e in notes.events
-        if e.get("kind") in INSPECTIONS and int(e.get("cell", 0)) in (0, result.cell)
+        seconds(e["time"]) for e in notes.events if e["kind"] in INSPECTIONS and e["cell"] in (0, result.cell)
     ]
     unexplained = [s.start_s for s in result.steps if s.lasting and s.kind == "water"]
-    evidence = GateEvidence(result.labels, inspections, unexplained, result.second, balance)
-    return windows, judge(windows, distance, dropped, bypass, evidence), balance
+    conflicts = frozenset(one.label.parameter for one in result.conflicts)
+    evidence = GateEvidence(
+        result.labels, inspections, unexplained, result.second, balance, bool(result.contradictions), conflicts
+    )
+    return windows, judge(windows, dropped, bypass, evidence), balance
 
 
 def _shares(result: CellResult, windows: Sequence[TargetWindow], rows: NDArray[np.bool_]) -> Array:
@@ -202,7 +251,7 @@ def _indicators(result: CellResult, windows: Sequence[TargetWindow], verdicts: S
         coverage = np.bincount(hour, covered, count) / seen
     time_s = m.time_s[0] + 3600.0 * np.arange(count)
     at = np.clip(((time_s - windows[0].start_s) // WINDOW_S).astype(int), 0, len(windows) - 1)
-    distance = distances([w.features for w in windows], list(range(len(windows))))[at]
+    distance = novelty([w.features for w in windows], [True] * len(windows))[at]
     withheld = np.array([float(bool(verdicts[k].codes)) for k in at])
     missing = np.array([windows[k].told.hidden for k in at])
     return Indicators(time_s, mean, coverage, withheld, missing, distance)
@@ -244,9 +293,32 @@ def _queue(
                     "event": f"{step.kind}_step",
                     "from": iso(step.start_s),
                     "size_K": round(step.size, 2),
-                    "codes": ["CONTRADICTORY_EVENT"] if step.kind == "water" else ["THERMOMETER_STEP"],
+                    "text": step_sentence(step),
+                    "codes": [STEP_CODES[step.kind]],
                 }
             )
+    bound = result.priors.bounds["bias"]
+    for span in result.contradictions:
+        entries.append(
+            {
+                "time": iso(span.end_s),
+                "cell": result.cell,
+                "event": "contradictory_record",
+                "from": iso(span.start_s),
+                "text": contradiction_sentence(span, bound),
+                "codes": ["CONTRADICTORY_RECORD"],
+            }
+        )
+    for one in result.conflicts:
+        entries.append(
+            {
+                "time": iso(one.label.time_s),
+                "cell": result.cell,
+                "event": "contradictory_label",
+                "text": conflict_sentence(one),
+                "codes": [f"CONTRADICTORY_LABEL:{one.label.parameter}"],
+            }
+        )
     entries += [
         {"time": iso(t), "cell": result.cell, "event": "drift_alarm", "indicators": list(names)} for t, names in alarms
     ]
@@ -267,24 +339,33 @@ def _proposals(result: CellResult, window: TargetWindow) -> list[tuple[str, floa
     ]
 
 
+def _proposals_of(result: CellResult, windows: Sequence[TargetWindow]) -> ProposalsOf:
+    return lambda k: _proposals(result, windows[k])
+
+
+def _adopted(one: CellGovernance, adoption: Adoption) -> CellGovernance:
+    remarks = (*one.remarks, adoption.remark) if adoption.remark else one.remarks
+    return replace(one, revision=adoption.revision, remarks=remarks)
+
+
 def _controlled(one: CellGovernance) -> CellGovernance:
     """Save the deviations of the last windows that passed all gates as a revision of the twin."""
-    revision = save_accepted(
+    adoption = save_accepted(
         one.result,
         one.windows,
         one.verdicts,
-        lambda k: _proposals(one.result, one.windows[k]),
+        _proposals_of(one.result, one.windows),
         "hil tower calibrate",
         one.result.calibrated.posterior.residual,
     )
-    return one if revision is None else replace(one, revision=revision)
+    return _adopted(one, adoption)
 
 
 def _controlled_by_network(one: CellGovernance) -> CellGovernance:
     """Save the network's deviations of the last windows that passed all gates as a revision of the twin."""
     assert one.network is not None
     network = one.network
-    revision = save_accepted(
+    adoption = save_accepted(
         one.result,
         one.windows,
         network.verdicts,
@@ -292,4 +373,4 @@ def _controlled_by_network(one: CellGovernance) -> CellGovernance:
         "hil tower calibrate --network-mode controlled",
         network.residual(),
     )
-    return one if revision is None else replace(one, revision=revision)
+    return _adopted(one, adoption)

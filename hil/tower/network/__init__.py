@@ -18,7 +18,7 @@ if TYPE_CHECKING:
         ask_network,
         check_network,
     )
-    from hil.tower.network.table_file import NETWORK_TABLE, read_about, remove_table, write_network_table
+    from hil.tower.network.table_file import NETWORK_TABLE, read_about, write_network_table
 
 __all__ = [
     "NETWORK",
@@ -29,7 +29,6 @@ __all__ = [
     "ask_network",
     "check_network",
     "read_about",
-    "remove_table",
     "write_network_table",
 ]
 
@@ -37,6 +36,6 @@ __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "answers": ("NETWORK", "NetworkAnswers", "NetworkMode", "StationAnswers", "ask_network", "check_network"),
-        "table_file": ("NETWORK_TABLE", "read_about", "remove_table", "write_network_table"),
+        "table_file": ("NETWORK_TABLE", "read_about", "write_network_table"),
     },
 )

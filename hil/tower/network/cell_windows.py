@@ -15,10 +15,9 @@ from hil.record import RecordError
 from hil.tower.calibration import (
     CellResult,
     Healthy,
+    healthy_of,
     load_all,
     openings_of,
-    path_beside,
-    read_healthy,
     site_of,
 )
 from hil.tower.station import StationNotes, events_of, iso, read_cell, read_channels, read_notes
@@ -121,7 +120,7 @@ def check_cells(record: Path, twins: Sequence[Path]) -> None:
 
 def _healthy(path: Path, time_s: Array, twin: Path, network: Network) -> Healthy:
     """Return the healthy record of a cell's twin, which the record `path` has to hold."""
-    found = read_healthy(path_beside(twin, network))
+    found = healthy_of(twin, network)
     if found is None:
         raise HieraError(
             f"{twin} has no healthy record, which the network reads as its memory of the plant; commission the cell "

@@ -67,11 +67,6 @@ def write_network_table(answers: StationAnswers, results: Sequence[CellResult], 
     return out / NETWORK_TABLE
 
 
-def remove_table(out: Path) -> None:
-    """Remove the table of an earlier calibration, which no longer stands beside its own record."""
-    (out / NETWORK_TABLE).unlink(missing_ok=True)
-
-
 def read_about(path: Path) -> AboutNetwork:
     """Return the origin of a table.
 
@@ -89,7 +84,7 @@ def read_about(path: Path) -> AboutNetwork:
             tuple(map(str, found["blind"])),
             str(found.get("outlet", "")),
         )
-    except (OSError, KeyError, ValueError, TypeError, pa.ArrowInvalid) as error:
+    except (OSError, KeyError, ValueError, TypeError, pa.ArrowException) as error:
         raise RecordError(f"{path}: is no table of a network ({error}); calibrate again with --network") from error
 
 

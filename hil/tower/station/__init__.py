@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.tower.station.alignment import Aligned, align, iso
+    from hil.tower.station.alignment import Aligned, align
     from hil.tower.station.collection import Collected, collect
+    from hil.tower.station.csv_store import open_samples
     from hil.tower.station.description import read_station
     from hil.tower.station.errors import TowerOutputError, writing
-    from hil.tower.station.input_files import read_object, read_rows
+    from hil.tower.station.input_files import read_datasheet, read_object, read_rows
+    from hil.tower.station.json_shape import misfit
     from hil.tower.station.record import (
         CellRecord,
         StationNotes,
@@ -25,9 +27,11 @@ if TYPE_CHECKING:
         read_channels,
         read_labels,
         read_notes,
-        seconds,
+        span_of,
         station_of,
+        unused_labels,
     )
+    from hil.tower.station.times import iso, seconds
 
 __all__ = [
     "Aligned",
@@ -41,15 +45,20 @@ __all__ = [
     "event_entries",
     "events_of",
     "iso",
+    "misfit",
+    "open_samples",
     "read_cell",
     "read_channels",
+    "read_datasheet",
     "read_labels",
     "read_notes",
     "read_object",
     "read_rows",
     "read_station",
     "seconds",
+    "span_of",
     "station_of",
+    "unused_labels",
     "writing",
 ]
 
@@ -59,21 +68,23 @@ __getattr__, __dir__ = lazy_names(
         "alignment": (
             "Aligned",
             "align",
-            "iso",
         ),
         "collection": (
             "Collected",
             "collect",
         ),
+        "csv_store": ("open_samples",),
         "description": ("read_station",),
         "errors": (
             "TowerOutputError",
             "writing",
         ),
         "input_files": (
+            "read_datasheet",
             "read_object",
             "read_rows",
         ),
+        "json_shape": ("misfit",),
         "record": (
             "CellRecord",
             "StationNotes",
@@ -84,8 +95,10 @@ __getattr__, __dir__ = lazy_names(
             "read_channels",
             "read_labels",
             "read_notes",
-            "seconds",
+            "span_of",
             "station_of",
+            "unused_labels",
         ),
+        "times": ("iso", "seconds"),
     },
 )

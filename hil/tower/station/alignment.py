@@ -30,6 +30,8 @@ against speed, 2 pump work against flow, 4 outlet below wet bulb, 8 outlet above
 A column whose tag is not in the dictionary is there and missing throughout. `<column>_how` and `<column>_age_min`
 exist for every column that has a tag. Metadata of the file (`hil.tower`): JSON with cell, station, format version.
 
+The files replace those of an earlier record in the folder together, and cells that are not in the new one go.
+
 `alignment.json`: `{"defects": [{"type", "tags", "from", "to", "says", "repair"}], "cells", "minutes", "yield",
 "remarks"}`, times in ISO 8601, UTC. `station.json`: datasheet, and events with their influence period and
 parameters, for the calibrator.
@@ -37,13 +39,10 @@ parameters, for the calibrator.
 
 from __future__ import annotations
 
-import contextlib
-import datetime
 import json
-import os
-import shutil
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,9 +50,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from drivers.historian import HistorianStore, Samples
+from hil.files import held, replacing_all
 from hil.record import RecordError
+from hil.tower.station.csv_store import CsvStore
 from hil.tower.station.description import Station
-from hil.tower.station.errors import TowerOutputError
+from hil.tower.station.errors import TowerOutputError, writing
+from hil.tower.station.times import iso
 from twin.historian import (
     CellMinutes,
     Defect,
@@ -64,7 +66,9 @@ from twin.historian import (
     in_usual_units,
     influence_of,
     order_and_silence,
+    out_of_range,
     shared_minutes,
+    without_strays,
 )
 from twin.historian.defects import Repaired, find_and_repair
 
@@ -82,26 +86,80 @@ class Aligned:
     complete: Mapping[int, float]
 
 
-def align(store: HistorianStore, station: Station, out: Path) -> Aligned:
+def align(store: HistorianStore, station: Station, out: Path, stamps: str | None = None) -> Aligned:
     """Write the aligned record of the station's tags into the folder `out` and return the report.
+
+    Parameters
+    ----------
+    store
+        Historian with the raw samples.
+    station
+        Tag dictionary, datasheet and events.
+    out
+        Folder of the record.
+    stamps
+        Zone of the store's time stamps where they carry none, IANA; None: UTC, unless a change of clock or other tags
+        show local time.
 
     Raises
     ------
     RecordError
-        The store has none of the tags, or no minute.
+        The store has none of the tags, or no minute; or the dictionary has no outlet thermometer.
     HistorianError
         The store fails.
     TowerOutputError
-        The folder cannot be written; nothing is left half written.
+        The folder cannot be written, or another process works on it; nothing is left half written.
     """
+    if not station.cells:
+        raise RecordError(
+            "no tag of the dictionary has the role water_outlet_temperature, so no cell gets a record; map the tag of "
+            "each cell's outlet thermometer"
+        )
+    ignored = _own_zone(store, stamps)
+    if ignored:
+        stamps = None
     raw, remarks = read_series(store, station)
-    remarks = [*station.remarks, *remarks, *order_and_silence(raw, station.places)]
-    raw, wrong = in_usual_units(raw, station.places, station.design_flow_kg_s)
-    remarks += wrong
-    repaired = find_and_repair(raw, timezone=station.timezone, pressure_kPa=station.pressure_kPa, events=station.events)
+    remarks = [*ignored, *remarks]
+    raw, strays = without_strays(raw, station.places)
+    raw, wrong = in_usual_units(raw, station.places, station.design_flow_kg_s, station.full_speed)
+    repaired = find_and_repair(
+        raw,
+        timezone=station.timezone,
+        stamps=stamps,
+        pressure_kPa=station.pressure_kPa,
+        events=station.events,
+        full_speed=station.full_speed,
+    )
+    local = frozenset(name for one in repaired.defects if one.kind == "local_time" for name in one.tags)
+    if isinstance(store, CsvStore) and store.zoneless and stamps is None and not local:
+        strays.append(
+            f"{store.zoneless[0]}: its times have no time zone and are taken as UTC; where they are local, name their "
+            f"zone with --stamps"
+        )
+    local |= frozenset(one.tag.name for one in raw) if stamps is not None else frozenset()
+    remarks = [*station.remarks, *remarks, *strays, *order_and_silence(raw, station.places, local), *wrong]
     del raw
+    outside = out_of_range(repaired.series, station.full_speed)
+    repaired = replace(repaired, defects=tuple(sorted((*repaired.defects, *outside), key=lambda one: one.start_s)))
     remarks += repaired.remarks
     return write_record(repaired, station, out, remarks)
+
+
+def _own_zone(store: HistorianStore, stamps: str | None) -> list[str]:
+    """Return a sentence if the stamps carry a zone of their own, so that they are no local times of `stamps`."""
+    if stamps is None:
+        return []
+    if store.zoned is None:
+        raise RecordError(
+            f"some files of the store have time stamps with a zone, and others without: --stamps {stamps} cannot name "
+            f"that of all; align them apart, or write the zone into the stamps"
+        )
+    if not store.zoned:
+        return []
+    return [
+        f"--stamps {stamps} is not used: the time stamps of the store carry a zone of their own, which names their "
+        f"moment; where it is wrong, write them without one"
+    ]
 
 
 def read_series(store: HistorianStore, station: Station) -> tuple[list[Series], list[str]]:
@@ -144,7 +202,7 @@ def write_record(repaired: Repaired, station: Station, out: Path, remarks: list[
     start, end = min(low for low, _ in times), max(high for _, high in times)
     shared = shared_minutes(repaired.series, start, end, station.full_speed, station.pressure_kPa)
     complete = {}
-    with _staged(out) as staging:
+    with writing(out), held(out, TowerOutputError), replacing_all(out, _is_of_record) as staging:
         for cell in station.cells:
             rows = disturbed(station.events, cell, shared.minute_s)
             minutes = cell_minutes(repaired.series, shared, cell, rows, station.full_speed)
@@ -165,23 +223,9 @@ def write_record(repaired: Repaired, station: Station, out: Path, remarks: list[
     return Aligned(repaired.defects, tuple(remarks), files, len(shared.minute_s), complete)
 
 
-@contextlib.contextmanager
-def _staged(out: Path) -> Iterator[Path]:
-    """Yield a folder whose files are moved into `out` when the block ends well: the record is whole or not there."""
-    made = not out.exists()
-    staging = out / f".{os.getpid()}.part"
-    try:
-        staging.mkdir(parents=True)
-        yield staging
-        for path in sorted(staging.iterdir()):
-            path.replace(out / path.name)
-    except OSError as error:
-        raise TowerOutputError(f"{out}: the record cannot be written: {error.strerror or error}; make room") from error
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
-        if made:
-            with contextlib.suppress(OSError):
-                out.rmdir()  # only if nothing came of it
+def _is_of_record(name: str) -> bool:
+    """Return True for the name of a record's file."""
+    return re.fullmatch(r"cell\d+\.parquet|alignment\.json|station\.json", name) is not None
 
 
 def _write(path: Path, minutes: CellMinutes, cell: int, station: Station) -> None:
@@ -194,11 +238,6 @@ def _write(path: Path, minutes: CellMinutes, cell: int, station: Station) -> Non
 
 def _write_json(path: Path, document: Any) -> None:
     path.write_text(json.dumps(document, indent=1) + "\n")
-
-
-def iso(time_s: float) -> str:
-    """Return a time as ISO 8601 in UTC, to the second."""
-    return datetime.datetime.fromtimestamp(time_s, datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def _defect(one: Defect) -> dict[str, Any]:

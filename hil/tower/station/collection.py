@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drivers.historian import BAD, GOOD, UNCERTAIN, HistorianStore, Samples
+from drivers.historian import BAD, GOOD, UNCERTAIN, HistorianAwayError, HistorianStore, Samples
 from drivers.rig import RigConnection
 from drivers.rig_file import Rig
 from drivers.signals import LinkError, Quality
@@ -24,7 +24,8 @@ CODES = {
 }
 """OPC quality code of each quality of a reading."""
 FLUSH_S = 60.0
-"""Time after which collected samples are stored: at most these are lost in a crash."""
+"""Time after which collected samples are stored, and a store that was away is asked again: at most these are lost in a
+crash."""
 CALENDAR_S = 1.0e9
 """Source time from which a device's clock shows the calendar, s since 1970: no device runs for thirty years."""
 MOST_WAITING = 1_000_000
@@ -33,10 +34,12 @@ MOST_WAITING = 1_000_000
 
 @dataclass
 class Collected:
-    """Count of what was collected: polls, samples, and failures of the link, with the last one's sentence."""
+    """Count of what was collected: polls, samples, how often the store stayed away, and failures of the link, with the
+    last one's sentence."""
 
     polls: int = 0
     samples: int = 0
+    away: int = 0
     failures: int = 0
     last_failure: str = ""
 
@@ -55,15 +58,72 @@ class _Waiting:
         self.rows.setdefault(name, []).append((time_s, value, quality))
         self.count += 1
 
+    def taken(self) -> _Waiting:
+        """Return all samples so far, which wait here no longer."""
+        batch = _Waiting(self.rows, self.since_s, self.count)
+        self.rows, self.count = {}, 0
+        return batch
+
+    def put_back(self, batch: _Waiting) -> None:
+        """Let the samples of a batch wait again, before the others."""
+        for name, rows in self.rows.items():
+            batch.rows.setdefault(name, []).extend(rows)
+        self.rows, self.count = batch.rows, batch.count + self.count
+
     def store(self, into: HistorianStore) -> int:
-        """Append all to the store and forget them; on an error nothing is forgotten."""
+        """Append all samples to the store and return their number."""
         samples = {}
         for name, rows in self.rows.items():
             columns = np.asarray(rows, dtype=np.float64)
             samples[name] = Samples(columns[:, 0], columns[:, 1], columns[:, 2].astype(np.int16))
         into.append(samples)
-        stored, self.rows, self.count = self.count, {}, 0
-        return stored
+        return self.count
+
+
+class _Storing:
+    """Storage of what was collected, beside the polls: a store that is slow or away delays none of them."""
+
+    def __init__(self, into: HistorianStore, waiting: _Waiting, done: Collected) -> None:
+        self.into, self.waiting, self.done = into, waiting, done
+        self._batch: _Waiting | None = None
+        self._task: asyncio.Task[int] | None = None
+
+    async def go_on(self) -> None:
+        """Begin to store what waits when its time has come, and take the result of what is done.
+
+        Raises
+        ------
+        HistorianError
+            The store fails, or is away while `MOST_WAITING` samples wait.
+        """
+        waits = self.waiting.count + (self._batch.count if self._batch else 0)
+        if self._task is not None and (self._task.done() or waits >= MOST_WAITING):
+            await self._result(final=waits >= MOST_WAITING)
+        if self._task is None and (
+            time.monotonic() - self.waiting.since_s >= FLUSH_S or self.waiting.count >= MOST_WAITING
+        ):
+            self.waiting.since_s = time.monotonic()
+            self._batch = self.waiting.taken()
+            self._task = asyncio.create_task(asyncio.to_thread(self._batch.store, self.into))
+
+    async def finish(self) -> None:
+        """Store all that waits; raises `HistorianError` as `go_on`."""
+        if self._task is not None:
+            await self._result(final=False)
+        if self.waiting.count:
+            self.done.samples += self.waiting.taken().store(self.into)
+
+    async def _result(self, *, final: bool) -> None:
+        task, batch = self._task, self._batch
+        assert task is not None and batch is not None
+        self._task = self._batch = None
+        try:
+            self.done.samples += await task
+        except HistorianAwayError:
+            self.waiting.put_back(batch)
+            self.done.away += 1
+            if final:
+                raise
 
 
 async def collect(
@@ -102,26 +162,27 @@ async def collect(
     LinkError
         The rig cannot be reached at the beginning; later failures are counted.
     HistorianError
-        The store fails.
+        The store fails. A store that is away (`HistorianAwayError`) is asked again until `MOST_WAITING` samples wait.
     """
     connection = RigConnection(rig, time.monotonic)
     await connection.connect()
     done, waiting = Collected(), _Waiting(since_s=time.monotonic())
     end = math.inf if minutes is None else time.monotonic() + 60.0 * minutes
     due = time.monotonic()
+    storing = _Storing(into, waiting, done)
     try:
         while due < end:
             await asyncio.sleep(max(due - time.monotonic(), 0.0))
             await _poll(connection, waiting, done, now)
-            if time.monotonic() - waiting.since_s >= FLUSH_S or waiting.count >= MOST_WAITING:
-                done.samples += waiting.store(into)
-                waiting.since_s = time.monotonic()
+            await storing.go_on()
             progress(done)
             due = max(due + every_s, time.monotonic())
     finally:
-        await connection.close()
-        if waiting.count:
-            done.samples += waiting.store(into)
+        # Samples first: a connection that fails to close loses none of them.
+        try:
+            await storing.finish()
+        finally:
+            await connection.close()
     return done
 
 

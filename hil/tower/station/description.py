@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-import datetime
+import math
 import zoneinfo
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from hil.record import RecordError
-from hil.tower.station.input_files import read_object, read_rows
-from twin.historian import OF_CELL, OF_STATION, Event, Tag, UnitError, unit_of
+from hil.tower.station.input_files import read_datasheet, read_rows
+from hil.tower.station.times import iso, seconds
+from twin.historian import (
+    INFLUENCE,
+    OF_CELL,
+    OF_STATION,
+    SPEEDS,
+    Event,
+    Tag,
+    UnitError,
+    full_speed_of,
+    influence_of,
+    unit_of,
+)
 
 REQUIRED = ("tag", "unit", "role")
 
@@ -67,8 +79,30 @@ def read_station(tags: Path, datasheet: Path | None = None, events: Path | None 
     """
     dictionary, remarks, places = _tags(tags)
     sheet = _datasheet(datasheet) if datasheet is not None else {}
+    _refuse_other_speeds(dictionary, sheet, places, datasheet)
     happened = read_events(events) if events is not None else ()
+    if events is not None:
+        remarks += _doubtful_events(events, happened, {tag.cell for tag in dictionary.values()})
     return Station(dictionary, sheet, happened, tuple(remarks), places)
+
+
+def _doubtful_events(path: Path, events: tuple[Event, ...], cells: set[int | None]) -> list[str]:
+    """Return a sentence for each event of a cell without a tag, and for each class that moves no parameter."""
+    remarks = []
+    for event in events:
+        day = iso(event.time_s)[:10]
+        if event.cell and event.cell not in cells:
+            remarks.append(
+                f"{path.name}: {event.kind} of {day} is of cell {event.cell}, which has no tag in the dictionary; it "
+                f"changes nothing: give the number of its cell, or 0 for the station"
+            )
+    for kind in sorted({event.kind for event in events if event.kind not in INFLUENCE}):
+        if not any(influence_of(kind, event.text).parameters for event in events if event.kind == kind):
+            remarks.append(
+                f"{path.name}: class {kind!r} is not known, and its words name no part; it lets no parameter jump: "
+                f"use one of {', '.join(sorted(INFLUENCE))}"
+            )
+    return remarks
 
 
 def _tags(path: Path) -> tuple[dict[str, Tag], list[str], dict[str, str]]:
@@ -96,7 +130,7 @@ def _tags(path: Path) -> tuple[dict[str, Tag], list[str], dict[str, str]]:
             raise RecordError(f"{path}:{line}: {name} has role {role} and no cell; give the number of its cell")
         wanted = (OF_CELL.get(role) or OF_STATION[role]).dimension
         dimension = unit_of(row["unit"]).dimension
-        if dimension != wanted and not (wanted == "share" and dimension in ("frequency", "state")):
+        if dimension != wanted and not (wanted == "share" and dimension in (*SPEEDS, "state")):
             raise RecordError(
                 f"{path}:{line}: {name} is in {row['unit']}, a unit of {dimension}; a {role} is a {wanted}"
             )
@@ -116,27 +150,65 @@ def _cell(path: Path, line: int, name: str, text: str) -> int | None:
     if not text:
         return None
     try:
-        cell = int(float(text))
-    except ValueError:
-        raise RecordError(
-            f"{path}:{line}: {name} has cell {text!r}; give a whole number, or nothing for the station"
-        ) from None
+        number = float(text)
+        cell = int(number)
+    except (ValueError, OverflowError):
+        number, cell = math.nan, 0
+    if number != cell:
+        raise RecordError(f"{path}:{line}: {name} has cell {text!r}; give a whole number, or nothing for the station")
     return cell if cell > 0 else None
 
 
 def _number(path: Path, line: int, name: str, text: str) -> float:
     try:
-        return max(float(text), 1.0)
+        seconds = float(text)
     except ValueError:
-        raise RecordError(f"{path}:{line}: {name} has scan_s {text!r}; give seconds as a number") from None
+        seconds = math.nan
+    if not 0.0 < seconds < math.inf:
+        raise RecordError(f"{path}:{line}: {name} has scan_s {text!r}; give seconds as a number above 0")
+    return max(seconds, 1.0)
 
 
 def _datasheet(path: Path) -> dict[str, Any]:
-    found = read_object(path)
+    found = read_datasheet(path)
     zone = found.get("timezone")
     if zone is not None and zone not in zoneinfo.available_timezones():
         raise RecordError(f"{path}: {zone!r} is no time zone; give one of the IANA names, such as Europe/Madrid")
+    _refuse_site(path, found)
     return found
+
+
+def _refuse_site(path: Path, sheet: dict[str, Any]) -> None:
+    """Raise RecordError for a pressure that no site has, and for a speed that is none."""
+    design, fan = sheet.get("design"), sheet.get("fan")
+    pressure = design.get("pressure_kPa") if isinstance(design, dict) else None
+    column = OF_STATION["barometric_pressure"]
+    if isinstance(pressure, int | float) and not column.low <= pressure <= column.high:
+        raise RecordError(
+            f"{path}: design.pressure_kPa is {pressure:g}, which no site has; give it in kPa, {column.low:g} to "
+            f"{column.high:g}"
+        )
+    speed = fan.get("speed_100pct") if isinstance(fan, dict) else None
+    if speed is not None:
+        try:
+            full_speed_of(str(speed))
+        except UnitError as error:
+            raise RecordError(f"{path}: fan.speed_100pct {error}") from error
+
+
+def _refuse_other_speeds(
+    tags: dict[str, Tag], sheet: dict[str, Any], places: dict[str, str], datasheet: Path | None
+) -> None:
+    """Raise RecordError for a speed in rpm where 100 % is given in Hz, or the other way round."""
+    text = Station(tags, sheet).full_speed
+    full = full_speed_of(text)[1]
+    for tag in tags.values():
+        unit = unit_of(tag.unit)
+        if unit.dimension in SPEEDS and unit.dimension != full.dimension:
+            raise RecordError(
+                f"{places[tag.name]}: {tag.name} is in {tag.unit}, but {datasheet or 'the default'} gives 100 % speed "
+                f"as {text}; write fan.speed_100pct of the datasheet in {tag.unit}"
+            )
 
 
 def read_events(path: Path) -> tuple[Event, ...]:
@@ -150,16 +222,16 @@ def read_events(path: Path) -> tuple[Event, ...]:
     found = []
     for line, row in read_rows(path, ("time", "event")):
         text = row["time"]
-        by_day = row.get("precision", "") == "day" or len(text) <= 10
+        precision = row.get("precision", "").lower()
+        if precision not in ("", "minute", "day"):
+            raise RecordError(f"{path}:{line}: precision is {row['precision']!r}; write minute or day, or nothing")
+        by_day = precision == "day" or len(text) <= 10
         try:
-            moment = datetime.datetime.fromisoformat(text.replace("Z", "+00:00"))
+            time_s = seconds(text)
         except ValueError:
             raise RecordError(
-                f"{path}:{line}: {text!r} is no time; write it as 2024-07-31T14:05:00Z or 2024-07-31"
+                f"{path}:{line}: {text!r} is no time from 1970 on; write it as 2024-07-31T14:05:00Z or 2024-07-31"
             ) from None
-        moment = moment if moment.tzinfo else moment.replace(tzinfo=datetime.UTC)
         cell = _cell(path, line, row["event"], row.get("cell", ""))
-        found.append(
-            Event(moment.timestamp(), by_day, cell or 0, row["event"], row.get("source", ""), row.get("text", ""))
-        )
+        found.append(Event(time_s, by_day, cell or 0, row["event"], row.get("source", ""), row.get("text", "")))
     return tuple(sorted(found, key=lambda event: event.time_s))

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from drivers.historian import why_unwritten
+
 
 class TowerOutputError(Exception):
     """A result cannot be written; one sentence that names the folder and the remedy."""
@@ -13,9 +15,8 @@ class TowerOutputError(Exception):
 
 @contextmanager
 def writing(out: Path) -> Iterator[None]:
-    """Raise TowerOutputError where a file in or at `out` cannot be written, as on a full disk."""
+    """Raise TowerOutputError where a file in or at `out` cannot be written, with the remedy."""
     try:
         yield
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise TowerOutputError(f"{out}: cannot be written: {reason}; make room, or give another path") from error
+        raise TowerOutputError(f"{out}: cannot be written: {why_unwritten(error)}") from error

@@ -3,12 +3,36 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from pathlib import Path
 from typing import Any
 
 from drivers.rig_file import read_regular
 from hil.record import RecordError
+from hil.tower.station.json_shape import Shape, misfit
+
+OTHER_MARKS = {
+    mark: f": its columns are separated by {name}; save it with commas, and decimals with points"
+    for mark, name in ((";", "semicolons"), ("\t", "tabs"))
+}
+DATASHEET: Shape = {
+    "station?": str,
+    "timezone?": str,
+    "cells_in_station?": int,
+    "design?": {
+        "water_flow_kg_s?": float,
+        "water_to_air?": float,
+        "water_inlet_C?": float,
+        "wet_bulb_C?": float,
+        "range_K?": float,
+        "pressure_kPa?": float,
+    },
+    "fan?": {},
+    "bypass?": {"share_when_open?": float},
+    "basin?": {"volume_m3?": float, "compartments?": int, "first_compartment_cells?": [int]},
+}
+"""Keys of a datasheet that commands use by name; further ones are passed on as they are."""
 
 
 def read_rows(path: Path, required: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:
@@ -19,29 +43,65 @@ def read_rows(path: Path, required: tuple[str, ...]) -> list[tuple[int, dict[str
     RecordError
         The file cannot be read, is no UTF-8 text, or lacks a column.
     """
-    reader = csv.DictReader(_text(path).splitlines())
-    missing = [name for name in required if name not in (reader.fieldnames or ())]
-    if missing:
-        have = ", ".join(reader.fieldnames or ()) or "nothing"
-        raise RecordError(f"{path}: lacks the column {', '.join(missing)}; its first line has {have}")
-    return [(reader.line_num, {k: (v or "").strip() for k, v in row.items() if k}) for row in reader]
+    # Only line feeds and carriage returns end a line of a CSV table, not the further characters of `str.splitlines`.
+    reader = csv.DictReader(io.StringIO(_text(path), newline=""))
+    try:
+        missing = [name for name in required if name not in (reader.fieldnames or ())]
+        if missing:
+            have = ", ".join(reader.fieldnames or ()) or "nothing"
+            other = next((words for mark, words in OTHER_MARKS.items() if mark in have), "")
+            raise RecordError(f"{path}: lacks the column {', '.join(missing)}; its first line has {have}{other}")
+        return [(reader.line_num, {k: (v or "").strip() for k, v in row.items() if k}) for row in reader]
+    except csv.Error as error:
+        raise RecordError(
+            f"{path}:{reader.line_num + 1}: is no line of a CSV table ({error}); is a quotation mark missing?"
+        ) from error
 
 
-def read_object(path: Path) -> dict[str, Any]:
-    """Return the object of a JSON file.
+def read_object(path: Path, shape: Shape, remedy: str) -> dict[str, Any]:
+    """Return the object of a JSON file, without keys whose value is null.
+
+    Parameters
+    ----------
+    path
+        The file.
+    shape
+        What it has to hold (`json_shape`).
+    remedy
+        What to do with a file that does not hold it.
 
     Raises
     ------
     RecordError
-        The file cannot be read, is not JSON or not an object.
+        The file cannot be read, is not JSON, or not of that shape.
     """
     try:
-        found = json.loads(_text(path))
-    except ValueError as error:
-        raise RecordError(f"{path}: is not valid JSON: {error}") from error
+        found = _without_nulls(json.loads(_text(path)))
+    except (ValueError, RecursionError) as error:
+        reason = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
+        raise RecordError(f"{path}: is not valid JSON: {reason}; {remedy}") from error
     if not isinstance(found, dict):
-        raise RecordError(f"{path}: is not a JSON object; a datasheet has keys such as design and fan")
+        raise RecordError(f"{path}: is not a JSON object; {remedy}")
+    if fault := misfit(found, shape):
+        raise RecordError(f"{path}: {fault}; {remedy}")
     return found
+
+
+def read_datasheet(path: Path) -> dict[str, Any]:
+    """Return the datasheet of a station.
+
+    Raises
+    ------
+    RecordError
+        The file cannot be read, or a key that is used has another type.
+    """
+    return read_object(path, DATASHEET, "correct the datasheet")
+
+
+def _without_nulls(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nulls(one) for key, one in value.items() if one is not None}
+    return [_without_nulls(one) for one in value] if isinstance(value, list) else value
 
 
 def _text(path: Path) -> str:

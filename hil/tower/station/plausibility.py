@@ -25,7 +25,7 @@ NEAR_MIN, JUMP_K = 5, 0.5
 """Minutes between neighbouring samples, and the change of a temperature between them that water, air and thermowells
 do not make as a rule: shuffled rows of a day differ by kelvins."""
 STILL_K = 1e-6
-PLAUSIBLE = {
+MEDIANS = {
     "t_in_C": (0.0, 70.0),
     "t_out_C": (0.0, 60.0),
     "wet_C": (-30.0, 40.0),
@@ -70,7 +70,7 @@ def refuse_implausible(
                 f"FLAT_RECORD: {path}: {name} stands at {values[0]:.2f} throughout; map the tag of a thermometer that "
                 "is alive and align again"
             )
-    for name, (low, high) in PLAUSIBLE.items():
+    for name, (low, high) in MEDIANS.items():
         known = columns[name][np.isfinite(columns[name])] if name in columns else np.zeros(0)
         if len(known) and not low <= float(np.median(known)) <= high:
             hint = next(words for end, words in HINTS.items() if name.endswith(end))

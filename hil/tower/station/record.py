@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import hashlib
 import json
 import math
@@ -13,14 +12,18 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from hil.files import require_complete
 from hil.record import RecordError
 from hil.tower.station.alignment import event_entry
 from hil.tower.station.description import read_events
-from hil.tower.station.input_files import read_rows
+from hil.tower.station.input_files import DATASHEET, read_object, read_rows
+from hil.tower.station.json_shape import Shape
 from hil.tower.station.plausibility import refuse_implausible
+from hil.tower.station.times import iso, seconds
 from twin.historian import Event
 from twin.tower import BOUNDS, Array
 from twin.tower.cell_observations import Label
@@ -30,6 +33,24 @@ NEEDED = ("t_in_C", "t_out_C", "m_w_kg_s", "dry_C")
 well."""
 EMPTY = 0.005
 """Share of minutes below which a column counts as missing throughout."""
+
+_NOTES: Shape = {
+    "datasheet": DATASHEET,
+    "events": [
+        {
+            "time": str,
+            "by_day": bool,
+            "cell": int,
+            "kind": str,
+            "source": str,
+            "text?": str,
+            "from": str,
+            "to": str,
+            "parameters": [frozenset(BOUNDS)],
+        }
+    ],
+}
+"""Content of `station.json`."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +82,45 @@ def cells_of(record: Path) -> tuple[int, ...]:
 def station_of(record: Path, cell: int) -> str:
     """Return the station that a cell's file names; "" where it names none or is damaged."""
     try:
-        about = json.loads((pq.read_schema(record / f"cell{cell}.parquet").metadata or {}).get(b"hil.tower", b"{}"))
-    except (OSError, ValueError, pa.ArrowInvalid):
+        about = _about(pq.read_schema(record / f"cell{cell}.parquet"))
+    except (OSError, ValueError, pa.ArrowException):
         return ""
     return str(about.get("station", ""))
+
+
+def _about(schema: pa.Schema) -> dict[str, Any]:
+    """Return what a cell's file says of itself; raises ValueError."""
+    found = json.loads((schema.metadata or {}).get(b"hil.tower", b"{}"))
+    if not isinstance(found, dict):
+        raise ValueError("its metadata are no object")
+    return found
+
+
+def _read_table(path: Path, columns: list[str] | None = None) -> tuple[pa.Table, str]:
+    """Return the table of a cell's file, with times in ms, and the file's SHA-256.
+
+    Raises
+    ------
+    RecordError
+        It cannot be read, or has no times.
+    """
+    try:
+        content = path.read_bytes()
+        schema = pq.read_schema(pa.BufferReader(content))
+        _about(schema)
+        if "time" not in schema.names or not pa.types.is_timestamp(schema.field("time").type):
+            raise ValueError("it has no column of times")
+        table = pq.read_table(pa.BufferReader(content), columns=columns)
+        if table["time"].null_count:
+            raise ValueError("it has minutes without a time")
+        at = table.schema.get_field_index("time")
+        table = table.set_column(at, "time", table["time"].cast(pa.timestamp("ms", tz="UTC"), safe=False))
+    except (OSError, ValueError, pa.ArrowException) as error:
+        reason = (str(error).splitlines() or ["no reason is given"])[0]
+        raise RecordError(f"{path}: cannot be read as an aligned record ({reason}); align the store again") from error
+    if table.num_rows == 0:
+        raise RecordError(f"{path}: has no minute; align the store again")
+    return table, hashlib.sha256(content).hexdigest()
 
 
 def read_cell(record: Path, cell: int) -> CellRecord:
@@ -76,27 +132,36 @@ def read_cell(record: Path, cell: int) -> CellRecord:
         The record has no such cell, its file is damaged, a needed column is missing throughout, or it is no record of
         a plant.
     """
+    require_complete(record, RecordError)
     path = record / f"cell{cell}.parquet"
     if not path.is_file():
         there = ", ".join(f"cell {n}" for n in cells_of(record)) or "no cell"
         raise RecordError(f"{record}: has no cell {cell}; it has {there}: align the store again or name another twin")
-    try:
-        table = pq.read_table(path)
-        about = json.loads((table.schema.metadata or {}).get(b"hil.tower", b"{}"))
-    except (OSError, ValueError, pa.ArrowInvalid) as error:
-        raise RecordError(f"{path}: cannot be read as an aligned record ({error}); align the store again") from error
+    table, digest = _read_table(path)
+    about = _about(table.schema)
     if about.get("cell") != cell:
         raise RecordError(f"{path}: says that it is of cell {about.get('cell')}, not {cell}; align the store again")
-    if table.num_rows == 0:
-        raise RecordError(f"{path}: has no minute; align the store again")
     columns = {n: np.asarray(table[n].to_numpy(), dtype=np.float64) for n in table.schema.names if _is_number(table, n)}
     origin = {n: table[f"{n}_how"].to_numpy().astype(np.uint8) for n in columns if f"{n}_how" in table.schema.names}
     columns = {n: v for n, v in columns.items() if not n.endswith(("_how", "_age_min"))}
     time_s = table["time"].cast(pa.int64()).to_numpy().astype(np.float64) / 1e3
     _refuse_empty(path, columns)
     refuse_implausible(path, time_s, columns, origin)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
     return CellRecord(cell, time_s, columns, origin, digest, path)
+
+
+def span_of(record: Path, cell: int) -> tuple[float, float, str]:
+    """Return the first and last minute of a cell's file, s since 1970, and the file's SHA-256.
+
+    Raises
+    ------
+    RecordError
+        The file cannot be read.
+    """
+    require_complete(record, RecordError)
+    table, digest = _read_table(record / f"cell{cell}.parquet", ["time"])
+    ends = pc.min_max(table["time"].cast(pa.int64()))
+    return ends["min"].as_py() / 1e3, ends["max"].as_py() / 1e3, digest
 
 
 def read_channels(path: Path) -> dict[str, NDArray[Any]]:
@@ -107,10 +172,7 @@ def read_channels(path: Path) -> dict[str, NDArray[Any]]:
     RecordError
         The file cannot be read.
     """
-    try:
-        table = pq.read_table(path)
-    except (OSError, ValueError, pa.ArrowInvalid) as error:
-        raise RecordError(f"{path}: cannot be read as an aligned record ({error}); align the store again") from error
+    table, _ = _read_table(path)
     return {name: table[name].to_numpy() for name in table.schema.names if _is_number(table, name)}
 
 
@@ -136,59 +198,34 @@ def _refuse_empty(path: Path, columns: dict[str, Array]) -> None:
 
 
 def read_notes(record: Path) -> StationNotes:
-    """Return datasheet and events of a record; nothing where it has none.
+    """Return datasheet and events of a record.
 
     Raises
     ------
     RecordError
-        The file is damaged.
+        The file is missing or damaged, or of another shape than the alignment writes.
     """
+    require_complete(record, RecordError)
     path = record / "station.json"
-    if not path.is_file():
-        return StationNotes()
-    try:
-        found = json.loads(path.read_text())
-        return StationNotes(dict(found.get("datasheet", {})), tuple(found.get("events", ())))
-    except (OSError, ValueError, AttributeError) as error:
-        raise RecordError(f"{path}: cannot be read ({error}); align the store again") from error
+    remedy = "align the store again"
+    if not path.exists():
+        raise RecordError(f"{path}: is missing; {remedy}")
+    found = read_object(path, _NOTES, remedy)
+    for k, event in enumerate(found["events"]):
+        for key in ("time", "from", "to"):
+            try:
+                seconds(event[key])
+            except ValueError:
+                raise RecordError(f"{path}: events[{k}].{key} is {event[key]!r}, which is no time; {remedy}") from None
+    return StationNotes(found["datasheet"], tuple(found["events"]))
 
 
 def events_of(notes: StationNotes) -> tuple[Event, ...]:
-    """Return the events of a record.
-
-    Raises
-    ------
-    RecordError
-        An event lacks a key or has no time that can be read.
-    """
-    try:
-        return tuple(
-            Event(
-                seconds(row["time"]),
-                bool(row["by_day"]),
-                int(row["cell"]),
-                row["kind"],
-                row["source"],
-                row.get("text", ""),
-            )
-            for row in notes.events
-        )
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise RecordError(
-            f"station.json: holds no events that can be read ({error}); align the record again"
-        ) from error
-
-
-def seconds(text: str) -> float:
-    """Return a time in ISO 8601 as seconds since 1970; without an offset it is UTC.
-
-    Raises
-    ------
-    ValueError
-        It is no time.
-    """
-    found = datetime.datetime.fromisoformat(text.strip().replace("Z", "+00:00"))
-    return (found if found.tzinfo else found.replace(tzinfo=datetime.UTC)).timestamp()
+    """Return the events of a record."""
+    return tuple(
+        Event(seconds(row["time"]), row["by_day"], row["cell"], row["kind"], row["source"], row.get("text") or "")
+        for row in notes.events
+    )
 
 
 def event_entries(path: Path) -> tuple[dict[str, Any], ...]:
@@ -202,16 +239,47 @@ def read_labels(path: Path, cells: tuple[int, ...]) -> tuple[Label, ...]:
     Raises
     ------
     RecordError
-        A column is missing, or a line has no time, an unknown parameter or kind, or bounds the wrong way round.
+        A column is missing, or a line has no time, an unknown parameter or kind, bounds the wrong way round, or a
+        value outside the bounds of the deviation.
     """
     found = [_label(path, line, row) for line, row in read_rows(path, ("time", "cell", "parameter", "kind"))]
     return tuple(label for label in found if label.cell in cells)
 
 
+def unused_labels(path: Path, cells: tuple[int, ...], span_s: tuple[float, float]) -> list[str]:
+    """Return a sentence for each label of a cell or a time that the record has not.
+
+    Parameters
+    ----------
+    path
+        File that `read_labels` reads.
+    cells
+        Cells of the record.
+    span_s
+        First and last minute of the record, s since 1970.
+    """
+    remarks = []
+    for line, row in read_rows(path, ("time", "cell", "parameter", "kind")):
+        label = _label(path, line, row)
+        if label.cell not in cells:
+            there = ", ".join(map(str, cells))
+            remarks.append(f"{path}:{line}: cell {label.cell} is none of the record's ({there}); the label is not used")
+        elif not span_s[0] <= label.time_s <= span_s[1] + 60.0:
+            low, high = (_day(time_s) for time_s in span_s)
+            remarks.append(
+                f"{path}:{line}: {_day(label.time_s)} is outside the record ({low} to {high}); check the date"
+            )
+    return remarks
+
+
+def _day(time_s: float) -> str:
+    return iso(time_s)[:10]
+
+
 def _label(path: Path, line: int, row: dict[str, str]) -> Label:
     where = f"{path}:{line}"
     try:
-        time_s, cell = seconds(row["time"] or ""), int(row["cell"])
+        time_s, cell = seconds(row["time"]), int(row["cell"])
     except ValueError as error:
         raise RecordError(
             f"{where}: time or cell cannot be read ({error}); write a time as 2022-10-06T15:00:00Z"
@@ -223,13 +291,36 @@ def _label(path: Path, line: int, row: dict[str, str]) -> Label:
         raise RecordError(f"{where}: kind {kind!r} is unknown; it is interval (lo, hi) or point (value, sd)")
     clean = 0.0 if parameter == "bias" else 1.0
     a, b = (_cell_number(where, row, n) for n in (("lo", "hi") if kind == "interval" else ("value", "sd")))
+    _refuse_far(where, parameter, clean, (a, b) if kind == "interval" else (a,))
     if kind == "interval":
         if not a < b:
             raise RecordError(f"{where}: lo {a:g} is not below hi {b:g}; correct them")
         return Label(time_s, cell, parameter, a - clean, b - clean, None, row.get("source", "") or "")
     if b <= 0.0:
         raise RecordError(f"{where}: sd {b:g} is not above 0; give the standard uncertainty of the measurement")
+    if b > BOUNDS[parameter]:
+        raise RecordError(
+            f"{where}: sd {b:g} is above the bound of {parameter} itself, {BOUNDS[parameter]:g}; give the standard "
+            f"uncertainty in the unit of value, not in %"
+        )
     return Label(time_s, cell, parameter, a - clean, a - clean, b, row.get("source", "") or "")
+
+
+def _refuse_far(where: str, parameter: str, clean: float, values: tuple[float, ...]) -> None:
+    """Raise RecordError for a label that is wholly outside the bounds that a twin file gives the deviation."""
+    bound = BOUNDS[parameter]
+    low, high = clean - bound, clean + bound
+    if max(values) >= low and min(values) <= high:
+        return
+    meaning = (
+        "the reading less the true temperature, K"
+        if parameter == "bias"
+        else "a multiplier of the clean cell, about 1, not in % and not less one"
+    )
+    given = " to ".join(f"{value:g}" for value in values)
+    raise RecordError(
+        f"{where}: {parameter} is {given}, outside {low:g} to {high:g}; a label of {parameter} is {meaning}"
+    )
 
 
 def _cell_number(where: str, row: dict[str, str], name: str) -> float:

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from hil.bench.tower_steps import try_steps
 from hil.cli.verbs import group
 from hil.record.raw import RecordError
-from tests.hil.tower.test_calibrate import SHEET, files, run, write_points, write_record
+from tests.hil.tower.made_plant import SHEET, files, run, write_points, write_record
 
 
 @pytest.fixture(scope="module")

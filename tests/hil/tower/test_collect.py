@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from drivers.historian import HistorianError, Samples, open_store
+from drivers.historian import HistorianAwayError, HistorianError, Samples, open_store
 from drivers.rig_file.reader import load_rig
 from drivers.signals.points import LinkError, Quality, Snapshot
 from hil.tower.station import collection as module
@@ -90,6 +91,17 @@ def test_a_store_that_fails_ends_the_collection_with_its_sentence(tmp_path: Path
         asyncio.run(collect(RIG, Full(), every_s=0.02, minutes=0.1 / 60))  # type: ignore[arg-type]
 
 
+def test_a_connection_that_fails_to_close_loses_no_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def broken(self: _Connection) -> None:
+        raise LinkError("the socket is gone")
+
+    monkeypatch.setattr(_Connection, "close", broken)
+    with open_store(tmp_path / "s", create=True) as store:
+        with pytest.raises(LinkError, match="the socket is gone"):
+            asyncio.run(collect(RIG, store, every_s=0.02, minutes=0.1 / 60, now=_clock()))
+        assert len(store.read([RIG.point[0].name])[RIG.point[0].name]) >= 2
+
+
 def test_progress_counts_polls(tmp_path: Path) -> None:
     seen: list[int] = []
 
@@ -99,3 +111,47 @@ def test_progress_counts_polls(tmp_path: Path) -> None:
     with open_store(tmp_path / "s", create=True) as store:
         asyncio.run(collect(RIG, store, every_s=0.02, minutes=0.1 / 60, progress=note))
     assert seen == list(range(1, len(seen) + 1)) and seen
+
+
+def test_a_store_that_is_away_delays_no_poll_and_loses_no_sample(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "FLUSH_S", 0.05)
+
+    class Away:
+        """A store that blocks and then stays away in its first three calls."""
+
+        calls = 0
+        times: tuple[float, ...] = ()
+        polled: tuple[int, ...] = ()
+
+        def append(self, samples: dict[str, Samples]) -> None:
+            self.calls += 1
+            if self.calls <= 3:
+                before = len(seen)
+                time.sleep(0.2)
+                self.polled += (len(seen) - before,)
+                raise HistorianAwayError("went away")
+            self.times += tuple(samples[RIG.point[0].name].time_s)
+
+    seen: list[int] = []
+    store = Away()
+    length = {"every_s": 0.02, "minutes": 1.5 / 60}
+    done = asyncio.run(
+        collect(RIG, store, **length, now=_clock(), progress=lambda d: seen.append(d.polls))  # type: ignore[arg-type]
+    )
+    assert done.away == 3 and done.samples == 5 * done.polls
+    assert min(store.polled) > 0
+    assert list(store.times) == sorted(store.times) and len(store.times) == done.polls
+
+
+def test_a_store_that_is_away_for_too_long_ends_the_collection(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "FLUSH_S", 0.02)
+    monkeypatch.setattr(module, "MOST_WAITING", 40)
+
+    class Away:
+        def append(self, samples: dict[str, Samples]) -> None:
+            raise HistorianAwayError("went away")
+
+    with pytest.raises(HistorianAwayError, match="went away"):
+        asyncio.run(collect(RIG, Away(), every_s=0.005, minutes=10.0 / 60))  # type: ignore[arg-type]

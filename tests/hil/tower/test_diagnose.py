@@ -14,7 +14,8 @@ import pytest
 from click.testing import CliRunner
 
 from hil.cli.verbs import group
-from tests.hil.tower.test_calibrate import SHEET, files, refused, write_points
+from hil.tower import diagnose_station, document
+from tests.hil.tower.made_plant import SHEET, files, refused, write_points
 from tests.twin.tower.made_cell import Made
 from tests.twin.tower.made_effect import weathered, with_recirculation
 
@@ -66,6 +67,16 @@ def test_diagnosis_names_the_effect_adopts_it_and_the_grown_twin_calibrates(plan
     review = hil("review", plant / "out")
     assert review.exit_code == 0, review.output + repr(review.exception)
     assert (plant / "out" / "review.rrd").stat().st_size > 10_000
+
+
+def test_a_step_in_the_weeks_that_no_fit_sees_hides_no_effect(plant: Path) -> None:
+    made = with_recirculation(weathered(12.0, 31), 0.15, 300.0)
+    made.columns["t_out_C"] += 0.6 * (made.time_s > made.time_s[0] + 6.0 * 86400.0)  # no reading is seen about it
+    write(plant / "stepped", made)
+    told = document(diagnose_station(plant / "stepped", [plant / "cell1.toml"], None))
+    (effect,) = told["effects"]
+    assert (effect["kind"], effect["driver"]) == ("recirculation", "wind_direction")
+    assert effect["log_odds"] > 30.0  # 12 with a walk of the bias that bends over the step
 
 
 def test_options_of_a_loop_and_a_missing_twin_are_refused_by_a_sentence(plant: Path, tmp_path: Path) -> None:

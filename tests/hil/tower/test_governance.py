@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,15 +55,25 @@ def window(
 def test_each_gate_holds_back_with_its_code(change: dict[str, float], code: str) -> None:
     nothing = GateEvidence((), (), (), False)
     zero = np.zeros(1)
-    assert code in judge([window(0, **change)], zero, zero, zero, nothing)[0].codes  # type: ignore[arg-type]
+    assert code in judge([window(0, **change)], zero, zero, nothing)[0].codes  # type: ignore[arg-type]
+
+
+def test_an_operating_point_that_was_not_seen_before_is_held_back_until_it_is_usual() -> None:
+    usual = np.random.default_rng(3).normal(0.0, 1.0, (400, 4))
+    features = np.vstack([usual[:200], usual[200:] + 100.0])
+    windows = [replace(window(k), features=row) for k, row in enumerate(features)]
+    found = judge(windows, np.zeros(400), np.zeros(400), GateEvidence((), (), (), False))
+    outside = np.array(["OUT_OF_ENVELOPE" in v.codes for v in found])
+    assert outside[:200].mean() < 0.03 and outside[200:205].all()
+    assert outside[205:].mean() < 0.1  # a plant that now runs there is no exception for ever
 
 
 def test_fill_needs_three_excited_windows_and_an_inspection_and_bias_a_second_thermometer() -> None:
     zero = np.zeros(4)
     windows = [window(k) for k in range(4)]
-    bare = judge(windows, zero, zero, zero, GateEvidence((), (), (), False))
+    bare = judge(windows, zero, zero, GateEvidence((), (), (), False))
     assert [v.accepts("fill") for v in bare] == [False] * 4 and not bare[3].accepts("bias") and bare[3].accepts("air")
-    full = judge(windows, zero, zero, zero, GateEvidence((), (0.0,), (), True, "NO_MAKEUP"))
+    full = judge(windows, zero, zero, GateEvidence((), (0.0,), (), True, "NO_MAKEUP"))
     assert [v.accepts("fill") for v in full] == [False, False, True, True] and full[0].accepts("bias")
     assert full[0].notes == ("BALANCE_OFF:NO_MAKEUP",)
 
@@ -69,11 +81,11 @@ def test_fill_needs_three_excited_windows_and_an_inspection_and_bias_a_second_th
 def test_a_frozen_deviation_is_held_back_and_the_others_pass() -> None:
     zero = np.zeros(4)
     windows = [*(window(k) for k in range(3)), window(3, frozen=("fill",))]
-    last = judge(windows, zero, zero, zero, GateEvidence((), (0.0,), (), True))[3]
+    last = judge(windows, zero, zero, GateEvidence((), (0.0,), (), True))[3]
     assert last.of["fill"] == ("LOW_SENSITIVITY:fill",) and last.accepts("uniformity")
 
 
 def test_an_unexplained_step_of_the_water_holds_everything_back_for_a_day() -> None:
     zero = np.zeros(20)
-    found = judge([window(k) for k in range(20)], zero, zero, zero, GateEvidence((), (0.0,), (7200.0 * 2 + 10,), True))
+    found = judge([window(k) for k in range(20)], zero, zero, GateEvidence((), (0.0,), (7200.0 * 2 + 10,), True))
     assert [bool(v.codes) for v in found] == [False] * 2 + [True] * 13 + [False] * 5

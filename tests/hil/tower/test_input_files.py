@@ -11,7 +11,7 @@ import pytest
 from hil.record.raw import RecordError
 from hil.tower.station.input_files import read_object, read_rows
 
-READERS = {"table": lambda path: read_rows(path, ("a",)), "object": read_object}
+READERS = {"table": lambda path: read_rows(path, ("a",)), "object": lambda path: read_object(path, {}, "mend it")}
 
 
 @pytest.mark.parametrize("reader", READERS.values(), ids=READERS)
@@ -53,4 +53,19 @@ def test_what_is_no_object_is_refused(text: str, reason: str, tmp_path: Path) ->
     path = tmp_path / "sheet.json"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(RecordError, match=reason):
-        read_object(path)
+        read_object(path, {}, "mend it")
+
+
+def test_only_line_ends_of_a_table_end_its_lines(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_bytes("a,b\r\n1,x\u2028y\x0bz\r\n2,\x85\r\n".encode())
+    assert read_rows(path, ("a",)) == [(2, {"a": "1", "b": "x\u2028y\x0bz"}), (3, {"a": "2", "b": ""})]
+    path.write_text('a,b\n1,"two\nlines"\n2,x\n')
+    assert [line for line, _ in read_rows(path, ("a",))] == [3, 4]
+
+
+def test_a_cell_that_no_table_has_is_refused_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(f'a,b\n1,2\n"{"x" * 200_000},2\n')
+    with pytest.raises(RecordError, match=r"table.csv:3: is no line of a CSV table .*is a quotation mark missing"):
+        read_rows(path, ("a",))

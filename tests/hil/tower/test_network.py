@@ -18,7 +18,7 @@ pytest.importorskip("safetensors", reason="safetensors is not installed: trained
 from hil.review import write_tower_review
 from tests.hil.reference_pages import page
 from tests.hil.tower.made_ensemble import write_ensemble
-from tests.hil.tower.test_calibrate import SHEET, files, iso, refused, run, write_points, write_record
+from tests.hil.tower.made_plant import SHEET, files, iso, refused, run, write_points, write_record
 from tests.twin.tower.made_cell import START_S
 
 FULL_SHEET = {
@@ -134,7 +134,9 @@ def test_the_controlled_mode_saves_the_network_s_accepted_deviations_as_a_revisi
     done = calibrate(plant, tmp_path / "out", "--network", card(plant), "--network-mode", "controlled", twin=twin)
     assert done.exit_code == 0, done.output + repr(done.exception)
     assert "--network-mode controlled" in (tmp_path / "cell1.r1.toml").read_text()
-    again = calibrate(plant, tmp_path / "out", twin=twin)
+    says = refused(calibrate(plant, tmp_path / "out", twin=twin))
+    assert "its network mode is controlled, not shadow; it has network ensemble; give another --out" in says
+    again = calibrate(plant, tmp_path / "out", "--replace", twin=twin)
     assert again.exit_code == 0 and not (tmp_path / "out" / "network.parquet").exists()
 
 

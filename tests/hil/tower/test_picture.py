@@ -57,11 +57,16 @@ def test_an_interval_that_misses_the_truth_covers_nothing() -> None:
     assert "| 0 % |" in compare({1: calibrated(0.5)}, {1: truth()})[-1]
 
 
-def test_a_withheld_parameter_is_a_dash_and_a_cell_without_truth_is_left_out() -> None:
+def test_a_withheld_parameter_is_a_dash_and_a_cell_without_truth_has_no_figure() -> None:
     columns = calibrated(0.1)
     columns["fill"][:] = np.nan
     assert compare({1: columns}, {1: truth()})[-1].split(" | ")[4] == "-"
-    assert compare({2: columns}, {1: truth()}) == []
+    assert compare({1: columns, 2: columns}, {1: truth()})[-1].startswith("| 2 | - | - |")
+    later = {name: values.copy() for name, values in columns.items()}
+    later["time"] = later["time"] + np.timedelta64(900, "D")
+    for other in ({2: columns}, {1: later}):
+        with pytest.raises(RecordError, match=r"no running minute of the calibrated cells [12]; give the truth of the"):
+            compare(other, {1: truth()})
 
 
 def test_a_table_that_is_no_truth_is_refused_with_the_missing_columns(tmp_path: Path) -> None:

@@ -17,16 +17,21 @@ def made() -> Made:
     return made_cell(1.0, test_days=())
 
 
-def judged(made: Made, rows: np.ndarray | None = None, **changed: np.ndarray) -> None:
+def judged(made: Made, rows: np.ndarray | None = None, **changed: np.ndarray) -> dict[str, np.ndarray]:
+    """The columns that were judged, as they are afterwards."""
     rows = np.arange(len(made.time_s)) if rows is None else rows
     columns = {name: values[rows] for name, values in {**made.columns, **changed}.items()}
     origin = {name: values[rows] for name, values in made.origin.items()}
     refuse_implausible(Path("cell1.parquet"), made.time_s, columns, origin)
+    return columns
 
 
-def test_a_record_of_a_plant_passes(made: Made) -> None:
-    judged(made)
-    judged(made, fan_speed_pct=np.full(len(made.time_s), 100.0), pressure_kPa=np.full(len(made.time_s), np.nan))
+def test_a_record_of_a_plant_passes_as_it_is(made: Made) -> None:
+    given = {name: values.copy() for name, values in made.columns.items()}
+    steady = {"fan_speed_pct": np.full(len(made.time_s), 100.0), "pressure_kPa": np.full(len(made.time_s), np.nan)}
+    for changed in ({}, steady):
+        for name, values in judged(made, **changed).items():
+            np.testing.assert_array_equal(values, {**given, **changed}[name])
 
 
 def test_shuffled_rows_are_refused_by_their_time_or_by_their_jumps(made: Made) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from hil.tower.calibration.commission import OPTIONAL, REQUIRED
+from hil.tower.governance import gates
 from tests.hil.reference_pages import FOLDER, page
 from twin.historian.checks import NAMES
 from twin.historian.columns import OF_CELL, OF_STATION
@@ -11,6 +13,7 @@ from twin.historian.events import INFLUENCE
 from twin.historian.minutes import How
 from twin.historian.regimes import Regime
 from twin.historian.units import UNITS
+from twin.tower.twin_file import BOUNDS
 
 PAGE = page("tower-record")
 
@@ -56,3 +59,24 @@ def test_codes_are_those_of_the_code() -> None:
     for origin in (How.MISSING, How.MEASURED, How.INTERPOLATED, How.HELD):
         assert f"{origin.value} {origin.name.lower()}" in text
     assert all(f"{bit} " in text for bit in NAMES)
+
+
+def test_columns_of_test_points_are_those_of_the_code() -> None:
+    needed = {name: row["Needed"] for row in PAGE.rows["Test points"] for name in _names(row["Column"])}
+    assert {name for name, word in needed.items() if word == "yes"} == set(REQUIRED)
+    assert {name for name, word in needed.items() if word == "no"} == {"test", *OPTIONAL}
+
+
+def test_bounds_of_labels_are_those_of_a_twin_file() -> None:
+    told = {
+        _names(row["Parameter"])[0]: (float(row["From"]), float(row["To"]))
+        for row in PAGE.rows["Labels"]
+        if "Parameter" in row
+    }
+    clean = {name: 0.0 if name == "bias" else 1.0 for name in BOUNDS}
+    assert told == {name: (round(clean[name] - b, 6), round(clean[name] + b, 6)) for name, b in BOUNDS.items()}
+
+
+def test_reason_codes_are_those_of_the_gates() -> None:
+    told = [_names(row["Code"])[0] for row in PAGE.rows["Reason codes"] if "Code" in row]
+    assert told == re.findall(r"^\| `([^`]+)` \|", gates.__doc__ or "", re.MULTILINE)

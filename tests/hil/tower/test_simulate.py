@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from drivers.virtual.tower import STATION_FILES
 from drivers.virtual.tower.effects import EFFECTS
 from hil.cli.tower_commands import serve, simulate
 
@@ -23,6 +24,10 @@ def test_stations_are_written_where_asked_with_truth_only_for_scoring(
     key = json.loads((tmp_path / "KEY.json").read_text())
     assert key["stationA"]["answer"]["kind"] == "solar"
     assert (tmp_path / "stationA" / "truth.parquet").exists()
+    (tmp_path / "stationA" / "rig.toml").write_text("of hil tower serve")
+    assert CliRunner().invoke(simulate.command, options, catch_exceptions=False).exit_code == 0
+    left = {path.name for path in (tmp_path / "stationA").iterdir()}
+    assert left == set(STATION_FILES) - {"truth.parquet"} | {"rig.toml"} and not (tmp_path / "KEY.json").exists()
 
 
 def test_effects_of_the_command_are_those_of_the_plant() -> None:

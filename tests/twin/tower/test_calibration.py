@@ -66,6 +66,30 @@ def test_commissioning_refuses_points_that_make_no_cooling_tower(changes: dict[s
         fit_clean_cell(clean(**changes), M_W0)
 
 
+def test_points_that_were_entered_again_are_no_further_points() -> None:
+    points = clean()
+    rows = np.zeros(12, dtype=int)
+    again = TestPoints(
+        points.inputs.take(rows), *(getattr(points, n)[rows] for n in ("t_out", "power", "m_a", "evaporation"))
+    )
+    with pytest.raises(CommissioningError, match=r"has 12 test points, of which 1 differ; at least 4 different"):
+        fit_clean_cell(again, M_W0)
+
+
+def test_outlets_of_a_day_that_mostly_contradicts_the_wet_bulb_are_not_used() -> None:
+    made = made_cell(4)
+    check = np.zeros(len(made.time_s))
+    check[2880:4320] = 4.0
+    check[2880:4320:7] = 0.0  # readings of the fault that happen to be possible
+    check[100] = 4.0  # and a single bad one in a day of good ones
+    made.columns["check"] = check
+    found = np.isfinite(minutes(made).outlet)
+    made.columns["check"] = np.zeros(len(check))
+    before = np.isfinite(minutes(made).outlet)
+    assert before[3000:4200].any() and not found[3000:4200].any()
+    assert (found == before)[:2000][np.arange(2000) != 100].all()
+
+
 def test_deviations_are_found_with_intervals_and_the_outlet_gets_better(model: CellModel) -> None:
     made = made_cell(10, seed=3)
     labels = [

@@ -12,12 +12,36 @@ from twin.tower.air import Array
 from twin.tower.calibration import fit_cell
 from twin.tower.cell import Inputs
 from twin.tower.cell_observations.evidence import Label
-from twin.tower.change_detection.changes import undeclared_changes
+from twin.tower.change_detection.changes import _window, undeclared_changes
 from twin.tower.clean_cell.commissioning import fit_clean_cell
 from twin.tower.clean_cell.discrepancy import AMPLITUDE_K, prior_sd
-from twin.tower.estimates import DAY_S, Opening, Priors, time_grid
+from twin.tower.estimates import DAY_S, Opening, Priors, moved_grid, time_grid
 from twin.tower.model import CALM, NAMES, CellModel, Operation
+from twin.tower.smoother import JUMP, RATE_SD, walk_precision, walk_variance
 from twin.tower.twin_file import BOUNDS
+
+
+def test_an_unknown_rate_adds_a_variance_that_is_common_to_all_increments() -> None:
+    edges = time_grid(0.0, 20 * DAY_S)
+    days = np.diff(0.5 * (edges[:-1] + edges[1:])) / DAY_S
+    precision, mean = walk_precision(edges, "fill", ())
+    variance, drift = walk_variance(edges, "fill", ())
+    expected = np.diag(variance) + RATE_SD["fill"] ** 2 * np.outer(days, days)
+    assert np.allclose(np.linalg.inv(precision), expected, rtol=1e-6, atol=0.0) and np.allclose(mean, drift)
+    assert np.count_nonzero(
+        walk_precision(edges, "bias", ())[0] - np.diag(1.0 / walk_variance(edges, "bias", ())[0])
+    ) <= len(days)
+
+
+def test_a_fill_that_scales_fast_is_followed_within_its_interval(model: CellModel) -> None:
+    made = made_cell(16, seed=5, fill=(1.0, 0.90), test_days=(2, 7, 12))
+    begin = float(made.time_s[0])
+    labels = [Label(begin + DAY_S, 1, "bias", 0.3, 0.3, 0.05), Label(begin + DAY_S, 1, "air", -0.07, -0.07, 0.015)]
+    edges = time_grid(begin, float(made.time_s[-1]))
+    p = fit_cell(model, minutes(made), Priors(BOUNDS), labels, [], edges).posterior
+    truth = np.interp(0.5 * (edges[:-1] + edges[1:]), made.time_s, made.truth["fill"])
+    found, sd = 1.0 + p.slow[:, 0], p.sd()[:, 0]
+    assert (np.abs(found - truth) <= 1.645 * sd).mean() > 0.9
 
 
 @pytest.fixture(scope="module")
@@ -71,3 +95,41 @@ def test_an_outlet_without_weights_is_that_of_the_global_quantities(model: CellM
     assert np.allclose(model.outlet(o, slow, means), model.outlet(o, slow, means[: len(NAMES)]))
     means[len(NAMES) :] = 0.05
     assert np.abs(model.outlet(o, slow, means) - model.outlet(o, slow, means[: len(NAMES)])).max() > 1e-3
+
+
+def test_a_jump_in_days_without_readings_is_opened_anywhere_in_them() -> None:
+    edges = np.arange(21) * DAY_S
+    odds = np.full(19, -3.0)
+    odds[8:12] = 4.0  # edges 9 to 12 lie in an outage: their odds are those of its ends
+    assert _window(odds, edges, 9) == (9 * DAY_S, 12 * DAY_S)
+    odds[9] = 12.0
+    assert _window(odds, edges, 9) == (10 * DAY_S, 10 * DAY_S)
+
+
+def test_the_grid_has_an_edge_at_a_jump_of_known_time_and_the_jump_lies_there_alone() -> None:
+    edges = time_grid(0.0, 500.0 * DAY_S)  # cells of more than a day
+    at = 100.4 * DAY_S
+    moved = moved_grid(edges, [at, at + 60.0])  # the second is nearest to the same edge
+    assert at in moved and (np.diff(moved) > 0.0).all() and (moved != edges).sum() == 1
+    variance, _ = walk_variance(moved, "bias", [Opening(at, at + 600.0, "bias")])
+    k = int(variance.argmax())
+    assert moved[k + 1] == at
+    assert variance[k] - np.median(variance) == pytest.approx(JUMP["bias"] ** 2, rel=0.01)
+
+
+def test_a_constant_that_multiplies_a_walk_is_considered_and_not_estimated(model: CellModel) -> None:
+    made = made_cell(8, seed=4)
+    counted = Label(made.time_s[2000], 1, "uniformity", -0.11, -0.09, source="nozzles counted")
+    p = fit_cell(model, minutes(made), Priors(BOUNDS), [counted], ()).posterior
+    wetting = NAMES.index("wetting")
+    assert p.constant[wetting] == pytest.approx(1.0, abs=1e-3)
+    assert p.constant_covariance()[wetting, wetting] == pytest.approx(0.25**2, rel=1e-3)
+    alone = np.sqrt(np.diag(p.covariance)[: p.slow.size]).reshape(p.slow.shape)
+    assert (p.sd() >= alone).all()
+    assert (p.sd()[:, 3] > 1.01 * alone[:, 3]).all()  # the uniformity itself is counted
+
+
+def test_a_jump_of_the_bias_is_located_between_the_readings_of_its_cell(model: CellModel) -> None:
+    begin, (found,) = changes_of(model, (6.2, 0.45), None)
+    assert (found.parameter, found.start_s) == ("bias", found.end_s)
+    assert (found.start_s - begin) / DAY_S == pytest.approx(6.2, abs=0.03)  # cells have half a day

@@ -40,6 +40,15 @@ def test_element_and_physics_have_the_same_paths_and_drivers() -> None:
     assert tower_effect.PATHS == physics.PATHS and tower_effect.DRIVERS == physics.DRIVERS
 
 
+def test_element_takes_every_effect_that_a_diagnosis_may_find() -> None:
+    columns = {
+        name: np.linspace(0.0, 100.0, 2000) for name in ("wind_deg", "wind_m_s", "neighbours_speed_pct", "load_kW")
+    }
+    found = candidates(columns, np.arange(2000) * 60.0, "America/Chicago")
+    kinds = {form.kind for one in found for form in one.forms}
+    assert len(kinds) >= 4 and kinds <= set(tower_effect.KINDS)
+
+
 def test_wind_drives_from_its_direction_alone_and_from_the_onset_on() -> None:
     columns = {"wind_m_s": np.full(4, 10.0), "wind_deg": np.array([270.0, 90.0, 330.0, 270.0])}
     late = CellEffect("recirculation", "exhaust", "wind_direction", 270.0, onset_s=180.0)

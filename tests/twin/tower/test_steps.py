@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.tower.change_detection.steps import find_steps
+from twin.tower.change_detection.steps import find_steps, with_fan
 
 SCAN_S = 300.0
 
@@ -53,3 +53,52 @@ def test_a_step_of_both_thermometers_is_one_of_the_water(size: float) -> None:
     moved = size * (t >= 12 * 3600)
     found = [s for s in find_steps(t, r + moved, residuals(np.random.default_rng(15))[1] + moved) if s.lasting]
     assert [s.kind for s in found] == ["water"] and found[0].size == pytest.approx(size, abs=0.15)
+
+
+def by_exception(t: np.ndarray, r: np.ndarray, rng: np.random.Generator, at: float) -> np.ndarray:
+    """The rows that an archive keeps: now and then one, and the first after `at`."""
+    kept = rng.random(len(t)) < 0.3
+    kept[np.searchsorted(t, at)] = True
+    return np.flatnonzero(kept)
+
+
+def test_an_archive_that_holds_the_reading_after_a_step_confirms_it() -> None:
+    rng = np.random.default_rng(16)
+    late = missed = 0
+    for _ in range(50):
+        t, r = residuals(rng, sigma=0.03)
+        at = float(rng.uniform(12, 20)) * 3600.0
+        rows = by_exception(t, r, rng, at)
+        found = [s for s in find_steps(t[rows], (r + 0.5 * (t >= at))[rows]) if s.lasting and s.alarm_s >= at]
+        missed += not found
+        late += bool(found) and found[0].alarm_s - at > 18 * 60
+    assert missed == 0 and late <= 1  # 24 of 50 where held readings do not count
+
+
+def test_few_readings_of_the_last_hours_are_filled_up_by_earlier_ones() -> None:
+    t, r = residuals(np.random.default_rng(17))
+    at = 16 * 3600.0
+    rows = np.flatnonzero((t < at - 4 * 3600) | (t >= at - 1800))  # hardly steady in the hours before the step
+    found = [s for s in find_steps(t[rows], (r - 0.5 * (t >= at))[rows]) if s.lasting]
+    assert len(found) == 1 and 0.0 <= found[0].alarm_s - at <= 18 * 60
+
+
+def test_a_single_wrong_reading_is_corrected_by_the_next_scan_of_an_archive() -> None:
+    rng = np.random.default_rng(18)
+    t, r = residuals(rng)
+    r[150] += 5.0
+    kept = np.union1d(np.flatnonzero(rng.random(len(t)) < 0.3), [149, 150, 151])
+    assert not [s for s in find_steps(t[kept], r[kept]) if s.lasting]
+
+
+@pytest.mark.parametrize(("power_at_h", "kind"), [(36.0, "fan"), (38.0, "thermometer"), (None, "thermometer")])
+def test_a_step_is_the_fan_s_where_its_power_steps_in_the_same_minutes(power_at_h: float | None, kind: str) -> None:
+    rng = np.random.default_rng(16)
+    t, r = residuals(rng, 72.0)
+    power = rng.normal(0, 0.01, len(t))
+    if power_at_h is not None:
+        power = power - 0.06 * (t >= power_at_h * 3600)
+    steps = [s for s in find_steps(t, r + 0.6 * (t >= 36 * 3600)) if s.lasting]
+    (found,) = with_fan(steps, t, power)
+    assert found.kind == kind and found.alone
+    assert (found.power == pytest.approx(-0.06, abs=0.01)) == (kind == "fan")

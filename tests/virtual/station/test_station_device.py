@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import csv
 import math
 import struct
 from pathlib import Path
@@ -105,5 +106,27 @@ def test_a_folder_that_is_no_station_is_refused_with_the_remedy(folder: Path, tm
     (tmp_path / "raw.parquet").write_bytes((folder / "raw.parquet").read_bytes())
     text = (folder / "tags.csv").read_text()
     (tmp_path / "tags.csv").write_text(text.replace(",degC,", ",furlong,", 1))
-    with pytest.raises(StationFolderError, match="is in 'furlong'; units that can be served are degC"):
+    with pytest.raises(
+        StationFolderError,
+        match="is in 'furlong'; convert its samples, or remove its line: units that can be served are degC",
+    ):
         load_station(tmp_path)
+
+
+def test_cells_of_a_spreadsheet_and_units_of_the_field_are_served(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "raw.parquet").write_bytes((folder / "raw.parquet").read_bytes())
+    with (folder / "tags.csv").open(newline="") as handle:
+        rows = list(csv.DictReader(handle))
+    fan = next(row for row in rows if row["role"] == "fan_power")
+    for row in rows:
+        row["cell"] = f"{row['cell']}.0" if row["cell"] else ""
+    fan["unit"] = "hp"
+    with (tmp_path / "tags.csv").open("w", newline="") as handle:
+        out = csv.DictWriter(handle, list(rows[0]))
+        out.writeheader()
+        out.writerows(rows)
+    plain, served = load_station(folder), load_station(tmp_path)
+    assert [one.point for one in served] == [one.point for one in plain]
+    first, second = (next(one for one in tags if one.tag == fan["tag"]) for tags in (plain, served))
+    assert (first.unit, second.unit) == ("kW", "kW")
+    assert second.value == pytest.approx(0.745699872 * first.value)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from twin.discovery.answer.telling import ruled_out
 from twin.discovery.diagnosis import Alternative
 from twin.discovery.effects.lint import ALIKE, EffectLabel, Lint
 from twin.discovery.scoring.search import Entry
@@ -17,11 +18,14 @@ MOST = 8
 
 
 def always_alike(finding: Finding, groups: Lint) -> tuple[str, ...]:
-    """A sentence for each effect of the answer that shares its signature with others on every record of the rig."""
-    out = []
+    """Return a sentence for each effect of the answer that shares its signature with others on every record of the rig.
+
+    Others that this very record excludes, because the effect is large, are left out.
+    """
+    out, gone = [], ruled_out(finding) if finding.ranked else frozenset()
     for entry in finding.entries:
         label = _own(entry)
-        same = [x for x in groups.beside(label) if x[:2] != label[:2]]
+        same = [x for x in groups.beside(label) if x[:2] != label[:2] and x not in gone]
         if same:
             names = " and ".join(label_text(x) for x in (label, *same))
             out.append(f"{names} cannot be told apart on any record of this rig")
@@ -29,8 +33,11 @@ def always_alike(finding: Finding, groups: Lint) -> tuple[str, ...]:
 
 
 def twins_of(finding: Finding, groups: Lint, known: tuple[Alternative, ...]) -> tuple[Alternative, ...]:
-    """Members of the answer's group that are not yet among what cannot be told from it: no record excludes them."""
-    named = {(a.kind, a.where, a.driver) for a in known} | {e.label for e in finding.entries}
+    """Return members of the answer's group that are not yet among its rivals, and that the record does not exclude.
+
+    Signatures of a group are alike to one part in a thousand, and a large effect shows the difference.
+    """
+    named = {(a.kind, a.where, a.driver) for a in known} | {e.label for e in finding.entries} | ruled_out(finding)
     weights = {r.entries[-1].label: r.weight for r in finding.ranked[::-1]}
     out = {}
     for entry in finding.entries:

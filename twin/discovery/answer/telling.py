@@ -8,6 +8,7 @@ import numpy as np
 
 from twin.discovery.answer.words import sentence
 from twin.discovery.diagnosis import Alternative, Effect, Verdict
+from twin.discovery.effects.lint import EffectLabel
 from twin.discovery.effects.phrases import interval
 from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.priors import SURE
@@ -71,6 +72,13 @@ def rivals(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...],
         why = f"explains {100.0 * share:.0f} % of the mismatch, the answer {100.0 * best:.0f} %"
         out[e.label] = Alternative(*e.label, confidence=0.0, why_not=why)
     return tuple(same.values()), tuple(out.values())
+
+
+def ruled_out(finding: Finding) -> frozenset[EffectLabel]:
+    """Return the labels that were fitted in the place of the answer's and that this record excludes."""
+    first = finding.ranked[0]
+    left = {instead(r, first).label for r in remaining(finding)}
+    return frozenset(instead(r, first).label for r in finding.ranked[1:]) - left
 
 
 def near_misses(finding: Finding) -> tuple[Alternative, ...]:

@@ -178,6 +178,8 @@ def _named(case: AssessedFinding) -> Answer:
     verdict, effects = told(finding, grid)
     others, alternatives = rivals(finding, verdict)
     others = (*others, *twins_of(finding, ambiguity_groups(network), others))
+    same = {(a.kind, a.where, a.driver) for a in others}
+    alternatives = tuple(a for a in alternatives if (a.kind, a.where, a.driver) not in same)
     switches = switched(finding, grid, float(grid.time[0]))
     notes = (*_at_one_moment(case), *(says for _, says in switches))
     passing = any(e.shape.name in TIMED for e in finding.fit.entries)

@@ -34,28 +34,34 @@ def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0, spread: float
         return f"{text} by the end, growing {since} with a time constant of {clock(entry.shape.growth_s)}"
     if entry.shape.name == "spell":
         first = start + entry.shape.onset_s
-        return f"{text}, from {clock(first)} to {clock(first + entry.shape.growth_s)}, and no longer"
+        return f"{text}, from {clock(first)} to {clock(first + entry.shape.growth_s)}, and no longer{_in_all(entry)}"
     if entry.shape.name == "periodic":
         on = entry.shape.duty * entry.shape.growth_s
         return f"{text}, {since} for {clock(on)} in every {clock(entry.shape.growth_s)}"
     if entry.shape.name == "pulse":
         fading = lasting(entry.shape.growth_s)
-        return f"{text} at {clock(start + entry.shape.onset_s)}, fading with a time constant of {fading}"
+        at = clock(start + entry.shape.onset_s)
+        return f"{text} at {at}, fading with a time constant of {fading}{_in_all(entry)}"
     return f"{text}, {since}"
+
+
+def _in_all(entry: Entry) -> str:
+    """Return the amount of what was filled in, in words."""
+    return f"; {entry.size * entry.shape.growth_s:.2g} kg in all" if entry.candidate.unit == "kg/s" else ""
 
 
 def odds_of_best(finding: Finding) -> str:
     """Return the posterior odds of the likeliest effect of a record that asks for none, in words."""
     best = max(finding.odds, finding.unlisted)
     if best < 0.0:
-        return "that it lacks nothing is likelier than any effect"
+        return "the twin without any effect is the most probable explanation"
     return f"the likeliest effect has {chances(best)}, and a claim needs {chances(finding.claim)}"
 
 
 def chances(log_odds: float) -> str:
     """Return odds against no effect in words, with their natural logarithm."""
     times = f"{float(f'{math.exp(log_odds):.1g}'):,.0f} to one" if log_odds < MOST_SAID else "over a million to one"
-    return f"odds of {times} (log {log_odds:.1f})"
+    return f"odds of {times} (ln {log_odds:.1f})"
 
 
 def summarise(
@@ -72,8 +78,8 @@ def summarise(
         moved = bool(stale) and errors[stale].stale > RETUNED * errors[stale].before
         off = f" On the held-out segment, {stale} is off by {errors[stale].stale:.2g} K" if moved else ""
         return (
-            f"{'Re-tuned, the' if moved else 'The'} twin is adequate: nothing in this record asks for an effect that "
-            f"it lacks ({odds_of_best(finding)})."
+            f"{'Re-tuned, the' if moved else 'The'} twin is adequate: this record needs no further effect "
+            f"({odds_of_best(finding)})."
         ) + (f"{off}, re-tuned by {errors[stale].before:.2g} K." if moved else "")
     worst = max(errors, key=lambda n: errors[n].before / errors[n].noise) if errors else ""
     fit_text = ""

@@ -56,17 +56,21 @@ class Book:
             what a twin of mixed volumes leaves; without one it is told where it came in.
 
     Attributes:
-        candidates: all but those of `put_in`, other forms of some of them with a temperature of their own to begin at.
+        candidates: all but those of `put_in`, other forms of some of them with a temperature of their own to begin at,
+            and those of `passing`, which never stay.
     """
 
     def __init__(self, network: Network, late_at_once: bool = True) -> None:
         self.network = network
         self._late_at_once = late_at_once
         every = tuple(self._as_told(c) for c in catalogue(network))
-        self.candidates = tuple(c for c in every if not c.begins)
+        self.candidates = tuple(c for c in every if not c.begins and not c.passes)
+        self.passing = tuple(c for c in every if c.passes)
         self.put_in = tuple(c for c in every if c.begins)
         self._base = Formulas(network)
         self._made: dict[str, Formulas] = {}
+        self._steps: dict[int, tuple[Network, float, Network, Formulas]] = {}
+        self._held: tuple[Grid, FreeRun, Array, Array] | None = None
 
     def _as_told(self, candidate: Candidate) -> Candidate:
         return candidate if self._late_at_once or not candidate.lumped else replace(candidate, lumped=math.inf)
@@ -87,11 +91,35 @@ class Book:
             self._made[key] = Formulas(changed)
         return self._made[key]
 
+    def _stepped(self, candidate: Candidate) -> tuple[Network, float, Network, Formulas]:
+        """The network with a candidate, a step of its size, the network after that step and its formulas."""
+        known = self._steps.get(id(candidate))
+        if known is not None:
+            return known
+        bigger = extended(self.network, candidate)
+        step = candidate.typical if candidate.typical <= candidate.upper else -candidate.typical
+        changed = bigger.with_values(sized(bigger, candidate, step))
+        made = bigger, step, changed, self._formulas(candidate, changed)
+        if any(candidate is own for own in (*self.candidates, *self.passing)):  # which live as long as the book does
+            self._steps[id(candidate)] = made
+        return made
+
+    def _at(self, grid: Grid, run: FreeRun) -> tuple[Array, Array]:
+        """Temperatures (n, k), degC, that laws are evaluated at, and the network's own heats (n, k), W.
+
+        Searches ask for a few laws of one record again and again.
+        """
+        held = self._held
+        if held is None or held[0] is not grid or held[1] is not run:
+            known = temperatures(self.network, grid, run)
+            base = self._base.heats(known, grid.inputs, self.network.values, grid.step_s)
+            held = self._held = grid, run, known, base
+        return held[2], held[3]
+
     def laws(self, grid: Grid, run: FreeRun, only: tuple[Candidate, ...] | None = None) -> list[CandidateLaw]:
         """The laws of the candidates that do anything on this record; `only` of some of them."""
         network = self.network
-        known = temperatures(network, grid, run)
-        base = self._base.heats(known, grid.inputs, network.values, grid.step_s)
+        known, base = self._at(grid, run)
         found = []
         for candidate in self.candidates if only is None else map(self._as_told, only):
             if candidate.kind == "sensor" and all(t["kind"] == "law_reading" for t in candidate.adds.values()):
@@ -101,10 +129,7 @@ class Book:
             elif candidate.kind == "delay":
                 law = CandidateLaw(candidate, _delay(network, self._base, candidate, grid, known, base), None)
             else:
-                bigger = extended(network, candidate)
-                step = candidate.typical if candidate.typical <= candidate.upper else -candidate.typical
-                changed = bigger.with_values(sized(bigger, candidate, step))
-                formulas = self._formulas(candidate, changed)
+                bigger, step, changed, formulas = self._stepped(candidate)
                 heat = formulas.heats(known, grid.inputs, changed.values, grid.step_s)
                 heat -= _taken_up(bigger, changed, known, grid.step_s)
                 law = CandidateLaw(candidate, (heat - base) / step, None)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.elements.candidates import PASSING
 from twin.network import Array
 
 EARLY_S = 3600.0
@@ -22,7 +23,7 @@ BEYOND = 1.5
 """Lengths of a record until which what is still rising at its end is taken to rise: beyond what will be looked at."""
 
 
-TIMED = ("spell", "periodic", "pulse")
+TIMED = PASSING
 """Shapes that end, come back or fade: each has a second time, `growth_s`, that is told by the record."""
 
 
@@ -82,36 +83,42 @@ class Shape:
 
 def courses_of(shapes: Sequence[Shape], edges_s: Array) -> Array:
     """Mean amplitudes (n, b) of n shapes between `edges_s` (b + 1,), s from the record's beginning."""
-    low, high = edges_s[:-1], edges_s[1:]
-    width = np.maximum(high - low, 1e-9)
     rows: dict[str, list[int]] = {}
     for row, shape in enumerate(shapes):
         rows.setdefault(shape.name, []).append(row)
-    found = np.empty((len(shapes), len(width)))
+    found = np.empty((len(shapes), len(edges_s) - 1))
     for name, those in rows.items():
         times = [(shapes[i].onset_s, shapes[i].growth_s, shapes[i].duty, shapes[i].into_s) for i in those]
-        onset, growth, duty, into = np.array(times).T[..., None]
-        a, b = np.maximum(low - onset, 0.0) + into, np.maximum(high - onset, 0.0) + into
-        found[those] = _amplitudes(name, a, b, np.maximum(growth, 1.0), duty) / width
+        found[those] = means_between(edges_s, name, np.array(times).T)
     return found
 
 
-def _amplitudes(name: str, a: Array, b: Array, growth: Array, duty: Array) -> Array:
-    """Integrals (n, b) of the amplitude of shapes of one name from `a` to `b`, s since the onset."""
+def means_between(edges_s: Array, name: str, times: Array) -> Array:
+    """Mean amplitudes (n, b) between `edges_s` (b + 1,) of n shapes of one name.
+
+    Args:
+        times: (4, n) their onsets, growths, duties and times into a turn, as those of a `Shape`.
+    """
+    onset, growth, duty, into = times[..., None]
+    upto = _integrals(name, np.maximum(edges_s - onset, 0.0) + into, np.maximum(growth, 1.0), duty)
+    means: Array = np.diff(upto, axis=1) / np.maximum(np.diff(edges_s), 1e-9)
+    return means
+
+
+def _integrals(name: str, t: Array, growth: Array, duty: Array) -> Array:
+    """Integrals (n, t) of the amplitude of shapes of one name from their onsets to `t`, s since then."""
     if name == "step":
-        return b - a
+        return t
     if name == "spell":
-        return np.asarray(np.minimum(b, growth) - np.minimum(a, growth))
+        return np.asarray(np.minimum(t, growth))
     if name == "periodic":
-        on = duty * growth
-        upto = [on * turns + np.minimum(rest, on) for turns, rest in (np.divmod(a, growth), np.divmod(b, growth))]
-        return np.asarray(upto[1] - upto[0])
+        on, turns = duty * growth, np.floor(t / growth)
+        return np.asarray(on * turns + np.minimum(t - growth * turns, on))
     if name in ("put in", "pulse"):
-        return np.asarray(growth * (np.exp(-a / growth) - np.exp(-b / growth)))
+        return np.asarray(-growth * np.expm1(-t / growth))
     if name == "ramp":
-        up = 0.5 * (np.minimum(b, growth) ** 2 - np.minimum(a, growth) ** 2) / growth
-        return np.asarray(up + (np.maximum(b - growth, 0.0) - np.maximum(a - growth, 0.0)))
-    return np.asarray(b - a + growth * (np.exp(-b / growth) - np.exp(-a / growth)))
+        return np.asarray(0.5 * np.minimum(t, growth) ** 2 / growth + np.maximum(t - growth, 0.0))
+    return np.asarray(t + growth * np.expm1(-t / growth))
 
 
 def family(name: str, span_s: float) -> tuple[float, ...]:

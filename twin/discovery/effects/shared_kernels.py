@@ -8,6 +8,8 @@ kernel. The rest (delays, laws that are no straight lines) is compiled hypothesi
 
 from __future__ import annotations
 
+import contextlib
+from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,6 +23,8 @@ from twin.elements.heat_source import HeatSource
 from twin.kernel import Kernel
 from twin.network import Network
 
+KEPT = 16
+"""Kernels of single hypotheses that are kept: more than a search fits at once."""
 SLOTS = 2
 """Open laws that may stand in one hypothesis: each brings heat of a course and size of its own."""
 _SLOW = ("thermal_mass", "sensor")
@@ -78,6 +82,28 @@ class SharedKernels:
 
     def __init__(self, network: Network, tunables: tuple[str, ...]) -> None:
         self._network, self._tunables = network, tunables
+        self._alone: OrderedDict[tuple[int, ...], tuple[tuple[Candidate, ...], SharedKernel]] = OrderedDict()
+
+    def of_these(self, candidates: tuple[Candidate, ...]) -> SharedKernel:
+        """The kernel of these candidates and no others; the last few are kept, as a hypothesis is run again and again.
+
+        Raises:
+            TwinFileError: an element does not fit.
+        """
+        key = tuple(id(c) for c in candidates)  # with the candidates, whose identities so stay their own
+        known = self._alone.get(key)
+        if known is None:
+            bigger = self._network
+            for candidate in candidates:
+                if candidate.adds.keys().isdisjoint(e.name for e in bigger.elements):
+                    bigger = extended(bigger, candidate)
+            ids = dict.fromkeys((*self._tunables, *(name for c in candidates for name in c.changes)))
+            known = candidates, SharedKernel(bigger, Kernel(bigger, tuple(ids), whole_memory=True))
+            self._alone[key] = known
+            while len(self._alone) > KEPT:
+                with contextlib.suppress(KeyError):  # two threads may fit hypotheses at once
+                    self._alone.popitem(last=False)
+        return known[1]
 
     @cached_property
     def _plain(self) -> list[Candidate]:

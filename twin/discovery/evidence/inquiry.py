@@ -15,15 +15,16 @@ from twin.discovery.diagnosis import SensorError
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.held_out import HeldOutRecord
+from twin.discovery.evidence.hypotheses import Found, Hypothesis, Prior, apart, class_of
 from twin.discovery.evidence.marginal import joint
 from twin.discovery.evidence.missing_in_health import with_missing, with_usual
 from twin.discovery.evidence.part import Part, fitted, plainly
 from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
-from twin.discovery.evidence.search import Found, Hypothesis, Prior, apart, class_of, ladder_of, searched
+from twin.discovery.evidence.search import ladder_of, searched
 from twin.discovery.healthy.basis import Basis, Columns
 from twin.discovery.records.grid import Grid
-from twin.discovery.refit.fitting import AGAIN, Fit, look_at
+from twin.discovery.refit.fitting import AGAIN, Fit
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import validate
 from twin.discovery.scoring.contest import Contest
@@ -178,9 +179,10 @@ class Inquiry:
         here = tuple(replace(e, law=laws[e.candidate.id]).refreshed(whole.contest) for e in entries)
         ((fit, _),) = fitted(whole, [here], AGAIN)
         contest = copy.copy(whole.contest)
-        look_at(contest, Model.of(contest.probe, fit.entries), fit)
+        contest.take(fit.residual, fit.moved)
         known = joint(contest, tuple(e.refreshed(contest) for e in fit.entries))
-        found = [e for e in scan(contest, whole.laws, known, timed=False) if apart(e, fit.entries)]
+        others = [law for law in whole.laws if apart(law.candidate, fit.entries)]
+        found = scan(contest, others, known, timed=False)
         best = max(found, key=lambda e: e.log_bayes + prior.of(e), default=None)
         return best if best is not None and best.log_bayes + prior.of(best) > claim else None
 

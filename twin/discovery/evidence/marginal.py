@@ -34,12 +34,31 @@ from twin.network import Array
 
 FEWEST_KNOTS = 3
 """Knots of an error of form in a short record: a beginning, a middle and an end."""
+BEYOND = 9.0
+"""Standard deviations beyond which a normal distribution holds less than a rounding error of all that it holds."""
+LEAD, NEGLIGIBLE = 64, -math.log(np.finfo(np.float64).eps)
+"""Effects of which log B is made first, as those that are the likeliest but for their bounds mostly are, and how much
+less of it is lost in rounding."""
 KEPT_BYTES, MOST_TOGETHER = 1 << 26, 8
 """Memory for the columns of effects that may be tried again, and how many are kept whatever they take."""
 
 
 def log_mass(low: Array, high: Array) -> Array:
     """Return the logarithm of the standard normal probability between two bounds, which may be far out."""
+    low, high = np.broadcast_arrays(low, high)
+    found = np.zeros(low.shape)
+    near, far = low > -BEYOND, high < BEYOND
+    # Of bounds far apart only the one nearer to the middle counts.
+    alone = (high > BEYOND) & ((low <= 0.0) | (high > np.hypot(low, BEYOND)))
+    above, below = near & alone, far & (low < -BEYOND) & (high >= 0.0)
+    both = (near | far) & ~above & ~below
+    found[above], found[below] = log_ndtr(-low[above]), log_ndtr(high[below])
+    if both.any():
+        found[both] = _mass_between(low[both], high[both])
+    return found
+
+
+def _mass_between(low: Array, high: Array) -> Array:
     flip = low > 0.0
     a, b = np.where(flip, -high, low), np.where(flip, -low, high)
     upper = log_ndtr(b)
@@ -67,6 +86,20 @@ def log_bayes_of_sizes(candidates: Candidate | Sequence[Candidate], top: Array, 
     odds = 0.5 * mean * top - 0.5 * np.log1p(prior**2 * bottom)
     here = log_mass((lower - mean) / sd, (upper - mean) / sd)
     return odds + here - log_mass(lower / prior, upper / prior), np.clip(mean, lower, upper)
+
+
+def likeliest(candidate: Candidate, top: Array, bottom: Array) -> NDArray[np.intp]:
+    """Return the places of those effects of scores `top` (n,) and squares `bottom` (n,) that may count beside the rest.
+
+    What bounds make of a size is at most what they made of it before the data, so log B of one is known from above. All
+    of those that are left out together come to less than a rounding error of the likeliest.
+    """
+    prior = SPREAD * candidate.typical
+    most = 0.5 * top**2 / (bottom + prior**-2.0) - 0.5 * np.log1p(prior**2 * bottom)
+    before = _log_mass(candidate.lower / prior, candidate.upper / prior)
+    lead = np.argpartition(most, -min(LEAD, len(most)))[-LEAD:]
+    least = float(log_bayes_of_sizes(candidate, top[lead], bottom[lead])[0].max())
+    return np.flatnonzero(most - before >= least - NEGLIGIBLE - math.log(len(most)))
 
 
 def _log_mass(low: float, high: float) -> float:
@@ -106,13 +139,15 @@ class Joint:
     """Effects whose sizes and errors of form are integrated out.
 
     Attributes:
-        parts: one for each effect. scale: (c,) prior standard deviations of all their columns.
+        contest: in which they are weighed. seen: (b * m, c) whitened signatures of all their columns.
+        scale: (c,) prior standard deviations of the columns.
         root: (c, c), root @ root' the inverse of I + S G S. form_error: share, the likeliest.
         log_bayes: over no effect, averaged over the shares. quadratic: twice the logarithm's part that is of the data.
         sizes: (e,) of the effects.
     """
 
-    parts: tuple[_EffectColumns, ...]
+    contest: Contest
+    seen: Array
     scale: Array
     root: Array
     form_error: float
@@ -123,64 +158,44 @@ class Joint:
     @cached_property
     def onto(self) -> Array:
         """Return how the columns show at each site and block, whitened: (sites * b, c)."""
-        found: Array = (_in_order([p.onto.T for p in self.parts]).T * self.scale) @ self.root
+        return self.contest.onto((self.seen * self.scale) @ self.root)
+
+    def reduced_score(self, contest: Contest) -> Array:
+        """Return the score (sites * b,) of a contest with these effects integrated out."""
+        pull = self.scale * contest.scores_of(self.seen)
+        found: Array = contest.score - self.onto @ (self.root.T @ pull)
         return found
-
-    def reduced_score(self, score: Array) -> Array:
-        """Return a score (sites * b,) with these effects integrated out."""
-        pull = self.scale * _in_order([p.every @ score for p in self.parts])
-        found: Array = score - self.onto @ (self.root.T @ pull)
-        return found
-
-
-@dataclass(frozen=True, eq=False)
-class _EffectColumns:
-    """One effect at size 1 and its errors of form: `every` (1 + c, sites * b), `onto` (sites * b, 1 + c) of the Gram
-    matrix; `vector` is held so that its identity stays its own."""
-
-    vector: Array
-    every: Array
-    onto: Array
 
 
 def _in_order(parts: list[Array]) -> Array:
-    """Return rows of effects (1 + c, ...) as `joint` has them: first each effect, then each one's errors of form."""
-    return np.concatenate([*(p[:1] for p in parts), *(p[1:] for p in parts)])
+    """Return columns (r, 1 + c) of effects as `joint` has them: first each effect, then each one's errors of form."""
+    return np.concatenate([*(p[:, :1] for p in parts), *(p[:, 1:] for p in parts)], axis=1)
 
 
-def _columns(contest: Contest, entry: Entry) -> _EffectColumns:
-    """Return an effect's columns, which are the same in all the sets that it is tried in."""
-    known: OrderedDict[int, _EffectColumns] = contest.memo.setdefault("columns", OrderedDict())
-    key = id(entry.vector)
+def _columns(contest: Contest, entry: Entry) -> Array:
+    """Return the whitened signatures (b * m, 1 + c) of an effect at size 1 and of its errors of form.
+
+    They are the same in all the sets that it is tried in.
+    """
+    known: OrderedDict[int, tuple[Array, Array]] = contest.memo.setdefault("columns", OrderedDict())
+    key = id(entry.vector)  # with the vector, whose identity so stays its own
     if key in known:
         known.move_to_end(key)
-        return known[key]
-    every = np.concatenate([entry.vector.reshape(1, -1), _form_errors(contest, entry.vector[None])])
-    made = known[key] = _EffectColumns(entry.vector, every, _onto(contest, every))
-    while len(known) > max(KEPT_BYTES // (2 * every.nbytes), 2 * MOST_TOGETHER):
+        return known[key][1]
+    made = _seen(contest, entry.vector)
+    known[key] = entry.vector, made
+    while len(known) > max(KEPT_BYTES // made.nbytes, 2 * MOST_TOGETHER):
         known.popitem(last=False)
     return made
-
-
-def _onto(contest: Contest, every: Array) -> Array:
-    """Return what columns (c, sites * b), most of them zero at most sites, are to the Gram matrix: (sites * b, c)."""
-    b, found = contest.b, np.zeros((len(contest.gram), len(every)))
-    each = every.reshape(len(every), contest.sites, b)
-    there: NDArray[np.bool_] = np.asarray(each.any(axis=2))
-    for site in np.flatnonzero(there.any(axis=0)):
-        rows = there[:, site]
-        found[:, rows] += contest.gram[:, site * b : (site + 1) * b] @ each[rows, site].T
-    return found
 
 
 def joint(contest: Contest, entries: Sequence[Entry]) -> Joint:
     """Return the evidence of effects together; their shapes stay as they are."""
     count = len(entries)
     prior = np.array([SPREAD * e.candidate.typical for e in entries])
-    parts = tuple(_columns(contest, e) for e in entries)
-    each = len(parts[0].every) - 1
-    gram = _in_order([_in_order([one.every @ other.onto for one in parts]).T for other in parts])
-    score = _in_order([p.every @ contest.score for p in parts])
+    seen = _in_order([_columns(contest, e) for e in entries])
+    each = seen.shape[1] // count - 1
+    gram, score = contest.across(seen), contest.scores_of(seen)
     sizes = np.linalg.solve(gram[:count, :count] + np.diag(prior**-2.0), score[:count])
     found: list[tuple[float, float, Array, Array, Array]] = []
     for share in FORM_ERRORS:
@@ -200,7 +215,7 @@ def joint(contest: Contest, entries: Sequence[Entry]) -> Joint:
     best = max(range(len(found)), key=lambda i: found[i][0])
     log_bayes, quadratic, scale, root, mean = found[best]
     total = float(logsumexp([f[0] for f in found]) - np.log(len(found)))
-    return Joint(parts, scale, root, FORM_ERRORS[best], total, quadratic, mean)
+    return Joint(contest, seen, scale, root, FORM_ERRORS[best], total, quadratic, mean)
 
 
 def _within(candidate: Candidate, mean: float, sd: float, prior: float) -> float:
@@ -211,22 +226,17 @@ def _within(candidate: Candidate, mean: float, sd: float, prior: float) -> float
 
 def form_quadratic(contest: Contest, entries: Sequence[Entry], share: float) -> float:
     """Return twice the logarithm's part of the data that errors of form of fitted effects gain at the contest's run."""
-    columns = _form_errors(contest, np.stack([e.vector for e in entries]))
-    scale = np.repeat(share * np.abs([e.size for e in entries]), len(columns) // len(entries))
-    gram, score = columns @ _onto(contest, columns), columns @ contest.score
+    seen = np.concatenate([_seen(contest, e.vector)[:, 1:] for e in entries], axis=1)
+    scale = np.repeat(share * np.abs([e.size for e in entries]), seen.shape[1] // len(entries))
+    gram, score = contest.across(seen), contest.scores_of(seen)
     inner = np.eye(len(scale)) + gram * np.outer(scale, scale)
     pull = scale * score
     return float(pull @ np.linalg.solve(inner, pull))
 
 
-def _form_errors(contest: Contest, vectors: Array) -> Array:
-    """Return what effects (e, sites, b) may do otherwise, all of one after the other's: (e * c, sites * b)."""
-    count, basis = len(vectors), form_basis(contest)
-    over_time = (vectors[:, :, None, :] * basis.T).transpose(0, 2, 1, 3).reshape(count, basis.shape[1], -1)
-    at_sensors = np.zeros((count, contest.m, contest.sites, contest.b))
-    responses = contest.responses(vectors)
-    for j in range(contest.m):
-        at_sensors[:, j, contest.k + j] = responses[:, :, j]
-    both = np.concatenate([over_time, at_sensors.reshape(count, contest.m, -1)], axis=1)
-    found: Array = both.reshape(-1, both.shape[2])
-    return found
+def _seen(contest: Contest, vector: Array) -> Array:
+    """Return the whitened signatures (b * m, 1 + c) of an effect, `vector` (sites, b), and of its errors of form."""
+    basis = np.column_stack([np.ones(contest.b), form_basis(contest)])
+    over_time = contest.seen_at(vector, basis)
+    response = contest.noise.colour(over_time[:, 0].reshape(contest.b, contest.m), contest.step_s)
+    return np.concatenate([over_time, contest.features(response[:, :, None] * np.eye(contest.m))], axis=1)

@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from twin.discovery.evidence.hypotheses import Prior, apart
 from twin.discovery.evidence.marginal import joint
 from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, MISSING_IN_HEALTH, SPREAD
 from twin.discovery.evidence.scan import scan
-from twin.discovery.evidence.search import Prior, apart, late_ones, leading, log_odds_unlisted
+from twin.discovery.evidence.search import late_ones, leading, log_odds_unlisted
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.healthy.in_health import Amplitudes, MissingInHealth
 from twin.discovery.scoring.search import Entry
@@ -207,5 +208,5 @@ def _leading_effects(part: Part) -> list[Entry]:
     """Return the leading single effects, and those beside the likeliest."""
     contest, prior = part.contest, Prior(part.laws)
     first = leading(part.scanned, prior)
-    beside = scan(contest, part.laws, joint(contest, first[:1]), timed=False)
-    return [*first, *leading([e for e in beside if apart(e, tuple(first[:1]))], prior)]
+    others = [law for law in part.laws if apart(law.candidate, first[:1])]
+    return [*first, *leading(scan(contest, others, joint(contest, first[:1]), timed=False), prior)]

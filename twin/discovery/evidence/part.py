@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -23,7 +23,7 @@ from twin.discovery.healthy.basis import Basis
 from twin.discovery.places.localise import courses
 from twin.discovery.places.sites import sites_of
 from twin.discovery.records.grid import Grid
-from twin.discovery.refit.fitting import AGAIN, ROUNDS, Fit, fit
+from twin.discovery.refit.fitting import AGAIN, ROUNDS, Fit, fit, simulated
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
@@ -32,6 +32,8 @@ from twin.network import Array
 
 SIDE_BY_SIDE = 4
 """Fits that run at once, where there are so many cores: kernels do without the interpreter's lock."""
+NEGLIGIBLE = 1e-12
+"""Squares of an effect, in those of noise, below which it does nothing."""
 MUCH = 4.0
 """Typical sizes at which a fit of what is late begins."""
 
@@ -52,7 +54,8 @@ class Part:
     @classmethod
     def of(cls, known: Basis, grid: Grid) -> Part:
         state, run, _, _ = free_run(known.probe, grid)
-        found = [*known.book.laws(grid, run), *known.book.laws(grid, run, known.book.put_in)]
+        book = known.book
+        found = [law for only in (None, book.put_in, book.passing) for law in book.laws(grid, run, only)]
         return cls(known, grid, state, run, known.contest(grid, state, run, found), found)
 
     def add(self, candidates: tuple[Candidate, ...]) -> None:
@@ -142,6 +145,35 @@ def fitted(
         found = pool.map(lambda g: _fit(part, part.contest, g, moved, rounds), new.values())
         part.fits.update(zip(new, found, strict=True))
     return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
+
+
+def gains(part: Part, entries: Sequence[Entry]) -> list[float]:
+    """Return how far the squares fall with a share of each effect, as it is at its size, beside the tunables.
+
+    Of what is not linear in its size this is the first step of a fit from there, at the cost of one simulation.
+    """
+    part.reset()
+    contest, at = copy.copy(part.contest), part.basis.probe.network.values
+    forms: dict[str, list[Entry]] = {}
+    for entry in entries:
+        forms.setdefault(entry.candidate.id, []).append(entry)
+
+    def found(alike: list[Entry]) -> Array:
+        count = len(alike)
+        readings = simulated(
+            Model.of(part.basis.probe, (alike[0],)),
+            part.grid,
+            np.tile(part.state, (count, 1)),
+            np.tile(at, (count, 1)),
+            np.array([[e.size] for e in alike]),
+            tuple((e.shape,) for e in alike),
+        )
+        _, gram, score = contest.beside_tunables((contest.residual - contest.residuals_of(readings)).T)
+        return np.asarray(np.maximum(score, 0.0) ** 2 / np.maximum(np.diag(gram), NEGLIGIBLE))
+
+    with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
+        gained = dict(zip(forms, map(list, pool.map(found, forms.values())), strict=True))
+    return [float(gained[entry.candidate.id].pop(0)) for entry in entries]
 
 
 def continued(part: Part, found: list[Fit], rounds: int = ROUNDS) -> list[Fit]:

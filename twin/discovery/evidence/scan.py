@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import EARLY_S, TIMED, Shape, courses_of
-from twin.discovery.evidence.marginal import Joint, log_bayes_of_sizes
+from twin.discovery.evidence.marginal import Joint, likeliest, log_bayes_of_sizes
 from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE, SPREAD
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
@@ -61,39 +63,46 @@ class _Scanned:
 
     def __init__(self, contest: Contest, courses: Courses, beside: Joint | None) -> None:
         self.contest, self.courses = contest, courses
-        score = contest.score if beside is None else beside.reduced_score(contest.score)
+        score = contest.score if beside is None else beside.reduced_score(contest)
         self._score = score.reshape(contest.sites, contest.b)
         onto = np.empty((contest.sites * contest.b, 0)) if beside is None else beside.onto
-        self._onto = onto.reshape(contest.sites, contest.b, -1)
+        self._onto = onto.reshape(contest.sites, contest.b, -1).transpose(0, 2, 1).copy()
 
     def score(self, squares: LawSquares) -> Array:
         """Return the score (b,) of a law's blocks."""
+        if len(squares.sites) == 1:
+            (site,) = squares.sites
+            return np.asarray(self._score[site] * squares.blocks[site])
         found: Array = (self._score[squares.sites] * squares.blocks[squares.sites]).sum(axis=0)
         return found
 
-    def taken(self, squares: LawSquares) -> Array:
-        """Return the part (b, c) of a law's blocks that effects beside it stand for; its square leaves the Gram
-        matrix."""
-        found: Array = (self._onto[squares.sites] * squares.blocks[squares.sites][:, :, None]).sum(axis=0)
+    def taken(self, squares: Sequence[LawSquares]) -> Array:
+        """Return the parts (l, c, b) of laws' blocks that effects beside them stand for; their squares leave the Gram
+        matrices."""
+        found = np.zeros((len(squares), *self._onto.shape[1:]))
+        for one, of_law in zip(squares, found, strict=True):
+            for k, site in enumerate(one.sites):
+                if k:
+                    of_law += self._onto[site] * one.blocks[site]
+                else:
+                    np.multiply(self._onto[site], one.blocks[site], out=of_law)
         return found
 
 
 def family_of(candidate: Candidate) -> str:
-    """Return the courses that a law is tried with: "put in", "step" alone, or "any"."""
+    """Return the courses that a law is tried with: "put in", "passing", "step" alone, or "any"."""
     if candidate.begins:
         return "put in"
+    if candidate.passes:
+        return "passing"
     return "step" if candidate.shapes == ("step",) else "any"
 
 
 def may_end(candidate: Candidate) -> bool:
     """Return True for a law that may come and go: one of each place and kind is enough, what it follows fits tell. A
     thermometer that sticks is no form of another one."""
-    tried = candidate.driver in STEADY or _sticks(candidate)
-    return candidate.shapes != ("step",) and not candidate.begins and tried
-
-
-def _sticks(candidate: Candidate) -> bool:
-    return candidate.kind == "sensor" and bool(candidate.adds)
+    tried = candidate.driver in STEADY or candidate.sticks
+    return not set(TIMED).isdisjoint(candidate.shapes) and not candidate.begins and tried
 
 
 def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entry:
@@ -101,8 +110,8 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
     edges_s = contest.edges * contest.grid.step_s
     squares = LawSquares.of(contest, entry.law)
     blocks, scanned = squares.blocks, _Scanned(contest, Courses.of(contest), beside)
-    own, taken = scanned.score(squares), scanned.taken(squares)
-    gram = contest.small(blocks)[0] - taken @ taken.T
+    own, (taken,) = scanned.score(squares), scanned.taken([squares])
+    gram = contest.small_gram(blocks) - taken.T @ taken
     least = _TINY * max(float(np.trace(gram)), _TINY)
 
     def at(shapes: Sequence[Shape]) -> tuple[float, float, float, Shape, Array]:
@@ -179,21 +188,21 @@ def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns
     """Return the likeliest course of each shape of laws of one family."""
     contest, courses = scanned.contest, scanned.courses
     candidates = [law.candidate for law in laws]
-    squares = [LawSquares.of(contest, law) for law in laws]
+    squares = LawSquares.of_all(contest, laws)
     scores = np.stack([scanned.score(q) for q in squares])
-    taken = np.stack([scanned.taken(q) for q in squares])
-    least = _TINY * np.maximum([[float(q.steps.max())] for q in squares], _TINY)
+    taken = scanned.taken(squares)
+    least = _TINY * np.maximum([[q.most] for q in squares], _TINY)
     grows = family == "any"
-    rest = math.log((1.0 - AT_ONCE) / (4.0 if may_end(candidates[0]) else 2.0)) if grows else 0.0
+    rest = math.log((1.0 - AT_ONCE) / (4.0 if may_end(candidates[0]) else 2.0)) if grows else -math.log(2.0)
     out: list[Entry] = []
 
     def add(shapes: Sequence[Shape], columns: Array, bottom: Array, prior: float) -> None:
         odds, size = log_bayes_of_sizes(candidates, scores @ columns, bottom)
         out.extend(_best(laws, squares, shapes, columns, odds + prior, odds, size, bottom))
 
-    if family != "put in":
-        late = taken[:, ::-1].cumsum(axis=1)[:, ::-1][:, : courses.steps.shape[1]]
-        bottom = np.maximum(np.stack([q.steps for q in squares]) - (late**2).sum(axis=2), least)
+    if family not in ("put in", "passing"):
+        late = taken[..., ::-1].cumsum(axis=2)[..., ::-1][..., : courses.steps.shape[1]]
+        bottom = np.maximum(np.stack([q.steps for q in squares]) - np.einsum("lcb,lcb->lb", late, late), least)
         odds, size = log_bayes_of_sizes(candidates, scores @ courses.steps, bottom)
         # A lumped twin leaves as much of it all along: there it is no fault, later it has to beat that.
         usual = np.abs(size[:, 0]) < [c.lumped for c in candidates]
@@ -205,26 +214,35 @@ def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns
         out += _best(laws, squares, courses.steps_shapes, courses.steps, odds + prior, odds, size, bottom)
     others, shaped = courses.beyond(candidates[0])
     if family != "step" and len(others):
-        less = (np.matmul(taken.transpose(0, 2, 1), shaped) ** 2).sum(axis=1)
-        bottom = np.maximum(np.stack([q.growths for q in squares]) - less, least)
+        bottom = np.maximum(np.stack([q.growths for q in squares]) - _squares(taken, shaped), least)
         for shapes, rows in rows_by_name(others):
             add(shapes, shaped[:, rows], bottom[:, rows], rest - math.log(len(rows)))
     if turns:
-        grams = np.stack([contest.small(q.blocks)[0] for q in squares]) - np.matmul(taken, taken.transpose(0, 2, 1))
-        for law, q, own, gram in zip(laws, squares, scores, grams, strict=True):
-            out += _spells(contest, law, q.blocks, own, gram, rest)
-        less = (np.matmul(taken.transpose(0, 2, 1), courses.returns) ** 2).sum(axis=1)
-        bottom = np.stack([returning(contest, law) for law in laws]) - less
+        own = [contest.small_gram(q.blocks) for q in squares]
+        returns = [returning(contest, law, gram) for law, gram in zip(laws, own, strict=True)]
+        bottom = np.stack(returns) - _squares(taken, courses.returns)
+        grams = [gram - t.T @ t for gram, t in zip(own, taken, strict=True)]
+        for law, q, score, gram in zip(laws, squares, scores, grams, strict=True):
+            out += _spells(contest, law, q.blocks, score, gram, rest)
         for shapes, rows in courses.by_name:
             least_rows = np.maximum(bottom[:, rows], least)
             if shapes[0].name != "periodic":
                 add(shapes, courses.returns[:, rows], least_rows, rest - math.log(2.0 * len(rows)))
                 continue
             for i, law in enumerate(laws):
-                if _sticks(law.candidate):
+                if law.candidate.sticks:
                     continue  # one that sticks now and then is told by its first time
                 out += _turns(law, squares[i], scores[i], grams[i], courses, least_rows[i], rest)
     return out
+
+
+def _squares(taken: Array, courses: Array) -> Array:
+    """Return the squares (l, j) that courses (b, j) of l laws have in common with effects beside them, which have
+    `taken` (l, c, b) of each."""
+    if not taken.shape[1]:
+        return np.zeros((len(taken), courses.shape[1]))
+    shared = taken @ courses
+    return np.asarray(np.einsum("lcj,lcj->lj", shared, shared))
 
 
 def _turns(
@@ -288,15 +306,18 @@ def _spells(contest: Contest, law: CandidateLaw, blocks: Array, score: Array, gr
     b = contest.b
     sums, tops = np.zeros((b + 1, b + 1)), np.concatenate([[0.0], np.cumsum(score)])
     sums[1:, 1:] = gram.cumsum(axis=0).cumsum(axis=1)
-    first, last = np.triu_indices(b - 1, 2)
+    first, last = _spans(b)
     if not len(first):
         return []  # so short a record has no room for one
-    bottom: Array = sums[last, last] - sums[first, last] - sums[last, first] + sums[first, first]
-    bottom = np.maximum(bottom, _TINY * max(float(np.diag(sums).max()), _TINY))
-    odds, size = log_bayes_of_sizes(law.candidate, tops[last] - tops[first], bottom)
+    upto = np.diag(sums)
+    bottom: Array = upto[last] + upto[first] - (sums + sums.T).ravel()[first * (b + 1) + last]
+    bottom = np.maximum(bottom, _TINY * max(float(upto.max()), _TINY))
+    top, count = tops[last] - tops[first], len(first)
+    leading = likeliest(law.candidate, top, bottom)
+    first, last, bottom = first[leading], last[leading], bottom[leading]
+    odds, size = log_bayes_of_sizes(law.candidate, top[leading], bottom)
     k = int(np.argmax(odds))
-    prior = rest - math.log(len(odds))
-    total = logsumexp(odds) + prior
+    total = logsumexp(odds) + rest - math.log(count)
     block_s = contest.step_s
     shape = Shape("spell", first[k] * block_s, (last[k] - first[k]) * block_s)
     vector = blocks * shape.block_means(contest.edges * contest.grid.step_s)
@@ -313,6 +334,12 @@ def _spells(contest: Contest, law: CandidateLaw, blocks: Array, score: Array, gr
             log_occam=total - float(odds[k]),
         )
     ]
+
+
+@functools.cache
+def _spans(b: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first blocks of spells in a record of b blocks, and those that they are over before."""
+    return np.triu_indices(b - 1, 2)
 
 
 def logsumexp(values: Array) -> float:

@@ -5,26 +5,25 @@ from __future__ import annotations
 import copy
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from twin.discovery.diagnosis import Rung
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.effects.shapes import Shape
+from twin.discovery.effects.shapes import TIMED
+from twin.discovery.evidence.hypotheses import Class, Found, Hypothesis, Place, Prior, apart, class_of, place
 from twin.discovery.evidence.marginal import form_quadratic, joint
-from twin.discovery.evidence.part import Part, continued, fitted, slower
-from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, SPREAD, UNLISTED
+from twin.discovery.evidence.part import Part, continued, fitted, gains, slower
+from twin.discovery.evidence.priors import CLAIM, FAULT, SPREAD, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK
-from twin.discovery.refit.fitting import AGAIN, Fit, look_at
-from twin.discovery.refit.model import Model
+from twin.discovery.refit.fitting import AGAIN, Fit
 from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
-from twin.elements.candidates import Candidate
 
 LEADING = 24
 """Single effects that are tried as one of a pair; a prototype missed true pairs with five."""
@@ -43,107 +42,9 @@ MOST_LATE = 4
 """Classes of lags and delays that are fitted: those with the largest gain to first order."""
 SLOWER = (1.7, 1.3, 1.1)
 """Ratios of time constants that are tried in turn around the likeliest of those that the catalogue has, a factor of 3
-apart."""
-AMID = (0.25, 0.5, 0.75)
-"""Shares of the first turn's time that are tried to be over when what comes back comes in."""
+apart; the first as often as it leads on."""
 BEGUN = 3
 """Rounds of a fit after which its squares can be compared."""
-
-MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heater"}
-"""What an actuator moves: a pump that turns slower is a flow that is less."""
-
-Class = tuple[str, str]
-Place = tuple[str, bool]
-"""A place, by its thermometer or by what moves it too, and whether something there is an error of reading."""
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """A set of effects, `odds` its log posterior odds against no effect; `fit` None while only linear."""
-
-    entries: tuple[Entry, ...]
-    log_prior: float
-    log_bayes: float
-    quadratic: float
-    form_error: float
-    fit: Fit | None = None
-    settled: bool = False
-    gained: float = 0.0
-    """Log odds that its fit won over those to first order."""
-
-    @property
-    def odds(self) -> float:
-        return self.log_prior + self.log_bayes
-
-    @property
-    def labels(self) -> tuple[tuple[str, str, str], ...]:
-        return tuple(sorted(e.label for e in self.entries))
-
-
-@dataclass(frozen=True)
-class Found:
-    """Hypotheses by falling odds, single effects by falling evidence, and the log odds of an unknown of no listed form
-    by its place."""
-
-    hypotheses: tuple[Hypothesis, ...]
-    scanned: list[Entry]
-    retuned: Fit
-    unlisted_at: Mapping[Place, float]
-
-    @property
-    def unlisted(self) -> float:
-        """Return the log odds of an unknown of no listed form, wherever it is."""
-        return logsumexp(np.array([*self.unlisted_at.values()])) if self.unlisted_at else -math.inf
-
-    def rival_of(self, best: Hypothesis) -> float:
-        """Return the log odds that named effects have to reach, because of unknowns of no listed form.
-
-        An unknown at the place of one of them claims the same and also that no law describes its course, which is
-        said only with the odds of a claim.
-        """
-        own = {_place_of(e) for e in best.entries}
-        odds = [odds - (CLAIM if place in own else 0.0) for place, odds in self.unlisted_at.items()]
-        return logsumexp(np.array(odds)) if odds else -math.inf
-
-    @property
-    def told(self) -> Hypothesis | None:
-        """Return the likeliest fitted hypothesis, less effects without which it would be as good but for `CLAIM`."""
-        fits = [h for h in self.hypotheses if h.fit is not None]
-        if not fits:
-            return None
-        enough = [h for h in fits if h.odds >= fits[0].odds - CLAIM * max(len(fits[0].entries) - len(h.entries), 0)]
-        fewest = min(len(h.entries) for h in enough)
-        return next(h for h in enough if len(h.entries) == fewest)
-
-
-def class_of(entry: Entry) -> Class:
-    """Return kind and place of an effect."""
-    return entry.candidate.kind, entry.candidate.where
-
-
-class Prior:
-    """Prior of single effects: a fault, its class, its law in the class; named laws have most of a class."""
-
-    def __init__(self, named: Iterable[CandidateLaw], opened: Iterable[CandidateLaw] = ()) -> None:
-        self._each: tuple[dict[Class, float], dict[Class, float]] = ({}, {})
-        for weights, laws in zip(self._each, (named, opened), strict=True):
-            for law in laws:
-                place = law.candidate.kind, law.candidate.where
-                weights[place] = weights.get(place, 0.0) + DRIVERS.get(law.candidate.driver, 1.0)
-        classes = self._each[0].keys() | self._each[1].keys()
-        self._total = sum(KINDS.get(kind, 0.5) for kind, _ in classes)
-
-    def of(self, entry: Entry) -> float:
-        """Return the log probability of an effect, apart from its time course and size."""
-        return math.log(FAULT) + self.share(entry.candidate)
-
-    def share(self, candidate: Candidate) -> float:
-        """Return the log probability that a fault is one of this law."""
-        place, is_open = (candidate.kind, candidate.where), candidate.is_open
-        alike, others = self._each[is_open].get(place, 1.0), self._each[not is_open].get(place, 0.0)
-        share = (UNLISTED if is_open else 1.0 - UNLISTED) if others else 1.0
-        weight = DRIVERS.get(candidate.driver, 1.0) / alike
-        return math.log(share * weight * KINDS.get(place[0], 0.5) / self._total)
 
 
 def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Sequence[tuple[Entry, ...]] = ()) -> Found:
@@ -204,13 +105,18 @@ def _explained(found: list[Hypothesis], contest: Contest) -> bool:
 
 
 def leading(entries: list[Entry], prior: Prior) -> list[Entry]:
-    """Return the likeliest entries, some of each class, one of each candidate and shape."""
+    """Return the likeliest entries, some of each class, one of each candidate and shape, and one of each claim of what
+    passes in a shape."""
     entries = sorted(entries, key=lambda e: -(e.log_bayes + prior.of(e)))
-    taken: Counter[Class] = Counter()
+    taken: Counter[object] = Counter()
     found: list[Entry] = []
     for entry in entries:
+        claim = entry.label, entry.shape.name
+        if taken[claim] and entry.shape.name in TIMED:
+            continue
         if taken[class_of(entry)] < PER_CLASS and not (found and entry.log_bayes <= 0.0):
             taken[class_of(entry)] += 1
+            taken[claim] += 1
             found.append(entry)
         if len(found) == LEADING:
             break
@@ -231,15 +137,25 @@ def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[Can
     grown: dict[object, Hypothesis] = {}
     for rank, one in enumerate(known[: LEADING if len(known[0].entries) == 1 else FITTED]):
         beside = joint(part.contest, _at_first_order(part, one))
-        scanned = [e for e in scan(part.contest, laws, beside, timed=rank < PER_CLASS) if apart(e, one.entries)]
+        others = [law for law in laws if apart(law.candidate, one.entries)]
+        scanned = scan(part.contest, others, beside, timed=rank < PER_CLASS)
         for entry in leading(scanned, prior)[:BESIDE]:
             if entry.log_bayes + prior.of(entry) <= 0.0:
                 break
             hypothesis = _set(part, (*_at_first_order(part, one), refined(part.contest, entry, beside)), prior)
             grown.setdefault(_key(hypothesis), hypothesis)
     likeliest = sorted(grown.values(), key=lambda h: -h.odds)[: 2 * LEADING]
-    settled = [_set(part, _settled(part, h.entries[:-1], h.entries[-1]), prior) for h in likeliest]
+    near = _near(likeliest)
+    settled = [
+        _set(part, _settled(part, h.entries[:-1], h.entries[-1]), prior) if h.odds > near else h for h in likeliest
+    ]
     return sorted(settled, key=lambda h: -h.odds)
+
+
+def _near(hypotheses: Sequence[Hypothesis]) -> float:
+    """Return the log odds above which a hypothesis is gone on with beside the likeliest, the first one."""
+    best = hypotheses[0].odds if hypotheses else 0.0
+    return best - AMBIGUOUS - LEADS * abs(best)
 
 
 def _at_first_order(part: Part, h: Hypothesis) -> tuple[Entry, ...]:
@@ -259,21 +175,6 @@ def _settled(part: Part, known: tuple[Entry, ...], entry: Entry) -> tuple[Entry,
 
 def _key(h: Hypothesis) -> tuple[object, ...]:
     return tuple(sorted((e.candidate.id, e.shape.name) for e in h.entries))
-
-
-def apart(entry: Entry, others: tuple[Entry, ...]) -> bool:
-    """Return True where an effect may be beside others: at one place there is one thing, of whatever form, and an error
-    of its thermometer."""
-    return all(_place_of(entry) != _place_of(o) for o in others)
-
-
-def _place_of(entry: Entry) -> Place:
-    return _place(entry.candidate.where, entry.candidate.kind == "sensor")
-
-
-def _place(where: str, reads: bool) -> Place:
-    named = where.removeprefix("T_").removesuffix("_C")
-    return MOVED_BY.get(named, named), reads
 
 
 def _fitted(part: Part, known: list[Hypothesis], level: list[Hypothesis], misfit: float) -> list[Hypothesis]:
@@ -311,7 +212,7 @@ def _settled_fits(part: Part, found: list[Hypothesis], misfit: float) -> list[Hy
     while True:
         fits = [h for h in found if h.fit is not None]
         open_ones = [h for h in fits if h.fit is not None and not h.fit.done and not h.settled]
-        near = [h for h in open_ones if h.odds > fits[0].odds - AMBIGUOUS - LEADS * abs(fits[0].odds)][:NEXT]
+        near = [h for h in open_ones if h.odds > _near(fits)][:NEXT]
         if not near:
             return found
         for new, h in zip(continued(part, [h.fit for h in near if h.fit is not None]), near, strict=True):
@@ -330,7 +231,7 @@ def _varied(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
 def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
     """Return a hypothesis with the data's part of its evidence as its fit has it."""
     own = copy.copy(part.contest)
-    look_at(own, Model.of(own.probe, fit.entries), fit)
+    own.take(fit.residual, fit.moved)
     entries = tuple(e.refreshed(own) for e in fit.entries)
     unusual = sum((e.size / (SPREAD * e.candidate.typical)) ** 2 for e in entries)
     quadratic = misfit - fit.total - unusual + form_quadratic(own, entries, h.form_error)
@@ -350,11 +251,9 @@ def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) 
             promising[class_of(e)] = max(promising.get(class_of(e), 0.0), e.gain)
     near = sorted(promising, key=lambda place: -promising[place])[:MOST_LATE]
     entries = [e for e in part.late(onset) if e.candidate.id not in known and class_of(e) in near]
-    # One round tells which lead of so many; only these are gone on with.
-    first = fitted(part, [(e,) for e in entries], 1)
-    first = sorted(first, key=lambda fit_of: fit_of[0].total)[: 2 * FITTED]
-    begun = continued(part, [fit for fit, _ in first], BEGUN - 1)
-    gained = [(f, e) for f, (_, (e,)) in zip(begun, first, strict=True) if misfit - f.total > 2.0 * CLAIM]
+    lead = np.argsort(-np.array(gains(part, entries)), kind="stable")[: 2 * FITTED]
+    begun = fitted(part, [(entries[i],) for i in lead], BEGUN)
+    gained = [(f, e) for f, (e,) in begun if misfit - f.total > 2.0 * CLAIM]
     gained.sort(key=lambda g: g[0].total)
     late = [_with_fit(part, replace(_set(part, (e,), prior), entries=(e,)), fit, misfit) for fit, e in gained[:FITTED]]
     every = sorted([*found, *late], key=lambda h: -h.odds)
@@ -364,7 +263,7 @@ def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) 
 def _retimed(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
     """Return the hypotheses with the leading ones of different claims, of what is slow or comes back, fitted with other
     time constants and onsets."""
-    near = found[0].odds - AMBIGUOUS - LEADS * abs(found[0].odds)
+    near = _near(found)
     slow = [h for h in found if h.fit is not None and h.odds > near and any(map(_is_retimed, h.entries))]
     first: dict[object, Hypothesis] = {}
     for h in slow:
@@ -395,22 +294,19 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
         best = max((best, *new), key=lambda h: h.odds)
 
     for i, entry in enumerate(best.entries):
-        if entry.shape.name == "periodic":
-            # A fit moves an onset by less than a turn, and only to first order is the first turn that of the scan.
-            for way in (-1.0, 1.0):
-                while (other := _turned(best.entries[i].shape, way, part.grid.span_s)) is not None:
-                    before = best
-                    fit_each(i, [replace(best.entries[i], shape=other).refreshed(part.contest)])
-                    if best is before:
-                        break
-            begun = best.entries[i].shape
-            on_s = begun.duty * begun.growth_s
-            amid = [replace(begun, onset_s=begun.onset_s + f * on_s, into_s=f * on_s) for f in AMID if not begun.into_s]
-            fit_each(i, [replace(best.entries[i], shape=shape).refreshed(part.contest) for shape in amid])
+        while entry.shape.name == "periodic" and (other := _turned(part, best, i)) is not None:
+            before = best
+            fit_each(i, [other])
+            if best is before:
+                break
         if entry.candidate.slower is None:
             continue
         for share in SLOWER:
-            fit_each(i, [o for f in (share, 1.0 / share) if (o := slower(part, best.entries[i], f)) is not None])
+            while True:
+                before = best
+                fit_each(i, [o for f in (share, 1.0 / share) if (o := slower(part, best.entries[i], f)) is not None])
+                if share < SLOWER[0] or best is before:
+                    break
         # When it came in is told within its time constant only.
         now = best.entries[i]
         reach_s = now.candidate.slow_s if now.shape.onset_s > 0.0 else 0.0
@@ -421,10 +317,17 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
     return tried
 
 
-def _turned(shape: Shape, way: float, span_s: float) -> Shape | None:
-    """Return what comes back begun a whole turn later or sooner, or None where that is not in the record."""
-    onset_s = shape.onset_s - shape.into_s + way * shape.growth_s
-    return replace(shape, onset_s=onset_s, into_s=0.0) if 0.0 <= onset_s < LAST_SHARE * span_s else None
+def _turned(part: Part, h: Hypothesis, i: int) -> Entry | None:
+    """Return the effect `i` of a fitted hypothesis with the first turn that is likeliest beside the others, to first
+    order about their fit; None for the one that it has. A fit moves an onset by less than a turn."""
+    assert h.fit is not None
+    own = copy.copy(part.contest)
+    others = tuple(e.refreshed(own) for k, e in enumerate(h.entries) if k != i)
+    this = h.entries[i].refreshed(own)
+    own.take(h.fit.residual + own.signatures(this.vector[None])[:, 0] * this.size, h.fit.moved)
+    found = refined(own, this, joint(own, others) if others else None)
+    moved_s = abs(found.shape.onset_s - this.shape.onset_s)
+    return found.refreshed(part.contest) if moved_s > own.step_s else None
 
 
 def log_odds_unlisted(part: Part) -> dict[Place, float]:
@@ -432,7 +335,7 @@ def log_odds_unlisted(part: Part) -> dict[Place, float]:
     free = part.free
     at: dict[Place, list[float]] = {}
     for course in free:
-        at.setdefault(_place(course.where, course.signature == "sensor"), []).append(course.log_evidence)
+        at.setdefault(place(course.where, course.signature == "sensor"), []).append(course.log_evidence)
     share = math.log(FAULT * UNLISTED) - math.log(len(free) * len(WALK_PER_BLOCK)) if free else 0.0
     return {place: logsumexp(np.array(found)) + share for place, found in at.items()}
 

@@ -19,7 +19,7 @@ from twin.discovery.evidence.held_out import binned, worse
 from twin.discovery.growing.beam import BEAM
 from twin.discovery.growing.growth import MOST_EFFECTS, Added, Growth, grow_samples, samples_of, states_of
 from twin.discovery.growing.leads import leads_of
-from twin.discovery.growing.merit import LEFT, NEEDED
+from twin.discovery.growing.merit import LEFT, NEEDED, REST, mostly_explained
 from twin.discovery.growing.unaided import GrowthFit, SampledRecord
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.grid import on_grid
@@ -31,14 +31,9 @@ EVERY = 4
 MOST_BLOCKS = 240
 LONGEST = 4000
 """Samples up to which a twin is grown by itself: its hypotheses are each simulated, and a longer record takes hours."""
-REST = 0.1
-"""Share of the re-tuned twin's misfit that may be left beyond noise: a real rig is never quite of the forms assumed,
-and no healthy record tells how far it is from them. Public records leave 0.03 to 0.07."""
 FAR = 4.0
 """Times the noise that any thermometer may be off where no fit saw it: what comes in half way is else taken for several
 things that have always been there."""
-MOSTLY = 0.5
-"""Share of what the re-tuned twin leaves unseen, of every thermometer, up to which most is explained."""
 _CUT = ". If something came in half way, cut the record there."
 _NOT_KNOWN = (
     "nothing healthy is known of this rig: the twin was grown from its file, and the noise is told from the record "
@@ -117,11 +112,12 @@ class _GrownDiagnosis:
             raise TwinFileError("the part of the record that is held out has no reading of any of the twin's sensors")
         good = g.verdict == "adequate" or misfit[-1] <= max(LEFT, REST * misfit[0])
         good = good and all(e.after <= FAR * e.noise for e in errors.values()) and not worse(errors)
+        mostly = not good and not worse(errors) and self._mostly(misfit, errors)
         effects = tuple(self._effect(a) for a in self.added)
         verdict: Verdict
         if not effects:
             verdict = "adequate" if g.verdict == "adequate" and good else "unexplained"
-        elif not good:
+        elif not good and not mostly:
             verdict = "unexplained"
         else:
             verdict = "effect found" if all(e.confidence >= SURE and _sized(e) for e in effects) else "ambiguous"
@@ -137,7 +133,7 @@ class _GrownDiagnosis:
         hours, blocks = self._blocks(times)
         return Diagnosis(
             verdict=verdict,
-            summary=self._summary(verdict, effects, errors),
+            summary=self._summary(verdict, effects, errors, mostly),
             effects=effects,
             indistinguishable=self._others() if verdict in ("effect found", "ambiguous") else (),
             alternatives=refused,
@@ -166,6 +162,14 @@ class _GrownDiagnosis:
                 verdict,
             ),
         )
+
+    def _mostly(self, misfit: list[float], errors: dict[str, SensorError]) -> bool:
+        """Return True where most of the misfit is explained: as fitted, and of every thermometer as held out.
+
+        The effects are kept then, and the summary calls the rest structural error.
+        """
+        held_out = [((e.after / e.noise) ** 2, (e.before / e.noise) ** 2) for e in errors.values()]
+        return all(mostly_explained(after, before) for after, before in [(misfit[-1], misfit[0]), *held_out])
 
     def _absent(self) -> tuple[str, ...]:
         names = [n for j, n in enumerate(self.network.sensor_names) if not np.isfinite(self.whole.measured[:, j]).any()]
@@ -270,7 +274,9 @@ class _GrownDiagnosis:
             for i, name in enumerate(scaling.ids)
         )
 
-    def _summary(self, verdict: Verdict, effects: tuple[Effect, ...], errors: dict[str, SensorError]) -> str:
+    def _summary(
+        self, verdict: Verdict, effects: tuple[Effect, ...], errors: dict[str, SensorError], mostly: bool
+    ) -> str:
         if verdict == "adequate":
             return "Re-tuned, the twin explains this record: nothing is missing that it could show."
         part = "On states that were held out" if self.whole.at_rest else "On the held-out segment"
@@ -293,6 +299,11 @@ class _GrownDiagnosis:
             text += f"; but this record cannot tell that from {', '.join(others)}" if others else ""
             text += f"; but this record does not tell the size of {' and '.join(vague)}" if vague else ""
             text += "" if self.whole.at_rest else "; a further record, given with --with, may"
+        if mostly:
+            told += (
+                " What is left is structural error, which no effect of the catalogue explains; if the noise in the "
+                "twin file is a guess, enter what the thermometer really has as its sigma."
+            )
         return f"{text}.{told}"
 
     def _unexplained(self, part: str, errors: dict[str, SensorError]) -> str:
@@ -307,14 +318,9 @@ class _GrownDiagnosis:
                 f"foretell worse than none. {part}, {worst} is off by {amount(e.before, 'K')} re-tuned, by "
                 f"{amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}{cut}"
             )
-        how = f"{part}, {worst} is off by {amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}"
-        if not self.added or any(x.after > MOSTLY * x.before for x in errors.values()):
-            return f"The twin does not fit this record, and no effects of the catalogue explain it. {how}{cut}"
-        found = ". ".join(self._said(x) for x in self.added)
         return (
-            f"Most of this record is explained, not all, so nothing is added: {found}. {how} by the twin file "
-            f"({amount(e.before, 'K')} when re-tuned alone); if that noise is a guess, enter what the thermometer "
-            f"really has as its sigma{cut}"
+            "The twin does not fit this record, and no effects of the catalogue explain it. "
+            f"{part}, {worst} is off by {amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}{cut}"
         )
 
 

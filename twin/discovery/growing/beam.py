@@ -80,11 +80,12 @@ class Beam:
         return problem, problem.start(old.fit)
 
     def reduced(self, old: FittedSet, entry: Entry) -> FittedSet:
-        """A set without one of its effects, and without what stands on it."""
+        """A set without one of its effects, and without what stands on the elements that this one alone adds."""
+        alone = set(entry.candidate.adds).difference(*(e.candidate.adds for e in old.fit.entries if e is not entry))
         gone = {name_of(entry.candidate)} | {
             name_of(e.candidate)
             for e in old.fit.entries
-            if any(name.rsplit(".", 1)[0] in entry.candidate.adds for name in e.candidate.changes)
+            if any(name.rsplit(".", 1)[0] in alone for name in e.candidate.changes)
         }
         rest = tuple(e for e in old.fit.entries if name_of(e.candidate) not in gone)
         problem = self.empty.with_entries(rest)

@@ -170,6 +170,8 @@ def grow_samples(
     say("asking each of them whether it is needed")
     merit = Merit(search)
     best = merit.weighed(merit.earned(), tuple(samples_of(network, *one) for one in more))
+    if not merit.explains(best):
+        best = merit.main_effects(best)
     rungs = _ladder(search, merit, best)
     # Few readings scatter by themselves.
     count = np.isfinite(samples.measured).sum(axis=0)
@@ -243,7 +245,7 @@ def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[GrowthRung, ...]
         new = min((beam.extended(now, e) for e in free), key=by_score)
         entry = next(e for e in best.fit.entries if name_of(e.candidate) in new.ids - now.ids)
         without = beam.reduced(best, entry)
-        better, share = merit.foretold(without, best)
+        better, share = merit.on_hidden_rows(without, best)
         elsewhere = merit.elsewhere(without) - merit.elsewhere(best)
         needed, chance = without.fit.cost - best.fit.cost, merit.chance(without)
         c = entry.candidate
@@ -276,6 +278,8 @@ def _others(beam: Beam, merit: Merit, best: FittedSet, without: FittedSet) -> di
     near = best.score + width(without.score - best.score)
     for key, other in beam.known.items():
         if not without.ids < key or len(key) != len(best.ids) or other.score > near:
+            continue
+        if not merit.is_rival(best, other):
             continue
         worse = other.score + merit.elsewhere(other) - best.score - merit.elsewhere(best)
         if worse < width(0.0):

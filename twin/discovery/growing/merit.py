@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.discovery.effects.lint import EffectLabel
 from twin.discovery.effects.phrases import said
-from twin.discovery.growing.beam import Beam, FittedSet, by_score, likeliest
+from twin.discovery.growing.beam import Beam, FittedSet, by_score, by_squares, likeliest
 from twin.discovery.growing.calibration import Chance, by_chance
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.likelihood import cosines, judged
@@ -22,6 +22,8 @@ LEFT = 1.3
 """Misfit that a twin with the right effects may leave, over what noise leaves."""
 NEEDED = 25.0
 """Least fall of -2 log likelihood that an effect must bring, whatever chance could bring on this record."""
+LEAST_LEFT = 4
+"""Sets of one size, those that leave least, that may explain most of a record."""
 CHECKED = 400
 """Sets, from the best, of which each member is asked whether it is needed."""
 REFUSED = 6
@@ -29,6 +31,11 @@ REFUSED = 6
 FOLDS, PIECES = 4, 12
 """Folds of the cross-validation, and pieces of the record that are dealt out to them in turn."""
 BETTER_FOLDS = 3
+MOSTLY = 0.5
+"""Share of the squares beyond noise that may be left where most is explained."""
+REST = 0.1
+"""Share of the re-tuned twin's misfit that may be left beyond noise: a real rig is never quite of the forms assumed,
+and no healthy record tells how far it is from them. Public records leave 0.03 to 0.07."""
 SAME = 0.02
 """Share by which a fold's error may be worse and still count as the same."""
 
@@ -48,7 +55,7 @@ class Merit:
     """Judges the sets of a beam."""
 
     def __init__(self, beam: Beam) -> None:
-        self._beam = beam
+        self._beam, self._none = beam, beam.known[frozenset()]
         self._more: tuple[SampledRecord, ...] = ()
         self._told: dict[frozenset[str], float] = {}
         self._chance: dict[frozenset[str], Chance] = {}
@@ -74,6 +81,51 @@ class Merit:
                 break
             best = self._beam.reduced(best, weakest)
         return best
+
+    def explains(self, found: FittedSet) -> bool:
+        """Return True for a set that leaves no more than noise, or than its assumed forms leave of a real rig."""
+        misfit, before = (float(np.nanmean((s.fit.rms / s.problem.samples.sigma) ** 2)) for s in (found, self._none))
+        return misfit <= max(LEFT, REST * before)
+
+    def is_rival(self, best: FittedSet, other: FittedSet) -> bool:
+        """Return True for a set that may stand in the place of `best`.
+
+        Beside structural error it must also leave squares beyond noise that are less than twice those of `best`.
+        """
+        return self.explains(best) or _beyond_noise(best) > MOSTLY * _beyond_noise(other)
+
+    def essential(self, best: FittedSet) -> FittedSet:
+        """Return a set without every effect that takes less than half of the squares that are left without it.
+
+        Beside structural error a lesser effect may take any part of that error.
+        """
+        while best.fit.entries:
+            shares = [(_beyond_noise(best) / _beyond_noise(self._beam.reduced(best, e)), e) for e in best.fit.entries]
+            share, entry = max(shares, key=lambda s: s[0])
+            if share <= MOSTLY:
+                break
+            best = self._beam.reduced(best, entry)
+        return best
+
+    def main_effects(self, best: FittedSet) -> FittedSet:
+        """Return the set that explains most of a record which no set explains.
+
+        Beside structural error the likelihood takes slow misfit for noise, so the squares of hidden folds decide. The
+        set has the size of the essential part of `best`, or more where sets of that size explain too little.
+        """
+        essential = self.essential(best)
+        for level in self._beam.levels[max(len(essential.ids), 1) :]:
+            leading = sorted(likeliest(level), key=by_squares)[:LEAST_LEFT]
+            shares = [
+                (share, s)
+                for s in leading
+                if not any(_at_bound(e) for e in s.fit.entries)
+                for better, share in [self.on_hidden_rows(self._none, s, further=True)]
+                if better >= BETTER_FOLDS and share <= MOSTLY
+            ]
+            if shares:
+                return min(shares, key=lambda one: one[0])[1]
+        return essential if essential.ids else best
 
     def weighed(self, best: FittedSet, more: tuple[SampledRecord, ...]) -> FittedSet:
         """The set that foretells further records best, without another fit.
@@ -168,7 +220,7 @@ class Merit:
         chance = self.chance(without).limit
         if gain < chance:
             return f"gains {gain:.0f} where {chance:.0f} come by chance"
-        better, share = self.foretold(without, found)
+        better, share = self.on_hidden_rows(without, found)
         if better < BETTER_FOLDS or share >= 1.0:
             return f"foretells {better} of {FOLDS} hidden parts no worse, with {share:.2f} of their squares"
         return ""
@@ -179,11 +231,16 @@ class Merit:
             self._chance[without.ids] = by_chance(without.problem, without.fit)
         return self._chance[without.ids]
 
-    def foretold(self, without: FittedSet, found: FittedSet) -> tuple[int, float]:
-        """Folds that a set foretells no worse than a smaller one, and its squares over the other's, on hidden rows."""
+    def on_hidden_rows(self, without: FittedSet, found: FittedSet, *, further: bool = False) -> tuple[int, float]:
+        """Folds that a set predicts no worse than a smaller one, and its squares over the other's, on hidden rows.
+
+        With `further` these are the squares in the further records, too.
+        """
         squares = self.hidden(without, found).reshape(-1, FOLDS, 2).sum(axis=0)
         better = int((squares[:, 1] <= squares[:, 0] * (1.0 + SAME)).sum())
         total = squares.sum(axis=0)
+        if further:
+            total += [sum(_squares(one, samples) for samples in self._more) for one in (without, found)]
         return better, float(total[1] / max(total[0], 1e-12))
 
     def hidden(self, without: FittedSet, found: FittedSet) -> Array:
@@ -195,8 +252,8 @@ class Merit:
         parts = [one.problem.with_entries(one.fit.entries, hidden[fold]) for fold, _, one in ways]
         ends = descend([(part, part.start(one.fit)) for part, (*_, one) in zip(parts, ways, strict=True)])
         readings = readings_of([(part, v[None, :]) for part, v in zip(parts, ends, strict=True)])
-        for (fold, k, _), foretold in zip(ways, readings, strict=True):
-            off = (samples.measured - foretold) / samples.sigma
+        for (fold, k, _), predicted in zip(ways, readings, strict=True):
+            off = (samples.measured - predicted) / samples.sigma
             for piece in range(fold, PIECES, FOLDS):
                 out[piece, k] = float(np.nansum(off[self._piece == piece] ** 2))
         return out
@@ -219,6 +276,24 @@ def _foretelling(one: FittedSet, samples: SampledRecord) -> float:
     return judged(left, samples.sigma)[0]
 
 
+def _squares(one: FittedSet, samples: SampledRecord) -> float:
+    """Return the squares over noise that a set leaves of another record, fitted as for `_foretelling`."""
+    problem = one.problem.with_entries(one.fit.entries, samples)
+    return float(np.nansum((problem.residual(problem.carried(one.fit)) / samples.sigma) ** 2))
+
+
+def mostly_explained(after: float, before: float) -> bool:
+    """Return True where misfit `after` has at most half of what `before` has beyond noise, or little beyond noise.
+
+    Both are mean squares over those of the noise.
+    """
+    return after - 1.0 <= max(MOSTLY * (before - 1.0), LEFT - 1.0)
+
+
+def _beyond_noise(one: FittedSet) -> float:
+    return max(one.squares - float(np.isfinite(one.problem.samples.measured).sum()), 1e-12)
+
+
 def _at_bound(entry: Entry) -> bool:
     c = entry.candidate
-    return entry.size <= c.lower or entry.size >= c.upper
+    return entry.size <= c.lower or (entry.size >= c.upper and not c.exhausts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -142,7 +143,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid, period_s: flo
     ids = network.tunables("commission" if "commission" in network.sets else None)
     if not ids:
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
-    probe, book = Probe(network, ids), Book(network, late_at_once=healthy is not None)
+    probe, book = _asked(network, ids, healthy is not None)
     if healthy is not None:
         thinned = _as_often(healthy, period_s)
         try:
@@ -175,6 +176,19 @@ def basis(network: Network, healthy: Columns | None, record: Grid, period_s: flo
     )
     own = _from_itself(probe, book, record, state, learned, prior)
     return Basis(probe, book, own, prior, (warning,), _tried(record))
+
+
+def _asked(network: Network, ids: tuple[str, ...], late_at_once: bool) -> tuple[Probe, Book]:
+    """Probe and book of a network; those of the last few are kept, as one twin is asked about several records."""
+    for known, tunables, late, probe, book in _last:
+        if known is network and tunables == ids and late == late_at_once:
+            return probe, book
+    new = Probe(network, ids), Book(network, late_at_once=late_at_once)
+    _last.append((network, ids, late_at_once, *new))
+    return new
+
+
+_last: deque[tuple[Network, tuple[str, ...], bool, Probe, Book]] = deque(maxlen=2)
 
 
 def _as_often(healthy: Columns, period_s: float) -> Columns:

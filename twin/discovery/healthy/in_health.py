@@ -73,8 +73,10 @@ class InHealth:
             tunables: ids (q,) of the twin at hand, which may have others than the one of this record.
         """
         contest, ids = self._contest, self.probe.scaling.ids
-        own = {c.id for c in self.book.candidates}
-        here = tuple(c for c in candidates if c.id in own)
+        # A law that a revision has adopted has the name that it had as an addition, and is a change of an element that
+        # the twin of this record lacks.
+        own = {c.id: c for c in self.book.candidates}
+        here = tuple(c for c in candidates if c.id in own and own[c.id].change == c.change)
         laws = self.book.laws(self.grid, self.run, here)
         if not laws:
             return Amplitudes((), np.zeros((0, 0)), np.zeros(0), np.zeros((len(tunables), 0)))

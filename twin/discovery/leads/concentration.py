@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from twin.network import Array
 
@@ -50,7 +50,7 @@ class ResidualSquares:
     def present(self) -> bool:
         """Return True if the squares are more than noise makes with probability `LEVEL`."""
         whole = float(self.count.sum())
-        return whole > 0.0 and float(chi2.sf(self.total.sum(), whole)) < LEVEL
+        return whole > 0.0 and float(chdtrc(whole, self.total.sum())) < LEVEL
 
     @property
     def beyond(self) -> float:

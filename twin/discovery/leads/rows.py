@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtri
 
 from twin.discovery.leads.concentration import DRAWS, LEVEL
 from twin.network import Array
@@ -61,11 +61,11 @@ def suspicious_readings(time_s: Array, measured: Array, simulated: Array, sigma:
     sd = np.sqrt(1.0 + 1.0 / ON_A_SIDE)
     off = _both(before, after)
     tests = max(int(np.isfinite(off).sum()) + n, 1)
-    single = np.abs(off) > sd * norm.isf(0.5 * LEVEL / tests)
+    single = np.abs(off) > -sd * ndtri(0.5 * LEVEL / tests)
     known = np.isfinite(off)
     squares = np.minimum(*(np.where(known, x, 0.0).__pow__(2).sum(axis=1) for x in (before, after))) / sd**2
     one_way = np.where(known, before * after, 0.0).sum(axis=1) > 0.0
-    together = one_way & (squares > chi2.isf(LEVEL / tests, np.maximum(known.sum(axis=1), 1)))
+    together = one_way & (squares > chdtri(np.maximum(known.sum(axis=1), 1), LEVEL / tests))
     found = []
     for row in np.flatnonzero(single.any(axis=1) | together):
         alone = np.flatnonzero(single[row])
@@ -91,7 +91,7 @@ def suspicious_inputs(time_s: Array, inputs: Array, least: Array) -> tuple[Suspi
     """
     found: list[Suspicious] = []
     sd = np.sqrt(1.0 + 1.0 / ON_A_SIDE)
-    limit = sd * norm.isf(0.5 * LEVEL / max(inputs.size, 1))
+    limit = -sd * ndtri(0.5 * LEVEL / max(inputs.size, 1))
     for j in range(inputs.shape[1]):
         before, after = _sides(time_s, inputs[:, j])
         off = _both(before[:, None], after[:, None])[:, 0]
@@ -105,6 +105,24 @@ def suspicious_inputs(time_s: Array, inputs: Array, least: Array) -> tuple[Suspi
             times = [abs(off[r]) / noise if noise > 0.0 else 0.0 for r in rows]
             found += [Suspicious(int(r), (j,), (float(off[r]),), t) for r, t in zip(rows, times, strict=True)]
     return tuple(sorted(found, key=lambda s: -s.times))
+
+
+def near_steps(inputs: Array, least: Array) -> np.ndarray:
+    """Return the rows (N,) beside a step of an input, after which a fast place may well leave its neighbours.
+
+    Parameters
+    ----------
+    inputs
+        (N, c).
+    least
+        (c,) size of a step that counts, beside that of an input's own noise.
+    """
+    near = np.zeros(len(inputs), dtype=bool)
+    for values, size in zip(inputs.T, least, strict=True):
+        limit = max(float(size), -ndtri(0.5 * LEVEL / max(len(values), 1)) * np.sqrt(2.0) * _noise(values, 0.0))
+        for row in np.flatnonzero(np.abs(np.diff(values)) > limit):
+            near[max(row + 1 - ON_A_SIDE, 0) : row + 1 + ON_A_SIDE] = True
+    return near
 
 
 def suspicious_states(left: Array, sigma: Array) -> tuple[Suspicious, ...]:

@@ -13,7 +13,7 @@ from twin.discovery.effects.statement import disturbance_statement
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.healthy.visited import BRIEF, STEADY
 from twin.discovery.leads.concentration import ResidualSquares, input_ranges, segments
-from twin.discovery.leads.rows import MOST_ROWS, Suspicious, suspicious_inputs, suspicious_readings
+from twin.discovery.leads.rows import MOST_ROWS, Suspicious, near_steps, suspicious_inputs, suspicious_readings
 from twin.network import Array, InputSpec, Network
 from twin.segments import CLOCK_PREFIX
 
@@ -130,11 +130,13 @@ def record_rows(network: Network, record: Columns, simulated: Array) -> tuple[Le
     """Return the single suspicious rows of a record, inputs first; `simulated` (N, m) degC at its stamps."""
     time, specs = record.time_s, list(network.inputs.values())
     sensors, columns = network.sensor_names, network.input_columns
+    least = np.array([_room(spec) for spec in specs])
     found: list[tuple[Suspicious, Sequence[str], Sequence[str]]] = [
         (s, [columns[j] for j in s.columns], [specs[j].unit for j in s.columns])
-        for s in suspicious_inputs(time, record.inputs, np.array([_room(spec) for spec in specs]))
+        for s in suspicious_inputs(time, record.inputs, least)
     ]
-    readings = suspicious_readings(time, record.measured, simulated, network.sigma)
+    moved = near_steps(record.inputs, least)
+    readings = [s for s in suspicious_readings(time, record.measured, simulated, network.sigma) if not moved[s.row]]
     found += [(s, [sensors[j] for j in s.columns], ["K"] * len(s.columns)) for s in readings]
     return row_leads(found, lambda row: (float(time[row]), f"single row at {time[row]:.10g} s ({clock(time[row])})"))
 

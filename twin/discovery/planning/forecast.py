@@ -73,7 +73,7 @@ def forecast(known: Basis, grid: Grid, state: Array | None = None) -> Forecast:
     contest = known.contest(own, start, run, found)
     vectors = np.stack([contest.vector(law) for law in found])
     flat = vectors.reshape(len(found), -1)
-    gram = flat @ contest.gram @ flat.T
+    gram, _ = contest.joint(vectors)
     norm = np.sqrt(np.maximum(np.diag(gram), 0.0))
     bare = np.sqrt(np.maximum(contest.bare(flat), 1e-30))
     threshold = null_scores(contest, found).quantile(FALSE_ALARMS)
@@ -104,7 +104,7 @@ def too_little(contest: Contest, found: list[CandidateLaw], candidates: tuple[Ca
     share = hidden(contest, found, candidates)
     if sum(share.values()) < MOST_HIDDEN * len(share):
         return ()
-    return tuple(kind.replace("_", " ") for kind, missing in share.items() if missing > 0.5)
+    return tuple(spoken(kind) for kind, missing in share.items() if missing > 0.5)
 
 
 def too_still(contest: Contest, kinds: tuple[str, ...]) -> str:
@@ -138,7 +138,12 @@ def either(kinds: tuple[str, ...]) -> str:
 def unseen_kinds(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
     """Kinds of effect of which a record could have shown none, however large."""
     share = hidden(contest, found, candidates)
-    return tuple(kind.replace("_", " ") for kind, missing in share.items() if missing > 0.99)
+    return tuple(spoken(kind) for kind, missing in share.items() if missing > 0.99)
+
+
+def spoken(kind: str) -> str:
+    """Return a kind of effect in words."""
+    return {"coupling": "coupling (heat exchange between two places)"}.get(kind, kind.replace("_", " "))
 
 
 def hidden(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> dict[str, float]:
@@ -156,6 +161,6 @@ def hidden(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candid
 
 
 def _norms(contest: Contest, found: list[CandidateLaw]) -> Array:
-    flat = np.stack([contest.vector(law) for law in found]).reshape(len(found), -1)
-    norms: Array = np.sqrt(np.maximum(((flat @ contest.gram) * flat).sum(axis=1), 0.0))
+    gram, _ = contest.joint(np.stack([contest.vector(law) for law in found]))
+    norms: Array = np.sqrt(np.maximum(np.diag(gram), 0.0))
     return norms

@@ -101,7 +101,7 @@ def on_grid(
         mean[where[before] + 1 : first] = np.nan
         if begins[-1] < first < bins:
             begins.append(first)
-    u_means = _held_means(t, u, where, grid_time)
+    u_means = _held_means(t, u, np.append(grid_time, grid_time[-1] + step), period)
     return Grid(grid_time, u_means, mean, network.sigma / np.sqrt(per_bin), step, tuple(begins))
 
 
@@ -163,15 +163,25 @@ def bridged(network: Network, time_s: ArrayLike, inputs: ArrayLike) -> Array:
     return u
 
 
-def _held_means(t: Array, u: Array, where: np.ndarray, grid_time: Array) -> Array:
-    """Means of inputs (bins, c); a bin without a sample holds the one before."""
-    bins = len(grid_time)
-    count = np.bincount(where, minlength=bins)
-    total = np.stack([np.bincount(where, u[:, j], bins) for j in range(u.shape[1])], axis=1)
-    mean = total / np.maximum(count, 1)[:, None]
-    latest = np.maximum.accumulate(np.where(count > 0, np.arange(bins), 0))
-    out: Array = np.ascontiguousarray(mean[latest])
-    return out
+def _held_means(t: Array, u: Array, edges: Array, period: float) -> Array:
+    """Return the means over time (bins, c) of held inputs, between edges (bins + 1,) s from the first sample on.
+
+    Samples are no equal shares of a bin where they come seldom. A sample stands for one period, since where the next
+    ones are lost nobody knows when the input changed; a bin without any holds the last sample before its end.
+    """
+    until = np.minimum(np.append(t[1:], np.inf), t + period)
+    known = until - t
+    # Integrals of 1 and of the inputs at the beginning and at the end of what each sample stands for.
+    amounts = np.column_stack([known, u * known[:, None]])
+    after = np.cumsum(amounts, axis=0)
+    stamps = np.column_stack([t, until]).ravel()
+    sums = np.stack([after - amounts, after], axis=1).reshape(len(stamps), -1)
+    within = np.diff(np.stack([np.interp(edges, stamps, column) for column in sums.T], axis=1), axis=0)
+    seen = within[:, 0]
+    latest = u[np.maximum(np.searchsorted(t, edges[1:]) - 1, 0)]
+    there = seen > 1e-9 * period
+    means = within[:, 1:] / np.where(there, seen, 1.0)[:, None]
+    return np.ascontiguousarray(np.where(there[:, None], means, latest))
 
 
 def filled(values: Array, present: np.ndarray, anchor: int = 1) -> Array:

@@ -78,7 +78,7 @@ class Noise:
         scale = np.sqrt(step / self.step_s)
         for b in np.unique(band):
             rows = band == b
-            out[rows] = scale * np.einsum("ji,njk->nik", self.roots[b], flat[rows])
+            out[rows] = (scale * self.roots[b].T) @ flat[rows]
         whitened: Array = out.reshape(c.shape)
         return whitened
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.discovery.effects.probe import FreeRun
-from twin.discovery.effects.shapes import Shape
+from twin.discovery.effects.shapes import TIMED, Shape
+from twin.discovery.records.grid import Grid
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.stepping import LeastSquaresProblem, minimise
 from twin.discovery.scoring.contest import Contest
@@ -26,6 +27,10 @@ ROUNDS, AGAIN = 12, 4
 REACH = 1.0
 """Longest step of a tunable, in standard deviations of a weak prior: its derivative is not to be trusted beyond, but
 where it held so far."""
+SHORT = 0.2
+"""Share of what is soon over by which its beginning and its end are moved for slopes, at most."""
+GROWN_S = 180.0
+"""Shortest time in which something grows, s: quicker is at once. What passes may be over within a bin."""
 _STEP = 1.0e-4
 _STATE_STEP = 1.0e-2
 _SIZE_STEP = 1.0e-2
@@ -40,6 +45,7 @@ class Fit:
             commissioning. values: (p,) of the original network. state: (s * k,) at the first bin of each stretch.
         total: weighted squares, of residual and of tunables against their prior. chi: residual's per block and sensor.
         away: those of the tunables; what no effect explains may push them far.
+        residual: (b * m,) whitened, of the contest that it was fitted in.
         done: whether more rounds would have led no further.
     """
 
@@ -50,6 +56,7 @@ class Fit:
     total: float
     chi: float
     away: float
+    residual: Array
     done: bool
 
 
@@ -75,7 +82,8 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     high[q + k : first_time] = [x.candidate.upper for x in entries]
     # Onsets are in hours, growth times in the logarithm of hours.
     low[first_time:first_growth], high[first_time:first_growth] = 0.0, LAST_SHARE * last_h
-    low[first_growth:], high[first_growth:] = np.log(0.05), np.log(10.0 * last_h)
+    low[first_growth:] = [np.log((grid.step_s if entries[i].shape.name in TIMED else GROWN_S) / 3600.0) for i in grown]
+    high[first_growth:] = np.log(10.0 * last_h)
     reach = np.full(count, np.inf)
     reach[:q], reach[q : q + k] = REACH * scaling.prior_sd(), 5.0
     reach[first_time:first_growth], reach[first_growth:] = 1.0, 0.7
@@ -90,8 +98,12 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         shape = entries[i].shape
         if shape.name in ("periodic", "spell"):
             told_s = grid.span_s if shape.name == "periodic" else shape.growth_s
-            steps[first_growth + place] = 6.0 * grid.step_s / max(told_s, grid.step_s)
+            steps[first_growth + place] = min(6.0 * grid.step_s / max(told_s, grid.step_s), SHORT)
             reach[first_growth + place] = contest.step_s / max(told_s, grid.step_s)
+    for place, i in enumerate(timed):
+        if entries[i].shape.name in ("spell", "pulse"):
+            # Its beginning and its end bend the readings apart.
+            steps[first_time + place] = float(np.clip(SHORT * entries[i].shape.growth_s / 3600.0, hours, 6.0 * hours))
     scale = np.ones(count)
     scale[q + k : first_time] = [x.candidate.typical for x in entries]
 
@@ -109,12 +121,11 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         values[:, scaling.index] = scaling.to_values(z0 + v[:, :q])
         shapes = tuple(shapes_at(row) for row in v)
         start, sizes = state[:k] + v[:, q : q + k], v[:, q + k : first_time]
-        return _between(model.run(grid.time, grid.inputs, start, values, sizes, shapes, grid.begins))
+        return simulated(model, grid, start, values, sizes, shapes)
 
-    def look(rows: Array) -> tuple[Array, Array]:
-        """Whitened residuals (P, rows) and readings (P, n, m) of runs at `rows` (P, count)."""
-        readings = run(rows)
-        return contest.residuals_of(readings), readings
+    def look(rows: Array) -> Array:
+        """Whitened residuals (P, rows) of runs at `rows` (P, count)."""
+        return contest.residuals_of(run(rows))
 
     def slopes_at(v: Array) -> tuple[Array, Array]:
         """Whitened slopes (rows, count), and those (rows, onsets) that onsets have towards earlier times."""
@@ -157,20 +168,26 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         for i, x in enumerate(entries)
     )
     fitted = tuple(_going_on(x, grid.span_s) for x in fitted)
-    contest.look_at(FreeRun(found.seen, found.seen), v[: q + k])
+    contest.take(found.residual, v[: q + k])
     values = probe.network.values.copy()
     values[scaling.index] = scaling.to_values(z0 + v[:q])
     chi = float(found.residual @ found.residual) / max(contest.count, 1)
     away = float(v[: q + k] @ contest.prior.precision @ v[: q + k])
-    return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], found.total, chi, away, done)
+    return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], found.total, chi, away, found.residual, done)
+
+
+def simulated(
+    model: Model, grid: Grid, state: Array, values: Array, sizes: Array, shapes: tuple[tuple[Shape, ...], ...] | None
+) -> Array:
+    """Return readings (P, n, m), degC, in the middle of a record's bins; arguments as those of `Model.run`."""
+    return _between(model.run(grid.time, grid.inputs, state, values, sizes, shapes, grid.begins))
 
 
 def look_at(contest: Contest, model: Model, found: Fit) -> None:
     """Have the contest look at what a fit has found; the model is of its effects."""
     sizes = np.array([[e.size for e in model.entries]])
     grid = contest.grid
-    run = model.run(grid.time, grid.inputs, found.state[None], found.values[None], sizes, begins=grid.begins)
-    readings = _between(run)[0]
+    (readings,) = simulated(model, grid, found.state[None], found.values[None], sizes, None)
     contest.look_at(FreeRun(readings, readings), found.moved)
 
 

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from twin.discovery.effects.catalogue import extended
 from twin.discovery.effects.probe import Probe
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.effects.shared_kernels import injection
@@ -20,8 +19,8 @@ from twin.segments import restarted_states, segment_rows
 
 SETTLE_S, FIRST_ROWS, STATE_STEP_K = 900.0, 6, 1.0e-2
 """Readings at a beginning that tell its temperatures, those that give a first guess, and how far it is moved."""
-FADED = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0)
-"""Time constants of a pulse after which it is held anew."""
+FADED = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 4.0, 5.0, 7.0)
+"""Time constants of a pulse after which it is held anew, until a thousandth of it is left."""
 PIECE_S, READ_PIECE_S = 600.0, 300.0
 """A growing effect is held constant for so long; an error of reading, which nothing evens out, for less."""
 
@@ -57,14 +56,9 @@ class Model:
         Raises:
             TwinFileError: an element does not fit.
         """
-        bigger = probe.network
         # In one order, so that a pair named the other way round is the same kernel.
-        ordered = sorted(entries, key=lambda e: e.candidate.id)
-        for entry in ordered:
-            if not any(name in {e.name for e in bigger.elements} for name in entry.candidate.adds):
-                bigger = extended(bigger, entry.candidate)
-        ids = dict.fromkeys((*probe.scaling.ids, *(name for e in ordered for name in e.candidate.changes)))
-        return cls(probe.network, bigger, entries, Kernel(bigger, tuple(ids), whole_memory=True))
+        own = probe.kernels.of_these(tuple(sorted((e.candidate for e in entries), key=lambda c: c.id)))
+        return cls(probe.network, own.network, entries, own.kernel)
 
     @cached_property
     def _here(self) -> np.ndarray:
@@ -260,10 +254,13 @@ class Model:
 def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
     """Rows (c,) at which sizes change, and the end; what grows does so every `piece` s."""
     borders = {0.0}
+    short: set[float] = set()
     for shape in shapes:
         borders.add(min(shape.onset_s, float(since[-1])))
         if shape.name == "spell":
             borders.add(min(shape.onset_s + shape.growth_s, float(since[-1])))
+        if shape.name in ("spell", "pulse"):
+            short |= {shape.onset_s, shape.onset_s + shape.growth_s}
         if shape.name == "periodic":
             first = shape.onset_s - shape.into_s
             turns = np.arange(first, since[-1], max(shape.growth_s, 2.0 * READ_PIECE_S))
@@ -272,5 +269,7 @@ def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
             borders.update(min(shape.onset_s + shape.growth_s * f, float(since[-1])) for f in FADED)
         if shape.grows or shape.name == "pulse":
             borders.update(np.arange(piece * np.ceil(shape.onset_s / piece), since[-1], piece).tolist())
-    cuts = np.unique(np.searchsorted(since, sorted(borders)))
+    # What is soon over begins and ends amid a sample, of which it has the share that it is there.
+    amid = np.maximum(np.searchsorted(since, sorted(short)) - 1, 0)
+    cuts = np.unique(np.concatenate([np.searchsorted(since, sorted(borders)), amid.astype(np.intp)]))
     return np.concatenate([cuts[cuts < len(since)], [len(since)]])

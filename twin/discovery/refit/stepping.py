@@ -32,14 +32,14 @@ class LeastSquaresProblem:
     """Least-squares problem over v (c,): |residual|^2 + v' precision v is to be made small.
 
     Attributes:
-        look: residuals (P, rows) at v (P, c), and what was seen of each (P, ...).
+        look: residuals (P, rows) at v (P, c).
         slopes: how fast (rows, c) the residual falls at v (c,), and for what bends (rows, bends) towards lower values.
         precision: (c, c). low, high: (c,) bounds. reach: (c,) longest steps, but where slopes held so far.
         bends: (bends,) places of what bends. leap: how far apart its bends are.
         scale: (c,) what is much of each quantity, in its unit.
     """
 
-    look: Callable[[Array], tuple[Array, Array]]
+    look: Callable[[Array], Array]
     slopes: Callable[[Array], tuple[Array, Array]]
     precision: Array
     low: Array
@@ -57,11 +57,10 @@ class LeastSquaresProblem:
 
 @dataclass(frozen=True)
 class SearchPoint:
-    """Where a search is: v (c,), residual (rows,), what was seen there, and the squares."""
+    """Where a search is: v (c,), residual (rows,), and the squares."""
 
     v: Array
     residual: Array
-    seen: Array
     total: float
 
 
@@ -77,9 +76,12 @@ class TrialStep:
 
 def minimise(squares: LeastSquaresProblem, v: Array, rounds: int) -> tuple[SearchPoint, Array, bool]:
     """Where the squares are least near v (c,), as far as some rounds lead, the slopes (rows, c) there, and whether more
-    rounds would lead no further; if they would, the slopes are those of the last round."""
-    residuals, seen = squares.look(v[None])
-    place = SearchPoint(v, residuals[0], seen[0], float(squares.weighed(v[None], residuals)[0]))
+    rounds would lead no further; if they would, the slopes are those of the last round.
+
+    After a single round, of which the squares alone are asked for, they are those of its beginning.
+    """
+    residuals = squares.look(v[None])
+    place = SearchPoint(v, residuals[0], float(squares.weighed(v[None], residuals)[0]))
     slopes = squares.slopes(place.v)
     damping, longer, fresh = FIRST_DAMPED, 1.0, True
     for _ in range(rounds):
@@ -105,7 +107,8 @@ def minimise(squares: LeastSquaresProblem, v: Array, rounds: int) -> tuple[Searc
                 continue
         elif fresh:
             break
-        slopes, fresh = squares.slopes(place.v), True
+        if rounds > 1:
+            slopes, fresh = squares.slopes(place.v), True
     else:
         return place, slopes[0], False
     return place, slopes[0] if fresh else squares.slopes(place.v)[0], True
@@ -116,10 +119,10 @@ def _best(squares: LeastSquaresProblem, place: SearchPoint, tried: list[TrialSte
     steps = np.stack([s.step for s in tried])
     steps[~np.isfinite(steps).all(axis=1)] = 0.0
     v = np.clip(place.v + steps, squares.low, squares.high)
-    residuals, seen = squares.look(v)
+    residuals = squares.look(v)
     totals = squares.weighed(v, residuals)
     k = int(np.argmin(totals))
-    return tried[k], SearchPoint(v[k], residuals[k], seen[k], float(totals[k]))
+    return tried[k], SearchPoint(v[k], residuals[k], float(totals[k]))
 
 
 def _steps(

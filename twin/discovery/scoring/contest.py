@@ -148,11 +148,19 @@ class Contest:
         self._normal = self.slopes.T @ self.slopes + self.prior.precision
         cross = self.slopes.T @ self._columns
         self._taken = np.linalg.solve(self._normal, cross)
-        self.gram = self._columns.T @ self._columns - cross.T @ self._taken
         self.memo: dict[Hashable, Any] = {}
         self.count = int(self.known.sum())
         self.expected = float(np.mean(1.0 / np.array(CAUTION)[bands(self.b, self.step_s)]))
         self.look_at(run)
+
+    @property
+    def gram(self) -> Array:
+        """Return the Gram matrix, made when it is first asked for: a contest that only weighs fits needs none."""
+        known: Array | None = self.memo.get("gram")
+        if known is None:
+            cross = self.slopes.T @ self._columns
+            known = self.memo["gram"] = self._columns.T @ self._columns - cross.T @ self._taken
+        return known
 
     def _means(self, values: Array) -> Array:
         """(n, ...) to block means (b, ...)."""
@@ -221,7 +229,10 @@ class Contest:
 
     def look_at(self, run: FreeRun, moved: Array | None = None) -> None:
         """Take the residual of a run, whose tunables and state stand `moved` (q + s * k,) off the prior's mean."""
-        residual = self.residuals_of(run.readings[None])[0]
+        self.take(self.residuals_of(run.readings[None])[0], moved)
+
+    def take(self, residual: Array, moved: Array | None = None) -> None:
+        """Take a whitened residual (b * m,) as that of a run; `moved` as in `look_at`."""
         self.residual = residual
         pull = self.slopes.T @ residual
         if moved is not None:
@@ -259,6 +270,14 @@ class Contest:
 
     def small(self, p: Array, scores: Array | None = None) -> tuple[Array, Array]:
         """Gram matrix (b, b) and score (b,) of one law's blocks, p (sites, b); of `scores` (sites * b, d): (b, d)."""
+        if scores is None:
+            return self.small_gram(p), self.scored(p)
+        active = np.flatnonzero(p.any(axis=1))
+        drawn = scores.reshape(self.sites, self.b, -1)
+        return self.small_gram(p), (drawn[active] * p[active][:, :, None]).sum(axis=0)
+
+    def small_gram(self, p: Array) -> Array:
+        """Gram matrix (b, b) of one law's blocks, p (sites, b)."""
         active = np.flatnonzero(p.any(axis=1))
         sites = self.gram.reshape(self.sites, self.b, self.sites, self.b)
         gram = np.zeros((self.b, self.b))
@@ -269,10 +288,7 @@ class Contest:
                 gram += part
                 if other != one:
                     gram += part.T
-        if scores is None:
-            return gram, self.scored(p)
-        drawn = scores.reshape(self.sites, self.b, -1)
-        return gram, (drawn[active] * p[active][:, :, None]).sum(axis=0)
+        return gram
 
     def scored(self, p: Array) -> Array:
         """Score (b,) of one law's blocks, p (sites, b)."""
@@ -281,8 +297,8 @@ class Contest:
 
     def joint(self, vectors: Array) -> tuple[Array, Array]:
         """Gram matrix (e, e) and score (e,) of e effects, `vectors` (e, sites, b)."""
-        flat = vectors.reshape(len(vectors), -1)
-        return flat @ self.gram @ flat.T, flat @ self.score
+        seen = self.signatures(vectors)
+        return self.across(seen), self.scores_of(seen)
 
     def estimate(self, vectors: Array) -> JointEstimate:
         """Sizes of e effects together."""
@@ -303,13 +319,23 @@ class Contest:
         found: Array = self._columns @ vectors.reshape(len(vectors), -1).T
         return found
 
-    def responses(self, vectors: Array) -> Array:
-        """Block means (e, b, m), K, of what effects at size 1, `vectors` (e, sites, b), do to the readings."""
-        flat = vectors.reshape(len(vectors), -1)
-        there = flat.any(axis=0)
-        white = (self._columns[:, there] @ flat[:, there].T).T.reshape(len(vectors), self.b, self.m)
-        found: Array = np.stack([self.noise.colour(w, self.step_s) for w in white])
+    def seen_at(self, vector: Array, courses: Array) -> Array:
+        """Whitened (b * m, c) of an effect, `vector` (sites, b), in time courses (b, c) of its own."""
+        found = np.zeros((len(self._columns), courses.shape[1]))
+        for site in np.flatnonzero(vector.any(axis=1)):
+            found += self._columns[:, site * self.b : (site + 1) * self.b] @ (vector[site][:, None] * courses)
         return found
+
+    def onto(self, signatures: Array) -> Array:
+        """Products (sites * b, e) of a unit at each site and block with whitened signatures (b * m, e), tunables and
+        initial state projected out."""
+        found: Array = self._columns.T @ signatures - self._taken.T @ (self.slopes.T @ signatures)
+        return found
+
+    def scores_of(self, signatures: Array) -> Array:
+        """Score (e,) of whitened signatures (b * m, e), tunables and initial state projected out."""
+        score: Array = signatures.T @ (self.residual - self.slopes @ self._shift)
+        return score
 
     def across(self, signatures: Array) -> Array:
         """Gram matrix (e, e) of whitened signatures (b * m, e), tunables and initial state projected out."""
@@ -332,8 +358,3 @@ class Contest:
         for vector, size in zip(vectors, sizes, strict=True):
             shift -= self._taken @ vector.ravel() * size
         return shift
-
-    def tunables_sd(self) -> Array:
-        """Posterior standard deviation (q + s * k,) of [tunables z, initial state] after this record."""
-        sd: Array = np.sqrt(np.diag(np.linalg.inv(self._normal)))
-        return sd

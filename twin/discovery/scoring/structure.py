@@ -88,6 +88,7 @@ class Structure:
     def sentence(self) -> str:
         """Name the plainest of it to an operator; "" where nothing is plain.
 
+        Laws that act alike share what the record shows, so that no amplitude is an estimate of its law by itself.
         An amplitude that its law cannot have, such as a negative delay, is part of the basis and no physics: unnamed.
         """
         z = np.abs(self.sizes) / np.sqrt(np.diag(self.covariance))
@@ -98,7 +99,10 @@ class Structure:
                 plain.setdefault((c.kind, c.where, c.driver), said(c, size))
         told = "; ".join(list(plain.values())[:NAMED])
         return (
-            f"in health this twin already leaves what reads like this, and it is taken as known: {told}" if told else ""
+            f"the error that this twin already has in the healthy record resembles what these would cause: {told}; "
+            "it is expected again, and none of them is claimed"
+            if told
+            else ""
         )
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.effects.shapes import EARLY_S, Shape, courses_of, family
+from twin.discovery.effects.shapes import EARLY_S, Shape, courses_of, family, means_between
 from twin.discovery.scoring.contest import Contest
 from twin.elements.candidates import Candidate
 from twin.network import Array
@@ -30,6 +30,9 @@ RATES = 3.0
 """Rates of periodic courses in one over the length of a record: with three, the nearest one is off by a sixth of a turn
 where the record ends, if it is right where it begins."""
 DUTIES = (0.25, 0.5, 0.75)
+PANEL = 32
+"""Rows of a Gram matrix that are multiplied at once: with eight panels in 240 rows, nine sixteenths of all products are
+left."""
 BEGINNINGS = 8
 """Groups of courses by their first block: with eight, a fifth more is multiplied than with one for each block."""
 
@@ -78,21 +81,21 @@ class Courses:
         Their frequencies are so close together that none that the record holds falls between two of them.
         """
         coarse = next(shapes for shapes, _ in self.by_name if shapes[0].name == "periodic")
+        onset, growth, duty = np.array([(s.onset_s, s.growth_s, s.duty) for s in coarse]).T
         span = float(self.edges_s[-1])
-        periods = np.unique([s.growth_s for s in coarse])
-        rates = np.arange(1.0 / periods[-1], 1.0 / periods[0], 1.0 / (RATES * span))
-        shapes, of = [], []
-        for period in 1.0 / rates:
-            near = periods[np.argmin(np.abs(np.log(periods / period)))]
-            for i, s in enumerate(coarse):
-                if s.growth_s == near:
-                    shapes.append(replace(s, onset_s=s.onset_s * float(period / near), growth_s=float(period)))
-                    of.append(i)
-        return shapes, courses_of(shapes, self.edges_s).T.copy(), np.array(of, dtype=np.intp)
+        periods = np.unique(growth)
+        period = 1.0 / np.arange(1.0 / periods[-1], 1.0 / periods[0], 1.0 / (RATES * span))
+        near = periods[np.argmin(np.abs(np.log(periods / period[:, None])), axis=1)]
+        alike = [np.flatnonzero(growth == one) for one in near]
+        of = np.concatenate(alike)
+        longer = np.repeat(period / near, [len(rows) for rows in alike])
+        times = np.stack([onset[of] * longer, growth[of] * longer, duty[of], np.zeros(len(of))])
+        shapes = [Shape("periodic", *row) for row in times.T.tolist()]
+        return shapes, means_between(self.edges_s, "periodic", times).T.copy(), of
 
     def beyond(self, candidate: Candidate) -> tuple[list[Shape], Array]:
         """The shapes of a candidate other than steps, and their courses (b, j)."""
-        if candidate.shapes == ("step",):
+        if candidate.shapes == ("step",) or candidate.passes:
             return [], self.growths[:, :0]
         if not candidate.begins:
             return self.grown, self.growths
@@ -107,35 +110,64 @@ class Courses:
 class LawSquares:
     """Of a law at size 1, nothing else known: `blocks` (sites, b), squares of its steps (i,) and other shapes (j,).
 
-    `sites` (a,) are those at which it acts.
+    `sites` (a,) are those at which it acts; `most` is the largest square of a step.
     """
 
     blocks: Array
     steps: Array
     growths: Array
     sites: NDArray[np.intp]
+    most: float
 
     @classmethod
     def of(cls, contest: Contest, law: CandidateLaw) -> LawSquares:
-        known: LawSquares | None = contest.memo.get(law)
-        if known is None:
-            courses, blocks = Courses.of(contest), contest.vector(law)
-            gram = contest.small(blocks)[0]
-            steps = _late_sums(gram)[: len(courses.onsets)]
-            beyond = courses.beyond(law.candidate)[1]
-            growths = squares_of(contest, gram, beyond)
-            known = cls(blocks, steps, growths, np.flatnonzero(blocks.any(axis=1)))
-            contest.memo[law] = known
-        return known
+        (found,) = cls.of_all(contest, [law])
+        return found
+
+    @classmethod
+    def of_all(cls, contest: Contest, laws: Sequence[CandidateLaw]) -> list[LawSquares]:
+        """Return those of several laws; of laws that are steps alone, all that are new at once."""
+        new = [law for law in laws if law not in contest.memo]
+        courses = Courses.of(contest)
+        alone = [law for law in new if not len(courses.beyond(law.candidate)[0])]
+        count = len(courses.onsets)
+        if alone:
+            vectors = np.stack([contest.vector(law) for law in alone])
+            for law, blocks, steps in zip(alone, vectors, _steps_of(contest, vectors)[:, :count], strict=True):
+                contest.memo[law] = cls._of(blocks, steps, np.zeros(0))
+        for law in new:
+            if law not in contest.memo:
+                blocks = contest.vector(law)
+                gram = contest.small_gram(blocks)
+                growths = squares_of(contest, gram, courses.beyond(law.candidate)[1])
+                contest.memo[law] = cls._of(blocks, _late_sums(gram)[:count], growths)
+        return [contest.memo[law] for law in laws]
+
+    @classmethod
+    def _of(cls, blocks: Array, steps: Array, growths: Array) -> LawSquares:
+        return cls(blocks, steps, growths, np.flatnonzero(blocks.any(axis=1)), float(steps.max()))
 
 
-def returning(contest: Contest, law: CandidateLaw) -> Array:
-    """Return the squares (k,) of a law at size 1 in the courses that come back or fade."""
+def returning(contest: Contest, law: CandidateLaw, gram: Array) -> Array:
+    """Return the squares (k,) of a law at size 1, of Gram matrix (b, b), in the courses that come back or fade."""
     known: Array | None = contest.memo.get(("returning", law))
     if known is None:
-        courses, gram = Courses.of(contest).returns, contest.small(contest.vector(law))[0]
-        known = contest.memo["returning", law] = squares_of(contest, gram, courses)
+        known = contest.memo["returning", law] = squares_of(contest, gram, Courses.of(contest).returns)
     return known
+
+
+def _steps_of(contest: Contest, vectors: Array) -> Array:
+    """Return the squares (l, b) of steps of laws, `vectors` (l, sites, b), that begin with each block."""
+    b, active = contest.b, np.flatnonzero(vectors.any(axis=(0, 2)))
+    sites, more = contest.gram.reshape(contest.sites, b, contest.sites, b), np.zeros((len(vectors), b))
+    for one in active:
+        for other in active:
+            there = np.flatnonzero((vectors[:, one].any(axis=1)) & (vectors[:, other].any(axis=1)))
+            if len(there):
+                pulled = (sites[one, :, other] * _row_and_column(b)) @ vectors[there, other].T
+                more[there] += vectors[there, one] * pulled.T
+    sums: Array = more[:, ::-1].cumsum(axis=1)[:, ::-1]
+    return sums
 
 
 _Begun = tuple[int, NDArray[np.intp], Array]
@@ -145,17 +177,35 @@ _Begun = tuple[int, NDArray[np.intp], Array]
 def squares_of(contest: Contest, gram: Array, courses: Array) -> Array:
     """Return the squares (j,) of courses (b, j), which the contest keeps, in a Gram matrix (b, b).
 
-    Most courses begin after the record does, and rows before that are not multiplied.
+    Most courses begin after the record does, and rows before that are not multiplied; nor is what lies below the
+    diagonal of a symmetric matrix, but for squares of `PANEL` rows on it.
     """
     found = np.zeros(courses.shape[1])
     if not len(found):
         return found
+    once = gram * _twice_beyond(len(gram))
     known: tuple[Array, list[_Begun]] | None = contest.memo.get(("begun", id(courses)))
     if known is None:  # with the courses, whose identity so stays their own
         known = contest.memo["begun", id(courses)] = courses, _by_beginning(courses)
     for first, columns, begun in known[1]:
-        found[columns] = np.einsum("bj,bj->j", begun, gram[first:, first:] @ begun)
+        squares = np.zeros(len(columns))
+        # Squares on the diagonal stand where those of the whole matrix do, whatever row the courses begin with.
+        for row in range(first - first % PANEL, len(gram), PANEL):
+            low, high = max(row, first), row + PANEL
+            squares += np.einsum(
+                "bj,bj->j", begun[low - first : high - first], once[low:high, low:] @ begun[low - first :]
+            )
+        found[columns] = squares
     return found
+
+
+@functools.cache
+def _twice_beyond(b: int) -> Array:
+    """Weights (b, b) of a symmetric matrix of which what is right of the squares on its diagonal counts twice, what is
+    left of them not at all."""
+    panel = np.arange(b) // PANEL
+    weights: Array = 1.0 + np.sign(panel - panel[:, None])
+    return weights
 
 
 def _by_beginning(courses: Array) -> list[_Begun]:

@@ -79,10 +79,6 @@ class Members:
         """Blocks in which every thermometer has a reading."""
         return np.flatnonzero(np.isfinite(self.residual).all(axis=1))
 
-    def column_of(self, where: str) -> str | None:
-        """The column of a thermometer, or of the place that it reads; None for any other."""
-        return next((c for c in self.columns if where in (c, place_of(c))), None)
-
     def by_itself(self, i: int, residual: Array) -> Array:
         """What member i alone is off by, K, in each row of such differences (r, c)."""
         weight = _pattern(i, residual.shape[1]) / self.sd

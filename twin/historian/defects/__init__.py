@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.historian.defects.clocks import corrected, repeated_hours, shifted_clocks
+from twin.historian.defects.clock_changes import local_by_change
+from twin.historian.defects.clocks import Shift, changed_clocks, corrected, repeated_hours, shifted_clocks
 from twin.historian.defects.humidity import latched, wet_bulb_defects
 from twin.historian.defects.panel import panel
 from twin.historian.defects.quality import bad_quality
 from twin.historian.defects.repeats import repeated_stamps
 from twin.historian.defects.silence import communication_gaps, interface_groups
-from twin.historian.defects.stuck import stuck_values
+from twin.historian.defects.stuck import constant_value, stuck_values
 from twin.historian.defects.swaps import swapped, undo_swap
 from twin.historian.defects.unit_switch import Switch, converted, unit_switches
 from twin.historian.events import Event
@@ -35,7 +36,13 @@ class Repaired:
 
 
 def find_and_repair(
-    raw: Sequence[Series], *, timezone: str | None = None, pressure_kPa: float = 101.325, events: Sequence[Event] = ()
+    raw: Sequence[Series],
+    *,
+    timezone: str | None = None,
+    stamps: str | None = None,
+    pressure_kPa: float = 101.325,
+    events: Sequence[Event] = (),
+    full_speed: str = "60 Hz",
 ) -> Repaired:
     """Return the series without what their defects spoil, and the defects, all times in UTC.
 
@@ -50,19 +57,29 @@ def find_and_repair(
         Samples as the historian gives them.
     timezone
         Of the station, IANA; clocks in local time are looked for only where it is known.
+    stamps
+        Zone of all time stamps, IANA, where it is known; the tags are then compared as converted from it.
     pressure_kPa
         Of the site, for the wet bulb where no barometer is recorded.
     events
         Of the plant; entries of maintenance support a swap.
+    full_speed
+        Speed of a fan at 100 %, with its unit: its share and its frequency are units of one quantity.
     """
     found: list[Defect] = []
+    contradicted: list[str] = []
+    if stamps is not None:
+        contradicted = _no_local_time(raw, stamps)
+        raw = [corrected(one, Shift(stamps)) for one in raw]
     usable = [one.usable() for one in raw]
     groups = interface_groups(usable)
-    clocks = shifted_clocks(usable, groups, timezone)
-    if clocks:
-        shift_of = {name: shift for defect, shift in clocks for name in defect.tags}
-        raw = [corrected(one, shift_of[one.tag.name]) if one.tag.name in shift_of else one for one in raw]
-        usable = [one.usable() for one in raw]
+    by_change = local_by_change(raw, groups, timezone if stamps is None else None)
+    clocks = changed_clocks(by_change, usable, timezone) if timezone is not None else []
+    raw = _on_time(raw, clocks)
+    others = shifted_clocks([one.usable() for one in raw], groups, timezone, by_change.local | by_change.fixed)
+    raw = _on_time(raw, others.found)
+    clocks += others.found
+    usable = [one.usable() for one in raw]
     found += [defect for defect, _ in clocks]
     found += [defect for one in raw for defect in bad_quality(one)]
     found += repeated_stamps(raw)
@@ -75,9 +92,10 @@ def find_and_repair(
     gaps = communication_gaps(usable, groups, doubled)
     found += gaps
     series = _without(usable, gaps)
-    switches = unit_switches(panel(series))
+    switches = unit_switches(series, full_speed)
     found += [switch.defect for switch in switches]
-    stuck = [defect for one in series for defect in _stuck(one, switches)]
+    stuck = [defect for one in series for defect in _stuck(one, switches, series)]
+    constant = _constant(series, stuck)
     series = [_converted(one, switches) for one in series]
     latches, stuck = latched(series, stuck)
     found += latches + stuck
@@ -89,10 +107,43 @@ def find_and_repair(
     for defect in swaps:
         series = undo_swap(series, defect)
     found += swaps
-    return Repaired(tuple(series), tuple(sorted(found, key=lambda d: (d.start_s, d.kind, d.tags))))
+    return Repaired(
+        tuple(series),
+        tuple(sorted(found, key=lambda d: (d.start_s, d.kind, d.tags))),
+        (*contradicted, *others.remarks, *constant),
+    )
 
 
-def _stuck(series: Series, switches: Sequence[Switch]) -> list[Defect]:
+def _no_local_time(raw: Sequence[Series], zone: str) -> list[str]:
+    """Return a sentence if the stamps of tags do not do what local time does when the zone's clock changes."""
+    groups = interface_groups([one.usable() for one in raw])
+    fixed = sorted(local_by_change(raw, groups, zone).fixed)
+    if not fixed:
+        return []
+    return [
+        f"the time stamps of {len(fixed)} of {len(raw)} tags, such as {fixed[0]}, are no local time of {zone}: where "
+        f"its clock changes, theirs does not; they were taken as such all the same: check the zone"
+    ]
+
+
+def _on_time(raw: Sequence[Series], clocks: Sequence[tuple[Defect, Shift]]) -> list[Series]:
+    """Return the series with the clocks corrected."""
+    shift_of = {name: shift for defect, shift in clocks for name in defect.tags}
+    return [corrected(one, shift_of[one.tag.name]) if one.tag.name in shift_of else one for one in raw]
+
+
+def _constant(series: Sequence[Series], stuck: Sequence[Defect]) -> list[str]:
+    """Return a sentence for each tag of one value that no other tag contradicts."""
+    left_out = {name for defect in stuck for name in defect.tags}
+    return [
+        f"{one.tag.name} stands at {value:g} {one.tag.unit} unless at rest; no other tag shows that it must "
+        f"have moved, so it is taken as constant"
+        for one in series
+        if one.tag.name not in left_out and (value := constant_value(one)) is not None
+    ]
+
+
+def _stuck(series: Series, switches: Sequence[Switch], others: Sequence[Series]) -> list[Defect]:
     """Return the stuck values of each season and of each part between unit switches.
 
     The deviation of exception reporting is per unit. How long a healthy tag stands still, and how many values stick,
@@ -106,7 +157,7 @@ def _stuck(series: Series, switches: Sequence[Switch]) -> list[Defect]:
     bounds = [-np.inf, *sorted([*edges, *seasons.tolist()]), np.inf]
     parts = [(series.time_s >= low) & (series.time_s < high) for low, high in zip(bounds, bounds[1:], strict=False)]
     found: list[Defect] = []
-    for defect in (defect for rows in parts for defect in sorted(stuck_values(series.rows(rows)), key=_start)):
+    for defect in (defect for rows in parts for defect in sorted(stuck_values(series.rows(rows), others), key=_start)):
         # A value that stands across the edge of a season is one defect.
         if found and 0.0 <= defect.start_s - found[-1].end_s <= longest_interval_s(series):
             found[-1] = replace(found[-1], end_s=defect.end_s)

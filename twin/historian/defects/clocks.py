@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.historian.defects.clock_changes import ByChange, clock_changes, second_pass
 from twin.historian.defects.panel import on_grid
 from twin.historian.defects.silence import LEAST_TAGS, Group
 from twin.historian.tags import Array, Defect, Series
@@ -26,6 +27,9 @@ MARGIN = 0.1
 """Least rise of the correlation; the spread between chance shifts is below 0.05 for a week of samples."""
 LEAST = 0.25
 """Least correlation at the best shift: below it the tag goes with no other."""
+LEAST_ALONE, MARGIN_ALONE = 0.5, 0.25
+"""Least correlation and rise of a single tag, which no other tag of its interface confirms: a quarter of its variance
+is that of another tag, and the rise is five times the spread between chance shifts."""
 HOURS = tuple(hour for hour in range(-14, 15) if hour)
 
 
@@ -43,6 +47,13 @@ class Shift:
     def to_stamp(self, utc_s: Array) -> Array:
         """Return the stamps that true times have (n,)."""
         return utc_s - self.add_s if self.zone is None else utc_s + _offset_s(utc_s, self.zone, local=False)
+
+    @property
+    def needed(self) -> str:
+        """The correction in words."""
+        if self.zone is not None:
+            return f"the zone {self.zone}"
+        return f"{abs(self.add_s) / 3600.0:g} h {'more' if self.add_s > 0 else 'less'}"
 
     def __str__(self) -> str:
         if self.zone is not None:
@@ -72,50 +83,167 @@ def repeated_hours(start_s: float, end_s: float, zone: str) -> list[tuple[float,
 
 
 def corrected(series: Series, shift: Shift) -> Series:
-    """Return the series with true times, in their order; the hours that local time cannot name are holes."""
+    """Return the series with true times, in their order.
+
+    The hour that local time goes through twice is told by the order of storing; where that does not show it, the two
+    hours are a hole.
+    """
     time_s = shift.to_utc(series.time_s)
-    order = np.argsort(time_s, kind="stable")
-    moved = replace(series, time_s=time_s, holes=shift.to_utc(series.holes.ravel()).reshape(-1, 2)).rows(order)
+    holes = shift.to_utc(series.holes.ravel()).reshape(-1, 2)
     if shift.zone is None or not len(time_s):
-        return moved
-    return moved.without(repeated_hours(float(time_s.min()), float(time_s.max()), shift.zone))
+        return replace(series, time_s=time_s, holes=holes).rows(np.argsort(time_s, kind="stable"))
+    unknown = []
+    for change in clock_changes(shift.zone, float(time_s.min()), float(time_s.max())):
+        if not change.back:
+            continue
+        low, high = change.stamps
+        second = second_pass(series.time_s, change)
+        if second is None:
+            unknown.append((change.time_s - (high - low), change.time_s + (high - low)))
+            continue
+        stamp = series.time_s[second]
+        time_s[second] += np.where((stamp >= low) & (stamp < high), high - low, 0.0)
+    moved = replace(series, time_s=time_s, holes=holes).rows(np.argsort(time_s, kind="stable"))
+    return moved.without(unknown)
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """Wrong clocks: a defect for each with its correction, and sentences on what could not be decided."""
+
+    found: tuple[tuple[Defect, Shift], ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 def shifted_clocks(
-    series: Sequence[Series], groups: Sequence[Group], timezone: str | None
-) -> list[tuple[Defect, Shift]]:
-    """Return a defect for each group of tags whose clock is wrong, and its correction.
+    series: Sequence[Series], groups: Sequence[Group], timezone: str | None, settled: frozenset[str] = frozenset()
+) -> Clocks:
+    """Return the groups of tags, and then the single tags, whose clock is wrong by their changes.
 
-    The clock that most tags have is taken as right. Where that is the local one, the others lead by the offset.
-    Clocks are corrected one after the other, and each is tested against the tags as corrected so far: a right clock
-    that goes with a wrong one must not be moved to it.
+    The clock that most tags have is taken as right, unless the others lead by the offset of the station's zone: then
+    the many are in local time. Clocks are corrected one after the other, and each is tested against the tags as
+    corrected so far: a right clock that goes with a wrong one must not be moved to it.
+
+    Parameters
+    ----------
+    series
+        Usable samples.
+    groups
+        Tags by interface.
+    timezone
+        Of the station, IANA.
+    settled
+        Tags whose clock is known from its changes.
     """
     usable = [one for one in series if len(one.time_s) >= 50]
     if len(usable) < 3:
-        return []
+        return Clocks()
     start, end = min(one.time_s[0] for one in usable), max(one.time_s[-1] for one in usable)
     grid = np.arange(np.ceil(start / STEP_S) * STEP_S, end, STEP_S)
     if len(grid) < LEAST_ROWS:
-        return []
+        return Clocks()
     zone = [Shift(timezone)] if timezone is not None else []
     candidates = [Shift(), *zone, *(Shift(add_s=3600.0 * hour) for hour in HOURS)]
     group_of = {name: k for k, group in enumerate(groups) for name in group.tags}
     label = np.array([group_of.get(one.tag.name, -1) for one in usable])
     correlations = _Correlations.of(usable, grid, candidates, label)
     open_groups = [
-        k for k, group in enumerate(groups) if len(group.tags) >= LEAST_TAGS and len(group.tags) <= 0.5 * len(usable)
+        k
+        for k, group in enumerate(groups)
+        if LEAST_TAGS <= len(group.tags) <= 0.5 * len(usable) and not set(group.tags) <= settled
     ]
     found = []
     while open_groups:
-        wrong = [(k, winner) for k in open_groups if (winner := correlations.winner(k, groups[k], len(zone)))]
-        rise, k, winner = max(((correlations.rise(k, winner), k, winner) for k, winner in wrong), default=(0.0, 0, 0))
+        sets: list[tuple[int, ...]] = [(k,) for k in open_groups]
+        sets += [one for one in correlations.together() if len(one) > 1 and set(one) <= set(open_groups)]
+        wrong = [(ks, winner) for ks in sets if (winner := correlations.winner(ks, len(zone)))]
+        rise, chosen, winner = max(
+            ((correlations.rise(ks, winner), ks, winner) for ks, winner in wrong), default=(0.0, (), 0)
+        )
         if rise <= 0.0:
             break
-        correlations.assume(k, winner)
-        open_groups.remove(k)
-        members = [one for one in usable if group_of.get(one.tag.name) == k]
-        found.append((_defect(groups[k], members, candidates[winner]), candidates[winner]))
-    return found
+        correlations.assume(chosen, winner)
+        open_groups = [k for k in open_groups if k not in chosen]
+        names = Group(tuple(name for k in chosen for name in groups[k].tags))
+        members = [one for one in usable if one.tag.name in names.tags]
+        found.append((_defect(names, members, candidates[winner]), candidates[winner]))
+    known = settled | {name for defect, _ in found for name in defect.tags}
+    single, remarks = _single_tags(correlations, known, len(zone))
+    found += [(_defect(Group((one.tag.name,)), [one], candidates[c]), candidates[c]) for one, c in single]
+    found = _many_in_local_time(found, usable, timezone, settled)
+    return Clocks(tuple(found), (*remarks, *_no_majority(found, correlations, settled)))
+
+
+def _single_tags(
+    correlations: _Correlations, known: frozenset[str], zones: int
+) -> tuple[list[tuple[Series, int]], list[str]]:
+    """Return the single tags whose clock is wrong with their candidate, and a sentence for pairs that may be either.
+
+    The clock of a tag whose correction raises its correlations with all other groups most is corrected first. Where
+    the correction of another tag, by as many hours the other way, raises them as much, it may be either of the two.
+    """
+    usable, candidates = correlations.usable, correlations.candidates
+    open_tags = [k for k, one in enumerate(usable) if one.tag.name not in known and correlations.lively[k]]
+    chosen: list[tuple[Series, int]] = []
+    remarks: list[str] = []
+    while open_tags:
+        wrong = [(correlations.rise_alone(k, c), k, c) for k in open_tags if (c := correlations.winner_alone(k, zones))]
+        rise, k, c = max(wrong, default=(0.0, 0, 0))
+        if rise < MARGIN_ALONE:
+            break
+        rival = next((j for other, j, _ in wrong if j != k and other > rise - MARGIN), None)
+        open_tags.remove(k)
+        if rival is not None and correlations.partner(rival) == k:
+            open_tags.remove(rival)
+            remarks.append(
+                f"the clocks of {usable[k].tag.name} and {usable[rival].tag.name} differ: one needs "
+                f"{candidates[c].needed}; no other tag shows which is right, and both are left as they are"
+            )
+            continue
+        correlations.assume_alone(k, c)
+        chosen.append((usable[k], c))
+    return chosen, remarks
+
+
+def _many_in_local_time(
+    found: list[tuple[Defect, Shift]], usable: Sequence[Series], timezone: str | None, settled: frozenset[str]
+) -> list[tuple[Defect, Shift]]:
+    """Return the corrections with the many in local time where the few lead them by the offset of the zone.
+
+    A logger that is fast by just the zone's offset is less usual than a plant that records in local time beside a
+    service that records in UTC.
+    """
+    if timezone is None or settled or any(shift.zone is not None for _, shift in found):
+        return found
+    start, end = min(one.time_s[0] for one in usable), max(one.time_s[-1] for one in usable)
+    offset = _offset_s(np.arange(start, end, 86400.0), timezone, local=True)
+    ahead = [shift.add_s for _, shift in found if shift.add_s and (offset == shift.add_s).all()]
+    if not ahead:
+        return found
+    moved = {name for defect, _ in found for name in defect.tags}
+    rest = [one for one in usable if one.tag.name not in moved]
+    turned = [
+        (replace(defect, says=f"{len(defect.tags)} tags have time stamps {shift}"), shift)
+        for defect, old in found
+        if (shift := Shift(add_s=old.add_s - ahead[0])).add_s
+    ]
+    local = Shift(timezone)
+    return [(_defect(Group(tuple(one.tag.name for one in rest)), rest, local), local), *turned]
+
+
+def _no_majority(
+    found: Sequence[tuple[Defect, Shift]], correlations: _Correlations, settled: frozenset[str]
+) -> list[str]:
+    """Return a sentence where fewer than half of the tags have the clock that was taken as right."""
+    moved = {name for defect, _ in found for name in defect.tags}
+    judged = [one.tag.name for one, alive in zip(correlations.usable, correlations.lively, strict=True) if alive]
+    agree = [name for name in judged if name not in moved]
+    if not moved or settled or 2 * len(agree) > len(judged):
+        return []
+    return [
+        f"only {len(agree)} of {len(judged)} tags have the clock that was taken as UTC ({', '.join(agree[:3])}); no "
+        f"majority has one clock: check these tags against an event of known time"
+    ]
 
 
 def _defect(group: Group, members: Sequence[Series], shift: Shift) -> Defect:
@@ -123,8 +251,21 @@ def _defect(group: Group, members: Sequence[Series], shift: Shift) -> Defect:
     low = min(float(shift.to_utc(one.time_s[:1])[0]) for one in members)
     high = max(float(shift.to_utc(one.time_s[-1:])[0]) for one in members)
     kind = "local_time" if shift.zone is not None else "clock_offset"
-    says = f"{len(group.tags)} tags have time stamps {'in ' if shift.zone else ''}{shift}"
+    count = f"{len(group.tags)} tags have" if len(group.tags) > 1 else f"{group.tags[0]} has"
+    says = f"{count} time stamps {'in ' if shift.zone else ''}{shift}"
     return Defect(kind, group.tags, low, high, says, "shifted to UTC")
+
+
+def changed_clocks(by_change: ByChange, series: Sequence[Series], timezone: str) -> list[tuple[Defect, Shift]]:
+    """Return the defect of the tags in local time by its changes of clock, and their correction."""
+    members = [one for one in series if one.tag.name in by_change.local and len(one.time_s)]
+    if not members:
+        return []
+    shift = Shift(timezone)
+    defect = _defect(Group(tuple(one.tag.name for one in members)), members, shift)
+    days = [datetime.datetime.fromtimestamp(c.time_s, datetime.UTC).strftime("%Y-%m-%d") for c in by_change.changes]
+    shown = ", ".join(days[:2]) + (f" and {len(days) - 2} more" if len(days) > 2 else "")
+    return [(replace(defect, says=f"{defect.says}, as its change of clock shows ({shown})"), shift)]
 
 
 @dataclass
@@ -150,9 +291,9 @@ class _Correlations:
         found._set(np.arange(len(usable)), stamped)
         return found
 
-    def assume(self, k: int, clock: int) -> None:
-        """Take a candidate clock as that of a group from now on."""
-        columns = np.flatnonzero(self.label == k)
+    def assume(self, ks: tuple[int, ...], clock: int) -> None:
+        """Take a candidate clock as that of groups from now on."""
+        columns = np.flatnonzero(np.isin(self.label, ks))
         stamps = self.candidates[clock].to_stamp(self.grid)
         self._set(columns, np.stack([_changes(self.usable[int(column)], stamps) for column in columns]))
 
@@ -162,23 +303,64 @@ class _Correlations:
             moved = np.stack([_changes(one, stamps) for one in self.usable])
             self.value[at][:, columns] = _correlations(moved, reference)
 
-    def winner(self, k: int, group: Group, zones: int) -> int:
-        """Return the candidate for which most of the group's tags vote; 0 where they have no clear majority."""
-        best = self.value[:, (self.label == k) & self.lively][:, :, self.label != k].max(axis=2, initial=0.0)
+    def together(self) -> list[tuple[int, ...]]:
+        """Return the sets of at most half of the tags whose groups go with one another as they stand.
+
+        Groups with one wrong clock confirm each other, so that none of them is found by itself.
+        """
+        keys = sorted(set(self.label) - {-1})
+        root = {key: key for key in keys}
+        for k, first in enumerate(keys):
+            for second in keys[k + 1 :]:
+                rows, columns = (self.label == first) & self.lively, (self.label == second) & self.lively
+                best = self.value[:, rows][:, :, columns].max(axis=(1, 2), initial=0.0)
+                if best[0] >= LEAST and best.max() < best[0] + MARGIN:
+                    old, new = root[second], root[first]
+                    root = {key: new if value == old else value for key, value in root.items()}
+        sets = [tuple(key for key in keys if root[key] == one) for one in sorted(set(root.values()))]
+        return [one for one in sets if np.isin(self.label, one).sum() <= 0.5 * len(self.label)]
+
+    def winner(self, ks: tuple[int, ...], zones: int) -> int:
+        """Return the candidate for which most of the groups' tags vote; 0 where they have no clear majority."""
+        own = np.isin(self.label, ks)
+        best = self.value[:, own & self.lively][:, :, ~own].max(axis=2, initial=0.0)
         cast = [vote for vote in (_vote(best[:, row], zones) for row in range(best.shape[1])) if vote is not None]
-        if not cast or len(cast) < min(2, len(group.tags)):
+        if not cast or len(cast) < LEAST_TAGS:
             return 0
         most = max(set(cast), key=cast.count)
         return most if cast.count(most) >= max(1.0, 0.6 * len(cast)) else 0
 
-    def rise(self, k: int, clock: int) -> float:
-        """Return by how much a clock of a group raises its tags' correlations with the other groups, in sum.
+    def assume_alone(self, row: int, clock: int) -> None:
+        """Take a candidate clock as that of one tag from now on."""
+        stamps = self.candidates[clock].to_stamp(self.grid)
+        self._set(np.array([row]), _changes(self.usable[row], stamps)[None])
+
+    def winner_alone(self, row: int, zones: int) -> int:
+        """Return the candidate at which a tag goes clearly better with another one; 0 where there is none."""
+        others = np.arange(len(self.usable)) != row
+        best = self.value[:, row][:, others].max(axis=1, initial=0.0)
+        vote = _vote(best, zones)
+        return vote if vote and best[vote] >= max(LEAST_ALONE, best[0] + MARGIN_ALONE) else 0
+
+    def partner(self, row: int) -> int:
+        """Return the tag with which a tag goes best at any clock but its own."""
+        best = self.value[1:, row].max(axis=0)
+        best[row] = 0.0
+        return int(np.argmax(best))
+
+    def rise_alone(self, row: int, clock: int) -> float:
+        """Return by how much a clock of a tag raises its correlations with all others, in sum."""
+        others = (np.arange(len(self.usable)) != row) & self.lively
+        return float((self.value[clock, row][others] - self.value[0, row][others]).sum())
+
+    def rise(self, ks: tuple[int, ...], clock: int) -> float:
+        """Return by how much a clock of groups raises their tags' correlations with the other groups, in sum.
 
         The best tag of each other group counts, so that going with one group at the expense of the others is no rise.
         """
-        rows = (self.label == k) & self.lively
+        rows = np.isin(self.label, ks) & self.lively
         rise = 0.0
-        for other in set(self.label) - {k}:
+        for other in set(self.label) - set(ks):
             best = self.value[[clock, 0]][:, rows][:, :, self.label == other].max(axis=2)
             rise += float((best[0] - best[1]).sum())
         return rise

@@ -1,6 +1,8 @@
 """Air instruments that contradict one another: wet bulbs that cannot be, and humidity sensors that latch.
 
 Dry bulb, two humidity sensors and a wet bulb measure two quantities. The one that departs from the others is at fault.
+Where that leaves two, it is the one that leaps against its own past where the contradiction begins or ends; where none
+does, nothing tells, and both are left out.
 """
 
 from __future__ import annotations
@@ -27,6 +29,14 @@ APART = 3.0
 """% by which the other sensor must depart from a latched one (each is good to 2 %)."""
 SCATTERS = 6.0
 """Robust standard deviations of the closure, by which a wet bulb is off beyond its usual scatter at this site."""
+LEAP_ROWS = 3
+"""Rows on either side of a leap whose mean is the level: a quarter of an hour."""
+LEAP_S = 3600.0
+"""Time about the edge of a contradiction in which a leap is looked for: its averaging blurs the edge by half that."""
+LEAPT, APART_LEAPS = 4.0, 1.5
+"""Usual changes in a quarter of an hour by which an instrument leaps, and how much more than any other."""
+POSSIBLE_KPA = (50.0, 110.0)
+"""Air pressure on Earth (`columns`); another one is none."""
 ROLES = ("relative_humidity", "relative_humidity_redundant")
 
 
@@ -62,7 +72,10 @@ def _departs(other: Series, defect: Defect, level: float) -> bool:
 
 
 def wet_bulb_defects(series: Sequence[Series], pressure_kPa: float) -> list[Defect]:
-    """Return the spans with a wet bulb that cannot be; nothing without dry bulb and one of the others."""
+    """Return the spans in which wet bulb, dry bulb and humidities contradict one another, of the one at fault.
+
+    Nothing without dry bulb and one of the others.
+    """
     by_role: dict[str, Series] = {}
     for one in series:
         if len(one.time_s) > 1:
@@ -75,11 +88,56 @@ def wet_bulb_defects(series: Sequence[Series], pressure_kPa: float) -> list[Defe
     pressure = np.full(len(grid), pressure_kPa)
     if "barometric_pressure" in by_role:
         seen = on_grid(by_role["barometric_pressure"], grid)
-        pressure = np.where(np.isfinite(seen), seen, pressure)
-    shares = [on_grid(by_role[role], grid) for role in ROLES if role in by_role]
+        pressure = np.where((seen >= POSSIBLE_KPA[0]) & (seen <= POSSIBLE_KPA[1]), seen, pressure)
+    humid = [by_role[role] for role in ROLES if role in by_role]
+    shares = [on_grid(one, grid) for one in humid]
     offs = [measured - _expected(t, share, pressure) for share in shares]
     offs = [off - _usual(off, t) for off in offs]
-    return _impossible(grid, wet, measured - t, offs)
+    spans = _impossible(grid, measured - t, offs)
+    suspects = [(wet, measured), (dry, t)]
+    if len(humid) == 1:
+        suspects.append((humid[0], shares[0]))
+    return [defect for span in spans for defect in _at_fault(grid, span, suspects)]
+
+
+def _at_fault(grid: Array, span: tuple[float, float, float], suspects: Sequence[tuple[Series, Array]]) -> list[Defect]:
+    """Return the defect of the instrument that leaps where a contradiction begins and ends; those of all that may be
+    at fault if none does."""
+    start, end, size = span
+    leaps = []
+    for _, values in suspects:
+        change = _changes(values)
+        known = np.abs(change[np.isfinite(change)])
+        usual = float(np.quantile(known, 0.9)) / 1.645 if len(known) else 0.0
+        at_edges = [np.abs(change[np.abs(grid - edge) <= LEAP_S]) for edge in (start, end)]
+        leaps.append(max((float(np.nanmax(one)) for one in at_edges if np.isfinite(one).any()), default=0.0))
+        leaps[-1] /= max(usual, 1e-9)
+    order = np.argsort(leaps)[::-1]
+    sure = leaps[order[0]] >= LEAPT and leaps[order[0]] >= APART_LEAPS * leaps[order[1]]
+    wet = suspects[0][0]
+    found = []
+    for k in order[:1] if sure else range(len(suspects)):
+        one = suspects[k][0]
+        why = "" if sure else "; nothing tells which instrument is at fault, and all are left out"
+        if one is wet:
+            says = f"{one.tag.name} is up to {size:.1f} K off the wet bulb of dry bulb and humidity{why}"
+            found.append(Defect("impossible_wet_bulb", (one.tag.name,), start, end, says, "left out"))
+        else:
+            leapt = f"; {one.tag.name} leapt and {wet.tag.name} did not" if sure else why
+            says = (
+                f"with {one.tag.name} the wet bulb of dry bulb and humidity is up to {size:.1f} K off the measured one"
+            )
+            found.append(Defect("contradicted", (one.tag.name,), start, end, says + leapt, "left out"))
+    return found
+
+
+def _changes(values: Array) -> Array:
+    """Return the change of the mean level from before each row to after it."""
+    level = moving_mean(values, LEAP_ROWS)
+    change = np.full(len(values), np.nan)
+    half = LEAP_ROWS // 2 + 1
+    change[half : len(values) - half] = level[2 * half :] - level[: -2 * half]
+    return change
 
 
 def _expected(t: Array, share: Array, pressure: Array) -> Array:
@@ -108,8 +166,9 @@ def _usual(off: Array, t: Array) -> Array:
     return np.asarray(level + slope * (t - np.median(t[rows])))
 
 
-def _impossible(grid: Array, wet: Series, above: Array, offs: list[Array]) -> list[Defect]:
-    """Return the spans with a wet bulb above the dry bulb, or off from every humidity sensor on the same side."""
+def _impossible(grid: Array, above: Array, offs: list[Array]) -> list[tuple[float, float, float]]:
+    """Return the spans with a wet bulb above the dry bulb, or off from every humidity sensor on the same side, each
+    with how far in K."""
     wrong = moving_mean(np.nan_to_num(above, nan=-1.0), SMOOTH) > CLOSURE_K
     worst = np.where(wrong, above, 0.0)
     if offs:
@@ -128,10 +187,7 @@ def _impossible(grid: Array, wet: Series, above: Array, offs: list[Array]) -> li
     found = []
     for start, end in _spans(grid, wrong):
         rows = (grid >= start) & (grid <= end) & wrong
-        says = (
-            f"{wet.tag.name} is up to {float(np.nanmax(worst[rows])):.1f} K off the wet bulb of dry bulb and humidity"
-        )
-        found.append(Defect("impossible_wet_bulb", (wet.tag.name,), start, end, says, "left out"))
+        found.append((start, end, float(np.nanmax(worst[rows]))))
     return found
 
 

@@ -5,9 +5,15 @@ sample after the fixed time. These samples show the instrument's noise, in which
 repeats a number several times, and a stuck one always does. So a run of equal samples is called stuck if its repeats
 are improbable by the tag's share of repeats, and if it is set off from the tag's other runs: sorted by length, there
 is a step by a factor of two below it. Values at which the tag often rests (a limit, zero) are never called stuck.
+
+A tag that has one value whenever it is at work has no habit to be compared with: a fan at full speed, a constant
+pump. It is stuck only if what it measures must have moved, as other tags of its cell or station show (`WITNESSES`).
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,21 +39,79 @@ REST_RUNS = 2
 """Other long runs, of a quarter of the length, at the same value, from which the tag is said to rest there."""
 
 
-def stuck_values(series: Series) -> list[Defect]:
+CONSTANT = 0.99
+"""Share of the samples at work that have the one value of a constant tag; the others are ramps of starts and stops."""
+
+
+@dataclass(frozen=True)
+class Witness:
+    """Movement of another tag that a quantity must follow: role, and the least one, in the record's unit or as a share
+    of the witness's 98 % quantile."""
+
+    role: str
+    least: float
+    share: bool = False
+
+
+_COMMAND = Witness("fan_speed_command", 0.08, share=True)
+_WATER = ("water_inlet_temperature", "water_outlet_temperature", "basin_temperature", "supply_temperature")
+WITNESSES: dict[str, tuple[Witness, ...]] = {
+    "fan_speed": (_COMMAND, Witness("fan_power", 0.25, share=True)),
+    "fan_power": (_COMMAND, Witness("fan_speed", 0.08, share=True)),
+    "water_flow": (Witness("pump_power", 0.35, share=True), Witness("header_pressure", 0.35, share=True)),
+    "pump_power": (Witness("header_pressure", 0.35, share=True),),
+    "header_pressure": (Witness("pump_power", 0.35, share=True),),
+    "return_header_temperature": (Witness("water_inlet_temperature", 1.0),),
+    "dry_bulb_temperature": (Witness("wet_bulb_temperature", 1.0),),
+    "wet_bulb_temperature": (Witness("dry_bulb_temperature", 1.0),),
+    "relative_humidity": (Witness("dry_bulb_temperature", 1.0),),
+    "relative_humidity_redundant": (Witness("dry_bulb_temperature", 1.0),),
+} | {role: tuple(Witness(other, 1.0) for other in _WATER if other != role) for role in _WATER}
+"""Tags whose movement shows that a quantity moved, by role.
+
+A fan's speed moves beyond a controller's hunting (8 %) and its power by more than density, pitch and belt make at one
+speed (a quarter, as in `checks`); 8 % of speed are a quarter of power. Cells share the pumps unevenly, by up to 35 %
+(`checks`). Water and air move by more than the bias of a thermometer, 1 K.
+"""
+
+
+def is_measured(series: Series) -> bool:
+    """Return whether a tag is a measured quantity with enough samples to judge."""
+    measured = (
+        unit_of(series.tag.unit).dimension in MEASURED
+        or "humidity" in series.tag.role
+        or series.tag.role == "fan_speed"
+    )
+    return measured and "command" not in series.tag.role and len(series.time_s) >= 50
+
+
+def constant_value(series: Series) -> float | None:
+    """Return the one value that a measured tag has whenever it is at work; None where it has several."""
+    if not is_measured(series):
+        return None
+    at_work = np.abs(series.value) > AT_REST * float(np.quantile(np.abs(series.value), 0.98))
+    values = series.value[at_work]
+    if not len(values):
+        return None
+    usual = float(np.median(values))
+    return usual if float((values == usual).mean()) >= CONSTANT else None
+
+
+def stuck_values(series: Series, others: Sequence[Series] = ()) -> list[Defect]:
     """Return the spans in which a measured quantity stood still for longer than it ever does otherwise.
 
     Parameters
     ----------
     series
         Good samples of a tag, in its own unit; a hole ends a run.
+    others
+        Tags of the station, for what must have moved with it.
     """
-    measured = (
-        unit_of(series.tag.unit).dimension in MEASURED
-        or "humidity" in series.tag.role
-        or series.tag.role == "fan_speed"
-    )
-    if not measured or "command" in series.tag.role or len(series.time_s) < 50:
+    if not is_measured(series):
         return []
+    constant = constant_value(series)
+    if constant is not None:
+        return _contradicted(series, constant, others)
     first, last, end = _runs(series)
     value, start = series.value[first], series.time_s[first]
     held = series.time_s[last] - start
@@ -64,10 +128,63 @@ def stuck_values(series: Series) -> list[Defect]:
             continue
         if saturates and _at_end(value, k):
             continue
+        if series.tag.role == "fan_speed" and _commanded(series, others, float(start[k]), float(end[k])):
+            continue
         hours = (end[k] - start[k]) / 3600.0
         says = f"{series.tag.name} stood at {value[k]:g} {series.tag.unit} for {hours:.1f} h"
         found.append(Defect("stuck", (series.tag.name,), float(start[k]), float(end[k]), says, "left out"))
     return found
+
+
+def _contradicted(series: Series, value: float, others: Sequence[Series]) -> list[Defect]:
+    """Return a constant tag as stuck over its whole span if a witness moved while it had its value."""
+    start, end = float(series.time_s[0]), float(series.time_s[-1])
+    for witness, other in _witnesses(series, others):
+        at = np.clip(np.searchsorted(series.time_s, other.time_s, side="right") - 1, 0, len(series.time_s) - 2)
+        during = (series.value[at] == value) & (series.value[at + 1] == value)
+        during &= (other.time_s >= start) & (other.time_s <= end)
+        low, high = _range(other.value[during])
+        if _moved(witness, other, low, high):
+            says = (
+                f"{series.tag.name} stood at {value:g} {series.tag.unit} throughout, while {other.tag.name} moved from "
+                f"{low:.4g} to {high:.4g} {other.tag.unit}"
+            )
+            return [Defect("stuck", (series.tag.name,), start, end, says, "left out")]
+    return []
+
+
+def _commanded(series: Series, others: Sequence[Series], start: float, end: float) -> bool:
+    """Return whether the fan's command stood while its speed did: a drive that follows shows one number."""
+    for witness, other in _witnesses(series, others):
+        if witness is _COMMAND:
+            grid = np.linspace(start, end, 101)
+            held = other.value[np.maximum(np.searchsorted(other.time_s, grid, side="right") - 1, 0)]
+            return not _moved(witness, other, *_range(held))
+    return False
+
+
+def _witnesses(series: Series, others: Sequence[Series]) -> list[tuple[Witness, Series]]:
+    """Return the witnesses of a tag: those of its cell, and of the station."""
+    return [
+        (witness, other)
+        for witness in WITNESSES.get(series.tag.role, ())
+        for other in others
+        if other.tag.role == witness.role
+        and (series.tag.cell is None or other.tag.cell in (None, series.tag.cell))
+        and len(other.time_s) >= 2
+    ]
+
+
+def _range(values: Array) -> tuple[float, float]:
+    """Return the 5 % and 95 % quantiles, equal ones of no values."""
+    return (float(np.quantile(values, 0.05)), float(np.quantile(values, 0.95))) if len(values) else (0.0, 0.0)
+
+
+def _moved(witness: Witness, other: Series, low: float, high: float) -> bool:
+    """Return whether a witness moved by the least that counts."""
+    if witness.share:
+        return high - low > witness.least * float(np.quantile(np.abs(other.value), 0.98))
+    return unit_of(other.tag.unit).scale * (high - low) > witness.least
 
 
 def _set_off(held: Array, at_work: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -1,42 +1,62 @@
 """Tags that change their unit in the middle of the record.
 
-Two things must come together. At the switch the level steps by the ratio of two units (or to the value that the other
-unit has), and stays. Over the whole span the converted values go with the other tags of the plant, and the values as
-they stand do not.
+A change of unit is a jump by the known map of two units at either end of a span (or at one, if the record ends
+first), that no witness shares. Two kinds of evidence are added. At its edges the tag goes on as usual if converted,
+and leaps as it stands (`unit_edges`). Over the span the converted values go with the other tags of the plant, and the
+values as they stand do not; the prediction by all tags that do not leap at the same time is the witness. A real step
+of operation has no factor of a unit, and moves its witnesses; one that had the factor would still move them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
-from twin.historian.defects.panel import Mask, TagPanel, design_matrix, largest_sum, robust_prediction
+from twin.historian.defects.panel import Mask, TagPanel, design_matrix, panel, robust_prediction
+from twin.historian.defects.unit_edges import Edge, unit_edges
 from twin.historian.tags import Array, Defect, Series
-from twin.historian.units import Unit, alternatives, unit_of
+from twin.historian.units import Unit, alternatives, full_speed_of, unit_of
 
-WINDOW_S = 12.0 * 3600.0
-LEAST_S = 12.0 * 3600.0
-NEAR = 0.15
-"""Distance of a step from that of two units, as a share of the step of the units: operation moves the level besides."""
-LEAST_RATIO = 1.25
-"""Smaller ratios are not told from a change of operation."""
+LEAST_S = 2.0 * 3600.0
+CAP = 0.75
+"""Largest evidence of a quarter of an hour, a log likelihood ratio: 3 an hour, as neighbours are correlated."""
+ROWS_AN_HOUR = 4.0
+LEAST_ODDS = 12.0
+"""Log odds of a switch, less those of the pairs of edges that are tried: 7 are a thousand to one; 5 more for the tags
+and units of a station."""
+SURE_EDGES = 8.0
+"""Log odds of the edges alone from which a poor prediction of the span suffices."""
+UNWITNESSED = ("wind_speed", "wind_direction")
+"""Roles that nothing else at a station follows: only their edges count."""
+CLEAR, CLEAR_ENOUGH = 0.25, 0.5
+"""Largest median distance from the prediction, of the right unit, as a share of that of the wrong one; and with sure
+edges."""
+MOSTLY = 0.8
+"""Share of the rows in which the right unit is nearer."""
+EXPLAINS = 0.3
+"""Share of what the switch moves, in the span or the rest, if shorter, by which all rows are worse predicted without
+it."""
+FEWEST_ROWS = 8
+"""Rows of a quarter of an hour at work by which a span is judged: `LEAST_S`."""
+OUTSIDE = 0.7
+"""The same of the longer of the two, the span and the rest: there small values of a poorly predicted tag, such as the
+wind, tell little."""
 AT_REST = 0.1
-"""Share of the largest value within days: below it the quantity is at rest, and has no unit to be seen by."""
-AROUND_ROWS = 288
-"""Rows (three days) in which that is looked for."""
-CLEAR = 0.25
-"""Largest median distance from the prediction, of the right unit, as a share of the distance of the wrong one."""
-CAP = 3.0
-"""Largest evidence of a quarter of an hour, a log likelihood ratio; neighbours are correlated, see `LEAST_EVIDENCE`."""
-LEAST_EVIDENCE = 60.0
-"""Half a day of samples that each speak for the switch."""
+"""Share of the largest change by a unit below which a row tells nothing of it: the quantity is at rest."""
+LEAPS = 3.0
+"""Log odds from which a jump of another tag at the same time makes it no witness."""
+TOGETHER_S = 3600.0
+"""Time within which jumps of two tags count as one, s: stores are written by the hour."""
 VOLUME = frozenset({"L/s", "l/s", "m3/h", "m³/h", "m3/s", "L/min", "gpm"})
-BETTER = 0.7
-"""Share to which a switch must bring the error of the prediction that knows of none."""
-ROUNDS = 3
+SAME = 0.97
+"""Share of the log odds of the most probable unit, from which another is not told from it: the more common is named."""
+STARTS, ROUNDS = 3, 3
+"""Spans from which the likeliest one is sought, and how often its prediction is made anew from each."""
+MOST = 6
+"""Rounds over all tags, so switches of a tag, at most."""
 
 
 @dataclass(frozen=True)
@@ -47,18 +67,36 @@ class Switch:
     unit: Unit
 
 
-def unit_switches(panel: TagPanel) -> list[Switch]:
-    """Return the tags that are in another unit for a time, one switch a tag."""
-    found = []
-    for k, one in enumerate(panel.series):
-        own = unit_of(one.tag.unit)
-        if own.dimension in ("state", "angle") or one.tag.role.endswith("valve_position"):
-            continue
-        candidates = list(_candidates(one, panel.values[k], own, panel.grid_s))
-        if candidates:
-            switch = _best(panel, k, one, own, candidates)
-            if switch is not None:
-                found.append(switch)
+@dataclass(frozen=True)
+class _Span:
+    """A span of a tag in a unit: first and last time, and log odds."""
+
+    unit: Unit
+    name: str
+    start_s: float
+    end_s: float
+    odds: float
+
+
+def unit_switches(series: Sequence[Series], full_speed: str = "60 Hz") -> list[Switch]:
+    """Return the spans in which tags are in another unit.
+
+    Parameters
+    ----------
+    series
+        Good samples of the tags, in the units of the dictionary.
+    full_speed
+        Speed of a fan at 100 %, with its unit: a share and a frequency are units of one quantity.
+    """
+    found: list[Switch] = []
+    series = list(series)
+    for _ in range(MOST):
+        new = _switches(panel(series), full_speed)
+        if not new:
+            break
+        found += new
+        by_name = {one.defect.tags[0]: one for one in new}
+        series = [converted(one, by_name[one.tag.name]) if one.tag.name in by_name else one for one in series]
     return found
 
 
@@ -70,152 +108,186 @@ def converted(series: Series, switch: Switch) -> Series:
     return replace(series, value=np.where(inside, again, series.value))
 
 
-def _other_units(series: Series) -> dict[str, Unit]:
-    """Return the units that the tag might switch to, of the same kind first; a fan's share and frequency are one."""
+def _switches(table: TagPanel, full_speed: str) -> list[Switch]:
+    """Return the most probable switch of each tag that has one."""
+    edges = [_edges_of(one, full_speed) for one in table.series]
+    leaps = [
+        np.array(sorted({e.after_s for _, _, found in of_tag for e in found if e.odds >= LEAPS})) for of_tag in edges
+    ]
+    found = []
+    for k, one in enumerate(table.series):
+        if not edges[k]:
+            continue
+        spans = []
+        for name, unit, of_unit in edges[k]:
+            at = [max((e.odds, e.after_s) for e in of_unit if e.into is way)[1] for way in _ways(of_unit)]
+            matrix = _witnesses(table, k, [j for j in range(len(leaps)) if j != k and not _leaps_too(leaps[j], at)])
+            if (span := _best_span(table, k, name, unit, of_unit, matrix)) is not None:
+                spans.append(span)
+        if spans:
+            most = max(span.odds for span in spans)
+            best = next(span for span in spans if span.odds >= SAME * most)
+            says = f"{one.tag.name} is in {best.name} instead of {one.tag.unit}"
+            defect = Defect("unit_switch", (one.tag.name,), best.start_s, best.end_s, says, "converted")
+            found.append(Switch(defect, best.unit))
+    return found
+
+
+def _edges_of(series: Series, full_speed: str) -> list[tuple[str, Unit, list[Edge]]]:
+    """Return the units that a tag may have changed to, with the edges of such a change."""
+    own = unit_of(series.tag.unit)
+    if own.dimension == "state":
+        return []
+    found = []
+    seen: set[tuple[float, float]] = set()
+    for name, unit in _other_units(series, full_speed).items():
+        key = (round(float(np.log(unit.scale)), 2), round(unit.offset, 1))
+        if key not in seen and (edges := unit_edges(series, own, unit)):
+            found.append((name, unit, edges))
+            seen.add(key)
+    return found
+
+
+def _other_units(series: Series, full_speed: str) -> dict[str, Unit]:
+    """Return the units that the tag might switch to, of the same kind first; a fan's share and speed are one."""
     others = dict(alternatives(series.tag.unit))
-    dimension = unit_of(series.tag.unit).dimension
-    if series.tag.role.startswith("fan_speed"):  # 60 Hz are 100 %, nearly everywhere
-        others |= {"Hz": Unit(dimension, 100.0 / 60.0)} if dimension == "share" else {"%": Unit(dimension, 0.6)}
+    own = unit_of(series.tag.unit)
+    full, speed = full_speed_of(full_speed)
+    if series.tag.role.startswith("fan_speed"):
+        if own.dimension == "share":
+            others[next(name for name in ("Hz", "rpm") if unit_of(name) == speed)] = Unit("share", 100.0 / full)
+        elif own.dimension == speed.dimension:
+            others |= {"%": Unit(own.dimension, full / 100.0), "1": Unit(own.dimension, full)}
     volume = series.tag.unit in VOLUME
     return dict(sorted(others.items(), key=lambda item: (item[0] in VOLUME) != volume))
 
 
-def _as_if(x: Array, own: Unit, unit: Unit) -> Array:
-    """Return the record's values if the raw ones are in `unit` instead."""
-    return np.asarray(unit.scale * (x - own.offset) / own.scale + unit.offset)
+def _ways(edges: Sequence[Edge]) -> list[bool]:
+    return sorted({edge.into for edge in edges})
 
 
-def _candidates(series: Series, x: Array, own: Unit, grid: Array) -> Iterable[tuple[str, Unit, int]]:
-    """Yield units with the row of a step that would be a switch to them."""
-    at_work = np.flatnonzero(_at_work((x - own.offset) / own.scale))
-    if len(at_work) < 100:
-        return
-    before, after = _levels(x[at_work], round(WINDOW_S / (grid[1] - grid[0])))
-    seen: set[tuple[float, float]] = set()
-    for name, unit in _other_units(series).items():
-        key = (round(np.log(unit.scale), 2), round(unit.offset, 1))
-        if key in seen:
-            continue
-        wanted = _as_if(after, own, unit)
-        if unit.offset == own.offset:
-            ratio = abs(np.log(unit.scale / own.scale))
-            if ratio < np.log(LEAST_RATIO):
-                continue
-            with np.errstate(divide="ignore", invalid="ignore"):
-                off = np.abs(np.log(wanted / before)) / ratio
-        else:
-            off = np.abs(wanted - before) / np.maximum(np.abs(after - before), 1e-9)
-        off = np.where(np.isfinite(off), off, np.inf)
-        # Back from a unit is the same step the other way.
-        row = int(np.argmin(off))
-        if off[row] < 2.0 * NEAR:
-            seen.add(key)
-            yield name, unit, int(at_work[row])
+def _leaps_too(leaps_s: Array, at_s: Sequence[float]) -> bool:
+    """Return whether a tag leaps within an hour of every one of some times: it may have changed its unit as well."""
+    return bool(len(leaps_s)) and all(np.abs(leaps_s - one).min() <= TOGETHER_S for one in at_s)
 
 
-def _at_work(raw: Array) -> Mask:
-    """Return the rows that are not at rest, whichever unit they are in: by the largest value within days."""
-    size = np.where(np.isfinite(raw), np.abs(raw), 0.0)
-    largest = maximum_filter1d(size, size=AROUND_ROWS, mode="nearest")
-    return np.asarray(np.isfinite(raw) & (size > AT_REST * largest))
+def _witnesses(table: TagPanel, k: int, drivers: list[int]) -> Array:
+    """Return what predicts a tag: the other tags, and the laws that tie a fan's power to its speed."""
+    drivers = [j for j in drivers if unit_of(table.series[j].tag.unit).dimension != "angle"]
+    rows = [table.values[j] for j in drivers]
+    role = table.series[k].tag.role
+    for j in drivers:
+        if role.endswith("power") and table.series[j].tag.role.startswith("fan_speed"):
+            rows.append(table.values[j] ** 3)
+        elif role.startswith("fan_speed") and table.series[j].tag.role == "fan_power":
+            rows.append(np.cbrt(table.values[j]))
+    known = np.isfinite(table.values[k]).sum()
+    if not rows or known < 2 * (len(rows) + 1):
+        return np.ones((len(table.grid_s), 1))
+    return design_matrix(np.stack(rows))
 
 
-def _levels(x: Array, width: int) -> tuple[Array, Array]:
-    """Return the medians of the `width` values before and from each row on; NaN where few are known."""
-    padded = np.concatenate([np.full(width, np.nan), x, np.full(width, np.nan)])
-    thin = max(width // 12, 1)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, width)[:, ::thin]
-    known = np.isfinite(windows)
-    count = known.sum(axis=1)
-    ordered = np.sort(np.where(known, windows, np.inf), axis=1)
-    middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[:, None] // 2, axis=1)[:, 0]
-    level = np.where(count >= 3, middle, np.nan)
-    return level[: len(x)], level[width : width + len(x)]
-
-
-def _best(panel: TagPanel, k: int, series: Series, own: Unit, candidates: list[tuple[str, Unit, int]]) -> Switch | None:
-    """Return the most probable switch of a tag, or None."""
-    drivers = [
-        j
-        for j, one in enumerate(panel.series)
-        if j != k and one.tag.cell in (None, series.tag.cell) and unit_of(one.tag.unit).dimension != "angle"
+def _best_span(table: TagPanel, k: int, name: str, unit: Unit, edges: list[Edge], matrix: Array) -> _Span | None:
+    """Return the most probable span of a tag in a unit, or None."""
+    grid, x, own = table.grid_s, table.values[k], unit_of(table.series[k].tag.unit)
+    other = np.asarray(unit.scale * (x - own.offset) / own.scale + unit.offset)
+    time_s = table.series[k].time_s
+    starts = [(float(time_s[0]), 0.0), *((e.after_s, e.odds) for e in edges if e.into)]
+    ends = [(float(time_s[-1]), 0.0), *((e.before_s, e.odds) for e in edges if not e.into)]
+    pairs = [
+        (low, high, a + b)
+        for (low, a), (high, b) in itertools.product(starts, ends)
+        if high - low >= LEAST_S and (low > time_s[0] or high < time_s[-1])
     ]
-    matrix = design_matrix(panel.values[drivers])
-    x = panel.values[k]
-    best: tuple[float, float, str, Unit, int, int] | None = None
-    for name, unit, row in candidates:
-        other = _as_if(x, own, unit)
-        mask = np.arange(len(x)) >= row
-        low, high, total, sigma, clear = _span(x, other, mask, matrix)
-        score = total / max(sigma, 1e-9)
-        if clear and total >= LEAST_EVIDENCE and (best is None or score > 1.05 * best[0]):
-            best = score, total, name, unit, low, high
-    if best is None:
+    if not pairs:
         return None
-    _, _, name, unit, low, high = best
-    grid = panel.grid_s
-    start, end = _edges(series, own, unit, grid, low, high)
-    if end - start < LEAST_S or (low == 0 and high == len(grid)):
+    rows = np.array([[np.searchsorted(grid, low), np.searchsorted(grid, high, side="right")] for low, high, _ in pairs])
+    edge_odds = np.array([odds for _, _, odds in pairs])
+    plain = robust_prediction(x, matrix)
+    first = [np.zeros(len(x), dtype=bool)]
+    for at in np.argsort(-edge_odds, kind="stable")[:STARTS]:
+        first.append(_inside(len(x), rows[at]))
+    tried: set[int] = set()
+    for mask in first:
+        for _ in range(ROUNDS):
+            predicted, sigma = robust_prediction(np.where(mask, other, x), matrix) if mask.any() else plain
+            gain = 0.5 * (((x - predicted) / sigma) ** 2 - ((other - predicted) / sigma) ** 2)
+            total = np.concatenate([[0.0], np.cumsum(np.clip(np.nan_to_num(gain), -CAP, CAP))])
+            at = int(np.argmax(total[rows[:, 1]] - total[rows[:, 0]] + edge_odds))
+            if np.array_equal(_inside(len(x), rows[at]), mask):
+                break
+            mask = _inside(len(x), rows[at])
+        tried.add(at)
+    valid = []
+    for at in sorted(tried):
+        low, high, odds_of = pairs[at]
+        if odds_of < SURE_EDGES and table.series[k].tag.role in UNWITNESSED:
+            continue
+        inside = _inside(len(x), rows[at])
+        predicted, _ = robust_prediction(np.where(inside, other, x), matrix)
+        odds_of_rows = _judged(x, other, (plain[0], predicted), inside, unit.scale / own.scale, odds_of >= SURE_EDGES)
+        total_odds = odds_of + odds_of_rows - float(np.log(len(pairs)))
+        if total_odds >= LEAST_ODDS:
+            valid.append((total_odds, low, high))
+    if not valid:
         return None
-    says = f"{series.tag.name} is in {name} instead of {series.tag.unit}"
-    return Switch(Defect("unit_switch", (series.tag.name,), start, end, says, "converted"), unit)
+    most, low, high = max(valid)
+    return _Span(unit, name, low, high, most)
 
 
-def _span(x: Array, other: Array, mask: Mask, matrix: Array) -> tuple[int, int, float, float, bool]:
-    """Return begin, end, evidence and scatter of the span in which `other` goes with the plant and `x` does not.
+def _inside(n: int, rows: Array) -> Mask:
+    mask = np.zeros(n, dtype=bool)
+    mask[rows[0] : rows[1]] = True
+    return mask
 
-    The last says that on either side one of the two goes clearly with the plant, and the other does not.
+
+def _judged(x: Array, other: Array, fits: tuple[Array, Array], inside: Mask, slope: float, sure: bool) -> float:
+    """Return the evidence of the rows for a switch; none if the converted values do not go with their prediction.
+
+    The evidence is a log likelihood ratio of Cauchy's distribution about the prediction with the switch to that
+    without; `slope` is what the conversion does to the density of the values. Rows whose errors are alike count once.
     """
-    low, high, total, sigma = 0, len(x), 0.0, np.inf
-    predicted = x
-    for _ in range(ROUNDS):
-        predicted, sigma = robust_prediction(np.where(mask, other, x), matrix)
-        gain = 0.5 * (((x - predicted) / sigma) ** 2 - ((other - predicted) / sigma) ** 2)
-        low, high, total = largest_sum(np.clip(np.nan_to_num(gain), -CAP, CAP))
-        now = np.zeros(len(x), dtype=bool)
-        now[low:high] = True
-        if np.array_equal(now, mask):
-            break
-        mask = now
-    inside = np.zeros(len(x), dtype=bool)
-    inside[low:high] = True
-    work = _at_work(np.where(inside, other, x))
+    plain, predicted = fits
     right, wrong = np.where(inside, other, x) - predicted, np.where(inside, x, other) - predicted
-    clear = all(_clear(right[rows], wrong[rows]) for rows in (inside & work, ~inside & work))
-    plain, _ = robust_prediction(x, matrix)
-    clear &= _share_of_error(np.where(inside, other, x), predicted) < BETTER * _share_of_error(x, plain)
-    return low, high, total, sigma, clear
+    before = x - plain
+    known = np.isfinite(before) & np.isfinite(right) & np.isfinite(other)
+    moved = np.abs(x - other)
+    parts = [known & part for part in (inside, ~inside)]
+    work = [part & (moved > AT_REST * np.max(moved[part], initial=0.0)) for part in parts]
+    small = int(work[1].sum() < work[0].sum())
+    limits = (CLEAR_ENOUGH if sure else CLEAR, MOSTLY), (OUTSIDE, 0.5)
+    for rows, (limit, mostly) in zip((work[small], work[1 - small]), limits, strict=True):
+        if not _clear(right[rows], wrong[rows], limit, mostly):
+            return -np.inf
+    # Witnesses that moved as the tag did explain it as it stands.
+    at_work = work[0] | work[1]
+    gained = float(np.abs(before[at_work]).sum() - np.abs(right[at_work]).sum())
+    if gained < EXPLAINS * float(moved[work[0]].mean()) * float(work[small].sum()):
+        return -np.inf
+    ratio = _surprise(before[at_work]) - _surprise(right[at_work]) + float(work[0].sum()) * np.log(slope)
+    return ratio / _rows_alike(right[known])
 
 
-def _share_of_error(x: Array, predicted: Array) -> float:
-    """Return the mean error of a prediction as a share of the mean size of the quantity."""
-    return float(np.nanmean(np.abs(x - predicted))) / max(float(np.nanmean(np.abs(x))), 1e-12)
+def _surprise(error: Array) -> float:
+    """Return the sum of minus the log density of errors, by Cauchy's distribution of their own scale."""
+    scale = max(float(np.median(np.abs(error))), 1e-9)
+    return float(np.sum(np.log(scale) + np.log1p((error / scale) ** 2)))
 
 
-def _clear(right: Array, wrong: Array) -> bool:
+def _rows_alike(error: Array) -> float:
+    """Return after how many rows an error is a new one: at least an hour, more if it lasts."""
+    far = 3.0 * max(float(np.median(np.abs(error))), 1e-9)
+    small = np.clip(error, -far, far)
+    small = small - small.mean()
+    power = float((small**2).sum())
+    alike = float((small[1:] * small[:-1]).sum()) / power if power > 0.0 else 0.0
+    alike = min(max(alike, 0.0), 0.999)
+    return max((1.0 + alike) / (1.0 - alike), ROWS_AN_HOUR)
+
+
+def _clear(right: Array, wrong: Array, limit: float, mostly: float) -> bool:
     """Return whether the values in the right unit lie near the prediction, those in the wrong one far off."""
-    if len(right) < 12:
+    if len(right) < FEWEST_ROWS:
         return False
-    near, far = float(np.nanmedian(np.abs(right))), float(np.nanmedian(np.abs(wrong)))
-    return near < CLEAR * far and float(np.mean(np.abs(right) < np.abs(wrong))) > 0.8
-
-
-def _edges(series: Series, own: Unit, unit: Unit, grid: Array, low: int, high: int) -> tuple[float, float]:
-    """Return the times of the first and the last sample inside the span, by the samples around its edges."""
-    time_s = series.time_s
-    step = grid[1] - grid[0]
-    start = float(time_s[0]) if low == 0 else _edge(series, own, unit, grid[low], 4.0 * step, rising=True)
-    end = float(time_s[-1]) if high >= len(grid) else _edge(series, own, unit, grid[high - 1], 4.0 * step, rising=False)
-    return start, end
-
-
-def _edge(series: Series, own: Unit, unit: Unit, near_s: float, around_s: float, *, rising: bool) -> float:
-    """Return the time of the sample at which the largest step towards the other unit (or back) lies near a time."""
-    rows = np.flatnonzero(np.abs(series.time_s - near_s) <= around_s)
-    if len(rows) < 2:
-        return near_s
-    value = np.maximum(np.abs(series.value[rows]), 1e-9)
-    wanted = np.sign(np.log(own.scale / unit.scale)) if unit.offset == own.offset else 1.0
-    step = np.diff(np.log(value)) * wanted * (1.0 if rising else -1.0)
-    at = int(np.argmax(step))
-    return float(series.time_s[rows[at + 1] if rising else rows[at]])
+    near, far = float(np.median(np.abs(right))), float(np.median(np.abs(wrong)))
+    return near < limit * far and float(np.mean(np.abs(right) < np.abs(wrong))) > mostly

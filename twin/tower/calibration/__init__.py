@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.tower.calibration.baselines import BASELINES, CellDataset, split, without_discrepancy
-    from twin.tower.calibration.cell_fit import Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
+    from twin.tower.calibration.cell_fit import (
+        FEWEST_BLOCKS,
+        Calibrated,
+        CalibrationError,
+        Fitted,
+        fit_cell,
+        predict_cell,
+    )
+    from twin.tower.calibration.conflicts import LabelConflict, label_conflicts, widened
     from twin.tower.calibration.outlet_interval import NORMAL, QUANTILE, WET_C, WINDOW_S
 
 _MODULES = {
@@ -21,11 +29,17 @@ _MODULES = {
         "without_discrepancy",
     ),
     "cell_fit": (
+        "FEWEST_BLOCKS",
         "Calibrated",
         "CalibrationError",
         "Fitted",
         "fit_cell",
         "predict_cell",
+    ),
+    "conflicts": (
+        "LabelConflict",
+        "label_conflicts",
+        "widened",
     ),
     "outlet_interval": (
         "NORMAL",
@@ -38,6 +52,7 @@ _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for 
 
 __all__ = [
     "BASELINES",
+    "FEWEST_BLOCKS",
     "NORMAL",
     "QUANTILE",
     "WET_C",
@@ -46,9 +61,12 @@ __all__ = [
     "CalibrationError",
     "CellDataset",
     "Fitted",
+    "LabelConflict",
     "fit_cell",
+    "label_conflicts",
     "predict_cell",
     "split",
+    "widened",
     "without_discrepancy",
 ]
 

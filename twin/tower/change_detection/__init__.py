@@ -10,21 +10,50 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.tower.change_detection.changes import RATE_D, undeclared_changes
-    from twin.tower.change_detection.steps import Step, find_steps
+    from twin.tower.change_detection.contradictions import (
+        Contradiction,
+        contradictory_steps,
+        jumping_column,
+        merged,
+        most_steps,
+        spans_beyond,
+    )
+    from twin.tower.change_detection.steps import Step, find_steps, with_fan
 
 _MODULES = {
     "changes": (
         "RATE_D",
         "undeclared_changes",
     ),
+    "contradictions": (
+        "Contradiction",
+        "contradictory_steps",
+        "jumping_column",
+        "merged",
+        "most_steps",
+        "spans_beyond",
+    ),
     "steps": (
         "Step",
         "find_steps",
+        "with_fan",
     ),
 }
 _HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
-__all__ = ["RATE_D", "Step", "find_steps", "undeclared_changes"]
+__all__ = [
+    "RATE_D",
+    "Contradiction",
+    "Step",
+    "contradictory_steps",
+    "find_steps",
+    "jumping_column",
+    "merged",
+    "most_steps",
+    "spans_beyond",
+    "undeclared_changes",
+    "with_fan",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -5,7 +5,7 @@ entry, often while the cell stands still. Such a jump bends everything about it,
 smoothed increment between two cells of the time grid and its variance give the likelihood of one more jump there,
 Gaussian with precision i and mean m:
 
-    i = (v - v_post)/v^2,    m i = increment/v,    log B = (J m i)^2/(2 (1 + J^2 i)) - log(1 + J^2 i)/2
+    i = (v - v_post)/v^2,    m i = (increment - mean)/v,    log B = (J m i)^2/(2 (1 + J^2 i)) - log(1 + J^2 i)/2
 
 v is the increment's prior variance, v_post its posterior one, J the standard deviation of a jump. A jump is opened
 where its posterior odds, Bayes factor times prior odds, are above one.
@@ -22,16 +22,23 @@ import numpy as np
 
 from twin.tower.air import Array
 from twin.tower.cell_observations import Label
-from twin.tower.estimates import DAY_S, Blocks, Estimate, Opening, Priors
+from twin.tower.estimates import DAY_S, Blocks, Estimate, Opening, Priors, moved_grid
 from twin.tower.model import SLOW, CellModel
-from twin.tower.smoother import JUMP, estimate, walk_variance
+from twin.tower.smoother import JUMP, estimate, walk_precision
 
 RATE_D = {"fill": 1.0 / 1200.0, "air": 1.0 / 1200.0, "uniformity": 1.0 / 1200.0, "bias": 1.0 / 120.0}
 """Undeclared changes a day. One thermometer in a plant steps or is exchanged some three times a year; a cell is cleaned
 two or three times, and one entry in eight is missing."""
+TOGETHER = {"fill": ("fill", "uniformity"), "uniformity": ("uniformity", "fill")}
+"""Deviations that a jump opens beside its own: who washes a fill cleans its nozzles, with an entry or without."""
 APART_S = 5.0 * DAY_S
 """Least time between two jumps of one deviation that are opened at once: the second may be the shadow of the first."""
 ROUNDS = 4
+FEWEST = 3
+"""Blocks of half an hour on each side of a jump of the bias that is located between readings."""
+LOCATED = 0.9
+"""Posterior probability of the times between which a jump is opened: where nothing was read for days, a jump may lie
+anywhere in them."""
 
 
 def undeclared_changes(
@@ -51,44 +58,113 @@ def undeclared_changes(
     start
         An estimate of the record without the others.
     """
-    found: list[Opening] = []
-    for _ in range(ROUNDS):
-        known = (*openings, *found)
+    found: list[tuple[Opening, ...]] = []
+    edges = start.edges_s
+    for number in range(ROUNDS):
+        known = (*openings, *(one for event in found for one in event))
         # The shortest correlation time: residuals about a jump that is not open look like slow ones.
-        start = estimate(model, blocks, priors, labels, known, start.edges_s, start=start, least_correlation=True)
-        more = _likely(start, known)
-        if not more:
+        start = estimate(model, blocks, priors, labels, known, edges, start=start, least_correlation=True)
+        kept = [event for event in found if _stands(start, event)]
+        # A jump of the last round would not be judged again once it is open.
+        more = _likely(start, known) if number < ROUNDS - 1 else []
+        if not more and len(kept) == len(found):
             break
-        found += more
-    return tuple(sorted(found, key=lambda one: one.start_s))
+        more = [tuple(_located(start, blocks.time_s, one) for one in event) for event in more]
+        # A jump inside of a cell would look like one at either edge.
+        edges = moved_grid(edges, [one.start_s for event in more for one in event if one.parameter == "bias"])
+        found = kept + more
+    return tuple(sorted((one for event in found for one in event), key=lambda one: one.start_s))
 
 
-def _likely(posterior: Estimate, known: Sequence[Opening]) -> list[Opening]:
-    """Return the jumps with posterior odds above one, the likeliest of those that are close to each other."""
+def _likely(posterior: Estimate, known: Sequence[Opening]) -> list[tuple[Opening, ...]]:
+    """Return the events with posterior odds above one, the likeliest of those that are close to each other, each with
+    the jumps that it opens."""
     edges = posterior.edges_s
     ranked: list[tuple[float, int, str]] = []
+    by_name: dict[str, Array] = {}
     for name in JUMP:
         if name not in RATE_D:
             continue
         odds = _log_bayes_factor(posterior, known, name)
         odds += np.log(RATE_D[name] * np.diff(0.5 * (edges[:-1] + edges[1:])) / DAY_S)
+        by_name[name] = odds
         ranked += [(float(odds[k]), int(k), name) for k in np.flatnonzero(odds > 0.0)]
     taken: list[tuple[int, str]] = []
     for _, k, name in sorted(ranked, reverse=True):
         # One change explains its surroundings; others beside it are judged again once it is open.
         if all(abs(edges[k + 1] - edges[other + 1]) > APART_S for other, _ in taken):
             taken.append((k, name))
-    return [Opening(float(edges[k + 1]), float(edges[k + 1]), name) for k, name in taken]
+    return [
+        tuple(Opening(*_window(by_name[name], edges, k), other) for other in TOGETHER.get(name, (name,)))
+        for k, name in taken
+    ]
+
+
+def _located(p: Estimate, time_s: Array, jump: Opening) -> Opening:
+    """Return a jump of the bias at one edge of the grid at the time between readings where it fits best: the split of
+    the readings in the cells about the edge into two levels of least absolute error."""
+    at = int(np.abs(p.edges_s - jump.start_s).argmin())
+    if jump.parameter != "bias" or jump.end_s > jump.start_s or not 0 < at < len(p.edges_s) - 1:
+        return jump
+    rows = np.flatnonzero(np.isfinite(p.residual) & ((p.cell == at - 1) | (p.cell == at)))
+    level = p.residual[rows] + p.slow[p.cell[rows], SLOW.index("bias")]
+    splits = np.arange(FEWEST, len(rows) - FEWEST + 1)
+    if not len(splits):
+        return jump
+    loss = [sum(float(np.abs(part - np.median(part)).sum()) for part in (level[:k], level[k:])) for k in splits]
+    k = int(splits[int(np.argmin(loss))])
+    middle = 0.5 * float(time_s[rows[k - 1]] + time_s[rows[k]])
+    return Opening(middle, middle, jump.parameter)
+
+
+def _stands(p: Estimate, event: Sequence[Opening]) -> bool:
+    """Return True if the jumps of an event, which are open in a posterior, still have odds above one beside the others.
+
+    The density of no jump before and after the data gives their Bayes factor (Dickey, Ann. Math. Stat. 42 (1971) 204).
+    A jump of the air stands: it has opened the level of the fan's power too, which may have taken all of it.
+    """
+    if any(one.parameter == "air" for one in event):
+        return True
+    rows, excess = [], []
+    prior, odds = np.zeros(len(event)), 0.0
+    for j, one in enumerate(event):
+        inside = np.flatnonzero((p.edges_s[1:-1] >= one.start_s) & (p.edges_s[1:-1] <= one.end_s))
+        if not len(inside):
+            inside = np.array([np.abs(p.edges_s[1:-1] - one.start_s).argmin()])
+        first, last = int(inside.min()), int(inside.max()) + 1
+        column = SLOW.index(one.parameter)
+        days = float(p.edges_s[last + 1] - p.edges_s[first]) / DAY_S
+        rows.append((first * len(SLOW) + column, last * len(SLOW) + column))
+        excess.append(float(p.slow[last, column] - p.slow[first, column]))
+        prior[j] = JUMP[one.parameter] ** 2
+        odds = np.log(RATE_D[one.parameter] * days) if j == 0 else odds
+    low, high = np.array(rows).T
+    c = p.covariance
+    spread = c[np.ix_(high, high)] + c[np.ix_(low, low)] - c[np.ix_(high, low)] - c[np.ix_(low, high)]
+    jump = np.array(excess)
+    gain = 0.5 * float(jump @ np.linalg.solve(spread, jump)) + 0.5 * float(np.linalg.slogdet(spread)[1])
+    return bool(gain - 0.5 * float(np.log(prior).sum()) + odds > 0.0)
+
+
+def _window(odds: Array, edges: Array, k: int) -> tuple[float, float]:
+    """Return the first and the last edge at which a jump near edge `k + 1` lies by its log posterior odds (k - 1,)."""
+    near = np.abs(edges[1:-1] - edges[k + 1]) <= APART_S
+    weight = np.where(near, np.exp(odds - odds[near].max()), 0.0)
+    order = np.argsort(-weight, kind="stable")
+    count = int(np.searchsorted(np.cumsum(weight[order]), LOCATED * weight.sum())) + 1
+    inside = order[:count]
+    return float(edges[inside.min() + 1]), float(edges[inside.max() + 1])
 
 
 def _log_bayes_factor(p: Estimate, known: Sequence[Opening], name: str) -> Array:
     """Return the logarithm of the Bayes factor of a jump between each two cells of the grid (k - 1,)."""
-    variance, drift = walk_variance(p.edges_s, name, known)
+    inner, drift = walk_precision(p.edges_s, name, known)
     rows = np.arange(len(p.slow)) * len(SLOW) + SLOW.index(name)
-    own = np.diag(p.covariance)[rows]
-    left = own[1:] + own[:-1] - 2.0 * p.covariance[rows[1:], rows[:-1]]
-    information = np.maximum(variance - left, 1e-6 * variance) / variance**2
-    score = (np.diff(p.slow[:, SLOW.index(name)]) - drift) / variance
+    own = p.covariance[np.ix_(rows, rows)]
+    left = own[1:, 1:] + own[:-1, :-1] - own[1:, :-1] - own[:-1, 1:]
+    prior = np.diag(inner)
+    information = np.maximum(prior - ((inner @ left) * inner).sum(axis=1), 1e-6 * prior)
+    score = inner @ (np.diff(p.slow[:, SLOW.index(name)]) - drift)
     # Scores of a fit that trusts itself too much are too large everywhere: their usual size is one.
     usual = 1.4826 * float(np.median(np.abs(score) / np.sqrt(information)))
     score = score / max(usual, 1.0)

@@ -1,7 +1,9 @@
 """Steps of an outlet thermometer: a two-sided cumulative sum of the residuals of its readings.
 
 A fill scales over weeks, so a change within minutes is never fouling: a step is a bias event, and it opens a jump of
-the bias alone. Where a second thermometer in the basin makes the same step, the water itself has changed.
+the bias alone. Where a second thermometer in the basin makes the same step, the water itself has changed. Where the
+fan's power steps in the same minutes, beyond what speed and air explain, the air flow has: the step opens a jump of the
+air.
 
 Source: Page, Biometrika 41 (1954) 100 (cumulative sum); Basseville & Nikiforov, Detection of Abrupt Changes, 1993,
 ch. 2.
@@ -9,7 +11,8 @@ ch. 2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,15 +22,20 @@ SMALLEST_K = 0.5
 """Step that is to be found."""
 SLACK_K = 0.2
 """Reference value: a little below half of the step, as slow errors of the twin may stand against it."""
-LIMIT_K = 0.35
-"""Sum at which a step is reported: two or three readings of a step of 0.5 K, 10 to 15 min at a scan of 5 min. It is
-five standard deviations of a reading's residual, beyond a reference value of three, so that noise hardly ever reaches
-it."""
+LIMIT_K = 0.3
+"""Sum at which a step is reported: two readings of a step of 0.5 K, 2 (0.5 - 0.2), even where the level before is off
+by 0.15 K. It is five standard deviations of a reading's residual, beyond a reference value of three, so that noise
+hardly ever reaches it."""
 NOISE = (1.5, 4.0)
 """Reference value and limit in standard deviations of the residuals, where those are larger than above."""
 BASE_S, APART_S = 3 * 3600.0, 1200.0
 """The level before: the median over three hours that end twenty minutes ago, so that a step does not enter its own
-level."""
+level. Where they hold fewer than `FEWEST` readings it is that of the last `FEWEST` within a day."""
+HELD = 2.0
+"""Scans without a new reading after which an archive that reports by exception holds the last one: another one would
+have been stored."""
+SCAN_SHARE = 0.01
+"""Share of the intervals between readings that are no longer than a scan."""
 CONFIRM_S = 3 * 3600.0
 DAY_S = 86400.0
 UNUSUAL = 4.0
@@ -42,13 +50,16 @@ SECOND_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Step:
-    """A step: when it began, when it was reported, its size K, whether it stayed, and its class."""
+    """A step: when it began, when it was reported, its size K, whether it stayed, and its class: thermometer, water or
+    fan. `alone`: no second thermometer of the water was there. `power`: step of the fan's power, of its logarithm."""
 
     start_s: float
     alarm_s: float
     size: float
     lasting: bool
     kind: str = "thermometer"
+    alone: bool = True
+    power: float = 0.0
 
 
 def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> list[Step]:
@@ -70,35 +81,46 @@ def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> l
     other = None if second is None else second[there]
     sigma = 1.4826 * float(np.median(np.abs(np.diff(r)))) / np.sqrt(2.0)
     slack, limit = max(SLACK_K, NOISE[0] * sigma), max(LIMIT_K, NOISE[1] * sigma)
-    level = _level_before(t, r)
-    least = max(CONFIRMED * SMALLEST_K, UNUSUAL * _usual(t, r))
+    at, value = _with_held(t, r)
+    level = _level_before(t, r, at)
+    differences = _differences(t, r)
     found: list[Step] = []
     up = down = 0.0
-    began_up = began_down = t[0]
+    began_up = began_down = at[0]
     quiet_until = -np.inf
-    for i in range(len(t)):
-        if not np.isfinite(level[i]) or t[i] < quiet_until:
+    for i in range(len(at)):
+        if not np.isfinite(level[i]) or at[i] < quiet_until:
             up = down = 0.0
             continue
-        x = r[i] - level[i]
-        began_up, began_down = (t[i] if up == 0.0 else began_up), (t[i] if down == 0.0 else began_down)
+        x = value[i] - level[i]
+        began_up, began_down = (at[i] if up == 0.0 else began_up), (at[i] if down == 0.0 else began_down)
         # One reading counts for no more than the limit less a little: a single wrong one is no step.
         step = min(abs(x) - slack, 0.7 * limit)
         up, down = (max(up + step, 0.0), 0.0) if x > 0.0 else (0.0, max(down + step, 0.0))
         if max(up, down) >= limit:
-            found.append(
-                _step(t, r, other, float(began_up if up > down else began_down), float(t[i]), float(level[i]), least)
-            )
+            start = float(began_up if up > down else began_down)
+            least = max(CONFIRMED * SMALLEST_K, UNUSUAL * _usual(*differences, start))
+            found.append(_step(t, r, other, start, float(at[i]), float(level[i]), least))
             up = down = 0.0
-            quiet_until = t[i] + CONFIRM_S
+            quiet_until = at[i] + CONFIRM_S
     return found
 
 
-def _level_before(t: Array, r: Array) -> Array:
-    """Return the median of the readings of three hours that end twenty minutes before each, NaN where there are too
-    few."""
-    first = np.searchsorted(t, t - APART_S - BASE_S)
-    last = np.searchsorted(t, t - APART_S)
+def _with_held(t: Array, r: Array) -> tuple[Array, Array]:
+    """Return times and readings (n + held,) with one more for each reading that the archive held."""
+    gaps = np.diff(t)
+    wait = HELD * max(float(np.quantile(gaps, SCAN_SHARE)), 60.0)
+    held = np.flatnonzero(gaps > wait)
+    times, values = np.concatenate([t, t[held] + wait]), np.concatenate([r, r[held]])
+    order = np.argsort(times, kind="stable")
+    return times[order], values[order]
+
+
+def _level_before(t: Array, r: Array, at: Array) -> Array:
+    """Return the median of the readings before each time, as `BASE_S` says, NaN where there are too few."""
+    last = np.searchsorted(t, at - APART_S)
+    first = np.minimum(np.searchsorted(t, at - APART_S - BASE_S), np.maximum(last - FEWEST, 0))
+    first = np.maximum(first, np.searchsorted(t, at - APART_S - DAY_S))
     return np.array([np.median(r[a:b]) if b - a >= FEWEST else np.nan for a, b in zip(first, last, strict=True)])
 
 
@@ -110,12 +132,20 @@ def _day_difference(t: Array, r: Array, at: float) -> float:
     return float(np.median(r[middle:last]) - np.median(r[first:middle]))
 
 
-def _usual(t: Array, r: Array) -> float:
-    """Return the robust standard deviation of differences between days, K; 0 for a record of less than four days."""
+def _differences(t: Array, r: Array) -> tuple[Array, Array]:
+    """Return times every quarter of a day and the differences between the days about them, K; none of a record of less
+    than four days."""
     if t[-1] - t[0] < 4.0 * DAY_S:
-        return 0.0
-    found = np.array([_day_difference(t, r, at) for at in np.arange(t[0] + DAY_S, t[-1] - DAY_S, 0.25 * DAY_S)])
-    return 1.4826 * float(np.median(np.abs(found)))
+        return np.zeros(0), np.zeros(0)
+    at = np.arange(t[0] + DAY_S, t[-1] - DAY_S, 0.25 * DAY_S)
+    return at, np.array([_day_difference(t, r, one) for one in at])
+
+
+def _usual(at: Array, differences: Array, step_s: float) -> float:
+    """Return the robust standard deviation of the differences between days that a step does not enter, K; 0 without
+    any."""
+    apart = np.abs(at - step_s) >= DAY_S
+    return 1.4826 * float(np.median(np.abs(differences[apart]))) if apart.any() else 0.0
 
 
 def _step(t: Array, r: Array, other: Array | None, start: float, alarm: float, level: float, least: float) -> Step:
@@ -123,11 +153,59 @@ def _step(t: Array, r: Array, other: Array | None, start: float, alarm: float, l
     size = float(np.median(r[after])) - level
     days = _day_difference(t, r, start)
     lasting = bool(after.sum() >= 3 and min(abs(size), abs(days)) >= least and size * days > 0.0)
-    kind = "thermometer"
+    kind, alone = "thermometer", True
     if other is not None:
         before = (t >= start - BASE_S) & (t < start)
         seen = other[after & np.isfinite(other)], other[before & np.isfinite(other)]
         if min(len(seen[0]), len(seen[1])) >= FEWEST:
+            alone = False
             moved = float(np.median(seen[0]) - np.median(seen[1]))
             kind = "water" if moved * np.sign(size) > SECOND_SHARE * abs(size) else "thermometer"
-    return Step(start, alarm, size, lasting, kind)
+    return Step(start, alarm, size, lasting, kind, alone)
+
+
+def with_fan(steps: Sequence[Step], time_s: Array, power: Array) -> list[Step]:
+    """Return the steps, those of the fan with their class: the power steps as well, within twenty minutes of them.
+
+    Parameters
+    ----------
+    steps
+        Of an outlet thermometer.
+    time_s
+        Of the power (n,), s, rising.
+    power
+        Logarithm of the fan's power less that by the twin (n,); NaN is missing.
+    """
+    there = np.isfinite(power)
+    t, r = time_s[there], power[there]
+    if len(t) < 2 * FEWEST:
+        return list(steps)
+    at = np.arange(t[0] + BASE_S, t[-1] - BASE_S, 0.25 * DAY_S)
+    usual = np.array([_short_difference(t, r, one) for one in at])
+    found = []
+    for step in steps:
+        size = _short_difference(t, r, step.start_s)
+        apart = np.abs(at - step.start_s) >= 0.5 * DAY_S
+        limit = UNUSUAL * 1.4826 * float(np.median(np.abs(usual[apart]))) if apart.any() else np.inf
+        fan = step.kind == "thermometer" and abs(size) > limit > 0.0
+        fan = fan and abs(_split(t, r, step.start_s) - step.start_s) <= APART_S
+        found.append(replace(step, kind="fan", power=size) if fan else step)
+    return found
+
+
+def _short_difference(t: Array, r: Array, at: float) -> float:
+    """Return the difference of the medians of three hours after and before a time; 0 where there are too few."""
+    first, middle, last = np.searchsorted(t, (at - BASE_S, at, at + BASE_S))
+    if min(middle - first, last - middle) < FEWEST:
+        return 0.0
+    return float(np.median(r[middle:last]) - np.median(r[first:middle]))
+
+
+def _split(t: Array, r: Array, at: float) -> float:
+    """Return the time within an hour of another one that splits the values of three hours before and after best into
+    two levels, by least absolute error."""
+    first, last = np.searchsorted(t, (at - BASE_S, at + BASE_S))
+    near = np.flatnonzero(np.abs(t - at) <= 3600.0)
+    splits = np.unique(near[(near - first >= FEWEST) & (last - near >= FEWEST)])[::2]
+    loss = [sum(float(np.abs(p - np.median(p)).sum()) for p in (r[first:k], r[k:last])) for k in splits]
+    return float(t[splits[int(np.argmin(loss))]]) if loss else np.inf

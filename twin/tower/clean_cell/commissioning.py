@@ -13,7 +13,7 @@ from scipy.optimize import least_squares, nnls
 
 from twin.tower import air as moist
 from twin.tower.air import Array
-from twin.tower.cell import Design, Inputs, solve_cell
+from twin.tower.cell import KAPPA, Design, Inputs, solve_cell
 
 FEWEST = 4
 """Test points: two for the Merkel number and its exponent, as many to see how well they fit."""
@@ -89,6 +89,13 @@ def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None
         raise CommissioningError(
             f"has {len(points.t_out)} test points; at least {FEWEST} are needed for the law of the fill"
         )
+    each = [*(getattr(u, name) for name in u.__dataclass_fields__), points.t_out]
+    different = len(np.unique(np.stack(each), axis=1).T)
+    if different < FEWEST:
+        raise CommissioningError(
+            f"has {len(points.t_out)} test points, of which {different} differ; at least {FEWEST} different ones are "
+            f"needed for the law of the fill: remove those that were entered again"
+        )
     ratio = np.maximum(moist.ratio_from_wet_bulb(u.dry, u.wet, u.pressure), 0.0)
     rho = moist.density(u.dry, ratio, u.pressure)
     full = u.speed >= FULL_SPEED
@@ -115,7 +122,7 @@ def fit_clean_cell(points: TestPoints, water_flow: float, air_flow: float | None
         factor = 1.08
         remarks.append("no test point has an evaporation; 1.08 times Merkel's is assumed, as Poppe's method has it")
     _within("evaporation over that of Merkel's method", factor, EVAPORATION)
-    design = replace(design, evaporation=factor)
+    design = replace(design, evaporation=factor, kappa=KAPPA)
     result = CommissionedCell(design, solve_cell(u, design).t_out - points.t_out, tuple(remarks), sd)
     if result.rmse > LARGEST_ERROR_K:
         worst = int(np.argmax(np.abs(result.residual)))
@@ -146,7 +153,12 @@ def _fill_law(
     # Errors of a test point are those of its thermometers and of the method; they vary by more than 0.1 K where the
     # fit says.
     scale = max(float(np.sqrt(np.mean(misfit(found)[:-1] ** 2))), 1.0)
-    sd = scale * np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
+    information = fit.jac.T @ fit.jac
+    if np.linalg.matrix_rank(information) < len(found):
+        raise CommissioningError(
+            "has test points whose outlet does not tell the Merkel number; check the units of flows and temperatures"
+        )
+    sd = scale * np.sqrt(np.diag(np.linalg.inv(information)))
     return merkel, exponent, (float(sd[0]), float(sd[1]))
 
 

@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import log_ndtr
 
 from twin.tower.air import Array
 from twin.tower.calibration import Fitted
@@ -155,5 +155,5 @@ def gain(a: Array, b: Array, size_sd: Array, sign: int) -> Forms:
     size, sd = size_sd**2 * b / total, size_sd / np.sqrt(total)
     found = 0.5 * size_sd**2 * b**2 / total - 0.5 * np.log(total)
     if sign:
-        found = found + np.log(2.0) + norm.logcdf(sign * size / sd)
+        found = found + np.log(2.0) + log_ndtr(sign * size / sd)
     return Forms(found, size, sd)

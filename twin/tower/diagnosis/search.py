@@ -19,7 +19,7 @@ from twin.tower.air import Array
 from twin.tower.calibration import Fitted, fit_cell
 from twin.tower.cell_observations import Label
 from twin.tower.diagnosis.candidates import DECOYS, FAULT, FREE, EffectClass, candidates, decoys, onset_grid
-from twin.tower.diagnosis.evidence import Evidence
+from twin.tower.diagnosis.evidence import FORM_ERROR, Evidence
 from twin.tower.diagnosis.validation import HeldOutBlocks, TimeSpans, held_out, held_out_parts, inside, predictive_gain
 from twin.tower.effects import CellEffect, pattern, patterns
 from twin.tower.estimates import Opening, Priors
@@ -129,7 +129,7 @@ class TowerDiagnosis:
 def search_effects(
     cases: Sequence[CellCase],
     timezone: str | None,
-    steps: Callable[[int, Fitted], tuple[Opening, ...]] = lambda cell, fitted: (),
+    jumps: Callable[[int, Fitted], tuple[Opening, ...]] = lambda cell, fitted: (),
     say: Callable[[str], None] = lambda text: None,
 ) -> TowerDiagnosis:
     """Return the undeclared effects of the cells of one station.
@@ -138,8 +138,8 @@ def search_effects(
     ----------
     timezone
         Of the station, for the sun.
-    steps
-        Jumps that the first fit of a cell shows to be needed.
+    jumps
+        Those of a deviation that the first fit of a cell shows to be needed.
     say
         Called with each stage.
 
@@ -152,7 +152,7 @@ def search_effects(
     held = {c.cell: inside(c.minutes.time_s, parts) for c in cases}
     say("calibrating without the held-out weeks")
     fits = {c.cell: c.fit((), held[c.cell]) for c in cases}
-    more = {c.cell: steps(c.cell, fits[c.cell]) for c in cases}
+    more = {c.cell: jumps(c.cell, fits[c.cell]) for c in cases}
     cases = [replace(c, openings=(*c.openings, *more[c.cell])) for c in cases]
     fits |= {c.cell: c.fit((), held[c.cell]) for c in cases if more[c.cell]}
     errors = {c.cell: held_out(fits[c.cell], c.minutes.outlet, parts) for c in cases}
@@ -328,7 +328,9 @@ def _refit(
         offset = effect.size * (h.T @ evidence.solve(own[:, None])[:, 0])
         scored = evidence.score(h, np.full(len(forms), float(one.candidate.size_sd[0])), one.candidate.sign, offset)
         best = int(scored.gain.argmax())
-        effect = replace(forms[best], size=float(scored.size[best]), sd=float(scored.sd[best]))
+        size = float(scored.size[best])
+        # The law of an effect is simpler than the effect, and no reading shows that error of its size.
+        effect = replace(forms[best], size=size, sd=float(np.hypot(scored.sd[best], FORM_ERROR * size)))
         fitted = case.fit((*known, effect), held)
     return effect, fitted
 

@@ -57,9 +57,9 @@ class Drain:
 
 @dataclass(frozen=True)
 class _BasinRows:
-    """Rows of mean differences (r,): grid cell, shares (r, cells), value K, sensor, pattern and epoch of each."""
+    """Rows of mean differences (r,): time s, shares (r, cells), value K, sensor, pattern and epoch of each."""
 
-    grid: NDArray[np.intp]
+    time_s: Array
     shares: Array
     value: Array
     group: list[tuple[int, int, int]]
@@ -78,7 +78,7 @@ def with_basin(
     Parameters
     ----------
     posteriors
-        Of all cells that drain into the compartment, with one time grid.
+        Of all cells that drain into the compartment.
     drains, time_s, makeup
         By minute (n,); makeup kg/s, of the whole basin.
     volume_m3
@@ -99,10 +99,11 @@ def with_basin(
     stacked, crosses = np.zeros((count, count)), []
     innovation = rows.value.copy()
     for c, posterior in enumerate(posteriors):
-        at = rows.grid * len(SLOW) + BIAS
+        grid = posterior.cells_at(rows.time_s)
+        at = grid * len(SLOW) + BIAS
         cross = posterior.covariance[:, at] * rows.shares[:, c]
         stacked += rows.shares[:, c][:, None] * cross[at]
-        innovation -= rows.shares[:, c] * posterior.slow[rows.grid, BIAS]
+        innovation -= rows.shares[:, c] * posterior.slow[grid, BIAS]
         crosses.append(cross)
     return joint_update(posteriors, crosses, stacked + noise, innovation)
 
@@ -115,14 +116,14 @@ def _rows(
     volume_m3: float,
     changes_s: Sequence[float],
 ) -> _BasinRows | None:
-    """Return the mean differences by grid cell, thermometer and pattern; None where there are none."""
+    """Return the mean differences by cell of the first grid, thermometer and pattern; None where there are none."""
     mixed, shares, ready = _mixture(drains, makeup, volume_m3)
     grid = posterior.cells_at(time_s)
     epoch = np.searchsorted(np.sort(np.asarray(changes_s, dtype=float)), time_s)
     pattern = np.zeros(len(time_s), dtype=int)
     for share in shares.T:
         pattern = 3 * pattern + np.digitize(share, (0.2, 0.8))
-    found: dict[tuple[int, int, int, int], tuple[Array, float]] = {}
+    found: dict[tuple[int, int, int, int], tuple[Array, float, float]] = {}
     for sensor, drain in enumerate(drains):
         rows = np.flatnonzero(ready & drain.sampled & np.isfinite(drain.basin))
         if not len(rows):
@@ -132,12 +133,13 @@ def _rows(
             there = rows[code == one]
             if len(there) >= FEWEST_MINUTES:
                 key = (int(grid[there[0]]), sensor, int(pattern[there[0]]), int(epoch[there[0]]))
-                found[key] = (shares[there].mean(axis=0), float(np.median(mixed[there] - drain.basin[there])))
+                value = float(np.median(mixed[there] - drain.basin[there]))
+                found[key] = (shares[there].mean(axis=0), value, float(np.median(time_s[there])))
     if not found:
         return None
     keys = list(found)
     return _BasinRows(
-        np.array([k[0] for k in keys], dtype=np.intp),
+        np.array([found[k][2] for k in keys]),
         np.array([found[k][0] for k in keys]),
         np.array([found[k][1] for k in keys]),
         [(k[1], k[2], k[3]) for k in keys],

@@ -23,8 +23,6 @@ Index = NDArray[np.int64]
 
 ROOM = -1
 """Index of the room among the ends of a link."""
-REFERENCE_C = 25.0
-"""Temperature at which densities and films are given, degC."""
 HEAT, FLOW, LINK, GATE, TRANSFER = range(5)
 """Targets of a modifier: heat into a cell, flow of a loop, conductance of a group of links, share of a bypass, heat
 from one cell into another."""

@@ -67,10 +67,6 @@ class ZooPlant:
         """Return a part by its name."""
         return next(b for b in self.parts if b.part.name == name)
 
-    def thermometer_at(self, node: str) -> Thermometer | None:
-        """Return the first thermometer at a node, or None."""
-        return next((t for t in self.thermometers if t.node == node), None)
-
     def run(
         self, drive: Drive, period_s: float, modifiers: tuple[Modifier, ...] = (), start: Array | None = None
     ) -> Array:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -93,11 +92,6 @@ class Family:
         self.kernel = Kernel(self.plant, names)
         self._own = self.plant.index(network.ids)
         self._kinds = {e.name: e.kind for e in self.plant.elements}
-
-    @cached_property
-    def injections(self) -> tuple[int, ...]:
-        """Places of the columns that inject heat, by node, among the plant's inputs."""
-        return tuple(self.plant.input_columns.index(_column(node)) for node in self.network.nodes)
 
     def draw(self, rng: np.random.Generator, power: float = 1.0) -> Array:
         """Full vector of a healthy plant, made for `power` times the nominal load."""

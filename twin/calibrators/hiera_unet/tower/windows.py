@@ -24,9 +24,8 @@ TOLERANCE = SUBJECT.outputs[0].tolerance
 OUTLET = SUBJECT.index("r_outlet")
 SCORES = slice(SUBJECT.index("score_fill"), SUBJECT.index("score_bias") + 1)
 RATES = slice(SUBJECT.index("rate_fill"), SUBJECT.index("rate_bias") + 1)
-FITS = slice(-21, -17)
 MEANS = slice(-13, -9)
-"""Places of the fit and of the belief's means among the static numbers."""
+"""Places of the belief's means among the static numbers."""
 BLOCK_MIN = 10
 LAST_MIN = (30, 120, 720)
 """Minutes before the target over which mean residuals are features of the trees."""

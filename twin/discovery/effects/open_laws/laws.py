@@ -9,6 +9,7 @@ temperature of a node is evaluated on measured temperatures, and fitted as an el
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -137,15 +138,20 @@ def _of_a_temperature(candidate: Candidate, site: OpenSite, values: Values) -> C
 def _unit(network: Network, site: OpenSite, values: Values) -> str:
     """Return the unit of the strength of a law, as its element has it."""
     table = next(iter(site.tables.values()))
-    kind = KINDS[str(table["kind"])]
-    places = {kind.places()[key].name: value for key, value in table.items() if key not in ("kind", "driver", "form")}
-    driver = {} if values.column is None else {"driver": network.input_columns[values.column]}
-    driver |= {"of": values.of} if values.of else {}
-    law: dict[str, Any] = {**places, **driver, "form": values.form}
-    element = kind(name="law", **law)
-    strength = FORMS[values.form][0]
-    unit = next(spec.unit for spec in element.parameter_specs() if spec.name == strength)
+    places = tuple((key, value) for key, value in table.items() if key not in ("kind", "driver", "form"))
+    driver = "" if values.column is None else network.input_columns[values.column]
+    unit = _unit_of(str(table["kind"]), places, driver, values.of, values.form)
     return site.unit if unit == "1" else unit
+
+
+@functools.lru_cache(maxsize=1024)
+def _unit_of(kind: str, places: tuple[tuple[str, Any], ...], driver: str, of: str, form: str) -> str:
+    """Return the unit of the strength of a law that an element of a kind has, which hundreds of laws share."""
+    of_kind = KINDS[kind]
+    law: dict[str, Any] = {of_kind.places()[key].name: value for key, value in places}
+    law |= ({"driver": driver} if driver else {}) | ({"of": of} if of else {})
+    specs = of_kind(name="law", form=form, **law).parameter_specs()  # type: ignore[call-arg]
+    return next(spec.unit for spec in specs if spec.name == FORMS[form][0])
 
 
 def adopted(network: Network, candidate: Candidate, size: float) -> Network:

@@ -1,0 +1,98 @@
+"""Tags that stand: constant by nature, or stuck while what they measure moved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.twin.historian.made_station import START_S, ZONE, archived, clean_store, instruments, scanned
+from twin.historian.defects import Repaired, find_and_repair
+from twin.historian.defects.stuck import stuck_values
+from twin.historian.tags import Array, Series, Tag
+
+DAY_S = 86400.0
+
+
+def _series(role: str, unit: str, value: Array, cell: int | None = 1) -> Series:
+    n = len(value)
+    return Series(Tag(role, unit, role, cell, 180.0), START_S + 180.0 * np.arange(n), value, np.full(n, 192, np.int16))
+
+
+@pytest.fixture
+def moving() -> Array:
+    return np.asarray(40.0 + 20.0 * np.sin(np.arange(4800) / 150.0))
+
+
+def _stuck(series: Series, *others: Series) -> list[str]:
+    return [defect.says for defect in stuck_values(series, others)]
+
+
+def test_a_fan_at_full_speed_all_month_is_right(moving: Array) -> None:
+    full = _series("fan_speed", "1", np.ones(4800))
+    noise = np.random.default_rng(0).standard_normal(4800)
+    power, command = (
+        _series("fan_power", "kW", 42.0 + 0.5 * noise),
+        _series("fan_speed_command", "%", full.value * 100.0),
+    )
+    assert _stuck(full) == _stuck(full, power) == _stuck(full, power, command) == []
+
+
+def test_a_fan_that_runs_at_one_speed_or_not_at_all_is_right() -> None:
+    on = (np.arange(4800) // 200) % 3 > 0
+    speed = _series("fan_speed", "%", 100.0 * on)
+    assert _stuck(speed, _series("fan_power", "kW", 42.0 * on)) == []
+
+
+@pytest.mark.parametrize(("role", "unit"), [("fan_speed_command", "%"), ("fan_power", "kW")])
+def test_a_speed_that_stands_while_command_or_power_move_is_stuck(moving: Array, role: str, unit: str) -> None:
+    found = _stuck(_series("fan_speed", "%", np.full(4800, 64.0)), _series(role, unit, moving))
+    assert len(found) == 1 and role in found[0] and "stood at 64 %" in found[0]
+
+
+def test_a_constant_flow_is_right_with_a_constant_pump_and_stuck_with_another(moving: Array) -> None:
+    flow = _series("water_flow", "gpm", np.full(4800, 2850.0))
+    pump = _series("pump_power", "kW", np.full(4800, 90.0), None)
+    assert _stuck(flow) == _stuck(flow, pump) == []
+    assert len(_stuck(flow, replace(pump, value=2.0 * moving))) == 1
+
+
+def test_a_thermometer_that_stands_throughout_while_its_water_moves_is_stuck(moving: Array) -> None:
+    outlet = _series("water_outlet_temperature", "degF", np.full(4800, 75.0))
+    assert len(_stuck(outlet, _series("water_inlet_temperature", "degF", moving))) == 1
+    assert (
+        _stuck(
+            outlet,
+            replace(_series("water_inlet_temperature", "degF", moving), tag=Tag("B", "degF", "basin_temperature", 2)),
+        )
+        == []
+    )
+
+
+def test_days_at_one_commanded_speed_are_no_defect_of_a_fan_that_moves_otherwise() -> None:
+    rng = np.random.default_rng(40)
+    store = []
+    for one in instruments(rng, 20.0):
+        time_s, value = scanned(one, rng)
+        if one.tag.name in ("SC1", "SI1", "JI1"):
+            inside = (time_s > START_S + 6 * DAY_S) & (time_s < START_S + 9 * DAY_S)
+            value = np.where(inside & (value > 0.0), {"SC1": 80.0, "SI1": 80.0, "JI1": 20.5}[one.tag.name], value)
+        store.append(archived(one, (time_s, value)))
+    found = _repaired(store)
+    assert [one.says for one in found.defects if one.tags == ("SI1",)] == []
+
+
+def test_a_constant_tag_of_a_station_stays_and_is_named() -> None:
+    store = [
+        replace(one, value=np.full(len(one.value), 300.0)) if one.tag.name == "F1" else one
+        for one in clean_store(np.random.default_rng(41), 10.0)
+        if one.tag.name not in ("JP", "PH")
+    ]
+    found = _repaired(store)
+    assert [one.kind for one in found.defects if "F1" in one.tags] == []
+    assert any("F1 stands at 300 m3/h" in text for text in found.remarks)
+
+
+def _repaired(store: list[Series]) -> Repaired:
+    return find_and_repair(store, timezone=ZONE, pressure_kPa=95.0)

@@ -1,0 +1,113 @@
+"""Changes of unit: found for every tag with a witness, converted, and none invented where the plant itself moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.twin.historian.made_station import START_S, ZONE, Instrument, archived, clean_store, instruments, scanned
+from twin.historian.defects import Repaired, find_and_repair
+from twin.historian.tags import Array, Series
+from twin.historian.units import unit_of
+
+DAY_S = 86400.0
+SPAN = 6.2, 8.3
+
+
+def _found(store: list[Series]) -> Repaired:
+    return find_and_repair(store, timezone=ZONE, pressure_kPa=95.0, full_speed="50 Hz")
+
+
+def _in_unit(value: Array, own: str, other: str) -> Array:
+    if other == "Hz":
+        return value * 0.5
+    a, b = unit_of(own), unit_of(other)
+    return np.asarray((a.scale * value + a.offset - b.offset) / b.scale)
+
+
+def _switched(
+    plant: list[Instrument], rng: np.random.Generator, spans: list[tuple[str, str, float, float]]
+) -> list[Series]:
+    store = []
+    for one in plant:
+        time_s, value = scanned(one, rng)
+        for name, unit, low, high in spans:
+            if one.tag.name == name:
+                inside = (time_s >= START_S + low * DAY_S) & (time_s <= START_S + high * DAY_S)
+                value = np.where(inside, np.round(_in_unit(value, one.tag.unit, unit), 3), value)
+        store.append(archived(one, (time_s, value)))
+    return store
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("T1IN", "degF"),
+        ("T2OUT", "degF"),
+        ("TRET", "degF"),
+        ("TSUP", "K"),
+        ("TDB", "degF"),
+        ("TWB", "degF"),
+        ("F1", "kg/s"),
+        ("F2", "gpm"),
+        ("JI1", "W"),
+        ("SI1", "Hz"),
+        ("SC2", "1"),
+        ("PB", "kPa"),
+        ("PH", "bar"),
+        ("JP", "hp"),
+        ("QH", "MW"),
+        ("RHA", "1"),
+    ],
+)
+def test_a_span_in_another_unit_is_converted(name: str, unit: str) -> None:
+    rng = np.random.default_rng(60)
+    plant = instruments(rng, 16.0)
+    repaired = _found(_switched(plant, rng, [(name, unit, *SPAN)]))
+    found = [one for one in repaired.defects if one.kind == "unit_switch"]
+    assert [one.tags for one in found] == [(name,)]
+    assert [one.kind for one in repaired.defects if one.kind != "unit_switch"] == []
+    one = next(one for one in plant if one.tag.name == name)
+    again = next(series for series in repaired.series if series.tag.name == name)
+    inside = again.between(START_S + SPAN[0] * DAY_S + 600.0, START_S + SPAN[1] * DAY_S - 600.0)
+    off = np.abs(inside.value - np.interp(inside.time_s, START_S + 60.0 * np.arange(len(one.truth)), one.truth))
+    assert np.median(off) < 3.0 * max(one.noise, one.deviation)
+
+
+def test_a_switch_that_lasts_and_one_of_hours_are_found() -> None:
+    rng = np.random.default_rng(61)
+    spans = [("T1IN", "degF", 5.0, 99.0), ("F1", "L/s", 7.0, 7.3), ("F1", "L/s", 11.0, 12.0)]
+    found = [one for one in _found(_switched(instruments(rng, 16.0), rng, spans)).defects if one.kind == "unit_switch"]
+    assert sorted(one.tags[0] for one in found) == ["F1", "F1", "T1IN"]
+    starts = sorted((one.start_s - START_S) / DAY_S for one in found)
+    assert starts == pytest.approx([5.0, 7.0, 11.0], abs=0.02)
+
+
+def test_tags_of_one_controller_that_change_together_are_all_found() -> None:
+    rng = np.random.default_rng(62)
+    spans = [("T1IN", "degF", *SPAN), ("T1OUT", "degF", *SPAN), ("T1BAS", "degF", *SPAN)]
+    found = _found(_switched(instruments(rng, 16.0), rng, spans)).defects
+    assert sorted(one.tags[0] for one in found if one.kind == "unit_switch") == ["T1BAS", "T1IN", "T1OUT"]
+
+
+def test_a_flow_that_falls_by_the_factor_of_a_unit_with_its_witnesses_is_no_switch() -> None:
+    rng = np.random.default_rng(63)
+    plant = []
+    for one in instruments(rng, 16.0):
+        minute = np.arange(len(one.truth)) / 1440.0
+        inside = (minute >= 6.0) & (minute <= 8.0)
+        share = {"F1": 1.0 / 3.6, "JP": 0.6, "PH": 0.7, "V1": 1.0}.get(one.tag.name, 1.0)
+        truth = np.where(inside, one.truth * share, one.truth)
+        if one.tag.name == "V1":
+            truth = np.where(inside, 45.0, truth)
+        plant.append(replace(one, truth=truth))
+    store = [archived(one, scanned(one, rng)) for one in plant]
+    assert [one.says for one in _found(store).defects if one.kind == "unit_switch"] == []
+
+
+@pytest.mark.parametrize("seed", [64, 65, 66])
+def test_none_is_invented(seed: int) -> None:
+    found = _found(clean_store(np.random.default_rng(seed), 16.0))
+    assert [one.says for one in found.defects] == []

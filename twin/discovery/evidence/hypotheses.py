@@ -1,0 +1,130 @@
+"""Hypotheses of the search by evidence, sets of effects with their posterior odds, and the prior of single effects."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twin.discovery.effects.laws import CandidateLaw
+from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, UNLISTED
+from twin.discovery.evidence.scan import logsumexp
+from twin.discovery.refit.fitting import Fit
+from twin.discovery.scoring.search import Entry
+from twin.elements.candidates import Candidate
+
+MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heater"}
+"""What an actuator moves: a pump that turns slower is a flow that is less."""
+
+Class = tuple[str, str]
+Place = tuple[str, bool]
+"""A place, by its thermometer or by what moves it too, and whether something there is an error of reading."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A set of effects, `odds` its log posterior odds against no effect; `fit` None while only linear."""
+
+    entries: tuple[Entry, ...]
+    log_prior: float
+    log_bayes: float
+    quadratic: float
+    form_error: float
+    fit: Fit | None = None
+    settled: bool = False
+    gained: float = 0.0
+    """Log odds that its fit won over those to first order."""
+
+    @property
+    def odds(self) -> float:
+        return self.log_prior + self.log_bayes
+
+    @property
+    def labels(self) -> tuple[tuple[str, str, str], ...]:
+        return tuple(sorted(e.label for e in self.entries))
+
+
+@dataclass(frozen=True)
+class Found:
+    """Hypotheses by falling odds, single effects by falling evidence, and the log odds of an unknown of no listed form
+    by its place."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    scanned: list[Entry]
+    retuned: Fit
+    unlisted_at: Mapping[Place, float]
+
+    @property
+    def unlisted(self) -> float:
+        """Return the log odds of an unknown of no listed form, wherever it is."""
+        return logsumexp(np.array([*self.unlisted_at.values()])) if self.unlisted_at else -math.inf
+
+    def rival_of(self, best: Hypothesis) -> float:
+        """Return the log odds that named effects have to reach, because of unknowns of no listed form.
+
+        An unknown at the place of one of them claims the same and also that no law describes its course, which is
+        said only with the odds of a claim.
+        """
+        own = {place_of(e.candidate) for e in best.entries}
+        odds = [odds - (CLAIM if place in own else 0.0) for place, odds in self.unlisted_at.items()]
+        return logsumexp(np.array(odds)) if odds else -math.inf
+
+    @property
+    def told(self) -> Hypothesis | None:
+        """Return the likeliest fitted hypothesis, less effects without which it would be as good but for `CLAIM`."""
+        fits = [h for h in self.hypotheses if h.fit is not None]
+        if not fits:
+            return None
+        enough = [h for h in fits if h.odds >= fits[0].odds - CLAIM * max(len(fits[0].entries) - len(h.entries), 0)]
+        fewest = min(len(h.entries) for h in enough)
+        return next(h for h in enough if len(h.entries) == fewest)
+
+
+def class_of(entry: Entry) -> Class:
+    """Return kind and place of an effect."""
+    return entry.candidate.kind, entry.candidate.where
+
+
+class Prior:
+    """Prior of single effects: a fault, its class, its law in the class; named laws have most of a class."""
+
+    def __init__(self, named: Iterable[CandidateLaw], opened: Iterable[CandidateLaw] = ()) -> None:
+        self._each: tuple[dict[Class, float], dict[Class, float]] = ({}, {})
+        for weights, laws in zip(self._each, (named, opened), strict=True):
+            for law in laws:
+                place = law.candidate.kind, law.candidate.where
+                weights[place] = weights.get(place, 0.0) + DRIVERS.get(law.candidate.driver, 1.0)
+        classes = self._each[0].keys() | self._each[1].keys()
+        self._total = sum(KINDS.get(kind, 0.5) for kind, _ in classes)
+
+    def of(self, entry: Entry) -> float:
+        """Return the log probability of an effect, apart from its time course and size."""
+        return math.log(FAULT) + self.share(entry.candidate)
+
+    def share(self, candidate: Candidate) -> float:
+        """Return the log probability that a fault is one of this law."""
+        place, is_open = (candidate.kind, candidate.where), candidate.is_open
+        alike, others = self._each[is_open].get(place, 1.0), self._each[not is_open].get(place, 0.0)
+        share = (UNLISTED if is_open else 1.0 - UNLISTED) if others else 1.0
+        weight = DRIVERS.get(candidate.driver, 1.0) / alike
+        return math.log(share * weight * KINDS.get(place[0], 0.5) / self._total)
+
+
+def apart(candidate: Candidate, others: Sequence[Entry]) -> bool:
+    """Return True where an effect may be beside others: at one place there is one thing, of whatever form, and an error
+    of its thermometer."""
+    place = place_of(candidate)
+    return all(place != place_of(o.candidate) for o in others)
+
+
+def place_of(candidate: Candidate) -> Place:
+    return place(candidate.where, candidate.kind == "sensor")
+
+
+@functools.cache
+def place(where: str, reads: bool) -> Place:
+    named = where.removeprefix("T_").removesuffix("_C")
+    return MOVED_BY.get(named, named), reads

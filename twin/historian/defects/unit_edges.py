@@ -1,0 +1,136 @@
+"""Jumps of a tag that are those of a change of unit, sample by sample.
+
+At such a jump the values, converted, go on as the tag usually does, while as they stand they leap. The odds of it are
+those of the usual step against a leap of that size, less for a tag that leaps often: a fan that is switched, a valve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from twin.historian.tags import Array, Series
+from twin.historian.units import Unit
+
+WIDTHS = (1, 7, 31)
+"""Samples whose median is the level beside a jump: one tells most, many where a tag is noisy, such as the wind."""
+FAR = 4.0
+"""Standard deviations of the usual steps within which the converted step lies, and beyond which the raw one lies."""
+NEAR = 0.35
+"""Share of the jump within which the converted step may lie besides: operation may step in the same minute."""
+ROUNDED = 0.005
+"""Share of the jump to which it is known at best: converted values are stored with two or three digits."""
+REST = 5.0
+"""Usual steps below which a value is at rest: its ratio to the next one says nothing."""
+AROUND = 101
+"""Samples by which the usual step about a time is known."""
+USUAL = 0.9, 1.645
+"""Quantile of the steps by which their standard deviation is known, and that of a normal distribution."""
+MOST = 12
+"""Edges of each direction that are kept, the most probable first."""
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A jump into a unit, or back from it: times of the samples before and after it (s since 1970) and log odds."""
+
+    before_s: float
+    after_s: float
+    odds: float
+    into: bool
+
+
+def unit_edges(series: Series, own: Unit, unit: Unit) -> list[Edge]:
+    """Return the jumps of a tag from the unit `own` to `unit`, and back.
+
+    Parameters
+    ----------
+    series
+        Good samples of the tag, in the unit `own`.
+    own, unit
+        Unit of the dictionary and the one that the tag may change to.
+    """
+    ratio = own.offset == 0.0 and unit.offset == 0.0
+    time_s, x = series.time_s, series.value
+    if ratio:
+        rows = _not_at_rest(x)
+        time_s, x = time_s[rows], np.log(x[rows])
+    if len(x) < AROUND:
+        return []
+    apart = np.diff(time_s)
+    stretch = np.sqrt(np.maximum(apart / max(float(np.median(apart)), 1e-9), 1.0))
+    tried = []
+    for width in WIDTHS:
+        level = median_filter(x, size=width, mode="nearest")
+        before = level[np.maximum(np.arange(len(x) - 1) - width // 2, 0)]
+        after = level[np.minimum(np.arange(1, len(x)) + width // 2, len(x) - 1)]
+        tried.append((width, _both_ways(before, after, own, unit, ratio), np.abs(after - before)))
+    found: list[Edge] = []
+    for way in (0, 1):
+        best = np.full(len(x) - 1, -np.inf)
+        where = np.arange(len(x) - 1)
+        for width, ways, size in tried:
+            off, jump = ways[way]
+            usual = max(float(np.quantile(size, USUAL[0])) / USUAL[1], 0.0)
+            scale = np.maximum(usual * stretch, ROUNDED * np.maximum(jump, 1e-12))
+            often = float((size >= 0.5 * np.median(jump)).sum()) / width - 2.0
+            # Steps have heavy tails, as Cauchy's distribution has.
+            odds = 0.5 * np.log((scale**2 + jump**2) / (scale**2 + off**2)) - np.log(max(often, 1.0))
+            near = np.abs(off) < np.maximum(FAR * scale, NEAR * jump)
+            odds = np.where(near & (jump > FAR * scale), odds, -np.inf)
+            if width > 1:
+                where = np.where(odds > best, _at_the_leap(odds, x, width), where)
+            best = np.maximum(best, odds)
+        found += _highest(best, where, time_s, into=way == 0)
+    return found
+
+
+def _not_at_rest(x: Array) -> NDArray[np.intp]:
+    """Return the rows with values far above their own scatter."""
+    step = np.abs(np.diff(x, prepend=x[:1]))
+    scatter = median_filter(step, size=AROUND, mode="nearest")
+    level = median_filter(np.abs(x), size=WIDTHS[1], mode="nearest")
+    return np.asarray(np.flatnonzero((x > 0.0) & (level > REST * scatter)))
+
+
+def _both_ways(
+    before: Array, after: Array, own: Unit, unit: Unit, ratio: bool
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return how far a jump into the unit, and one back, is off the converted level, and its size as it stands."""
+    if ratio:
+        jump = float(np.log(own.scale / unit.scale))
+        size = np.full(len(before), abs(jump))
+        return (after - before - jump, size), (after - before + jump, size)
+    converted_after = (unit.scale * after + unit.offset - own.offset) / own.scale
+    converted_before = (unit.scale * before + unit.offset - own.offset) / own.scale
+    into = converted_after - before, np.abs(converted_after - after)
+    back = after - converted_before, np.abs(converted_before - before)
+    return into, back
+
+
+def _at_the_leap(odds: Array, x: Array, width: int) -> NDArray[np.intp]:
+    """Return of each row that has odds the one of the largest step within `width` samples."""
+    at = np.arange(len(odds))
+    step = np.abs(np.diff(x))
+    for row in np.flatnonzero(np.isfinite(odds)).tolist():
+        low = max(row - width, 0)
+        at[row] = low + int(np.argmax(step[low : row + width + 1]))
+    return at
+
+
+def _highest(odds: Array, where: NDArray[np.intp], time_s: Array, *, into: bool) -> list[Edge]:
+    """Return the most probable edges, of neighbouring ones the best."""
+    found: list[Edge] = []
+    taken: list[int] = []
+    for row in np.argsort(-odds, kind="stable").tolist():
+        if not np.isfinite(odds[row]) or len(found) >= MOST:
+            break
+        if any(abs(row - other) <= WIDTHS[-1] for other in taken):
+            continue
+        taken.append(int(row))
+        at = int(where[row])
+        found.append(Edge(float(time_s[at]), float(time_s[at + 1]), float(odds[row]), into))
+    return found
