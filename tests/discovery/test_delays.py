@@ -11,6 +11,7 @@ from tests.discovery.conftest import Bench
 from twin.discovery.effects.catalogue import catalogue
 from twin.discovery.effects.phrases import said
 from twin.discovery.engine import diagnose
+from twin.discovery.healthy.basis import Columns
 from twin.elements.candidates import Candidate
 from twin.network import Network
 from twin.revisions import with_elements
@@ -22,7 +23,7 @@ PIPE = {"kind": "pipe", "to": "tank", "ambient": "T_ambient_C", "volume": {"valu
 
 
 def delays(network: Network) -> list[Candidate]:
-    return [c for c in catalogue(network) if "late" in c.says]
+    return [c for c in catalogue(network) if "late" in c.says or "only after" in c.says]
 
 
 @pytest.mark.parametrize("name", ["loop.toml", "loop_six.toml", "tclab.toml"])
@@ -61,3 +62,15 @@ def test_interval_of_a_delay_ends_at_zero(bench: Bench) -> None:
     assert said(late, 5.0, 12.0).endswith("late by 5 s (0 to 17)")
     both_ways = replace(late, lower=-100.0)
     assert said(both_ways, 5.0, 12.0).endswith("late by 5 s (-7 to 17)")
+
+
+@pytest.mark.parametrize(("parameter", "seconds"), [("lag_s", 900.0), ("dead_time_s", 240.0)])
+def test_heater_that_answers_late_is_told_with_its_form(
+    brisk: Bench, brisk_healthy: Columns, parameter: str, seconds: float
+) -> None:
+    late = brisk.with_element("relay", {"kind": "actuator", "column": "heater_power_W", parameter: seconds})
+    found = diagnose(brisk.network, brisk.record(24.0, seed=3, changed=late, onset_h=8.0), brisk_healthy)
+    (effect,) = found.effects
+    assert (effect.kind, effect.where, effect.driver) == ("actuator", "heater_power", "history")
+    assert ("only after" in effect.says) == (parameter == "dead_time_s")
+    assert effect.value == pytest.approx(seconds, rel=0.1)

@@ -43,7 +43,7 @@ class Actuator(Element):
         ParameterSpec("gain", "1", 1.0, 0.0, 8.0, "fixed", "output over command"),
         ParameterSpec("droop", "1", 0.0, -0.5, 0.9, "fixed", "share missing at full command"),
         ParameterSpec("exponent", "1", 1.0, 0.2, 5.0, "fixed", "power of the command that the output follows"),
-        ParameterSpec("dead_time_s", "s", 0.0, 0.0, 600.0, "fixed", "time before a command shows"),
+        ParameterSpec("dead_time_s", "s", 0.0, 0.0, 3600.0, "fixed", "time before a command shows"),
         ParameterSpec("lag_s", "s", 0.0, 0.0, 3600.0, "fixed", "time constant of the output"),
     )
 
@@ -100,7 +100,7 @@ class Actuator(Element):
         return Fragment(drive=drive, exports=exports)
 
 
-_NEUTRAL = {"gain": 1.0, "exponent": 1.0, "droop": 0.0, "lag_s": 0.0, "offset": 0.0}
+_NEUTRAL = {"gain": 1.0, "exponent": 1.0, "droop": 0.0, "dead_time_s": 0.0, "lag_s": 0.0, "offset": 0.0}
 
 
 def _full(column: str) -> float:
@@ -167,18 +167,24 @@ def _faults(column: str, name: str, now: Mapping[str, float], full: float) -> li
             shapes=("step",),
         ),
         # Bounded at zero: an actuator that would act before its command is not late, and the hypothesis is refused.
-        Candidate(
-            "actuator",
-            what,
-            "history",
-            "new",
-            {f"{name}.lag_s": 1.0},
-            "s",
-            60.0,
-            0.0,
-            3600.0,
-            "follows its command late by {value}",
-            shapes=("step",),
-            lumped=LUMPED_S,
+        *(
+            Candidate(
+                "actuator",
+                what,
+                "history",
+                "new",
+                {f"{name}.{parameter}": 1.0},
+                "s",
+                60.0,
+                0.0,
+                3600.0,
+                says,
+                shapes=("step",),
+                lumped=LUMPED_S,
+            )
+            for parameter, says in (
+                ("lag_s", "follows its command late by {value}"),
+                ("dead_time_s", "answers its command only after {value}"),
+            )
         ),
     ]

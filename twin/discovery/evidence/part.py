@@ -34,8 +34,8 @@ SIDE_BY_SIDE = 4
 """Fits that run at once, where there are so many cores: kernels do without the interpreter's lock."""
 NEGLIGIBLE = 1e-12
 """Squares of an effect, in those of noise, below which it does nothing."""
-MUCH = 4.0
-"""Typical sizes at which a fit of what is late begins."""
+MUCH, APART, SIZES = 4.0, 4.0, 3
+"""Typical sizes at which a fit of what is late may begin: the least, their ratio, and how many."""
 
 
 @dataclass
@@ -97,24 +97,41 @@ class Part:
         """Node temperatures (n, k), degC, that laws are evaluated on."""
         return temperatures(self.basis.probe.network, self.grid, self.run)
 
-    def late(self, onset_s: float) -> list[Entry]:
-        """Every law that is late, at several times a typical size, all along and since an onset.
+    @cached_property
+    def secants(self) -> list[tuple[CandidateLaw, Entry]]:
+        """Each law that is late, with its likeliest onset and size.
 
-        Of time constants every second one.
+        What is late is not linear in its size. What it does at each of some sizes, a factor of `APART` apart, is taken
+        for a law of its own, with that size as its typical one. Of time constants every second one.
         """
-        found = []
+        made: list[tuple[CandidateLaw, CandidateLaw]] = []
         slow: Counter[str] = Counter()
         for law in self.laws:
             c = law.candidate
-            if c.driver in LATE and not c.begins:
-                if c.slower is not None:
-                    slow[c.where] += 1
-                    if slow[c.where] % 2 == 0:
-                        continue
-                size = min(MUCH * c.typical, c.upper)
-                for since in {0.0, onset_s if onset_s > EARLY_S else 0.0}:
-                    entry = Entry(law, Shape("step", since), np.empty(0), size, 0.0, 0.0)
-                    found.append(entry.refreshed(self.contest))
+            if c.driver not in LATE or c.begins:
+                continue
+            if c.slower is not None:
+                slow[c.where] += 1
+                if slow[c.where] % 2 == 0:
+                    continue
+            tried = {min(MUCH * c.typical * APART**k, c.upper) for k in range(SIZES)}
+            forms = tuple(replace(c, typical=size, shapes=("step",)) for size in sorted(tried))
+            made += [(law, form) for form in self.basis.book.laws(self.grid, self.run, forms)]
+        of = {id(form): law for law, form in made}
+        best: dict[str, tuple[CandidateLaw, Entry]] = {}
+        for entry in scan(self.contest, [form for _, form in made], timed=False):
+            law = of[id(entry.law)]
+            best.setdefault(law.candidate.id, (law, entry))
+        return [*best.values()]
+
+    def late(self, onset_s: float) -> list[Entry]:
+        """Each law that is late, of the size at which it is likeliest: all along, since an onset and since its own."""
+        found = []
+        for law, entry in self.secants:
+            own_s = entry.shape.onset_s if abs(entry.shape.onset_s - onset_s) > self.contest.step_s else onset_s
+            for since in {s if s > EARLY_S else 0.0 for s in (0.0, onset_s, own_s)}:
+                begun = Entry(law, Shape("step", since), np.empty(0), entry.candidate.typical, 0.0, 0.0)
+                found.append(begun.refreshed(self.contest))
         return found
 
     @cached_property

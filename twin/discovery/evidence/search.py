@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from twin.discovery.diagnosis import Rung
-from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import TIMED
 from twin.discovery.evidence.hypotheses import Class, Found, Hypothesis, Place, Prior, apart, class_of, place
@@ -246,8 +245,8 @@ def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) 
     onset = found[0].entries[0].shape.onset_s if found else 0.0
     known = {e.candidate.id for h in found if h.fit is not None for e in h.entries}
     promising: dict[Class, float] = {}
-    for e in part.scanned:
-        if e.candidate.driver in LATE and e.gain > 2.0 * CLAIM:
+    for _, e in part.secants:
+        if e.gain > 2.0 * CLAIM:
             promising[class_of(e)] = max(promising.get(class_of(e), 0.0), e.gain)
     near = sorted(promising, key=lambda place: -promising[place])[:MOST_LATE]
     entries = [e for e in part.late(onset) if e.candidate.id not in known and class_of(e) in near]
