@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.discovery.conftest import Bench
+from tests.discovery.conftest import STEP_S, Bench
 from twin.discovery.effects.catalogue import catalogue
+from twin.discovery.effects.formulas import Formulas
 from twin.discovery.effects.phrases import said
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
@@ -74,3 +76,13 @@ def test_heater_that_answers_late_is_told_with_its_form(
     assert (effect.kind, effect.where, effect.driver) == ("actuator", "heater_power", "history")
     assert ("only after" in effect.says) == (parameter == "dead_time_s")
     assert effect.value == pytest.approx(seconds, rel=0.1)
+
+
+def test_dead_time_longer_than_the_record_leaves_what_was_there_at_first(bench: Bench) -> None:
+    late = bench.with_element("relay", {"kind": "actuator", "column": "heater_power_W", "dead_time_s": 3600.0})
+    record = bench.record(0.5)
+    known = np.tile([37.0, 36.8, 34.5, 34.0], (len(record.time_s), 1))
+    first = np.tile(record.inputs[:1, :1], (len(record.time_s), 1))
+    waiting = Formulas(late).heats(known, record.inputs, late.values, STEP_S)
+    still = Formulas(bench.network).heats(known, np.hstack([first, record.inputs[:, 1:]]), bench.network.values, STEP_S)
+    assert waiting == pytest.approx(still)

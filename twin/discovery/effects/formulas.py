@@ -54,7 +54,7 @@ class Formulas:
                 continue
             p = {f"p{k}": v for k, v in enumerate(parameters)}
             if drive.dead_time:
-                late = round(evaluate_formula(drive.dead_time, p) / step_s)
+                late = min(round(evaluate_formula(drive.dead_time, p) / step_s), len(values))
                 values = np.concatenate([np.full(late, values[0]), values[: len(values) - late]])
             if drive.lag:
                 values = follow(values, evaluate_formula(drive.lag, p), step_s)
