@@ -22,9 +22,9 @@ from twin.discovery.growing.beam import Beam, FittedSet, _finalists, likeliest
 from twin.discovery.growing.growth import grow
 from twin.discovery.growing.merit import Merit
 from twin.discovery.growing.scoring import Scored
-from twin.discovery.growing.superset.alike import apart, together
 from twin.discovery.growing.superset.candidate_superset import unsized
-from twin.discovery.growing.superset.masses import masses, time_constants
+from twin.discovery.growing.superset.equivalent_places import apart, together
+from twin.discovery.growing.superset.hidden_masses import masses, time_constants
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twin.discovery.answer.blind_spots import label_text
-    from twin.discovery.answer.unused import with_unused
+    from twin.discovery.answer.unused_inputs import with_unused
     from twin.discovery.bootstrap import bootstrap_claims
     from twin.discovery.diagnosis import Diagnosis, SensorError
+    from twin.discovery.effects.ambiguity_groups import EffectLabel, ambiguity_groups
     from twin.discovery.effects.catalogue import catalogue
-    from twin.discovery.effects.lint import EffectLabel, ambiguity_groups
     from twin.discovery.effects.statement import disturbance_statement
     from twin.discovery.engine import diagnose, foresee, foresee_plan
     from twin.discovery.evidence.held_out import HELD_OUT_WORSE
     from twin.discovery.further_records import errors_on_further_record
     from twin.discovery.growing.answer import diagnose_grown, fits_growth
     from twin.discovery.healthy.basis import Columns, CommissionedRecord
+    from twin.discovery.healthy.claim_threshold import keep_bootstrap
     from twin.discovery.healthy.health import NotHealthyError
-    from twin.discovery.healthy.widening import keep_bootstrap
     from twin.discovery.planning.experiment import Limits
     from twin.discovery.planning.forecast import Forecast
     from twin.discovery.records.grid import TooShortError, require_enough
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 _HOME = {
     "require_enough": "twin.discovery.records.grid",
     "Forecast": "twin.discovery.planning.forecast",
-    "keep_bootstrap": "twin.discovery.healthy.widening",
+    "keep_bootstrap": "twin.discovery.healthy.claim_threshold",
     "fits_growth": "twin.discovery.growing.answer",
     "HELD_OUT_WORSE": "twin.discovery.evidence.held_out",
-    "ambiguity_groups": "twin.discovery.effects.lint",
-    "EffectLabel": "twin.discovery.effects.lint",
+    "ambiguity_groups": "twin.discovery.effects.ambiguity_groups",
+    "EffectLabel": "twin.discovery.effects.ambiguity_groups",
     "catalogue": "twin.discovery.effects.catalogue",
-    "with_unused": "twin.discovery.answer.unused",
+    "with_unused": "twin.discovery.answer.unused_inputs",
     "label_text": "twin.discovery.answer.blind_spots",
     "errors_on_further_record": "twin.discovery.further_records",
     "bootstrap_claims": "twin.discovery.bootstrap",

@@ -16,8 +16,8 @@ import numpy as np
 from twin.commissioning import CommissionOptions, commission
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns, basis
-from twin.discovery.healthy.drawn import drawn
-from twin.discovery.healthy.widening import FEWEST, Bootstrap
+from twin.discovery.healthy.claim_threshold import FEWEST, Bootstrap
+from twin.discovery.healthy.simulated_records import simulated_records
 from twin.discovery.records.grid import on_grid
 from twin.network import Network
 
@@ -55,7 +55,7 @@ def bootstrap_claims(
     known = basis(network, healthy, on_grid(network, healthy.time_s, healthy.inputs, healthy.measured))
     odds, needed, alarms = [], 0.0, 0
     for i in range(draws):
-        records = drawn(known, healthy, np.random.default_rng([seed, i]))
+        records = simulated_records(known, healthy, np.random.default_rng([seed, i]))
         first, second = next(records), next(records)
         again = commission(network, first.time_s, first.inputs, first.measured, CommissionOptions(starts=1))
         found = diagnose(again.network, second, first)

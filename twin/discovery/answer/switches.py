@@ -39,7 +39,7 @@ def switched(finding: Finding, grid: Grid, start: float) -> tuple[tuple[Alternat
     """
     if finding.fit is None:
         return ()
-    probe = finding.contest.probe
+    probe = finding.score_test.probe
     places = sites_of(probe.network).places
     out: list[tuple[Alternative, str]] = []
     for entry in finding.fit.entries:
@@ -99,7 +99,7 @@ def _without(finding: Finding, entry: Entry, grid: Grid) -> Array:
     """Readings (n, m) of the answer, had this effect not been there."""
     assert finding.fit is not None
     fitted = finding.fit
-    model = Model.of(finding.contest.probe, fitted.entries)
+    model = Model.of(finding.score_test.probe, fitted.entries)
     sizes = np.array([[0.0 if e is entry else e.size for e in fitted.entries]])
     state = model.begun(grid.time, grid.inputs, grid.measured, fitted.state, fitted.values, grid.begins)[None]
     return model.run(grid.time, grid.inputs, state, fitted.values[None, :], sizes, begins=grid.begins)[0]

@@ -110,7 +110,7 @@ class Probe:
         return np.stack(found, axis=2) if found else np.empty((*base.shape, 0))
 
     def _kept(self, what: tuple[Hashable, ...], grid: Grid, make: Callable[[], Array]) -> Array:
-        """What was made of the same grid before, or is made now: several contests are held on one."""
+        """What was made of the same grid before, or is made now: several score tests are held on one."""
         for other, known, made in self._made:
             if other is grid and known == what:
                 return made

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from twin.discovery.diagnosis import Fold, Rung
 from twin.discovery.refit.fitting import Fit
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.network import Array
 
@@ -47,7 +47,7 @@ class Finding:
     start: float
     count: int
     ladder: tuple[Rung, ...]
-    contest: Contest
+    score_test: ScoreTest
     state: Array
     claim: float
     folds: tuple[Fold, ...] = ()

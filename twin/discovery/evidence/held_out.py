@@ -127,7 +127,7 @@ class HeldOutRecord:
         key = (values.tobytes(), state.tobytes(), *((e.candidate.id, e.shape, e.size) for e in entries))
         if key not in self._runs:
             inputs = bridged(self.network, self.record.time_s, self.record.inputs)
-            model, time = Model.of(finding.contest.probe, entries), self.record.time_s
+            model, time = Model.of(finding.score_test.probe, entries), self.record.time_s
             begins = tuple(int(np.searchsorted(time, self.grid.time[b])) for b in self.grid.begins)
             state = model.begun(time, inputs, self._measured, state, values, begins)
             sizes = np.array([[e.size for e in entries]])
@@ -153,15 +153,15 @@ class HeldOutRecord:
 
     def _begun(self, finding: Finding) -> Array:
         """The state of a finding, with those of stretches that it has not seen."""
-        if len(finding.contest.grid.begins) == len(self.grid.begins):
+        if len(finding.score_test.grid.begins) == len(self.grid.begins):
             return finding.state
-        return np.concatenate([finding.state, finding.contest.probe.first_state(self.grid)[len(finding.state) :]])
+        return np.concatenate([finding.state, finding.score_test.probe.first_state(self.grid)[len(finding.state) :]])
 
     def _usual(self, finding: Finding, split: int) -> Array:
         """What a healthy record lets expect of means over a bin (m,), K; 0 without one."""
         if self.healthy is None:
             return np.zeros(len(self.network.sensors))
-        here = finding.contest.probe.run(self.grid, self._begun(finding)).readings[split:]
+        here = finding.score_test.probe.run(self.grid, self._begun(finding)).readings[split:]
         return self.healthy.where_moved(here, self.grid.step_s).rms(len(here))
 
 

@@ -27,7 +27,7 @@ from scipy.special import log_ndtr, logsumexp
 
 from twin.discovery.effects.open_laws.forms import LEAST_SPREAD
 from twin.discovery.evidence.priors import FORM_ERRORS, FORM_S, SPREAD
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
 from twin.network import Array
@@ -111,23 +111,23 @@ def _log_mass(low: float, high: float) -> float:
     return upper + math.log(share) if share > 0.0 else -math.inf
 
 
-def form_basis(contest: Contest) -> Array:
+def form_basis(score_test: ScoreTest) -> Array:
     """Return the weights (b, j) of straight lines between knots `FORM_S` apart, and of the inputs."""
-    known: Array | None = contest.memo.get("form basis")
+    known: Array | None = score_test.memo.get("form basis")
     if known is None:
-        hours = contest.hours + 0.5 * contest.step_s / 3600.0
-        count = max(round(contest.grid.span_s / FORM_S) + 1, FEWEST_KNOTS)
-        knots = np.linspace(0.0, contest.grid.span_s / 3600.0, count)
+        hours = score_test.hours + 0.5 * score_test.step_s / 3600.0
+        count = max(round(score_test.grid.span_s / FORM_S) + 1, FEWEST_KNOTS)
+        knots = np.linspace(0.0, score_test.grid.span_s / 3600.0, count)
         lines = [np.interp(hours, knots, row) for row in np.eye(count)]
-        known = np.stack([*lines, *_followed(contest)], axis=1)
-        contest.memo["form basis"] = known
+        known = np.stack([*lines, *_followed(score_test)], axis=1)
+        score_test.memo["form basis"] = known
     return known
 
 
-def _followed(contest: Contest) -> list[Array]:
+def _followed(score_test: ScoreTest) -> list[Array]:
     """Return the inputs (b,) that a size may depend on, in their standard deviations about their means."""
     found = []
-    for values in contest.block_means(contest.grid.inputs).T:
+    for values in score_test.block_means(score_test.grid.inputs).T:
         spread = float(np.std(values))
         if spread > LEAST_SPREAD * max(float(np.abs(values).max()), 1e-9):
             found.append((values - values.mean()) / spread)
@@ -139,14 +139,14 @@ class Joint:
     """Effects whose sizes and errors of form are integrated out.
 
     Attributes:
-        contest: in which they are weighed. seen: (b * m, c) whitened signatures of all their columns.
+        score test: in which they are weighed. seen: (b * m, c) whitened signatures of all their columns.
         scale: (c,) prior standard deviations of the columns.
         root: (c, c), root @ root' the inverse of I + S G S. form_error: share, the likeliest.
         log_bayes: over no effect, averaged over the shares. quadratic: twice the logarithm's part that is of the data.
         sizes: (e,) of the effects.
     """
 
-    contest: Contest
+    score_test: ScoreTest
     seen: Array
     scale: Array
     root: Array
@@ -158,12 +158,12 @@ class Joint:
     @cached_property
     def onto(self) -> Array:
         """Return how the columns show at each site and block, whitened: (sites * b, c)."""
-        return self.contest.onto((self.seen * self.scale) @ self.root)
+        return self.score_test.onto((self.seen * self.scale) @ self.root)
 
-    def reduced_score(self, contest: Contest) -> Array:
-        """Return the score (sites * b,) of a contest with these effects integrated out."""
-        pull = self.scale * contest.scores_of(self.seen)
-        found: Array = contest.score - self.onto @ (self.root.T @ pull)
+    def reduced_score(self, score_test: ScoreTest) -> Array:
+        """Return the score (sites * b,) of a score test with these effects integrated out."""
+        pull = self.scale * score_test.scores_of(self.seen)
+        found: Array = score_test.score - self.onto @ (self.root.T @ pull)
         return found
 
 
@@ -172,30 +172,30 @@ def _in_order(parts: list[Array]) -> Array:
     return np.concatenate([*(p[:, :1] for p in parts), *(p[:, 1:] for p in parts)], axis=1)
 
 
-def _columns(contest: Contest, entry: Entry) -> Array:
+def _columns(score_test: ScoreTest, entry: Entry) -> Array:
     """Return the whitened signatures (b * m, 1 + c) of an effect at size 1 and of its errors of form.
 
     They are the same in all the sets that it is tried in.
     """
-    known: OrderedDict[int, tuple[Array, Array]] = contest.memo.setdefault("columns", OrderedDict())
+    known: OrderedDict[int, tuple[Array, Array]] = score_test.memo.setdefault("columns", OrderedDict())
     key = id(entry.vector)  # with the vector, whose identity so stays its own
     if key in known:
         known.move_to_end(key)
         return known[key][1]
-    made = _seen(contest, entry.vector)
+    made = _seen(score_test, entry.vector)
     known[key] = entry.vector, made
     while len(known) > max(KEPT_BYTES // made.nbytes, 2 * MOST_TOGETHER):
         known.popitem(last=False)
     return made
 
 
-def joint(contest: Contest, entries: Sequence[Entry]) -> Joint:
+def joint(score_test: ScoreTest, entries: Sequence[Entry]) -> Joint:
     """Return the evidence of effects together; their shapes stay as they are."""
     count = len(entries)
     prior = np.array([SPREAD * e.candidate.typical for e in entries])
-    seen = _in_order([_columns(contest, e) for e in entries])
+    seen = _in_order([_columns(score_test, e) for e in entries])
     each = seen.shape[1] // count - 1
-    gram, score = contest.across(seen), contest.scores_of(seen)
+    gram, score = score_test.across(seen), score_test.scores_of(seen)
     sizes = np.linalg.solve(gram[:count, :count] + np.diag(prior**-2.0), score[:count])
     found: list[tuple[float, float, Array, Array, Array]] = []
     for share in FORM_ERRORS:
@@ -215,7 +215,7 @@ def joint(contest: Contest, entries: Sequence[Entry]) -> Joint:
     best = max(range(len(found)), key=lambda i: found[i][0])
     log_bayes, quadratic, scale, root, mean = found[best]
     total = float(logsumexp([f[0] for f in found]) - np.log(len(found)))
-    return Joint(contest, seen, scale, root, FORM_ERRORS[best], total, quadratic, mean)
+    return Joint(score_test, seen, scale, root, FORM_ERRORS[best], total, quadratic, mean)
 
 
 def _within(candidate: Candidate, mean: float, sd: float, prior: float) -> float:
@@ -224,19 +224,19 @@ def _within(candidate: Candidate, mean: float, sd: float, prior: float) -> float
     return _log_mass((low - mean) / sd, (high - mean) / sd) - _log_mass(low / prior, high / prior)
 
 
-def form_quadratic(contest: Contest, entries: Sequence[Entry], share: float) -> float:
-    """Return twice the logarithm's part of the data that errors of form of fitted effects gain at the contest's run."""
-    seen = np.concatenate([_seen(contest, e.vector)[:, 1:] for e in entries], axis=1)
+def form_quadratic(score_test: ScoreTest, entries: Sequence[Entry], share: float) -> float:
+    """Return twice the log likelihood that form errors of fitted effects gain at the score test's run."""
+    seen = np.concatenate([_seen(score_test, e.vector)[:, 1:] for e in entries], axis=1)
     scale = np.repeat(share * np.abs([e.size for e in entries]), seen.shape[1] // len(entries))
-    gram, score = contest.across(seen), contest.scores_of(seen)
+    gram, score = score_test.across(seen), score_test.scores_of(seen)
     inner = np.eye(len(scale)) + gram * np.outer(scale, scale)
     pull = scale * score
     return float(pull @ np.linalg.solve(inner, pull))
 
 
-def _seen(contest: Contest, vector: Array) -> Array:
+def _seen(score_test: ScoreTest, vector: Array) -> Array:
     """Return the whitened signatures (b * m, 1 + c) of an effect, `vector` (sites, b), and of its errors of form."""
-    basis = np.column_stack([np.ones(contest.b), form_basis(contest)])
-    over_time = contest.seen_at(vector, basis)
-    response = contest.noise.colour(over_time[:, 0].reshape(contest.b, contest.m), contest.step_s)
-    return np.concatenate([over_time, contest.features(response[:, :, None] * np.eye(contest.m))], axis=1)
+    basis = np.column_stack([np.ones(score_test.b), form_basis(score_test)])
+    over_time = score_test.seen_at(vector, basis)
+    response = score_test.noise.colour(over_time[:, 0].reshape(score_test.b, score_test.m), score_test.step_s)
+    return np.concatenate([over_time, score_test.features(response[:, :, None] * np.eye(score_test.m))], axis=1)

@@ -1,7 +1,7 @@
 """The rival of every effect that is there from a record's beginning: the twin lacked a law in health already.
 
 A set of hypotheses may hold effects, which the healthy record has nothing of, and laws that were missing all along, of
-which it says as much as it can (`InHealth`). Both have linear-Gaussian evidence in the same quadratic form; a law's
+which it says as much as it can (`HealthyResidual`). Both have linear-Gaussian evidence in one quadratic form; a law's
 amplitude has what the healthy record says as its prior. The laws of the likeliest set become part of the twin's known
 structure, beside which effects are looked for. So the lag of a tank that is stratified is no sensor that has become
 slow, as far as it was as slow in health.
@@ -24,7 +24,7 @@ from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, MISSING_IN
 from twin.discovery.evidence.scan import scan
 from twin.discovery.evidence.search import late_ones, leading, log_odds_unlisted
 from twin.discovery.healthy.basis import Basis
-from twin.discovery.healthy.in_health import Amplitudes, MissingInHealth
+from twin.discovery.healthy.law_amplitudes import Amplitudes, MissingInHealth
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
 from twin.network import Array
@@ -175,11 +175,11 @@ def _log_normal(off: float, variance: float) -> float:
 
 def _columns_of(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior: Prior) -> _Columns:
     """Return effects, and then the laws of which the healthy record says `amounts`, as columns of one form."""
-    contest, by = part.contest, {law.candidate.id: law for law in part.laws}
-    here = contest.signatures(np.stack([contest.vector(by[c.id]) for c in amounts.candidates]))
-    here += contest.slopes[:, : part.basis.probe.q] @ amounts.moves
-    there = contest.signatures(np.stack([e.vector for e in effects]))
-    _, gram, score = contest.beside_tunables(np.concatenate([there, here], axis=1))
+    score_test, by = part.score_test, {law.candidate.id: law for law in part.laws}
+    here = score_test.signatures(np.stack([score_test.vector(by[c.id]) for c in amounts.candidates]))
+    here += score_test.slopes[:, : part.basis.probe.q] @ amounts.moves
+    there = score_test.signatures(np.stack([e.vector for e in effects]))
+    _, gram, score = score_test.beside_tunables(np.concatenate([there, here], axis=1))
     wide = [(SPREAD * c.typical) ** -2.0 for c in (*(e.candidate for e in effects), *amounts.candidates)]
     count = len(effects)
     missing = [math.log(MISSING_IN_HEALTH) + prior.share(c) for c in amounts.candidates]
@@ -199,14 +199,14 @@ def _columns_of(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior
 def _odds_of_late(part: Part, prior: Prior) -> float:
     """Return the log odds of the likeliest lag or delay once fitted, which to first order are told too small."""
     part.reset()
-    found = late_ones(part, [], prior, part.contest.misfit)
+    found = late_ones(part, [], prior, part.score_test.misfit)
     part.reset()
     return max((h.odds for h in found), default=-math.inf)
 
 
 def _leading_effects(part: Part) -> list[Entry]:
     """Return the leading single effects, and those beside the likeliest."""
-    contest, prior = part.contest, Prior(part.laws)
+    score_test, prior = part.score_test, Prior(part.laws)
     first = leading(part.scanned, prior)
     others = [law for law in part.laws if apart(law.candidate, first[:1])]
-    return [*first, *leading(scan(contest, others, joint(contest, first[:1]), timed=False), prior)]
+    return [*first, *leading(scan(score_test, others, joint(score_test, first[:1]), timed=False), prior)]

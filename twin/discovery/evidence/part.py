@@ -25,7 +25,7 @@ from twin.discovery.places.sites import sites_of
 from twin.discovery.records.grid import Grid
 from twin.discovery.refit.fitting import AGAIN, ROUNDS, Fit, fit, simulated
 from twin.discovery.refit.model import Model
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
 from twin.network import Array
@@ -46,7 +46,7 @@ class Part:
     grid: Grid
     state: Array
     run: FreeRun
-    contest: Contest
+    score_test: ScoreTest
     laws: list[CandidateLaw]
     fits: dict[tuple[object, ...], Fit] = field(default_factory=dict, repr=False)
     """What was fitted before, with and without what the twin knows of its structure: searches ask again."""
@@ -56,7 +56,7 @@ class Part:
         state, run, _, _ = free_run(known.probe, grid)
         book = known.book
         found = [law for only in (None, book.put_in, book.passing) for law in book.laws(grid, run, only)]
-        return cls(known, grid, state, run, known.contest(grid, state, run, found), found)
+        return cls(known, grid, state, run, known.score_test(grid, state, run, found), found)
 
     def add(self, candidates: tuple[Candidate, ...]) -> None:
         """Take further candidates into the search."""
@@ -80,12 +80,12 @@ class Part:
     @cached_property
     def scanned(self) -> list[Entry]:
         """The likeliest onset of each named law in each of its shapes, by falling evidence."""
-        return scan(self.contest, self.laws)
+        return scan(self.score_test, self.laws)
 
     @cached_property
     def free(self) -> tuple[Course, ...]:
         """An unknown quantity at each site, free from block to block, the likeliest first."""
-        return courses(self.contest, sites_of(self.basis.probe.network, self.contest, self.laws), SPREAD)
+        return courses(self.score_test, sites_of(self.basis.probe.network, self.score_test, self.laws), SPREAD)
 
     @cached_property
     def opened(self) -> list[OpenLaw]:
@@ -114,25 +114,25 @@ class Part:
                 size = min(MUCH * c.typical, c.upper)
                 for since in {0.0, onset_s if onset_s > EARLY_S else 0.0}:
                     entry = Entry(law, Shape("step", since), np.empty(0), size, 0.0, 0.0)
-                    found.append(entry.refreshed(self.contest))
+                    found.append(entry.refreshed(self.score_test))
         return found
 
     @cached_property
-    def plain(self) -> Contest | None:
-        """The contest of a twin that does not know what its structure leaves; None where it knows of nothing."""
+    def plain(self) -> ScoreTest | None:
+        """The score test of a twin that does not know what its structure leaves; None where it knows of nothing."""
         known = self.basis
         if known.plain is None:
             return None
-        return Contest(known.probe, self.grid, self.state, self.run, known.plain, known.prior)
+        return ScoreTest(known.probe, self.grid, self.state, self.run, known.plain, known.prior)
 
     def reset(self) -> None:
-        self.contest.look_at(self.run)
+        self.score_test.look_at(self.run)
 
 
 def fitted(
     part: Part, groups: list[tuple[Entry, ...]], rounds: int = ROUNDS, moved: Array | None = None
 ) -> list[tuple[Fit, tuple[Entry, ...]]]:
-    """Each group of effects fitted, side by side; the part's contest is left alone.
+    """Each group of effects fitted, side by side; the part's score test is left alone.
 
     Args:
         moved: (q + s * k,) of tunables and state from where the fits begin, by default the commissioned values. Where a
@@ -142,7 +142,7 @@ def fitted(
     keys = [(rounds, begun, *_named(group)) for group in groups]
     new = {key: group for key, group in zip(keys, groups, strict=True) if key not in part.fits}
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-        found = pool.map(lambda g: _fit(part, part.contest, g, moved, rounds), new.values())
+        found = pool.map(lambda g: _fit(part, part.score_test, g, moved, rounds), new.values())
         part.fits.update(zip(new, found, strict=True))
     return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
 
@@ -153,7 +153,7 @@ def gains(part: Part, entries: Sequence[Entry]) -> list[float]:
     Of what is not linear in its size this is the first step of a fit from there, at the cost of one simulation.
     """
     part.reset()
-    contest, at = copy.copy(part.contest), part.basis.probe.network.values
+    score_test, at = copy.copy(part.score_test), part.basis.probe.network.values
     forms: dict[str, list[Entry]] = {}
     for entry in entries:
         forms.setdefault(entry.candidate.id, []).append(entry)
@@ -168,7 +168,7 @@ def gains(part: Part, entries: Sequence[Entry]) -> list[float]:
             np.array([[e.size] for e in alike]),
             tuple((e.shape,) for e in alike),
         )
-        _, gram, score = contest.beside_tunables((contest.residual - contest.residuals_of(readings)).T)
+        _, gram, score = score_test.beside_tunables((score_test.residual - score_test.residuals_of(readings)).T)
         return np.asarray(np.maximum(score, 0.0) ** 2 / np.maximum(np.diag(gram), NEGLIGIBLE))
 
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
@@ -180,7 +180,7 @@ def continued(part: Part, found: list[Fit], rounds: int = ROUNDS) -> list[Fit]:
     """Fits gone on with from where they ended; what would have led no further stays as it is."""
     open_ones = [f for f in found if not f.done]
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-        new = pool.map(lambda f: _fit(part, part.contest, f.entries, f.moved, rounds), open_ones)
+        new = pool.map(lambda f: _fit(part, part.score_test, f.entries, f.moved, rounds), open_ones)
         by = {id(old): other for old, other in zip(open_ones, new, strict=True)}
     return [by.get(id(f), f) for f in found]
 
@@ -193,7 +193,7 @@ def slower(part: Part, entry: Entry, factor: float) -> Entry | None:
     if not laws:
         return None
     shape = replace(entry.shape, growth_s=laws[0].candidate.slow_s) if c.begins else entry.shape
-    return replace(entry, law=laws[0], shape=shape, size=entry.size / factor).refreshed(part.contest)
+    return replace(entry, law=laws[0], shape=shape, size=entry.size / factor).refreshed(part.score_test)
 
 
 def plainly(part: Part, found: Fit) -> Fit:
@@ -211,8 +211,8 @@ def _named(group: tuple[Entry, ...]) -> tuple[object, ...]:
 
 
 def _fit(
-    part: Part, contest: Contest, group: tuple[Entry, ...], moved: Array | None = None, rounds: int = ROUNDS
+    part: Part, score_test: ScoreTest, group: tuple[Entry, ...], moved: Array | None = None, rounds: int = ROUNDS
 ) -> Fit:
-    own = copy.copy(contest)
+    own = copy.copy(score_test)
     own.look_at(part.run)
     return fit(own, Model.of(own.probe, group), part.state, moved, rounds)

@@ -14,7 +14,7 @@ from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import EARLY_S, TIMED, Shape, courses_of
 from twin.discovery.evidence.marginal import Joint, likeliest, log_bayes_of_sizes
 from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE, SPREAD
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE, Courses, LawSquares, returning, rows_by_name
 from twin.elements.candidates import Candidate
@@ -34,7 +34,7 @@ _TINY = 1e-12
 
 
 def scan(
-    contest: Contest, laws: Sequence[CandidateLaw], beside: Joint | None = None, *, timed: bool = True
+    score_test: ScoreTest, laws: Sequence[CandidateLaw], beside: Joint | None = None, *, timed: bool = True
 ) -> list[Entry]:
     """Return the likeliest onset of each law in each of its shapes, by falling evidence.
 
@@ -44,8 +44,8 @@ def scan(
     Parameters:
         beside: effects that are integrated out. timed: with courses that end, come back or fade.
     """
-    courses = Courses.of(contest)
-    scanned = _Scanned(contest, courses, beside)
+    courses = Courses.of(score_test)
+    scanned = _Scanned(score_test, courses, beside)
     alike: dict[tuple[str, float, bool], list[CandidateLaw]] = {}
     for law in laws:
         c = law.candidate
@@ -61,12 +61,12 @@ def scan(
 class _Scanned:
     """A score as it is scanned, with effects beside it integrated out."""
 
-    def __init__(self, contest: Contest, courses: Courses, beside: Joint | None) -> None:
-        self.contest, self.courses = contest, courses
-        score = contest.score if beside is None else beside.reduced_score(contest)
-        self._score = score.reshape(contest.sites, contest.b)
-        onto = np.empty((contest.sites * contest.b, 0)) if beside is None else beside.onto
-        self._onto = onto.reshape(contest.sites, contest.b, -1).transpose(0, 2, 1).copy()
+    def __init__(self, score_test: ScoreTest, courses: Courses, beside: Joint | None) -> None:
+        self.score_test, self.courses = score_test, courses
+        score = score_test.score if beside is None else beside.reduced_score(score_test)
+        self._score = score.reshape(score_test.sites, score_test.b)
+        onto = np.empty((score_test.sites * score_test.b, 0)) if beside is None else beside.onto
+        self._onto = onto.reshape(score_test.sites, score_test.b, -1).transpose(0, 2, 1).copy()
 
     def score(self, squares: LawSquares) -> Array:
         """Return the score (b,) of a law's blocks."""
@@ -105,13 +105,13 @@ def may_end(candidate: Candidate) -> bool:
     return not set(TIMED).isdisjoint(candidate.shapes) and not candidate.begins and tried
 
 
-def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entry:
+def refined(score_test: ScoreTest, entry: Entry, beside: Joint | None = None) -> Entry:
     """Return an entry with its onset (and growth) moved to where its evidence is greatest, between the blocks too."""
-    edges_s = contest.edges * contest.grid.step_s
-    squares = LawSquares.of(contest, entry.law)
-    blocks, scanned = squares.blocks, _Scanned(contest, Courses.of(contest), beside)
+    edges_s = score_test.edges * score_test.grid.step_s
+    squares = LawSquares.of(score_test, entry.law)
+    blocks, scanned = squares.blocks, _Scanned(score_test, Courses.of(score_test), beside)
     own, (taken,) = scanned.score(squares), scanned.taken([squares])
-    gram = contest.small_gram(blocks) - taken.T @ taken
+    gram = score_test.small_gram(blocks) - taken.T @ taken
     least = _TINY * max(float(np.trace(gram)), _TINY)
 
     def at(shapes: Sequence[Shape]) -> tuple[float, float, float, Shape, Array]:
@@ -129,7 +129,7 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
         # A scan knows the turn with which it began within an eighth of the record.
         turns_s = np.arange(shape.onset_s % shape.growth_s, LAST_SHARE * edges_s[-1], shape.growth_s)
         best, size, bottom, shape, course = at([replace(shape, onset_s=float(t)) for t in turns_s])
-    reach = contest.step_s if shape.onset_s > 0.0 or shape.name in TIMED else 0.0
+    reach = score_test.step_s if shape.onset_s > 0.0 or shape.name in TIMED else 0.0
     while reach >= NEAREST_S:
         tried = [replace(shape, onset_s=shape.onset_s + d) for d in (-reach, reach)]
         if shape.name == "spell":
@@ -186,9 +186,9 @@ def _later_turns(shape: Shape, span_s: float) -> float:
 
 def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns: bool) -> list[Entry]:
     """Return the likeliest course of each shape of laws of one family."""
-    contest, courses = scanned.contest, scanned.courses
+    score_test, courses = scanned.score_test, scanned.courses
     candidates = [law.candidate for law in laws]
-    squares = LawSquares.of_all(contest, laws)
+    squares = LawSquares.of_all(score_test, laws)
     scores = np.stack([scanned.score(q) for q in squares])
     taken = scanned.taken(squares)
     least = _TINY * np.maximum([[q.most] for q in squares], _TINY)
@@ -218,12 +218,12 @@ def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns
         for shapes, rows in rows_by_name(others):
             add(shapes, shaped[:, rows], bottom[:, rows], rest - math.log(len(rows)))
     if turns:
-        own = [contest.small_gram(q.blocks) for q in squares]
-        returns = [returning(contest, law, gram) for law, gram in zip(laws, own, strict=True)]
+        own = [score_test.small_gram(q.blocks) for q in squares]
+        returns = [returning(score_test, law, gram) for law, gram in zip(laws, own, strict=True)]
         bottom = np.stack(returns) - _squares(taken, courses.returns)
         grams = [gram - t.T @ t for gram, t in zip(own, taken, strict=True)]
         for law, q, score, gram in zip(laws, squares, scores, grams, strict=True):
-            out += _spells(contest, law, q.blocks, score, gram, rest)
+            out += _spells(score_test, law, q.blocks, score, gram, rest)
         for shapes, rows in courses.by_name:
             least_rows = np.maximum(bottom[:, rows], least)
             if shapes[0].name != "periodic":
@@ -301,9 +301,11 @@ def _begun(shape: Shape, since_s: float) -> Shape:
     return replace(shape, onset_s=shape.onset_s + turns * shape.growth_s)
 
 
-def _spells(contest: Contest, law: CandidateLaw, blocks: Array, score: Array, gram: Array, rest: float) -> list[Entry]:
+def _spells(
+    score_test: ScoreTest, law: CandidateLaw, blocks: Array, score: Array, gram: Array, rest: float
+) -> list[Entry]:
     """Return the likeliest spell of a law, of two blocks or more, that is over two blocks before the record is."""
-    b = contest.b
+    b = score_test.b
     sums, tops = np.zeros((b + 1, b + 1)), np.concatenate([[0.0], np.cumsum(score)])
     sums[1:, 1:] = gram.cumsum(axis=0).cumsum(axis=1)
     first, last = _spans(b)
@@ -318,9 +320,9 @@ def _spells(contest: Contest, law: CandidateLaw, blocks: Array, score: Array, gr
     odds, size = log_bayes_of_sizes(law.candidate, top[leading], bottom)
     k = int(np.argmax(odds))
     total = logsumexp(odds) + rest - math.log(count)
-    block_s = contest.step_s
+    block_s = score_test.step_s
     shape = Shape("spell", first[k] * block_s, (last[k] - first[k]) * block_s)
-    vector = blocks * shape.block_means(contest.edges * contest.grid.step_s)
+    vector = blocks * shape.block_means(score_test.edges * score_test.grid.step_s)
     gain = float(size[k] ** 2 * bottom[k])
     return [
         Entry(

@@ -21,7 +21,7 @@ from twin.discovery.evidence.priors import CLAIM, FAULT, SPREAD, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK
 from twin.discovery.refit.fitting import AGAIN, Fit
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
 
@@ -53,7 +53,7 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Seq
     Args:
         given: effects that a shorter part showed; what is not linear in its size a longer one may hide.
     """
-    contest = part.contest
+    score_test = part.score_test
     laws: list[CandidateLaw] = [*part.laws, *part.opened]
     prior = Prior(part.laws, part.opened)
     part.reset()
@@ -61,22 +61,22 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Seq
     ((retuned, _),) = fitted(part, [()])
     part.reset()
     say("scanning by evidence")
-    scanned = sorted([*part.scanned, *scan(contest, part.opened)], key=lambda e: -e.log_bayes)
-    first = [refined(contest, e) for e in leading(scanned, prior)]
+    scanned = sorted([*part.scanned, *scan(score_test, part.opened)], key=lambda e: -e.log_bayes)
+    first = [refined(score_test, e) for e in leading(scanned, prior)]
     level = sorted((_set(part, (e,), prior) for e in first), key=lambda h: -h.odds)
-    misfit = contest.misfit
+    misfit = score_test.misfit
     found = [h for group in given if (h := _carried(part, group, prior, misfit)) is not None]
     for count in range(1, MOST_EFFECTS + 1):
         if not level or level[0].odds < (CLAIM if count > 1 else 0.0):
             break
         say(f"fitting {min(len(level), FITTED)} hypotheses of {count} effect{'s' if count > 1 else ''}")
         found = _fitted(part, found, level, misfit)
-        if _explained(found, contest):
+        if _explained(found, score_test):
             break
         if count == 1:
             found = late_ones(part, found, prior, misfit)
         found = _retimed(part, found, prior, misfit)
-        if _explained(found, contest):
+        if _explained(found, score_test):
             break
         if count < MOST_EFFECTS:
             level = _grown(part, [h for h in found if len(h.entries) == count], prior, laws)
@@ -94,14 +94,14 @@ def _carried(part: Part, group: tuple[Entry, ...], prior: Prior, misfit: float) 
         return None
     part.know(e.candidate for e in group if all(e.candidate.id != law.candidate.id for law in part.opened))
     laws = {law.candidate.id: law for law in (*part.opened, *part.laws)}
-    entries = tuple(replace(e, law=laws[e.candidate.id]).refreshed(part.contest) for e in group)
+    entries = tuple(replace(e, law=laws[e.candidate.id]).refreshed(part.score_test) for e in group)
     ((fit, _),) = fitted(part, [entries])
     return replace(_with_fit(part, replace(_set(part, entries, prior), entries=entries), fit, misfit), settled=True)
 
 
-def _explained(found: list[Hypothesis], contest: Contest) -> bool:
+def _explained(found: list[Hypothesis], score_test: ScoreTest) -> bool:
     """Return True where the likeliest hypothesis is fitted and leaves no more than noise."""
-    return found[0].fit is not None and found[0].fit.chi <= contest.expected
+    return found[0].fit is not None and found[0].fit.chi <= score_test.expected
 
 
 def leading(entries: list[Entry], prior: Prior) -> list[Entry]:
@@ -125,7 +125,7 @@ def leading(entries: list[Entry], prior: Prior) -> list[Entry]:
 
 def _set(part: Part, entries: tuple[Entry, ...], prior: Prior) -> Hypothesis:
     """Return a set of effects with its evidence to first order."""
-    together = joint(part.contest, entries)
+    together = joint(part.score_test, entries)
     sized = tuple(replace(e, size=float(s)) for e, s in zip(entries, together.sizes, strict=True))
     log_bayes = together.log_bayes + sum(e.log_occam for e in entries)
     log_prior = sum(prior.of(e) for e in entries)
@@ -136,13 +136,13 @@ def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[Can
     """Return the sets of one more effect that the leading ones may be part of, by falling odds."""
     grown: dict[object, Hypothesis] = {}
     for rank, one in enumerate(known[: LEADING if len(known[0].entries) == 1 else FITTED]):
-        beside = joint(part.contest, _at_first_order(part, one))
+        beside = joint(part.score_test, _at_first_order(part, one))
         others = [law for law in laws if apart(law.candidate, one.entries)]
-        scanned = scan(part.contest, others, beside, timed=rank < PER_CLASS)
+        scanned = scan(part.score_test, others, beside, timed=rank < PER_CLASS)
         for entry in leading(scanned, prior)[:BESIDE]:
             if entry.log_bayes + prior.of(entry) <= 0.0:
                 break
-            hypothesis = _set(part, (*_at_first_order(part, one), refined(part.contest, entry, beside)), prior)
+            hypothesis = _set(part, (*_at_first_order(part, one), refined(part.score_test, entry, beside)), prior)
             grown.setdefault(_key(hypothesis), hypothesis)
     likeliest = sorted(grown.values(), key=lambda h: -h.odds)[: 2 * LEADING]
     near = _near(likeliest)
@@ -159,8 +159,8 @@ def _near(hypotheses: Sequence[Hypothesis]) -> float:
 
 
 def _at_first_order(part: Part, h: Hypothesis) -> tuple[Entry, ...]:
-    """Return the effects of a hypothesis with the vectors of their shapes in the part's contest."""
-    return tuple(e.refreshed(part.contest) for e in h.entries)
+    """Return the effects of a hypothesis with the vectors of their shapes in the part's score test."""
+    return tuple(e.refreshed(part.score_test) for e in h.entries)
 
 
 def _settled(part: Part, known: tuple[Entry, ...], entry: Entry) -> tuple[Entry, ...]:
@@ -169,7 +169,7 @@ def _settled(part: Part, known: tuple[Entry, ...], entry: Entry) -> tuple[Entry,
     for i, one in enumerate(known):
         if one.shape.onset_s > 0.0:
             others = (*settled[:i], *settled[i + 1 :], entry)
-            settled[i] = refined(part.contest, one, joint(part.contest, others))
+            settled[i] = refined(part.score_test, one, joint(part.score_test, others))
     return (*settled, entry)
 
 
@@ -230,7 +230,7 @@ def _varied(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
 
 def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
     """Return a hypothesis with the data's part of its evidence as its fit has it."""
-    own = copy.copy(part.contest)
+    own = copy.copy(part.score_test)
     own.take(fit.residual, fit.moved)
     entries = tuple(e.refreshed(own) for e in fit.entries)
     unusual = sum((e.size / (SPREAD * e.candidate.typical)) ** 2 for e in entries)
@@ -313,7 +313,7 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
         moved = [now.shape.onset_s + f * reach_s for f in (-1.0, -0.5, 0.5, 1.0)]
         last_s = LAST_SHARE * part.grid.span_s
         shapes = [replace(now.shape, onset_s=t) for t in moved if reach_s and 0.0 < t < last_s]
-        fit_each(i, [replace(now, shape=shape).refreshed(part.contest) for shape in shapes])
+        fit_each(i, [replace(now, shape=shape).refreshed(part.score_test) for shape in shapes])
     return tried
 
 
@@ -321,13 +321,13 @@ def _turned(part: Part, h: Hypothesis, i: int) -> Entry | None:
     """Return the effect `i` of a fitted hypothesis with the first turn that is likeliest beside the others, to first
     order about their fit; None for the one that it has. A fit moves an onset by less than a turn."""
     assert h.fit is not None
-    own = copy.copy(part.contest)
+    own = copy.copy(part.score_test)
     others = tuple(e.refreshed(own) for k, e in enumerate(h.entries) if k != i)
     this = h.entries[i].refreshed(own)
     own.take(h.fit.residual + own.signatures(this.vector[None])[:, 0] * this.size, h.fit.moved)
     found = refined(own, this, joint(own, others) if others else None)
     moved_s = abs(found.shape.onset_s - this.shape.onset_s)
-    return found.refreshed(part.contest) if moved_s > own.step_s else None
+    return found.refreshed(part.score_test) if moved_s > own.step_s else None
 
 
 def log_odds_unlisted(part: Part) -> dict[Place, float]:
@@ -342,11 +342,11 @@ def log_odds_unlisted(part: Part) -> dict[Place, float]:
 
 def ladder_of(part: Part, told: Hypothesis | None, scanned: Sequence[Entry]) -> tuple[Rung, ...]:
     """Return the misfit as commissioned, and with the effects that are told, with the best score that each leaves."""
-    contest = part.contest
+    score_test = part.score_test
     best = max((e.z for e in scanned[:LEADING]), default=0.0)
-    rungs = [Rung("as commissioned", contest.misfit / max(contest.count, 1), best)]
+    rungs = [Rung("as commissioned", score_test.misfit / max(score_test.count, 1), best)]
     if told is not None and told.fit is not None:
         what = " + ".join(f"{e.candidate.kind} at {e.candidate.where}" for e in told.entries)
-        left = scan(contest, part.laws, joint(contest, _at_first_order(part, told)), timed=False)
+        left = scan(score_test, part.laws, joint(score_test, _at_first_order(part, told)), timed=False)
         rungs.append(Rung(what, told.fit.chi, max((e.z for e in left[:LEADING]), default=0.0)))
     return tuple(rungs)

@@ -12,15 +12,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from twin.discovery.answer.telling import SURE
+from twin.discovery.answer.isolation import SURE
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Rung, SensorError, Verdict
 from twin.discovery.effects.phrases import amount, said
 from twin.discovery.evidence.held_out import binned, worse
 from twin.discovery.growing.beam import BEAM
 from twin.discovery.growing.growth import MOST_EFFECTS, Added, Growth, grow_samples, samples_of, states_of
+from twin.discovery.growing.growth_problem import GrowthFit, SampledRecord
 from twin.discovery.growing.leads import leads_of
 from twin.discovery.growing.merit import LEFT, NEEDED, REST, mostly_explained
-from twin.discovery.growing.unaided import GrowthFit, SampledRecord
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.grid import on_grid
 from twin.discovery.scoring.equivalence import width

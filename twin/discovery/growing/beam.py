@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from twin.discovery.effects.lint import EffectLabel
+from twin.discovery.effects.ambiguity_groups import EffectLabel
 from twin.discovery.evidence.priors import plausibility
 from twin.discovery.growing.descent import descend
+from twin.discovery.growing.growth_problem import GrowthFit, GrowthProblem
 from twin.discovery.growing.scoring import Scored, scores
 from twin.discovery.growing.superset.candidate_superset import name_of, unsized
-from twin.discovery.growing.superset.masses import kin
-from twin.discovery.growing.unaided import GrowthFit, GrowthProblem
+from twin.discovery.growing.superset.hidden_masses import kin
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
 from twin.network import Array

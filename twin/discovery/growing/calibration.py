@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.discovery.growing.growth_problem import GrowthFit, GrowthProblem
 from twin.discovery.growing.likelihood import Spectrum, table
 from twin.discovery.growing.scoring import answer_of, scores
-from twin.discovery.growing.unaided import GrowthFit, GrowthProblem
 
 DRAWS = 100
 TAIL = 3.14

@@ -11,8 +11,8 @@ from itertools import accumulate
 
 import numpy as np
 
+from twin.discovery.growing.growth_problem import GrowthProblem, readings_of
 from twin.discovery.growing.likelihood import Spectrum
-from twin.discovery.growing.unaided import GrowthProblem, readings_of
 from twin.kernel import FEW_LANES
 from twin.network import Array
 

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.discovery.diagnosis import Fold
-from twin.discovery.effects.lint import EffectLabel
+from twin.discovery.effects.ambiguity_groups import EffectLabel
 from twin.discovery.effects.phrases import interval
 from twin.discovery.growing.beam import BEAM, Beam, FittedSet, by_score
+from twin.discovery.growing.growth_problem import GrowthFit, GrowthProblem, SampledRecord
 from twin.discovery.growing.merit import LEFT, Merit, RejectedEffect
 from twin.discovery.growing.superset.candidate_superset import CandidateSuperset, name_of
-from twin.discovery.growing.unaided import GrowthFit, GrowthProblem, SampledRecord
 from twin.discovery.records.grid import bridged, on_grid
 from twin.discovery.scoring.equivalence import width
 from twin.discovery.scoring.search import Entry
@@ -169,7 +169,7 @@ def grow_samples(
             break
     say("asking each of them whether it is needed")
     merit = Merit(search)
-    best = merit.weighed(merit.earned(), tuple(samples_of(network, *one) for one in more))
+    best = merit.reranked(merit.earned(), tuple(samples_of(network, *one) for one in more))
     if not merit.explains(best):
         best = merit.main_effects(best)
     rungs = _ladder(search, merit, best)

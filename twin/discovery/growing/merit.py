@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.discovery.effects.lint import EffectLabel
+from twin.discovery.effects.ambiguity_groups import EffectLabel
 from twin.discovery.effects.phrases import said
 from twin.discovery.growing.beam import Beam, FittedSet, by_score, by_squares, likeliest
 from twin.discovery.growing.calibration import Chance, by_chance
 from twin.discovery.growing.descent import descend
+from twin.discovery.growing.growth_problem import SampledRecord, readings_of
 from twin.discovery.growing.likelihood import cosines, judged
 from twin.discovery.growing.superset.candidate_superset import name_of
-from twin.discovery.growing.unaided import SampledRecord, readings_of
 from twin.discovery.scoring.equivalence import width
 from twin.discovery.scoring.search import Entry
 from twin.network import Array
@@ -127,7 +127,7 @@ class Merit:
                 return min(shares, key=lambda one: one[0])[1]
         return essential if essential.ids else best
 
-    def weighed(self, best: FittedSet, more: tuple[SampledRecord, ...]) -> FittedSet:
+    def reranked(self, best: FittedSet, more: tuple[SampledRecord, ...]) -> FittedSet:
         """The set that foretells further records best, without another fit.
 
         Of sets that do as well as each other it is the one; and an effect that the record nearly carries joins them

@@ -9,9 +9,9 @@ from itertools import islice
 
 import numpy as np
 
+from twin.discovery.growing.growth_problem import GrowthFit, GrowthProblem, readings_of
 from twin.discovery.growing.likelihood import Spectrum
 from twin.discovery.growing.superset.candidate_superset import CandidateSuperset, unsized
-from twin.discovery.growing.unaided import GrowthFit, GrowthProblem, readings_of
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
 from twin.kernel import FEW_LANES

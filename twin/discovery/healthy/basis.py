@@ -14,12 +14,12 @@ from twin.commissioning import weak_prior
 from twin.discovery.effects.laws import Book, CandidateLaw
 from twin.discovery.effects.operating import offsets
 from twin.discovery.effects.probe import FreeRun, Probe, free_run
+from twin.discovery.healthy.claim_threshold import Bootstrap, kept
 from twin.discovery.healthy.health import Health, NotHealthyError
-from twin.discovery.healthy.in_health import InHealth, MissingInHealth
-from twin.discovery.healthy.widening import Bootstrap, kept
+from twin.discovery.healthy.law_amplitudes import HealthyResidual, MissingInHealth
 from twin.discovery.records import noise as noises
 from twin.discovery.records.grid import Grid, on_grid, sample_period
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import scan
 from twin.discovery.scoring.structure import Structure
 from twin.gauss_newton import GaussianPrior
@@ -88,7 +88,7 @@ class Basis:
     structure: Structure | None = None
     bootstrap: Bootstrap | None = None
     earlier: Network | None = None
-    health: InHealth | None = None
+    health: HealthyResidual | None = None
     missing: MissingInHealth | None = None
 
     @property
@@ -116,13 +116,13 @@ class Basis:
         }
         return frozenset(node for e in now.elements if e.name in new for node in e.nodes())
 
-    def contest(self, grid: Grid, state: Array, run: FreeRun, laws: list[CandidateLaw]) -> Contest:
+    def score_test(self, grid: Grid, state: Array, run: FreeRun, laws: list[CandidateLaw]) -> ScoreTest:
         """The quadratic form of a record with these laws."""
         structure = self.structure
         if structure is not None:
             here = offsets(self.probe.network, laws, grid)
             structure, laws = structure.beyond(here), [*laws, *here]
-        return Contest(self.probe, grid, state, run, self.noise, self.prior, structure, laws)
+        return ScoreTest(self.probe, grid, state, run, self.noise, self.prior, structure, laws)
 
     @property
     def claim(self) -> float:
@@ -248,15 +248,15 @@ def _from_itself(
     run = probe.run(grid, state)
     candidates = book.laws(grid, run)
     for _ in range(2):
-        contest = Contest(probe, grid, state, run, noise, prior)
+        score_test = ScoreTest(probe, grid, state, run, noise, prior)
         chosen: list[Array] = []
         for _ in range(3):
-            found = scan(contest, candidates, np.stack(chosen) if chosen else None)
+            found = scan(score_test, candidates, np.stack(chosen) if chosen else None)
             if not found or found[0].z < 3.0:
                 break
             chosen.append(found[0].vector)
-        sizes = contest.estimate(np.stack(chosen) if chosen else np.empty((0, contest.sites, contest.b))).sizes
-        moved = contest.moved(np.array(chosen), sizes)
-        left = contest.left_over(np.array(chosen), sizes, moved)
-        noise = noises.learn_blocks(left, grid.sigma, contest.step_s, grid.step_s, noise)
+        sizes = score_test.estimate(np.stack(chosen) if chosen else np.empty((0, score_test.sites, score_test.b))).sizes
+        moved = score_test.moved(np.array(chosen), sizes)
+        left = score_test.left_over(np.array(chosen), sizes, moved)
+        noise = noises.learn_blocks(left, grid.sigma, score_test.step_s, grid.step_s, noise)
     return noise

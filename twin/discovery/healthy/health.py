@@ -11,11 +11,11 @@ from twin.commissioning import variance_inflation
 from twin.discovery.effects.laws import Book, CandidateLaw
 from twin.discovery.effects.operating import offsets
 from twin.discovery.effects.probe import FreeRun, Probe, free_run, posterior
-from twin.discovery.healthy.in_health import InHealth
+from twin.discovery.healthy.law_amplitudes import HealthyResidual
 from twin.discovery.records import noise as noises
 from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.records.noise import Noise
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.structure import Structure, structure_of
 from twin.gauss_newton import GaussianPrior
 from twin.network import Array, Network, TwinFileError
@@ -51,7 +51,7 @@ class Health:
     less: Noise
     prior: GaussianPrior
     structure: Structure
-    itself: InHealth
+    itself: HealthyResidual
     rough: str = ""
 
     @classmethod
@@ -70,11 +70,11 @@ class Health:
         noise = noises.learn(residual, grid.sigma, grid.step_s, run.readings)
         laws, held = book.laws(grid, run), _held(prior, probe.q)
         here = offsets(network, laws, grid)
-        structure = structure_of(Contest(probe, grid, state, run, noise, held), laws, here)
+        structure = structure_of(ScoreTest(probe, grid, state, run, noise, held), laws, here)
         amount = _readings(structure, probe, grid, state, run, noise, held, [*laws, *here])
         less = noises.learn(residual - FORETOLD * amount, grid.sigma, grid.step_s, run.readings)
-        structure = structure_of(Contest(probe, grid, state, run, less, held), laws, here)
-        return cls(grid, noise, less, prior, structure, InHealth(probe, book, grid, state, run, noise), rough)
+        structure = structure_of(ScoreTest(probe, grid, state, run, less, held), laws, here)
+        return cls(grid, noise, less, prior, structure, HealthyResidual(probe, book, grid, state, run, noise), rough)
 
 
 def _rough(network: Network, rms: Array) -> str:
@@ -125,7 +125,7 @@ def _readings(
     laws: list[CandidateLaw],
 ) -> Array:
     """What a structure, and the tunables with it, amount to in the readings (n, m), K."""
-    contest = Contest(probe, grid, state, run, noise, prior, structure, laws)
+    score_test = ScoreTest(probe, grid, state, run, noise, prior, structure, laws)
     size = dict(zip((c.id for c in structure.candidates), structure.sizes, strict=True))
     heat, reading = np.zeros_like(run.temperatures), np.zeros_like(run.readings)
     for law in laws:
@@ -133,6 +133,6 @@ def _readings(
             heat = heat if law.heat is None else heat + size[law.candidate.id] * law.heat
             reading = reading if law.reading is None else reading + size[law.candidate.id] * law.reading
     changed = probe.run(grid, state, injected=heat).readings - run.readings + reading
-    moved = contest.moved(np.empty((0, contest.sites, contest.b)), np.empty(0))
+    moved = score_test.moved(np.empty((0, score_test.sites, score_test.b)), np.empty(0))
     amount: Array = changed + probe.sensitivities(grid, state) @ moved
     return amount

@@ -11,7 +11,7 @@ from twin.discovery.diagnosis import Course, Lead
 from twin.discovery.effects.phrases import amount, clock, lasting
 from twin.discovery.effects.statement import disturbance_statement
 from twin.discovery.healthy.basis import Columns
-from twin.discovery.healthy.visited import BRIEF, STEADY
+from twin.discovery.healthy.operating_range import BRIEF, STEADY
 from twin.discovery.leads.concentration import ResidualSquares, input_ranges, segments
 from twin.discovery.leads.rows import MOST_ROWS, Suspicious, near_steps, suspicious_inputs, suspicious_readings
 from twin.network import Array, InputSpec, Network

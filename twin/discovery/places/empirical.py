@@ -76,24 +76,24 @@ def offer(
     """
     if not found or found[0].signature != "energy":
         return None
-    network, contest = known.probe.network, finding.contest
+    network, score_test = known.probe.network, finding.score_test
     node = next((c.site for c in found if c.site in network.nodes), "")
     if not node:
         return None
     k = network.nodes.index(node)
     best: tuple[float, str, Array, Array, Array] | None = None
     for name, values in _variables(network, grid, node).items():
-        blocks = contest.block_means(values[: contest.edges[-1]])
+        blocks = score_test.block_means(values[: score_test.edges[-1]])
         low, high = float(np.nanmin(blocks)), float(np.nanmax(blocks))
         if not high - low > _LEAST_SPREAD * max(abs(low), abs(high), 1e-9):
             continue
         knots = np.linspace(low, high, KNOTS)
-        vectors = np.zeros((KNOTS, contest.sites, contest.b))
+        vectors = np.zeros((KNOTS, score_test.sites, score_test.b))
         vectors[:, k] = _hats(np.nan_to_num(blocks, nan=low), knots)
-        fitted = contest.estimate(vectors)
-        score = fitted.gain - KNOTS * math.log(contest.count)
+        fitted = score_test.estimate(vectors)
+        score = fitted.gain - KNOTS * math.log(score_test.count)
         if best is None or score > best[0]:
-            best = (score, name, knots, fitted.sizes, contest.moved(vectors, fitted.sizes))
+            best = (score, name, knots, fitted.sizes, score_test.moved(vectors, fitted.sizes))
     if best is None or best[0] <= 0.0:
         return None
     _, name, knots, heats, moved = best

@@ -1,7 +1,7 @@
 """Localisation without a catalogue: one unknown quantity at one site, free to change from block to block.
 
 A random walk at the site, given all readings, is the smoother of an augmented Kalman filter (Rauch, Tung & Striebel,
-AIAA J. 3 (1965) 1445) written in one step, since the contest already holds the whole record as a quadratic form. Its
+AIAA J. 3 (1965) 1445) written in one step, since the score test already holds the whole record as a quadratic form. Its
 marginal likelihood says how well an unknown at this site explains the record; the walk's size is profiled.
 """
 
@@ -14,14 +14,14 @@ from scipy.linalg import solve_triangular
 
 from twin.discovery.diagnosis import Course
 from twin.discovery.places.sites import Site
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.network import Array
 
 WALK_PER_BLOCK = (0.03, 0.1, 0.3, 1.0, 3.0)
 """Step of the walk from block to block, in typical sizes of the site, that are tried."""
 
 
-def courses(contest: Contest, sites: dict[str, Site], begins: float) -> tuple[Course, ...]:
+def courses(score_test: ScoreTest, sites: dict[str, Site], begins: float) -> tuple[Course, ...]:
     """Return the unknown courses at each site, the likeliest first.
 
     A course is the running sum of a beginning and of independent steps, whose sizes are the unknowns: their prior is
@@ -33,13 +33,13 @@ def courses(contest: Contest, sites: dict[str, Site], begins: float) -> tuple[Co
     """
     found = []
     for name, site in sites.items():
-        gram, score = contest.small(site.vector)
+        gram, score = score_test.small(site.vector)
         gram, score = _late_sums(_late_sums(gram).T), _late_sums(score)
         best: tuple[float, Array, Any, Any] | None = None
         for share in WALK_PER_BLOCK:
-            scale: Array = np.full(contest.b, share * site.typical)
+            scale: Array = np.full(score_test.b, share * site.typical)
             scale[0] = begins * site.typical
-            lower = np.linalg.cholesky(np.eye(contest.b) + gram * np.outer(scale, scale))
+            lower = np.linalg.cholesky(np.eye(score_test.b) + gram * np.outer(scale, scale))
             half = solve_triangular(lower, scale * score, lower=True, check_finite=False)
             evidence = 0.5 * float(half @ half) - float(np.log(np.diag(lower)).sum())
             if best is None or evidence > best[0]:
@@ -52,7 +52,7 @@ def courses(contest: Contest, sites: dict[str, Site], begins: float) -> tuple[Co
         summed = np.cumsum(root, axis=1)
         mean, sd = summed.T @ half, np.sqrt((summed**2).sum(axis=0))
         counted = min(site.counts * evidence, evidence)
-        found.append(Course(name, site.unit, contest.hours, mean, sd, counted, site.signature, site.where))
+        found.append(Course(name, site.unit, score_test.hours, mean, sd, counted, site.signature, site.where))
     found.sort(key=lambda c: -c.log_evidence)
     return tuple(found)
 

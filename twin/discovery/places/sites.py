@@ -15,7 +15,7 @@ import numpy as np
 from twin.discovery.diagnosis import Course, Effect
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.records.grid import Grid
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.network import Array, Network
 
 Signature = Literal["energy", "transport", "sensor"]
@@ -47,16 +47,16 @@ class Site:
     counts: float = 1.0
 
 
-def sites_of(network: Network, contest: Contest, laws: list[CandidateLaw]) -> dict[str, Site]:
+def sites_of(network: Network, score_test: ScoreTest, laws: list[CandidateLaw]) -> dict[str, Site]:
     """Every place of an unknown by name; flow, fan and room only where the twin has a law for them."""
     out: dict[str, Site] = {}
     for k, node in enumerate(network.nodes):
-        p = np.zeros((contest.sites, contest.b))
+        p = np.zeros((score_test.sites, score_test.b))
         p[k] = 1.0
         out[node] = Site(p, TYPICAL_W, "W", "energy", node)
     for j, name in enumerate(network.sensor_names):
-        p = np.zeros((contest.sites, contest.b))
-        p[contest.k + j] = 1.0
+        p = np.zeros((score_test.sites, score_test.b))
+        p[score_test.k + j] = 1.0
         out[name] = Site(p, TYPICAL_K, "K", "sensor", name)
     for law in laws:
         c = law.candidate
@@ -71,18 +71,18 @@ def sites_of(network: Network, contest: Contest, laws: list[CandidateLaw]) -> di
             kind = (c.where, "sensor")
         if kind is not None and kind[0] not in out:
             counts = ROOM if kind[1] == "sensor" else 1.0
-            out[kind[0]] = Site(contest.vector(law), c.typical, c.unit, kind[1], c.where, counts)
+            out[kind[0]] = Site(score_test.vector(law), c.typical, c.unit, kind[1], c.where, counts)
     return out
 
 
-def drivers_of(network: Network, grid: Grid, contest: Contest) -> dict[str, Array]:
+def drivers_of(network: Network, grid: Grid, score_test: ScoreTest) -> dict[str, Array]:
     """Block means (b,) of what an unknown may follow, by the name of the driver."""
-    means = contest.block_means(grid.inputs)
+    means = score_test.block_means(grid.inputs)
     out = {
         _DRIVERS.get(column, "temperature" if column.endswith("_C") else column): means[:, j]
         for j, column in enumerate(network.input_columns)
     }
-    out["elapsed_time"] = contest.hours
+    out["elapsed_time"] = score_test.hours
     return out
 
 

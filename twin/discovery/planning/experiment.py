@@ -151,7 +151,7 @@ def _designer(
     finding: Finding, known: Basis, grids: tuple[Grid, ...], levels: Levels, causes: tuple[Ranked, ...]
 ) -> Designer:
     probe, last = known.probe, grids[-1]
-    span = finding.contest.grid.span_s
+    span = finding.score_test.grid.span_s
 
     def runners(state: Array) -> list[Runner]:
         found = []

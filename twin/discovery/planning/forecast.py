@@ -14,8 +14,8 @@ from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.probe import Probe
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.records.grid import Grid
-from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.null import FALSE_ALARMS, null_scores
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.elements.candidates import Candidate
 from twin.network import Array, Network
 
@@ -70,13 +70,13 @@ def forecast(known: Basis, grid: Grid, state: Array | None = None) -> Forecast:
     own, start = planned(known.probe, grid, state)
     run = known.probe.run(own, start)
     found, candidates = known.book.laws(own, run), known.book.candidates
-    contest = known.contest(own, start, run, found)
-    vectors = np.stack([contest.vector(law) for law in found])
+    score_test = known.score_test(own, start, run, found)
+    vectors = np.stack([score_test.vector(law) for law in found])
     flat = vectors.reshape(len(found), -1)
-    gram, _ = contest.joint(vectors)
+    gram, _ = score_test.joint(vectors)
     norm = np.sqrt(np.maximum(np.diag(gram), 0.0))
-    bare = np.sqrt(np.maximum(contest.bare(flat), 1e-30))
-    threshold = null_scores(contest, found).quantile(FALSE_ALARMS)
+    bare = np.sqrt(np.maximum(score_test.bare(flat), 1e-30))
+    threshold = null_scores(score_test, found).quantile(FALSE_ALARMS)
     here = {law.candidate.id for law in found}
     seen, unseen = [], [c for c in candidates if c.id not in here]
     for law, n, b in zip(found, norm, bare, strict=True):
@@ -99,17 +99,17 @@ def forecast(known: Basis, grid: Grid, state: Array | None = None) -> Forecast:
     return Forecast(tuple(seen), tuple(unseen), tuple(confused))
 
 
-def too_little(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
+def too_little(score_test: ScoreTest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
     """Kinds that a record that shows nothing could not have shown; none where they are few."""
-    share = hidden(contest, found, candidates)
+    share = hidden(score_test, found, candidates)
     if sum(share.values()) < MOST_HIDDEN * len(share):
         return ()
     return tuple(spoken(kind) for kind, missing in share.items() if missing > 0.5)
 
 
-def too_still(contest: Contest, kinds: tuple[str, ...]) -> str:
+def too_still(score_test: ScoreTest, kinds: tuple[str, ...]) -> str:
     """Why a record could not have shown these kinds, as one sentence."""
-    network, inputs = contest.probe.network, contest.grid.inputs
+    network, inputs = score_test.probe.network, score_test.grid.inputs
     still = [
         f"{column} stays at {inputs[0, j]:.4g}"
         for j, column in enumerate(network.input_columns)
@@ -135,9 +135,11 @@ def either(kinds: tuple[str, ...]) -> str:
     return " or ".join(filter(None, (", ".join(kinds[:-1]), kinds[-1])))
 
 
-def unseen_kinds(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
+def unseen_kinds(
+    score_test: ScoreTest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]
+) -> tuple[str, ...]:
     """Kinds of effect of which a record could have shown none, however large."""
-    share = hidden(contest, found, candidates)
+    share = hidden(score_test, found, candidates)
     return tuple(spoken(kind) for kind, missing in share.items() if missing > 0.99)
 
 
@@ -146,12 +148,12 @@ def spoken(kind: str) -> str:
     return {"coupling": "coupling (heat exchange between two places)"}.get(kind, kind.replace("_", " "))
 
 
-def hidden(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> dict[str, float]:
+def hidden(score_test: ScoreTest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> dict[str, float]:
     """Share of each kind's entries, place by place, that would have to be very large to show from the beginning."""
     found = [law for law in found if not law.candidate.begins]
     visible = {
         (law.candidate.kind, law.candidate.where)
-        for law, norm in zip(found, _norms(contest, found), strict=True)
+        for law, norm in zip(found, _norms(score_test, found), strict=True)
         if norm * LARGE * law.candidate.typical > CLEAR
     }
     every: dict[str, set[str]] = {}
@@ -160,7 +162,7 @@ def hidden(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candid
     return {kind: 1.0 - sum((kind, w) in visible for w in places) / len(places) for kind, places in every.items()}
 
 
-def _norms(contest: Contest, found: list[CandidateLaw]) -> Array:
-    gram, _ = contest.joint(np.stack([contest.vector(law) for law in found]))
+def _norms(score_test: ScoreTest, found: list[CandidateLaw]) -> Array:
+    gram, _ = score_test.joint(np.stack([score_test.vector(law) for law in found]))
     norms: Array = np.sqrt(np.maximum(np.diag(gram), 0.0))
     return norms

@@ -16,7 +16,7 @@ from twin.discovery.effects.shapes import TIMED, Shape
 from twin.discovery.records.grid import Grid
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.stepping import LeastSquaresProblem, minimise
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
 from twin.network import Array
@@ -45,7 +45,7 @@ class Fit:
             commissioning. values: (p,) of the original network. state: (s * k,) at the first bin of each stretch.
         total: weighted squares, of residual and of tunables against their prior. chi: residual's per block and sensor.
         away: those of the tunables; what no effect explains may push them far.
-        residual: (b * m,) whitened, of the contest that it was fitted in.
+        residual: (b * m,) whitened, of the score test that it was fitted in.
         done: whether more rounds would have led no further.
     """
 
@@ -60,15 +60,15 @@ class Fit:
     done: bool
 
 
-def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None, rounds: int = ROUNDS) -> Fit:
-    """Minimise the contest's squares over tunables, initial state and sizes; the contest then looks at the result.
+def fit(score_test: ScoreTest, model: Model, state: Array, moved: Array | None = None, rounds: int = ROUNDS) -> Fit:
+    """Minimise the score test's squares over tunables, initial state and sizes; the score test then holds the result.
 
     Args:
-        state: temperatures (s * k,) at the beginnings, about which the contest was linearised.
+        state: temperatures (s * k,) at the beginnings, about which the score test was linearised.
         moved: (q + s * k,) of [tunables z, initial state] where another fit of the same effects ended, to begin there.
         rounds: steps that it may take.
     """
-    probe, grid, entries = contest.probe, contest.grid, model.entries
+    probe, grid, entries = score_test.probe, score_test.grid, model.entries
     scaling, q, k, e = probe.scaling, probe.q, len(grid.begins) * probe.k, len(entries)
     timed = [i for i, x in enumerate(entries) if x.shape.onset_s > 0.0]
     grown = [i for i, x in enumerate(entries) if x.shape.free(grid.span_s)]
@@ -88,7 +88,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     reach[:q], reach[q : q + k] = REACH * scaling.prior_sd(), 5.0
     reach[first_time:first_growth], reach[first_growth:] = 1.0, 0.7
     precision = np.zeros((count, count))
-    precision[: q + k, : q + k] = contest.prior.precision
+    precision[: q + k, : q + k] = score_test.prior.precision
     steps = np.full(count, _STEP)
     steps[q : q + k] = _STATE_STEP
     steps[q + k : first_time] = [_SIZE_STEP * x.candidate.typical for x in entries]
@@ -99,7 +99,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         if shape.name in ("periodic", "spell"):
             told_s = grid.span_s if shape.name == "periodic" else shape.growth_s
             steps[first_growth + place] = min(6.0 * grid.step_s / max(told_s, grid.step_s), SHORT)
-            reach[first_growth + place] = contest.step_s / max(told_s, grid.step_s)
+            reach[first_growth + place] = score_test.step_s / max(told_s, grid.step_s)
     for place, i in enumerate(timed):
         if entries[i].shape.name in ("spell", "pulse"):
             # Its beginning and its end bend the readings apart.
@@ -125,7 +125,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
 
     def look(rows: Array) -> Array:
         """Whitened residuals (P, rows) of runs at `rows` (P, count)."""
-        return contest.residuals_of(run(rows))
+        return score_test.residuals_of(run(rows))
 
     def slopes_at(v: Array) -> tuple[Array, Array]:
         """Whitened slopes (rows, count), and those (rows, onsets) that onsets have towards earlier times."""
@@ -135,11 +135,11 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         at_once = alone[q : q + k].reshape(-1, probe.k, count).sum(axis=0)
         moves = np.vstack([np.zeros(count), alone[:q], at_once, alone[q + k :], -np.diag(steps)[onsets]])
         # A run is cut where any of those beside it is: only with these is the difference that of the move.
-        seen = contest.seen(run(v + moves))
+        seen = score_test.seen(run(v + moves))
         change = np.moveaxis(seen[1:] - seen[0], 0, 2)
-        states = separate_columns(change[..., q : q + probe.k], contest.begins)
+        states = separate_columns(change[..., q : q + probe.k], score_test.begins)
         each = np.concatenate([change[..., :q], states, change[..., q + probe.k :]], axis=2)
-        both = contest.features(each / np.append(sign, -steps[onsets]))
+        both = score_test.features(each / np.append(sign, -steps[onsets]))
         return both[:, :count], both[:, count:]
 
     onsets = np.arange(first_time, first_growth)
@@ -149,7 +149,9 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     v[onsets] = [entries[i].shape.onset_s / 3600.0 for i in timed]
     v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
     v = np.clip(v, low, high)
-    squares = LeastSquaresProblem(look, slopes_at, precision, low, high, reach, onsets, contest.step_s / 3600.0, scale)
+    squares = LeastSquaresProblem(
+        look, slopes_at, precision, low, high, reach, onsets, score_test.step_s / 3600.0, scale
+    )
     found, slopes, done = minimise(squares, v, rounds)
     v = found.v
     covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)
@@ -168,11 +170,11 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         for i, x in enumerate(entries)
     )
     fitted = tuple(_going_on(x, grid.span_s) for x in fitted)
-    contest.take(found.residual, v[: q + k])
+    score_test.take(found.residual, v[: q + k])
     values = probe.network.values.copy()
     values[scaling.index] = scaling.to_values(z0 + v[:q])
-    chi = float(found.residual @ found.residual) / max(contest.count, 1)
-    away = float(v[: q + k] @ contest.prior.precision @ v[: q + k])
+    chi = float(found.residual @ found.residual) / max(score_test.count, 1)
+    away = float(v[: q + k] @ score_test.prior.precision @ v[: q + k])
     return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], found.total, chi, away, found.residual, done)
 
 
@@ -183,12 +185,12 @@ def simulated(
     return _between(model.run(grid.time, grid.inputs, state, values, sizes, shapes, grid.begins))
 
 
-def look_at(contest: Contest, model: Model, found: Fit) -> None:
-    """Have the contest look at what a fit has found; the model is of its effects."""
+def look_at(score_test: ScoreTest, model: Model, found: Fit) -> None:
+    """Have the score test look at what a fit has found; the model is of its effects."""
     sizes = np.array([[e.size for e in model.entries]])
-    grid = contest.grid
+    grid = score_test.grid
     (readings,) = simulated(model, grid, found.state[None], found.values[None], sizes, None)
-    contest.look_at(FreeRun(readings, readings), found.moved)
+    score_test.look_at(FreeRun(readings, readings), found.moved)
 
 
 def _reached(shape: Shape, span_s: float) -> float:

@@ -49,7 +49,7 @@ class LeastSquaresProblem:
     leap: float
     scale: Array
 
-    def weighed(self, v: Array, residual: Array) -> Array:
+    def reranked(self, v: Array, residual: Array) -> Array:
         """Squares (P,) at v (P, c)."""
         total: Array = (residual**2).sum(axis=1) + ((v @ self.precision) * v).sum(axis=1)
         return total
@@ -81,7 +81,7 @@ def minimise(squares: LeastSquaresProblem, v: Array, rounds: int) -> tuple[Searc
     After a single round, of which the squares alone are asked for, they are those of its beginning.
     """
     residuals = squares.look(v[None])
-    place = SearchPoint(v, residuals[0], float(squares.weighed(v[None], residuals)[0]))
+    place = SearchPoint(v, residuals[0], float(squares.reranked(v[None], residuals)[0]))
     slopes = squares.slopes(place.v)
     damping, longer, fresh = FIRST_DAMPED, 1.0, True
     for _ in range(rounds):
@@ -120,7 +120,7 @@ def _best(squares: LeastSquaresProblem, place: SearchPoint, tried: list[TrialSte
     steps[~np.isfinite(steps).all(axis=1)] = 0.0
     v = np.clip(place.v + steps, squares.low, squares.high)
     residuals = squares.look(v)
-    totals = squares.weighed(v, residuals)
+    totals = squares.reranked(v, residuals)
     k = int(np.argmin(totals))
     return tried[k], SearchPoint(v[k], residuals[k], float(totals[k]))
 
@@ -150,7 +150,7 @@ def _steps(
         free = much >= 1e-9 * np.median(much)
         stiff = hessian + damping * damped * np.diag(np.maximum(much, 1e-9 * much.max()) / squares.scale**2)
         taken = bounded(stiff, pull, np.where(free, low, 0.0), np.where(free, high, 0.0))
-        total = squares.weighed((place.v + taken)[None], (place.residual - along @ taken)[None])
+        total = squares.reranked((place.v + taken)[None], (place.residual - along @ taken)[None])
         return TrialStep(taken, damping * damped, longer, float(total[0]))
 
     hessian, pull = form()

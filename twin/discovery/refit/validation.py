@@ -20,7 +20,7 @@ from twin.discovery.effects.probe import FreeRun
 from twin.discovery.records.grid import centred
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.refit.model import Model
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.network import Array
 
 BLOCKS = 4
@@ -34,48 +34,48 @@ MUTE, MUTE_SHARE = 10.0, 0.01
 """Gain in weighted squares, and share of all gains, up to which a block has nothing to say."""
 
 
-def validate(contest: Contest, model: Model, fitted: Fit) -> tuple[Fold, ...]:
-    """Folds of the record that the contest holds, which is left looking at the fit of the model's effects."""
-    grid, sizes = contest.grid, np.array([e.size for e in fitted.entries])
+def validate(score_test: ScoreTest, model: Model, fitted: Fit) -> tuple[Fold, ...]:
+    """Folds of the record that the score test holds, which is left looking at the fit of the model's effects."""
+    grid, sizes = score_test.grid, np.array([e.size for e in fitted.entries])
     at = fitted.state[None, :], fitted.values[None, :], sizes[None, :]
     runs = model.run(grid.time, grid.inputs, *at, begins=grid.begins)
     readings = centred(runs[0])
-    contest.look_at(FreeRun(readings, readings), fitted.moved)
-    b, m = contest.b, contest.m
-    signatures = contest.signatures(np.stack([e.placed(contest) for e in fitted.entries]))
+    score_test.look_at(FreeRun(readings, readings), fitted.moved)
+    b, m = score_test.b, score_test.m
+    signatures = score_test.signatures(np.stack([e.placed(score_test) for e in fitted.entries]))
     # The initial state is told by the first readings alone: it stays as fitted, whichever block is left out.
-    q = contest.probe.q
-    slopes = _in_time(contest.slopes[:, :q], b, m)
-    prior = contest.prior.precision[:q, :q]
+    q = score_test.probe.q
+    slopes = _in_time(score_test.slopes[:, :q], b, m)
+    prior = score_test.prior.precision[:q, :q]
     effects = _in_time(signatures, b, m)
-    left = _in_time(contest.residual[:, None], b, m)[:, :, 0]
+    left = _in_time(score_test.residual[:, None], b, m)[:, :, 0]
     without = left + effects @ sizes
     commissioned = without + slopes @ fitted.moved[:q]
     both = np.concatenate([slopes, effects], axis=2)
     weak = np.diag([(REACH * e.candidate.typical) ** -2.0 for e in fitted.entries])
     precision, moved = block_diag(prior, weak), np.concatenate([fitted.moved[:q], sizes])
-    start = float(contest.grid.time[0])
+    start = float(score_test.grid.time[0])
     edges = np.linspace(0, b, BLOCKS + 1).round().astype(int)
     folds = []
     for first, last in zip(edges[:-1], edges[1:], strict=True):
         train = np.ones(b, dtype=bool)
-        train[max(first - contest.memory, 0) : last + contest.memory] = False
+        train[max(first - score_test.memory, 0) : last + score_test.memory] = False
         if train.sum() < 0.2 * b:
             continue
-        inside = contest.known[first:last]
+        inside = score_test.known[first:last]
         rest = slice(first, last)
-        if not _told(both, train & contest.known.T, precision, sizes):
+        if not _told(both, train & score_test.known.T, precision, sizes):
             continue
-        tuned = _predict(slopes, without, train & contest.known.T, rest, prior, fitted.moved[:q])
-        full = _predict(both, left, train & contest.known.T, rest, precision, moved)
-        added = _predict(effects, commissioned - effects @ sizes, train & contest.known.T, rest, weak, sizes)
+        tuned = _predict(slopes, without, train & score_test.known.T, rest, prior, fitted.moved[:q])
+        full = _predict(both, left, train & score_test.known.T, rest, precision, moved)
+        added = _predict(effects, commissioned - effects @ sizes, train & score_test.known.T, rest, weak, sizes)
         # Re-tuning may do worse elsewhere than leaving the twin alone, with the effects and without; the better of the
         # two with them has to beat the better without.
         bare, best = (
             min(float((x[inside] ** 2).sum()) for x in pair) for pair in ((tuned, commissioned[rest]), (full, added))
         )
         gain = bare - best
-        span = contest.step_s
+        span = score_test.step_s
         folds.append(Fold(start + first * span, start + last * span, int(inside.sum()), gain))
     return tuple(folds)
 

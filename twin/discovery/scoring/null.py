@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.sweep import Courses
 from twin.network import Array
 
@@ -48,15 +48,15 @@ class Null:
         return float(np.mean(self.best)) - 0.5772 * scale, max(scale, 1e-6)
 
 
-def null_scores(contest: Contest, laws: list[CandidateLaw], draws: int = DRAWS, seed: int = 0) -> Null:
-    """Best scores of records of noise in this contest, every candidate in all its shapes from every onset."""
-    scores = contest.noise_scores(np.random.default_rng(seed), draws)
-    known = Courses.of(contest)
+def null_scores(score_test: ScoreTest, laws: list[CandidateLaw], draws: int = DRAWS, seed: int = 0) -> Null:
+    """Best scores of records of noise in this score test, every candidate in all its shapes from every onset."""
+    scores = score_test.noise_scores(np.random.default_rng(seed), draws)
+    known = Courses.of(score_test)
     steps, grown = (c[:, ::EVERY].astype(np.float32) for c in (known.steps, known.growths))
     best = np.zeros(draws)
     for law in laws:
-        p = contest.vector(law)
-        exact, drawn = contest.small(p, scores)
+        p = score_test.vector(law)
+        exact, drawn = score_test.small(p, scores)
         scale = max(float(np.trace(exact)), _TINY)
         gram, score = (exact / scale).astype(np.float32), (drawn / scale).astype(np.float32)
         families = [steps] if law.candidate.shapes == ("step",) else [steps, grown]

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import Shape
-from twin.discovery.scoring.contest import Contest, JointEstimate
+from twin.discovery.scoring.score_tests import JointEstimate, ScoreTest
 from twin.discovery.scoring.sweep import LAST_SHARE, Courses, Given, LawSquares
 from twin.elements.candidates import Candidate
 from twin.gauss_newton import SE90
@@ -53,14 +53,14 @@ class Entry:
     def z(self) -> float:
         return float(np.sqrt(max(self.gain, 0.0)))
 
-    def placed(self, contest: Contest) -> Array:
+    def placed(self, score_test: ScoreTest) -> Array:
         """The vector at the entry's present shape."""
-        placed: Array = contest.vector(self.law) * self.shape.block_means(contest.edges * contest.grid.step_s)
+        placed: Array = score_test.vector(self.law) * self.shape.block_means(score_test.edges * score_test.grid.step_s)
         return placed
 
-    def refreshed(self, contest: Contest) -> Entry:
-        """The entry with the vector of its present shape in another contest."""
-        return replace(self, vector=self.placed(contest))
+    def refreshed(self, score_test: ScoreTest) -> Entry:
+        """The entry with the vector of its present shape in another score test."""
+        return replace(self, vector=self.placed(score_test))
 
     @property
     def driver(self) -> str:
@@ -84,19 +84,19 @@ def allowed(candidate: Candidate, size: float) -> bool:
     return candidate.lower <= size <= candidate.upper
 
 
-def scan(contest: Contest, laws: list[CandidateLaw], given: Array | None = None) -> list[Entry]:
+def scan(score_test: ScoreTest, laws: list[CandidateLaw], given: Array | None = None) -> list[Entry]:
     """Best onset of each law in each of its shapes, by falling gain.
 
     Args:
         given: vectors (e, sites, b) of effects that are already known; their sizes are fitted along.
     """
-    known = Courses.of(contest)
+    known = Courses.of(score_test)
     onsets, steps = known.onsets, known.steps
-    beside = Given(contest, given) if given is not None and len(given) else None
+    beside = Given(score_test, given) if given is not None and len(given) else None
     found: list[Entry] = []
     for law in laws:
         others, courses = known.beyond(law.candidate)
-        p, score, bottom, growing = _beside(contest, law, beside)
+        p, score, bottom, growing = _beside(score_test, law, beside)
         size, gain = _gains(law, score @ steps, bottom)
         if law.candidate.lumped and not _came_in(law, gain):
             gain[np.abs(size) < law.candidate.lumped] = 0.0
@@ -125,16 +125,16 @@ def _came_in(law: CandidateLaw, gain: Array) -> bool:
     return bool(more >= CAME_IN and (law.candidate.lumped < np.inf or more >= CAME_IN_SHARE * gain.max()))
 
 
-def able_to_begin(contest: Contest, entry: Entry, given: Array) -> tuple[float, float]:
+def able_to_begin(score_test: ScoreTest, entry: Entry, given: Array) -> tuple[float, float]:
     """The earliest and the latest onset, s, with which an effect wins as much as its best, but for what chance takes
     from one in ten.
 
     Args:
         given: vectors (e, sites, b) of the effects beside it.
     """
-    known = Courses.of(contest)
-    beside = Given(contest, given) if len(given) else None
-    _, score, bottom, growing = _beside(contest, entry.law, beside)
+    known = Courses.of(score_test)
+    beside = Given(score_test, given) if len(given) else None
+    _, score, bottom, growing = _beside(score_test, entry.law, beside)
     if entry.shape.name == "step":
         onsets, gain = known.onsets, _gains(entry.law, score @ known.steps, bottom)[1]
     else:
@@ -146,16 +146,16 @@ def able_to_begin(contest: Contest, entry: Entry, given: Array) -> tuple[float, 
     return (float(able.min()), float(able.max())) if len(able) else (entry.shape.onset_s, entry.shape.onset_s)
 
 
-def _beside(contest: Contest, law: CandidateLaw, beside: Given | None) -> tuple[Array, Array, Array, Array]:
+def _beside(score_test: ScoreTest, law: CandidateLaw, beside: Given | None) -> tuple[Array, Array, Array, Array]:
     """A law's blocks (sites, b) and score (b,), and the squares of its steps and of what else it may be, less what
     those beside it stand for."""
-    squares = LawSquares.of(contest, law)
-    p, score, bottom, growing = squares.blocks, contest.scored(squares.blocks), squares.steps, squares.growths
+    squares = LawSquares.of(score_test, law)
+    p, score, bottom, growing = squares.blocks, score_test.scored(squares.blocks), squares.steps, squares.growths
     if beside is not None:
         share = beside.share(p)
         score = score - beside.score(share)
         bottom = bottom - (share[::-1].cumsum(axis=0)[::-1][: len(bottom)] ** 2).sum(axis=1)
-        growing = growing - ((share.T @ Courses.of(contest).beyond(law.candidate)[1]) ** 2).sum(axis=0)
+        growing = growing - ((share.T @ Courses.of(score_test).beyond(law.candidate)[1]) ** 2).sum(axis=0)
     least = _TINY * max(float(squares.steps.max()), _TINY)
     return p, score, np.maximum(bottom, least), np.maximum(growing, least)
 
@@ -172,13 +172,13 @@ def _entry(law: CandidateLaw, shape: Shape, vector: Array, size: float, bottom: 
     return Entry(law, shape, vector, float(size), float(bottom) ** -0.5, float(gain))
 
 
-def refine(contest: Contest, entry: Entry) -> Entry:
+def refine(score_test: ScoreTest, entry: Entry) -> Entry:
     """The entry with its onset (and growth) moved to where its gain is greatest."""
-    edges_s = contest.edges * contest.grid.step_s
-    p = contest.vector(entry.law)
-    gram, score = contest.small(p)
+    edges_s = score_test.edges * score_test.grid.step_s
+    p = score_test.vector(entry.law)
+    gram, score = score_test.small(p)
     best = entry
-    reach = contest.step_s
+    reach = score_test.step_s
     while reach >= 30.0:
         for shift, stretch in itertools.product((-reach, 0.0, reach), (0.7, 1.0, 1.4)):
             growth = best.shape.growth_s * stretch
@@ -188,13 +188,13 @@ def refine(contest: Contest, entry: Entry) -> Entry:
             if onset < 0.0 or onset > edges_s[-1] * LAST_SHARE:
                 continue
             shape = Shape(best.shape.name, onset, growth).going_on(float(edges_s[-1]))
-            best = _better(contest, best, shape, p, gram, score)
+            best = _better(score_test, best, shape, p, gram, score)
         reach *= 0.5
     return best
 
 
-def _better(contest: Contest, entry: Entry, shape: Shape, p: Array, gram: Array, score: Array) -> Entry:
-    course = shape.block_means(contest.edges * contest.grid.step_s)
+def _better(score_test: ScoreTest, entry: Entry, shape: Shape, p: Array, gram: Array, score: Array) -> Entry:
+    course = shape.block_means(score_test.edges * score_test.grid.step_s)
     bottom = max(float(course @ gram @ course), _TINY)
     top = float(score @ course)
     if top**2 / bottom <= entry.gain or not allowed(entry.candidate, top / bottom):
@@ -202,11 +202,11 @@ def _better(contest: Contest, entry: Entry, shape: Shape, p: Array, gram: Array,
     return Entry(entry.law, shape, p * course, top / bottom, bottom**-0.5, top**2 / bottom)
 
 
-def together(contest: Contest, entries: tuple[Entry, ...]) -> tuple[tuple[Entry, ...], JointEstimate]:
+def together(score_test: ScoreTest, entries: tuple[Entry, ...]) -> tuple[tuple[Entry, ...], JointEstimate]:
     """The entries with sizes fitted together, and that fit."""
     if not entries:
-        return entries, contest.estimate(np.empty((0, contest.sites, contest.b)))
-    fit = contest.estimate(np.stack([e.vector for e in entries]))
+        return entries, score_test.estimate(np.empty((0, score_test.sites, score_test.b)))
+    fit = score_test.estimate(np.stack([e.vector for e in entries]))
     sizes, sd = fit.sizes.tolist(), np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)).tolist()
     return tuple(replace(e, size=s, sd=d) for e, s, d in zip(entries, sizes, sd, strict=True)), fit
 

@@ -21,7 +21,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.phrases import said
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.elements.candidates import Candidate
 from twin.network import Array
 
@@ -106,21 +106,21 @@ class Structure:
         )
 
 
-def structure_of(contest: Contest, laws: list[CandidateLaw], offsets: Sequence[CandidateLaw]) -> Structure:
-    """What each law amounts to in the healthy record that the contest holds, all of them together.
+def structure_of(score_test: ScoreTest, laws: list[CandidateLaw], offsets: Sequence[CandidateLaw]) -> Structure:
+    """What each law amounts to in the healthy record that the score test holds, all of them together.
 
     With offsets at operating points where the record speaks for them: a twin that is its rig has none.
     """
-    plain = _fitted(contest, laws)
-    both = _fitted(contest, [*laws, *offsets]) if offsets else plain
+    plain = _fitted(score_test, laws)
+    both = _fitted(score_test, [*laws, *offsets]) if offsets else plain
     return both if both.evidence > plain.evidence + SPEAKS else replace(plain, width=0.0)
 
 
-def _fitted(contest: Contest, laws: list[CandidateLaw]) -> Structure:
-    used = [law for law in laws if belongs(law.candidate, contest)]
-    gram, score = contest.joint(np.stack([contest.vector(law) for law in used]))
+def _fitted(score_test: ScoreTest, laws: list[CandidateLaw]) -> Structure:
+    used = [law for law in laws if belongs(law.candidate, score_test)]
+    gram, score = score_test.joint(np.stack([score_test.vector(law) for law in used]))
     # The noise was learned from the same record and holds the structure: it is not taken for more than it is.
-    closer = max(contest.expected / max(contest.chi, 1e-9), 1.0)
+    closer = max(score_test.expected / max(score_test.chi, 1e-9), 1.0)
     gram, score = closer * gram, closer * score
     typical = np.array([law.candidate.typical for law in used])
     scaled, pull = gram * np.outer(typical, typical), score * typical
@@ -139,6 +139,6 @@ def _fitted(contest: Contest, laws: list[CandidateLaw]) -> Structure:
     return Structure(candidates, sizes * typical, covariance * np.outer(typical, typical), width, evidence)
 
 
-def belongs(candidate: Candidate, contest: Contest) -> bool:
+def belongs(candidate: Candidate, score_test: ScoreTest) -> bool:
     """Whether a law may be part of a twin's structure: it does not follow time, and nothing tunes it anyway."""
-    return candidate.driver not in _OF_TIME and not set(candidate.changes) <= set(contest.probe.scaling.ids)
+    return candidate.driver not in _OF_TIME and not set(candidate.changes) <= set(score_test.probe.scaling.ids)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import EARLY_S, Shape, courses_of, family, means_between
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.elements.candidates import Candidate
 from twin.network import Array
 
@@ -53,10 +53,10 @@ class Courses:
     _fading: dict[float, tuple[list[Shape], Array]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, contest: Contest) -> Courses:
-        known: Courses | None = contest.memo.get("courses")
+    def of(cls, score_test: ScoreTest) -> Courses:
+        known: Courses | None = score_test.memo.get("courses")
         if known is None:
-            known = contest.memo["courses"] = _courses(contest)
+            known = score_test.memo["courses"] = _courses(score_test)
         return known
 
     @cached_property
@@ -120,46 +120,46 @@ class LawSquares:
     most: float
 
     @classmethod
-    def of(cls, contest: Contest, law: CandidateLaw) -> LawSquares:
-        (found,) = cls.of_all(contest, [law])
+    def of(cls, score_test: ScoreTest, law: CandidateLaw) -> LawSquares:
+        (found,) = cls.of_all(score_test, [law])
         return found
 
     @classmethod
-    def of_all(cls, contest: Contest, laws: Sequence[CandidateLaw]) -> list[LawSquares]:
+    def of_all(cls, score_test: ScoreTest, laws: Sequence[CandidateLaw]) -> list[LawSquares]:
         """Return those of several laws; of laws that are steps alone, all that are new at once."""
-        new = [law for law in laws if law not in contest.memo]
-        courses = Courses.of(contest)
+        new = [law for law in laws if law not in score_test.memo]
+        courses = Courses.of(score_test)
         alone = [law for law in new if not len(courses.beyond(law.candidate)[0])]
         count = len(courses.onsets)
         if alone:
-            vectors = np.stack([contest.vector(law) for law in alone])
-            for law, blocks, steps in zip(alone, vectors, _steps_of(contest, vectors)[:, :count], strict=True):
-                contest.memo[law] = cls._of(blocks, steps, np.zeros(0))
+            vectors = np.stack([score_test.vector(law) for law in alone])
+            for law, blocks, steps in zip(alone, vectors, _steps_of(score_test, vectors)[:, :count], strict=True):
+                score_test.memo[law] = cls._of(blocks, steps, np.zeros(0))
         for law in new:
-            if law not in contest.memo:
-                blocks = contest.vector(law)
-                gram = contest.small_gram(blocks)
-                growths = squares_of(contest, gram, courses.beyond(law.candidate)[1])
-                contest.memo[law] = cls._of(blocks, _late_sums(gram)[:count], growths)
-        return [contest.memo[law] for law in laws]
+            if law not in score_test.memo:
+                blocks = score_test.vector(law)
+                gram = score_test.small_gram(blocks)
+                growths = squares_of(score_test, gram, courses.beyond(law.candidate)[1])
+                score_test.memo[law] = cls._of(blocks, _late_sums(gram)[:count], growths)
+        return [score_test.memo[law] for law in laws]
 
     @classmethod
     def _of(cls, blocks: Array, steps: Array, growths: Array) -> LawSquares:
         return cls(blocks, steps, growths, np.flatnonzero(blocks.any(axis=1)), float(steps.max()))
 
 
-def returning(contest: Contest, law: CandidateLaw, gram: Array) -> Array:
+def returning(score_test: ScoreTest, law: CandidateLaw, gram: Array) -> Array:
     """Return the squares (k,) of a law at size 1, of Gram matrix (b, b), in the courses that come back or fade."""
-    known: Array | None = contest.memo.get(("returning", law))
+    known: Array | None = score_test.memo.get(("returning", law))
     if known is None:
-        known = contest.memo["returning", law] = squares_of(contest, gram, Courses.of(contest).returns)
+        known = score_test.memo["returning", law] = squares_of(score_test, gram, Courses.of(score_test).returns)
     return known
 
 
-def _steps_of(contest: Contest, vectors: Array) -> Array:
+def _steps_of(score_test: ScoreTest, vectors: Array) -> Array:
     """Return the squares (l, b) of steps of laws, `vectors` (l, sites, b), that begin with each block."""
-    b, active = contest.b, np.flatnonzero(vectors.any(axis=(0, 2)))
-    sites, more = contest.gram.reshape(contest.sites, b, contest.sites, b), np.zeros((len(vectors), b))
+    b, active = score_test.b, np.flatnonzero(vectors.any(axis=(0, 2)))
+    sites, more = score_test.gram.reshape(score_test.sites, b, score_test.sites, b), np.zeros((len(vectors), b))
     for one in active:
         for other in active:
             there = np.flatnonzero((vectors[:, one].any(axis=1)) & (vectors[:, other].any(axis=1)))
@@ -174,8 +174,8 @@ _Begun = tuple[int, NDArray[np.intp], Array]
 """First row of some courses, their columns, and their rows from the first on."""
 
 
-def squares_of(contest: Contest, gram: Array, courses: Array) -> Array:
-    """Return the squares (j,) of courses (b, j), which the contest keeps, in a Gram matrix (b, b).
+def squares_of(score_test: ScoreTest, gram: Array, courses: Array) -> Array:
+    """Return the squares (j,) of courses (b, j), which the score test keeps, in a Gram matrix (b, b).
 
     Most courses begin after the record does, and rows before that are not multiplied; nor is what lies below the
     diagonal of a symmetric matrix, but for squares of `PANEL` rows on it.
@@ -184,9 +184,9 @@ def squares_of(contest: Contest, gram: Array, courses: Array) -> Array:
     if not len(found):
         return found
     once = gram * _twice_beyond(len(gram))
-    known: tuple[Array, list[_Begun]] | None = contest.memo.get(("begun", id(courses)))
+    known: tuple[Array, list[_Begun]] | None = score_test.memo.get(("begun", id(courses)))
     if known is None:  # with the courses, whose identity so stays their own
-        known = contest.memo["begun", id(courses)] = courses, _by_beginning(courses)
+        known = score_test.memo["begun", id(courses)] = courses, _by_beginning(courses)
     for first, columns, begun in known[1]:
         squares = np.zeros(len(columns))
         # Squares on the diagonal stand where those of the whole matrix do, whatever row the courses begin with.
@@ -225,14 +225,14 @@ def _by_beginning(courses: Array) -> list[_Begun]:
 class Given:
     """Effects whose sizes are fitted along with each that is tried, `vectors` (e, sites, b)."""
 
-    def __init__(self, contest: Contest, vectors: Array) -> None:
+    def __init__(self, score_test: ScoreTest, vectors: Array) -> None:
         flat = vectors.reshape(len(vectors), -1)
-        onto = contest.gram @ flat.T
-        self._onto = onto.reshape(contest.sites, contest.b, -1)
+        onto = score_test.gram @ flat.T
+        self._onto = onto.reshape(score_test.sites, score_test.b, -1)
         values, axes = np.linalg.eigh(flat @ onto)
         kept = values > _KNOWN * values.max()
         self._root = axes[:, kept] / np.sqrt(values[kept])
-        self._score = self._root.T @ (flat @ contest.score)
+        self._score = self._root.T @ (flat @ score_test.score)
 
     def share(self, p: Array) -> Array:
         """(b, e): the part of a law's blocks that the given effects stand for; its square leaves the Gram matrix."""
@@ -255,9 +255,9 @@ def rows_by_name(shapes: Sequence[Shape]) -> tuple[tuple[list[Shape], NDArray[np
     return tuple(found)
 
 
-def _courses(contest: Contest) -> Courses:
-    edges_s = contest.edges * contest.grid.step_s
-    onsets = edges_s[: max(int(contest.b * LAST_SHARE), 1)]
+def _courses(score_test: ScoreTest) -> Courses:
+    edges_s = score_test.edges * score_test.grid.step_s
+    onsets = edges_s[: max(int(score_test.b * LAST_SHARE), 1)]
     begins = [Shape("step", float(t)) for t in onsets]
     steps = courses_of(begins, edges_s).T.copy()
     # Growth begins so gently that every third block is enough; `refine` looks between them.

@@ -16,9 +16,9 @@ from twin.discovery.effects.catalogue import LATE, catalogue, extended, sites_of
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.effects.shared_kernels import SharedKernel
-from twin.discovery.growing.superset.alike import apart, together
-from twin.discovery.growing.superset.masses import masses
-from twin.discovery.growing.superset.resting import Resting
+from twin.discovery.growing.superset.equivalent_places import apart, together
+from twin.discovery.growing.superset.hidden_masses import masses
+from twin.discovery.growing.superset.steady_states import SteadyStates
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
@@ -69,9 +69,9 @@ class CandidateSuperset:
         return cls(network, candidates, shared.network, shared.kernel, after)
 
     @cached_property
-    def resting(self) -> Resting:
+    def resting(self) -> SteadyStates:
         """The network at rest."""
-        return Resting(self.network, self.kernel)
+        return SteadyStates(self.network, self.kernel)
 
     def model(self, entries: tuple[Entry, ...]) -> Model:
         """The simulation of some of the effects."""

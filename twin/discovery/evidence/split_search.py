@@ -27,7 +27,7 @@ from twin.discovery.records.grid import Grid
 from twin.discovery.refit.fitting import AGAIN, Fit
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import validate
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
 from twin.elements.candidates import Candidate
@@ -55,7 +55,7 @@ class SplitFinding:
 
 
 @dataclass(frozen=True)
-class Inquiry:
+class SplitSearch:
     """A record, what is known of its rig, and who is told what is being done.
 
     `begun` is all of the record as `known` has it, made by `of`.
@@ -69,13 +69,13 @@ class Inquiry:
     say: Callable[[str], None]
 
     @classmethod
-    def of(cls, network: Network, record: Columns, known: Basis, grid: Grid, say: Callable[[str], None]) -> Inquiry:
+    def of(cls, network: Network, record: Columns, known: Basis, grid: Grid, say: Callable[[str], None]) -> SplitSearch:
         """Return the inquiry of a record, beside what the twin lacked in health already."""
         begun = Part.of(known, grid)
         more = with_missing(begun)
         return cls(network, record, more, grid, begun if more is known else Part.of(more, grid), say)
 
-    def settled(self, held_out: float) -> tuple[Inquiry, SplitFinding]:
+    def settled(self, held_out: float) -> tuple[SplitSearch, SplitFinding]:
         """Return the answer (see `answer`), and the inquiry that gave it.
 
         Where an effect was there in health already, the twin is taken to lack it, and the search begins anew.
@@ -105,7 +105,7 @@ class Inquiry:
         made.add(self._scanned[1])
         return made
 
-    def on_unseen(self, finding: Finding, split: int) -> dict[str, SensorError]:
+    def held_out_errors(self, finding: Finding, split: int) -> dict[str, SensorError]:
         """Return the errors of a finding from bin `split` on."""
         return self._held_out.errors(finding, split)
 
@@ -176,13 +176,13 @@ class Inquiry:
         whole = self.whole
         whole.know(e.candidate for e in entries)
         laws = {law.candidate.id: law for law in whole.laws}
-        here = tuple(replace(e, law=laws[e.candidate.id]).refreshed(whole.contest) for e in entries)
+        here = tuple(replace(e, law=laws[e.candidate.id]).refreshed(whole.score_test) for e in entries)
         ((fit, _),) = fitted(whole, [here], AGAIN)
-        contest = copy.copy(whole.contest)
-        contest.take(fit.residual, fit.moved)
-        known = joint(contest, tuple(e.refreshed(contest) for e in fit.entries))
+        score_test = copy.copy(whole.score_test)
+        score_test.take(fit.residual, fit.moved)
+        known = joint(score_test, tuple(e.refreshed(score_test) for e in fit.entries))
         others = [law for law in whole.laws if apart(law.candidate, fit.entries)]
-        found = scan(contest, others, known, timed=False)
+        found = scan(score_test, others, known, timed=False)
         best = max(found, key=lambda e: e.log_bayes + prior.of(e), default=None)
         return best if best is not None and best.log_bayes + prior.of(best) > claim else None
 
@@ -217,7 +217,7 @@ def _nearer(part: Part) -> tuple[Candidate, ...]:
         entry = first
         while entry.candidate.near is not None:
             laws: Sequence[CandidateLaw] = part.basis.book.laws(part.grid, part.run, entry.candidate.near())
-            nearer = scan(part.contest, laws)
+            nearer = scan(part.score_test, laws)
             if not nearer or nearer[0].log_bayes <= entry.log_bayes:
                 break
             entry = nearer[0]
@@ -232,19 +232,19 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     Args:
         fewer: tell one of two effects that begin at one moment, where the other may be no more than an error of form.
     """
-    contest, claim = part.contest, max(CLAIM, part.basis.claim)
+    score_test, claim = part.score_test, max(CLAIM, part.basis.claim)
     part.reset()
     best = found.told
     least = max(claim, found.unlisted if best is None else found.rival_of(best))
-    together = _at_one_moment(best, contest) if best is not None and best.odds >= least else None
+    together = _at_one_moment(best, score_test) if best is not None and best.odds >= least else None
     if fewer and together is not None and best is not None:
         # What comes back in the turns of another is certainly of one cause, whatever share of it the other has.
-        same = _same_turns_by_chance(*together, contest.grid.span_s) < 1.0
+        same = _same_turns_by_chance(*together, score_test.grid.span_s) < 1.0
         enough = least if same else best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)
         fewer_ones = with_fewer_effects(best, found.hypotheses, enough)
-        others = [h for h in fewer_ones if _at_one_moment(h, contest) is None]
+        others = [h for h in fewer_ones if _at_one_moment(h, score_test) is None]
         best = others[0] if others else best
-    claimed = best is not None and best.odds >= least and _at_one_moment(best, contest) is None
+    claimed = best is not None and best.odds >= least and _at_one_moment(best, score_test) is None
     ranked = _ranked(found, best) if claimed and best is not None else ()
     finding = Finding(
         entries=(),
@@ -252,10 +252,10 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
         retuned=plainly(part, found.retuned),
         ranked=ranked,
         scanned=tuple(found.scanned),
-        start=contest.misfit,
-        count=contest.count,
+        start=score_test.misfit,
+        count=score_test.count,
         ladder=ladder_of(part, best if claimed else None, found.scanned),
-        contest=contest,
+        score_test=score_test,
         state=part.state,
         claim=claim,
         odds=max((h.odds for h in found.hypotheses), default=-math.inf),
@@ -265,7 +265,7 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     if not claimed:
         return finding
     assert best is not None and best.fit is not None
-    folds = validate(contest, Model.of(part.basis.probe, best.fit.entries), best.fit)
+    folds = validate(score_test, Model.of(part.basis.probe, best.fit.entries), best.fit)
     part.reset()
     return replace(finding, entries=best.fit.entries, fit=_as_used(best, part), folds=folds)
 
@@ -277,9 +277,9 @@ def with_fewer_effects(best: Hypothesis, hypotheses: Sequence[Hypothesis], enoug
     return [h for h in fits if {class_of(e) for e in h.entries} < classes]
 
 
-def _at_one_moment(h: Hypothesis | None, contest: Contest) -> tuple[Entry, Entry] | None:
+def _at_one_moment(h: Hypothesis | None, score_test: ScoreTest) -> tuple[Entry, Entry] | None:
     """Return two effects of a hypothesis that are likelier one of no listed form; or None."""
-    return None if h is None else coinciding(h.entries, contest.grid.span_s, contest.grid.step_s)
+    return None if h is None else coinciding(h.entries, score_test.grid.span_s, score_test.grid.step_s)
 
 
 def coinciding(entries: Sequence[Entry], span_s: float, step_s: float) -> tuple[Entry, Entry] | None:

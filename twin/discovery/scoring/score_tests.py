@@ -75,7 +75,7 @@ class JointEstimate:
     gain: float
 
 
-class Contest:
+class ScoreTest:
     """The quadratic form of one record.
 
     Args:
@@ -155,7 +155,7 @@ class Contest:
 
     @property
     def gram(self) -> Array:
-        """Return the Gram matrix, made when it is first asked for: a contest that only weighs fits needs none."""
+        """Return the Gram matrix, made when it is first asked for: a score test that only weighs fits needs none."""
         known: Array | None = self.memo.get("gram")
         if known is None:
             cross = self.slopes.T @ self._columns

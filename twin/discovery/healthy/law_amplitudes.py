@@ -24,7 +24,7 @@ from twin.discovery.effects.phrases import said
 from twin.discovery.effects.probe import FreeRun, Probe
 from twin.discovery.records.grid import Grid
 from twin.discovery.records.noise import Noise
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.elements.candidates import Candidate
 from twin.network import Array
 
@@ -49,7 +49,7 @@ class Amplitudes:
 
 
 @dataclass(frozen=True)
-class InHealth:
+class HealthyResidual:
     """A healthy record as its twin leaves it: `run` from `state` on `grid`, with the `noise` of what is left."""
 
     probe: Probe
@@ -60,11 +60,11 @@ class InHealth:
     noise: Noise
 
     @cached_property
-    def _contest(self) -> Contest:
+    def _score_test(self) -> ScoreTest:
         probe = self.probe
         values = probe.network.values[probe.scaling.index]
         prior = weak_prior(probe.scaling, values, self.state[: probe.k], STATE_SD_K)
-        return Contest(probe, self.grid, self.state, self.run, self.noise, prior)
+        return ScoreTest(probe, self.grid, self.state, self.run, self.noise, prior)
 
     def amplitudes(self, candidates: Sequence[Candidate], tunables: tuple[str, ...]) -> Amplitudes:
         """Return what this record says of laws; of those that do nothing in it, nothing.
@@ -72,7 +72,7 @@ class InHealth:
         Args:
             tunables: ids (q,) of the twin at hand, which may have others than the one of this record.
         """
-        contest, ids = self._contest, self.probe.scaling.ids
+        score_test, ids = self._score_test, self.probe.scaling.ids
         # A law that a revision has adopted has the name that it had as an addition, and is a change of an element that
         # the twin of this record lacks.
         own = {c.id: c for c in self.book.candidates}
@@ -80,8 +80,8 @@ class InHealth:
         laws = self.book.laws(self.grid, self.run, here)
         if not laws:
             return Amplitudes((), np.zeros((0, 0)), np.zeros(0), np.zeros((len(tunables), 0)))
-        signatures = contest.signatures(np.stack([contest.vector(law) for law in laws]))
-        moves, precision, score = contest.beside_tunables(signatures)
+        signatures = score_test.signatures(np.stack([score_test.vector(law) for law in laws]))
+        moves, precision, score = score_test.beside_tunables(signatures)
         named = dict(zip(ids, moves[: self.probe.q], strict=True))
         of_twin = np.stack([named.get(t, np.zeros(len(laws))) for t in tunables])
         return Amplitudes(tuple(law.candidate for law in laws), precision, score, of_twin)

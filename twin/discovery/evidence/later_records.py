@@ -27,12 +27,12 @@ MORE_LEFT, MORE_SHARE = 4.0, 0.1
 are harsher than those that the noise was learned from."""
 
 
-def weighed(finding: Finding, first: Part, later: Sequence[Part]) -> tuple[Finding, tuple[str, ...]]:
+def reranked(finding: Finding, first: Part, later: Sequence[Part]) -> tuple[Finding, tuple[str, ...]]:
     """The finding with its hypotheses ranked by all records, and what is to be said of the later ones.
 
     What is said of the answer itself, its score and the blocks left out, stays that of the first record.
     """
-    each = weigh(finding.ranked, later, finding.contest.grid.span_s)
+    each = weigh(finding.ranked, later, finding.score_test.grid.span_s)
     for part in later:
         part.reset()
     odds = np.array(
@@ -53,19 +53,19 @@ def weighed(finding: Finding, first: Part, later: Sequence[Part]) -> tuple[Findi
     best = finding.ranked[at].fit
     notes = [
         f"with the answer, later record {number} still leaves {chi:.2f} of misfit where noise alone leaves "
-        f"{part.contest.expected:.2f}; there is more in it, so diagnose that record by itself"
+        f"{part.score_test.expected:.2f}; there is more in it, so diagnose that record by itself"
         for number, (chi, part) in enumerate(zip(each[at].chis, later, strict=True), start=1)
-        if chi > max(MORE_LEFT * part.contest.expected, MORE_SHARE * part.contest.chi)
+        if chi > max(MORE_LEFT * part.score_test.expected, MORE_SHARE * part.score_test.chi)
     ]
     same = at == 0
-    folds = finding.folds if same else validate(first.contest, Model.of(first.basis.probe, best.entries), best)
+    folds = finding.folds if same else validate(first.score_test, Model.of(first.basis.probe, best.entries), best)
     first.reset()
     told = finding.fit if same else best
     return replace(finding, ranked=ranked, fit=told, entries=best.entries, folds=folds), tuple(notes)
 
 
 @dataclass(frozen=True)
-class Weighed:
+class RerankedHypothesis:
     """A hypothesis with later records: `fit` of the first record, its total that of all; `chis` (parts,): misfit that
     it leaves in each later one."""
 
@@ -73,7 +73,7 @@ class Weighed:
     chis: tuple[float, ...]
 
 
-def weigh(ranked: Sequence[Ranked], parts: Sequence[Part], span_s: float) -> list[Weighed]:
+def weigh(ranked: Sequence[Ranked], parts: Sequence[Part], span_s: float) -> list[RerankedHypothesis]:
     """Each hypothesis over all records; in the later ones its effects are there throughout, as they ended in the first.
 
     Args:
@@ -89,19 +89,19 @@ def weigh(ranked: Sequence[Ranked], parts: Sequence[Part], span_s: float) -> lis
             before = [e for e in hypothesis.entries if e.candidate.id in laws]
             grown = [e.shape.entered.mean(span_s - 1.0, span_s) for e in before]
             entries = tuple(
-                from_the_start(replace(e, law=laws[e.candidate.id]), share * e.size).refreshed(part.contest)
+                from_the_start(replace(e, law=laws[e.candidate.id]), share * e.size).refreshed(part.score_test)
                 for e, share in zip(before, grown, strict=True)
             )
             part.reset()
-            fitted = fit(part.contest, Model.of(part.contest.probe, entries), part.state)
+            fitted = fit(part.score_test, Model.of(part.score_test.probe, entries), part.state)
             sizes = zip(before, grown, fitted.entries, strict=True)
             costs.append(fitted.total + sum(_apart(e, share, later) for e, share, later in sizes))
             chis[i].append(fitted.chi)
         # What even the best leaves over noise is the twin's own error: differences count by as much less.
-        excess = max(min(chi[-1] for chi in chis) / part.contest.expected, 1.0)
+        excess = max(min(chi[-1] for chi in chis) / part.score_test.expected, 1.0)
         totals = [total + cost / excess for total, cost in zip(totals, costs, strict=True)]
     return [
-        Weighed(replace(hypothesis.fit, total=total), tuple(chi))
+        RerankedHypothesis(replace(hypothesis.fit, total=total), tuple(chi))
         for hypothesis, total, chi in zip(ranked, totals, chis, strict=True)
     ]
 

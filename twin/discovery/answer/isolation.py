@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.discovery.answer.words import sentence
 from twin.discovery.diagnosis import Alternative, Effect, Verdict
-from twin.discovery.effects.lint import EffectLabel
+from twin.discovery.effects.ambiguity_groups import EffectLabel
 from twin.discovery.effects.phrases import interval
 from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.priors import SURE
@@ -18,17 +18,17 @@ from twin.discovery.scoring.search import Entry, able_to_begin
 from twin.gauss_newton import SE90
 
 
-def told(finding: Finding, grid: Grid) -> tuple[Verdict, tuple[Effect, ...]]:
+def isolated_effects(finding: Finding, grid: Grid) -> tuple[Verdict, tuple[Effect, ...]]:
     """Each effect of the best fit, and whether each is sure enough to be named alone: its share of the posterior."""
     assert finding.fit is not None
-    sure = [share_of(e, finding.ranked) for e in finding.entries]
+    sure = [posterior_share(e, finding.ranked) for e in finding.entries]
     # What is likelier beforehand alone is not named alone: the record itself has to say so.
-    told_apart = min(ahead(e, finding.ranked) for e in finding.entries) >= math.log(SURE / (1.0 - SURE))
+    told_apart = min(log_bayes_lead(e, finding.ranked) for e in finding.entries) >= math.log(SURE / (1.0 - SURE))
     verdict: Verdict = "effect found" if min(sure) >= SURE and told_apart else "ambiguous"
     return verdict, tuple(_effect(e, finding, s, grid) for e, s in zip(finding.fit.entries, sure, strict=True))
 
 
-def share_of(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
+def posterior_share(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
     """Posterior share of the explanations that have such a kind at such a place."""
     place = (entry.candidate.kind, entry.candidate.where)
     total = sum(r.weight for r in ranked)
@@ -36,7 +36,7 @@ def share_of(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
     return mine / max(total, 1e-300)
 
 
-def ahead(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
+def log_bayes_lead(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
     """By how much, in log Bayes factor, the best explanation with such a kind at such a place is ahead of the best
     without."""
     place = (entry.candidate.kind, entry.candidate.where)
@@ -47,7 +47,7 @@ def ahead(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
     return best[True] - best[False] if best[False] > -math.inf else math.inf
 
 
-def rivals(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...], tuple[Alternative, ...]]:
+def alternatives_of(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...], tuple[Alternative, ...]]:
     """What cannot be told from the winner (of an ambiguous finding with the winner itself), and what was ruled out."""
     first = finding.ranked[0]
     left = remaining(finding)[0 if verdict == "ambiguous" else 1 :]
@@ -74,14 +74,14 @@ def rivals(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...],
     return tuple(same.values()), tuple(out.values())
 
 
-def ruled_out(finding: Finding) -> frozenset[EffectLabel]:
+def excluded_labels(finding: Finding) -> frozenset[EffectLabel]:
     """Return the labels that were fitted in the place of the answer's and that this record excludes."""
     first = finding.ranked[0]
     left = {instead(r, first).label for r in remaining(finding)}
     return frozenset(instead(r, first).label for r in finding.ranked[1:]) - left
 
 
-def near_misses(finding: Finding) -> tuple[Alternative, ...]:
+def nearest_effects(finding: Finding) -> tuple[Alternative, ...]:
     """What came nearest where nothing explains the record, and how far."""
     out: dict[tuple[str, str, str], Alternative] = {}
     for e in finding.scanned[:24]:
@@ -129,14 +129,14 @@ def _onsets(entry: Entry, finding: Finding) -> tuple[float, float]:
     if onset <= 0.0:
         return 0.0, spread
     assert finding.fit is not None
-    contest = finding.contest
-    others = [e.placed(contest) for e in finding.fit.entries if e is not entry]
-    first, last = able_to_begin(contest, entry, np.stack(others) if others else np.zeros((0,)))
+    score_test = finding.score_test
+    others = [e.placed(score_test) for e in finding.fit.entries if e is not entry]
+    first, last = able_to_begin(score_test, entry, np.stack(others) if others else np.zeros((0,)))
     if entry.shape.name == "step":
-        spread = min(spread, contest.step_s)
+        spread = min(spread, score_test.step_s)
     low, high = min(onset, first), max(onset, last)
     early, late = min(low, onset - spread), max(high, onset + spread)
-    return max(early, 0.0), min(late, contest.grid.span_s)
+    return max(early, 0.0), min(late, score_test.grid.span_s)
 
 
 def grown_by_end(entry: Entry, grid: Grid) -> float:

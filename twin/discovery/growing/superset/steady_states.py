@@ -19,7 +19,7 @@ LONGEST_K = 50.0
 _PROBE_K = 1.0e-3
 
 
-class Resting:
+class SteadyStates:
     """A network at rest; what takes part in no steady state (masses, lags, delays) must not be varied."""
 
     def __init__(self, network: Network, kernel: Kernel) -> None:

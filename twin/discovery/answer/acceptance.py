@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from twin.discovery.answer.case import AssessedFinding
+from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.evidence.held_out import contradicted
 
 
-def good(case: AssessedFinding) -> bool:
+def accepted(case: AssessedFinding) -> bool:
     """Return True where effects are claimed and the held-out segment does not contradict them.
 
     A segment shorter than a block is a single sample of what no fit resolves, and contradicts nothing.

@@ -10,8 +10,8 @@ from twin.discovery.healthy.basis import Basis
 from twin.discovery.places.localise import Course
 from twin.discovery.planning.experiment import Limits
 from twin.discovery.records.grid import Grid
-from twin.discovery.records.readings import Stuck
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.records.stuck_readings import Stuck
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.thermometers.members import Members
 
 
@@ -20,7 +20,7 @@ class AssessedFinding:
     """A finding with everything that speaks for it or against it.
 
     Attributes:
-        known: noise, prior and structure. whole: the contest over all of the record.
+        known: noise, prior and structure. whole: the score test over all of the record.
         split: row of `grid` from which no fit saw it. errors: per sensor, from there on.
         free: what an unknown at each site would have been, free from block to block, the likeliest first.
         usual: what is left of the re-tuned twin is what it has always left, so nothing is missing. beyond: inputs go
@@ -31,7 +31,7 @@ class AssessedFinding:
 
     finding: Finding
     known: Basis
-    whole: Contest
+    whole: ScoreTest
     grid: Grid
     split: int
     errors: dict[str, SensorError]

@@ -14,7 +14,7 @@ from twin.kernel import simulate
 from twin.network import Array, Network
 
 
-def drawn(known: Basis, healthy: Columns, rng: np.random.Generator) -> Iterator[Columns]:
+def simulated_records(known: Basis, healthy: Columns, rng: np.random.Generator) -> Iterator[Columns]:
     """Records of one rig under the inputs of the healthy one, without end.
 
     The rig is the twin with parameters drawn from what commissioning knows of them. A record has noise of all periods

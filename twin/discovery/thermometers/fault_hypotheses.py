@@ -28,7 +28,7 @@ LEFT = 0.1
 
 
 @dataclass(frozen=True)
-class Nature:
+class FaultHypothesis:
     """One thing that may be the matter: `kind` at the thermometer or, where `local`, at its place, following `driver`;
     `share` of the weight of all."""
 
@@ -38,7 +38,7 @@ class Nature:
     share: float
 
 
-def natures(found: Members, odd: Odd) -> tuple[Nature, ...]:
+def fault_hypotheses(found: Members, odd: Odd) -> tuple[FaultHypothesis, ...]:
     """What may be the matter where one member differs, the likeliest first; none where nothing explains it."""
     good, i = found.good, found.columns.index(odd.column)
     y = found.by_itself(i, found.residual[good])
@@ -71,10 +71,12 @@ def natures(found: Members, odd: Odd) -> tuple[Nature, ...]:
     most = min(costs.values())
     weights = {key: float(np.exp(-0.5 * (cost - most))) for key, cost in costs.items()}
     total = sum(weights.values())
-    return tuple(Nature(*key, weight / total) for key, weight in sorted(weights.items(), key=lambda item: -item[1]))
+    return tuple(
+        FaultHypothesis(*key, weight / total) for key, weight in sorted(weights.items(), key=lambda item: -item[1])
+    )
 
 
-def came_slowly(found: Members, odd: Odd) -> bool:
+def has_thermal_onset(found: Members, odd: Odd) -> bool:
     """Whether a member came to differ as a place does that has a mass, and not at once."""
     return odd.shape.name == "step" and _sudden(found, found.columns.index(odd.column), odd) < -RARER
 

@@ -37,30 +37,30 @@ EffectLabel = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
-class Lint:
-    """`groups` of labels that no input separates; `unseen` ones that a large effect would not show either."""
+class AmbiguityGroups:
+    """`groups` of labels that no input separates; `undetectable` ones that a large effect would not show either."""
 
     groups: tuple[tuple[EffectLabel, ...], ...]
-    unseen: tuple[EffectLabel, ...]
+    undetectable: tuple[EffectLabel, ...]
 
-    def beside(self, label: EffectLabel) -> tuple[EffectLabel, ...]:
+    def indistinguishable_from(self, label: EffectLabel) -> tuple[EffectLabel, ...]:
         """What no record of the rig tells from an entry."""
         return tuple(dict.fromkeys(x for g in self.groups if label in g for x in g if x != label))
 
 
-def ambiguity_groups(network: Network) -> Lint:
+def ambiguity_groups(network: Network) -> AmbiguityGroups:
     """Groups of a twin's catalogue; from the cache where this very twin has been looked at before."""
-    held = stored("lint", network)
+    held = stored("ambiguity_groups", network)
     if held is not None:
         with contextlib.suppress(ValueError, KeyError, TypeError):
             groups = tuple(tuple((k, w, d) for k, w, d in g) for g in held["groups"])
-            return Lint(groups, tuple((k, w, d) for k, w, d in held["unseen"]))
-    found = examine(network)
-    store("lint", asdict(found), network)
+            return AmbiguityGroups(groups, tuple((k, w, d) for k, w, d in held["undetectable"]))
+    found = compute_ambiguity_groups(network)
+    store("ambiguity_groups", asdict(found), network)
     return found
 
 
-def examine(network: Network) -> Lint:
+def compute_ambiguity_groups(network: Network) -> AmbiguityGroups:
     """Groups of a twin's catalogue, found anew.
 
     Raises
@@ -70,7 +70,7 @@ def examine(network: Network) -> Lint:
     """
     ids = network.tunables("commission" if "commission" in network.sets else None)
     probe, book = Probe(network, ids), Book(network)
-    grid = richest(network)
+    grid = exciting_inputs(network)
     state = steady_state(network, grid.inputs[0]).reshape(-1)
     grid = Grid(grid.time, grid.inputs, probe.run(grid, state).readings, grid.sigma, grid.step_s)
     run = probe.run(grid, state)
@@ -102,10 +102,10 @@ def examine(network: Network) -> Lint:
     named = [tuple(dict.fromkeys(labels[i] for i in sorted(g))) for g in groups]
     seen = {labels[i] for i in range(len(laws)) if visible[i]}
     every = dict.fromkeys((c.kind, c.where, c.driver) for c in book.candidates)
-    return Lint(tuple(g for g in named if len(g) > 1), tuple(x for x in every if x not in seen))
+    return AmbiguityGroups(tuple(g for g in named if len(g) > 1), tuple(x for x in every if x not in seen))
 
 
-def richest(network: Network, seed: int = 0) -> Grid:
+def exciting_inputs(network: Network, seed: int = 0) -> Grid:
     """Inputs in which everything varies by itself: drives and water that comes in by steps of 5 to 40 minutes, the room
     slowly; for a third of the time the heater rests, so that the slowest volume cools and warms."""
     rng = np.random.default_rng(seed)

@@ -16,7 +16,8 @@ from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Verdict
 from twin.discovery.effects.phrases import amount, clock, when
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.healthy.basis import Columns
-from twin.discovery.records.readings import Stuck
+from twin.discovery.records.stuck_readings import Stuck
+from twin.discovery.thermometers.fault_hypotheses import FaultHypothesis, fault_hypotheses, has_thermal_onset
 from twin.discovery.thermometers.members import (
     LATE_WINDOW_S,
     Members,
@@ -27,7 +28,6 @@ from twin.discovery.thermometers.members import (
     odd_one,
     restless_one,
 )
-from twin.discovery.thermometers.nature import Nature, came_slowly, natures
 from twin.gauss_newton import SE90
 from twin.network import Array, Network
 
@@ -41,7 +41,7 @@ SMEARED = 2.0
 
 
 @dataclass(frozen=True)
-class Alone:
+class FaultyThermometers:
     """Thermometers of one sensor that differ from the others by themselves.
 
     Attributes:
@@ -57,7 +57,7 @@ class Alone:
     settled: bool = True
 
 
-def by_themselves(groups: tuple[Members, ...]) -> Alone | None:
+def faulty_thermometers(groups: tuple[Members, ...]) -> FaultyThermometers | None:
     """Return the first thermometers of several that differ in a way that is known of thermometers or places, if any.
 
     A late one makes the mean of several late by a part of what it is, as a mass would that is not there. One that
@@ -66,59 +66,63 @@ def by_themselves(groups: tuple[Members, ...]) -> Alone | None:
     for group in groups:
         late = lagging_one(group)
         if late is not None:
-            return Alone(group, (late.column,), late)
+            return FaultyThermometers(group, (late.column,), late)
     for group in groups:
-        differ = [odd.column for each in apart(group) if (odd := odd_one(each)) is not None and natures(each, odd)]
+        differ = [
+            odd.column for each in apart(group) if (odd := odd_one(each)) is not None and fault_hypotheses(each, odd)
+        ]
         restless = None if differ else restless_one(group)
         columns = differ if restless is None else [restless.column]
         if columns:
-            return Alone(group, tuple(dict.fromkeys(columns)), settled=bool(differ))
+            return FaultyThermometers(group, tuple(dict.fromkeys(columns)), settled=bool(differ))
     return None
 
 
-def unlisted(groups: tuple[Members, ...]) -> Alone | None:
+def unlisted_fault(groups: tuple[Members, ...]) -> FaultyThermometers | None:
     """Return the first thermometer of several that differs in no known way, and came to differ at once, if any."""
     for group in groups:
         odd = odd_one(group)
-        if odd is not None and not came_slowly(group, odd):
-            return Alone(group, (odd.column,))
+        if odd is not None and not has_thermal_onset(group, odd):
+            return FaultyThermometers(group, (odd.column,))
     return None
 
 
-def without(alone: Alone, network: Network, record: Columns) -> Columns:
+def without_faults(faulty: FaultyThermometers, network: Network, record: Columns) -> Columns:
     """Return the record without the errors of such thermometers, and with the mean of several only, unless late."""
-    group, columns = alone.group, set(alone.columns)
+    group, columns = faulty.group, set(faulty.columns)
     j = network.sensor_names.index(group.sensor)
     measured, members = record.measured.copy(), dict(record.members)
-    if alone.late is None:
-        measured[:, j] -= sum(_share_of(group, c, columns, record.time_s) for c in alone.columns)
+    if faulty.late is None:
+        measured[:, j] -= sum(_share_of(group, c, columns, record.time_s) for c in faulty.columns)
         del members[group.sensor]
         return replace(record, measured=measured, members=members)
-    (column,) = alone.columns
+    (column,) = faulty.columns
     own = np.nan_to_num(group.by_itself(group.columns.index(column), group.fine))
     since_s = record.time_s - record.time_s[0]
     bins = np.clip((since_s / group.step_s).astype(int), 0, len(own) - 1)
-    off = np.where(since_s >= alone.late.shape.onset_s, own[bins], 0.0)
+    off = np.where(since_s >= faulty.late.shape.onset_s, own[bins], 0.0)
     each = record.members[group.sensor].copy()
     measured[:, j] -= off / len(group.columns)
     each[:, network.sensors[j].measured.index(column)] -= off
     return replace(record, measured=measured, members=members | {group.sensor: each})
 
 
-def beside(alone: Alone, left: Diagnosis, network: Network, start: float, still: tuple[Stuck, ...]) -> Diagnosis:
+def with_faults(
+    faulty: FaultyThermometers, left: Diagnosis, network: Network, start: float, still: tuple[Stuck, ...]
+) -> Diagnosis:
     """Return what is told of such thermometers, and beside them what was found without their errors.
 
     Args:
         left: found without their errors, and without what stood still. start: of the record, s. still: what stood.
     """
-    stood = standing(still)
-    if alone.late is not None:
-        return _together((*stood, _late(alone.group, alone.late, start)), (), left)
-    group = alone.group
+    stood = stuck_effects(still)
+    if faulty.late is not None:
+        return _together((*stood, _late(faulty.group, faulty.late, start)), (), left)
+    group = faulty.group
     node = next(s.node for s in network.sensors if s.name == group.sensor)
     if left.odds <= SMEARED * left.claim and all(e.where in (node, group.sensor) for e in left.effects):
         left = replace(left, verdict="adequate", effects=(), indistinguishable=(), network=None)
-    effects, same, group = placed(left.effects, group, node, start)
+    effects, same, group = attributed(left.effects, group, node, start)
     belongs = effects != left.effects
     said = left.summary
     for before, after in zip(left.effects, effects, strict=True):
@@ -126,12 +130,12 @@ def beside(alone: Alone, left: Diagnosis, network: Network, start: float, still:
     left = replace(left, effects=effects, summary=said, indistinguishable=(*left.indistinguishable, *same))
     errors: list[Effect] = []
     others: list[Alternative] = []
-    for column in alone.columns:
+    for column in faulty.columns:
         each = group
-        for other in set(alone.columns) - {column}:
+        for other in set(faulty.columns) - {column}:
             each = each.without(other)
         odd = odd_one(each)
-        told = () if odd is None else natures(each, odd)
+        told = () if odd is None else fault_hypotheses(each, odd)
         restless = None if told else restless_one(each)
         if odd is not None and odd.column == column and told:
             errors.append(_fault(each, odd, told, start))
@@ -167,7 +171,7 @@ def _together(errors: tuple[Effect, ...], same: tuple[Alternative, ...], left: D
     )
 
 
-def placed(
+def attributed(
     effects: tuple[Effect, ...], group: Members, node: str, start: float
 ) -> tuple[tuple[Effect, ...], tuple[Alternative, ...], Members]:
     """Return effects at the place of several thermometers with the one thermometer or place that they belong to.
@@ -183,7 +187,7 @@ def placed(
     for effect in effects:
         here = effect.where in (node, group.sensor) and effect.kind in (*HEATS, "sensor")
         near, odd = _came_in_with(effect, group, start) if here else (group, None)
-        told = () if odd is None else natures(near, odd)
+        told = () if odd is None else fault_hypotheses(near, odd)
         if odd is None or not told or (effect.kind == "heat_source" and effect.value * odd.final < 0.0):
             found.append(effect)
         elif effect.kind == "sensor":
@@ -203,7 +207,7 @@ def _came_in_with(effect: Effect, group: Members, start: float) -> tuple[Members
     return near, odd_one(near, (shape,))
 
 
-def _instead(odd: Odd, told: tuple[Nature, ...]) -> tuple[Alternative, ...]:
+def _instead(odd: Odd, told: tuple[FaultHypothesis, ...]) -> tuple[Alternative, ...]:
     """What cannot be told from the likeliest, that first, where that has not nearly all of the weight."""
     places: dict[tuple[str, bool], float] = {}
     for n in told:
@@ -262,11 +266,11 @@ def _late(one: Members, odd: Odd, start: float) -> Effect:
     )
 
 
-def _fault(one: Members, odd: Odd, likely: tuple[Nature, ...], start: float) -> Effect:
+def _fault(one: Members, odd: Odd, likely: tuple[FaultHypothesis, ...], start: float) -> Effect:
     """What is the matter where one differs: the likeliest thing, an error of reading where nothing explains it."""
     spread, drifts = SE90 * odd.sd, odd.shape.name != "step"
     low, high = began_between(one, odd)
-    told = likely[0] if likely else Nature("sensor", "elapsed_time" if drifts else "constant", False, 1.0)
+    told = likely[0] if likely else FaultHypothesis("sensor", "elapsed_time" if drifts else "constant", False, 1.0)
     off = amount(abs(odd.final), "K", spread)
     if told.local:
         says = f"{odd.place} is {off} {'warmer' if odd.final > 0.0 else 'colder'} than its neighbours tell"
@@ -339,7 +343,7 @@ def _strange(one: Members, odd: Odd, start: float) -> Effect:
     )
 
 
-def standing(still: tuple[Stuck, ...]) -> tuple[Effect, ...]:
+def stuck_effects(still: tuple[Stuck, ...]) -> tuple[Effect, ...]:
     """Return each thermometer that shows one value and nothing else, once or from time to time."""
     columns = dict.fromkeys(span.column for span in still)
     return tuple(_standing(tuple(span for span in still if span.column == column)) for column in columns)

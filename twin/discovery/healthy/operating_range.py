@@ -18,14 +18,14 @@ BRIEF = (2.0, 98.0)
 """Percentiles of what an input ranged over: what lasts for a moment is left aside."""
 
 
-def beside_unvisited(found: Diagnosis, network: Network, record: Columns, healthy: Columns | None) -> Diagnosis:
+def with_range_notes(found: Diagnosis, network: Network, record: Columns, healthy: Columns | None) -> Diagnosis:
     """A diagnosis that claims something, with a note on each input that went far beyond what it did in health."""
     if healthy is None or found.verdict == "adequate":
         return found
-    return replace(found, notes=(*found.notes, *unvisited(network, record, healthy)))
+    return replace(found, notes=(*found.notes, *range_notes(network, record, healthy)))
 
 
-def unvisited(network: Network, record: Columns, healthy: Columns) -> list[str]:
+def range_notes(network: Network, record: Columns, healthy: Columns) -> list[str]:
     """A sentence for each input that the record takes far beyond the healthy record's range of it."""
     said = []
     for j, (column, spec) in enumerate(network.inputs.items()):
