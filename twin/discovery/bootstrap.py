@@ -1,10 +1,10 @@
-"""The odds of a claim by the whole pipeline: healthy records drawn from the twin, commissioned and diagnosed anew.
+"""Parametric bootstrap of the claim threshold: healthy records are simulated, commissioned and diagnosed anew.
 
-Posterior odds take the noise, the tunables' spread and the twin as known. They come from one healthy record, and so are
-off by chance. A parametric bootstrap of everything (Efron & Tibshirani, An Introduction to the Bootstrap, 1993, ch. 6)
-repeats that chance: draw a rig, its commissioning and one record more, commission, learn the noise, scan, fit, judge.
-Where healthy records reach odds that allow a claim, more is needed of this twin. It takes minutes once, and is kept
-beside the kernels.
+Posterior odds take the noise and the spread of the tunables as known, although both are estimated from one healthy
+record. The bootstrap repeats that estimate (Efron & Tibshirani, An Introduction to the Bootstrap, 1993, ch. 6): it
+draws a rig and two of its records, commissions a twin on the one, and diagnoses the other. If healthy records reach
+odds that allow a claim, the threshold for this twin rises. A bootstrap takes minutes, and its result is kept in the
+cache.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from twin.network import Network
 
 DRAWS = 40
 LEAST_ODDS = -12.0
-"""Log odds below which records in which nothing leads count alike: their tail is what is asked for."""
+"""Log odds below which all records count alike; only the upper tail is fitted."""
 
 
 def bootstrap_claims(

@@ -1,4 +1,4 @@
-"""The diagnosis from end to end: residual, score test, fit, verdict, errors on data that the fit never saw."""
+"""Diagnosis from end to end: residual, score test, fit, verdict, errors on the held-out segment."""
 
 from __future__ import annotations
 
@@ -54,22 +54,22 @@ def diagnose(
     held_out: float = HELD_OUT,
     limits: Limits | None = None,
 ) -> Diagnosis:
-    """Trace the residual of a record to an effect that the twin lacks, or say that there is none, or that none fits.
+    """Isolate the effect that explains the residual of a record, or report that none is needed, or that none fits.
 
     Parameters
     ----------
     network
         The commissioned twin.
     healthy
-        The record that it was commissioned on, as `CommissionedRecord` where the twin may have taken up effects since.
+        The record that it was commissioned on, as `CommissionedRecord` where the twin may have adopted effects since.
     more
-        Records made later on the same rig, by which causes that this record cannot tell apart are weighed.
+        Records made later on the same rig, which rank the causes of an ambiguity group of this record.
     say
-        Called with what is being done.
+        Called with a description of each step.
     held_out
-        Share of the record, at its end, that no fit sees.
+        Share of the record, at its end, that is held out of every fit.
     limits
-        Of the rig, for the next experiment; by default it stays within what the record has seen.
+        Of the rig, for the next experiment; by default the experiment stays within the record's own range.
 
     Raises
     ------
@@ -154,25 +154,25 @@ def diagnose(
 
 
 def _as_healthy_elsewhere(case: AssessedFinding) -> bool:
-    """Return whether the twin as it was is off by no more than it may be in health under another load."""
+    """Return True if the commissioned twin's error is no larger than in health under another load."""
     probe, names = case.known.probe, case.known.probe.network.sensor_names
     off = case.grid.measured - probe.run(case.grid, probe.first_state(case.grid)).readings
     return as_healthy_elsewhere(case.errors, off[:, [names.index(name) for name in case.errors]], case.split)
 
 
 def _said(known: Basis, *others: Segments | Standstill | None) -> list[str]:
-    """What is to say of a healthy record and of a record's gaps and standstills."""
+    """Return the notes about a healthy record and about a record's gaps and standstills."""
     said = (known, known.structure, known.missing, known.bootstrap, *others)
     return [told.sentence for told in said if told is not None and told.sentence]
 
 
 def _hidden(whole: Part, known: Basis) -> list[str]:
-    """What is to say where a record that shows nothing could not have shown much, though its inputs moved enough.
+    """Return a note if the record excites too little to detect most effects, though its inputs moved enough.
 
     Raises
     ------
     TwinFileError
-        They did not.
+        The inputs did not move enough.
     """
     candidates = known.book.candidates
     kinds = too_little(whole.score_test, whole.laws, candidates)
@@ -186,8 +186,9 @@ def _hidden(whole: Part, known: Basis) -> list[str]:
 
 
 def _comparable(network: Network, record: Columns, healthy: Columns | None) -> tuple[Columns, list[str]]:
-    """The record without the readings of sensors that the healthy one has none of, and what is to say of those that are
-    missing in either."""
+    """Return the record without the readings of sensors that the healthy record lacks, and a note on those missing in
+    either.
+    """
     measured, notes = record.measured.copy(), []
     for j, name in enumerate(network.sensor_names):
         if not np.isfinite(measured[:, j]).any():
@@ -207,11 +208,11 @@ def _comparable(network: Network, record: Columns, healthy: Columns | None) -> t
 
 
 def _moving(network: Network, record: Columns, healthy: Columns | None) -> tuple[Columns, Standstill | None]:
-    """The record with nothing known of the times in which something stood that never did in health."""
+    """Return the record without the periods in which pump or fan stood still and never did so in health."""
     if healthy is None:
         return record, None
     stood = standstill(network, record.time_s, record.inputs, healthy.inputs)
-    if not stood.spells:
+    if not stood.count:
         return record, None
     inputs, measured = record.inputs.copy(), record.measured.copy()
     driven = np.array([not c.endswith("_C") and not c.startswith(CLOCK_PREFIX) for c in network.input_columns])
@@ -222,7 +223,7 @@ def _moving(network: Network, record: Columns, healthy: Columns | None) -> tuple
 
 
 def _without_stuck(network: Network, record: Columns) -> tuple[Columns, tuple[Stuck, ...]]:
-    """The record without the readings of thermometers that stand still, and what was taken out."""
+    """Return the record without the readings of stuck thermometers, and what was removed."""
     found: list[Stuck] = []
     measured = record.measured.copy()
     members = {name: each.copy() for name, each in record.members.items()}
@@ -243,8 +244,10 @@ def _without_stuck(network: Network, record: Columns) -> tuple[Columns, tuple[St
 def _members(
     told: Basis, record: Columns, grid: Grid, healthy: Columns | None, edges: np.ndarray
 ) -> tuple[Members, ...]:
-    """Single thermometers where the record and a healthy one have them, but for those of a place where an effect was
-    taken up between the two: how that has changed their differences nobody knows."""
+    """Return the single thermometers that the record and a healthy one have.
+
+    Thermometers of a place where an effect was adopted between the two are left out: their differences have changed.
+    """
     if healthy is None or not record.members:
         return ()
     network = told.probe.network
@@ -262,7 +265,8 @@ def _members(
 
 
 def foresee(network: Network, record: Columns, healthy: Columns | None = None) -> Forecast:
-    """What a record with these inputs could show; of its readings only the first ones are looked at.
+    """Return the detectability and isolability of effects in a record with these inputs; only its first readings are
+    used.
 
     Raises
     ------
@@ -275,7 +279,7 @@ def foresee(network: Network, record: Columns, healthy: Columns | None = None) -
 
 
 def foresee_plan(network: Network, time: Array, inputs: Array, healthy: Columns) -> Forecast:
-    """What a record of a planned profile could show, begun at rest under its first load.
+    """Return the detectability and isolability of effects in a record of a planned profile that begins at steady state.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Judgement of a finding: whether it is told, and whether a twin without one is adequate."""
+"""Acceptance of a finding: whether its effects are reported, and whether a twin without effects is adequate."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from twin.discovery.evidence.held_out import contradicted
 
 
 def accepted(case: AssessedFinding) -> bool:
-    """Return True where effects are claimed and the held-out segment does not contradict them.
+    """Return True if effects are claimed and the held-out segment does not contradict them.
 
-    A segment shorter than a block is a single sample of what no fit resolves, and contradicts nothing.
+    A held-out segment shorter than a block is a single sample of the unmodelled noise, and contradicts nothing.
     """
     if case.finding.fit is None:
         return False
@@ -20,9 +20,9 @@ def accepted(case: AssessedFinding) -> bool:
 
 
 def adequate(case: AssessedFinding) -> bool:
-    """Return True where nothing asks for an effect: the odds of any are too low, or the twin is as good as always.
+    """Return True if no effect is needed: the odds of each are too low, or the error is the usual one of the twin.
 
-    Effects that the held-out segment contradicts are refuted; what remains is nothing, or an unlisted effect.
+    Effects that the held-out segment contradicts are refuted; then either no effect or an unlisted one remains.
     """
     finding = case.finding
     named = finding.odds if finding.fit is None else -math.inf

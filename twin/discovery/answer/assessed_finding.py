@@ -1,4 +1,4 @@
-"""Data that a diagnosis is concluded from: a finding and its evidence."""
+"""Finding of a search with the evidence for and against it, from which the verdict is concluded."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from twin.discovery.thermometers.members import Members
 
 @dataclass(frozen=True)
 class AssessedFinding:
-    """A finding with everything that speaks for it or against it.
+    """Finding with the evidence for and against it.
 
     Attributes:
         known: noise, prior and structure. whole: the score test over all of the record.
-        split: row of `grid` from which no fit saw it. errors: per sensor, from there on.
-        free: what an unknown at each site would have been, free from block to block, the likeliest first.
-        usual: what is left of the re-tuned twin is what it has always left, so nothing is missing. beyond: inputs go
-            far beyond the healthy record's range, and the twin leaves no more than it may leave there in health.
-        single: thermometers that are one of several. still: those that stopped, and when.
-        limits: of the rig, for the next experiment. later: records made since, by which the finding has been weighed.
+        split: row of `grid` at which the held-out segment begins. errors: per sensor, over the held-out segment.
+        free: posterior course of an unknown quantity at each site, free in each block, the likeliest first.
+        usual: the re-tuned twin's error is the usual one, so no effect is missing. beyond: inputs leave the healthy
+            record's range far, and the error is no larger than it may be there in health.
+        single: thermometers whose mean is one sensor. still: stuck thermometers, and when.
+        limits: of the rig, for the next experiment. later: records made since, by which the hypotheses were ranked
+            again.
     """
 
     finding: Finding

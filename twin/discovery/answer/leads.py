@@ -1,4 +1,4 @@
-"""Leads of a diagnosis: where to look in what its answer leaves of the record."""
+"""Leads of a diagnosis: segments, ranges and places in which the misfit concentrates that the answer leaves."""
 
 from __future__ import annotations
 
@@ -51,8 +51,10 @@ def with_leads(found: Diagnosis, case: AssessedFinding, record: Columns, healthy
 
 
 def squares_of(score_test: ScoreTest) -> ResidualSquares:
-    """Return the squares, by blocks with readings, of what a record leaves of a twin re-tuned as far as commissioning
-    lets it. The residual is whitened by the noise that is expected and put back in time."""
+    """Return the squares, by blocks with readings, of the residual of a twin that is re-tuned within its prior.
+
+    The residual is whitened by the expected noise and transformed back into time.
+    """
     white = score_test.residual - score_test.slopes @ score_test.moved(np.empty((0, 0)), np.empty(0))
     left = idct(white.reshape(score_test.b, score_test.m), type=2, norm="ortho", axis=0)
     known = score_test.known
@@ -60,7 +62,7 @@ def squares_of(score_test: ScoreTest) -> ResidualSquares:
 
 
 def _after(case: AssessedFinding) -> ScoreTest:
-    """Return the score test of all of the record, looking at what the effects leave."""
+    """Return the score test of all of the record at the residual that the effects leave."""
     score_test, fit = copy.copy(case.whole), case.finding.fit
     if fit is not None:
         # Segments that the fit has not seen begin as the readings tell.
@@ -72,7 +74,7 @@ def _after(case: AssessedFinding) -> ScoreTest:
 
 
 def _simulated(case: AssessedFinding, record: Columns) -> Array:
-    """Return what the twin as commissioned gives at the record's stamps (N, m), degC."""
+    """Return the readings of the commissioned twin at the record's stamps (N, m), degC."""
     grid, probe = case.grid, case.known.probe
     readings = probe.run(grid, probe.first_state(grid)).readings
     middle = grid.time + 0.5 * grid.step_s

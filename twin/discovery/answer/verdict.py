@@ -1,4 +1,4 @@
-"""From a finding to a verdict, with everything that supports it."""
+"""Verdict of a finding, with its effects, alternatives, next experiment and network."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _USUAL = (
 
 @dataclass(frozen=True)
 class Answer:
-    """A verdict and what belongs to it; `others` cannot be told from it here, `alternatives` were ruled out."""
+    """Verdict and its parts; `others` are the ambiguity group on this record, `alternatives` were excluded."""
 
     verdict: Verdict
     effects: tuple[Effect, ...] = ()
@@ -60,7 +60,7 @@ class Answer:
 
 
 def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
-    """The verdict with everything that supports it; `notes` are what is to be said beside it."""
+    """Return the diagnosis of an assessed finding; `notes` are further sentences of its report."""
     finding, known, grid, whole = case.finding, case.known, case.grid, case.whole
     network, start = known.probe.network, float(grid.time[0])
     claimed = finding.fit is not None and accepted(case)
@@ -139,7 +139,7 @@ def _unknown(case: AssessedFinding) -> Answer:
 
 
 def _at_one_moment(case: AssessedFinding) -> tuple[str, ...]:
-    """Return what is to say of two effects that would explain the record and begin at one moment."""
+    """Return a sentence if two effects explain the record and begin at one moment."""
     finding = case.finding
     if finding.together is None:
         return ()
@@ -152,9 +152,9 @@ def _at_one_moment(case: AssessedFinding) -> tuple[str, ...]:
 
 
 def _one_curve(case: AssessedFinding) -> Empirical | TooMuchHeat | None:
-    """Return the curve of one input at one place that does instead of several effects which all follow that input.
+    """Return the curve of one input at one place that replaces several effects which all follow that input.
 
-    Independent faults hardly follow the same input; what no fit saw has to contradict the one cause.
+    Independent faults rarely follow one input; the held-out segment has to contradict the single cause.
     """
     drivers = {e.driver for e in case.finding.entries}
     if len(case.finding.entries) < 2 or len(drivers) > 1 or not drivers <= DRIVERS.keys():
@@ -196,7 +196,7 @@ def _named(case: AssessedFinding) -> Answer:
 
 
 def _with_thermometers(answer: Answer, case: AssessedFinding) -> Answer:
-    """Return the answer with the one of several thermometers that an effect is of, and with those that stand still."""
+    """Return the answer with each effect assigned to one thermometer of several, and with the stuck ones."""
     network, start = case.known.probe.network, float(case.grid.time[0])
     verdict, effects, others = answer.verdict, answer.effects, answer.others
     for group in case.single:
@@ -224,7 +224,7 @@ def _run(finding: Finding, fitted: Fit, network: Network, grid: Grid) -> Array:
 
 
 def _bigger(finding: Finding, network: Network, grid: Grid) -> Network:
-    """The twin with its effects at the size that they have at the record's end, and its re-tuned parameters."""
+    """Return the twin with its effects at their final sizes, and its re-tuned parameters."""
     assert finding.fit is not None
     named = tuple(e for e in finding.fit.entries if not e.candidate.column)
     model = Model.alone(finding.score_test.probe, named)

@@ -1,6 +1,6 @@
-"""Hypotheses weighed by records made later: each must explain them too, at about the size that it had.
+"""Ranking of hypotheses by records made later: each must explain them too, at about the size that it had.
 
-Where even the best leaves more than noise, its misfit stands for the variance (quasi-likelihood; McCullagh & Nelder,
+If even the best leaves more than noise, its misfit replaces the variance (quasi-likelihood; McCullagh & Nelder,
 Generalized Linear Models, 2nd ed., sec. 9.2).
 """
 
@@ -21,16 +21,16 @@ from twin.discovery.refit.validation import validate
 from twin.discovery.scoring.search import Entry
 
 SAME_SIZE = 0.05
-"""Share by which an effect's size may differ from record to record without that counting against it."""
+"""Relative difference of an effect's sizes in two records that has no cost."""
 MORE_LEFT, MORE_SHARE = 4.0, 0.1
-"""Misfit that the answer may leave in a later record, over what noise alone leaves, or of what there was: its steps
-are harsher than those that the noise was learned from."""
+"""Misfit that the answer may leave in a later record, relative to noise alone or to the misfit before. Its steps are
+larger than those of the record from which the noise was learned."""
 
 
 def reranked(finding: Finding, first: Part, later: Sequence[Part]) -> tuple[Finding, tuple[str, ...]]:
-    """The finding with its hypotheses ranked by all records, and what is to be said of the later ones.
+    """Return the finding with its hypotheses ranked by all records, and sentences about the later ones.
 
-    What is said of the answer itself, its score and the blocks left out, stays that of the first record.
+    Score and cross-validation folds of the answer stay those of the first record.
     """
     each = weigh(finding.ranked, later, finding.score_test.grid.span_s)
     for part in later:
@@ -66,18 +66,20 @@ def reranked(finding: Finding, first: Part, later: Sequence[Part]) -> tuple[Find
 
 @dataclass(frozen=True)
 class RerankedHypothesis:
-    """A hypothesis with later records: `fit` of the first record, its total that of all; `chis` (parts,): misfit that
-    it leaves in each later one."""
+    """Hypothesis over all records: `fit` of the first record with the total of all; `chis` (parts,): misfit in each
+    later one.
+    """
 
     fit: Fit
     chis: tuple[float, ...]
 
 
 def weigh(ranked: Sequence[Ranked], parts: Sequence[Part], span_s: float) -> list[RerankedHypothesis]:
-    """Each hypothesis over all records; in the later ones its effects are there throughout, as they ended in the first.
+    """Evaluate each hypothesis over all records; in later ones its effects are present throughout, at their final
+    sizes.
 
     Args:
-        span_s: length of the first record, at whose end the effects have the sizes that they go on with.
+        span_s: length of the first record, at whose end the effects have those sizes.
     """
     totals = [hypothesis.fit.total for hypothesis in ranked]
     chis: list[list[float]] = [[] for _ in ranked]
@@ -107,7 +109,7 @@ def weigh(ranked: Sequence[Ranked], parts: Sequence[Part], span_s: float) -> lis
 
 
 def _apart(first: Entry, grown: float, later: Entry) -> float:
-    """What two sizes of one effect, fitted apart, cost in weighted squares; of the first, its `grown` share."""
+    """Return the cost, in weighted squares, of unequal sizes of one effect; of the first its `grown` share."""
     size, sd = grown * first.size, grown * first.sd
     spread = sd**2 + later.sd**2 + (SAME_SIZE * size) ** 2
     return (size - later.size) ** 2 / max(spread, 1e-30)

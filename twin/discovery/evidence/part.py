@@ -1,4 +1,4 @@
-"""A part of a record, ready to be searched, and which of its hypotheses are worth a fit."""
+"""Part of a record prepared for the search, and the fits of its hypotheses."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ from twin.elements.candidates import Candidate
 from twin.network import Array
 
 SIDE_BY_SIDE = 4
-"""Fits that run at once, where there are so many cores: kernels do without the interpreter's lock."""
+"""Fits that run in parallel, given as many cores: kernels release the interpreter's lock."""
 NEGLIGIBLE = 1e-12
-"""Squares of an effect, in those of noise, below which it does nothing."""
+"""Squares of an effect, relative to noise, below which it has no influence."""
 MUCH = 4.0
-"""Typical sizes at which a fit of what is late begins."""
+"""Typical sizes at which the fit of a lag or delay begins."""
 
 
 @dataclass
 class Part:
-    """A part of a record, ready to be searched."""
+    """Part of a record prepared for the search."""
 
     basis: Basis
     grid: Grid
@@ -49,7 +49,7 @@ class Part:
     score_test: ScoreTest
     laws: list[CandidateLaw]
     fits: dict[tuple[object, ...], Fit] = field(default_factory=dict, repr=False)
-    """What was fitted before, with and without what the twin knows of its structure: searches ask again."""
+    """Cached fits, with and without the twin's known structure."""
 
     @classmethod
     def of(cls, known: Basis, grid: Grid) -> Part:
@@ -59,13 +59,13 @@ class Part:
         return cls(known, grid, state, run, known.score_test(grid, state, run, found), found)
 
     def add(self, candidates: tuple[Candidate, ...]) -> None:
-        """Take further candidates into the search."""
+        """Add further candidates to the search."""
         if not candidates:
             return
         self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, candidates)]
 
     def know(self, candidates: Iterable[Candidate]) -> None:
-        """Keep the laws of further candidates at hand, without looking for them."""
+        """Make the laws of further candidates available without searching for them."""
         known = {law.candidate.id for law in self.laws}
         further = {c.id: c for c in candidates if c.id not in known}
         named = tuple(c for c in further.values() if not c.is_open)
@@ -79,28 +79,28 @@ class Part:
 
     @cached_property
     def scanned(self) -> list[Entry]:
-        """The likeliest onset of each named law in each of its shapes, by falling evidence."""
+        """Return the likeliest onset of each named law in each of its shapes, by falling evidence."""
         return scan(self.score_test, self.laws)
 
     @cached_property
     def free(self) -> tuple[Course, ...]:
-        """An unknown quantity at each site, free from block to block, the likeliest first."""
+        """Return the posterior courses of an unknown quantity at each site, free in each block, the likeliest first."""
         return courses(self.score_test, sites_of(self.basis.probe.network, self.score_test, self.laws), SPREAD)
 
     @cached_property
     def opened(self) -> list[OpenLaw]:
-        """Laws without a name: any input or temperature at every site."""
+        """Return the open laws: any input or temperature as driver, at every site."""
         return open_laws(self.basis.probe.network, self.grid, self.laws, self._known)
 
     @cached_property
     def _known(self) -> Array:
-        """Node temperatures (n, k), degC, that laws are evaluated on."""
+        """Return the node temperatures (n, k), degC, at which laws are evaluated."""
         return temperatures(self.basis.probe.network, self.grid, self.run)
 
     def late(self, onset_s: float) -> list[Entry]:
-        """Every law that is late, at several times a typical size, all along and since an onset.
+        """Return the lags and delays at several times a typical size, from the beginning and from an onset.
 
-        Of time constants every second one.
+        Only every second time constant is included.
         """
         found = []
         slow: Counter[str] = Counter()
@@ -119,7 +119,7 @@ class Part:
 
     @cached_property
     def plain(self) -> ScoreTest | None:
-        """The score test of a twin that does not know what its structure leaves; None where it knows of nothing."""
+        """Return the score test of a twin without known structure; None if no structure is known."""
         known = self.basis
         if known.plain is None:
             return None
@@ -132,11 +132,11 @@ class Part:
 def fitted(
     part: Part, groups: list[tuple[Entry, ...]], rounds: int = ROUNDS, moved: Array | None = None
 ) -> list[tuple[Fit, tuple[Entry, ...]]]:
-    """Each group of effects fitted, side by side; the part's score test is left alone.
+    """Fit each group of effects, in parallel; the part's score test is unchanged.
 
     Args:
-        moved: (q + s * k,) of tunables and state from where the fits begin, by default the commissioned values. Where a
-            fit of the same effects with other times ended the minimum is near, and a few rounds find it.
+        moved: (q + s * k,) of tunables and state from which the fits begin, by default the commissioned values. The end
+            of a fit of the same effects with other times is near the minimum, and a few rounds suffice from there.
     """
     begun = b"" if moved is None else moved.tobytes()
     keys = [(rounds, begun, *_named(group)) for group in groups]
@@ -148,9 +148,9 @@ def fitted(
 
 
 def gains(part: Part, entries: Sequence[Entry]) -> list[float]:
-    """Return how far the squares fall with a share of each effect, as it is at its size, beside the tunables.
+    """Return the fall of the squares by a share of each effect at its size, with the tunables free.
 
-    Of what is not linear in its size this is the first step of a fit from there, at the cost of one simulation.
+    For an effect that is nonlinear in its size this is the first step of a fit, at the cost of one simulation.
     """
     part.reset()
     score_test, at = copy.copy(part.score_test), part.basis.probe.network.values
@@ -177,7 +177,7 @@ def gains(part: Part, entries: Sequence[Entry]) -> list[float]:
 
 
 def continued(part: Part, found: list[Fit], rounds: int = ROUNDS) -> list[Fit]:
-    """Fits gone on with from where they ended; what would have led no further stays as it is."""
+    """Continue fits from their end points; fits that had converged are unchanged."""
     open_ones = [f for f in found if not f.done]
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
         new = pool.map(lambda f: _fit(part, part.score_test, f.entries, f.moved, rounds), open_ones)
@@ -186,8 +186,9 @@ def continued(part: Part, found: list[Fit], rounds: int = ROUNDS) -> list[Fit]:
 
 
 def slower(part: Part, entry: Entry, factor: float) -> Entry | None:
-    """Return an effect of as much capacity with another time constant; None for what has none, or where it does
-    nothing."""
+    """Return an effect of the same capacity with another time constant; None if it has no time constant or no
+    influence.
+    """
     c = entry.candidate
     laws = part.basis.book.laws(part.grid, part.run, (c.slower(factor * c.slow_s),)) if c.slower else []
     if not laws:
@@ -197,7 +198,7 @@ def slower(part: Part, entry: Entry, factor: float) -> Entry | None:
 
 
 def plainly(part: Part, found: Fit) -> Fit:
-    """A fit anew, from where it ended, by a twin that does not know what its structure leaves."""
+    """Repeat a fit from its end point for a twin without known structure."""
     if part.plain is None:
         return found
     key = ("plain", *_named(found.entries))

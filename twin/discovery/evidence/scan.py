@@ -1,4 +1,4 @@
-"""Every law in every time course from every onset, by evidence, alone or beside effects that are integrated out."""
+"""Scan by evidence: every law in every time course from every onset, alone or with other effects integrated out."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from twin.elements.candidates import Candidate
 from twin.network import Array
 
 STEADY = ("constant", "temperature_difference")
-"""Drivers of laws that are tried with the courses that end, come back or fade."""
+"""Drivers of laws that are tried with transient courses."""
 NEAREST_S = 15.0
-"""Onsets are told no closer by block means, s."""
+"""Resolution of onsets by block means, s."""
 ENDED = (0.95, 0.85, 0.7, 0.5)
-"""Shares of the time from its onset to the record's end in which a ramp may have come to its end."""
+"""Shares of the time from its onset to the record's end at which a ramp may end."""
 TOGETHER = 32
-"""Laws that are looked at together, which bounds the memory."""
+"""Laws in one batch, which bounds the memory."""
 LEADING_TURNS, STARTS = 8, 8
-"""Periodic courses of a law whose squares are computed exactly, and moments since which it may come back."""
+"""Periodic courses of a law whose squares are computed exactly, and onsets from which it may return."""
 _TINY = 1e-12
 
 
@@ -39,10 +39,10 @@ def scan(
     """Return the likeliest onset of each law in each of its shapes, by falling evidence.
 
     `Entry.log_bayes` is averaged over the times of its course by their prior; `Entry.log_occam` is the logarithm of
-    that average over its best.
+    that average over its maximum.
 
     Parameters:
-        beside: effects that are integrated out. timed: with courses that end, come back or fade.
+        beside: effects that are integrated out. timed: with transient courses.
     """
     courses = Courses.of(score_test)
     scanned = _Scanned(score_test, courses, beside)
@@ -59,7 +59,7 @@ def scan(
 
 
 class _Scanned:
-    """A score as it is scanned, with effects beside it integrated out."""
+    """Score of a record for a scan, with other effects integrated out."""
 
     def __init__(self, score_test: ScoreTest, courses: Courses, beside: Joint | None) -> None:
         self.score_test, self.courses = score_test, courses
@@ -77,8 +77,9 @@ class _Scanned:
         return found
 
     def taken(self, squares: Sequence[LawSquares]) -> Array:
-        """Return the parts (l, c, b) of laws' blocks that effects beside them stand for; their squares leave the Gram
-        matrices."""
+        """Return the parts (l, c, b) of laws' blocks that the other effects explain; their squares leave the Gram
+        matrices.
+        """
         found = np.zeros((len(squares), *self._onto.shape[1:]))
         for one, of_law in zip(squares, found, strict=True):
             for k, site in enumerate(one.sites):
@@ -90,7 +91,7 @@ class _Scanned:
 
 
 def family_of(candidate: Candidate) -> str:
-    """Return the courses that a law is tried with: "put in", "passing", "step" alone, or "any"."""
+    """Return the family of courses that a law is tried with: "put in", "passing", "step" alone, or "any"."""
     if candidate.begins:
         return "put in"
     if candidate.passes:
@@ -99,14 +100,17 @@ def family_of(candidate: Candidate) -> str:
 
 
 def may_end(candidate: Candidate) -> bool:
-    """Return True for a law that may come and go: one of each place and kind is enough, what it follows fits tell. A
-    thermometer that sticks is no form of another one."""
+    """Return True for a law that may be transient.
+
+    One of each place and kind suffices, as its driver is determined by fits. A sticking thermometer is no form of
+    another.
+    """
     tried = candidate.driver in STEADY or candidate.sticks
     return not set(TIMED).isdisjoint(candidate.shapes) and not candidate.begins and tried
 
 
 def refined(score_test: ScoreTest, entry: Entry, beside: Joint | None = None) -> Entry:
-    """Return an entry with its onset (and growth) moved to where its evidence is greatest, between the blocks too."""
+    """Return an entry with onset and growth time at the maximum of its evidence, also between block edges."""
     edges_s = score_test.edges * score_test.grid.step_s
     squares = LawSquares.of(score_test, entry.law)
     blocks, scanned = squares.blocks, _Scanned(score_test, Courses.of(score_test), beside)
@@ -178,7 +182,7 @@ def refined(score_test: ScoreTest, entry: Entry, beside: Joint | None = None) ->
 
 
 def _later_turns(shape: Shape, span_s: float) -> float:
-    """Return the negative log probability of the turn that what comes back begins with: the first, or any later one."""
+    """Return the negative log prior of the first period of a periodic effect: the record's first, or any later one."""
     if shape.name != "periodic" or shape.onset_s < shape.growth_s:
         return 0.0
     return math.log(max(span_s / shape.growth_s - 1.0, 1.0) * ALL_ALONG / (1.0 - ALL_ALONG))
@@ -237,8 +241,9 @@ def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns
 
 
 def _squares(taken: Array, courses: Array) -> Array:
-    """Return the squares (l, j) that courses (b, j) of l laws have in common with effects beside them, which have
-    `taken` (l, c, b) of each."""
+    """Return the squares (l, j) of courses (b, j) of l laws that other effects explain; they have `taken` (l, c, b) of
+    each.
+    """
     if not taken.shape[1]:
         return np.zeros((len(taken), courses.shape[1]))
     shared = taken @ courses
@@ -248,11 +253,11 @@ def _squares(taken: Array, courses: Array) -> Array:
 def _turns(
     law: CandidateLaw, squares: LawSquares, score: Array, gram: Array, courses: Courses, bottoms: Array, rest: float
 ) -> list[Entry]:
-    """Return the likeliest periodic course of a law, there all along or since one of some moments.
+    """Return the likeliest periodic course of a law, from the beginning or from one of some onsets.
 
-    Its score tells the period as closely as the record is long. Its squares hardly change between the few periods of
-    which `bottoms` (k,) are known, and those of a later beginning are about its share of them; they are made anew for
-    the courses that lead.
+    The score resolves the period to the inverse of the record's length. The squares hardly change between the few
+    periods for which `bottoms` (k,) are known, and those of a later onset are about its share of them; the leading
+    courses get exact ones.
     """
     shapes, columns, of = courses.turns
     cuts = np.linspace(0, len(score), STARTS + 1).astype(int)[:-1]
@@ -287,7 +292,9 @@ def _turns(
 
 
 def _roughly(candidate: Candidate, top: Array, bottom: Array) -> Array:
-    """Return log B of sizes without what bounds make of it, but for sizes of a sign that the candidate has not."""
+    """Return log B of sizes without the factor of their bounds, except for sizes of a sign that the candidate
+    excludes.
+    """
     prior = SPREAD * candidate.typical
     mean = top / (bottom + prior**-2.0)
     odds = 0.5 * mean * top - 0.5 * np.log1p(prior**2 * bottom)
@@ -296,7 +303,7 @@ def _roughly(candidate: Candidate, top: Array, bottom: Array) -> Array:
 
 
 def _begun(shape: Shape, since_s: float) -> Shape:
-    """Return what comes back with its first turn at or after a moment."""
+    """Return a periodic shape whose first period begins at or after a time, s."""
     turns = max(math.ceil((since_s - shape.onset_s) / shape.growth_s), 0)
     return replace(shape, onset_s=shape.onset_s + turns * shape.growth_s)
 
@@ -304,7 +311,7 @@ def _begun(shape: Shape, since_s: float) -> Shape:
 def _spells(
     score_test: ScoreTest, law: CandidateLaw, blocks: Array, score: Array, gram: Array, rest: float
 ) -> list[Entry]:
-    """Return the likeliest spell of a law, of two blocks or more, that is over two blocks before the record is."""
+    """Return the likeliest transient of a law, of two blocks or more, that ends two blocks before the record."""
     b = score_test.b
     sums, tops = np.zeros((b + 1, b + 1)), np.concatenate([[0.0], np.cumsum(score)])
     sums[1:, 1:] = gram.cumsum(axis=0).cumsum(axis=1)
@@ -340,7 +347,7 @@ def _spells(
 
 @functools.cache
 def _spans(b: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first blocks of spells in a record of b blocks, and those that they are over before."""
+    """Return the first blocks of transients in a record of b blocks, and the blocks before which they end."""
     return np.triu_indices(b - 1, 2)
 
 

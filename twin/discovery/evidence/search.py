@@ -1,4 +1,4 @@
-"""The search by evidence: single effects, then sets of them in a beam, then the likeliest fitted as real elements."""
+"""Search by evidence: single effects, then sets of them in a beam, then fits of the likeliest as real elements."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
 
 LEADING = 24
-"""Single effects that are tried as one of a pair; a prototype missed true pairs with five."""
+"""Single effects that are tried as members of a pair; a prototype missed true pairs with five."""
 MOST_EFFECTS = 3
 BESIDE = 6
-"""Further effects that are tried beside each."""
+"""Further effects that are tried with each."""
 PER_CLASS = 3
-"""Laws of one class that lead: what it follows is told by fits."""
+"""Leading laws of one class: their driver is determined by fits."""
 AMBIGUOUS, LEADS = 10.0, 0.02
-"""Log odds behind the best, and that share of them, within which a fit that has begun is gone on with."""
+"""Log odds behind the best, and that share of them, within which an unfinished fit is continued."""
 FITTED, NEXT, MOST_FITTED = 6, 3, 9
-"""Hypotheses that are fitted as real elements at first, then at once, and in all: while one that is not fitted leads,
-it is next."""
+"""Hypotheses that are fitted as real elements at first, then in one batch, and in all: an unfitted leader is fitted
+next."""
 
 MOST_LATE = 4
-"""Classes of lags and delays that are fitted: those with the largest gain to first order."""
+"""Classes of lags and delays that are fitted: those with the largest linear gain."""
 SLOWER = (1.7, 1.3, 1.1)
-"""Ratios of time constants that are tried in turn around the likeliest of those that the catalogue has, a factor of 3
-apart; the first as often as it leads on."""
+"""Ratios of time constants that are tried in turn around the likeliest of the catalogue's, which are a factor of 3
+apart; the first is repeated while it gains."""
 BEGUN = 3
-"""Rounds of a fit after which its squares can be compared."""
+"""Rounds of a fit after which its squares are comparable."""
 
 
 def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Sequence[tuple[Entry, ...]] = ()) -> Found:
     """Return the hypotheses of a part of a record with their posterior odds.
 
     Args:
-        given: effects that a shorter part showed; what is not linear in its size a longer one may hide.
+        given: effects that a shorter part showed; a longer one may hide an effect that is nonlinear in its size.
     """
     score_test = part.score_test
     laws: list[CandidateLaw] = [*part.laws, *part.opened]
@@ -89,7 +89,7 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Seq
 
 
 def _carried(part: Part, group: tuple[Entry, ...], prior: Prior, misfit: float) -> Hypothesis | None:
-    """Return effects that were found in another part of the record, fitted in this one; None for none."""
+    """Return effects that were found in another part of the record, fitted in this one; None if there are none."""
     if not group:
         return None
     part.know(e.candidate for e in group if all(e.candidate.id != law.candidate.id for law in part.opened))
@@ -105,8 +105,9 @@ def _explained(found: list[Hypothesis], score_test: ScoreTest) -> bool:
 
 
 def leading(entries: list[Entry], prior: Prior) -> list[Entry]:
-    """Return the likeliest entries, some of each class, one of each candidate and shape, and one of each claim of what
-    passes in a shape."""
+    """Return the likeliest entries: some of each class, one of each candidate and shape, and one of each transient
+    claim.
+    """
     entries = sorted(entries, key=lambda e: -(e.log_bayes + prior.of(e)))
     taken: Counter[object] = Counter()
     found: list[Entry] = []
@@ -124,7 +125,7 @@ def leading(entries: list[Entry], prior: Prior) -> list[Entry]:
 
 
 def _set(part: Part, entries: tuple[Entry, ...], prior: Prior) -> Hypothesis:
-    """Return a set of effects with its evidence to first order."""
+    """Return a set of effects with its linear evidence."""
     together = joint(part.score_test, entries)
     sized = tuple(replace(e, size=float(s)) for e, s in zip(entries, together.sizes, strict=True))
     log_bayes = together.log_bayes + sum(e.log_occam for e in entries)
@@ -133,7 +134,7 @@ def _set(part: Part, entries: tuple[Entry, ...], prior: Prior) -> Hypothesis:
 
 
 def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[CandidateLaw]) -> list[Hypothesis]:
-    """Return the sets of one more effect that the leading ones may be part of, by falling odds."""
+    """Return the leading sets extended by one more effect, by falling odds."""
     grown: dict[object, Hypothesis] = {}
     for rank, one in enumerate(known[: LEADING if len(known[0].entries) == 1 else FITTED]):
         beside = joint(part.score_test, _at_first_order(part, one))
@@ -153,7 +154,7 @@ def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[Can
 
 
 def _near(hypotheses: Sequence[Hypothesis]) -> float:
-    """Return the log odds above which a hypothesis is gone on with beside the likeliest, the first one."""
+    """Return the log odds above which a hypothesis is continued beside the likeliest, the first one."""
     best = hypotheses[0].odds if hypotheses else 0.0
     return best - AMBIGUOUS - LEADS * abs(best)
 
@@ -164,7 +165,7 @@ def _at_first_order(part: Part, h: Hypothesis) -> tuple[Entry, ...]:
 
 
 def _settled(part: Part, known: tuple[Entry, ...], entry: Entry) -> tuple[Entry, ...]:
-    """Return effects with the onsets of the known ones moved, once a further one stands beside them."""
+    """Return effects with the onsets of the known ones refined after a further one has joined them."""
     settled = list(known)
     for i, one in enumerate(known):
         if one.shape.onset_s > 0.0:
@@ -178,9 +179,9 @@ def _key(h: Hypothesis) -> tuple[object, ...]:
 
 
 def _fitted(part: Part, known: list[Hypothesis], level: list[Hypothesis], misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses, those known before too, with the leading ones fitted as real elements, by falling odds.
+    """Return all hypotheses by falling odds, with the leading ones fitted as real elements.
 
-    Some are fitted that differ in what they claim, then whatever leads, until that is fitted.
+    First some with different claims are fitted, then each unfitted leader.
     """
     batch = _varied([h for h in level if h.odds > 0.0])[: FITTED // len(level[0].entries)] if level else []
     found, done = [*known, *level], 0
@@ -196,8 +197,7 @@ def _fitted(part: Part, known: list[Hypothesis], level: list[Hypothesis], misfit
 
 
 def _promise(h: Hypothesis, found: list[Hypothesis]) -> float:
-    """Return the log odds that a hypothesis may come to once fitted: what others of the same claim won by their fits it
-    may win too."""
+    """Return the log odds that a hypothesis may reach by a fit: others of the same claim gained as much by theirs."""
     if h.fit is not None:
         return h.odds
     return h.odds + max((f.gained for f in found if f.fit is not None and f.labels == h.labels), default=0.0)
@@ -208,7 +208,7 @@ def _by_promise(found: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def _settled_fits(part: Part, found: list[Hypothesis], misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses with the fits of those that lead gone on with until they lead no further."""
+    """Return the hypotheses with the fits of the leading ones continued until they converge."""
     while True:
         fits = [h for h in found if h.fit is not None]
         open_ones = [h for h in fits if h.fit is not None and not h.fit.done and not h.settled]
@@ -229,7 +229,7 @@ def _varied(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
-    """Return a hypothesis with the data's part of its evidence as its fit has it."""
+    """Return a hypothesis with the evidence of its fit."""
     own = copy.copy(part.score_test)
     own.take(fit.residual, fit.moved)
     entries = tuple(e.refreshed(own) for e in fit.entries)
@@ -242,7 +242,7 @@ def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
 
 
 def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses with lags and delays, fitted from a large size: they are not linear in it."""
+    """Return the hypotheses with lags and delays, which are nonlinear and fitted from a large size."""
     onset = found[0].entries[0].shape.onset_s if found else 0.0
     known = {e.candidate.id for h in found if h.fit is not None for e in h.entries}
     promising: dict[Class, float] = {}
@@ -261,8 +261,9 @@ def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) 
 
 
 def _retimed(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses with the leading ones of different claims, of what is slow or comes back, fitted with other
-    time constants and onsets."""
+    """Return the hypotheses with slow or periodic effects of different claims fitted with other time constants and
+    onsets.
+    """
     near = _near(found)
     slow = [h for h in found if h.fit is not None and h.odds > near and any(map(_is_retimed, h.entries))]
     first: dict[object, Hypothesis] = {}
@@ -279,7 +280,7 @@ def _is_retimed(entry: Entry) -> bool:
 
 
 def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return fits of a hypothesis with other time constants and onsets of what is slow in it or comes back."""
+    """Return fits of a hypothesis with other time constants and onsets of its slow or periodic effects."""
     tried: list[Hypothesis] = []
 
     def fit_each(i: int, entries: list[Entry]) -> None:
@@ -318,8 +319,10 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
 
 
 def _turned(part: Part, h: Hypothesis, i: int) -> Entry | None:
-    """Return the effect `i` of a fitted hypothesis with the first turn that is likeliest beside the others, to first
-    order about their fit; None for the one that it has. A fit moves an onset by less than a turn."""
+    """Return the effect `i` of a fitted hypothesis with the likeliest first period, linearised about the fit.
+
+    None if that is the one it has. A fit changes an onset by less than a period.
+    """
     assert h.fit is not None
     own = copy.copy(part.score_test)
     others = tuple(e.refreshed(own) for k, e in enumerate(h.entries) if k != i)
@@ -331,7 +334,7 @@ def _turned(part: Part, h: Hypothesis, i: int) -> Entry | None:
 
 
 def log_odds_unlisted(part: Part) -> dict[Place, float]:
-    """Return the log odds of one unknown quantity, free from block to block, by its place."""
+    """Return the log odds of one unknown quantity, free in each block, by its place."""
     free = part.free
     at: dict[Place, list[float]] = {}
     for course in free:
@@ -341,7 +344,7 @@ def log_odds_unlisted(part: Part) -> dict[Place, float]:
 
 
 def ladder_of(part: Part, told: Hypothesis | None, scanned: Sequence[Entry]) -> tuple[Rung, ...]:
-    """Return the misfit as commissioned, and with the effects that are told, with the best score that each leaves."""
+    """Return the misfit as commissioned and with the reported effects, each with the best next score."""
     score_test = part.score_test
     best = max((e.z for e in scanned[:LEADING]), default=0.0)
     rungs = [Rung("as commissioned", score_test.misfit / max(score_test.count, 1), best)]

@@ -1,4 +1,4 @@
-"""Leads of a growth: where to look in what a grown twin leaves of a record, or of steady states."""
+"""Leads of a growth: segments, ranges and places in which the misfit of a grown twin concentrates."""
 
 from __future__ import annotations
 

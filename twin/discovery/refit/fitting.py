@@ -1,7 +1,7 @@
-"""Effects and tunables fitted together, in the network that has the effects as real elements.
+"""Joint fit of effects and tunables, in the network that has the effects as real elements.
 
-Damped Gauss-Newton on the whitened block means, with what commissioning knows of the tunables as their prior. It begins
-at the commissioned values: beginning at values that have already absorbed an effect ends in other minima.
+Damped Gauss-Newton on the whitened block means, with the commissioned distribution of the tunables as their prior. It
+begins at the commissioned values: tunables that have already compensated for an effect lead to other minima.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from twin.network import Array
 from twin.segments import separate_columns
 
 ROUNDS, AGAIN = 12, 4
-"""Rounds of a fit, and of one that begins where another of the same effects ended."""
+"""Rounds of a fit, and of one that continues another of the same effects."""
 REACH = 1.0
-"""Longest step of a tunable, in standard deviations of a weak prior: its derivative is not to be trusted beyond, but
-where it held so far."""
+"""Longest step of a tunable, in standard deviations of a weak prior: derivatives are unreliable beyond, unless they
+held so far."""
 SHORT = 0.2
-"""Share of what is soon over by which its beginning and its end are moved for slopes, at most."""
+"""Largest share of a short transient by which its beginning and end are shifted for derivatives."""
 GROWN_S = 180.0
-"""Shortest time in which something grows, s: quicker is at once. What passes may be over within a bin."""
+"""Shortest growth time, s; quicker growth is a step. A transient may end within a bin."""
 _STEP = 1.0e-4
 _STATE_STEP = 1.0e-2
 _SIZE_STEP = 1.0e-2
@@ -38,15 +38,16 @@ _SIZE_STEP = 1.0e-2
 
 @dataclass(frozen=True)
 class Fit:
-    """Effects and tunables together.
+    """Joint fit of effects and tunables.
 
     Attributes:
         entries: with their sizes and standard deviations. moved: (q + s * k,) of [tunables z, initial state] from
-            commissioning. values: (p,) of the original network. state: (s * k,) at the first bin of each stretch.
+            commissioning. values: (p,) of the original network. state: (s * k,), degC, at the first bin of each
+            segment.
         total: weighted squares, of residual and of tunables against their prior. chi: residual's per block and sensor.
-        away: those of the tunables; what no effect explains may push them far.
+        away: those of the tunables, which are large if the fit compensates for a missing effect.
         residual: (b * m,) whitened, of the score test that it was fitted in.
-        done: whether more rounds would have led no further.
+        done: whether it has converged.
     """
 
     entries: tuple[Entry, ...]
@@ -64,9 +65,10 @@ def fit(score_test: ScoreTest, model: Model, state: Array, moved: Array | None =
     """Minimise the score test's squares over tunables, initial state and sizes; the score test then holds the result.
 
     Args:
-        state: temperatures (s * k,) at the beginnings, about which the score test was linearised.
-        moved: (q + s * k,) of [tunables z, initial state] where another fit of the same effects ended, to begin there.
-        rounds: steps that it may take.
+        state: temperatures (s * k,), degC, at the beginnings of segments, about which the score test was linearised.
+        moved: (q + s * k,) of [tunables z, initial state] at the end of another fit of the same effects, as start
+            point.
+        rounds: steps at most.
     """
     probe, grid, entries = score_test.probe, score_test.grid, model.entries
     scaling, q, k, e = probe.scaling, probe.q, len(grid.begins) * probe.k, len(entries)
@@ -116,7 +118,7 @@ def fit(score_test: ScoreTest, model: Model, state: Array, moved: Array | None =
         return tuple(found)
 
     def run(v: Array) -> Array:
-        """Readings of runs at v (P, count)."""
+        """Return the readings of runs at v (P, count)."""
         values = np.tile(probe.network.values, (len(v), 1))
         values[:, scaling.index] = scaling.to_values(z0 + v[:, :q])
         shapes = tuple(shapes_at(row) for row in v)
@@ -124,14 +126,14 @@ def fit(score_test: ScoreTest, model: Model, state: Array, moved: Array | None =
         return simulated(model, grid, start, values, sizes, shapes)
 
     def look(rows: Array) -> Array:
-        """Whitened residuals (P, rows) of runs at `rows` (P, count)."""
+        """Return the whitened residuals (P, rows) of runs at `rows` (P, count)."""
         return score_test.residuals_of(run(rows))
 
     def slopes_at(v: Array) -> tuple[Array, Array]:
-        """Whitened slopes (rows, count), and those (rows, onsets) that onsets have towards earlier times."""
+        """Return the whitened derivatives (rows, count), and those (rows, onsets) of onsets towards earlier times."""
         sign = np.where(v + steps > high, -steps, steps)
         alone = np.diag(sign)
-        # A beginning is felt in its own stretch alone, so that all of them are moved at once.
+        # A beginning is felt in its own segment alone, so that all of them are moved at once.
         at_once = alone[q : q + k].reshape(-1, probe.k, count).sum(axis=0)
         moves = np.vstack([np.zeros(count), alone[:q], at_once, alone[q + k :], -np.diag(steps)[onsets]])
         # A run is cut where any of those beside it is: only with these is the difference that of the move.
@@ -186,7 +188,7 @@ def simulated(
 
 
 def look_at(score_test: ScoreTest, model: Model, found: Fit) -> None:
-    """Have the score test look at what a fit has found; the model is of its effects."""
+    """Set the score test's residual to that of a fit; the model is of its effects."""
     sizes = np.array([[e.size for e in model.entries]])
     grid = score_test.grid
     (readings,) = simulated(model, grid, found.state[None], found.values[None], sizes, None)
@@ -194,18 +196,18 @@ def look_at(score_test: ScoreTest, model: Model, found: Fit) -> None:
 
 
 def _reached(shape: Shape, span_s: float) -> float:
-    """Amplitude at the end of a record."""
+    """Return the amplitude at the end of a record."""
     return shape.mean(span_s - 1.0, span_s)
 
 
 def _between(readings: Array) -> Array:
-    """Readings (P, n, m) in the middle of their bins, from those at the beginnings."""
+    """Return the readings (P, n, m) in the middle of their bins, from those at the beginnings."""
     readings[:, :-1] += 0.5 * np.diff(readings, axis=1)
     return readings
 
 
 def _going_on(entry: Entry, span_s: float) -> Entry:
-    """The entry, where it still rises or is there at the record's end, as one that does not end with it."""
+    """Return an entry that still rises or is present at the record's end without an end of its course."""
     shape = entry.shape.going_on(span_s)
     times = shape.growth_s / entry.shape.growth_s if shape.growth_s > entry.shape.growth_s else 1.0
     return replace(entry, shape=shape, size=times * entry.size, sd=times * entry.sd)

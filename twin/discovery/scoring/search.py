@@ -1,4 +1,4 @@
-"""The search: every law in every time shape from every onset, then one, two or three of them together."""
+"""Search by score: every law in every time course from every onset, then one, two or three of them jointly."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ from twin.gauss_newton import SE90
 from twin.network import Array
 
 WORTH_GROWING = 4.0
-"""Gain of a law's best step below which its growth is not looked at: the two are never far apart."""
+"""Gain of a law's best step below which its growing courses are not scored: the two never differ much."""
 CAME_IN = 25.0
-"""Gain over being there all along, from which what a lumped twin may seem to lack is something that came in."""
+"""Gain over the presence from the beginning from which an effect has an onset, and is no model error of a lumped twin.
+"""
 CAME_IN_SHARE = 0.1
-"""The same as a share of its gain, where nothing tells how much of it a lumped twin leaves: the beginning of a record
-has moments of its own."""
+"""The same as a share of its gain, if the model error is unknown: the beginning of a record has transients of its own.
+"""
 ACTUATED = ("heater_power", "pump_speed", "fan_speed")
-"""Drivers that an effect follows while it grows too: an input tells more than the time does."""
+"""Drivers that an effect follows even if it grows too: an input explains more than time does."""
 _TINY = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One hypothesis, its size fitted alone: `vector` (sites, b) at size 1.
+    """One hypothesis with its size estimated alone: `vector` (sites, b) at size 1.
 
-    `sd` of what grows is that of what it comes to at the record's end, as a size. `log_bayes` is its log evidence over
-    no effect, averaged over onsets by their prior, and `log_occam` the logarithm of that average over its best.
+    `sd` of a growing effect is that of its size at the record's end. `log_bayes` is its log Bayes factor over no
+    effect, averaged over onsets by their prior, and `log_occam` the logarithm of that average over its maximum.
     """
 
     law: CandidateLaw
@@ -54,17 +55,17 @@ class Entry:
         return float(np.sqrt(max(self.gain, 0.0)))
 
     def placed(self, score_test: ScoreTest) -> Array:
-        """The vector at the entry's present shape."""
+        """Return the vector for the entry's present shape."""
         placed: Array = score_test.vector(self.law) * self.shape.block_means(score_test.edges * score_test.grid.step_s)
         return placed
 
     def refreshed(self, score_test: ScoreTest) -> Entry:
-        """The entry with the vector of its present shape in another score test."""
+        """Return the entry with the vector of its present shape in another score test."""
         return replace(self, vector=self.placed(score_test))
 
     @property
     def driver(self) -> str:
-        """What the effect follows: an input where its law does, time where it grows, else what its law says."""
+        """Return the driver of the effect: the input of its law, else time if it grows, else that of the law."""
         if self.shape.name == "periodic":
             return "periodic"
         time = self.shape.grows and self.candidate.driver not in ACTUATED
@@ -72,7 +73,9 @@ class Entry:
 
     @property
     def change(self) -> str:
-        """A parameter that drifts is a missing law of time; one that jumped is a moved parameter."""
+        """Return the type of change: a drifting parameter is a missing law of time, one that stepped a moved
+        parameter.
+        """
         return "new" if self.shape.grows else self.candidate.change
 
     @property
@@ -85,10 +88,10 @@ def allowed(candidate: Candidate, size: float) -> bool:
 
 
 def scan(score_test: ScoreTest, laws: list[CandidateLaw], given: Array | None = None) -> list[Entry]:
-    """Best onset of each law in each of its shapes, by falling gain.
+    """Return the best onset of each law in each of its shapes, by falling gain.
 
     Args:
-        given: vectors (e, sites, b) of effects that are already known; their sizes are fitted along.
+        given: vectors (e, sites, b) of effects that are already known; their sizes are fitted jointly.
     """
     known = Courses.of(score_test)
     onsets, steps = known.onsets, known.steps
@@ -120,14 +123,15 @@ def scan(score_test: ScoreTest, laws: list[CandidateLaw], given: Array | None = 
 
 
 def _came_in(law: CandidateLaw, gain: Array) -> bool:
-    """Whether gains (i,) by onset say that a law was not there all along; by more, where no size is beyond doubt."""
+    """Return True if gains (i,) by onset indicate an onset after the beginning; the limit is higher if the size is
+    uncertain.
+    """
     more = gain.max() - gain[0]
     return bool(more >= CAME_IN and (law.candidate.lumped < np.inf or more >= CAME_IN_SHARE * gain.max()))
 
 
 def able_to_begin(score_test: ScoreTest, entry: Entry, given: Array) -> tuple[float, float]:
-    """The earliest and the latest onset, s, with which an effect wins as much as its best, but for what chance takes
-    from one in ten.
+    """Return the earliest and the latest onset, s, with a gain equal to the best within the 90 % interval.
 
     Args:
         given: vectors (e, sites, b) of the effects beside it.
@@ -147,8 +151,10 @@ def able_to_begin(score_test: ScoreTest, entry: Entry, given: Array) -> tuple[fl
 
 
 def _beside(score_test: ScoreTest, law: CandidateLaw, beside: Given | None) -> tuple[Array, Array, Array, Array]:
-    """A law's blocks (sites, b) and score (b,), and the squares of its steps and of what else it may be, less what
-    those beside it stand for."""
+    """Return a law's blocks (sites, b) and score (b,), and the squares of its steps and of its other shapes.
+
+    The part that the given effects explain is subtracted.
+    """
     squares = LawSquares.of(score_test, law)
     p, score, bottom, growing = squares.blocks, score_test.scored(squares.blocks), squares.steps, squares.growths
     if beside is not None:
@@ -161,7 +167,7 @@ def _beside(score_test: ScoreTest, law: CandidateLaw, beside: Given | None) -> t
 
 
 def _gains(law: CandidateLaw, top: Array, bottom: Array) -> tuple[Array, Array]:
-    """Sizes and gains of courses with scores `top` and squares `bottom`; none where the size is impossible."""
+    """Return sizes and gains of courses with scores `top` and squares `bottom`; no gain if the size is impossible."""
     size = top / bottom
     inside = (size >= law.candidate.lower) & (size <= law.candidate.upper)
     gain: Array = np.where(inside, top * size, 0.0)
@@ -173,16 +179,16 @@ def _entry(law: CandidateLaw, shape: Shape, vector: Array, size: float, bottom: 
 
 
 def refine(score_test: ScoreTest, entry: Entry) -> Entry:
-    """The entry with its onset (and growth) moved to where its gain is greatest."""
+    """Return the entry with onset and growth time at the maximum of its gain."""
     edges_s = score_test.edges * score_test.grid.step_s
     p = score_test.vector(entry.law)
     gram, score = score_test.small(p)
     best = entry
     reach = score_test.step_s
     while reach >= 30.0:
-        for shift, stretch in itertools.product((-reach, 0.0, reach), (0.7, 1.0, 1.4)):
-            growth = best.shape.growth_s * stretch
-            if stretch != 1.0 and not best.shape.free(float(edges_s[-1])):
+        for shift, factor in itertools.product((-reach, 0.0, reach), (0.7, 1.0, 1.4)):
+            growth = best.shape.growth_s * factor
+            if factor != 1.0 and not best.shape.free(float(edges_s[-1])):
                 continue
             onset = best.shape.onset_s + shift
             if onset < 0.0 or onset > edges_s[-1] * LAST_SHARE:
@@ -203,7 +209,7 @@ def _better(score_test: ScoreTest, entry: Entry, shape: Shape, p: Array, gram: A
 
 
 def together(score_test: ScoreTest, entries: tuple[Entry, ...]) -> tuple[tuple[Entry, ...], JointEstimate]:
-    """The entries with sizes fitted together, and that fit."""
+    """Return the entries with jointly fitted sizes, and that fit."""
     if not entries:
         return entries, score_test.estimate(np.empty((0, score_test.sites, score_test.b)))
     fit = score_test.estimate(np.stack([e.vector for e in entries]))
@@ -212,5 +218,5 @@ def together(score_test: ScoreTest, entries: tuple[Entry, ...]) -> tuple[tuple[E
 
 
 def possible(entries: tuple[Entry, ...]) -> bool:
-    """Whether all sizes are of a possible sign and magnitude."""
+    """Return True if all sizes have a possible sign and magnitude."""
     return all(allowed(e.candidate, e.size) for e in entries)

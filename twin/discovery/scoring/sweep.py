@@ -17,18 +17,19 @@ from twin.elements.candidates import Candidate
 from twin.network import Array
 
 LAST_SHARE = 0.95
-"""Onsets are looked for up to this share of the record; an effect needs some time to show."""
+"""Share of the record up to which onsets are tried; an effect needs some time to show."""
 _KNOWN = 1e-10
 FADING_S = (60.0, 600.0, 3600.0)
 """Time constants of pulses that are tried, s: water that is poured in, a wall, a room."""
 LEAST_BLOCKS, LEAST_TURNS, PERIODS, PHASES = 3.0, 2.0, 40, 12
 """Blocks in the shortest period and periods in a record, how many periods are tried and how many phases of each."""
 DAY_S, DAYS, DAY_PHASES = 86_400.0, 1.25, 24
-"""A day, s; days in a record from which a daily course is tried, which then shows six hours of it twice, and phases of
-a day, one an hour. Two whole turns are not asked for, as of other periods: rooms, shifts and the sun go by the day."""
+"""Seconds of a day; days in a record from which a daily course is tried, which then shows six hours of it twice; and
+phases of a day, one an hour. Two whole periods are not required, unlike for other periods: rooms, shifts and the sun
+follow the day."""
 RATES = 3.0
-"""Rates of periodic courses in one over the length of a record: with three, the nearest one is off by a sixth of a turn
-where the record ends, if it is right where it begins."""
+"""Frequencies of periodic courses per inverse record length: with three, the nearest one deviates by a sixth of a
+period at the record's end, if it agrees at the beginning."""
 DUTIES = (0.25, 0.5, 0.75)
 PANEL = 32
 """Rows of a Gram matrix that are multiplied at once: with eight panels in 240 rows, nine sixteenths of all products are
@@ -39,7 +40,7 @@ BEGINNINGS = 8
 
 @dataclass(frozen=True)
 class Courses:
-    """Onsets (i,), s, of steps and their courses (b, i); shapes that grow, j of them, and theirs (b, j).
+    """Onsets (i,), s, of steps and their courses (b, i); j growing shapes, and their courses (b, j).
 
     `edges_s` (b + 1,) bound the blocks.
     """
@@ -61,24 +62,24 @@ class Courses:
 
     @cached_property
     def timed(self) -> list[Shape]:
-        """Periodic shapes and pulses, which the search by evidence alone asks for."""
+        """Return periodic shapes and pulses, for the search by evidence alone."""
         return _timed(self.onsets, self.edges_s)
 
     @cached_property
     def by_name(self) -> tuple[tuple[list[Shape], NDArray[np.intp]], ...]:
-        """Return `timed` shapes of each name, with their columns of `returns`."""
+        """Return the `timed` shapes of each name, with their columns of `returns`."""
         return rows_by_name(self.timed)
 
     @cached_property
     def returns(self) -> Array:
-        """Courses (b, k) of the `timed` shapes."""
+        """Return courses (b, k) of the `timed` shapes."""
         return courses_of(self.timed, self.edges_s).T.copy()
 
     @cached_property
     def turns(self) -> tuple[list[Shape], Array, NDArray[np.intp]]:
-        """Periodic shapes, their courses (b, k), and of each the nearest one among those of `timed`.
+        """Return periodic shapes, their courses (b, k), and for each the nearest one among those of `timed`.
 
-        Their frequencies are so close together that none that the record holds falls between two of them.
+        Their frequencies are closer than the resolution of the record.
         """
         coarse = next(shapes for shapes, _ in self.by_name if shapes[0].name == "periodic")
         onset, growth, duty = np.array([(s.onset_s, s.growth_s, s.duty) for s in coarse]).T
@@ -94,7 +95,7 @@ class Courses:
         return shapes, means_between(self.edges_s, "periodic", times).T.copy(), of
 
     def beyond(self, candidate: Candidate) -> tuple[list[Shape], Array]:
-        """The shapes of a candidate other than steps, and their courses (b, j)."""
+        """Return the shapes of a candidate other than steps, and their courses (b, j)."""
         if candidate.shapes == ("step",) or candidate.passes:
             return [], self.growths[:, :0]
         if not candidate.begins:
@@ -108,7 +109,7 @@ class Courses:
 
 @dataclass(frozen=True)
 class LawSquares:
-    """Of a law at size 1, nothing else known: `blocks` (sites, b), squares of its steps (i,) and other shapes (j,).
+    """Squares of a law at size 1, alone: `blocks` (sites, b), squares of its steps (i,) and other shapes (j,).
 
     `sites` (a,) are those at which it acts; `most` is the largest square of a step.
     """
@@ -149,7 +150,7 @@ class LawSquares:
 
 
 def returning(score_test: ScoreTest, law: CandidateLaw, gram: Array) -> Array:
-    """Return the squares (k,) of a law at size 1, of Gram matrix (b, b), in the courses that come back or fade."""
+    """Return the squares (k,) of a law at size 1, of Gram matrix (b, b), for periodic courses and pulses."""
     known: Array | None = score_test.memo.get(("returning", law))
     if known is None:
         known = score_test.memo["returning", law] = squares_of(score_test, gram, Courses.of(score_test).returns)
@@ -201,8 +202,7 @@ def squares_of(score_test: ScoreTest, gram: Array, courses: Array) -> Array:
 
 @functools.cache
 def _twice_beyond(b: int) -> Array:
-    """Weights (b, b) of a symmetric matrix of which what is right of the squares on its diagonal counts twice, what is
-    left of them not at all."""
+    """Return weights (b, b) of a symmetric matrix: 2 to the right of its diagonal panels, 0 to the left, 1 on them."""
     panel = np.arange(b) // PANEL
     weights: Array = 1.0 + np.sign(panel - panel[:, None])
     return weights
@@ -223,7 +223,7 @@ def _by_beginning(courses: Array) -> list[_Begun]:
 
 
 class Given:
-    """Effects whose sizes are fitted along with each that is tried, `vectors` (e, sites, b)."""
+    """Known effects whose sizes are fitted jointly with each candidate, `vectors` (e, sites, b)."""
 
     def __init__(self, score_test: ScoreTest, vectors: Array) -> None:
         flat = vectors.reshape(len(vectors), -1)
@@ -235,12 +235,14 @@ class Given:
         self._score = self._root.T @ (flat @ score_test.score)
 
     def share(self, p: Array) -> Array:
-        """(b, e): the part of a law's blocks that the given effects stand for; its square leaves the Gram matrix."""
+        """Return the part (b, e) of a law's blocks that the given effects explain; its square leaves the Gram
+        matrix.
+        """
         shared: Array = np.einsum("sbe,sb->be", self._onto, p) @ self._root
         return shared
 
     def score(self, share: Array) -> Array:
-        """(b,) of the law's score that goes with it."""
+        """Return the part (b,) of the law's score that goes with it."""
         taken: Array = share @ self._score
         return taken
 
@@ -272,7 +274,7 @@ def _courses(score_test: ScoreTest) -> Courses:
 
 
 def _timed(onsets: Array, edges_s: Array) -> list[Shape]:
-    """Periodic shapes and pulses that a record of these blocks may tell; `refined` looks between them."""
+    """Return periodic shapes and pulses that a record of these blocks resolves; `refined` searches between them."""
     span, block = float(edges_s[-1]), float(edges_s[1] - edges_s[0])
     found = [
         Shape("pulse", float(t), decay)
@@ -294,9 +296,9 @@ def _timed(onsets: Array, edges_s: Array) -> list[Shape]:
 
 
 def _late_sums(gram: Array) -> Array:
-    """Squares (b,) of steps that begin with each block: sums of the lower right corners of a Gram matrix (b, b).
+    """Return squares (b,) of steps that begin with each block: sums of the lower right corners of a Gram matrix (b, b).
 
-    The corner of a block has a row and a column more than that of the next one, and the matrix is symmetric.
+    The corner of a block has one row and one column more than that of the next one, and the matrix is symmetric.
     """
     more = np.einsum("ij,ij->i", gram, _row_and_column(len(gram)))
     sums: Array = more[::-1].cumsum()[::-1]
@@ -305,5 +307,7 @@ def _late_sums(gram: Array) -> Array:
 
 @functools.cache
 def _row_and_column(b: int) -> Array:
-    """Weights (b, b) by which a row's sum from the diagonal on is that of the row and the column of its block."""
+    """Return weights (b, b) by which a row's sum from the diagonal on is that of the row and the column of its
+    block.
+    """
     return np.triu(np.full((b, b), 2.0), 1) + np.eye(b)

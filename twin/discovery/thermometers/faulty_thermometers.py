@@ -1,8 +1,8 @@
-"""Thermometers that are at fault by themselves: one that stands still, one of several that differs from the others.
+"""Isolation of faulty thermometers: stuck ones, and one of several that deviates from the others.
 
-One of several that differs is looked at first, and its own error is taken off the mean of all; the record is then
-diagnosed without it. Heat that is found at their place then belongs to one of the places, where one thermometer shows
-it more than the others; what such heat leaves of the thermometer's own course is its own error.
+A deviating one of several is examined first. Its error is subtracted from the mean of all, and the record is then
+diagnosed without it. Heat that is found at their common place belongs to one of their places, if one thermometer shows
+it more than the others; the rest of that thermometer's deviation is its own fault.
 """
 
 from __future__ import annotations
@@ -32,23 +32,24 @@ from twin.gauss_newton import SE90
 from twin.network import Array, Network
 
 HEATS = ("heat_source", "heat_loss")
-"""Kinds that warm or cool one place of several, whose thermometer then stands out without being at fault."""
+"""Kinds that warm or cool one place of several, whose thermometer then deviates without a fault."""
 SURE, OPEN = 0.85, 0.05
-"""Share of the weight that one thing must have to be named alone, and of the likeliest one's that it must have to stay
-in question."""
+"""Probability from which a hypothesis is reported alone, and share of the likeliest one's above which it stays in the
+ambiguity group."""
 SMEARED = 2.0
-"""Times the log odds of a claim that may be left where an error was taken off in block means: its edges are sharper."""
+"""Multiple of the claim's log odds that may remain after an error was subtracted in block means, which blur its edges.
+"""
 
 
 @dataclass(frozen=True)
 class FaultyThermometers:
-    """Thermometers of one sensor that differ from the others by themselves.
+    """Thermometers of one sensor with faults of their own.
 
     Attributes:
-        group: all that are compared. columns: those that differ.
-        late: the time constant of the only one, where it follows the others late.
-        settled: it follows late, or differs in a way that is known of a thermometer or a place; else it comes and goes,
-            which may be an error upon heat at its place.
+        group: all that are compared. columns: those that deviate.
+        late: the time constant of the only one, if it lags.
+        settled: it lags, or deviates as a known fault does; else the fault is intermittent, and may overlie heat at its
+            place.
     """
 
     group: Members
@@ -58,10 +59,10 @@ class FaultyThermometers:
 
 
 def faulty_thermometers(groups: tuple[Members, ...]) -> FaultyThermometers | None:
-    """Return the first thermometers of several that differ in a way that is known of thermometers or places, if any.
+    """Return the first thermometers of several with a known fault of thermometer or place, or None.
 
-    A late one makes the mean of several late by a part of what it is, as a mass would that is not there. One that
-    errs, or comes and goes, shows in the mean as an error of another form.
+    A lagging one lets the mean of several lag by a part of its time constant, as a missing mass would. A biased or
+    intermittent one appears in the mean as a fault of another form.
     """
     for group in groups:
         late = lagging_one(group)
@@ -79,7 +80,7 @@ def faulty_thermometers(groups: tuple[Members, ...]) -> FaultyThermometers | Non
 
 
 def unlisted_fault(groups: tuple[Members, ...]) -> FaultyThermometers | None:
-    """Return the first thermometer of several that differs in no known way, and came to differ at once, if any."""
+    """Return the first thermometer of several whose deviation has no known form and began at once, or None."""
     for group in groups:
         odd = odd_one(group)
         if odd is not None and not has_thermal_onset(group, odd):
@@ -88,7 +89,7 @@ def unlisted_fault(groups: tuple[Members, ...]) -> FaultyThermometers | None:
 
 
 def without_faults(faulty: FaultyThermometers, network: Network, record: Columns) -> Columns:
-    """Return the record without the errors of such thermometers, and with the mean of several only, unless late."""
+    """Return the record without the errors of faulty thermometers, and without single readings unless one lags."""
     group, columns = faulty.group, set(faulty.columns)
     j = network.sensor_names.index(group.sensor)
     measured, members = record.measured.copy(), dict(record.members)
@@ -110,10 +111,11 @@ def without_faults(faulty: FaultyThermometers, network: Network, record: Columns
 def with_faults(
     faulty: FaultyThermometers, left: Diagnosis, network: Network, start: float, still: tuple[Stuck, ...]
 ) -> Diagnosis:
-    """Return what is told of such thermometers, and beside them what was found without their errors.
+    """Return the diagnosis of faulty thermometers together with that of the record without their errors.
 
     Args:
-        left: found without their errors, and without what stood still. start: of the record, s. still: what stood.
+        left: diagnosis without their errors, and without stuck readings. start: of the record, s. still: stuck
+            readings.
     """
     stood = stuck_effects(still)
     if faulty.late is not None:
@@ -148,7 +150,7 @@ def with_faults(
 
 
 def _together(errors: tuple[Effect, ...], same: tuple[Alternative, ...], left: Diagnosis) -> Diagnosis:
-    """Return a diagnosis with the errors of single thermometers first."""
+    """Return a diagnosis with the faults of single thermometers first."""
     if not errors:
         return left
     found = left.verdict != "adequate"
@@ -157,7 +159,7 @@ def _together(errors: tuple[Effect, ...], same: tuple[Alternative, ...], left: D
         verdict = "unexplained"
     elif same and verdict == "effect found":
         verdict = "ambiguous"
-    but = f"; but this record cannot tell that from {_either(same, *errors)}" if same else ""
+    but = f"; but on this record that is indistinguishable from {_either(same, *errors)}" if same else ""
     rest = f"Beside that: {left.summary}" if found else f"Without that the twin is adequate: {_leaves(left)}."
     return replace(
         left,
@@ -174,13 +176,14 @@ def _together(errors: tuple[Effect, ...], same: tuple[Alternative, ...], left: D
 def attributed(
     effects: tuple[Effect, ...], group: Members, node: str, start: float
 ) -> tuple[tuple[Effect, ...], tuple[Alternative, ...], Members]:
-    """Return effects at the place of several thermometers with the one thermometer or place that they belong to.
+    """Return effects at the place of several thermometers, each assigned to the one thermometer or place that it
+    belongs to.
 
     Args:
         node: place of the thermometers. start: of the record, s.
 
     Returns:
-        effects, what cannot be told from errors of one thermometer, and the thermometers less what heat explains.
+        effects, the ambiguity group of errors of one thermometer, and the thermometers less what heat explains.
     """
     found: list[Effect] = []
     others: list[Alternative] = []
@@ -201,14 +204,14 @@ def attributed(
 
 
 def _came_in_with(effect: Effect, group: Members, start: float) -> tuple[Members, Odd | None]:
-    """Return the member that came to differ as an effect came in, if one did, and those that it was compared with."""
+    """Return the member whose deviation began with an effect, or None, and those that it was compared with."""
     shape = Shape(effect.shape, max(effect.onset_s - start, 0.0), effect.growth_s)
     near = group.around(shape.onset_s) if shape.name == "step" and shape.onset_s > 0.0 else group
     return near, odd_one(near, (shape,))
 
 
 def _instead(odd: Odd, told: tuple[FaultHypothesis, ...]) -> tuple[Alternative, ...]:
-    """What cannot be told from the likeliest, that first, where that has not nearly all of the weight."""
+    """Return the ambiguity group of the likeliest hypothesis, itself first, unless its probability is high enough."""
     places: dict[tuple[str, bool], float] = {}
     for n in told:
         places[n.kind, n.local] = places.get((n.kind, n.local), 0.0) + n.share
@@ -219,14 +222,16 @@ def _instead(odd: Odd, told: tuple[FaultHypothesis, ...]) -> tuple[Alternative, 
 
 
 def _either(same: tuple[Alternative, ...], *faults: Effect) -> str:
-    """What else it may be, in words."""
+    """Return the other possible causes in words."""
     said = {(e.kind, e.where) for e in faults}
     named = dict.fromkeys((a.kind, a.where) for a in same if (a.kind, a.where) not in said)
     return " or ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in named)
 
 
 def _share_of(group: Members, column: str, faults: AbstractSet[str], time_s: Array) -> Array:
-    """What one thermometer's error puts on its group's mean (N,), K: by bins, or of the block where one is missing."""
+    """Return the part (N,), K, of its group's mean that is one thermometer's error: by bins, or by block if bins are
+    missing.
+    """
     alone = group
     for other in faults - {column}:
         alone = alone.without(other)
@@ -267,7 +272,7 @@ def _late(one: Members, odd: Odd, start: float) -> Effect:
 
 
 def _fault(one: Members, odd: Odd, likely: tuple[FaultHypothesis, ...], start: float) -> Effect:
-    """What is the matter where one differs: the likeliest thing, an error of reading where nothing explains it."""
+    """Return the fault of a deviating member: the likeliest hypothesis, a sensor fault if none explains it."""
     spread, drifts = SE90 * odd.sd, odd.shape.name != "step"
     low, high = began_between(one, odd)
     told = likely[0] if likely else FaultHypothesis("sensor", "elapsed_time" if drifts else "constant", False, 1.0)
@@ -320,7 +325,7 @@ def _restless(one: Members, odd: Odd, start: float) -> Effect:
 
 
 def _strange(one: Members, odd: Odd, start: float) -> Effect:
-    """Return a thermometer that differs from its neighbours in no listed way, with the most that it differs by."""
+    """Return a thermometer with a deviation of no listed form as an effect of its largest deviation."""
     good = one.good
     off = one.by_itself(one.columns.index(odd.column), one.residual[good])
     most, onset = float(np.abs(off).max()), start + odd.shape.onset_s
@@ -344,13 +349,13 @@ def _strange(one: Members, odd: Odd, start: float) -> Effect:
 
 
 def stuck_effects(still: tuple[Stuck, ...]) -> tuple[Effect, ...]:
-    """Return each thermometer that shows one value and nothing else, once or from time to time."""
+    """Return each stuck thermometer as an effect, stuck once or intermittently."""
     columns = dict.fromkeys(span.column for span in still)
     return tuple(_standing(tuple(span for span in still if span.column == column)) for column in columns)
 
 
 def _standing(spans: tuple[Stuck, ...]) -> Effect:
-    """Return one that stood still in such spans."""
+    """Return one thermometer that was stuck in these spans."""
     first, last = spans[0], spans[-1]
     says = f"{first.column} stands still at {first.value:.2f} degC from {clock(first.first_s)} to {clock(first.last_s)}"
     if len(spans) > 1:

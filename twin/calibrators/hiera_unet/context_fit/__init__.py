@@ -1,7 +1,7 @@
 """Gauss-Newton estimate over the context: evidence for the network, and what few moved parameters would explain.
 
-The names below are the package's interface; they are loaded on first use.
-Modules among them are public as a whole. Everything else is private to the package.
+The names below are the package's interface; they are loaded on first use. Modules among them are public as a whole.
+Everything else is private to the package.
 """
 
 from __future__ import annotations

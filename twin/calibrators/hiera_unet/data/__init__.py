@@ -1,7 +1,7 @@
 """Network inputs: a record on the network's clock, deviations of parameters, channels, features and windows.
 
-The names below are the package's interface; they are loaded on first use.
-Modules among them are public as a whole. Everything else is private to the package.
+The names below are the package's interface; they are loaded on first use. Modules among them are public as a whole.
+Everything else is private to the package.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Simulated rigs to learn from: plants, loads, undeclared changes, gaps, and their windows in a store.
 
-The names below are the package's interface; they are loaded on first use.
-Modules among them are public as a whole. Everything else is private to the package.
+The names below are the package's interface; they are loaded on first use. Modules among them are public as a whole.
+Everything else is private to the package.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Scores of predictions on unseen cells: deviations, outlet, intervals, and the rivals on the same windows.
 
-All errors are against the truth of a simulated station, the target's own readings hidden from every method. Rivals:
+All errors are against the truth of a simulated station, with the target's own readings hidden from every method.
+Rivals:
 the commissioned twin; persistence of its last error; recursive Gauss-Newton with the learned discrepancy; and gradient
-boosting that corrects the figures of the last.
+boosting that corrects the latter's deviations and outlet.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ LEVEL = 0.9
 
 @dataclass(frozen=True)
 class Targets:
-    """Targets of K windows: what is true and what the belief says. Arrays (K, 120) in degC, (K, 4) deviations.
+    """Targets of K windows: truth and prior. Arrays (K, 120) in degC, (K, 4) deviations.
 
     Attributes:
-        water: by the twin at the belief. slopes: (K, 120, 3). true_water, reading, commissioned: NaN where none.
+        water: by the twin at the prior mean. slopes: (K, 120, 3). true_water, reading, commissioned: NaN where none.
         changed: minutes soon after a change of the fan. recent: (K, 3) mean residual of readings before the target, K.
         features: (K, F) of the window for a booster. minutely: (K, 120, 5) operating point and lead.
     """
@@ -190,7 +191,9 @@ def _bounds() -> Array:
 
 @dataclass(frozen=True)
 class IntervalFactors:
-    """Factors of standard deviations that hold 90 % of windows that no training saw: deviations (4,), water."""
+    """Factors by which standard deviations become 90 % intervals on windows outside of training: deviations (4,),
+    water.
+    """
 
     theta: Array
     water: float
