@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from twin.kernel.simulation import Kernel, hold_inputs, mask_measurements, simulate
     from twin.laws.equation import law_equations
     from twin.network.model import Array, InputSpec, Network, Revision, TunableSet, TwinFileError, WindowRules
+    from twin.quantiles import NORMAL90
     from twin.reference_simulation import right_hand_side, simulate_exact, simulate_fine_steps
     from twin.revisions.revision_chain import (
         ChainEntry,
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LONG_GAP_S",
+    "NORMAL90",
     "STAMP",
     "UNITS_OF_SUFFIX",
     "Array",
@@ -103,6 +105,7 @@ __getattr__, __dir__ = lazy_names(
         "kernel.simulation": ("Kernel", "hold_inputs", "mask_measurements", "simulate"),
         "laws.equation": ("law_equations",),
         "network.model": ("Array", "InputSpec", "Network", "Revision", "TunableSet", "TwinFileError", "WindowRules"),
+        "quantiles": ("NORMAL90",),
         "reference_simulation": ("right_hand_side", "simulate_exact", "simulate_fine_steps"),
         "revisions.revision_chain": (
             "ChainEntry",

@@ -20,12 +20,12 @@ from twin.calibrators.hiera_unet.weights.ensemble import mixed
 from twin.calibrators.hiera_unet.weights.envelope import place
 from twin.calibrators.hiera_unet.weights.leakage import leakage
 from twin.network import Array
+from twin.quantiles import NORMAL90
 from twin.regular_file import read_regular
 
 FORMAT = 2
 """Format of a card; 2: factors of parameters by their change probability."""
 MODE = "online"
-NORMAL90 = 1.645
 LEAST = 2
 """Least number of members: the intervals of one alone lack the epistemic part."""
 

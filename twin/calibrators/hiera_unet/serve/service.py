@@ -29,13 +29,14 @@ from twin.calibrators.hiera_unet.serve import agreement, gates
 from twin.calibrators.hiera_unet.serve.agreement import Spoken
 from twin.calibrators.hiera_unet.serve.gates import Evidently, Reason
 from twin.calibrators.hiera_unet.serve.history import History
-from twin.calibrators.hiera_unet.serve.members import NORMAL90, Ensemble, Said
+from twin.calibrators.hiera_unet.serve.members import Ensemble, Said
 from twin.calibrators.hiera_unet.serve.proposal import Proposal
 from twin.calibrators.posterior import STATE_SD, window_data
 from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
 from twin.calibrators.windows import WindowSamples, make_window
 from twin.gauss_newton import fit_initial_state
 from twin.network import Array, Network
+from twin.quantiles import NORMAL90
 
 CYCLE_S = 300.0
 RECORDS = 288
