@@ -18,7 +18,7 @@ from hil.bench.discovery.public_records import measure
 from twin.discovery.effects.catalogue import catalogue, sites_of
 from twin.discovery.growing.growth import Growth, grow, grow_at_rest
 from twin.discovery.growing.likelihood import Spectrum, cosines, judged
-from twin.discovery.growing.superset.equivalent_places import together
+from twin.discovery.growing.superset.equivalent_places import family_candidates
 from twin.discovery.growing.superset.steady_states import SteadyStates
 from twin.kernel import Kernel, simulate
 from twin.network import Array, Network, TwinFileError
@@ -150,7 +150,7 @@ def test_states_at_rest_agree_with_the_oracle() -> None:
 def test_places_that_are_alike_are_offered_together() -> None:
     bare = load(TWINS / "tclab_bare.toml")
     single = catalogue(bare)
-    found = together(bare, sites_of(bare), single)
+    found = family_candidates(bare, sites_of(bare), single)
     assert {c.where for c in found} == {"heaters"}
     radiates = next(c for c in found if "m2" in c.unit)
     assert set(radiates.changes) == {"radiation_of_heater_1.area", "radiation_of_heater_2.area"}

@@ -16,7 +16,7 @@ from twin.discovery.effects.catalogue import LATE, catalogue, extended, sites_of
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.effects.shared_kernels import SharedKernel
-from twin.discovery.growing.superset.equivalent_places import apart, together
+from twin.discovery.growing.superset.equivalent_places import family_candidates, untied_losses
 from twin.discovery.growing.superset.hidden_masses import masses
 from twin.discovery.growing.superset.steady_states import SteadyStates
 from twin.discovery.refit.model import Model
@@ -57,7 +57,7 @@ class CandidateSuperset:
         """
         sites = sites_of(network)
         slow, after = ((), {}) if at_rest else masses(sites, period_s, record_s)
-        first = [*_lacking(network, tunables, slow), *apart(network, sites)]
+        first = [*_lacking(network, tunables, slow), *untied_losses(network, sites)]
         full = SharedKernel.of(network, (), first).network
         known = {name for c in first for name in c.changes}
         # A pipe that is missing may miss its wall, too.
@@ -113,7 +113,7 @@ def _lacking(network: Network, tunables: tuple[str, ...], slow: tuple[Candidate,
     talks = Counter(name for c in every for name in c.replaces)
     single = [c for c in every if _absent(network, c) and all(talks[name] == 1 for name in c.replaces)]
     single = [*(_noticed(c) for c in single if not c.slow_s), *slow]
-    unique = {c.id: c for c in (*single, *together(network, sites_of(network), single))}
+    unique = {c.id: c for c in (*single, *family_candidates(network, sites_of(network), single))}
     return [c for c in unique.values() if not set(tunables) & set(c.changes)]
 
 

@@ -17,7 +17,7 @@ from twin.elements.candidates import Candidate, Sites
 from twin.network import Network
 
 
-def together(network: Network, sites: Sites, candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
+def family_candidates(network: Network, sites: Sites, candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
     """Return candidates for whole families, made of those for their members."""
     single = [c for c in candidates if not c.replaces]
     found = []
@@ -33,7 +33,7 @@ def together(network: Network, sites: Sites, candidates: Iterable[Candidate]) ->
     return tuple(found)
 
 
-def apart(network: Network, sites: Sites) -> tuple[Candidate, ...]:
+def untied_losses(network: Network, sites: Sites) -> tuple[Candidate, ...]:
     """Return further losses of single places that the twin ties to others by one conductance.
 
     Without them a deviation of one place would be explained by a loss that grows with temperature, which exists singly.
