@@ -5,19 +5,13 @@ The packages below are the interface; each names its own public objects. They ar
 
 from __future__ import annotations
 
-from importlib import import_module
-from types import ModuleType
+from drivers.lazy_names import lazy_names
 
 __all__ = ["bus", "can", "historian", "importers", "modbus", "rig", "rig_file", "signals", "virtual"]
 
-
-def __getattr__(name: str) -> ModuleType:
-    """Load a package on first use."""
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return import_module(f"{__name__}.{name}")
-
-
-def __dir__() -> list[str]:
-    """Return the public packages."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "": ("bus", "can", "historian", "importers", "modbus", "rig", "rig_file", "signals", "virtual"),
+    },
+)

@@ -7,8 +7,9 @@ nothing. Modules that no interface names are private to the package.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from twin.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from twin.column_names import UNITS_OF_SUFFIX, celsius_conversion, column_hint
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from twin.kernel.simulation import Kernel, hold_inputs, mask_measurements, simulate
     from twin.laws.equation import law_equations
     from twin.network.model import Array, InputSpec, Network, Revision, TunableSet, TwinFileError, WindowRules
+    from twin.quantiles import NORMAL90
     from twin.reference_simulation import right_hand_side, simulate_exact, simulate_fine_steps
     from twin.revisions.revision_chain import (
         ChainEntry,
@@ -38,30 +40,10 @@ if TYPE_CHECKING:
     from twin.twinfile.datasheet import from_datasheet
     from twin.twinfile.toml_text import dump, load, parse, save
 
-_MODULES = {
-    "twin.laws.equation": ("law_equations",),
-    "twin.elements.base": ("STAMP",),
-    "twin.column_names": ("UNITS_OF_SUFFIX", "celsius_conversion", "column_hint"),
-    "twin.commissioning.checks": ("clock_warning", "refusal_reason"),
-    "twin.commissioning.healthy_fit": ("CommissionOptions", "CommissionResult", "commission"),
-    "twin.twinfile.datasheet": ("from_datasheet",),
-    "twin.drawing": ("draw",),
-    "twin.kernel.simulation": ("Kernel", "hold_inputs", "mask_measurements", "simulate"),
-    "twin.network.model": ("Array", "InputSpec", "Network", "Revision", "TunableSet", "TwinFileError", "WindowRules"),
-    "twin.reference_simulation": ("right_hand_side", "simulate_exact", "simulate_fine_steps"),
-    "twin.revisions.revision_chain": (
-        *("ChainEntry", "ElementDiff", "TwinDiff", "chain", "diff", "next_path", "parent_of", "revert"),
-        *("save_revision", "with_elements"),
-    ),
-    "twin.segments": ("LONG_GAP_S", "Segments", "find_segments", "segment_rows", "simulate_segments"),
-    "twin.steady": ("steady_readings", "steady_state"),
-    "twin.tracking": ("TrackerUpdate", "TwinTracker"),
-    "twin.twinfile.toml_text": ("dump", "load", "parse", "save"),
-}
-_HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "LONG_GAP_S",
+    "NORMAL90",
     "STAMP",
     "UNITS_OF_SUFFIX",
     "Array",
@@ -112,14 +94,35 @@ __all__ = [
     "with_elements",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return __all__
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "column_names": ("UNITS_OF_SUFFIX", "celsius_conversion", "column_hint"),
+        "commissioning.checks": ("clock_warning", "refusal_reason"),
+        "commissioning.healthy_fit": ("CommissionOptions", "CommissionResult", "commission"),
+        "drawing": ("draw",),
+        "elements.base": ("STAMP",),
+        "kernel.simulation": ("Kernel", "hold_inputs", "mask_measurements", "simulate"),
+        "laws.equation": ("law_equations",),
+        "network.model": ("Array", "InputSpec", "Network", "Revision", "TunableSet", "TwinFileError", "WindowRules"),
+        "quantiles": ("NORMAL90",),
+        "reference_simulation": ("right_hand_side", "simulate_exact", "simulate_fine_steps"),
+        "revisions.revision_chain": (
+            "ChainEntry",
+            "ElementDiff",
+            "TwinDiff",
+            "chain",
+            "diff",
+            "next_path",
+            "parent_of",
+            "revert",
+            "save_revision",
+            "with_elements",
+        ),
+        "segments": ("LONG_GAP_S", "Segments", "find_segments", "segment_rows", "simulate_segments"),
+        "steady": ("steady_readings", "steady_state"),
+        "tracking": ("TrackerUpdate", "TwinTracker"),
+        "twinfile.datasheet": ("from_datasheet",),
+        "twinfile.toml_text": ("dump", "load", "parse", "save"),
+    },
+)

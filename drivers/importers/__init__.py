@@ -5,8 +5,9 @@ The names below are the package's interface; they are loaded on first use. Other
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from drivers.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from drivers.importers.dbc import import_dbc
@@ -27,29 +28,6 @@ if TYPE_CHECKING:
     from drivers.importers.telegraf import import_telegraf
     from drivers.importers.vendor_table import import_csv, names_registers
 
-_HOME = {
-    "DescribedActuator": "drivers.importers.described",
-    "CAN": "drivers.importers.described",
-    "Collector": "drivers.importers.draft",
-    "Described": "drivers.importers.described",
-    "Draft": "drivers.importers.draft",
-    "DraftBus": "drivers.importers.draft",
-    "DraftPoint": "drivers.importers.draft",
-    "ImportFileError": "drivers.importers.draft",
-    "PLACE_SYNTAX": "drivers.importers.described",
-    "SignalPlace": "drivers.importers.described",
-    "actuator_of": "drivers.importers.described",
-    "draft_of_description": "drivers.importers.described",
-    "heartbeat_of": "drivers.importers.described",
-    "import_csv": "drivers.importers.vendor_table.table",
-    "import_dbc": "drivers.importers.dbc",
-    "import_homeassistant": "drivers.importers.homeassistant",
-    "import_telegraf": "drivers.importers.telegraf",
-    "names_registers": "drivers.importers.vendor_table.headings",
-    "place_of": "drivers.importers.described",
-    "rig_file_text": "drivers.importers.draft",
-    "temperatures_of": "drivers.importers.described",
-}
 
 __all__ = [
     "CAN",
@@ -75,14 +53,26 @@ __all__ = [
     "temperatures_of",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "dbc": ("import_dbc",),
+        "described": (
+            "CAN",
+            "Described",
+            "DescribedActuator",
+            "PLACE_SYNTAX",
+            "SignalPlace",
+            "actuator_of",
+            "draft_of_description",
+            "heartbeat_of",
+            "place_of",
+            "temperatures_of",
+        ),
+        "draft": ("Collector", "Draft", "DraftBus", "DraftPoint", "ImportFileError", "rig_file_text"),
+        "homeassistant": ("import_homeassistant",),
+        "telegraf": ("import_telegraf",),
+        "vendor_table.headings": ("names_registers",),
+        "vendor_table.table": ("import_csv",),
+    },
+)

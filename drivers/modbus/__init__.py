@@ -5,8 +5,9 @@ The names below are the package's interface; they are loaded on first use. Other
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from drivers.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from drivers.modbus.budget import (
@@ -25,28 +26,6 @@ if TYPE_CHECKING:
     from drivers.modbus.wire import Lost, Received, Wire, open_wire
     from drivers.modbus.writes import Writes
 
-_HOME = {
-    "BIT_TABLES": "drivers.modbus.read_plan",
-    "Block": "drivers.modbus.read_plan",
-    "Lost": "drivers.modbus.wire",
-    "ModbusBus": "drivers.modbus.bus",
-    "ModbusLink": "drivers.modbus.link",
-    "Polling": "drivers.modbus.budget",
-    "ReadPlan": "drivers.modbus.read_plan",
-    "Received": "drivers.modbus.wire",
-    "Wire": "drivers.modbus.wire",
-    "Writes": "drivers.modbus.writes",
-    "client_context": "drivers.modbus.tls",
-    "counted": "drivers.modbus.budget",
-    "missing_declarations": "drivers.modbus.budget",
-    "open_wire": "drivers.modbus.wire",
-    "overloads": "drivers.modbus.budget",
-    "plan_reads": "drivers.modbus.read_plan",
-    "plan_writes": "drivers.modbus.read_plan",
-    "polling": "drivers.modbus.budget",
-    "short_stale_times": "drivers.modbus.budget",
-    "unit_of_count": "drivers.modbus.budget",
-}
 
 __all__ = [
     "BIT_TABLES",
@@ -71,14 +50,23 @@ __all__ = [
     "unit_of_count",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "budget": (
+            "Polling",
+            "counted",
+            "missing_declarations",
+            "overloads",
+            "polling",
+            "short_stale_times",
+            "unit_of_count",
+        ),
+        "bus": ("ModbusBus",),
+        "link": ("ModbusLink",),
+        "read_plan": ("BIT_TABLES", "Block", "ReadPlan", "plan_reads", "plan_writes"),
+        "tls": ("client_context",),
+        "wire": ("Lost", "Received", "Wire", "open_wire"),
+        "writes": ("Writes",),
+    },
+)

@@ -7,8 +7,9 @@ The names below are the package's interface; they are loaded on first use. Other
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from drivers.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from drivers.virtual.rig import (
@@ -20,14 +21,6 @@ if TYPE_CHECKING:
         start_virtual_rig,
     )
 
-_HOME = {
-    "PortInUseError": "drivers.virtual.rig",
-    "VirtualRig": "drivers.virtual.rig",
-    "VirtualRigError": "drivers.virtual.rig",
-    "VirtualRigOptions": "drivers.virtual.rig",
-    "serve": "drivers.virtual.rig",
-    "start_virtual_rig": "drivers.virtual.rig",
-}
 
 __all__ = [
     "PortInUseError",
@@ -38,14 +31,9 @@ __all__ = [
     "start_virtual_rig",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "rig": ("PortInUseError", "VirtualRig", "VirtualRigError", "VirtualRigOptions", "serve", "start_virtual_rig"),
+    },
+)

@@ -250,7 +250,7 @@ def answer(
     at_rest: bool,
     say: Callable[[str], None],
 ) -> Diagnosis:
-    """Return the diagnosis: a contest of effects for a commissioned twin, or the growth of one that never was.
+    """Return the diagnosis: a score test of effects for a commissioned twin, or the growth of one that never was.
 
     Raises
     ------

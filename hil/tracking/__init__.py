@@ -20,7 +20,6 @@ if TYPE_CHECKING:
         closed_gates,
         offset_text,
     )
-    from hil.tracking.bands import NORMAL90
     from hil.tracking.child_process import Child
     from hil.tracking.process import Tracking, TrackingError
     from hil.tracking.results import Results
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DEFAULT",
-    "NORMAL90",
     "STATIC",
     "Adoption",
     "Advice",
@@ -80,7 +78,6 @@ __getattr__, __dir__ = lazy_names(
             "adoption_manifest",
             "offset_text",
         ),
-        "bands": ("NORMAL90",),
         "child_process": ("Child",),
         "process": (
             "Tracking",

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.files import estimate_text
-from hil.tracking.bands import NORMAL90
 from hil.tracking.twins import Proposed
+from twin import NORMAL90
 
 if TYPE_CHECKING:
     from hil.record import Record

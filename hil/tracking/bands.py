@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 SPAN_S = 600.0
 SPANS = 12
 CONFIDENCE = 0.90
-NORMAL90 = 1.645
 
 Array = NDArray[np.float64]
 

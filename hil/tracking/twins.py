@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.files import estimate_text
-from hil.tracking.bands import NORMAL90, Band, Bands
+from hil.tracking.bands import Band, Bands
+from twin import NORMAL90
 
 if TYPE_CHECKING:
     from twin import Network, TwinTracker, WindowRules

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
+from twin import NORMAL90
 from twin.calibrators.hiera_unet import Windows
 from twin.calibrators.hiera_unet.training.score import MOVED
 from twin.network import Array
 
-Z90 = 1.645
 LEAST_SD = 0.003
 """Standard deviation, as a share of the bound, that is added to that of an estimate."""
 FEWEST = 30
@@ -99,7 +99,7 @@ def judged(theta: Array, sd: Array, true: Array, known: np.ndarray) -> dict[str,
     `nll` is the mean negative log-likelihood of a normal law.
     """
     good = known & np.isfinite(true)
-    error, half = np.where(good, np.abs(theta - np.nan_to_num(true)), 0.0), Z90 * sd
+    error, half = np.where(good, np.abs(theta - np.nan_to_num(true)), 0.0), NORMAL90 * sd
     score = 2.0 * half + 20.0 * np.maximum(error - half, 0.0)
     nll = 0.5 * (error / sd) ** 2 + np.log(sd) + 0.5 * np.log(2.0 * np.pi)
     moved = good & (np.abs(np.nan_to_num(true)) > MOVED)

@@ -8,8 +8,8 @@ import pytest
 from twin.discovery.growing.answer import diagnose_grown
 from twin.discovery.growing.descent import descend
 from twin.discovery.growing.growth import samples_of
+from twin.discovery.growing.growth_problem import GrowthProblem
 from twin.discovery.growing.superset.candidate_superset import CandidateSuperset, unsized
-from twin.discovery.growing.unaided import GrowthProblem
 from twin.discovery.healthy.basis import Columns
 from twin.kernel import Kernel, simulate
 from twin.network import Array, Network, TwinFileError

@@ -112,7 +112,7 @@ def test_what_a_record_told_of_a_cause_leaves_it_less_room_in_the_next(bench: Be
     grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
     known = basis(network, healthy, grid)
     part = Part.of(known, grid.part(0, 720))
-    fitted = fit(part.contest, Model.of(known.probe, ()), part.state)
+    fitted = fit(part.score_test, Model.of(known.probe, ()), part.state)
     state = network.initial_state(grid.measured[:30])
     runner = Runner(known.probe, fitted, np.empty(0), known.prior, state)
     before = runner.precision

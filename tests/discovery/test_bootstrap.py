@@ -14,8 +14,8 @@ from twin.discovery.effects.probe import free_run
 from twin.discovery.engine import diagnose
 from twin.discovery.evidence.priors import CLAIM
 from twin.discovery.healthy.basis import Columns, basis
-from twin.discovery.healthy.drawn import drawn
-from twin.discovery.healthy.widening import Bootstrap, keep_bootstrap, kept
+from twin.discovery.healthy.claim_threshold import Bootstrap, keep_bootstrap, kept
+from twin.discovery.healthy.simulated_records import simulated_records
 from twin.discovery.records.grid import on_grid
 
 CALM = Bootstrap(tuple(-6.0 + 0.2 * i for i in range(20)), CLAIM, 0)
@@ -31,7 +31,7 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_drawn_records_are_as_noisy_as_what_they_are_drawn_from(bench: Bench, healthy: Columns) -> None:
     grid = on_grid(bench.network, healthy.time_s, healthy.inputs, healthy.measured)
     known = basis(bench.network, healthy, grid)
-    first, second = islice(drawn(known, healthy, np.random.default_rng(3)), 2)
+    first, second = islice(simulated_records(known, healthy, np.random.default_rng(3)), 2)
     assert np.array_equal(first.inputs, healthy.inputs)
     # One rig, two records: what they differ by is noise, of one sample as of a bin's mean.
     apart = (first.measured - second.measured) / np.sqrt(2.0)
@@ -45,7 +45,7 @@ def test_drawn_records_are_of_rigs_that_differ_by_what_commissioning_does_not_kn
     bench: Bench, healthy: Columns
 ) -> None:
     known = basis(bench.network, healthy, on_grid(bench.network, healthy.time_s, healthy.inputs, healthy.measured))
-    rigs = [islice(drawn(known, healthy, np.random.default_rng(i)), 2) for i in range(8)]
+    rigs = [islice(simulated_records(known, healthy, np.random.default_rng(i)), 2) for i in range(8)]
     means = np.array([[r.measured.mean(axis=0) for r in pair] for pair in rigs])
     between, within = means.mean(axis=1).std(axis=0), (means[:, 0] - means[:, 1]).std(axis=0)
     # What commissioning knows least shows; where it is told sharply, nothing does.
@@ -60,7 +60,7 @@ def test_gaps_and_single_thermometers_are_drawn_too(bench: Bench, healthy: Colum
     single[50:60], single[70:80, 1] = np.nan, np.nan
     gappy = replace(healthy, measured=measured, members={name: single})
     known = basis(bench.network, gappy, on_grid(bench.network, gappy.time_s, gappy.inputs, gappy.measured))
-    made = next(drawn(known, gappy, np.random.default_rng(1)))
+    made = next(simulated_records(known, gappy, np.random.default_rng(1)))
     assert np.array_equal(np.isnan(made.measured), np.isnan(measured))
     assert np.array_equal(np.isnan(made.members[name]), np.isnan(single))
     whole = np.isfinite(single).all(axis=1)

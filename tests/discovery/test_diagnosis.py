@@ -221,7 +221,7 @@ def test_what_is_read_while_everything_stands_is_left_aside(brisk: Bench, brisk_
     assert found.verdict == "adequate"
     (note,) = (n for n in found.notes if " stood for " in n)
     assert note.startswith(
-        "pump and fan stood for 8.17 min in 2 spells (first at 0.7 h), as never in the healthy record"
+        "pump and fan stood for 8.17 min in 2 periods (first at 0.7 h), as never in the healthy record"
     )
     heated = stopped(brisk.record(changed=brisk.with_values(modules_power__power=150.0), onset_h=3.0))
     (heat,) = diagnose(brisk.network, heated, brisk_healthy).effects

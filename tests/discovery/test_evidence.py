@@ -17,10 +17,10 @@ from twin.discovery.effects.catalogue import with_columns
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.engine import diagnose
-from twin.discovery.evidence.inquiry import coinciding
 from twin.discovery.evidence.marginal import log_bayes_of_sizes, log_mass
 from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.priors import SPREAD
+from twin.discovery.evidence.split_search import coinciding
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
 from twin.discovery.scoring.search import Entry
@@ -163,7 +163,7 @@ def test_heat_that_begins_to_come_back_amid_a_turn_is_one_effect(bench: Bench, h
 def test_periods_are_tried_as_close_as_the_record_tells_them(brisk: Bench, brisk_healthy: Columns) -> None:
     record = brisk.record(10.0, seed=8)
     grid = on_grid(brisk.network, record.time_s, record.inputs, record.measured)
-    courses = Courses.of(Part.of(basis(brisk.network, brisk_healthy, grid), grid).contest)
+    courses = Courses.of(Part.of(basis(brisk.network, brisk_healthy, grid), grid).score_test)
     shapes, columns, of = courses.turns
     coarse = next(shapes for shapes, _ in courses.by_name if shapes[0].name == "periodic")
     rates = np.unique([1.0 / s.growth_s for s in shapes])

@@ -22,9 +22,9 @@ from twin.discovery.growing.beam import Beam, FittedSet, _finalists, likeliest
 from twin.discovery.growing.growth import grow
 from twin.discovery.growing.merit import Merit
 from twin.discovery.growing.scoring import Scored
-from twin.discovery.growing.superset.alike import apart, together
 from twin.discovery.growing.superset.candidate_superset import unsized
-from twin.discovery.growing.superset.masses import masses, time_constants
+from twin.discovery.growing.superset.equivalent_places import family_candidates, untied_losses
+from twin.discovery.growing.superset.hidden_masses import masses, time_constants
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
@@ -102,7 +102,7 @@ def test_a_second_mass_is_offered_beside_one_and_a_third_is_not(room: Network) -
 def test_a_mass_at_each_of_two_places_stays_at_both_when_it_is_slower() -> None:
     network = bare()
     found, _ = masses(sites_of(network), 1.0, 600.0)
-    pair = next(c for c in together(network, sites_of(network), found) if c.slow_s)
+    pair = next(c for c in family_candidates(network, sites_of(network), found) if c.slow_s)
     assert pair.slower is not None and set(pair.slower(33.0).adds) == {"mass_beside_heater_1", "mass_beside_heater_2"}
 
 
@@ -134,7 +134,7 @@ def test_variants_that_change_other_parameters_both_go_on() -> None:
 
 def test_one_of_two_heaters_that_are_tied_may_lose_more() -> None:
     network = bare()
-    offered = apart(network, sites_of(network))
+    offered = untied_losses(network, sites_of(network))
     assert {(c.where, *c.adds) for c in offered} == {
         ("heater_1", "further_loss_of_heater_1"),
         ("heater_2", "further_loss_of_heater_2"),

@@ -11,9 +11,9 @@ import pytest
 from tests.discovery.conftest import Bench
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.evidence.commissioned import as_healthy_elsewhere
-from twin.discovery.evidence.inquiry import with_fewer_effects
 from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.search import searched
+from twin.discovery.evidence.split_search import with_fewer_effects
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
 

@@ -19,7 +19,7 @@ LAG_S, LOSS = 90.0, 6.0
 def entry(part: Part, label: tuple[str, str, str], shape: Shape, size: float) -> Entry:
     """A candidate of the part's catalogue as an effect of such a size."""
     law = next(w for w in part.laws if (w.candidate.kind, w.candidate.where, w.candidate.driver) == label)
-    return Entry(law, shape, part.contest.vector(law), size, 0.0, 0.0)
+    return Entry(law, shape, part.score_test.vector(law), size, 0.0, 0.0)
 
 
 def test_a_thermometer_that_lags_goes_on_lagging_while_something_else_grows(bench: Bench, healthy: Columns) -> None:

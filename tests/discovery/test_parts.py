@@ -14,9 +14,9 @@ from twin.discovery.effects.shapes import Shape
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import centred, filled, on_grid
 from twin.discovery.records.noise import bands, learn
-from twin.discovery.records.readings import stuck
+from twin.discovery.records.stuck_readings import stuck
 from twin.discovery.refit.model import Model
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.network import TwinFileError
 from twin.twinfile import load
@@ -143,7 +143,7 @@ def test_a_law_says_what_the_element_itself_does(bench: Bench, healthy: Columns)
     probe = known.probe
     state = probe.first_state(grid)
     run = probe.run(grid, state)
-    contest = Contest(probe, grid, state, run, known.noise, known.prior)
+    score_test = ScoreTest(probe, grid, state, run, known.noise, known.prior)
     checked = set()
     for law in known.book.laws(grid, run):
         c = law.candidate
@@ -154,11 +154,11 @@ def test_a_law_says_what_the_element_itself_does(bench: Bench, healthy: Columns)
         size = c.typical if late else 0.2 * c.typical  # lateness is not proportional to the time constant
         entry = Entry(law, Shape("step", 7200.0), np.empty(0), size, 0.0, 0.0)
         model = Model.of(probe, (entry,))
-        told = (contest._columns @ entry.placed(contest).ravel()).reshape(contest.b, contest.m) * size
+        told = (score_test._columns @ entry.placed(score_test).ravel()).reshape(score_test.b, score_test.m) * size
         values, sizes = network.values[None, :], np.array([[size]])
         with_it = model.run(grid.time, grid.inputs, state[None, :], values, sizes)[0]
         with_it = centred(with_it)
-        real = contest.features(contest.seen(with_it - run.readings)).reshape(contest.b, contest.m)
+        real = score_test.features(score_test.seen(with_it - run.readings)).reshape(score_test.b, score_test.m)
         scale = np.abs(real).max()
         off = np.abs(told - real).max() / scale
         print(c.id, round(off, 3), scale)

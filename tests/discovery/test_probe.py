@@ -8,7 +8,7 @@ import pytest
 from tests.discovery.conftest import Bench
 from twin.discovery.effects.probe import Probe
 from twin.discovery.records.grid import on_grid
-from twin.discovery.scoring.contest import block_edges
+from twin.discovery.scoring.score_tests import block_edges
 from twin.network import Network
 
 

@@ -18,8 +18,8 @@ from hil.bench.discovery.public_records import measure
 from twin.discovery.effects.catalogue import catalogue, sites_of
 from twin.discovery.growing.growth import Growth, grow, grow_at_rest
 from twin.discovery.growing.likelihood import Spectrum, cosines, judged
-from twin.discovery.growing.superset.alike import together
-from twin.discovery.growing.superset.resting import Resting
+from twin.discovery.growing.superset.equivalent_places import family_candidates
+from twin.discovery.growing.superset.steady_states import SteadyStates
 from twin.kernel import Kernel, simulate
 from twin.network import Array, Network, TwinFileError
 from twin.steady import steady_readings
@@ -142,7 +142,7 @@ def test_states_at_rest_agree_with_the_oracle() -> None:
     u, _ = cooler(network, 6, 5)
     rows = np.tile(network.values, (2, 1))
     rows[1, network.index(["fins.UA_100"])] *= 0.5
-    found = Resting(network, Kernel(network, ("fins.UA_100",))).readings(u, rows)
+    found = SteadyStates(network, Kernel(network, ("fins.UA_100",))).readings(u, rows)
     assert found[0] == pytest.approx(steady_readings(network, u), abs=1e-6)
     assert found[1] == pytest.approx(steady_readings(network, u, rows[1]), abs=1e-6)
 
@@ -150,7 +150,7 @@ def test_states_at_rest_agree_with_the_oracle() -> None:
 def test_places_that_are_alike_are_offered_together() -> None:
     bare = load(TWINS / "tclab_bare.toml")
     single = catalogue(bare)
-    found = together(bare, sites_of(bare), single)
+    found = family_candidates(bare, sites_of(bare), single)
     assert {c.where for c in found} == {"heaters"}
     radiates = next(c for c in found if "m2" in c.unit)
     assert set(radiates.changes) == {"radiation_of_heater_1.area", "radiation_of_heater_2.area"}

@@ -10,7 +10,7 @@ import pytest
 
 from twin.discovery.evidence.marginal import likeliest, log_bayes_of_sizes
 from twin.discovery.evidence.scan import logsumexp
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.sweep import _late_sums, _steps_of, squares_of
 from twin.elements.candidates import Candidate
 
@@ -18,7 +18,7 @@ SITES, B = 4, 7
 
 
 @pytest.fixture
-def contest() -> Any:
+def score_test() -> Any:
     rng = np.random.default_rng(3)
     columns = rng.normal(size=(40, SITES * B))
     score = rng.normal(size=SITES * B)
@@ -28,42 +28,42 @@ def contest() -> Any:
     gram = columns.T @ columns - columns.T @ slopes @ taken
     made = SimpleNamespace(sites=SITES, b=B, m=1, gram=gram, score=score, memo={}, slopes=slopes)
     made._columns, made._taken = columns, taken
-    made.scored = lambda p: Contest.scored(made, p)  # type: ignore[arg-type]
-    made.small_gram = lambda p: Contest.small_gram(made, p)  # type: ignore[arg-type]
+    made.scored = lambda p: ScoreTest.scored(made, p)  # type: ignore[arg-type]
+    made.small_gram = lambda p: ScoreTest.small_gram(made, p)  # type: ignore[arg-type]
     return made
 
 
 @pytest.mark.parametrize("at", [[2], [0, 3], [0, 1, 3], []])
-def test_the_blocks_of_a_law_have_the_gram_matrix_and_score_of_their_columns(contest: Any, at: list[int]) -> None:
+def test_the_blocks_of_a_law_have_the_gram_matrix_and_score_of_their_columns(score_test: Any, at: list[int]) -> None:
     p = np.zeros((SITES, B))
     p[at] = np.random.default_rng(4).normal(size=(len(at), B))
     apart = np.concatenate([np.diag(row) for row in p])  # a column for each block: (sites * b, b)
-    gram, score = Contest.small(contest, p)
-    np.testing.assert_allclose(gram, apart.T @ contest.gram @ apart, atol=1e-9)
-    np.testing.assert_allclose(score, apart.T @ contest.score, atol=1e-9)
+    gram, score = ScoreTest.small(score_test, p)
+    np.testing.assert_allclose(gram, apart.T @ score_test.gram @ apart, atol=1e-9)
+    np.testing.assert_allclose(score, apart.T @ score_test.score, atol=1e-9)
 
 
-def test_a_step_has_the_square_of_all_its_blocks_together(contest: Any) -> None:
-    gram = contest.gram[:B, :B]
+def test_a_step_has_the_square_of_all_its_blocks_together(score_test: Any) -> None:
+    gram = score_test.gram[:B, :B]
     steps = np.tril(np.ones((B, B)))  # the step of a column begins with its block
     np.testing.assert_allclose(_late_sums(gram), np.diag(steps.T @ gram @ steps), rtol=1e-12)
 
 
-def test_steps_of_many_laws_have_the_squares_of_each_alone(contest: Any) -> None:
+def test_steps_of_many_laws_have_the_squares_of_each_alone(score_test: Any) -> None:
     vectors = np.zeros((4, SITES, B))
     vectors[0, 1], vectors[1, 1], vectors[2, 3] = 1.0, np.arange(B), 2.0
     vectors[3, 1], vectors[3, 2] = -1.0, np.linspace(0.0, 1.0, B)
-    alone = [_late_sums(Contest.small_gram(contest, p)) for p in vectors]
-    np.testing.assert_allclose(_steps_of(contest, vectors), alone, atol=1e-9)
+    alone = [_late_sums(ScoreTest.small_gram(score_test, p)) for p in vectors]
+    np.testing.assert_allclose(_steps_of(score_test, vectors), alone, atol=1e-9)
 
 
-def test_signatures_have_the_products_that_the_gram_matrix_says(contest: Any) -> None:
+def test_signatures_have_the_products_that_the_gram_matrix_says(score_test: Any) -> None:
     vector, courses = np.zeros((SITES, B)), np.random.default_rng(6).normal(size=(B, 3))
     vector[1], vector[3] = 2.0, np.arange(B)
     flat = (vector[:, :, None] * courses).reshape(SITES * B, 3)
-    seen = Contest.seen_at(contest, vector, courses)
-    np.testing.assert_allclose(seen, contest._columns @ flat, atol=1e-9)
-    np.testing.assert_allclose(Contest.onto(contest, seen), contest.gram @ flat, atol=1e-9)
+    seen = ScoreTest.seen_at(score_test, vector, courses)
+    np.testing.assert_allclose(seen, score_test._columns @ flat, atol=1e-9)
+    np.testing.assert_allclose(ScoreTest.onto(score_test, seen), score_test.gram @ flat, atol=1e-9)
 
 
 @pytest.mark.parametrize("bounds", [(-np.inf, np.inf), (0.0, 900.0), (-5.0, 0.0)])
@@ -80,11 +80,13 @@ def test_effects_that_count_beside_the_rest_are_told_by_a_bound(bounds: tuple[fl
 
 
 @pytest.mark.parametrize("b", [B, SITES * B])
-def test_courses_that_begin_later_have_the_squares_of_all_their_blocks(contest: Any, b: int) -> None:
-    gram = contest.gram[:b, :b]
+def test_courses_that_begin_later_have_the_squares_of_all_their_blocks(score_test: Any, b: int) -> None:
+    gram = score_test.gram[:b, :b]
     courses = np.random.default_rng(5).normal(size=(b, 90))
     for column in range(80):
         courses[: column % (b + 1), column] = 0.0  # one of them is zero all along
     for _ in range(2):
-        np.testing.assert_allclose(squares_of(contest, gram, courses), np.diag(courses.T @ gram @ courses), atol=1e-9)
-    assert squares_of(contest, gram, courses[:, :0]).shape == (0,)
+        np.testing.assert_allclose(
+            squares_of(score_test, gram, courses), np.diag(courses.T @ gram @ courses), atol=1e-9
+        )
+    assert squares_of(score_test, gram, courses[:, :0]).shape == (0,)

@@ -14,8 +14,8 @@ from twin.discovery.records.noise import CAUTION, bands, learn
 from twin.discovery.refit.fitting import fit
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import holds, validate
-from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.null import Null
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry, able_to_begin
 
 SIGMA, STEP_S = np.array([0.02, 0.03]), 10.0
@@ -69,13 +69,13 @@ def test_blocks_left_out_speak_for_what_is_there_and_against_what_is_not(brisk: 
     known = basis(brisk.network, brisk_healthy, grid)
     state = known.probe.first_state(grid)
     run = known.probe.run(grid, state)
-    contest = Contest(known.probe, grid, state, run, known.noise, known.prior)
+    score_test = ScoreTest(known.probe, grid, state, run, known.noise, known.prior)
     law = next(
         w for w in known.book.laws(grid, run) if (w.candidate.kind, w.candidate.where) == ("heat_source", "tank")
     )
     entry = Entry(law, Shape("step", 4.0 * HOUR), np.empty(0), 150.0, 1.0, 0.0)
     model = Model.of(known.probe, (entry,))
-    assert not holds(validate(contest, model, fit(contest, model, state)))
+    assert not holds(validate(score_test, model, fit(score_test, model, state)))
 
 
 def test_a_block_that_says_nothing_is_not_asked() -> None:
@@ -93,7 +93,7 @@ def test_a_faint_effect_may_have_begun_at_more_times_than_a_strong_one(brisk: Be
         grid = on_grid(brisk.network, record.time_s, record.inputs, record.measured)
         part = Part.of(basis(brisk.network, brisk_healthy, grid), grid)
         heat = next(e for e in part.scanned if e.label == ("heat_source", "modules", "constant"))
-        first_s, last_s = able_to_begin(part.contest, heat, np.zeros(0))
-        assert first_s - part.contest.step_s <= onset_s <= last_s + part.contest.step_s
+        first_s, last_s = able_to_begin(part.score_test, heat, np.zeros(0))
+        assert first_s - part.score_test.step_s <= onset_s <= last_s + part.score_test.step_s
         spans.append(last_s - first_s)
     assert spans[1] < HOUR / 6 < spans[0]

@@ -101,13 +101,13 @@ def test_an_onset_is_found_from_either_side_and_across_the_edges_of_blocks(
     part = Part.of(basis(bench.network, healthy, grid), grid)
     label = ("heat_source", "modules", "constant")
     law = next(w for w in part.laws if (w.candidate.kind, w.candidate.where, w.candidate.driver) == label)
-    begun = Entry(law, Shape("step", (7.13 + off_h) * 3600.0), part.contest.vector(law), 40.0, 0.0, 0.0)
+    begun = Entry(law, Shape("step", (7.13 + off_h) * 3600.0), part.score_test.vector(law), 40.0, 0.0, 0.0)
     part.reset()
-    found = fit(part.contest, Model.of(part.basis.probe, (begun,)), part.state)
+    found = fit(part.score_test, Model.of(part.basis.probe, (begun,)), part.state)
     (effect,) = found.entries
     assert effect.shape.onset_s == pytest.approx(7.13 * 3600.0, abs=90.0)
     assert effect.size == pytest.approx(60.0, rel=0.05)
-    assert found.chi < 1.5 * part.contest.expected
+    assert found.chi < 1.5 * part.score_test.expected
 
 
 def test_a_step_that_is_no_number_leads_nowhere() -> None:

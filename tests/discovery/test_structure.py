@@ -13,7 +13,7 @@ from twin.discovery.evidence.priors import CLAIM
 from twin.discovery.healthy.basis import Basis, Columns, basis
 from twin.discovery.healthy.health import NotHealthyError
 from twin.discovery.records.grid import Grid, on_grid
-from twin.discovery.scoring.contest import narrowed
+from twin.discovery.scoring.score_tests import narrowed
 from twin.discovery.scoring.structure import Structure
 from twin.kernel import Kernel
 
@@ -57,7 +57,7 @@ def test_an_effect_beside_it_keeps_its_size(bench: Bench, rig: Bench, good: Colu
 def test_a_twin_without_faults_has_no_structure_to_speak_of(bench: Bench, healthy: Columns) -> None:
     known, grid = seen(bench, bench.record(20.0, seed=3), healthy)
     with_it, without = Part.of(known, grid), Part.of(replace(known, structure=None), grid)
-    assert with_it.contest.chi == pytest.approx(without.contest.chi, rel=0.2)
+    assert with_it.score_test.chi == pytest.approx(without.score_test.chi, rel=0.2)
 
 
 def test_what_healthy_readings_told_of_tunable_and_structure_together_is_not_open(
@@ -67,7 +67,7 @@ def test_what_healthy_readings_told_of_tunable_and_structure_together_is_not_ope
     known, grid = seen(bench, rig.record(20.0, seed=3), good)
     with_it, without = Part.of(known, grid), Part.of(replace(known, structure=None), grid)
     tunables = slice(known.probe.q)
-    left, there = ((part.contest.slopes[:, tunables] ** 2).sum(axis=0) for part in (with_it, without))
+    left, there = ((part.score_test.slopes[:, tunables] ** 2).sum(axis=0) for part in (with_it, without))
     assert (left > 0.05 * there).all()
     weaker = Bench(rig.network.with_values({"fins.UA_100": 0.92 * rig.network.parameters["fins.UA_100"].value}))
     known, grid = seen(bench, weaker.record(20.0, seed=3), good)

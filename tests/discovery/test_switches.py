@@ -23,7 +23,7 @@ def test_what_begins_at_a_new_highest_temperature_may_have_been_switched(bench: 
     other = [a for a in switched.indistinguishable if a.driver == "threshold"]
     assert [(a.kind, a.where) for a in other] == [("heat_source", "tank")] and 0.15 < other[0].confidence < 1.0
     assert any("a temperature may switch it on" in note and "cool below" in note for note in switched.notes)
-    assert "a temperature that switches it instead this record cannot tell" in switched.summary
+    assert "a temperature that switches it instead, which is not identifiable from this record" in switched.summary
 
     # Half an hour into a lower power, no temperature has switched anything on.
     begun = diagnose(bench.network, run(bench.network, HOURLY, more, onset_h=5.5), healthy)

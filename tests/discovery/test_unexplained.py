@@ -9,7 +9,7 @@ import pytest
 
 from tests.discovery.conftest import HOUR, Bench
 from twin.discovery import engine
-from twin.discovery.answer.case import AssessedFinding
+from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis, SensorError
 from twin.discovery.engine import diagnose

@@ -10,7 +10,7 @@ import pytest
 
 from tests.discovery.conftest import HOUR, Bench
 from twin.discovery import diagnose
-from twin.discovery.answer import judging
+from twin.discovery.answer import acceptance
 from twin.discovery.effects.catalogue import catalogue
 from twin.discovery.evidence.hypotheses import Found
 from twin.discovery.evidence.marginal import form_basis
@@ -53,7 +53,7 @@ def test_the_error_of_form_follows_each_input_that_moves(brisk: Bench, brisk_hea
     record = brisk.record(8.0, seed=3)
     still = record.inputs.copy()
     still[:, 1] = 85.0
-    moving, held = (part_of(brisk, brisk_healthy, replace(record, inputs=u)).contest for u in (record.inputs, still))
+    moving, held = (part_of(brisk, brisk_healthy, replace(record, inputs=u)).score_test for u in (record.inputs, still))
     assert form_basis(moving).shape[1] - form_basis(held).shape[1] == 1
     followed = form_basis(held)[:, -3:]
     assert np.allclose(followed.mean(axis=0), 0.0, atol=1e-9) and np.allclose(followed.std(axis=0), 1.0)
@@ -65,7 +65,7 @@ def test_the_error_of_form_follows_each_input_that_moves(brisk: Bench, brisk_hea
 def test_less_than_a_block_of_held_out_record_contradicts_nothing(
     monkeypatch: pytest.MonkeyPatch, bins: int, told: bool
 ) -> None:
-    monkeypatch.setattr(judging, "contradicted", lambda errors, network: True)
+    monkeypatch.setattr(acceptance, "contradicted", lambda errors, network: True)
     case = SimpleNamespace(
         finding=SimpleNamespace(fit=object()),
         known=SimpleNamespace(probe=SimpleNamespace(network=None)),
@@ -74,7 +74,7 @@ def test_less_than_a_block_of_held_out_record_contradicts_nothing(
         split=100 - bins,
         errors={},
     )
-    assert judging.good(case) is told  # type: ignore[arg-type]
+    assert acceptance.accepted(case) is told  # type: ignore[arg-type]
 
 
 def test_an_actuator_may_fail_altogether(brisk: Bench) -> None:

@@ -158,7 +158,7 @@ def test_a_plan_is_forecast_before_it_is_run(place: Mapping[str, Path], tmp_path
 def test_groups_of_the_same_names_are_stated_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Masses with other time constants have the same names, and are one line."""
     one, other = (("thermal_mass", node, "history") for node in ("plate", "tank"))
-    found = SimpleNamespace(groups=((one, other), (other, one), (one, one, other)), unseen=())
+    found = SimpleNamespace(groups=((one, other), (other, one), (one, one, other)), undetectable=())
     monkeypatch.setattr("twin.discovery.ambiguity_groups", lambda network: found)
     done = CliRunner().invoke(group, ["check", str(LOOP), "--catalogue"])
     lines = [line for line in done.output.splitlines() if line.startswith("no input distinguishes: ")]

@@ -120,7 +120,7 @@ def test_a_proposal_of_a_twin_that_is_far_off_says_so() -> None:
         "values": {"fan": 2.0, "loss": 1.0},
         "standard_errors": {"fan": 0.1, "loss": 0.1},
         "held": {"loss": "LOW_SENSITIVITY"},
-        "reasons": ["LOW_SENSITIVITY: the record does not tell loss: held"],
+        "reasons": ["LOW_SENSITIVITY: loss is not identifiable from the record: held"],
     }
     still, adrift = (proposal_text(Proposed("pso", 9.0, {**document, "adrift": far})) for far in (False, True))
     assert "LOW_SENSITIVITY holds loss" in still and "far off" not in still

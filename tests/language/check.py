@@ -1,4 +1,4 @@
-"""Findings of the language rules in the repository, and the parts that are not cleaned yet."""
+"""Findings of the language rules in the repository."""
 
 from __future__ import annotations
 
@@ -16,12 +16,6 @@ PACKAGES = ("hil", "drivers", "twin")
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs")
 GENERATED = ("docs/_build", "docs/results")
 """Results are written by `hil bench`, so their words are those of the code."""
-EXCEPTIONS: tuple[str, ...] = (
-    "twin/calibrators/hiera_unet",
-    "twin/discovery",
-)
-"""Files and folders that are not cleaned yet. This list may only become shorter: a test fails for an entry without
-findings. `python -m tests.language --exceptions` prints the entries that are needed."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +31,7 @@ class Finding:
 
 
 def findings(root: Path = PROJECT) -> list[Finding]:
-    """Return all findings below `root`, those of `EXCEPTIONS` too."""
+    """Return all findings below `root`."""
     found: list[Finding] = []
     for top in PAGES:
         for path in _files(root / top, ".md"):
@@ -74,20 +68,6 @@ def module_findings(name: str, source: str) -> Iterator[Finding]:
         for offset, word, instead in words_to_replace(text.text):
             line = text.line + text.text.count("\n", 0, offset)
             yield Finding(name, line, f"{word!r}: use {instead}")
-
-
-def excepted(path: str) -> str | None:
-    """Return the entry of `EXCEPTIONS` that holds for a path, or None."""
-    return next((entry for entry in EXCEPTIONS if path == entry or path.startswith(entry.rstrip("/") + "/")), None)
-
-
-def needed_exceptions(found: list[Finding]) -> list[str]:
-    """Return the entries that `found` asks for: a folder of a package, else the file."""
-    entries = set()
-    for finding in found:
-        parts = finding.path.split("/")
-        entries.add("/".join(parts[:2]) if parts[0] in PACKAGES and len(parts) > 2 else finding.path)
-    return sorted(entries)
 
 
 def _files(top: Path, suffix: str) -> list[Path]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from tests.language.check import EXCEPTIONS, PROJECT, Finding, excepted, findings, module_findings, page_findings
+from tests.language.check import findings, module_findings, page_findings
 from tests.language.markdown import sentences
 from tests.language.rules import LONGEST, has_weak_opening, words_to_replace
 from tests.language.source import texts
@@ -101,16 +99,5 @@ def test_messages_are_read_as_docstrings_are() -> None:
     assert any(not text.is_docstring and "record" in text.text for text in texts(SOURCE))
 
 
-@pytest.fixture(scope="module")
-def found() -> list[Finding]:
-    return list(findings())
-
-
-def test_the_repository_has_no_findings_outside_of_the_exceptions(found: list[Finding]) -> None:
-    assert [str(finding) for finding in found if excepted(finding.path) is None] == []
-
-
-def test_every_exception_still_has_findings(found: list[Finding]) -> None:
-    used = {excepted(finding.path) for finding in found}
-    assert [entry for entry in EXCEPTIONS if entry not in used] == []
-    assert all((Path(PROJECT) / entry).exists() for entry in EXCEPTIONS)
+def test_the_repository_has_no_findings() -> None:
+    assert [str(finding) for finding in findings()] == []

@@ -5,8 +5,9 @@ The names below are the package's interface; they are loaded on first use.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from twin.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from twin.commissioning.checks import clock_warning, refusal_reason
@@ -19,21 +20,6 @@ if TYPE_CHECKING:
         weak_prior,
     )
 
-_MODULES = {
-    "checks": (
-        "clock_warning",
-        "refusal_reason",
-    ),
-    "healthy_fit": (
-        "CommissionOptions",
-        "CommissionResult",
-        "INITIAL_SD_K",
-        "commission",
-        "variance_inflation",
-        "weak_prior",
-    ),
-}
-_HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "INITIAL_SD_K",
@@ -46,14 +32,17 @@ __all__ = [
     "weak_prior",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "checks": ("clock_warning", "refusal_reason"),
+        "healthy_fit": (
+            "CommissionOptions",
+            "CommissionResult",
+            "INITIAL_SD_K",
+            "commission",
+            "variance_inflation",
+            "weak_prior",
+        ),
+    },
+)

@@ -1,10 +1,10 @@
-"""The odds of a claim by the whole pipeline: healthy records drawn from the twin, commissioned and diagnosed anew.
+"""Parametric bootstrap of the claim threshold: healthy records are simulated, commissioned and diagnosed anew.
 
-Posterior odds take the noise, the tunables' spread and the twin as known. They come from one healthy record, and so are
-off by chance. A parametric bootstrap of everything (Efron & Tibshirani, An Introduction to the Bootstrap, 1993, ch. 6)
-repeats that chance: draw a rig, its commissioning and one record more, commission, learn the noise, scan, fit, judge.
-Where healthy records reach odds that allow a claim, more is needed of this twin. It takes minutes once, and is kept
-beside the kernels.
+Posterior odds take the noise and the spread of the tunables as known, although both are estimated from one healthy
+record. The bootstrap repeats that estimate (Efron & Tibshirani, An Introduction to the Bootstrap, 1993, ch. 6): it
+draws a rig and two of its records, commissions a twin on the one, and diagnoses the other. If healthy records reach
+odds that allow a claim, the threshold for this twin rises. A bootstrap takes minutes, and its result is kept in the
+cache.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 from twin.commissioning import CommissionOptions, commission
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns, basis
-from twin.discovery.healthy.drawn import drawn
-from twin.discovery.healthy.widening import FEWEST, Bootstrap
+from twin.discovery.healthy.claim_threshold import FEWEST, Bootstrap
+from twin.discovery.healthy.simulated_records import simulated_records
 from twin.discovery.records.grid import on_grid
 from twin.network import Network
 
 DRAWS = 40
 LEAST_ODDS = -12.0
-"""Log odds below which records in which nothing leads count alike: their tail is what is asked for."""
+"""Log odds below which all records count alike; only the upper tail is fitted."""
 
 
 def bootstrap_claims(
@@ -55,7 +55,7 @@ def bootstrap_claims(
     known = basis(network, healthy, on_grid(network, healthy.time_s, healthy.inputs, healthy.measured))
     odds, needed, alarms = [], 0.0, 0
     for i in range(draws):
-        records = drawn(known, healthy, np.random.default_rng([seed, i]))
+        records = simulated_records(known, healthy, np.random.default_rng([seed, i]))
         first, second = next(records), next(records)
         again = commission(network, first.time_s, first.inputs, first.measured, CommissionOptions(starts=1))
         found = diagnose(again.network, second, first)

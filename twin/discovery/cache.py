@@ -18,7 +18,9 @@ from twin.twinfile import dump
 
 
 def store(name: str, found: object, network: Network, *data: Array) -> None:
-    """Keep as JSON what was found out about a network, and `data` where it rests on some; nothing without a cache."""
+    """Write a result about a network, and about `data` if it depends on some, as JSON; do nothing if there is no
+    cache.
+    """
     path = cached(name, network, *data)
     if path is None:
         return
@@ -29,7 +31,7 @@ def store(name: str, found: object, network: Network, *data: Array) -> None:
 
 
 def stored(name: str, network: Network, *data: Array) -> Any:
-    """What was kept by `store`; None where nothing was, or it cannot be read."""
+    """Return what `store` has written; None if nothing was written or the file cannot be read."""
     path = cached(name, network, *data)
     if path is not None:
         with contextlib.suppress(OSError, ValueError):
@@ -38,7 +40,9 @@ def stored(name: str, network: Network, *data: Array) -> Any:
 
 
 def cached(name: str, network: Network, *data: Array) -> Path | None:
-    """The file of what was found out about a network, and `data` where it rests on some; None without a cache."""
+    """Return the file of a result about a network, and about `data` if it depends on some; None if there is no
+    cache.
+    """
     folder = cache_folder(name)
     if folder is None:
         return None
@@ -50,7 +54,7 @@ def cached(name: str, network: Network, *data: Array) -> Path | None:
 
 @cache
 def _code() -> str:
-    """Of the elements and the search: another catalogue has other groups, another search other scores."""
+    """Return a digest of the code of elements and search: with other code a result may differ."""
     here = Path(__file__).parent
     files = [*sorted(here.rglob("*.py")), *sorted((here.parent / "elements").rglob("*.py"))]
     return hashlib.sha256(b"\0".join(p.read_bytes() for p in files)).hexdigest()

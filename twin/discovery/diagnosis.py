@@ -18,10 +18,10 @@ Carried = Literal["over", "in part", "not"]
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect in the vocabulary of the diagnosis; `interval90` of `value` in `unit`; times in the record's own.
+    """One effect in the vocabulary of the diagnosis; `interval90` of `value` in `unit`; times in the record's own, s.
 
-    `says` is the effect in plain words, `evidence` what speaks for it. `family_wise`: probability that noise alone
-    would score as much somewhere in the catalogue; NaN for what no scan has found. `noise_z`: score that noise alone
+    `says` is the effect in plain words, `evidence` what supports it. `family_wise`: probability that noise alone scores
+    as much somewhere in the catalogue; NaN for an effect that no scan has found. `noise_z`: score that noise alone
     reaches there in one record of a hundred; NaN where that is the diagnosis's threshold.
     """
 
@@ -46,7 +46,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another explanation and why it was not taken, or that nothing in the record speaks against it (why_not "")."""
+    """Another explanation, and why it was rejected; `why_not` is "" if nothing in the record excludes it."""
 
     kind: str
     where: str
@@ -57,11 +57,11 @@ class Alternative:
 
 @dataclass(frozen=True)
 class SensorError:
-    """RMSE in K of free runs over the held-out part; `means` are the same of means over ten seconds or a sample.
+    """RMSE, K, of free runs over the held-out segment; `means` are the same of means over ten seconds or a sample.
 
-    stale: the twin as it was. before: its tunables fitted anew. after: with the effects. noise: of the thermometer.
-    usual: of such means, what a healthy record lets expect where the rig moves as it does there; 0 without one.
-    moved: of such means, the change that the effects predict beside re-tuning.
+    stale: commissioned twin. before: its tunables fitted anew. after: with the effects. noise: of the thermometer.
+    usual: of such means, the error to expect in health where the rig moves as it does there; 0 without a healthy
+    record. moved: of such means, the change that the effects predict beyond re-tuning.
     """
 
     stale: float
@@ -75,9 +75,12 @@ class SensorError:
 
 @dataclass(frozen=True)
 class Elsewhere:
-    """Errors over a further record, all of it; `carried`: whether the diagnosed twin is no farther off than usual
-    there, far off but far better than re-tuned, or neither; `says` so in words, "" where it is no farther off
-    or the verdict has told already that the twin lacks something that was not added."""
+    """Errors over all of a further record.
+
+    `carried`: whether the diagnosed twin has no larger error there than usual, a large one that is far below that of
+    re-tuning, or neither. `says` is that in words; "" if the error is usual, or if the verdict has reported already
+    that an effect is missing and was not added.
+    """
 
     name: str
     errors: Mapping[str, SensorError]
@@ -87,7 +90,7 @@ class Elsewhere:
 
 @dataclass(frozen=True)
 class Moved:
-    """A tunable: commissioned, after re-tuning alone, and beside the effects; in standard deviations too."""
+    """One tunable: commissioned, after re-tuning alone, and with the effects; also in standard deviations."""
 
     parameter: str
     commissioned: float
@@ -100,9 +103,9 @@ class Moved:
 
 @dataclass(frozen=True)
 class Course:
-    """An unknown quantity at one site over time: `mean` and `sd` (b,) at `hours` (b,), in `unit`.
+    """Unknown quantity at one site over time: `mean` and `sd` (b,) at `hours` (b,), in `unit`.
 
-    `signature` is what it acts as: energy, transport or sensor; `where` its place in a diagnosis's words.
+    `signature` is its physical type: energy, transport or sensor; `where` its place in the vocabulary of the diagnosis.
     """
 
     site: str
@@ -117,9 +120,10 @@ class Course:
 
 @dataclass(frozen=True)
 class Fold:
-    """A block left out: `gain` is the fall of its weighted squares that the effects bring, whose sizes the rest gave.
+    """One cross-validation fold: `gain` is the fall of its weighted squares by effects whose sizes the other folds
+    gave.
 
-    `rows` is its number of block means; `first_s`, `last_s` are of the record.
+    `rows` is its number of block means; `first_s`, `last_s` are times of the record, s.
     """
 
     first_s: float
@@ -162,7 +166,7 @@ class Lead:
 
 @dataclass(frozen=True)
 class Rung:
-    """One step of the ladder: what the twin held, the misfit left (chi per block and sensor), the best next score."""
+    """One step of the ladder: effects, misfit left (chi per block and sensor), and the best next score."""
 
     what: str
     chi: float
@@ -171,19 +175,19 @@ class Rung:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The result; `network` is the twin with its effects, None where there is nothing to add.
+    """Result of a diagnosis; `network` is the twin with its effects, None if there is nothing to add.
 
     Attributes:
         summary: the verdict in plain words. courses: unknown power and offset per site. hours, residual: block means
-            (b,), (b, m) of measured minus the twin as it was; residual_after likewise with the effects; band: (m,) sd
-            of a healthy residual.
-        empirical: a curve that is offered where nothing explains the record. warnings: a sentence each.
-        folds: blocks of time left out, and what the effects gain there.
+            (b,), (b, m) K of measured minus simulated by the commissioned twin; residual_after: likewise with the
+            effects; band: (m,) sd of a healthy residual, K.
+        empirical: a curve that is offered if no effect explains the record. warnings: a sentence each.
+        folds: cross-validation folds, and the gain of the effects in each.
         odds: log posterior odds of the likeliest effects against none. claim: log odds from which they are claimed.
-        threshold: of a growth, score that the best of a record of noise reaches once in a hundred.
-        method: `contest` of effects with a twin that is nearly right, or `growth` of one of which little is known; `at
-            rest` of steady states, whose times are their numbers from 1.
-        elsewhere: what it comes to on further records. leads: where to look in what is left unexplained.
+        threshold: of a grown twin, score that the best effect reaches by noise in one record of a hundred.
+        method: `contest` of effects with a commissioned twin, or `growth` of a twin that was never commissioned;
+            `growth at rest` from steady states, whose times are their numbers from 1.
+        elsewhere: errors on further records. leads: segments, ranges and places to investigate in the remaining misfit.
     """
 
     verdict: Verdict
@@ -216,7 +220,7 @@ class Diagnosis:
     leads: tuple[Lead, ...] = ()
 
     def document(self) -> dict[str, Any]:
-        """The contract's ``diagnosis.json``."""
+        """Return the content of ``diagnosis.json``."""
         return {
             "verdict": self.verdict,
             "method": self.method,

@@ -1,4 +1,4 @@
-"""The diagnosis from end to end: residual, contest, fit, verdict, errors on data that the fit never saw."""
+"""Diagnosis from end to end: residual, score test, fit, verdict, errors on the held-out segment."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.discovery.answer.case import AssessedFinding
+from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.answer.leads import with_leads
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis
@@ -19,18 +19,23 @@ from twin.discovery.evidence.commissioned import (
     retuned_alone,
 )
 from twin.discovery.evidence.held_out import binned
-from twin.discovery.evidence.inquiry import Inquiry
+from twin.discovery.evidence.later_records import reranked
 from twin.discovery.evidence.part import Part
-from twin.discovery.evidence.weighing import weighed
+from twin.discovery.evidence.split_search import SplitSearch
 from twin.discovery.healthy.basis import Basis, Columns, basis
-from twin.discovery.healthy.visited import beside_unvisited, unvisited
+from twin.discovery.healthy.operating_range import range_notes, with_range_notes
 from twin.discovery.planning.experiment import Limits
 from twin.discovery.planning.forecast import Forecast, either, forecast, plan_of, too_little, too_still, unseen_kinds
 from twin.discovery.records.grid import Grid, on_grid, sample_period
-from twin.discovery.records.readings import Stuck, stuck
 from twin.discovery.records.standstill import Standstill, standstill
-from twin.discovery.scoring.contest import Contest, block_edges
-from twin.discovery.thermometers.at_fault import beside, by_themselves, unlisted, without
+from twin.discovery.records.stuck_readings import Stuck, stuck
+from twin.discovery.scoring.score_tests import ScoreTest, block_edges
+from twin.discovery.thermometers.faulty_thermometers import (
+    faulty_thermometers,
+    unlisted_fault,
+    with_faults,
+    without_faults,
+)
 from twin.discovery.thermometers.members import Members, members
 from twin.network import Array, Network, TwinFileError, mean_of_sensors
 from twin.segments import CLOCK_PREFIX, Segments, find_segments
@@ -49,22 +54,22 @@ def diagnose(
     held_out: float = HELD_OUT,
     limits: Limits | None = None,
 ) -> Diagnosis:
-    """Trace the residual of a record to an effect that the twin lacks, or say that there is none, or that none fits.
+    """Isolate the effect that explains the residual of a record, or report that none is needed, or that none fits.
 
     Parameters
     ----------
     network
         The commissioned twin.
     healthy
-        The record that it was commissioned on, as `CommissionedRecord` where the twin may have taken up effects since.
+        The record that it was commissioned on, as `CommissionedRecord` where the twin may have adopted effects since.
     more
-        Records made later on the same rig, by which causes that this record cannot tell apart are weighed.
+        Records made later on the same rig, which rank the causes of an ambiguity group of this record.
     say
-        Called with what is being done.
+        Called with a description of each step.
     held_out
-        Share of the record, at its end, that no fit sees.
+        Share of the record, at its end, that is held out of every fit.
     limits
-        Of the rig, for the next experiment; by default it stays within what the record has seen.
+        Of the rig, for the next experiment; by default the experiment stays within the record's own range.
 
     Raises
     ------
@@ -85,15 +90,15 @@ def diagnose(
         return diagnose(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
 
     start = float(grid.time[0])
-    alone = by_themselves(single)
-    if alone is not None:
-        left = again(without(alone, network, replace(record, inputs=given.inputs)))
-        apart = beside(alone, left, network, start, still)
-        if alone.settled or left.verdict != "unexplained":
+    faulty = faulty_thermometers(single)
+    if faulty is not None:
+        left = again(without_faults(faulty, network, replace(record, inputs=given.inputs)))
+        apart = with_faults(faulty, left, network, start, still)
+        if faulty.settled or left.verdict != "unexplained":
             return apart
     say("scanning")
-    inquiry, answer = Inquiry.of(network, record, known, grid, say).settled(held_out)
-    known, whole = inquiry.known, inquiry.whole
+    split_search, answer = SplitSearch.of(network, record, known, grid, say).settled(held_out)
+    known, whole = split_search.known, split_search.whole
     finding, split = answer.finding, answer.split
     notes = [*unread, *_said(known, gaps, stood), *answer.notes]
     answers = [e.candidate for r in finding.ranked for e in r.entries]
@@ -101,12 +106,12 @@ def diagnose(
     further: list[Part] = []
     if more and len(finding.ranked) > 1:
         say("comparing with further records")
-        further = [inquiry.part(on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
+        further = [split_search.part(on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
         for each in further:
             each.know(answers)
-        finding, decided = weighed(finding, answer.train, further)
+        finding, decided = reranked(finding, answer.train, further)
         notes += decided
-    off = inquiry.on_unseen(finding, split)
+    off = split_search.held_out_errors(finding, split)
     # Without a healthy record nothing else tells how much a lumped twin leaves of a healthy rig.
     usual = healthy is None and as_commissioned(network, off)
     if usual:
@@ -114,13 +119,13 @@ def diagnose(
     if finding.fit is None:
         usual = usual or (healthy is None and as_under_another_load(network, off))
         notes += _hidden(whole, known)
-        unseen = unseen_kinds(whole.contest, whole.laws, known.book.candidates)
+        unseen = unseen_kinds(whole.score_test, whole.laws, known.book.candidates)
         notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []
     say("judging")
     case = AssessedFinding(
         finding=finding,
         known=known,
-        whole=whole.contest,
+        whole=whole.score_test,
         grid=grid,
         split=split,
         errors=off,
@@ -132,57 +137,58 @@ def diagnose(
         later=tuple(part.grid for part in further),
     )
     found = conclude(case, tuple(notes))
-    elsewhere = unvisited(network, record, healthy) if found.verdict == "unexplained" and healthy is not None else []
+    elsewhere = range_notes(network, record, healthy) if found.verdict == "unexplained" and healthy is not None else []
     if elsewhere and _as_healthy_elsewhere(case):
         found = conclude(replace(case, finding=nothing(finding), beyond=True), (*notes, *elsewhere))
-    found = beside_unvisited(found, network, record, healthy)
+    found = with_range_notes(found, network, record, healthy)
     found = with_leads(found, case, record, healthy)
-    if alone is not None:
+    if faulty is not None:
         # With its course taken off nothing explains the rest: the course was not all its own.
         return apart if found.verdict == "unexplained" else found
-    alone = unlisted(single) if found.verdict == "unexplained" else None
-    if alone is None:
+    faulty = unlisted_fault(single) if found.verdict == "unexplained" else None
+    if faulty is None:
         return found
-    left = again(without(alone, network, replace(record, inputs=given.inputs)))
-    left = beside(alone, left, network, start, still)
+    left = again(without_faults(faulty, network, replace(record, inputs=given.inputs)))
+    left = with_faults(faulty, left, network, start, still)
     return found if left.verdict in ("effect found", "ambiguous") else left
 
 
 def _as_healthy_elsewhere(case: AssessedFinding) -> bool:
-    """Return whether the twin as it was is off by no more than it may be in health under another load."""
+    """Return True if the commissioned twin's error is no larger than in health under another load."""
     probe, names = case.known.probe, case.known.probe.network.sensor_names
     off = case.grid.measured - probe.run(case.grid, probe.first_state(case.grid)).readings
     return as_healthy_elsewhere(case.errors, off[:, [names.index(name) for name in case.errors]], case.split)
 
 
 def _said(known: Basis, *others: Segments | Standstill | None) -> list[str]:
-    """What is to say of a healthy record and of a record's gaps and standstills."""
+    """Return the notes about a healthy record and about a record's gaps and standstills."""
     said = (known, known.structure, known.missing, known.bootstrap, *others)
     return [told.sentence for told in said if told is not None and told.sentence]
 
 
 def _hidden(whole: Part, known: Basis) -> list[str]:
-    """What is to say where a record that shows nothing could not have shown much, though its inputs moved enough.
+    """Return a note if the record excites too little to detect most effects, though its inputs moved enough.
 
     Raises
     ------
     TwinFileError
-        They did not.
+        The inputs did not move enough.
     """
     candidates = known.book.candidates
-    kinds = too_little(whole.contest, whole.laws, candidates)
+    kinds = too_little(whole.score_test, whole.laws, candidates)
     if not kinds:
         return []
     white = known.noise.of_thermometers()
-    quiet = Contest(known.probe, whole.grid, whole.state, whole.run, white, known.prior)
+    quiet = ScoreTest(known.probe, whole.grid, whole.state, whole.run, white, known.prior)
     if too_little(quiet, whole.laws, candidates):
-        raise TwinFileError(too_still(whole.contest, kinds))
+        raise TwinFileError(too_still(whole.score_test, kinds))
     return [f"beside what this twin leaves in health, the record could only have shown a very large {either(kinds)}"]
 
 
 def _comparable(network: Network, record: Columns, healthy: Columns | None) -> tuple[Columns, list[str]]:
-    """The record without the readings of sensors that the healthy one has none of, and what is to say of those that are
-    missing in either."""
+    """Return the record without the readings of sensors that the healthy record lacks, and a note on those missing in
+    either.
+    """
     measured, notes = record.measured.copy(), []
     for j, name in enumerate(network.sensor_names):
         if not np.isfinite(measured[:, j]).any():
@@ -202,11 +208,11 @@ def _comparable(network: Network, record: Columns, healthy: Columns | None) -> t
 
 
 def _moving(network: Network, record: Columns, healthy: Columns | None) -> tuple[Columns, Standstill | None]:
-    """The record with nothing known of the times in which something stood that never did in health."""
+    """Return the record without the periods in which pump or fan stood still and never did so in health."""
     if healthy is None:
         return record, None
     stood = standstill(network, record.time_s, record.inputs, healthy.inputs)
-    if not stood.spells:
+    if not stood.count:
         return record, None
     inputs, measured = record.inputs.copy(), record.measured.copy()
     driven = np.array([not c.endswith("_C") and not c.startswith(CLOCK_PREFIX) for c in network.input_columns])
@@ -217,7 +223,7 @@ def _moving(network: Network, record: Columns, healthy: Columns | None) -> tuple
 
 
 def _without_stuck(network: Network, record: Columns) -> tuple[Columns, tuple[Stuck, ...]]:
-    """The record without the readings of thermometers that stand still, and what was taken out."""
+    """Return the record without the readings of stuck thermometers, and what was removed."""
     found: list[Stuck] = []
     measured = record.measured.copy()
     members = {name: each.copy() for name, each in record.members.items()}
@@ -238,8 +244,10 @@ def _without_stuck(network: Network, record: Columns) -> tuple[Columns, tuple[St
 def _members(
     told: Basis, record: Columns, grid: Grid, healthy: Columns | None, edges: np.ndarray
 ) -> tuple[Members, ...]:
-    """Single thermometers where the record and a healthy one have them, but for those of a place where an effect was
-    taken up between the two: how that has changed their differences nobody knows."""
+    """Return the single thermometers that the record and a healthy one have.
+
+    Thermometers of a place where an effect was adopted between the two are left out: their differences have changed.
+    """
     if healthy is None or not record.members:
         return ()
     network = told.probe.network
@@ -257,7 +265,8 @@ def _members(
 
 
 def foresee(network: Network, record: Columns, healthy: Columns | None = None) -> Forecast:
-    """What a record with these inputs could show; of its readings only the first ones are looked at.
+    """Return the detectability and isolability of effects in a record with these inputs; only its first readings are
+    used.
 
     Raises
     ------
@@ -270,7 +279,7 @@ def foresee(network: Network, record: Columns, healthy: Columns | None = None) -
 
 
 def foresee_plan(network: Network, time: Array, inputs: Array, healthy: Columns) -> Forecast:
-    """What a record of a planned profile could show, begun at rest under its first load.
+    """Return the detectability and isolability of effects in a record of a planned profile that begins at steady state.
 
     Parameters
     ----------

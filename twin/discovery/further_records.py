@@ -1,4 +1,4 @@
-"""Test of a diagnosis on further records: free runs over records that no effect was fitted to."""
+"""Validation of a diagnosis on further records: free runs over records that no effect was fitted to."""
 
 from __future__ import annotations
 
@@ -15,18 +15,20 @@ from twin.network import Array, Network
 from twin.segments import find_segments, segment_rows, simulate_segments
 
 FAR_SHARE = 0.25
-"""Share of the squares that re-tuning alone leaves, up to which effects that are far off carry over in part: a twin
-with them serves then, though their form is not quite right."""
+"""Share of the squares of re-tuning alone up to which effects with a large error still carry over in part: a twin with
+them is useful then, though their form is not exact."""
 GROWN_FAR_OFF = 4.0
-"""The same as `FAR_OFF` of a twin of which nothing healthy is known."""
+"""The same as `FAR_OFF` for a twin without a healthy record."""
 SETTLE_S, SETTLE_SHARE, FIRST_ROWS = 900.0, 0.1, 6
-"""Readings of a stretch, and the share of it at most, that tell its first temperatures; those for a first guess."""
+"""Readings of a segment, s, and the share of it at most, that determine its initial temperatures; rows for a first
+guess."""
 
 
 def errors_on_further_record(diagnosis: Diagnosis, network: Network, record: Columns, name: str) -> Elsewhere:
-    """Errors of the twin as it was, re-tuned and, where effects were found, with them, over a further record.
+    """Return the errors of the commissioned twin, re-tuned and, if effects were found, with them, over a further
+    record.
 
-    Nothing is fitted to it but the temperatures that it begins at; effects are there throughout.
+    Only the initial temperatures are fitted to it; effects are present throughout.
     """
     own = {p.id for p in network.parameters.values() if not p.same_as}
     retuned = network.with_values({m.parameter: m.before for m in diagnosis.moved if m.parameter in own})
@@ -51,7 +53,7 @@ def errors_on_further_record(diagnosis: Diagnosis, network: Network, record: Col
 
 
 def _run(network: Network, record: Columns, measured: Array) -> Array:
-    """Readings (N, m) of a free run."""
+    """Return the readings (N, m), degC, of a free run."""
     time, inputs = record.time_s, bridged(network, record.time_s, record.inputs)
     kernel = Kernel(network, ())
     known = find_segments(network, record.time_s, record.inputs)

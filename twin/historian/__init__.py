@@ -5,8 +5,9 @@ The names below are the package's interface; they are loaded on first use. Other
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from twin.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from twin.historian.columns import OF_CELL, OF_STATION
@@ -16,41 +17,6 @@ if TYPE_CHECKING:
     from twin.historian.tags import Defect, Series, Tag
     from twin.historian.units import SPEEDS, UnitError, full_speed_of, unit_of
 
-_MODULES = {
-    "columns": (
-        "OF_CELL",
-        "OF_STATION",
-    ),
-    "events": (
-        "INFLUENCE",
-        "Event",
-        "disturbed",
-        "influence_of",
-    ),
-    "plausible": (
-        "in_usual_units",
-        "order_and_silence",
-        "without_strays",
-    ),
-    "record": (
-        "CellMinutes",
-        "cell_minutes",
-        "out_of_range",
-        "shared_minutes",
-    ),
-    "tags": (
-        "Defect",
-        "Series",
-        "Tag",
-    ),
-    "units": (
-        "SPEEDS",
-        "UnitError",
-        "full_speed_of",
-        "unit_of",
-    ),
-}
-_HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "INFLUENCE",
@@ -75,14 +41,14 @@ __all__ = [
     "without_strays",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "columns": ("OF_CELL", "OF_STATION"),
+        "events": ("Event", "INFLUENCE", "disturbed", "influence_of"),
+        "plausible": ("in_usual_units", "order_and_silence", "without_strays"),
+        "record": ("CellMinutes", "cell_minutes", "out_of_range", "shared_minutes"),
+        "tags": ("Defect", "Series", "Tag"),
+        "units": ("SPEEDS", "UnitError", "full_speed_of", "unit_of"),
+    },
+)

@@ -5,8 +5,9 @@ The names below are the package's interface; they are loaded on first use.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from twin.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from twin.revisions.revision_chain import (
@@ -23,26 +24,6 @@ if TYPE_CHECKING:
     )
     from twin.revisions.undone import UndoneRevision, revisions_made_of, undone_revisions
 
-_MODULES = {
-    "revision_chain": (
-        "ChainEntry",
-        "ElementDiff",
-        "TwinDiff",
-        "chain",
-        "diff",
-        "next_path",
-        "parent_of",
-        "revert",
-        "save_revision",
-        "with_elements",
-    ),
-    "undone": (
-        "UndoneRevision",
-        "revisions_made_of",
-        "undone_revisions",
-    ),
-}
-_HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "ChainEntry",
@@ -60,14 +41,21 @@ __all__ = [
     "with_elements",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "revision_chain": (
+            "ChainEntry",
+            "ElementDiff",
+            "TwinDiff",
+            "chain",
+            "diff",
+            "next_path",
+            "parent_of",
+            "revert",
+            "save_revision",
+            "with_elements",
+        ),
+        "undone": ("UndoneRevision", "revisions_made_of", "undone_revisions"),
+    },
+)

@@ -8,8 +8,9 @@ The names below are the package's interface; they are loaded on first use. Other
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from twin.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from twin.tower.air import Array, wet_bulb
@@ -35,118 +36,6 @@ if TYPE_CHECKING:
     from twin.tower.twin_file import BOUNDS, IDS, cell_network, cell_of, design_of, station_of_twin, value_of
     from twin.tower.windows import CONTEXT_S, TargetWindow, novelty, windows_of
 
-_MODULES = {
-    "recursive": (
-        "filter_cell",
-        "Recursion",
-    ),
-    "calibration.baselines": (
-        "without_discrepancy",
-        "split",
-        "CellDataset",
-        "BASELINES",
-    ),
-    "diagnosis.adoption": (
-        "adopted",
-        "effects_of",
-    ),
-    "air": (
-        "Array",
-        "wet_bulb",
-    ),
-    "shared_observations.basin": (
-        "Drain",
-        "with_basin",
-    ),
-    "calibration.cell_fit": (
-        "Calibrated",
-        "CalibrationError",
-        "Fitted",
-        "fit_cell",
-        "predict_cell",
-    ),
-    "calibration.outlet_interval": (
-        "NORMAL",
-        "QUANTILE",
-        "WET_C",
-        "WINDOW_S",
-    ),
-    "cell": (
-        "solve_cell",
-        "CellDeviations",
-        "Inputs",
-    ),
-    "change_detection.changes": ("undeclared_changes",),
-    "clean_cell.commissioning": (
-        "CommissionedCell",
-        "CommissioningError",
-        "TestPoints",
-        "fit_clean_cell",
-    ),
-    "effects": (
-        "CellEffect",
-        "UNITS",
-    ),
-    "shared_observations.evaporation": (
-        "Balance",
-        "with_evaporation",
-    ),
-    "cell_observations.evidence": ("Label",),
-    "identify": (
-        "Identifiability",
-        "MOST_CONDITION",
-        "MOST_HIDDEN",
-        "condition_text",
-    ),
-    "minutes": (
-        "first_order_lag",
-        "MEASURED",
-        "Minutes",
-        "blocks_of",
-        "minutes_of",
-        "model_sensitivities",
-    ),
-    "model": (
-        "SLOW",
-        "CellModel",
-        "DEVIATIONS",
-        "NAMES",
-        "DesignPoint",
-    ),
-    "planning": (
-        "model_sensitivities",
-        "StepTest",
-        "plan_tests",
-    ),
-    "smoother": ("WALK", "estimate"),
-    "estimates": (
-        "DAY_S",
-        "Opening",
-        "Priors",
-        "moved_grid",
-        "time_grid",
-    ),
-    "change_detection.steps": (
-        "Step",
-        "find_steps",
-    ),
-    "twin_file": (
-        "BOUNDS",
-        "IDS",
-        "cell_network",
-        "cell_of",
-        "design_of",
-        "station_of_twin",
-        "value_of",
-    ),
-    "windows": (
-        "CONTEXT_S",
-        "TargetWindow",
-        "novelty",
-        "windows_of",
-    ),
-}
-_HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 __all__ = [
     "BASELINES",
@@ -222,14 +111,30 @@ __all__ = [
     "without_discrepancy",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "air": ("Array", "wet_bulb"),
+        "calibration.baselines": ("BASELINES", "CellDataset", "split", "without_discrepancy"),
+        "calibration.cell_fit": ("Calibrated", "CalibrationError", "Fitted", "fit_cell", "predict_cell"),
+        "calibration.outlet_interval": ("NORMAL", "QUANTILE", "WET_C", "WINDOW_S"),
+        "cell": ("CellDeviations", "Inputs", "solve_cell"),
+        "cell_observations.evidence": ("Label",),
+        "change_detection.changes": ("undeclared_changes",),
+        "change_detection.steps": ("Step", "find_steps"),
+        "clean_cell.commissioning": ("CommissionedCell", "CommissioningError", "TestPoints", "fit_clean_cell"),
+        "diagnosis.adoption": ("adopted", "effects_of"),
+        "effects": ("CellEffect", "UNITS"),
+        "estimates": ("DAY_S", "Opening", "Priors", "moved_grid", "time_grid"),
+        "identify": ("Identifiability", "MOST_CONDITION", "MOST_HIDDEN", "condition_text"),
+        "minutes": ("MEASURED", "Minutes", "blocks_of", "first_order_lag", "minutes_of"),
+        "model": ("CellModel", "DEVIATIONS", "DesignPoint", "NAMES", "SLOW"),
+        "planning": ("StepTest", "model_sensitivities", "plan_tests"),
+        "recursive": ("Recursion", "filter_cell"),
+        "shared_observations.basin": ("Drain", "with_basin"),
+        "shared_observations.evaporation": ("Balance", "with_evaporation"),
+        "smoother": ("WALK", "estimate"),
+        "twin_file": ("BOUNDS", "IDS", "cell_network", "cell_of", "design_of", "station_of_twin", "value_of"),
+        "windows": ("CONTEXT_S", "TargetWindow", "novelty", "windows_of"),
+    },
+)

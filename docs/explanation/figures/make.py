@@ -186,14 +186,14 @@ def hiera() -> plt.Figure:
 def scores() -> plt.Figure:
     """Draw residual, scores by onset and residual with the effect, of a record of the virtual rig."""
     from twin.discovery.engine import diagnose
-    from twin.discovery.evidence.inquiry import Inquiry
+    from twin.discovery.evidence.split_search import SplitSearch
     from twin.discovery.healthy.basis import basis
     from twin.discovery.records.grid import on_grid
     from twin.discovery.scoring.sweep import Courses, LawSquares
 
     network, record, healthy = _virtual("tank_insulation.toml")
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
-    whole = Inquiry(network, record, basis(network, healthy, grid), grid, lambda _: None).whole
+    whole = SplitSearch(network, record, basis(network, healthy, grid), grid, lambda _: None).whole
     found = diagnose(network, record, healthy)
     figure, axes = plt.subplots(3, 1, figsize=(8.0, 7.4), sharex=True)
     colours = (RED, GREY, ORANGE, BLUE)
@@ -202,10 +202,10 @@ def scores() -> plt.Figure:
         axes[2].plot(found.hours, found.residual_after[:, j], color=colour, lw=1)
     axes[0].legend(frameon=False, fontsize=8, ncol=2)
     axes[0].set(ylabel="residual, K", title="measured minus commissioned twin")
-    courses, best = Courses.of(whole.contest), {}
+    courses, best = Courses.of(whole.score_test), {}
     for law in whole.laws:
-        squares = LawSquares.of(whole.contest, law)
-        top = whole.contest.scored(squares.blocks) @ courses.steps
+        squares = LawSquares.of(whole.score_test, law)
+        top = whole.score_test.scored(squares.blocks) @ courses.steps
         size = top / np.maximum(squares.steps, 1e-30)
         c = law.candidate
         z = np.where(

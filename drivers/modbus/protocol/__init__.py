@@ -5,8 +5,9 @@ The names below are the package's interface; they are loaded on first use. Other
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from drivers.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from drivers.modbus.protocol.frames import RtuFrames, TcpFrames, frames_of
@@ -26,24 +27,6 @@ if TYPE_CHECKING:
     from drivers.modbus.protocol.reply_offset import OpenRequests
     from drivers.modbus.protocol.rtu import RtuGuard
 
-_HOME = {
-    "BUSY": "drivers.modbus.protocol.pdu",
-    "FrameGuard": "drivers.modbus.protocol.replies",
-    "GATEWAY_SILENCE": "drivers.modbus.protocol.pdu",
-    "NO_SUCH_ADDRESS": "drivers.modbus.protocol.pdu",
-    "NO_SUCH_FUNCTION": "drivers.modbus.protocol.pdu",
-    "OF_CONTENT": "drivers.modbus.protocol.pdu",
-    "OpenRequests": "drivers.modbus.protocol.reply_offset",
-    "Read": "drivers.modbus.protocol.pdu",
-    "ReadBack": "drivers.modbus.protocol.pdu",
-    "RtuFrames": "drivers.modbus.protocol.frames",
-    "RtuGuard": "drivers.modbus.protocol.rtu",
-    "TcpFrames": "drivers.modbus.protocol.frames",
-    "check_written": "drivers.modbus.protocol.pdu",
-    "frames_of": "drivers.modbus.protocol.frames",
-    "rtu_frame": "drivers.modbus.protocol.pymodbus_codec",
-    "write_request": "drivers.modbus.protocol.pdu",
-}
 
 __all__ = [
     "BUSY",
@@ -64,14 +47,24 @@ __all__ = [
     "write_request",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "frames": ("RtuFrames", "TcpFrames", "frames_of"),
+        "pdu": (
+            "BUSY",
+            "GATEWAY_SILENCE",
+            "NO_SUCH_ADDRESS",
+            "NO_SUCH_FUNCTION",
+            "OF_CONTENT",
+            "Read",
+            "ReadBack",
+            "check_written",
+            "write_request",
+        ),
+        "pymodbus_codec": ("rtu_frame",),
+        "replies": ("FrameGuard",),
+        "reply_offset": ("OpenRequests",),
+        "rtu": ("RtuGuard",),
+    },
+)

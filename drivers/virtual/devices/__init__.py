@@ -5,8 +5,9 @@ The names below are the package's interface; they are loaded on first use. Other
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from drivers.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from drivers.virtual.devices.modbus_protocol import (
@@ -27,23 +28,6 @@ if TYPE_CHECKING:
     from drivers.virtual.devices.socketcand import CanConnection, CanHub
     from drivers.virtual.devices.truth import Moment, read_truth
 
-_HOME = {
-    "CanConnection": "drivers.virtual.devices.socketcand",
-    "CanHub": "drivers.virtual.devices.socketcand",
-    "HEARTBEAT": "drivers.virtual.devices.registers",
-    "HEATER_SET": "drivers.virtual.devices.registers",
-    "ILLEGAL_ADDRESS": "drivers.virtual.devices.modbus_protocol",
-    "ILLEGAL_FUNCTION": "drivers.virtual.devices.modbus_protocol",
-    "ILLEGAL_VALUE": "drivers.virtual.devices.modbus_protocol",
-    "ModbusConnection": "drivers.virtual.devices.modbus_protocol",
-    "Moment": "drivers.virtual.devices.truth",
-    "PUMP_SET": "drivers.virtual.devices.registers",
-    "Registers": "drivers.virtual.devices.registers",
-    "THERMOSTAT_C": "drivers.virtual.devices.registers",
-    "WATCHDOG_TRIPPED": "drivers.virtual.devices.registers",
-    "crc": "drivers.virtual.devices.rtu_protocol",
-    "read_truth": "drivers.virtual.devices.truth",
-}
 
 __all__ = [
     "HEARTBEAT",
@@ -63,14 +47,13 @@ __all__ = [
     "read_truth",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "modbus_protocol": ("ILLEGAL_ADDRESS", "ILLEGAL_FUNCTION", "ILLEGAL_VALUE", "ModbusConnection"),
+        "registers": ("HEARTBEAT", "HEATER_SET", "PUMP_SET", "Registers", "THERMOSTAT_C", "WATCHDOG_TRIPPED"),
+        "rtu_protocol": ("crc",),
+        "socketcand": ("CanConnection", "CanHub"),
+        "truth": ("Moment", "read_truth"),
+    },
+)

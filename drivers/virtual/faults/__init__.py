@@ -5,8 +5,9 @@ The names below are the package's interface; they are loaded on first use. Other
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from drivers.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from drivers.virtual.faults.faulty_link import (
@@ -18,14 +19,6 @@ if TYPE_CHECKING:
         rtu_frames,
     )
 
-_HOME = {
-    "Change": "drivers.virtual.faults.faulty_link",
-    "FaultyLink": "drivers.virtual.faults.faulty_link",
-    "as_it_comes": "drivers.virtual.faults.faulty_link",
-    "can_frames": "drivers.virtual.faults.faulty_link",
-    "modbus_frames": "drivers.virtual.faults.faulty_link",
-    "rtu_frames": "drivers.virtual.faults.faulty_link",
-}
 
 __all__ = [
     "Change",
@@ -36,14 +29,9 @@ __all__ = [
     "rtu_frames",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "faulty_link": ("Change", "FaultyLink", "as_it_comes", "can_frames", "modbus_frames", "rtu_frames"),
+    },
+)

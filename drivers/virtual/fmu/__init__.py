@@ -5,18 +5,14 @@ The names below are the package's interface; they are loaded on first use. Other
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from drivers.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from drivers.virtual.fmu.plant import FmuPlant
     from drivers.virtual.fmu.ports import FmuPlantError, fmu_ports
 
-_HOME = {
-    "FmuPlant": "drivers.virtual.fmu.plant",
-    "FmuPlantError": "drivers.virtual.fmu.ports",
-    "fmu_ports": "drivers.virtual.fmu.ports",
-}
 
 __all__ = [
     "FmuPlant",
@@ -24,14 +20,10 @@ __all__ = [
     "fmu_ports",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "plant": ("FmuPlant",),
+        "ports": ("FmuPlantError", "fmu_ports"),
+    },
+)

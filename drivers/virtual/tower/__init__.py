@@ -8,8 +8,9 @@ The names below are the package's interface; they are loaded on first use.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from drivers.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from drivers.virtual.tower.device import Replay, load_station, rig_text, serve_station, write_dictionary
@@ -33,31 +34,6 @@ if TYPE_CHECKING:
         with_defects,
     )
 
-_HOME = {
-    "state_by_minute": "drivers.virtual.tower.station",
-    "Simulated": "drivers.virtual.tower.station",
-    "StationDesign": "drivers.virtual.tower.sites",
-    "MIAMI_SITE": "drivers.virtual.tower.sites",
-    "CHICAGO_SITE": "drivers.virtual.tower.sites",
-    "event_rows": "drivers.virtual.tower.export",
-    "datasheet": "drivers.virtual.tower.export",
-    "commissioning_rows": "drivers.virtual.tower.export",
-    "COMMISSIONING": "drivers.virtual.tower.export",
-    "STATION_FILES": "drivers.virtual.tower.export",
-    "EFFECTS": "drivers.virtual.tower.effects",
-    "DAYS_A_MONTH": "drivers.virtual.tower.station",
-    "SimulationPlan": "drivers.virtual.tower.station",
-    "Replay": "drivers.virtual.tower.device",
-    "SITES": "drivers.virtual.tower.sites",
-    "key_of": "drivers.virtual.tower.export",
-    "load_station": "drivers.virtual.tower.device",
-    "rig_text": "drivers.virtual.tower.device",
-    "serve_station": "drivers.virtual.tower.device",
-    "simulate": "drivers.virtual.tower.station",
-    "write_dictionary": "drivers.virtual.tower.device",
-    "with_defects": "drivers.virtual.tower.station",
-    "write_station": "drivers.virtual.tower.export",
-}
 
 __all__ = [
     "CHICAGO_SITE",
@@ -85,14 +61,21 @@ __all__ = [
     "write_station",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "device": ("Replay", "load_station", "rig_text", "serve_station", "write_dictionary"),
+        "effects": ("EFFECTS",),
+        "export": (
+            "COMMISSIONING",
+            "STATION_FILES",
+            "commissioning_rows",
+            "datasheet",
+            "event_rows",
+            "key_of",
+            "write_station",
+        ),
+        "sites": ("CHICAGO_SITE", "MIAMI_SITE", "SITES", "StationDesign"),
+        "station": ("DAYS_A_MONTH", "Simulated", "SimulationPlan", "simulate", "state_by_minute", "with_defects"),
+    },
+)

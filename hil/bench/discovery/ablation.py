@@ -2,7 +2,7 @@
 
     python -m hil.bench.discovery.ablation
 
-`linear` is the contest alone, without the joint fit and its verdict; `raw` the same without projecting the tunables
+`linear` is the score test alone, without the joint fit and its verdict; `raw` the same without projecting the tunables
 out of the signatures; `sindy` is pysindy on the same data, where it is installed.
 
 How visible it was is the score of what the rig would have shown less without it: same weather, same noise.
@@ -24,8 +24,8 @@ from twin.discovery.effects.laws import Book
 from twin.discovery.engine import HELD_OUT
 from twin.discovery.healthy.basis import basis
 from twin.discovery.records.grid import on_grid
-from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.null import FALSE_ALARMS, null_scores
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry, scan
 
 STIFF = 1e12
@@ -50,19 +50,19 @@ def answer(request: Request) -> Request:
     stiff = dataclasses.replace(known.prior, precision=STIFF * np.eye(len(known.prior.precision)))
     said: Request = {}
     for name, prior in (("linear", known.prior), ("raw", stiff)):
-        bare = Contest(known.probe, grid, state, run, known.noise, prior) if prior is not known.prior else None
-        contest = bare or known.contest(grid, state, run, found)
-        said[name] = [_row(e) for e in scan(contest, found)[:NEAR]]
+        bare = ScoreTest(known.probe, grid, state, run, known.noise, prior) if prior is not known.prior else None
+        score_test = bare or known.score_test(grid, state, run, found)
+        said[name] = [_row(e) for e in scan(score_test, found)[:NEAR]]
         if name == "linear":
-            said["threshold"] = null_scores(contest, found).quantile(FALSE_ALARMS)
+            said["threshold"] = null_scores(score_test, found).quantile(FALSE_ALARMS)
             said["sizes"] = [
                 true_size(found, network, table, label, whole.span_s)
                 for table, label in zip(request["effects"], request["labels"], strict=False)
             ]
             shown = [_readings(network, Path(path), request["hour"]) for path in request["records"]]
             if shown:
-                signatures = [signature(contest, shown[0], other) for other in shown[1:]]
-                said["z_truth"], said["z_beside"] = visible(contest, signatures)
+                signatures = [signature(score_test, shown[0], other) for other in shown[1:]]
+                said["z_truth"], said["z_beside"] = visible(score_test, signatures)
     if importlib.util.find_spec("pysindy"):
         from hil.bench.peers.sindy_peer import contributions
 

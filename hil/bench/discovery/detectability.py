@@ -10,30 +10,30 @@ import numpy as np
 from hil.bench.discovery.score import family, same_driver
 from twin import Array, Network
 from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 
 _UNITS = {"bias": "K", "drift_per_h": "K", "lag_s": "s"}
 
 
-def signature(contest: Contest, shown: Array, without: Array) -> Array:
+def signature(score_test: ScoreTest, shown: Array, without: Array) -> Array:
     """Return the whitened signature (b * m,) of an effect, from readings (n, m) with it and without it.
 
     A record that was ended early has fewer rows; what it lacks counts as no difference.
     """
-    rows = len(contest.grid.time)
+    rows = len(score_test.grid.time)
     change = np.zeros((rows, shown.shape[1]))
     both = min(rows, len(shown), len(without))
     change[:both] = np.nan_to_num(shown[:both] - without[:both])
-    return contest.features(contest.seen(change))
+    return score_test.features(score_test.seen(change))
 
 
-def visible(contest: Contest, signatures: Sequence[Array]) -> tuple[list[float], list[float]]:
+def visible(score_test: ScoreTest, signatures: Sequence[Array]) -> tuple[list[float], list[float]]:
     """Return scores of true effects: each alone, and each with the sizes of the others fitted.
 
     Tunables and initial state are projected out, with their prior. What is not visible beside the others has a score
     of 0.
     """
-    gram = contest.across(np.column_stack(signatures))
+    gram = score_test.across(np.column_stack(signatures))
     alone = np.sqrt(np.maximum(np.diag(gram), 0.0))
     beside = []
     for i in range(len(gram)):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.hiera.contestants import BlindPredictions, CaseInputs, Contestant, refit
+from twin import NORMAL90
 from twin.calibrators.hiera_unet import Ensemble, Features, ParameterPrior, Windows, load_ensemble
 from twin.calibrators.hiera_unet.context_fit.evidence import estimate
 from twin.calibrators.hiera_unet.context_fit.holding import NARROWEST
@@ -19,8 +20,6 @@ from twin.calibrators.hiera_unet.training.score import NINETY, ScoredWindows, ou
 from twin.calibrators.hiera_unet.training.train import Physics
 from twin.calibrators.hiera_unet.weights.binding import identity_of, physics_of
 from twin.calibrators.hiera_unet.weights.ensemble import together
-
-Z90 = 1.645
 
 
 def contestants(card: Path, features: Features) -> dict[str, Contestant]:
@@ -66,8 +65,8 @@ class _NetworkContestant:
         half = NINETY * said.scale
         if not np.isfinite(given.case.campaign.truth).any():
             # Intervals are for the rig; here only readings with their noise are known.
-            half = np.hypot(half, Z90 * features.network.sigma / np.sqrt(STEP_S))
-        return BlindPredictions(said.error, said.theta, calm, sum(given.cpu_s) + spent, half, Z90 * said.theta_sd)
+            half = np.hypot(half, NORMAL90 * features.network.sigma / np.sqrt(STEP_S))
+        return BlindPredictions(said.error, said.theta, calm, sum(given.cpu_s) + spent, half, NORMAL90 * said.theta_sd)
 
     def then_fit(self, features: Features, given: CaseInputs) -> BlindPredictions:
         """Return least squares with the network's deviations and their spread as the prior."""

@@ -320,7 +320,7 @@ def _catalogue(file: Path, out: Console) -> None:
             "a further thermometer, power meter or flow meter, as a sensor or meter of the twin",
             soft_wrap=True,
         )
-    for label in found.unseen:
+    for label in found.undetectable:
         out.print(f"no input shows: {label_text(label)}", soft_wrap=True)
 
 

@@ -14,7 +14,7 @@ from hil.review.batches.columns import Estimates, ReviewBatch, Rows, States, Tex
 from hil.review.batches.residuals import Residuals
 from hil.review.batches.twin_bands import Proposals, band_batches
 from hil.review.plan import QUALITY_NAMES, ReviewPlan, make_plan, path, worst_state
-from hil.tracking import NORMAL90
+from twin import NORMAL90
 
 PAGE_TICKS = 36_000
 _NOISE_POINTS = 500

@@ -10,7 +10,8 @@ from hil.files import estimate_text
 from hil.journal import BandRow, ProposalRow
 from hil.review.batches.columns import Estimates, ReviewBatch, Rows, States, Texts
 from hil.review.plan import path
-from hil.tracking import NORMAL90, Proposed, accepted, offset_text
+from hil.tracking import Proposed, accepted, offset_text
+from twin import NORMAL90
 
 OPEN, SOME = "open", "some held"
 

@@ -34,9 +34,7 @@ def test_a_change_is_followed_and_what_cannot_be_told_is_held_with_its_code(ense
     assert abs(last.values["fins.UA_100"] - 45.0) < 2.0
     assert abs(last.values["tank_loss.hA"] - 8.0) < 1.5
     assert "heater_to_modules.resistance" in last.frozen
-    assert any(
-        f.startswith("LOW_SENSITIVITY: the record does not tell heater_to_modules.resistance") for f in last.flags
-    )
+    assert any(f.startswith("LOW_SENSITIVITY: heater_to_modules.resistance is not identifiable") for f in last.flags)
     assert last.values["heater_to_modules.resistance"] == pytest.approx(5.0, rel=1e-3)
     table_of = tracker.table()
     assert all(row["tracked"] < row["static"] for row in table_of.values())

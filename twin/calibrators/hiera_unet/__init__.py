@@ -7,8 +7,9 @@ Modules among them are for the training of a network. Its packages, from below: 
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from twin.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from twin.calibrators.hiera_unet.context_fit import ContextFit, ParameterPrior, evidence
@@ -45,26 +46,6 @@ if TYPE_CHECKING:
         leakage,
     )
 
-_PACKAGES = {
-    "context_fit": ("ContextFit", "ParameterPrior", "evidence"),
-    "data": ("Deviations", "Features", "Frame", "ResampledSeries", "Windows", "channels", "parameters", "series"),
-    "model": ("HieraError",),
-    "serve": ("Ensemble", "HieraUNetCalibrator", "RefinedCalibrator", "gates", "load_ensemble", "members"),
-    "simulated": ("Family", "LabelledRecord", "Store", "campaigns", "gaps", "store"),
-    "training": ("Trainer", "TrainingPlan", "batches", "score"),
-    "weights": (
-        "Identity",
-        "Member",
-        "binding",
-        "checkpoint",
-        "conformal",
-        "device",
-        "ensemble",
-        "envelope",
-        "leakage",
-    ),
-}
-_HOME = {name: f"{__name__}.{package}" for package, names in _PACKAGES.items() for name in names}
 
 __all__ = [
     "ContextFit",
@@ -106,14 +87,25 @@ __all__ = [
     "store",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its package on first use."""
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return __all__
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "context_fit": ("ContextFit", "ParameterPrior", "evidence"),
+        "data": ("Deviations", "Features", "Frame", "ResampledSeries", "Windows", "channels", "parameters", "series"),
+        "model": ("HieraError",),
+        "serve": ("Ensemble", "HieraUNetCalibrator", "RefinedCalibrator", "gates", "load_ensemble", "members"),
+        "simulated": ("Family", "LabelledRecord", "Store", "campaigns", "gaps", "store"),
+        "training": ("Trainer", "TrainingPlan", "batches", "score"),
+        "weights": (
+            "Identity",
+            "Member",
+            "binding",
+            "checkpoint",
+            "conformal",
+            "device",
+            "ensemble",
+            "envelope",
+            "leakage",
+        ),
+    },
+)

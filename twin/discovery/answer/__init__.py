@@ -1,1 +1,1 @@
-"""The finding as a verdict, in plain words."""
+"""Verdict of a diagnosis from a finding: acceptance, isolation, ambiguity groups, and the sentences of the report."""

@@ -1,4 +1,4 @@
-"""Leads of a diagnosis: where to look in what its answer leaves of the record."""
+"""Leads of a diagnosis: segments, ranges and places in which the misfit concentrates that the answer leaves."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.fft import idct
 
-from twin.discovery.answer.case import AssessedFinding
+from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.diagnosis import Diagnosis, Lead
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.leads.concentration import NOTED, ResidualSquares
 from twin.discovery.leads.words import outside_leads, place_leads, range_leads, record_rows, segment_leads
 from twin.discovery.refit.fitting import look_at
 from twin.discovery.refit.model import Model
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.network import Array
 
 
@@ -34,14 +34,14 @@ def with_leads(found: Diagnosis, case: AssessedFinding, record: Columns, healthy
         return found
     network = case.known.probe.network
     explained = found.verdict != "unexplained"
-    contest = _after(case) if explained else case.whole
-    squares = squares_of(contest)
+    score_test = _after(case) if explained else case.whole
+    squares = squares_of(score_test)
     leads: list[Lead] = []
     if squares.present and (not explained or squares.beyond > NOTED * case.whole.misfit):
-        times = case.grid.time[0] + contest.edges * case.grid.step_s
-        inputs = contest.block_means(case.grid.inputs)
+        times = case.grid.time[0] + score_test.edges * case.grid.step_s
+        inputs = score_test.block_means(case.grid.inputs)
         leads += segment_leads(squares, times[:-1], times[1:])
-        leads += range_leads(network, squares, inputs, contest.memory)
+        leads += range_leads(network, squares, inputs, score_test.memory)
         if healthy is not None:
             leads += outside_leads(network, squares, inputs, healthy)
     if not explained:
@@ -50,29 +50,31 @@ def with_leads(found: Diagnosis, case: AssessedFinding, record: Columns, healthy
     return replace(found, leads=tuple(leads))
 
 
-def squares_of(contest: Contest) -> ResidualSquares:
-    """Return the squares, by blocks with readings, of what a record leaves of a twin re-tuned as far as commissioning
-    lets it. The residual is whitened by the noise that is expected and put back in time."""
-    white = contest.residual - contest.slopes @ contest.moved(np.empty((0, 0)), np.empty(0))
-    left = idct(white.reshape(contest.b, contest.m), type=2, norm="ortho", axis=0)
-    known = contest.known
+def squares_of(score_test: ScoreTest) -> ResidualSquares:
+    """Return the squares, by blocks with readings, of the residual of a twin that is re-tuned within its prior.
+
+    The residual is whitened by the expected noise and transformed back into time.
+    """
+    white = score_test.residual - score_test.slopes @ score_test.moved(np.empty((0, 0)), np.empty(0))
+    left = idct(white.reshape(score_test.b, score_test.m), type=2, norm="ortho", axis=0)
+    known = score_test.known
     return ResidualSquares(np.where(known, left**2, 0.0).sum(axis=1), known.sum(axis=1))
 
 
-def _after(case: AssessedFinding) -> Contest:
-    """Return the contest of all of the record, looking at what the effects leave."""
-    contest, fit = copy.copy(case.whole), case.finding.fit
+def _after(case: AssessedFinding) -> ScoreTest:
+    """Return the score test of all of the record at the residual that the effects leave."""
+    score_test, fit = copy.copy(case.whole), case.finding.fit
     if fit is not None:
         # Segments that the fit has not seen begin as the readings tell.
-        state, unseen = contest.probe.first_state(case.grid), contest.slopes.shape[1] - len(fit.moved)
+        state, unseen = score_test.probe.first_state(case.grid), score_test.slopes.shape[1] - len(fit.moved)
         begun = np.concatenate([fit.state, state[len(fit.state) :]])
         moved = np.concatenate([fit.moved, np.zeros(unseen)])
-        look_at(contest, Model.of(contest.probe, fit.entries), replace(fit, state=begun, moved=moved))
-    return contest
+        look_at(score_test, Model.of(score_test.probe, fit.entries), replace(fit, state=begun, moved=moved))
+    return score_test
 
 
 def _simulated(case: AssessedFinding, record: Columns) -> Array:
-    """Return what the twin as commissioned gives at the record's stamps (N, m), degC."""
+    """Return the readings of the commissioned twin at the record's stamps (N, m), degC."""
     grid, probe = case.grid, case.known.probe
     readings = probe.run(grid, probe.first_state(grid)).readings
     middle = grid.time + 0.5 * grid.step_s

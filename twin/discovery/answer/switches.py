@@ -1,7 +1,7 @@
-"""Heat that begins when its place is warmer than ever before: a temperature may have switched it on.
+"""Heat that begins when its place is warmer than ever before, as if a temperature had switched it on.
 
-No element switches, and one switching inside a record looks like something that simply begins. What tells them apart is
-that a temperature switches when its place becomes warmer than before, the likelier the faster it does.
+No element switches, and a heat source that is switched on within a record looks like any step. The distinction: a
+temperature switches at the moment at which its place becomes warmer than before, more probably the faster it rises.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
     from twin.discovery.evidence.finding import Finding
 
 HYSTERESIS_K = 3.0
-"""As far as a place may cool below the temperature that switched before it is switched off again."""
+"""Temperature difference, K, by which a place may cool below the switching temperature without switching off."""
 BEFOREHAND = 0.1
-"""Switches among sources, as odds, before any data."""
+"""Prior odds of a switched source against a plain one."""
 _WITHIN_K = 0.1
 _WITHIN_S = 120.0
 
 
 def switched(finding: Finding, grid: Grid, start: float) -> tuple[tuple[Alternative, str], ...]:
-    """For each constant source that may be one that a temperature switched on: the alternative, and a sentence.
+    """Return, for each constant source that a temperature may have switched on, the alternative and a sentence.
 
     Args:
         grid: the whole record. start: its first stamp, s.
     """
     if finding.fit is None:
         return ()
-    probe = finding.contest.probe
+    probe = finding.score_test.probe
     places = sites_of(probe.network).places
     out: list[tuple[Alternative, str]] = []
     for entry in finding.fit.entries:
@@ -64,7 +64,9 @@ def switched(finding: Finding, grid: Grid, start: float) -> tuple[tuple[Alternat
 
 
 def _edge(entry: Entry, grid: Grid, measured: Array) -> float | None:
-    """Temperature at the onset, degC, where it was never as warm before and never much cooler after; else None."""
+    """Return the temperature at the onset, degC, if its place was never as warm before and never much cooler after;
+    else None.
+    """
     since = grid.time - grid.time[0]
     onset, spread = entry.shape.onset_s, _spread(entry)
     # What comes after the onset is warmer by the heat itself.
@@ -77,11 +79,12 @@ def _edge(entry: Entry, grid: Grid, measured: Array) -> float | None:
 
 
 def _odds(readings: Array, grid: Grid, entry: Entry) -> float:
-    """How much more often a temperature between the first and the highest that a place passes, drawn by lot, would have
-    switched at the onset than a time drawn by lot would have fallen on it.
+    """Return the Bayes factor of a switch against an onset at a uniformly random time.
+
+    A switch has a uniformly random temperature between the first and the highest that its place passes.
 
     Args:
-        readings: (n,) of the place, without the effect.
+        readings: (n,) degC of the place, without the effect.
     """
     since = grid.time - grid.time[0]
     highest = np.maximum.accumulate(readings)
@@ -91,15 +94,15 @@ def _odds(readings: Array, grid: Grid, entry: Entry) -> float:
 
 
 def _spread(entry: Entry) -> float:
-    """As far as the onset may be off, s."""
+    """Return the half width of the onset's interval, s."""
     return max(_WITHIN_S, 2.0 * entry.onset_sd_s)
 
 
 def _without(finding: Finding, entry: Entry, grid: Grid) -> Array:
-    """Readings (n, m) of the answer, had this effect not been there."""
+    """Return the readings (n, m), degC, of the answer without this effect."""
     assert finding.fit is not None
     fitted = finding.fit
-    model = Model.of(finding.contest.probe, fitted.entries)
+    model = Model.of(finding.score_test.probe, fitted.entries)
     sizes = np.array([[0.0 if e is entry else e.size for e in fitted.entries]])
     state = model.begun(grid.time, grid.inputs, grid.measured, fitted.state, fitted.values, grid.begins)[None]
     return model.run(grid.time, grid.inputs, state, fitted.values[None, :], sizes, begins=grid.begins)[0]

@@ -1,4 +1,4 @@
-"""From a finding to a verdict, with everything that supports it."""
+"""Verdict of a finding, with its effects, alternatives, next experiment and network."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from twin.discovery.answer.blind_spots import alike_here, always_alike, twins_of
-from twin.discovery.answer.case import AssessedFinding
-from twin.discovery.answer.judging import adequate, good
+from twin.discovery.answer.acceptance import accepted, adequate
+from twin.discovery.answer.assessed_finding import AssessedFinding
+from twin.discovery.answer.blind_spots import further_group_members, practical_ambiguities, structural_ambiguities
+from twin.discovery.answer.isolation import alternatives_of, grown_by_end, isolated_effects, nearest_effects
 from twin.discovery.answer.switches import switched
-from twin.discovery.answer.telling import grown_by_end, near_misses, rivals, told
 from twin.discovery.answer.words import summarise
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Verdict
-from twin.discovery.effects.lint import ambiguity_groups
+from twin.discovery.effects.ambiguity_groups import ambiguity_groups
 from twin.discovery.effects.open_laws.laws import adopted
 from twin.discovery.effects.phrases import clock
 from twin.discovery.effects.probe import FreeRun
@@ -32,7 +32,7 @@ from twin.discovery.planning.experiment import plan
 from twin.discovery.records.grid import Grid, centred
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.refit.model import Model
-from twin.discovery.thermometers.at_fault import placed, standing
+from twin.discovery.thermometers.faulty_thermometers import attributed, stuck_effects
 from twin.network import Array, Network
 
 _BEYOND = (
@@ -47,7 +47,7 @@ _USUAL = (
 
 @dataclass(frozen=True)
 class Answer:
-    """A verdict and what belongs to it; `others` cannot be told from it here, `alternatives` were ruled out."""
+    """Verdict and its parts; `others` are the ambiguity group on this record, `alternatives` were excluded."""
 
     verdict: Verdict
     effects: tuple[Effect, ...] = ()
@@ -60,10 +60,10 @@ class Answer:
 
 
 def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
-    """The verdict with everything that supports it; `notes` are what is to be said beside it."""
+    """Return the diagnosis of an assessed finding; `notes` are further sentences of its report."""
     finding, known, grid, whole = case.finding, case.known, case.grid, case.whole
     network, start = known.probe.network, float(grid.time[0])
-    claimed = finding.fit is not None and good(case)
+    claimed = finding.fit is not None and accepted(case)
     curve = _one_curve(case) if claimed else None
     if isinstance(curve, TooMuchHeat):
         claimed = False
@@ -92,7 +92,7 @@ def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
         held_out_s=(float(grid.time[case.split]), float(grid.time[-1])),
         errors=case.errors,
         moved=_moved(finding, known),
-        blind_spots=(*always_alike(finding, ambiguity_groups(network)), *alike_here(finding)),
+        blind_spots=(*structural_ambiguities(finding, ambiguity_groups(network)), *practical_ambiguities(finding)),
         ladder=finding.ladder,
         courses=case.free,
         hours=whole.hours + start / 3600.0,
@@ -122,7 +122,7 @@ def _unknown(case: AssessedFinding) -> Answer:
     free, whole = case.free, case.whole
     # Noise that a healthy record told does not let slow error pass.
     if case.known.plain is None and misled(case.errors, case.known.probe.network):
-        return Answer("unexplained", alternatives=near_misses(case.finding))
+        return Answer("unexplained", alternatives=nearest_effects(case.finding))
     description: dict[str, Any] = {}
     if free:
         drivers = drivers_of(case.known.probe.network, case.grid, whole)
@@ -131,7 +131,7 @@ def _unknown(case: AssessedFinding) -> Answer:
     return Answer(
         "unexplained",
         effects=unknown(free, description, float(case.grid.time[0])),
-        alternatives=near_misses(case.finding),
+        alternatives=nearest_effects(case.finding),
         description=description,
         empirical=curve if isinstance(curve, Empirical) else None,
         notes=(*((curve.says,) if isinstance(curve, TooMuchHeat) else ()), *_at_one_moment(case)),
@@ -139,7 +139,7 @@ def _unknown(case: AssessedFinding) -> Answer:
 
 
 def _at_one_moment(case: AssessedFinding) -> tuple[str, ...]:
-    """Return what is to say of two effects that would explain the record and begin at one moment."""
+    """Return a sentence if two effects explain the record and begin at one moment."""
     finding = case.finding
     if finding.together is None:
         return ()
@@ -152,9 +152,9 @@ def _at_one_moment(case: AssessedFinding) -> tuple[str, ...]:
 
 
 def _one_curve(case: AssessedFinding) -> Empirical | TooMuchHeat | None:
-    """Return the curve of one input at one place that does instead of several effects which all follow that input.
+    """Return the curve of one input at one place that replaces several effects which all follow that input.
 
-    Independent faults hardly follow the same input; what no fit saw has to contradict the one cause.
+    Independent faults rarely follow one input; the held-out segment has to contradict the single cause.
     """
     drivers = {e.driver for e in case.finding.entries}
     if len(case.finding.entries) < 2 or len(drivers) > 1 or not drivers <= DRIVERS.keys():
@@ -175,9 +175,9 @@ def _offered(case: AssessedFinding) -> Empirical | TooMuchHeat | None:
 def _named(case: AssessedFinding) -> Answer:
     finding, grid, network = case.finding, case.grid, case.known.probe.network
     assert finding.fit is not None
-    verdict, effects = told(finding, grid)
-    others, alternatives = rivals(finding, verdict)
-    others = (*others, *twins_of(finding, ambiguity_groups(network), others))
+    verdict, effects = isolated_effects(finding, grid)
+    others, alternatives = alternatives_of(finding, verdict)
+    others = (*others, *further_group_members(finding, ambiguity_groups(network), others))
     same = {(a.kind, a.where, a.driver) for a in others}
     alternatives = tuple(a for a in alternatives if (a.kind, a.where, a.driver) not in same)
     switches = switched(finding, grid, float(grid.time[0]))
@@ -196,18 +196,18 @@ def _named(case: AssessedFinding) -> Answer:
 
 
 def _with_thermometers(answer: Answer, case: AssessedFinding) -> Answer:
-    """Return the answer with the one of several thermometers that an effect is of, and with those that stand still."""
+    """Return the answer with each effect assigned to one thermometer of several, and with the stuck ones."""
     network, start = case.known.probe.network, float(case.grid.time[0])
     verdict, effects, others = answer.verdict, answer.effects, answer.others
     for group in case.single:
         node = next(s.node for s in network.sensors if s.name == group.sensor)
         before = effects
-        effects, same, _ = placed(effects, group, node, start)
+        effects, same, _ = attributed(effects, group, node, start)
         # What could not be told from the mean's error is no question where one of several errs.
         gone = {e.where for e in before} - {e.where for e in effects}
         others = (*(a for a in others if a.where not in gone), *same)
         verdict = "ambiguous" if same and verdict == "effect found" else verdict
-    stood = standing(case.still)
+    stood = stuck_effects(case.still)
     verdict = "effect found" if stood and verdict == "adequate" else verdict
     return replace(answer, verdict=verdict, effects=(*stood, *effects), others=others)
 
@@ -217,17 +217,17 @@ def _stale(known: Basis, grid: Grid) -> FreeRun:
 
 
 def _run(finding: Finding, fitted: Fit, network: Network, grid: Grid) -> Array:
-    model = Model.of(finding.contest.probe, fitted.entries)
+    model = Model.of(finding.score_test.probe, fitted.entries)
     sizes = np.array([[e.size for e in fitted.entries]])
     state = model.begun(grid.time, grid.inputs, grid.measured, fitted.state, fitted.values, grid.begins)
     return centred(model.run(grid.time, grid.inputs, state[None], fitted.values[None, :], sizes, begins=grid.begins)[0])
 
 
 def _bigger(finding: Finding, network: Network, grid: Grid) -> Network:
-    """The twin with its effects at the size that they have at the record's end, and its re-tuned parameters."""
+    """Return the twin with its effects at their final sizes, and its re-tuned parameters."""
     assert finding.fit is not None
     named = tuple(e for e in finding.fit.entries if not e.candidate.column)
-    model = Model.alone(finding.contest.probe, named)
+    model = Model.alone(finding.score_test.probe, named)
     full = np.array([[e.size * grown_by_end(e, grid) for e in named]])
     vector = model.parameters(finding.fit.values[None, :], full)[0]
     own = {p.id for p in model.network.parameters.values() if not p.same_as}

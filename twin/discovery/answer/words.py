@@ -1,4 +1,4 @@
-"""A diagnosis in plain words."""
+"""Sentences of a diagnosis: effects, odds and the summary."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from twin.discovery.evidence.finding import Finding
 
 MOST_SAID = 14.0
-"""Log odds, of a million to one, beyond which numbers say nothing more."""
+"""Log odds, of a million to one, beyond which the number is not written out."""
 RETUNED = 1.5
-"""Times the error of the re-tuned twin that the commissioned one has, where the one is told beside the other."""
+"""Ratio of the commissioned twin's error to the re-tuned one's from which the summary gives both."""
 _DRIVEN = {"threshold": "a temperature that switches it"}
 
 
 def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0, spread: float = 0.0) -> str:
-    """The effect in plain words; `grown` is the share of its size that it has reached, `spread` half its interval."""
+    """Return an effect in words; `grown` is the share of its size that it has reached, `spread` half its interval."""
     text = said(entry.candidate, entry.size * grown, spread)
     since = when(entry.shape, start)
     if entry.shape.name == "ramp":
@@ -46,12 +46,12 @@ def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0, spread: float
 
 
 def _in_all(entry: Entry) -> str:
-    """Return the amount of what was filled in, in words."""
+    """Return the total amount of what was filled in, in words."""
     return f"; {entry.size * entry.shape.growth_s:.2g} kg in all" if entry.candidate.unit == "kg/s" else ""
 
 
 def odds_of_best(finding: Finding) -> str:
-    """Return the posterior odds of the likeliest effect of a record that asks for none, in words."""
+    """Return the posterior odds of the likeliest effect of a record that needs none, in words."""
     best = max(finding.odds, finding.unlisted)
     if best < 0.0:
         return "the twin without any effect is the most probable explanation"
@@ -72,7 +72,7 @@ def summarise(
     description: dict[str, Any],
     finding: Finding,
 ) -> str:
-    """The verdict in plain words."""
+    """Return the summary of a verdict: effects or their absence, held-out errors, and the ambiguity group."""
     if verdict == "adequate":
         stale = max(errors, key=lambda n: errors[n].stale / errors[n].noise) if errors else ""
         moved = bool(stale) and errors[stale].stale > RETUNED * errors[stale].before
@@ -114,10 +114,11 @@ def summarise(
     places = dict.fromkeys((a.kind, a.where) for a in others if (a.kind, a.where) not in named)
     names = ", ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in places)
     if verdict == "ambiguous" and names:
-        return f"{said}; but this record cannot tell that from {names}." + fit_text
+        return f"{said}; but on this record that is indistinguishable from {names}." + fit_text
     followed = {e.driver for e in effects}
     drivers = [a.driver for a in others if (a.kind, a.where) in named and a.confidence > OPEN]
     drivers = [_DRIVEN.get(d, d.replace("_", " ")) for d in dict.fromkeys(drivers) if d not in followed]
     if drivers:
-        return f"{said}; whether it follows {' or '.join(drivers)} instead this record cannot tell." + fit_text
+        rival = " or ".join(drivers)
+        return f"{said}; it may follow {rival} instead, which is not identifiable from this record." + fit_text
     return said + "." + fit_text

@@ -1,7 +1,8 @@
-"""Everything that a twin may lack: each kind of element wherever it may stand, and each parameter that may move.
+"""Catalogue of effects that a twin may lack: each kind of element at each possible place, and each parameter that may
+change.
 
-The kinds themselves say where they could stand and what they would do there (`Element.missing`, `Element.moved`), so a
-new kind of element joins the search by its own file.
+The kinds themselves declare their possible places and candidates (`Element.missing`, `Element.moved`), so a new kind of
+element joins the search by its own file.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from twin.network import InputSpec, Network, TwinFileError
 
 _NUMBERED = re.compile(r"^(?P<stem>\D+)\d+$")
 LATE = ("history", "rate_of_change")
-"""Drivers of effects that remember: what is slow, and what is late."""
+"""Drivers of effects with memory: lags and delays."""
 _SPOKEN = {"pm": "modules"}
-"""What a numbered family of nodes is called together; others by their stem and an s."""
+"""Collective name of a numbered family of nodes; others take their stem and an s."""
 
 
 def catalogue(network: Network) -> tuple[Candidate, ...]:
-    """Candidates of a network, each with an id of its own."""
+    """Return the candidates of a network, each with a unique id."""
     sites = sites_of(network)
     found: dict[str, Candidate] = {}
     for kind in KINDS.values():
@@ -42,10 +43,10 @@ def catalogue(network: Network) -> tuple[Candidate, ...]:
 
 
 def _within_bounds(network: Network, candidate: Candidate) -> Candidate:
-    """Return a change of parameters with sizes that these may have, and no typical one that is none of them.
+    """Return a parameter change whose possible and typical sizes lie within the parameters' bounds.
 
-    Sizes of interest are those of rigs of some hundred watts. A parameter of a smaller rig says by its bounds how far
-    it may change; beyond them `sized` would hold it, and a law of size 1 would be less than 1.
+    Sizes of interest are those of rigs of some hundred watts. The bounds of a parameter of a smaller rig declare how
+    far it may change; beyond them `sized` clips it, and a law of size 1 would be less than 1.
     """
     if candidate.inverse or not candidate.changes:
         return candidate
@@ -68,7 +69,7 @@ def _bound_to_another(network: Network, name: str) -> bool:
 
 
 def sites_of(network: Network) -> Sites:
-    """The places of a network, and what drives it."""
+    """Return the sites of a network: its places and its drivers."""
     room = next((c for c in network.input_columns if c.startswith("T_amb")), "")
     clock = next((c for c in network.input_columns if c.startswith("time_of_day")), "")
     before = {node: b for e in network.elements for node, b in e.feeds().items()}
@@ -93,13 +94,13 @@ def sites_of(network: Network) -> Sites:
 
 
 def _scale(spec: InputSpec) -> float:
-    """How far an input goes: its declared range, or what is usual."""
+    """Return the range of an input: the declared one, or a usual one."""
     span = spec.upper - spec.lower
     return span if math.isfinite(span) and span > 0.0 else max(abs(spec.nominal), 1.0)
 
 
 def _places(network: Network) -> dict[str, str]:
-    """Node -> place: a node that nothing reads belongs to the nearest one that is read, through solid first."""
+    """Return node -> place: a node without a sensor belongs to the nearest one with a sensor, through solid first."""
     read = {s.node for s in network.sensors}
     beside: dict[str, Counter[str]] = {node: Counter() for node in network.nodes}
     for element in network.elements:
@@ -124,7 +125,9 @@ def _places(network: Network) -> dict[str, str]:
 
 
 def with_columns(network: Network, columns: Sequence[str]) -> Network:
-    """The network with further input columns for the values of open laws, 0 without one."""
+    """Return the network with further input columns, for the values of open laws; a missing one has the nominal value
+    0.
+    """
     if not columns:
         return network
     inputs = dict(network.inputs)
@@ -134,7 +137,7 @@ def with_columns(network: Network, columns: Sequence[str]) -> Network:
 
 
 def extended(network: Network, candidate: Candidate) -> Network:
-    """The network with a candidate's elements, still without effect: sizes at their neutral values.
+    """Return the network with a candidate's elements at neutral values, without effect.
 
     Raises
     ------
@@ -182,7 +185,7 @@ def _neutral(lower: float, upper: float) -> float:
 
 
 def sized(network: Network, candidate: Candidate, size: float) -> dict[str, float]:
-    """Parameter values of an extended network at a size of the candidate, within the parameters' bounds."""
+    """Return the parameter values of an extended network at a size of the candidate, within the parameters' bounds."""
     values = {}
     for name, weight in candidate.changes.items():
         p = network.parameters[name]

@@ -1,7 +1,7 @@
-"""A network's formulas over whole arrays: heat into each node and what each sensor reads, at given temperatures.
+"""Formulas of a network evaluated over arrays: heat into each node, W, and readings at given temperatures.
 
-The same text that the kernels are made of, evaluated by numpy at temperatures that are known (measured, as a rule), so
-what an effect would do can be told without simulating it: the power that it adds to each node at each moment.
+The source text of the kernels is evaluated by numpy at known (mostly measured) temperatures. This gives the power that
+an effect adds to each node at each moment, without a simulation.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from twin.network import Array, Network
 from twin.network.assembly import NetworkEquations, python_source
 
 ARRAYS = {"exp": np.exp, "log": np.log, "max": np.maximum, "min": np.minimum}
-"""Functions of arrays in place of those of numbers."""
+"""Array functions that replace those of numbers."""
 
 
 class Formulas:
-    """Evaluates one network on arrays over n samples."""
+    """Evaluation of one network on arrays over n samples."""
 
     def __init__(self, network: Network) -> None:
         self.network = network
@@ -32,7 +32,7 @@ class Formulas:
         self._states = sum(len(f.states) for name, f in self.system.parts if name in names)
 
     def heats(self, temperatures: Array, inputs: Array, parameters: Array, step_s: float) -> Array:
-        """Heat into each node (n, k), W, with what elements remember following the temperatures.
+        """Return the heat into each node (n, k), W; states of elements follow the temperatures.
 
         Args:
             temperatures: (n, k) degC. inputs: (n, c). parameters: (p,). step_s: between samples.
@@ -48,7 +48,7 @@ class Formulas:
         return np.stack([np.broadcast_to(r, n) * c for r, c in zip(rates[:k], capacity, strict=True)], axis=1)
 
     def _driven(self, column: int, values: Array, parameters: Array, step_s: float) -> Array:
-        """An input column after the dead time and the lag of its actuator; the gain is in the formulas."""
+        """Return an input column after the dead time and the lag of its actuator; the gain is in the formulas."""
         for _, drive in self.system.drives:
             if self.network.input_columns.index(drive.column) != column:
                 continue
@@ -61,7 +61,7 @@ class Formulas:
         return values
 
     def _remembered(self, columns: list[Array], u: list[Array], parameters: Array, step_s: float) -> list[Array]:
-        """Trajectories of elements' own states, each a first-order follower of the temperatures."""
+        """Return the trajectories of elements' own states, each a first-order lag of the temperatures."""
         n, k = len(columns[0]), len(columns)
         zero = [np.zeros(n)] * self._states
         one = [np.ones(n)] * self._states
@@ -76,7 +76,9 @@ class Formulas:
 
 
 def follow(values: Array, constant_s: float, step_s: float) -> Array:
-    """First-order lag of `constant_s`, at rest in the first sample; values lie on straight lines between samples."""
+    """Return a first-order lag of `constant_s`, at steady state in the first sample; values are linear between
+    samples.
+    """
     if constant_s <= 0.0:
         return values
     from scipy.signal import lfilter  # a second of processor time, so only where it is used

@@ -1,7 +1,7 @@
-"""Laws of the candidates: heat into nodes, or a reading error, at size 1 and the temperatures that the rig had.
+"""Laws of the candidates: heat into nodes, or a reading error, at size 1 and the measured temperatures.
 
-The law is evaluated on measured temperatures, which makes it linear in its size and independent of how wrong the
-twin is; nodes that nothing reads take the twin's.
+Evaluation on measured temperatures makes a law linear in its size and independent of the twin's error; nodes without a
+sensor take the twin's temperatures.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SMOOTH_S = 3600.0
 
 @dataclass(frozen=True, eq=False)
 class CandidateLaw:
-    """A candidate at size 1: `heat` (n, k) W into nodes and `reading` (n, m) K onto sensors; None where it is none."""
+    """Candidate at size 1: `heat` (n, k) W into nodes and `reading` (n, m) K onto sensors; None where it has none."""
 
     candidate: Candidate
     heat: Array | None
@@ -35,7 +35,7 @@ class CandidateLaw:
 
 
 def temperatures(network: Network, grid: Grid, run: FreeRun) -> Array:
-    """Node temperatures (n, k), degC: measured where a sensor is, with gaps closed; the twin's elsewhere."""
+    """Return node temperatures (n, k), degC: measured where a sensor is, with gaps closed; simulated elsewhere."""
     from scipy.ndimage import uniform_filter1d
 
     known = run.temperatures.copy()
@@ -49,15 +49,15 @@ def temperatures(network: Network, grid: Grid, run: FreeRun) -> Array:
 
 
 class Book:
-    """The candidates of a network with their formulas, which are made once for all records.
+    """Candidates of a network with their formulas, which are made once for all records.
 
     Args:
-        late_at_once: whether what is late may be told of all of a record. Only a healthy record says how much of it is
-            what a twin of mixed volumes leaves; without one it is told where it came in.
+        late_at_once: whether lags and delays may be present from the record's beginning. Only a healthy record shows
+            how much of one is model error of mixed volumes; without it a lag is considered only from a later onset.
 
     Attributes:
-        candidates: all but those of `put_in`, other forms of some of them with a temperature of their own to begin at,
-            and those of `passing`, which never stay.
+        candidates: all but those of `put_in`, other forms of some of them with an initial temperature of their own, and
+            those of `passing`, which are always transient.
     """
 
     def __init__(self, network: Network, late_at_once: bool = True) -> None:
@@ -76,7 +76,7 @@ class Book:
         return candidate if self._late_at_once or not candidate.lumped else replace(candidate, lumped=math.inf)
 
     def _formulas(self, candidate: Candidate, changed: Network) -> Formulas:
-        """Formulas of the network with a candidate; those that add the same elements share them."""
+        """Return the formulas of the network with a candidate; candidates with the same elements share them."""
         # What an element remembers is left out of the text where it is neutral, so it matters which of its parameters
         # are not.
         own = {*candidate.adds, *(name.split(".")[0] for name in candidate.changes)}
@@ -92,7 +92,7 @@ class Book:
         return self._made[key]
 
     def _stepped(self, candidate: Candidate) -> tuple[Network, float, Network, Formulas]:
-        """The network with a candidate, a step of its size, the network after that step and its formulas."""
+        """Return the network with a candidate, a step of its size, the network after that step and its formulas."""
         known = self._steps.get(id(candidate))
         if known is not None:
             return known
@@ -105,9 +105,9 @@ class Book:
         return made
 
     def _at(self, grid: Grid, run: FreeRun) -> tuple[Array, Array]:
-        """Temperatures (n, k), degC, that laws are evaluated at, and the network's own heats (n, k), W.
+        """Return temperatures (n, k), degC, that laws are evaluated at, and the network's own heats (n, k), W.
 
-        Searches ask for a few laws of one record again and again.
+        They are cached, since searches ask for a few laws of one record repeatedly.
         """
         held = self._held
         if held is None or held[0] is not grid or held[1] is not run:
@@ -117,7 +117,7 @@ class Book:
         return held[2], held[3]
 
     def laws(self, grid: Grid, run: FreeRun, only: tuple[Candidate, ...] | None = None) -> list[CandidateLaw]:
-        """The laws of the candidates that do anything on this record; `only` of some of them."""
+        """Return the laws of the candidates that have an effect on this record; `only` of some of them."""
         network = self.network
         known, base = self._at(grid, run)
         found = []
@@ -140,10 +140,10 @@ class Book:
 
 
 def _taken_up(network: Network, changed: Network, known: Array, step_s: float) -> Array:
-    """Heat (n, k), W, that volumes whose thermal mass is another take up more than before.
+    """Return the heat (n, k), W, that volumes of changed thermal mass store beyond that of the original ones.
 
     Args:
-        known: (n, k) degC, means over bins, so that what rose between two of them rose about the beginning of one.
+        known: (n, k) degC, means over bins, so that a rise between two of them happened about the beginning of one.
     """
     at = network.index([f"{node}.capacitance" for node in network.nodes])
     more = changed.values[at] - network.values[at]
@@ -154,7 +154,7 @@ def _taken_up(network: Network, changed: Network, known: Array, step_s: float) -
 
 
 def _put_in(network: Network, candidate: Candidate, grid: Grid, known: Array) -> Array:
-    """Heat into a node for 1 W/K to what was put in there at the temperature of an input, before that has warmed up."""
+    """Return the heat into a node, for 1 W/K, of a mass put in at the temperature of an input, while it warms up."""
     heat = np.zeros_like(known)
     (table,) = candidate.adds.values()
     k = network.nodes.index(table["node"])
@@ -163,7 +163,7 @@ def _put_in(network: Network, candidate: Candidate, grid: Grid, known: Array) ->
 
 
 def _reading(network: Network, candidate: Candidate, grid: Grid, run: FreeRun) -> Array:
-    """Change of the readings (n, m) for a unit of a parameter of one sensor, or of several that are alike."""
+    """Return the change of the readings (n, m) for a unit of a parameter of one sensor, or of several equal ones."""
     out = np.zeros((len(grid.time), len(network.sensors)))
     for name, weight in candidate.changes.items():
         element, parameter = name.split(".")
@@ -199,14 +199,15 @@ def _read_by_law(network: Network, candidate: Candidate, element: str) -> tuple[
 
 
 def _has_been_there(off: Array) -> bool:
-    """Return True where thermometers have been at the level at which they stick, or between it and the next one, from
-    `off` (n, m), K."""
+    """Return True if thermometers have been at the level at which they stick, or next to it, from `off` (n, m), K."""
     own, half = off[:, off.any(axis=0)], 0.5 * STUCK_APART_K
     return own.size > 0 and float(own.min()) < half and float(own.max()) > -half
 
 
 def _delay(network: Network, formulas: Formulas, candidate: Candidate, grid: Grid, known: Array, base: Array) -> Array:
-    """Heat that a further volume of pipe keeps from arriving: what the water before it was, a delay ago."""
+    """Return the heat that a further volume of pipe delays: that of the water that entered one transport delay
+    before.
+    """
     (name, _), *_ = candidate.changes.items()
     pipe = name.split(".")[0]
     node = candidate.adds[pipe]["to"] if candidate.adds else next(e for e in network.elements if e.name == pipe).to  # type: ignore[attr-defined]

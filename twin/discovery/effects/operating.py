@@ -1,10 +1,9 @@
-"""Operating points: heat that a law of powers hides at each pair of speeds.
+"""Offsets at operating points: model error of power laws at each pair of fan and pump speeds.
 
-A radiator follows fan and pump by two powers in a twin, and by films, fins and air in a rig; a pump is not quite in
-proportion to its speed. At any one pair of speeds such a law is off by a few per cent, and by the same for as long as
-they stay: what looks like an effect since the speeds were last set. So structure knows of such offsets, one at each
-point at which the rig works. What a healthy record visited is known from it; of any other point it tells how large
-offsets are there, which is what they may be here.
+A twin's radiator follows fan and pump by two power laws, a rig's by films, fins and air; a pump is not exactly
+proportional to its speed. At any one pair of speeds such a law has a constant error of a few per cent, which looks like
+an effect since the speeds were last set. The structure therefore has an offset at each operating point. A healthy
+record estimates the offsets of the points that it visited, and the prior spread of all others.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from twin.elements.radiator import Radiator
 from twin.network import Network
 
 WIDTH = 5.0
-"""Speeds within so much of one another, %, are one."""
+"""Tolerance, %, within which speeds are the same."""
 MOST = 32
-"""Points that are told apart, those at which the rig stays longest."""
+"""Operating points at most, those with the longest total time."""
 
 
 def offsets(network: Network, laws: list[CandidateLaw], grid: Grid) -> list[CandidateLaw]:
-    """Heat rejection at each pair of fan and pump speeds, and flow at each pump speed, of laws of one record."""
+    """Return laws of offsets: heat rejection at each pair of fan and pump speeds, and flow at each pump speed."""
     speeds: dict[str, tuple[str, ...]] = {}
     for element in network.elements:
         if isinstance(element, Radiator):
@@ -42,7 +41,7 @@ def offsets(network: Network, laws: list[CandidateLaw], grid: Grid) -> list[Cand
 
 
 def _each(law: CandidateLaw, grid: Grid, columns: list[tuple[str, int]]) -> list[CandidateLaw]:
-    """A law at each point by itself."""
+    """Return a law restricted to each operating point."""
     assert law.heat is not None
     (name,) = law.candidate.changes
     points = np.rint(grid.inputs[:, [j for _, j in columns]] / WIDTH).astype(np.int64)

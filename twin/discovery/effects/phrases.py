@@ -1,4 +1,4 @@
-"""Sizes, times and candidates as an operator reads them."""
+"""Phrases for sizes, times and candidates in the reports of a diagnosis."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from twin.discovery.effects.shapes import Shape
 from twin.elements.candidates import Candidate
 
 SHORT_S = 120.0
-"""A time below this is told in seconds."""
+"""Time, s, below which seconds are written."""
 _OPPOSITES = (("} more", "} less"), ("} too high", "} too low"))
 _IRREGULAR = {"has": "have", "is": "are", "was": "were", "does": "do"}
 _ENDING = re.compile(r"((?:ss|sh|ch|x|zz))es$|s$")
@@ -21,9 +21,10 @@ _ONE_IN_S = ("gas", "lens", "bias", "canvas", "atlas")
 
 
 def said(candidate: Candidate, size: float, spread: float = 0.0, record_s: float = math.inf) -> str:
-    """What a candidate of this size, more or less by `spread`, does, in plain words.
+    """Return the action of a candidate of this size, plus or minus `spread`, in words.
 
-    A time constant above `record_s`, the record's length, is told by that: more the record does not tell of it.
+    A time constant above `record_s`, the record's length, is given as a lower bound: it is not identifiable from the
+    record.
     """
     c = candidate
     named = c.kind == "sensor" and c.where.endswith("_C")
@@ -57,7 +58,9 @@ def is_plural(name: str) -> bool:
 
 
 def agreeing(name: str, says: str) -> str:
-    """Return what `name` does, beginning with a verb of the third person, with the verb of a plural where it is one."""
+    """Return what `name` does, a phrase that begins with a verb of the third person, in the plural if `name` is
+    plural.
+    """
     if not is_plural(name):
         return says
     verb, gap, rest = says.partition(" ")
@@ -83,13 +86,13 @@ def interval(value: float, spread: float, bounds: tuple[float, float]) -> tuple[
 
 
 def _digits(value: float) -> str:
-    """Three digits that count, large numbers without an exponent."""
+    """Return a number with three significant digits, without an exponent."""
     said = f"{value:.3g}"
     return f"{float(said):,.0f}" if abs(float(said)) >= 1_000.0 else said
 
 
 def lasting(seconds: float) -> str:
-    """A time constant as an operator reads it."""
+    """Return a time constant in words."""
     return f"{seconds:.0f} s" if seconds < SHORT_S else f"{seconds / 60.0:.0f} min"
 
 

@@ -1,8 +1,8 @@
-"""A twin that can be asked: what would a reading be if so much heat entered here, then?
+"""Probe of a twin: response of the readings to heat into any node at any time.
 
-One kernel serves every hypothesis: the network with a source of any time course in every node and a reading of every
-node. What an effect does to the rig is told by the heat that it brings (`formulas`), so no kernel has to be compiled
-for a candidate before it is worth one, and most share one then (`shared_kernels`).
+One kernel serves every hypothesis: the network with a heat source of any time course in every node and a reading of
+every node. The heat of an effect (`formulas`) then gives its signature, so no kernel is compiled for a candidate before
+it is fitted, and most candidates share one then (`shared_kernels`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _STEP = 1.0e-4
 _STATE_STEP = 1.0e-2
 _PROBE_W = 10.0
 _LEAST_WAY = 1.0e-9
-"""Share of the greatest difference of a state that is kept."""
+"""Least share of the greatest difference of a state that is kept."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class FreeRun:
 
 
 class Probe:
-    """The kernel of a network with an injection of heat at every node.
+    """Kernel of a network with a heat injection at every node.
 
     Args:
-        tunables: parameters that a calibration may move; their sensitivities are asked for.
+        tunables: parameters that a calibration may change, whose sensitivities are computed.
     """
 
     def __init__(self, network: Network, tunables: tuple[str, ...]) -> None:
@@ -62,7 +62,7 @@ class Probe:
         self._made: list[tuple[Grid, tuple[Hashable, ...], Array]] = []
 
     def values(self, values: Array | None = None) -> Array:
-        """Full parameter vector of the probed network out of one of the network (p,)."""
+        """Return the full parameter vector of the probed network for values (p,) of the network."""
         full = self.probed.values.copy()
         if values is not None:
             full[self.probed.index(self.network.ids)] = values
@@ -74,12 +74,14 @@ class Probe:
         return np.ascontiguousarray(np.hstack([grid.inputs, extra]))
 
     def first_state(self, grid: Grid, values: Array | None = None) -> Array:
-        """Temperatures (s * k,) at the beginning of each stretch that fit its first quarter of an hour."""
+        """Return the temperatures (s * k,), degC, at the beginning of each segment, fitted to its first quarter of an
+        hour.
+        """
         probed, inputs = self.probed_state(grid).reshape(-1, self.k), self._inputs(grid, None)
         sigma = np.concatenate([grid.sigma, np.ones(len(self.probed.sensors) - self.m)])
         found = []
-        for state, stretch in zip(probed, grid.stretches, strict=True):
-            rows = slice(stretch.start, min(stretch.start + SETTLE_BINS, stretch.stop))
+        for state, segment in zip(probed, grid.segments, strict=True):
+            rows = slice(segment.start, min(segment.start + SETTLE_BINS, segment.stop))
             measured = np.full((rows.stop - rows.start, len(sigma)), np.nan)
             measured[:, : self.m] = grid.measured[rows]
             good = np.isfinite(measured)
@@ -89,28 +91,28 @@ class Probe:
         return np.concatenate(found)
 
     def probed_state(self, grid: Grid) -> Array:
-        """Node temperatures (s * k,) from the first readings of each stretch."""
-        firsts = [slice(r.start, min(r.start + FIRST_BINS, r.stop)) for r in grid.stretches]
+        """Return node temperatures (s * k,), degC, from the first readings of each segment."""
+        firsts = [slice(r.start, min(r.start + FIRST_BINS, r.stop)) for r in grid.segments]
         return np.concatenate([self.network.initial_state(grid.measured[rows]) for rows in firsts])
 
     def run(self, grid: Grid, state: Array, values: Array | None = None, injected: Array | None = None) -> FreeRun:
-        """Free run from `state` (s * k,), with heat `injected` (n, k) W on top of the network's own."""
+        """Simulate freely from `state` (s * k,), with heat `injected` (n, k) W on top of the network's own."""
         readings = self._traced(self.values(values)[None, :], state[None, :], grid, self._inputs(grid, injected))
         means = centred(readings[0])
         return FreeRun(means[:, : self.m], means[:, self._reads])
 
     def _traced(self, rows: Array, states: Array, grid: Grid, inputs: Array) -> Array:
-        """Readings (P, n, m) with parameters `rows` (P, p), from `states` (P, s * k)."""
+        """Return the readings (P, n, m) with parameters `rows` (P, p), from `states` (P, s * k)."""
         return simulate_segments(self._kernel, rows, states, grid.time, inputs, grid.begins)
 
     def responses(self, grid: Grid, state: Array, injected: Array, values: Array | None = None) -> Array:
-        """What heat does to the readings (n, m, j), K, for j courses `injected` (n, k, j) W."""
+        """Return the change of the readings (n, m, j), K, for j courses of heat `injected` (n, k, j) W."""
         base = self.run(grid, state, values).readings
         found = [self.run(grid, state, values, injected[:, :, j]).readings - base for j in range(injected.shape[2])]
         return np.stack(found, axis=2) if found else np.empty((*base.shape, 0))
 
     def _kept(self, what: tuple[Hashable, ...], grid: Grid, make: Callable[[], Array]) -> Array:
-        """What was made of the same grid before, or is made now: several contests are held on one."""
+        """Return a cached result for the same grid, or compute it: several score tests use one grid."""
         for other, known, made in self._made:
             if other is grid and known == what:
                 return made
@@ -119,7 +121,7 @@ class Probe:
         return made
 
     def sensitivities(self, grid: Grid, state: Array, values: Array | None = None) -> Array:
-        """d reading / d (tunables in z, temperatures at the beginnings): (n, m, q + s * k)."""
+        """Return d reading / d (tunables in z, initial temperatures of the segments): (n, m, q + s * k)."""
         what = ("sensitivities", state.tobytes(), None if values is None else values.tobytes())
         return self._kept(what, grid, lambda: self._sensitivities(grid, state, values))
 
@@ -143,7 +145,7 @@ class Probe:
         return centred(np.concatenate([slopes[..., : self.q], states], axis=2))
 
     def blocks(self, grid: Grid, state: Array, edges: np.ndarray, values: Array | None = None) -> Array:
-        """Mean readings in each of b blocks when 1 W enters one node during one block: (b, m, b, k) K/W.
+        """Return the mean readings in each of b blocks for 1 W into one node during one block: (b, m, b, k) K/W.
 
         Args:
             edges: (b + 1,) bins at which blocks begin, the last one past the end.
@@ -176,8 +178,10 @@ class Probe:
     def _carried(
         self, rows: Array, begun: Array, state: Array, grid: Grid, inputs: Array, part: slice, last: int
     ) -> tuple[Array, Array]:
-        """Readings (P, n, m) over a part of the grid and full states at its end; all begin anew where a stretch does,
-        before bin `last`."""
+        """Return the readings (P, n, m) over a part of the grid and the full states at its end.
+
+        Each run restarts where a segment begins, before bin `last`.
+        """
         at, states, readings = part.start, begun, []
         for i, first in enumerate(grid.begins):
             if i == 0 or not part.start <= first < last:
@@ -191,11 +195,10 @@ class Probe:
 
 
 class _RemainingHeat:
-    """What earlier blocks' heat has left behind: `shares` (b * k, r) of a few ways `basis` (r, size) in which a full
-    state can differ.
+    """Remaining effect of earlier blocks' heat: `shares` (b * k, r) of r basis states `basis` (r, size).
 
-    Each way is carried on by itself. There are hardly more of them than the network has nodes: what water carries along
-    has gone round many times in a block, and is what the nodes make of it.
+    Each basis state is simulated by itself. There are hardly more than the network has nodes: water circulates many
+    times in a block, so its profile follows from the node temperatures.
     """
 
     def __init__(self, base: Array, shares: Array | None = None, basis: Array | None = None) -> None:
@@ -204,12 +207,12 @@ class _RemainingHeat:
         self.rows = self.base[:0] if basis is None else self.base + _STATE_STEP * basis
 
     def of(self, change: Array) -> Array:
-        """Of what these rows change (r, ...): what each earlier block's heat does (b * k, ...)."""
+        """Return the change (b * k, ...) by each earlier block's heat, for the changes (r, ...) of the basis states."""
         found: Array = self._shares @ change / _STATE_STEP
         return found
 
     def after(self, states: Array, k: int) -> _RemainingHeat:
-        """What is left after a block, from full states (1 + k + r, size) at its end."""
+        """Return the remaining effect after a block, from full states (1 + k + r, size) at its end."""
         change = states[1:] - states[0]
         own, carried = change[:k], change[k:] / _STATE_STEP
         count, r = self._shares.shape
@@ -228,9 +231,10 @@ class _RemainingHeat:
 def posterior(
     network: Network, probe: Probe, grid: Grid, state: Array, inflation: float, widen: float
 ) -> GaussianPrior:
-    """Gaussian knowledge of [tunables z, initial state] after a healthy record; `widen` multiplies its variance.
+    """Return the Gaussian posterior of [tunables z, initial state] after a healthy record; `widen` multiplies its
+    variance.
 
-    The state's part is replaced by what a first reading tells, since the next record begins elsewhere.
+    The initial state has the uncertainty of a first reading, since the next record begins in another state.
     """
     weight = np.where(np.isfinite(grid.measured), 1.0 / grid.sigma, 0.0)
     j = probe.sensitivities(grid, state) * weight[:, :, None]
@@ -284,7 +288,9 @@ def _with_probes(network: Network, columns: tuple[str, ...]) -> tuple[Network, t
 
 
 def free_run(probe: Probe, grid: Grid) -> tuple[Array, FreeRun, Array, np.ndarray]:
-    """First state (s * k,), the run from it, its residual (n, m) in K, gaps closed, and where (n, m) one was read."""
+    """Return the first state (s * k,), the free run from it, its residual (n, m) K with gaps closed, and a mask (n, m)
+    of readings.
+    """
     state = probe.first_state(grid)
     run = probe.run(grid, state)
     off = grid.measured - run.readings

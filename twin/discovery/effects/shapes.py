@@ -1,7 +1,7 @@
-"""Time courses of an effect: at once, growing in proportion to time for a while, or growing towards a final size.
+"""Time courses of an effect: step, ramp, saturating growth, and transient ones.
 
-Amplitudes are relative to the effect's size: 1 after a step, 1 where a ramp has ended, 1 in the limit for a saturating
-growth. What is put in with a temperature of its own is there at once, and what it does fades.
+Amplitudes are relative to the effect's size: 1 after a step, 1 at the end of a ramp, 1 in the limit of saturating
+growth. A mass that is put in with its own temperature is there at once, and its heat decays.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from twin.elements.candidates import PASSING
 from twin.network import Array
 
 EARLY_S = 3600.0
-"""Onsets up to this are as good as the beginning: little tells them from it."""
+"""Onsets up to this, s, count as the beginning, from which they are hardly distinguishable."""
 GROWTH_H = {"ramp": (2.0, 6.0, 16.0, np.inf), "saturating": (1.0, 4.0, 12.0)}
-"""Durations of ramps and time constants of saturating growth that are tried, h; one ramp is still rising when the
-record ends."""
+"""Durations of ramps and time constants of saturating growth that are tried, h; an infinite one still rises at the
+record's end."""
 BEYOND = 1.5
-"""Lengths of a record until which what is still rising at its end is taken to rise: beyond what will be looked at."""
+"""Multiple of a record's length for which a ramp that still rises at its end is taken to rise."""
 
 
 TIMED = PASSING
-"""Shapes that end, come back or fade: each has a second time, `growth_s`, that is told by the record."""
+"""Shapes of transient effects: each has a second time, `growth_s`, that is identifiable from the record."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """`name` step, ramp, saturating, put in, or one of `TIMED`; `onset_s` from the record's beginning.
+    """Time course: `name` step, ramp, saturating, put in, or one of `TIMED`; `onset_s` from the record's beginning, s.
 
-    `growth_s`: the duration of a ramp or a spell, the period of a periodic one, or the time constant with which a
-    saturating one nears its size, what was put in nears its place's and a pulse fades. `duty`: share of a period in
-    which a periodic one is there, from its onset on; its first turn began `into_s` before that.
+    `growth_s`: duration of a ramp or of a single transient, period of a periodic course, or time constant of a
+    saturating one, of the heat of a mass put in, and of a pulse. `duty`: share of a period in which a periodic effect
+    is present, from its onset on; its first period began `into_s` before the onset.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Shape:
     into_s: float = 0.0
 
     def block_means(self, edges_s: Array) -> Array:
-        """Mean amplitude (b,) between `edges_s` (b + 1,), s from the record's beginning."""
+        """Return the mean amplitudes (b,) between `edges_s` (b + 1,), s from the record's beginning."""
         means: Array = courses_of([self], edges_s)[0]
         return means
 
@@ -53,18 +53,18 @@ class Shape:
 
     @property
     def entered(self) -> Shape:
-        """How the element itself comes in, whatever becomes of what it does."""
+        """Return the time course of the element itself, without the decay of its consequence."""
         return Shape("step", self.onset_s) if self.name == "put in" else self
 
     def mean(self, low_s: float, high_s: float) -> float:
-        """Mean amplitude over one span."""
+        """Return the mean amplitude between two times, s."""
         return float(self.block_means(np.array([low_s, max(high_s, low_s + 1e-3)]))[0])
 
     def going_on(self, span_s: float) -> Shape:
-        """The shape, where it still rises or is still there when a record of `span_s` ends, as one that goes on.
+        """Return the shape without an end if it still rises or is still present when a record of `span_s` ends.
 
-        Until when it does the record does not tell; that it stops then and there would be odd. What a ramp comes to
-        then is as many times as large as its growth is longer.
+        Its later end is not identifiable from the record, and one exactly at the record's end is improbable. The size
+        of a ramp then grows in proportion to its duration.
         """
         if self.name == "spell" and not self.free(span_s):
             return Shape("step", self.onset_s)
@@ -73,7 +73,9 @@ class Shape:
         return replace(self, growth_s=BEYOND * span_s - self.onset_s)
 
     def free(self, span_s: float) -> bool:
-        """Whether a record of `span_s` tells the growth apart from the size: a ramp that goes on does not."""
+        """Return True if growth time and size are separately identifiable from a record of `span_s`: not those of an
+        unended ramp.
+        """
         if self.name == "spell":
             return self.onset_s + self.growth_s < 0.98 * span_s
         return self.name in ("saturating", "periodic", "pulse") or (
@@ -82,7 +84,7 @@ class Shape:
 
 
 def courses_of(shapes: Sequence[Shape], edges_s: Array) -> Array:
-    """Mean amplitudes (n, b) of n shapes between `edges_s` (b + 1,), s from the record's beginning."""
+    """Return the mean amplitudes (n, b) of n shapes between `edges_s` (b + 1,), s from the record's beginning."""
     rows: dict[str, list[int]] = {}
     for row, shape in enumerate(shapes):
         rows.setdefault(shape.name, []).append(row)
@@ -94,10 +96,10 @@ def courses_of(shapes: Sequence[Shape], edges_s: Array) -> Array:
 
 
 def means_between(edges_s: Array, name: str, times: Array) -> Array:
-    """Mean amplitudes (n, b) between `edges_s` (b + 1,) of n shapes of one name.
+    """Return the mean amplitudes (n, b) between `edges_s` (b + 1,), s, of n shapes of one name.
 
     Args:
-        times: (4, n) their onsets, growths, duties and times into a turn, as those of a `Shape`.
+        times: (4, n) their onsets, growth times, duties and times into a period, as those of a `Shape`.
     """
     onset, growth, duty, into = times[..., None]
     upto = _integrals(name, np.maximum(edges_s - onset, 0.0) + into, np.maximum(growth, 1.0), duty)
@@ -106,7 +108,7 @@ def means_between(edges_s: Array, name: str, times: Array) -> Array:
 
 
 def _integrals(name: str, t: Array, growth: Array, duty: Array) -> Array:
-    """Integrals (n, t) of the amplitude of shapes of one name from their onsets to `t`, s since then."""
+    """Return the integrals (n, t) of the amplitude of shapes of one name from their onsets to `t`, s since then."""
     if name == "step":
         return t
     if name == "spell":
@@ -122,5 +124,5 @@ def _integrals(name: str, t: Array, growth: Array, duty: Array) -> Array:
 
 
 def family(name: str, span_s: float) -> tuple[float, ...]:
-    """Growth times, s, of a named shape that are tried on a record of `span_s`."""
+    """Return the growth times, s, of a named shape that are tried on a record of `span_s`."""
     return tuple(min(3600.0 * h, BEYOND * span_s) for h in GROWTH_H[name])

@@ -1,9 +1,8 @@
-"""Kernels that hold many effects at no size, so that any set of them is a matter of numbers.
+"""Kernels with many candidates at neutral values, so that any set of them is simulated without another compilation.
 
-Compiling a kernel takes as long as some hundred simulations of a day, and a search asks for dozens of pairs and threes.
-So what every hypothesis may need is compiled once, beside the twin: elements whose heat is affine in the temperatures
-cost a run little where they do nothing. What is slow, masses and thermometers that lag, costs more and is in a second
-kernel. The rest (delays, laws that are no straight lines) is compiled hypothesis by hypothesis.
+Compiling a kernel takes as long as some hundred simulations of a day, and a search fits dozens of sets. Elements whose
+heat is affine in the temperatures cost little at neutral values and share one kernel. Masses and lagging thermometers
+cost more and share a second one. The rest (delays, nonlinear laws) is compiled for each hypothesis.
 """
 
 from __future__ import annotations
@@ -24,27 +23,29 @@ from twin.kernel import Kernel
 from twin.network import Network
 
 KEPT = 16
-"""Kernels of single hypotheses that are kept: more than a search fits at once."""
+"""Kernels of single hypotheses in the cache: more than a search fits at once."""
 SLOTS = 2
-"""Open laws that may stand in one hypothesis: each brings heat of a course and size of its own."""
+"""Open laws in one hypothesis at most: each has a heat input of its own."""
 _SLOW = ("thermal_mass", "sensor")
 
 
 def injection(slot: int, node: str) -> str:
-    """Name of the element that brings the heat of an open law into a node, and the beginning of its column's."""
+    """Return the name of the element that injects the heat of an open law into a node, which its column's name begins
+    with.
+    """
     return f"inject_{slot}_{node}"
 
 
 @dataclass(frozen=True)
 class SharedKernel:
-    """A network with the elements of many candidates, neutral, and the kernel in which their sizes are free."""
+    """Network with the neutral elements of many candidates, and a kernel in which their sizes are free."""
 
     network: Network
     kernel: Kernel
 
     @classmethod
     def of(cls, network: Network, tunables: tuple[str, ...], candidates: Iterable[Candidate]) -> SharedKernel:
-        """The network with all of `candidates`; parameters in `tunables` are free besides."""
+        """Return the kernel of a network with all of `candidates`; parameters in `tunables` are free too."""
         bigger, ids = network, dict.fromkeys(tunables)
         for candidate in candidates:
             missing = {k: v for k, v in candidate.adds.items() if k not in {e.name for e in bigger.elements}}
@@ -54,7 +55,7 @@ class SharedKernel:
         return cls(bigger, Kernel(bigger, tuple(ids), whole_memory=True))
 
     def with_injections(self) -> SharedKernel:
-        """The same with heat of any course into every node, for as many open laws as have a slot."""
+        """Return the same with a heat injection into every node, for as many open laws as have a slot."""
         places = [(slot, node) for slot in range(SLOTS) for node in self.network.nodes]
         bigger = with_columns(self.network, [injection(slot, node) + "_W" for slot, node in places])
         elements, parameters = list(bigger.elements), dict(bigger.parameters)
@@ -72,20 +73,20 @@ class SharedKernel:
         return SharedKernel(bigger, Kernel(bigger, (*self.kernel.lane_ids, *gains), whole_memory=True))
 
     def holds(self, candidates: tuple[Candidate, ...]) -> bool:
-        """Whether all of them are a matter of numbers here."""
+        """Return True if this kernel simulates all of these candidates."""
         free = set(self.kernel.lane_ids)
         return all(not c.replaces and free.issuperset(c.changes) for c in candidates)
 
 
 class SharedKernels:
-    """The shared kernels of a network; each is built when it is first asked for, and compiled when it first runs."""
+    """Shared kernels of a network; each is built on first request, and compiled on its first run."""
 
     def __init__(self, network: Network, tunables: tuple[str, ...]) -> None:
         self._network, self._tunables = network, tunables
         self._alone: OrderedDict[tuple[int, ...], tuple[tuple[Candidate, ...], SharedKernel]] = OrderedDict()
 
     def of_these(self, candidates: tuple[Candidate, ...]) -> SharedKernel:
-        """The kernel of these candidates and no others; the last few are kept, as a hypothesis is run again and again.
+        """Return the kernel of these candidates and no others; the last few are cached.
 
         Raises:
             TwinFileError: an element does not fit.
@@ -126,7 +127,7 @@ class SharedKernels:
         return self._quick.with_injections()
 
     def holding(self, candidates: tuple[Candidate, ...]) -> SharedKernel | None:
-        """The quickest that holds these candidates, or None."""
+        """Return the fastest shared kernel that holds these candidates, or None."""
         opened = [c for c in candidates if c.column]
         if len([c for c in opened if c.injects]) > SLOTS or any(not c.injects and not c.reads for c in opened):
             return None

@@ -1,13 +1,13 @@
-"""Statement of where something enters a rig that its twin does not model, shared by tracking and diagnosis."""
+"""Statement about the place of an effect that a twin does not model, shared by tracking and diagnosis."""
 
 from __future__ import annotations
 
 from twin.discovery.effects.phrases import agreeing, amount, clock
 
 WHOLE = 9.5
-"""Watts from which a power is given in whole ones; a smaller one, of a small rig, has two digits."""
+"""Power, W, from which it is given in whole watts; a smaller one has two digits."""
 KILO = 10_000.0
-"""Watts from which a power is given in kilowatts."""
+"""Power, W, from which it is given in kilowatts."""
 
 
 def disturbance_statement(

@@ -1,1 +1,1 @@
-"""One evidence for every hypothesis: log marginal likelihoods with declared priors, the search and the posterior."""
+"""Evidence of hypotheses: log marginal likelihoods with declared priors, the search, and the posterior."""

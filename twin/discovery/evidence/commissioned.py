@@ -1,5 +1,4 @@
-"""The error of a twin where no fit saw it, beside the one that its commissioning left: all that tells without a healthy
-record how much of a residual is usual."""
+"""Usual error of a twin without a healthy record: that of its commissioning, for comparison with held-out errors."""
 
 from __future__ import annotations
 
@@ -13,18 +12,18 @@ from twin.discovery.evidence.finding import Finding
 from twin.network import Array, Network
 
 AS_GOOD = 1.1
-"""Times the error when commissioned that a re-tuned twin may have and still count as good as then."""
+"""Ratio of a re-tuned twin's held-out error to that when commissioned, up to which it counts as equally good."""
 NEVER = 1.5
-"""The same of a twin that was never commissioned, in times its thermometers' noise."""
+"""The same for a twin that was never commissioned, relative to its thermometers' noise."""
 OTHER_LOAD = 6.25
-"""Squares beyond its thermometers' noise that a re-tuned twin may leave in health, in those when commissioned: a lumped
-twin leaves more where the rig moves more (24 healthy records of the virtual rig under other loads: up to 4.2)."""
+"""Ratio of the squares beyond noise that a re-tuned twin may leave in health to those when commissioned. A lumped twin
+leaves more where the rig moves more (24 healthy records of the virtual rig under other loads: up to 4.2)."""
 
 
 def as_commissioned(network: Network, errors: Mapping[str, SensorError]) -> bool:
-    """Whether the re-tuned twin is as good, where no fit saw it, as the twin file says of its commissioning.
+    """Return True if the re-tuned twin's held-out error is no larger than that of its commissioning in the twin file.
 
-    Of a twin that was never commissioned the thermometers' noise is asked for.
+    For a twin that was never commissioned the limit is the thermometers' noise.
     """
     known = network.revision.error_after_K
     times = AS_GOOD if known else NEVER
@@ -32,8 +31,7 @@ def as_commissioned(network: Network, errors: Mapping[str, SensorError]) -> bool
 
 
 def as_under_another_load(network: Network, errors: Mapping[str, SensorError]) -> bool:
-    """Whether the re-tuned twin leaves no more, where no fit saw it, than one as good as the twin file says may leave
-    of a rig that moves more."""
+    """Return True if the re-tuned twin's held-out error is usual for a rig that moves more than when commissioned."""
     known = network.revision.error_after_K
     beyond = sum(max((e.before / e.noise) ** 2 - 1.0, 0.0) for e in errors.values())
     then = sum(max((known.get(name, 0.0) / e.noise) ** 2 - 1.0, 0.0) for name, e in errors.items())
@@ -41,11 +39,12 @@ def as_under_another_load(network: Network, errors: Mapping[str, SensorError]) -
 
 
 def as_healthy_elsewhere(errors: Mapping[str, SensorError], off: Array, split: int) -> bool:
-    """Return whether a twin is off, in every part of a record, by no more than in health under another load.
+    """Return True if a twin's error, in every segment of a record, is no larger than in health under another load.
 
     Args:
-        errors: of each sensor, with what is usual in health. off: (n, m) K, measured minus the twin as it was, of the
-            same sensors. split: row from which `errors` are; every part is as long as what follows it.
+        errors: of each sensor, with the usual error in health. off: (n, m) K, measured minus simulated by the
+            commissioned twin, of the same sensors. split: row from which `errors` are; every segment is as long as the
+            one after it.
     """
     length = len(off) - split
     squares = np.where(np.isfinite(off), off, 0.0) ** 2
@@ -58,10 +57,10 @@ def as_healthy_elsewhere(errors: Mapping[str, SensorError], off: Array, split: i
 
 
 def nothing(finding: Finding) -> Finding:
-    """The finding without what was found."""
+    """Return the finding without its effects."""
     return replace(finding, entries=(), fit=None, ranked=(), folds=(), ladder=finding.ladder[:1])
 
 
 def retuned_alone(off: Mapping[str, SensorError]) -> dict[str, SensorError]:
-    """Errors on what no fit saw, with nothing added to the re-tuned twin."""
+    """Return the held-out errors of the re-tuned twin without effects."""
     return {name: replace(e, after=e.before, means=(*e.means[:2], e.means[1])) for name, e in off.items()}

@@ -1,4 +1,4 @@
-"""Fitted explanations with their posterior shares, and what a search ended with."""
+"""Finding of a search: fitted explanations with their posterior probabilities."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from dataclasses import dataclass
 
 from twin.discovery.diagnosis import Fold, Rung
 from twin.discovery.refit.fitting import Fit
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.network import Array
 
 
 @dataclass(frozen=True)
 class Ranked:
-    """A set of effects, fitted: `cost` is -2 times its log posterior odds, `weight` its share, `log_bayes` what the
-    record alone says."""
+    """Fitted set of effects: `cost` is -2 times its log posterior odds, `weight` its posterior probability, `log_bayes`
+    its log Bayes factor over no effect.
+    """
 
     fit: Fit
     cost: float
@@ -29,13 +30,14 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Finding:
-    """The end of a search; `fit` is None where nothing reached the odds of a claim.
+    """Result of a search; `fit` is None if nothing reached the odds of a claim.
 
     Attributes:
         retuned: the tunables alone, fitted anew. ranked: explanations, the answer first. scanned: single effects by
             falling evidence. start, count: misfit without any effect, and the number of block means.
-        odds: log posterior odds of the likeliest effects against none. unlisted: of an unknown of no listed form.
-        claim: log odds from which something is claimed. together: two effects that explain the record and begin at one
+        odds: log posterior odds of the likeliest effects against none. unlisted: those of an unknown quantity of no
+            listed form.
+        claim: log odds from which an effect is claimed. together: two effects that explain the record and begin at one
             moment, so that one cause of no listed form is likelier than two.
     """
 
@@ -47,7 +49,7 @@ class Finding:
     start: float
     count: int
     ladder: tuple[Rung, ...]
-    contest: Contest
+    score_test: ScoreTest
     state: Array
     claim: float
     folds: tuple[Fold, ...] = ()

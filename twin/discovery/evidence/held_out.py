@@ -1,4 +1,4 @@
-"""Errors over the part of a record that no fit saw."""
+"""Errors over the held-out segment of a record, and the tests of a finding against them."""
 
 from __future__ import annotations
 
@@ -19,22 +19,23 @@ from twin.network import Array, Network
 from twin.segments import find_segments
 
 FAR_OFF, UNUSUAL = 3.0, 1.5
-"""Times a thermometer's noise, and what is usual there, that block means may be off where a fit was not shown them."""
+"""Ratios to a thermometer's noise and to the usual error up to which block means may deviate in the held-out segment.
+"""
 MOST = 0.5
-"""Share of the squares that an effect may leave where it acts; one that leaves more is not what made most of them."""
+"""Largest share of the squares that an effect may leave where it acts; one that leaves more is not their main cause."""
 HELD_OUT_WORSE, MUCH_WORSE = 1.04, 4.0
-"""Times the squares that re-tuning alone leaves there, from which an answer does worse than none, and from which the
-weights by which it was found are in doubt: without a healthy record they may let slow error pass for noise."""
+"""Ratios of the squares to those of re-tuning alone. From the first an answer is worse than none. From the second the
+weights of the search are in doubt: without a healthy record they may treat slow misfit as noise."""
 KEPT = 4
-"""Free runs that are kept."""
+"""Free runs in the cache."""
 
 
 def contradicted(found: Mapping[str, SensorError], network: Network) -> bool:
-    """Return True where an answer is far off, and most of the re-tuned twin's squares remain where it acts.
+    """Return True if an answer has a large error, and most of the re-tuned twin's squares remain where it acts.
 
-    A sensor's weight is the square of the difference that the answer predicts there, beside re-tuning, in noise. What a
-    lumped twin leaves at other sensors under a new load does not count. An answer that predicts no difference above the
-    noise is not contradicted.
+    A sensor's weight is the square of the difference, in noise, that the answer predicts there beyond re-tuning. Model
+    error of a lumped twin at other sensors under a new load does not count. An answer that predicts no difference above
+    the noise is not contradicted.
     """
     weights = {name: (e.moved / e.noise) ** 2 for name, e in found.items()}
     if sum(weights.values()) < len(found):
@@ -45,24 +46,26 @@ def contradicted(found: Mapping[str, SensorError], network: Network) -> bool:
 
 
 def worse(found: Mapping[str, SensorError], times: float = HELD_OUT_WORSE) -> bool:
-    """Whether an answer leaves more squares than re-tuning alone where no fit saw the record, all sensors together, and
-    more than the noise."""
+    """Return True if an answer leaves more held-out squares than re-tuning alone, over all sensors, and more than
+    noise.
+    """
     before = sum((e.before / e.noise) ** 2 for e in found.values())
     return sum((e.after / e.noise) ** 2 for e in found.values()) > times * max(before, len(found))
 
 
 def misled(found: Mapping[str, SensorError], network: Network) -> bool:
-    """Whether an answer is so much worse than none that what an unknown would have been, by the same weights, tells
-    nothing either."""
+    """Return True if an answer is so much worse than none that unknown quantities by the same weights are unreliable
+    too.
+    """
     return worse(found, MUCH_WORSE) and any(_far(network, name, e.means[2], e.usual) for name, e in found.items())
 
 
 @dataclass(frozen=True)
 class HeldOutRecord:
-    """A record of which the fit of a finding saw no more than the beginning.
+    """Record with a held-out segment at its end, which the fit of a finding did not use.
 
     Attributes:
-        network: as commissioned. healthy: noise with all that its structure leaves, as a healthy record tells it.
+        network: as commissioned. healthy: noise with all model error, as estimated from a healthy record.
     """
 
     network: Network
@@ -72,7 +75,7 @@ class HeldOutRecord:
     _runs: dict[tuple[object, ...], Array] = field(default_factory=dict, repr=False)
 
     def errors(self, finding: Finding, split: int) -> dict[str, SensorError]:
-        """RMSE per sensor from bin `split` on, of free runs from the beginning of a stretch."""
+        """Return the RMSE per sensor from bin `split` on, of free runs from the beginning of a segment."""
         found = finding.retuned, finding.fit or finding.retuned
         runs = [self._run(finding, self.network.values, finding.state)]
         runs += [self._run(finding, f.values, f.state, f.entries) for f in found]
@@ -90,7 +93,7 @@ class HeldOutRecord:
         return out
 
     def far_off(self, finding: Finding, split: int) -> bool:
-        """Whether an answer is off by more than is usual from bin `split` on."""
+        """Return True if an answer's error from bin `split` on is larger than usual."""
         run, usual = self._answered(finding), self._usual(finding, split)
         return any(
             _far(self.network, name, self._mean(self._off(run, split, j)), float(usual[j]))
@@ -98,15 +101,16 @@ class HeldOutRecord:
         )
 
     def left(self, finding: Finding, split: int) -> float:
-        """Squares that an answer leaves from bin `split` on, all sensors together, in what is usual there."""
+        """Return the squares that an answer leaves from bin `split` on, over all sensors, over the usual ones."""
         run = self._answered(finding)
         off = np.array([_rms(self._off(run, split, j)) for j in range(len(self.network.sensors))])
         return float(np.nansum((off / np.maximum(self.network.sigma, self._usual(finding, split))) ** 2))
 
-    def foretold(self, finding: Finding, split: int) -> tuple[float, float]:
-        """From bin `split` on, by how much an answer is nearer than re-tuning alone, and how far apart the two are.
+    def predicted_gain(self, finding: Finding, split: int) -> tuple[float, float]:
+        """Return by how much an answer is nearer to the record than re-tuning alone from bin `split` on, and how far
+        apart they are.
 
-        Mean squares of all sensors together, in those of their noise: alike for an effect that is there.
+        Both are mean squares over all sensors, relative to noise: they agree for a true effect.
         """
         late = self.record.time_s >= self.grid.time[split]
         alone = self._run(finding, finding.retuned.values, finding.retuned.state)[late]
@@ -123,11 +127,13 @@ class HeldOutRecord:
         return self._run(finding, found.values, found.state, found.entries)
 
     def _run(self, finding: Finding, values: Array, state: Array, entries: tuple[Entry, ...] = ()) -> Array:
-        """Readings (N, m) of a free run; the latest are kept, as an answer is looked at more than once."""
+        """Return the readings (N, m), degC, of a free run; the latest runs are cached, as an answer is evaluated
+        repeatedly.
+        """
         key = (values.tobytes(), state.tobytes(), *((e.candidate.id, e.shape, e.size) for e in entries))
         if key not in self._runs:
             inputs = bridged(self.network, self.record.time_s, self.record.inputs)
-            model, time = Model.of(finding.contest.probe, entries), self.record.time_s
+            model, time = Model.of(finding.score_test.probe, entries), self.record.time_s
             begins = tuple(int(np.searchsorted(time, self.grid.time[b])) for b in self.grid.begins)
             state = model.begun(time, inputs, self._measured, state, values, begins)
             sizes = np.array([[e.size for e in entries]])
@@ -137,38 +143,38 @@ class HeldOutRecord:
         return self._runs[key]
 
     def _off(self, run: Array, split: int, sensor: int) -> Array:
-        """Measured less run (N,) of a sensor, NaN before bin `split`."""
+        """Return measured minus simulated (N,) of a sensor, NaN before bin `split`."""
         late = self.record.time_s >= self.grid.time[split]
         return np.where(late, self._measured[:, sensor] - run[:, sensor], np.nan)
 
     @cached_property
     def _measured(self) -> Array:
-        """Readings (N, m) with NaN in gaps in which nothing tells what drove the rig."""
+        """Return the readings (N, m), with NaN in gaps in which the inputs are unknown."""
         lost = find_segments(self.network, self.record.time_s, self.record.inputs).lost
         return np.where(lost[:, None], np.nan, self.record.measured)
 
     def _mean(self, off: Array) -> float:
-        """Root mean square of means over a bin."""
+        """Return the root mean square of means over a bin."""
         return _rms(binned(off, self.record.time_s, self.grid))
 
     def _begun(self, finding: Finding) -> Array:
-        """The state of a finding, with those of stretches that it has not seen."""
-        if len(finding.contest.grid.begins) == len(self.grid.begins):
+        """Return the initial states of a finding, with those of the segments that it was not fitted to."""
+        if len(finding.score_test.grid.begins) == len(self.grid.begins):
             return finding.state
-        return np.concatenate([finding.state, finding.contest.probe.first_state(self.grid)[len(finding.state) :]])
+        return np.concatenate([finding.state, finding.score_test.probe.first_state(self.grid)[len(finding.state) :]])
 
     def _usual(self, finding: Finding, split: int) -> Array:
-        """What a healthy record lets expect of means over a bin (m,), K; 0 without one."""
+        """Return the error (m,), K, of means over a bin to expect in health; 0 without a healthy record."""
         if self.healthy is None:
             return np.zeros(len(self.network.sensors))
-        here = finding.contest.probe.run(self.grid, self._begun(finding)).readings[split:]
+        here = finding.score_test.probe.run(self.grid, self._begun(finding)).readings[split:]
         return self.healthy.where_moved(here, self.grid.step_s).rms(len(here))
 
 
 def _far(network: Network, sensor: str, means: float, usual: float) -> bool:
-    """Whether means over a bin are off by more than is usual where no fit was shown the record, K.
+    """Return True if the error of means over a bin, K, is larger than is usual in a held-out segment.
 
-    The mean of several thermometers is off by more of its noise than one is: what a twin leaves does not average out.
+    The limit for a mean of several thermometers is a larger multiple of its noise: model error does not average out.
     """
     return means > max(FAR_OFF * network.parameters[f"{sensor}.sigma"].value, UNUSUAL * usual)
 

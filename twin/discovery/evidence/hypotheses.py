@@ -1,4 +1,4 @@
-"""Hypotheses of the search by evidence, sets of effects with their posterior odds, and the prior of single effects."""
+"""Hypotheses of the search by evidence: sets of effects with their posterior odds, and the prior of single effects."""
 
 from __future__ import annotations
 
@@ -17,16 +17,18 @@ from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
 
 MOVED_BY = {"pump_speed": "loop", "fan_speed": "radiator", "heater_power": "heater"}
-"""What an actuator moves: a pump that turns slower is a flow that is less."""
+"""Place at which an actuator acts: a pump that turns slower is a smaller flow."""
 
 Class = tuple[str, str]
 Place = tuple[str, bool]
-"""A place, by its thermometer or by what moves it too, and whether something there is an error of reading."""
+"""Place, by its thermometer or its actuator, and whether the effect there is a reading error."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A set of effects, `odds` its log posterior odds against no effect; `fit` None while only linear."""
+    """Set of effects; `odds` is its log posterior odds against no effect, `fit` None while only its linear estimate is
+    known.
+    """
 
     entries: tuple[Entry, ...]
     log_prior: float
@@ -36,7 +38,7 @@ class Hypothesis:
     fit: Fit | None = None
     settled: bool = False
     gained: float = 0.0
-    """Log odds that its fit won over those to first order."""
+    """Log odds by which the fit exceeds the linear estimate."""
 
     @property
     def odds(self) -> float:
@@ -49,8 +51,9 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Found:
-    """Hypotheses by falling odds, single effects by falling evidence, and the log odds of an unknown of no listed form
-    by its place."""
+    """Hypotheses by falling odds, single effects by falling evidence, and the log odds of an unlisted effect by its
+    place.
+    """
 
     hypotheses: tuple[Hypothesis, ...]
     scanned: list[Entry]
@@ -59,14 +62,14 @@ class Found:
 
     @property
     def unlisted(self) -> float:
-        """Return the log odds of an unknown of no listed form, wherever it is."""
+        """Return the log odds of an effect of no listed form, at its likeliest place."""
         return logsumexp(np.array([*self.unlisted_at.values()])) if self.unlisted_at else -math.inf
 
     def rival_of(self, best: Hypothesis) -> float:
-        """Return the log odds that named effects have to reach, because of unknowns of no listed form.
+        """Return the log odds that named effects have to reach, because of effects of no listed form.
 
-        An unknown at the place of one of them claims the same and also that no law describes its course, which is
-        said only with the odds of a claim.
+        An unlisted effect at the same place makes the same claim, and also that no law describes its course. The second
+        claim needs the odds of a claim.
         """
         own = {place_of(e.candidate) for e in best.entries}
         odds = [odds - (CLAIM if place in own else 0.0) for place, odds in self.unlisted_at.items()]
@@ -74,7 +77,7 @@ class Found:
 
     @property
     def told(self) -> Hypothesis | None:
-        """Return the likeliest fitted hypothesis, less effects without which it would be as good but for `CLAIM`."""
+        """Return the likeliest fitted hypothesis without effects that add less than `CLAIM` to its log odds."""
         fits = [h for h in self.hypotheses if h.fit is not None]
         if not fits:
             return None
@@ -114,8 +117,9 @@ class Prior:
 
 
 def apart(candidate: Candidate, others: Sequence[Entry]) -> bool:
-    """Return True where an effect may be beside others: at one place there is one thing, of whatever form, and an error
-    of its thermometer."""
+    """Return True if a candidate may join other effects: each place has one effect of any form, and one thermometer
+    error.
+    """
     place = place_of(candidate)
     return all(place != place_of(o.candidate) for o in others)
 

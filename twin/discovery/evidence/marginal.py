@@ -1,14 +1,14 @@
 """Log marginal likelihoods of effects in the quadratic form of a record.
 
 With sizes x ~ N(0, S^2), Gram matrix G and score s of the whitened signatures, tunables and initial state integrated
-out, the logarithm of the likelihood's mean over that of no effect is
+out, the log Bayes factor over no effect is
 
     log B = 1/2 s' (G + S^-2)^-1 s - 1/2 log det(I + S G S)
 
-An effect's error of form is a further Gaussian of standard deviation `FORM_ERRORS` times the size: the same signature,
-modulated over time by straight lines between knots and by each input, which its size may depend on, and what it does to
-each sensor alone, since a lumped twin sends heat to its sensors in other shares than its rig. It is integrated out with
-the sizes.
+An effect's form error is a further Gaussian of standard deviation `FORM_ERRORS` times the size. It has these columns:
+the signature modulated over time by linear interpolation between knots, the signature modulated by each input, and its
+part at each sensor, since a lumped twin distributes heat among its sensors otherwise than its rig. It is integrated out
+with the sizes.
 
 Source: linear-Gaussian evidence (MacKay, Neural Computation 4 (1992) 415, eqs. 2.5 and 4.3).
 """
@@ -27,24 +27,24 @@ from scipy.special import log_ndtr, logsumexp
 
 from twin.discovery.effects.open_laws.forms import LEAST_SPREAD
 from twin.discovery.evidence.priors import FORM_ERRORS, FORM_S, SPREAD
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
 from twin.network import Array
 
 FEWEST_KNOTS = 3
-"""Knots of an error of form in a short record: a beginning, a middle and an end."""
+"""Knots of a form error in a short record: beginning, middle and end."""
 BEYOND = 9.0
-"""Standard deviations beyond which a normal distribution holds less than a rounding error of all that it holds."""
+"""Standard deviations beyond which the tail of a normal distribution is below rounding."""
 LEAD, NEGLIGIBLE = 64, -math.log(np.finfo(np.float64).eps)
-"""Effects of which log B is made first, as those that are the likeliest but for their bounds mostly are, and how much
-less of it is lost in rounding."""
+"""Effects whose log B is computed first, those that lead before their bounds are applied, and the loss of log B at
+which an effect is below rounding."""
 KEPT_BYTES, MOST_TOGETHER = 1 << 26, 8
-"""Memory for the columns of effects that may be tried again, and how many are kept whatever they take."""
+"""Bytes for the cached columns of effects, and effects whose columns are cached in any case."""
 
 
 def log_mass(low: Array, high: Array) -> Array:
-    """Return the logarithm of the standard normal probability between two bounds, which may be far out."""
+    """Return the logarithm of the standard normal probability between two bounds, also far out in the tails."""
     low, high = np.broadcast_arrays(low, high)
     found = np.zeros(low.shape)
     near, far = low > -BEYOND, high < BEYOND
@@ -70,7 +70,7 @@ def _mass_between(low: Array, high: Array) -> Array:
 def log_bayes_of_sizes(candidates: Candidate | Sequence[Candidate], top: Array, bottom: Array) -> tuple[Array, Array]:
     """Return log B of single effects with scores `top` and squares `bottom`, and their sizes.
 
-    The prior of a size is a Gaussian within its candidate's bounds.
+    The prior of a size is a Gaussian truncated to its candidate's bounds.
 
     Args:
         candidates: one for all scores, which have any shape, or one for each row (c,) of scores (c, n).
@@ -89,10 +89,10 @@ def log_bayes_of_sizes(candidates: Candidate | Sequence[Candidate], top: Array, 
 
 
 def likeliest(candidate: Candidate, top: Array, bottom: Array) -> NDArray[np.intp]:
-    """Return the places of those effects of scores `top` (n,) and squares `bottom` (n,) that may count beside the rest.
+    """Return the indices of those effects with scores `top` (n,) and squares `bottom` (n,) that are not negligible.
 
-    What bounds make of a size is at most what they made of it before the data, so log B of one is known from above. All
-    of those that are left out together come to less than a rounding error of the likeliest.
+    The bounds of a size raise log B by at most the prior's own truncation, which bounds it from above. All effects that
+    are left out add less than rounding to the likeliest one.
     """
     prior = SPREAD * candidate.typical
     most = 0.5 * top**2 / (bottom + prior**-2.0) - 0.5 * np.log1p(prior**2 * bottom)
@@ -111,23 +111,23 @@ def _log_mass(low: float, high: float) -> float:
     return upper + math.log(share) if share > 0.0 else -math.inf
 
 
-def form_basis(contest: Contest) -> Array:
-    """Return the weights (b, j) of straight lines between knots `FORM_S` apart, and of the inputs."""
-    known: Array | None = contest.memo.get("form basis")
+def form_basis(score_test: ScoreTest) -> Array:
+    """Return the weights (b, j) of linear interpolation between knots `FORM_S` apart, and of the inputs."""
+    known: Array | None = score_test.memo.get("form basis")
     if known is None:
-        hours = contest.hours + 0.5 * contest.step_s / 3600.0
-        count = max(round(contest.grid.span_s / FORM_S) + 1, FEWEST_KNOTS)
-        knots = np.linspace(0.0, contest.grid.span_s / 3600.0, count)
+        hours = score_test.hours + 0.5 * score_test.step_s / 3600.0
+        count = max(round(score_test.grid.span_s / FORM_S) + 1, FEWEST_KNOTS)
+        knots = np.linspace(0.0, score_test.grid.span_s / 3600.0, count)
         lines = [np.interp(hours, knots, row) for row in np.eye(count)]
-        known = np.stack([*lines, *_followed(contest)], axis=1)
-        contest.memo["form basis"] = known
+        known = np.stack([*lines, *_followed(score_test)], axis=1)
+        score_test.memo["form basis"] = known
     return known
 
 
-def _followed(contest: Contest) -> list[Array]:
-    """Return the inputs (b,) that a size may depend on, in their standard deviations about their means."""
+def _followed(score_test: ScoreTest) -> list[Array]:
+    """Return the inputs (b,) that a size may depend on, standardised."""
     found = []
-    for values in contest.block_means(contest.grid.inputs).T:
+    for values in score_test.block_means(score_test.grid.inputs).T:
         spread = float(np.std(values))
         if spread > LEAST_SPREAD * max(float(np.abs(values).max()), 1e-9):
             found.append((values - values.mean()) / spread)
@@ -136,17 +136,17 @@ def _followed(contest: Contest) -> list[Array]:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """Effects whose sizes and errors of form are integrated out.
+    """Effects whose sizes and form errors are integrated out.
 
     Attributes:
-        contest: in which they are weighed. seen: (b * m, c) whitened signatures of all their columns.
+        score_test: of the record. seen: (b * m, c) whitened signatures of all their columns.
         scale: (c,) prior standard deviations of the columns.
-        root: (c, c), root @ root' the inverse of I + S G S. form_error: share, the likeliest.
-        log_bayes: over no effect, averaged over the shares. quadratic: twice the logarithm's part that is of the data.
+        root: (c, c), root @ root' the inverse of I + S G S. form_error: its likeliest share.
+        log_bayes: over no effect, averaged over the shares. quadratic: twice the part of it that depends on the data.
         sizes: (e,) of the effects.
     """
 
-    contest: Contest
+    score_test: ScoreTest
     seen: Array
     scale: Array
     root: Array
@@ -157,45 +157,45 @@ class Joint:
 
     @cached_property
     def onto(self) -> Array:
-        """Return how the columns show at each site and block, whitened: (sites * b, c)."""
-        return self.contest.onto((self.seen * self.scale) @ self.root)
+        """Return the products (sites * b, c) of the columns with a unit at each site and block."""
+        return self.score_test.onto((self.seen * self.scale) @ self.root)
 
-    def reduced_score(self, contest: Contest) -> Array:
-        """Return the score (sites * b,) of a contest with these effects integrated out."""
-        pull = self.scale * contest.scores_of(self.seen)
-        found: Array = contest.score - self.onto @ (self.root.T @ pull)
+    def reduced_score(self, score_test: ScoreTest) -> Array:
+        """Return the score (sites * b,) of a score test with these effects integrated out."""
+        pull = self.scale * score_test.scores_of(self.seen)
+        found: Array = score_test.score - self.onto @ (self.root.T @ pull)
         return found
 
 
 def _in_order(parts: list[Array]) -> Array:
-    """Return columns (r, 1 + c) of effects as `joint` has them: first each effect, then each one's errors of form."""
+    """Return columns (r, 1 + c) of effects in the order of `joint`: first each effect, then each one's form errors."""
     return np.concatenate([*(p[:, :1] for p in parts), *(p[:, 1:] for p in parts)], axis=1)
 
 
-def _columns(contest: Contest, entry: Entry) -> Array:
-    """Return the whitened signatures (b * m, 1 + c) of an effect at size 1 and of its errors of form.
+def _columns(score_test: ScoreTest, entry: Entry) -> Array:
+    """Return the whitened signatures (b * m, 1 + c) of an effect at size 1 and of its form errors.
 
-    They are the same in all the sets that it is tried in.
+    They are the same in all sets of effects, and cached.
     """
-    known: OrderedDict[int, tuple[Array, Array]] = contest.memo.setdefault("columns", OrderedDict())
+    known: OrderedDict[int, tuple[Array, Array]] = score_test.memo.setdefault("columns", OrderedDict())
     key = id(entry.vector)  # with the vector, whose identity so stays its own
     if key in known:
         known.move_to_end(key)
         return known[key][1]
-    made = _seen(contest, entry.vector)
+    made = _seen(score_test, entry.vector)
     known[key] = entry.vector, made
     while len(known) > max(KEPT_BYTES // made.nbytes, 2 * MOST_TOGETHER):
         known.popitem(last=False)
     return made
 
 
-def joint(contest: Contest, entries: Sequence[Entry]) -> Joint:
-    """Return the evidence of effects together; their shapes stay as they are."""
+def joint(score_test: ScoreTest, entries: Sequence[Entry]) -> Joint:
+    """Return the evidence of effects together; their shapes stay fixed."""
     count = len(entries)
     prior = np.array([SPREAD * e.candidate.typical for e in entries])
-    seen = _in_order([_columns(contest, e) for e in entries])
+    seen = _in_order([_columns(score_test, e) for e in entries])
     each = seen.shape[1] // count - 1
-    gram, score = contest.across(seen), contest.scores_of(seen)
+    gram, score = score_test.across(seen), score_test.scores_of(seen)
     sizes = np.linalg.solve(gram[:count, :count] + np.diag(prior**-2.0), score[:count])
     found: list[tuple[float, float, Array, Array, Array]] = []
     for share in FORM_ERRORS:
@@ -215,28 +215,28 @@ def joint(contest: Contest, entries: Sequence[Entry]) -> Joint:
     best = max(range(len(found)), key=lambda i: found[i][0])
     log_bayes, quadratic, scale, root, mean = found[best]
     total = float(logsumexp([f[0] for f in found]) - np.log(len(found)))
-    return Joint(contest, seen, scale, root, FORM_ERRORS[best], total, quadratic, mean)
+    return Joint(score_test, seen, scale, root, FORM_ERRORS[best], total, quadratic, mean)
 
 
 def _within(candidate: Candidate, mean: float, sd: float, prior: float) -> float:
-    """Return how much likelier a size is to be within its candidate's bounds after the data than before, log."""
+    """Return the log ratio of the posterior to the prior probability that a size is within its candidate's bounds."""
     low, high = candidate.lower, candidate.upper
     return _log_mass((low - mean) / sd, (high - mean) / sd) - _log_mass(low / prior, high / prior)
 
 
-def form_quadratic(contest: Contest, entries: Sequence[Entry], share: float) -> float:
-    """Return twice the logarithm's part of the data that errors of form of fitted effects gain at the contest's run."""
-    seen = np.concatenate([_seen(contest, e.vector)[:, 1:] for e in entries], axis=1)
+def form_quadratic(score_test: ScoreTest, entries: Sequence[Entry], share: float) -> float:
+    """Return twice the data's part of the log likelihood that form errors of fitted effects gain at the current run."""
+    seen = np.concatenate([_seen(score_test, e.vector)[:, 1:] for e in entries], axis=1)
     scale = np.repeat(share * np.abs([e.size for e in entries]), seen.shape[1] // len(entries))
-    gram, score = contest.across(seen), contest.scores_of(seen)
+    gram, score = score_test.across(seen), score_test.scores_of(seen)
     inner = np.eye(len(scale)) + gram * np.outer(scale, scale)
     pull = scale * score
     return float(pull @ np.linalg.solve(inner, pull))
 
 
-def _seen(contest: Contest, vector: Array) -> Array:
-    """Return the whitened signatures (b * m, 1 + c) of an effect, `vector` (sites, b), and of its errors of form."""
-    basis = np.column_stack([np.ones(contest.b), form_basis(contest)])
-    over_time = contest.seen_at(vector, basis)
-    response = contest.noise.colour(over_time[:, 0].reshape(contest.b, contest.m), contest.step_s)
-    return np.concatenate([over_time, contest.features(response[:, :, None] * np.eye(contest.m))], axis=1)
+def _seen(score_test: ScoreTest, vector: Array) -> Array:
+    """Return the whitened signatures (b * m, 1 + c) of an effect, `vector` (sites, b), and of its form errors."""
+    basis = np.column_stack([np.ones(score_test.b), form_basis(score_test)])
+    over_time = score_test.seen_at(vector, basis)
+    response = score_test.noise.colour(over_time[:, 0].reshape(score_test.b, score_test.m), score_test.step_s)
+    return np.concatenate([over_time, score_test.features(response[:, :, None] * np.eye(score_test.m))], axis=1)

@@ -1,10 +1,10 @@
-"""The rival of every effect that is there from a record's beginning: the twin lacked a law in health already.
+"""Laws that a twin lacked already in health: the rival explanation of every effect present from a record's beginning.
 
-A set of hypotheses may hold effects, which the healthy record has nothing of, and laws that were missing all along, of
-which it says as much as it can (`InHealth`). Both have linear-Gaussian evidence in the same quadratic form; a law's
-amplitude has what the healthy record says as its prior. The laws of the likeliest set become part of the twin's known
-structure, beside which effects are looked for. So the lag of a tank that is stratified is no sensor that has become
-slow, as far as it was as slow in health.
+A set of hypotheses may hold effects, of which the healthy record has nothing, and laws that were always missing, about
+which the healthy record is informative (`HealthyResidual`). Both have linear-Gaussian evidence in one quadratic form;
+the healthy record gives the prior of a law's amplitude. The laws of the likeliest set join the twin's known structure
+before effects are searched. Thus the lag of a stratified tank is no sensor fault, as far as the lag was the same in
+health.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, MISSING_IN
 from twin.discovery.evidence.scan import scan
 from twin.discovery.evidence.search import late_ones, leading, log_odds_unlisted
 from twin.discovery.healthy.basis import Basis
-from twin.discovery.healthy.in_health import Amplitudes, MissingInHealth
+from twin.discovery.healthy.law_amplitudes import Amplitudes, MissingInHealth
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
 from twin.network import Array
 
 MOST_LAWS, BEAM = 5, 6
-"""Members of a set at most, beside given ones, and sets of each count that are kept in the beam. Judgements that bound
-the time: sets of five are common on the zoo's development families, and more were not tried."""
+"""Members of a set at most, beside given ones, and sets of each count in the beam. Judgements that bound the time: sets
+of five are common on the zoo's development families, and more were not tried."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class _Columns:
     """Effects and then laws as columns of one quadratic form.
 
     Attributes:
-        gram: (c, c) of the record. score: (c,). precision: (c, c) before the record. pull: (c,) precision @ mean.
-        log_prior: (c,) with what is not Gaussian of each one's evidence.
+        gram: (c, c) of the record. score: (c,). precision: (c, c) of the prior. pull: (c,) precision @ prior mean.
+        log_prior: (c,) with the part of each one's evidence that is not Gaussian.
     """
 
     gram: Array
@@ -69,7 +69,7 @@ class _Columns:
         return np.asarray(np.linalg.solve(both, (self.pull + self.score)[at]), dtype=np.float64)
 
     def likeliest(self, given: Sequence[int], others: Sequence[int]) -> tuple[tuple[int, ...], float]:
-        """Return the likeliest set that holds what is `given` and some of the `others`, and its log odds."""
+        """Return the likeliest set with all `given` and some of the `others`, and its log odds."""
         best = tuple(given)
         most, level = float(self.odds(np.array([best]))[0]) if best else 0.0, [best]
         for _ in range(MOST_LAWS):
@@ -86,10 +86,10 @@ class _Columns:
 
 
 def with_missing(part: Part) -> Basis:
-    """Return what is known of a rig, with laws that the twin lacked in health already.
+    """Return the prior knowledge of a rig, with laws that the twin lacked already in health.
 
-    They are taken where laws alone are likelier than effects alone: errors of form are not in this comparison, and laws
-    would mend those of a strong effect.
+    They are added if laws alone are likelier than effects alone. Form errors are not part of this comparison, in which
+    laws would correct those of a strong effect.
 
     Args:
         part: all of the record.
@@ -124,7 +124,7 @@ def with_missing(part: Part) -> Basis:
 
 
 def _possible(columns: _Columns, begun: Sequence[int], laws: Sequence[Candidate]) -> tuple[tuple[int, ...], float]:
-    """Return the likeliest set of the effects `begun` and of laws, the last columns, whose sizes are within bounds."""
+    """Return the likeliest set of the effects `begun` and of laws, the last columns, with sizes within their bounds."""
     first = len(columns.score) - len(laws)
     others = [*begun, *range(first, len(columns.score))]
     while True:
@@ -141,10 +141,10 @@ def _possible(columns: _Columns, begun: Sequence[int], laws: Sequence[Candidate]
 
 
 def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
-    """Return what is known of a rig, with effects of an answer that were there in health already.
+    """Return the prior knowledge of a rig, with effects of an answer that were already present in health.
 
-    An effect all along is likelier a law that the twin has always lacked where the healthy record's amplitude, but for
-    an error of form, is nearer to the fitted one than the prior of a fault is.
+    An effect present from the beginning is likelier a law that was always missing if the healthy record's amplitude,
+    within a form error, is nearer to the fitted one than the prior of a fault is.
     """
     along = [e for e in entries if e.shape.name == "step" and e.shape.onset_s <= 0.0 and not e.candidate.is_open]
     if known.health is None or known.structure is None or not along:
@@ -174,12 +174,14 @@ def _log_normal(off: float, variance: float) -> float:
 
 
 def _columns_of(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior: Prior) -> _Columns:
-    """Return effects, and then the laws of which the healthy record says `amounts`, as columns of one form."""
-    contest, by = part.contest, {law.candidate.id: law for law in part.laws}
-    here = contest.signatures(np.stack([contest.vector(by[c.id]) for c in amounts.candidates]))
-    here += contest.slopes[:, : part.basis.probe.q] @ amounts.moves
-    there = contest.signatures(np.stack([e.vector for e in effects]))
-    _, gram, score = contest.beside_tunables(np.concatenate([there, here], axis=1))
+    """Return effects, and then the laws with amplitudes `amounts` in the healthy record, as columns of one quadratic
+    form.
+    """
+    score_test, by = part.score_test, {law.candidate.id: law for law in part.laws}
+    here = score_test.signatures(np.stack([score_test.vector(by[c.id]) for c in amounts.candidates]))
+    here += score_test.slopes[:, : part.basis.probe.q] @ amounts.moves
+    there = score_test.signatures(np.stack([e.vector for e in effects]))
+    _, gram, score = score_test.beside_tunables(np.concatenate([there, here], axis=1))
     wide = [(SPREAD * c.typical) ** -2.0 for c in (*(e.candidate for e in effects), *amounts.candidates)]
     count = len(effects)
     missing = [math.log(MISSING_IN_HEALTH) + prior.share(c) for c in amounts.candidates]
@@ -197,16 +199,16 @@ def _columns_of(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior
 
 
 def _odds_of_late(part: Part, prior: Prior) -> float:
-    """Return the log odds of the likeliest lag or delay once fitted, which to first order are told too small."""
+    """Return the log odds of the likeliest lag or delay once fitted; its linear estimate is too small."""
     part.reset()
-    found = late_ones(part, [], prior, part.contest.misfit)
+    found = late_ones(part, [], prior, part.score_test.misfit)
     part.reset()
     return max((h.odds for h in found), default=-math.inf)
 
 
 def _leading_effects(part: Part) -> list[Entry]:
     """Return the leading single effects, and those beside the likeliest."""
-    contest, prior = part.contest, Prior(part.laws)
+    score_test, prior = part.score_test, Prior(part.laws)
     first = leading(part.scanned, prior)
     others = [law for law in part.laws if apart(law.candidate, first[:1])]
-    return [*first, *leading(scan(contest, others, joint(contest, first[:1]), timed=False), prior)]
+    return [*first, *leading(scan(score_test, others, joint(score_test, first[:1]), timed=False), prior)]

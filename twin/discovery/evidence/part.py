@@ -1,4 +1,4 @@
-"""A part of a record, ready to be searched, and which of its hypotheses are worth a fit."""
+"""Part of a record prepared for the search, and the fits of its hypotheses."""
 
 from __future__ import annotations
 
@@ -25,47 +25,47 @@ from twin.discovery.places.sites import sites_of
 from twin.discovery.records.grid import Grid
 from twin.discovery.refit.fitting import AGAIN, ROUNDS, Fit, fit, simulated
 from twin.discovery.refit.model import Model
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
 from twin.network import Array
 
 SIDE_BY_SIDE = 4
-"""Fits that run at once, where there are so many cores: kernels do without the interpreter's lock."""
+"""Fits that run in parallel, given as many cores: kernels release the interpreter's lock."""
 NEGLIGIBLE = 1e-12
-"""Squares of an effect, in those of noise, below which it does nothing."""
+"""Squares of an effect, relative to noise, below which it has no influence."""
 MUCH, APART, SIZES = 4.0, 4.0, 3
-"""Typical sizes at which a fit of what is late may begin: the least, their ratio, and how many."""
+"""Typical sizes at which the fit of a lag or delay may begin: the least, their ratio, and how many."""
 
 
 @dataclass
 class Part:
-    """A part of a record, ready to be searched."""
+    """Part of a record prepared for the search."""
 
     basis: Basis
     grid: Grid
     state: Array
     run: FreeRun
-    contest: Contest
+    score_test: ScoreTest
     laws: list[CandidateLaw]
     fits: dict[tuple[object, ...], Fit] = field(default_factory=dict, repr=False)
-    """What was fitted before, with and without what the twin knows of its structure: searches ask again."""
+    """Cached fits, with and without the twin's known structure."""
 
     @classmethod
     def of(cls, known: Basis, grid: Grid) -> Part:
         state, run, _, _ = free_run(known.probe, grid)
         book = known.book
         found = [law for only in (None, book.put_in, book.passing) for law in book.laws(grid, run, only)]
-        return cls(known, grid, state, run, known.contest(grid, state, run, found), found)
+        return cls(known, grid, state, run, known.score_test(grid, state, run, found), found)
 
     def add(self, candidates: tuple[Candidate, ...]) -> None:
-        """Take further candidates into the search."""
+        """Add further candidates to the search."""
         if not candidates:
             return
         self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, candidates)]
 
     def know(self, candidates: Iterable[Candidate]) -> None:
-        """Keep the laws of further candidates at hand, without looking for them."""
+        """Make the laws of further candidates available without searching for them."""
         known = {law.candidate.id for law in self.laws}
         further = {c.id: c for c in candidates if c.id not in known}
         named = tuple(c for c in further.values() if not c.is_open)
@@ -79,30 +79,30 @@ class Part:
 
     @cached_property
     def scanned(self) -> list[Entry]:
-        """The likeliest onset of each named law in each of its shapes, by falling evidence."""
-        return scan(self.contest, self.laws)
+        """Return the likeliest onset of each named law in each of its shapes, by falling evidence."""
+        return scan(self.score_test, self.laws)
 
     @cached_property
     def free(self) -> tuple[Course, ...]:
-        """An unknown quantity at each site, free from block to block, the likeliest first."""
-        return courses(self.contest, sites_of(self.basis.probe.network, self.contest, self.laws), SPREAD)
+        """Return the posterior courses of an unknown quantity at each site, free in each block, the likeliest first."""
+        return courses(self.score_test, sites_of(self.basis.probe.network, self.score_test, self.laws), SPREAD)
 
     @cached_property
     def opened(self) -> list[OpenLaw]:
-        """Laws without a name: any input or temperature at every site."""
+        """Return the open laws: any input or temperature as driver, at every site."""
         return open_laws(self.basis.probe.network, self.grid, self.laws, self._known)
 
     @cached_property
     def _known(self) -> Array:
-        """Node temperatures (n, k), degC, that laws are evaluated on."""
+        """Return the node temperatures (n, k), degC, at which laws are evaluated."""
         return temperatures(self.basis.probe.network, self.grid, self.run)
 
     @cached_property
     def secants(self) -> list[tuple[CandidateLaw, Entry]]:
-        """Each law that is late, with its likeliest onset and size.
+        """Return the lags and delays, each with the onset and the size of highest evidence.
 
-        What is late is not linear in its size. What it does at each of some sizes, a factor of `APART` apart, is taken
-        for a law of its own, with that size as its typical one. Of time constants every second one.
+        A lag is not linear in its size. Its response at each of several sizes, a factor of `APART` apart, is scanned as
+        a law of its own, with that size as its typical one. Only every second time constant is included.
         """
         made: list[tuple[CandidateLaw, CandidateLaw]] = []
         slow: Counter[str] = Counter()
@@ -117,60 +117,60 @@ class Part:
             tried = {min(MUCH * c.typical * APART**k, c.upper) for k in range(SIZES)}
             forms = tuple(replace(c, typical=size, shapes=("step",)) for size in sorted(tried))
             made += [(law, form) for form in self.basis.book.laws(self.grid, self.run, forms)]
-        of = {id(form): law for law, form in made}
+        law_of = {id(form): law for law, form in made}
         best: dict[str, tuple[CandidateLaw, Entry]] = {}
-        for entry in scan(self.contest, [form for _, form in made], timed=False):
-            law = of[id(entry.law)]
+        for entry in scan(self.score_test, [form for _, form in made], timed=False):
+            law = law_of[id(entry.law)]
             best.setdefault(law.candidate.id, (law, entry))
         return [*best.values()]
 
     def late(self, onset_s: float) -> list[Entry]:
-        """Each law that is late, of the size at which it is likeliest: all along, since an onset and since its own."""
+        """Return the lags and delays at the size of highest evidence: from the beginning, an onset, and their own."""
         found = []
         for law, entry in self.secants:
-            own_s = entry.shape.onset_s if abs(entry.shape.onset_s - onset_s) > self.contest.step_s else onset_s
+            own_s = entry.shape.onset_s if abs(entry.shape.onset_s - onset_s) > self.score_test.step_s else onset_s
             for since in {s if s > EARLY_S else 0.0 for s in (0.0, onset_s, own_s)}:
                 begun = Entry(law, Shape("step", since), np.empty(0), entry.candidate.typical, 0.0, 0.0)
-                found.append(begun.refreshed(self.contest))
+                found.append(begun.refreshed(self.score_test))
         return found
 
     @cached_property
-    def plain(self) -> Contest | None:
-        """The contest of a twin that does not know what its structure leaves; None where it knows of nothing."""
+    def plain(self) -> ScoreTest | None:
+        """Return the score test of a twin without known structure; None if no structure is known."""
         known = self.basis
         if known.plain is None:
             return None
-        return Contest(known.probe, self.grid, self.state, self.run, known.plain, known.prior)
+        return ScoreTest(known.probe, self.grid, self.state, self.run, known.plain, known.prior)
 
     def reset(self) -> None:
-        self.contest.look_at(self.run)
+        self.score_test.look_at(self.run)
 
 
 def fitted(
     part: Part, groups: list[tuple[Entry, ...]], rounds: int = ROUNDS, moved: Array | None = None
 ) -> list[tuple[Fit, tuple[Entry, ...]]]:
-    """Each group of effects fitted, side by side; the part's contest is left alone.
+    """Fit each group of effects, in parallel; the part's score test is unchanged.
 
     Args:
-        moved: (q + s * k,) of tunables and state from where the fits begin, by default the commissioned values. Where a
-            fit of the same effects with other times ended the minimum is near, and a few rounds find it.
+        moved: (q + s * k,) of tunables and state from which the fits begin, by default the commissioned values. The end
+            of a fit of the same effects with other times is near the minimum, and a few rounds suffice from there.
     """
     begun = b"" if moved is None else moved.tobytes()
     keys = [(rounds, begun, *_named(group)) for group in groups]
     new = {key: group for key, group in zip(keys, groups, strict=True) if key not in part.fits}
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-        found = pool.map(lambda g: _fit(part, part.contest, g, moved, rounds), new.values())
+        found = pool.map(lambda g: _fit(part, part.score_test, g, moved, rounds), new.values())
         part.fits.update(zip(new, found, strict=True))
     return [(part.fits[key], group) for key, group in zip(keys, groups, strict=True)]
 
 
 def gains(part: Part, entries: Sequence[Entry]) -> list[float]:
-    """Return how far the squares fall with a share of each effect, as it is at its size, beside the tunables.
+    """Return the fall of the squares by a share of each effect at its size, with the tunables free.
 
-    Of what is not linear in its size this is the first step of a fit from there, at the cost of one simulation.
+    For an effect that is nonlinear in its size this is the first step of a fit, at the cost of one simulation.
     """
     part.reset()
-    contest, at = copy.copy(part.contest), part.basis.probe.network.values
+    score_test, at = copy.copy(part.score_test), part.basis.probe.network.values
     forms: dict[str, list[Entry]] = {}
     for entry in entries:
         forms.setdefault(entry.candidate.id, []).append(entry)
@@ -185,7 +185,7 @@ def gains(part: Part, entries: Sequence[Entry]) -> list[float]:
             np.array([[e.size] for e in alike]),
             tuple((e.shape,) for e in alike),
         )
-        _, gram, score = contest.beside_tunables((contest.residual - contest.residuals_of(readings)).T)
+        _, gram, score = score_test.beside_tunables((score_test.residual - score_test.residuals_of(readings)).T)
         return np.asarray(np.maximum(score, 0.0) ** 2 / np.maximum(np.diag(gram), NEGLIGIBLE))
 
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
@@ -194,27 +194,28 @@ def gains(part: Part, entries: Sequence[Entry]) -> list[float]:
 
 
 def continued(part: Part, found: list[Fit], rounds: int = ROUNDS) -> list[Fit]:
-    """Fits gone on with from where they ended; what would have led no further stays as it is."""
+    """Continue fits from their end points; fits that had converged are unchanged."""
     open_ones = [f for f in found if not f.done]
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-        new = pool.map(lambda f: _fit(part, part.contest, f.entries, f.moved, rounds), open_ones)
+        new = pool.map(lambda f: _fit(part, part.score_test, f.entries, f.moved, rounds), open_ones)
         by = {id(old): other for old, other in zip(open_ones, new, strict=True)}
     return [by.get(id(f), f) for f in found]
 
 
 def slower(part: Part, entry: Entry, factor: float) -> Entry | None:
-    """Return an effect of as much capacity with another time constant; None for what has none, or where it does
-    nothing."""
+    """Return an effect of the same capacity with another time constant; None if it has no time constant or no
+    influence.
+    """
     c = entry.candidate
     laws = part.basis.book.laws(part.grid, part.run, (c.slower(factor * c.slow_s),)) if c.slower else []
     if not laws:
         return None
     shape = replace(entry.shape, growth_s=laws[0].candidate.slow_s) if c.begins else entry.shape
-    return replace(entry, law=laws[0], shape=shape, size=entry.size / factor).refreshed(part.contest)
+    return replace(entry, law=laws[0], shape=shape, size=entry.size / factor).refreshed(part.score_test)
 
 
 def plainly(part: Part, found: Fit) -> Fit:
-    """A fit anew, from where it ended, by a twin that does not know what its structure leaves."""
+    """Repeat a fit from its end point for a twin without known structure."""
     if part.plain is None:
         return found
     key = ("plain", *_named(found.entries))
@@ -228,8 +229,8 @@ def _named(group: tuple[Entry, ...]) -> tuple[object, ...]:
 
 
 def _fit(
-    part: Part, contest: Contest, group: tuple[Entry, ...], moved: Array | None = None, rounds: int = ROUNDS
+    part: Part, score_test: ScoreTest, group: tuple[Entry, ...], moved: Array | None = None, rounds: int = ROUNDS
 ) -> Fit:
-    own = copy.copy(contest)
+    own = copy.copy(score_test)
     own.look_at(part.run)
     return fit(own, Model.of(own.probe, group), part.state, moved, rounds)

@@ -1,8 +1,8 @@
-"""Prior probabilities of the diagnosis, all of them, and the two decisions that are made with the posterior.
+"""Prior probabilities of the diagnosis, all of them, and the two decision thresholds of the posterior.
 
 A hypothesis is a set of effects. An effect is a class (kind and place), a law in that class, a time course and a size.
-Each part has a probability before any data; their product and the marginal likelihood are its posterior odds against
-a twin that lacks nothing. Logarithms are natural.
+Each part has a prior probability; their product and the marginal likelihood give its posterior odds against a twin that
+lacks nothing. Logarithms are natural.
 """
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ FAULT = 0.05
 odds by 0.7, little beside `CLAIM`."""
 MISSING_IN_HEALTH = 0.5
 """Probability that a twin lacks a law which its rig has always had, and of each further one. A judgement: every lumped
-twin lacks some, but only what a record shows again matters."""
+twin lacks some, but only laws whose misfit returns in a record matter."""
 UNLISTED = 0.1
 """Share of faults that are of no named law. A judgement, not a count."""
 SPREAD = 5.0
 """Standard deviation of a size, in typical sizes of its law. In a prototype on 40-hour records of independent plants
 the odds changed by 1 to 1.5 between 2 and 15."""
 ALL_ALONG = 0.5
-"""Probability that an effect was there when the record began; else any moment of it is as likely as any other."""
+"""Probability that an effect was present when the record began; otherwise any onset in it is equally likely."""
 AT_ONCE = 0.5
-"""Probability that an effect comes in at once, where it may grow too, come and go, come back or fade; the others share
-the rest, each family alike and within it each course."""
+"""Probability of a step, for an effect that may also grow, be transient, return or decay; the other families share the
+rest equally, and within a family its courses."""
 FORM_ERRORS = (0.01, 0.03, 0.1)
-"""Standard deviations of an effect's error of form, as shares of its size, each as likely: no law is quite right."""
+"""Standard deviations of an effect's form error, as equally likely shares of its size: no law is exact."""
 FORM_S = 7200.0
-"""Time over which an error of form keeps its sign, s: that of a load step and of a change of the weather."""
+"""Time over which a form error keeps its sign, s: that of a load step and of a change of the weather."""
 CLAIM = 12.0
-"""Log posterior odds from which something is claimed. In that prototype 23 healthy records came to -6 at most, and the
+"""Log posterior odds from which an effect is claimed. In that prototype 23 healthy records came to -6 at most, and the
 weakest true effect to 15; the plants of `hil bench zoo` have not been used to set it."""
 SURE = 0.85
-"""Share of the posterior that one class must have to be named alone."""
+"""Posterior probability that one class must have to be named alone."""
 KINDS = {
     "heat_source": 1.0,
     "heat_loss": 1.0,

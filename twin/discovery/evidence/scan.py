@@ -1,4 +1,4 @@
-"""Every law in every time course from every onset, by evidence, alone or beside effects that are integrated out."""
+"""Scan by evidence: every law in every time course from every onset, alone or with other effects integrated out."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import EARLY_S, TIMED, Shape, courses_of
 from twin.discovery.evidence.marginal import Joint, likeliest, log_bayes_of_sizes
 from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE, SPREAD
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE, Courses, LawSquares, returning, rows_by_name
 from twin.elements.candidates import Candidate
 from twin.network import Array
 
 STEADY = ("constant", "temperature_difference")
-"""Drivers of laws that are tried with the courses that end, come back or fade."""
+"""Drivers of laws that are tried with transient courses."""
 NEAREST_S = 15.0
-"""Onsets are told no closer by block means, s."""
+"""Resolution of onsets by block means, s."""
 ENDED = (0.95, 0.85, 0.7, 0.5)
-"""Shares of the time from its onset to the record's end in which a ramp may have come to its end."""
+"""Shares of the time from its onset to the record's end at which a ramp may end."""
 TOGETHER = 32
-"""Laws that are looked at together, which bounds the memory."""
+"""Laws in one batch, which bounds the memory."""
 LEADING_TURNS, STARTS = 8, 8
-"""Periodic courses of a law whose squares are computed exactly, and moments since which it may come back."""
+"""Periodic courses of a law whose squares are computed exactly, and onsets from which it may return."""
 _TINY = 1e-12
 
 
 def scan(
-    contest: Contest, laws: Sequence[CandidateLaw], beside: Joint | None = None, *, timed: bool = True
+    score_test: ScoreTest, laws: Sequence[CandidateLaw], beside: Joint | None = None, *, timed: bool = True
 ) -> list[Entry]:
     """Return the likeliest onset of each law in each of its shapes, by falling evidence.
 
     `Entry.log_bayes` is averaged over the times of its course by their prior; `Entry.log_occam` is the logarithm of
-    that average over its best.
+    that average over its maximum.
 
     Parameters:
-        beside: effects that are integrated out. timed: with courses that end, come back or fade.
+        beside: effects that are integrated out. timed: with transient courses.
     """
-    courses = Courses.of(contest)
-    scanned = _Scanned(contest, courses, beside)
+    courses = Courses.of(score_test)
+    scanned = _Scanned(score_test, courses, beside)
     alike: dict[tuple[str, float, bool], list[CandidateLaw]] = {}
     for law in laws:
         c = law.candidate
@@ -59,14 +59,14 @@ def scan(
 
 
 class _Scanned:
-    """A score as it is scanned, with effects beside it integrated out."""
+    """Score of a record for a scan, with other effects integrated out."""
 
-    def __init__(self, contest: Contest, courses: Courses, beside: Joint | None) -> None:
-        self.contest, self.courses = contest, courses
-        score = contest.score if beside is None else beside.reduced_score(contest)
-        self._score = score.reshape(contest.sites, contest.b)
-        onto = np.empty((contest.sites * contest.b, 0)) if beside is None else beside.onto
-        self._onto = onto.reshape(contest.sites, contest.b, -1).transpose(0, 2, 1).copy()
+    def __init__(self, score_test: ScoreTest, courses: Courses, beside: Joint | None) -> None:
+        self.score_test, self.courses = score_test, courses
+        score = score_test.score if beside is None else beside.reduced_score(score_test)
+        self._score = score.reshape(score_test.sites, score_test.b)
+        onto = np.empty((score_test.sites * score_test.b, 0)) if beside is None else beside.onto
+        self._onto = onto.reshape(score_test.sites, score_test.b, -1).transpose(0, 2, 1).copy()
 
     def score(self, squares: LawSquares) -> Array:
         """Return the score (b,) of a law's blocks."""
@@ -77,8 +77,9 @@ class _Scanned:
         return found
 
     def taken(self, squares: Sequence[LawSquares]) -> Array:
-        """Return the parts (l, c, b) of laws' blocks that effects beside them stand for; their squares leave the Gram
-        matrices."""
+        """Return the parts (l, c, b) of laws' blocks that the other effects explain; their squares leave the Gram
+        matrices.
+        """
         found = np.zeros((len(squares), *self._onto.shape[1:]))
         for one, of_law in zip(squares, found, strict=True):
             for k, site in enumerate(one.sites):
@@ -90,7 +91,7 @@ class _Scanned:
 
 
 def family_of(candidate: Candidate) -> str:
-    """Return the courses that a law is tried with: "put in", "passing", "step" alone, or "any"."""
+    """Return the family of courses that a law is tried with: "put in", "passing", "step" alone, or "any"."""
     if candidate.begins:
         return "put in"
     if candidate.passes:
@@ -99,19 +100,22 @@ def family_of(candidate: Candidate) -> str:
 
 
 def may_end(candidate: Candidate) -> bool:
-    """Return True for a law that may come and go: one of each place and kind is enough, what it follows fits tell. A
-    thermometer that sticks is no form of another one."""
+    """Return True for a law that may be transient.
+
+    One of each place and kind suffices, as its driver is determined by fits. A sticking thermometer is no form of
+    another.
+    """
     tried = candidate.driver in STEADY or candidate.sticks
     return not set(TIMED).isdisjoint(candidate.shapes) and not candidate.begins and tried
 
 
-def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entry:
-    """Return an entry with its onset (and growth) moved to where its evidence is greatest, between the blocks too."""
-    edges_s = contest.edges * contest.grid.step_s
-    squares = LawSquares.of(contest, entry.law)
-    blocks, scanned = squares.blocks, _Scanned(contest, Courses.of(contest), beside)
+def refined(score_test: ScoreTest, entry: Entry, beside: Joint | None = None) -> Entry:
+    """Return an entry with onset and growth time at the maximum of its evidence, also between block edges."""
+    edges_s = score_test.edges * score_test.grid.step_s
+    squares = LawSquares.of(score_test, entry.law)
+    blocks, scanned = squares.blocks, _Scanned(score_test, Courses.of(score_test), beside)
     own, (taken,) = scanned.score(squares), scanned.taken([squares])
-    gram = contest.small_gram(blocks) - taken.T @ taken
+    gram = score_test.small_gram(blocks) - taken.T @ taken
     least = _TINY * max(float(np.trace(gram)), _TINY)
 
     def at(shapes: Sequence[Shape]) -> tuple[float, float, float, Shape, Array]:
@@ -129,7 +133,7 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
         # A scan knows the turn with which it began within an eighth of the record.
         turns_s = np.arange(shape.onset_s % shape.growth_s, LAST_SHARE * edges_s[-1], shape.growth_s)
         best, size, bottom, shape, course = at([replace(shape, onset_s=float(t)) for t in turns_s])
-    reach = contest.step_s if shape.onset_s > 0.0 or shape.name in TIMED else 0.0
+    reach = score_test.step_s if shape.onset_s > 0.0 or shape.name in TIMED else 0.0
     while reach >= NEAREST_S:
         tried = [replace(shape, onset_s=shape.onset_s + d) for d in (-reach, reach)]
         if shape.name == "spell":
@@ -178,7 +182,7 @@ def refined(contest: Contest, entry: Entry, beside: Joint | None = None) -> Entr
 
 
 def _later_turns(shape: Shape, span_s: float) -> float:
-    """Return the negative log probability of the turn that what comes back begins with: the first, or any later one."""
+    """Return the negative log prior of the first period of a periodic effect: the record's first, or any later one."""
     if shape.name != "periodic" or shape.onset_s < shape.growth_s:
         return 0.0
     return math.log(max(span_s / shape.growth_s - 1.0, 1.0) * ALL_ALONG / (1.0 - ALL_ALONG))
@@ -186,9 +190,9 @@ def _later_turns(shape: Shape, span_s: float) -> float:
 
 def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns: bool) -> list[Entry]:
     """Return the likeliest course of each shape of laws of one family."""
-    contest, courses = scanned.contest, scanned.courses
+    score_test, courses = scanned.score_test, scanned.courses
     candidates = [law.candidate for law in laws]
-    squares = LawSquares.of_all(contest, laws)
+    squares = LawSquares.of_all(score_test, laws)
     scores = np.stack([scanned.score(q) for q in squares])
     taken = scanned.taken(squares)
     least = _TINY * np.maximum([[q.most] for q in squares], _TINY)
@@ -218,12 +222,12 @@ def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns
         for shapes, rows in rows_by_name(others):
             add(shapes, shaped[:, rows], bottom[:, rows], rest - math.log(len(rows)))
     if turns:
-        own = [contest.small_gram(q.blocks) for q in squares]
-        returns = [returning(contest, law, gram) for law, gram in zip(laws, own, strict=True)]
+        own = [score_test.small_gram(q.blocks) for q in squares]
+        returns = [returning(score_test, law, gram) for law, gram in zip(laws, own, strict=True)]
         bottom = np.stack(returns) - _squares(taken, courses.returns)
         grams = [gram - t.T @ t for gram, t in zip(own, taken, strict=True)]
         for law, q, score, gram in zip(laws, squares, scores, grams, strict=True):
-            out += _spells(contest, law, q.blocks, score, gram, rest)
+            out += _spells(score_test, law, q.blocks, score, gram, rest)
         for shapes, rows in courses.by_name:
             least_rows = np.maximum(bottom[:, rows], least)
             if shapes[0].name != "periodic":
@@ -237,8 +241,9 @@ def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns
 
 
 def _squares(taken: Array, courses: Array) -> Array:
-    """Return the squares (l, j) that courses (b, j) of l laws have in common with effects beside them, which have
-    `taken` (l, c, b) of each."""
+    """Return the squares (l, j) of courses (b, j) of l laws that other effects explain; they have `taken` (l, c, b) of
+    each.
+    """
     if not taken.shape[1]:
         return np.zeros((len(taken), courses.shape[1]))
     shared = taken @ courses
@@ -248,11 +253,11 @@ def _squares(taken: Array, courses: Array) -> Array:
 def _turns(
     law: CandidateLaw, squares: LawSquares, score: Array, gram: Array, courses: Courses, bottoms: Array, rest: float
 ) -> list[Entry]:
-    """Return the likeliest periodic course of a law, there all along or since one of some moments.
+    """Return the likeliest periodic course of a law, from the beginning or from one of some onsets.
 
-    Its score tells the period as closely as the record is long. Its squares hardly change between the few periods of
-    which `bottoms` (k,) are known, and those of a later beginning are about its share of them; they are made anew for
-    the courses that lead.
+    The score resolves the period to the inverse of the record's length. The squares hardly change between the few
+    periods for which `bottoms` (k,) are known, and those of a later onset are about its share of them; the leading
+    courses get exact ones.
     """
     shapes, columns, of = courses.turns
     cuts = np.linspace(0, len(score), STARTS + 1).astype(int)[:-1]
@@ -287,7 +292,9 @@ def _turns(
 
 
 def _roughly(candidate: Candidate, top: Array, bottom: Array) -> Array:
-    """Return log B of sizes without what bounds make of it, but for sizes of a sign that the candidate has not."""
+    """Return log B of sizes without the factor of their bounds, except for sizes of a sign that the candidate
+    excludes.
+    """
     prior = SPREAD * candidate.typical
     mean = top / (bottom + prior**-2.0)
     odds = 0.5 * mean * top - 0.5 * np.log1p(prior**2 * bottom)
@@ -296,14 +303,16 @@ def _roughly(candidate: Candidate, top: Array, bottom: Array) -> Array:
 
 
 def _begun(shape: Shape, since_s: float) -> Shape:
-    """Return what comes back with its first turn at or after a moment."""
+    """Return a periodic shape whose first period begins at or after a time, s."""
     turns = max(math.ceil((since_s - shape.onset_s) / shape.growth_s), 0)
     return replace(shape, onset_s=shape.onset_s + turns * shape.growth_s)
 
 
-def _spells(contest: Contest, law: CandidateLaw, blocks: Array, score: Array, gram: Array, rest: float) -> list[Entry]:
-    """Return the likeliest spell of a law, of two blocks or more, that is over two blocks before the record is."""
-    b = contest.b
+def _spells(
+    score_test: ScoreTest, law: CandidateLaw, blocks: Array, score: Array, gram: Array, rest: float
+) -> list[Entry]:
+    """Return the likeliest transient of a law, of two blocks or more, that ends two blocks before the record."""
+    b = score_test.b
     sums, tops = np.zeros((b + 1, b + 1)), np.concatenate([[0.0], np.cumsum(score)])
     sums[1:, 1:] = gram.cumsum(axis=0).cumsum(axis=1)
     first, last = _spans(b)
@@ -318,9 +327,9 @@ def _spells(contest: Contest, law: CandidateLaw, blocks: Array, score: Array, gr
     odds, size = log_bayes_of_sizes(law.candidate, top[leading], bottom)
     k = int(np.argmax(odds))
     total = logsumexp(odds) + rest - math.log(count)
-    block_s = contest.step_s
+    block_s = score_test.step_s
     shape = Shape("spell", first[k] * block_s, (last[k] - first[k]) * block_s)
-    vector = blocks * shape.block_means(contest.edges * contest.grid.step_s)
+    vector = blocks * shape.block_means(score_test.edges * score_test.grid.step_s)
     gain = float(size[k] ** 2 * bottom[k])
     return [
         Entry(
@@ -338,7 +347,7 @@ def _spells(contest: Contest, law: CandidateLaw, blocks: Array, score: Array, gr
 
 @functools.cache
 def _spans(b: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first blocks of spells in a record of b blocks, and those that they are over before."""
+    """Return the first blocks of transients in a record of b blocks, and the blocks before which they end."""
     return np.triu_indices(b - 1, 2)
 
 

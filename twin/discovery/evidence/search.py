@@ -1,4 +1,4 @@
-"""The search by evidence: single effects, then sets of them in a beam, then the likeliest fitted as real elements."""
+"""Search by evidence: single effects, then sets of them in a beam, then fits of the likeliest as real elements."""
 
 from __future__ import annotations
 
@@ -20,39 +20,39 @@ from twin.discovery.evidence.priors import CLAIM, FAULT, SPREAD, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK
 from twin.discovery.refit.fitting import AGAIN, Fit
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
 
 LEADING = 24
-"""Single effects that are tried as one of a pair; a prototype missed true pairs with five."""
+"""Single effects that are tried as members of a pair; a prototype missed true pairs with five."""
 MOST_EFFECTS = 3
 BESIDE = 6
-"""Further effects that are tried beside each."""
+"""Further effects that are tried with each."""
 PER_CLASS = 3
-"""Laws of one class that lead: what it follows is told by fits."""
+"""Leading laws of one class: their driver is determined by fits."""
 AMBIGUOUS, LEADS = 10.0, 0.02
-"""Log odds behind the best, and that share of them, within which a fit that has begun is gone on with."""
+"""Log odds behind the best, and that share of them, within which an unfinished fit is continued."""
 FITTED, NEXT, MOST_FITTED = 6, 3, 9
-"""Hypotheses that are fitted as real elements at first, then at once, and in all: while one that is not fitted leads,
-it is next."""
+"""Hypotheses that are fitted as real elements at first, then in one batch, and in all: an unfitted leader is fitted
+next."""
 
 MOST_LATE = 4
-"""Classes of lags and delays that are fitted: those with the largest gain to first order."""
+"""Classes of lags and delays that are fitted: those with the largest linear gain."""
 SLOWER = (1.7, 1.3, 1.1)
-"""Ratios of time constants that are tried in turn around the likeliest of those that the catalogue has, a factor of 3
-apart; the first as often as it leads on."""
+"""Ratios of time constants that are tried in turn around the likeliest of the catalogue's, which are a factor of 3
+apart; the first is repeated while it gains."""
 BEGUN = 3
-"""Rounds of a fit after which its squares can be compared."""
+"""Rounds of a fit after which its squares are comparable."""
 
 
 def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Sequence[tuple[Entry, ...]] = ()) -> Found:
     """Return the hypotheses of a part of a record with their posterior odds.
 
     Args:
-        given: effects that a shorter part showed; what is not linear in its size a longer one may hide.
+        given: effects that a shorter part showed; a longer one may hide an effect that is nonlinear in its size.
     """
-    contest = part.contest
+    score_test = part.score_test
     laws: list[CandidateLaw] = [*part.laws, *part.opened]
     prior = Prior(part.laws, part.opened)
     part.reset()
@@ -60,22 +60,22 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Seq
     ((retuned, _),) = fitted(part, [()])
     part.reset()
     say("scanning by evidence")
-    scanned = sorted([*part.scanned, *scan(contest, part.opened)], key=lambda e: -e.log_bayes)
-    first = [refined(contest, e) for e in leading(scanned, prior)]
+    scanned = sorted([*part.scanned, *scan(score_test, part.opened)], key=lambda e: -e.log_bayes)
+    first = [refined(score_test, e) for e in leading(scanned, prior)]
     level = sorted((_set(part, (e,), prior) for e in first), key=lambda h: -h.odds)
-    misfit = contest.misfit
+    misfit = score_test.misfit
     found = [h for group in given if (h := _carried(part, group, prior, misfit)) is not None]
     for count in range(1, MOST_EFFECTS + 1):
         if not level or level[0].odds < (CLAIM if count > 1 else 0.0):
             break
         say(f"fitting {min(len(level), FITTED)} hypotheses of {count} effect{'s' if count > 1 else ''}")
         found = _fitted(part, found, level, misfit)
-        if _explained(found, contest):
+        if _explained(found, score_test):
             break
         if count == 1:
             found = late_ones(part, found, prior, misfit)
         found = _retimed(part, found, prior, misfit)
-        if _explained(found, contest):
+        if _explained(found, score_test):
             break
         if count < MOST_EFFECTS:
             level = _grown(part, [h for h in found if len(h.entries) == count], prior, laws)
@@ -88,24 +88,25 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Seq
 
 
 def _carried(part: Part, group: tuple[Entry, ...], prior: Prior, misfit: float) -> Hypothesis | None:
-    """Return effects that were found in another part of the record, fitted in this one; None for none."""
+    """Return effects that were found in another part of the record, fitted in this one; None if there are none."""
     if not group:
         return None
     part.know(e.candidate for e in group if all(e.candidate.id != law.candidate.id for law in part.opened))
     laws = {law.candidate.id: law for law in (*part.opened, *part.laws)}
-    entries = tuple(replace(e, law=laws[e.candidate.id]).refreshed(part.contest) for e in group)
+    entries = tuple(replace(e, law=laws[e.candidate.id]).refreshed(part.score_test) for e in group)
     ((fit, _),) = fitted(part, [entries])
     return replace(_with_fit(part, replace(_set(part, entries, prior), entries=entries), fit, misfit), settled=True)
 
 
-def _explained(found: list[Hypothesis], contest: Contest) -> bool:
+def _explained(found: list[Hypothesis], score_test: ScoreTest) -> bool:
     """Return True where the likeliest hypothesis is fitted and leaves no more than noise."""
-    return found[0].fit is not None and found[0].fit.chi <= contest.expected
+    return found[0].fit is not None and found[0].fit.chi <= score_test.expected
 
 
 def leading(entries: list[Entry], prior: Prior) -> list[Entry]:
-    """Return the likeliest entries, some of each class, one of each candidate and shape, and one of each claim of what
-    passes in a shape."""
+    """Return the likeliest entries: some of each class, one of each candidate and shape, and one of each transient
+    claim.
+    """
     entries = sorted(entries, key=lambda e: -(e.log_bayes + prior.of(e)))
     taken: Counter[object] = Counter()
     found: list[Entry] = []
@@ -123,8 +124,8 @@ def leading(entries: list[Entry], prior: Prior) -> list[Entry]:
 
 
 def _set(part: Part, entries: tuple[Entry, ...], prior: Prior) -> Hypothesis:
-    """Return a set of effects with its evidence to first order."""
-    together = joint(part.contest, entries)
+    """Return a set of effects with its linear evidence."""
+    together = joint(part.score_test, entries)
     sized = tuple(replace(e, size=float(s)) for e, s in zip(entries, together.sizes, strict=True))
     log_bayes = together.log_bayes + sum(e.log_occam for e in entries)
     log_prior = sum(prior.of(e) for e in entries)
@@ -132,16 +133,16 @@ def _set(part: Part, entries: tuple[Entry, ...], prior: Prior) -> Hypothesis:
 
 
 def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[CandidateLaw]) -> list[Hypothesis]:
-    """Return the sets of one more effect that the leading ones may be part of, by falling odds."""
+    """Return the leading sets extended by one more effect, by falling odds."""
     grown: dict[object, Hypothesis] = {}
     for rank, one in enumerate(known[: LEADING if len(known[0].entries) == 1 else FITTED]):
-        beside = joint(part.contest, _at_first_order(part, one))
+        beside = joint(part.score_test, _at_first_order(part, one))
         others = [law for law in laws if apart(law.candidate, one.entries)]
-        scanned = scan(part.contest, others, beside, timed=rank < PER_CLASS)
+        scanned = scan(part.score_test, others, beside, timed=rank < PER_CLASS)
         for entry in leading(scanned, prior)[:BESIDE]:
             if entry.log_bayes + prior.of(entry) <= 0.0:
                 break
-            hypothesis = _set(part, (*_at_first_order(part, one), refined(part.contest, entry, beside)), prior)
+            hypothesis = _set(part, (*_at_first_order(part, one), refined(part.score_test, entry, beside)), prior)
             grown.setdefault(_key(hypothesis), hypothesis)
     likeliest = sorted(grown.values(), key=lambda h: -h.odds)[: 2 * LEADING]
     near = _near(likeliest)
@@ -152,23 +153,23 @@ def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[Can
 
 
 def _near(hypotheses: Sequence[Hypothesis]) -> float:
-    """Return the log odds above which a hypothesis is gone on with beside the likeliest, the first one."""
+    """Return the log odds above which a hypothesis is continued beside the likeliest, the first one."""
     best = hypotheses[0].odds if hypotheses else 0.0
     return best - AMBIGUOUS - LEADS * abs(best)
 
 
 def _at_first_order(part: Part, h: Hypothesis) -> tuple[Entry, ...]:
-    """Return the effects of a hypothesis with the vectors of their shapes in the part's contest."""
-    return tuple(e.refreshed(part.contest) for e in h.entries)
+    """Return the effects of a hypothesis with the vectors of their shapes in the part's score test."""
+    return tuple(e.refreshed(part.score_test) for e in h.entries)
 
 
 def _settled(part: Part, known: tuple[Entry, ...], entry: Entry) -> tuple[Entry, ...]:
-    """Return effects with the onsets of the known ones moved, once a further one stands beside them."""
+    """Return effects with the onsets of the known ones refined after a further one has joined them."""
     settled = list(known)
     for i, one in enumerate(known):
         if one.shape.onset_s > 0.0:
             others = (*settled[:i], *settled[i + 1 :], entry)
-            settled[i] = refined(part.contest, one, joint(part.contest, others))
+            settled[i] = refined(part.score_test, one, joint(part.score_test, others))
     return (*settled, entry)
 
 
@@ -177,9 +178,9 @@ def _key(h: Hypothesis) -> tuple[object, ...]:
 
 
 def _fitted(part: Part, known: list[Hypothesis], level: list[Hypothesis], misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses, those known before too, with the leading ones fitted as real elements, by falling odds.
+    """Return all hypotheses by falling odds, with the leading ones fitted as real elements.
 
-    Some are fitted that differ in what they claim, then whatever leads, until that is fitted.
+    First some with different claims are fitted, then each unfitted leader.
     """
     batch = _varied([h for h in level if h.odds > 0.0])[: FITTED // len(level[0].entries)] if level else []
     found, done = [*known, *level], 0
@@ -195,8 +196,7 @@ def _fitted(part: Part, known: list[Hypothesis], level: list[Hypothesis], misfit
 
 
 def _promise(h: Hypothesis, found: list[Hypothesis]) -> float:
-    """Return the log odds that a hypothesis may come to once fitted: what others of the same claim won by their fits it
-    may win too."""
+    """Return the log odds that a hypothesis may reach by a fit: others of the same claim gained as much by theirs."""
     if h.fit is not None:
         return h.odds
     return h.odds + max((f.gained for f in found if f.fit is not None and f.labels == h.labels), default=0.0)
@@ -207,7 +207,7 @@ def _by_promise(found: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def _settled_fits(part: Part, found: list[Hypothesis], misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses with the fits of those that lead gone on with until they lead no further."""
+    """Return the hypotheses with the fits of the leading ones continued until they converge."""
     while True:
         fits = [h for h in found if h.fit is not None]
         open_ones = [h for h in fits if h.fit is not None and not h.fit.done and not h.settled]
@@ -228,8 +228,8 @@ def _varied(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
-    """Return a hypothesis with the data's part of its evidence as its fit has it."""
-    own = copy.copy(part.contest)
+    """Return a hypothesis with the evidence of its fit."""
+    own = copy.copy(part.score_test)
     own.take(fit.residual, fit.moved)
     entries = tuple(e.refreshed(own) for e in fit.entries)
     unusual = sum((e.size / (SPREAD * e.candidate.typical)) ** 2 for e in entries)
@@ -241,7 +241,7 @@ def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
 
 
 def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses with lags and delays, fitted from a large size: they are not linear in it."""
+    """Return the hypotheses with lags and delays, which are nonlinear and fitted from a large size."""
     onset = found[0].entries[0].shape.onset_s if found else 0.0
     known = {e.candidate.id for h in found if h.fit is not None for e in h.entries}
     promising: dict[Class, float] = {}
@@ -260,8 +260,9 @@ def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) 
 
 
 def _retimed(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses with the leading ones of different claims, of what is slow or comes back, fitted with other
-    time constants and onsets."""
+    """Return the hypotheses with slow or periodic effects of different claims fitted with other time constants and
+    onsets.
+    """
     near = _near(found)
     slow = [h for h in found if h.fit is not None and h.odds > near and any(map(_is_retimed, h.entries))]
     first: dict[object, Hypothesis] = {}
@@ -278,7 +279,7 @@ def _is_retimed(entry: Entry) -> bool:
 
 
 def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return fits of a hypothesis with other time constants and onsets of what is slow in it or comes back."""
+    """Return fits of a hypothesis with other time constants and onsets of its slow or periodic effects."""
     tried: list[Hypothesis] = []
 
     def fit_each(i: int, entries: list[Entry]) -> None:
@@ -312,25 +313,27 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
         moved = [now.shape.onset_s + f * reach_s for f in (-1.0, -0.5, 0.5, 1.0)]
         last_s = LAST_SHARE * part.grid.span_s
         shapes = [replace(now.shape, onset_s=t) for t in moved if reach_s and 0.0 < t < last_s]
-        fit_each(i, [replace(now, shape=shape).refreshed(part.contest) for shape in shapes])
+        fit_each(i, [replace(now, shape=shape).refreshed(part.score_test) for shape in shapes])
     return tried
 
 
 def _turned(part: Part, h: Hypothesis, i: int) -> Entry | None:
-    """Return the effect `i` of a fitted hypothesis with the first turn that is likeliest beside the others, to first
-    order about their fit; None for the one that it has. A fit moves an onset by less than a turn."""
+    """Return the effect `i` of a fitted hypothesis with the likeliest first period, linearised about the fit.
+
+    None if that is the one it has. A fit changes an onset by less than a period.
+    """
     assert h.fit is not None
-    own = copy.copy(part.contest)
+    own = copy.copy(part.score_test)
     others = tuple(e.refreshed(own) for k, e in enumerate(h.entries) if k != i)
     this = h.entries[i].refreshed(own)
     own.take(h.fit.residual + own.signatures(this.vector[None])[:, 0] * this.size, h.fit.moved)
     found = refined(own, this, joint(own, others) if others else None)
     moved_s = abs(found.shape.onset_s - this.shape.onset_s)
-    return found.refreshed(part.contest) if moved_s > own.step_s else None
+    return found.refreshed(part.score_test) if moved_s > own.step_s else None
 
 
 def log_odds_unlisted(part: Part) -> dict[Place, float]:
-    """Return the log odds of one unknown quantity, free from block to block, by its place."""
+    """Return the log odds of one unknown quantity, free in each block, by its place."""
     free = part.free
     at: dict[Place, list[float]] = {}
     for course in free:
@@ -340,12 +343,12 @@ def log_odds_unlisted(part: Part) -> dict[Place, float]:
 
 
 def ladder_of(part: Part, told: Hypothesis | None, scanned: Sequence[Entry]) -> tuple[Rung, ...]:
-    """Return the misfit as commissioned, and with the effects that are told, with the best score that each leaves."""
-    contest = part.contest
+    """Return the misfit as commissioned and with the reported effects, each with the best next score."""
+    score_test = part.score_test
     best = max((e.z for e in scanned[:LEADING]), default=0.0)
-    rungs = [Rung("as commissioned", contest.misfit / max(contest.count, 1), best)]
+    rungs = [Rung("as commissioned", score_test.misfit / max(score_test.count, 1), best)]
     if told is not None and told.fit is not None:
         what = " + ".join(f"{e.candidate.kind} at {e.candidate.where}" for e in told.entries)
-        left = scan(contest, part.laws, joint(contest, _at_first_order(part, told)), timed=False)
+        left = scan(score_test, part.laws, joint(score_test, _at_first_order(part, told)), timed=False)
         rungs.append(Rung(what, told.fit.chi, max((e.z for e in left[:LEADING]), default=0.0)))
     return tuple(rungs)

@@ -1,1 +1,1 @@
-"""Which effects are missing from a record when there is no healthy one to compare with."""
+"""Structure identification without a healthy record: the set of effects that a record needs."""

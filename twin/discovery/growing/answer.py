@@ -1,6 +1,6 @@
-"""A growth as a diagnosis: the same verdict, ladder, alternatives and errors as where something healthy is known.
+"""Diagnosis of a grown twin: verdict, ladder, alternatives and errors as with a healthy record.
 
-The last quarter of a record, or every fourth of its steady states, is split off before anything is fitted.
+The last quarter of a record, or every fourth of its steady states, is held out before anything is fitted.
 """
 
 from __future__ import annotations
@@ -12,28 +12,29 @@ from itertools import pairwise
 
 import numpy as np
 
-from twin.discovery.answer.telling import SURE
+from twin.discovery.answer.isolation import SURE
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Rung, SensorError, Verdict
 from twin.discovery.effects.phrases import amount, said
 from twin.discovery.evidence.held_out import binned, worse
 from twin.discovery.growing.beam import BEAM
 from twin.discovery.growing.growth import MOST_EFFECTS, Added, Growth, grow_samples, samples_of, states_of
+from twin.discovery.growing.growth_problem import GrowthFit, SampledRecord
 from twin.discovery.growing.leads import leads_of
 from twin.discovery.growing.merit import LEFT, NEEDED, REST, mostly_explained
-from twin.discovery.growing.unaided import GrowthFit, SampledRecord
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.grid import on_grid
 from twin.discovery.scoring.equivalence import width
 from twin.network import Array, Network, TwinFileError
 
 EVERY = 4
-"""One steady state in so many is held out; of a record that share of its end."""
+"""One steady state of so many is held out, and that share of a record's end."""
 MOST_BLOCKS = 240
 LONGEST = 4000
-"""Samples up to which a twin is grown by itself: its hypotheses are each simulated, and a longer record takes hours."""
+"""Samples up to which a twin is grown without being asked: each hypothesis is simulated, and a longer record takes
+hours."""
 FAR = 4.0
-"""Times the noise that any thermometer may be off where no fit saw it: what comes in half way is else taken for several
-things that have always been there."""
+"""Ratio of any thermometer's held-out error to its noise up to which the effects count: an effect that begins midway
+otherwise looks like several that have always been there."""
 _CUT = ". If something came in half way, cut the record there."
 _NOT_KNOWN = (
     "nothing healthy is known of this rig: the twin was grown from its file, and the noise is told from the record "
@@ -42,7 +43,7 @@ _NOT_KNOWN = (
 
 
 def fits_growth(network: Network, record: Columns) -> bool:
-    """Whether a twin is to be grown on a record: it was never commissioned, and the record is not too long."""
+    """Return True if a twin is to be grown on a record: it was never commissioned, and the record is not too long."""
     return network.revision.number == 0 and len(record.time_s) <= LONGEST
 
 
@@ -56,14 +57,14 @@ def diagnose_grown(
     beam: int = BEAM,
     say: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
-    """What a twin lacks from the beginning of a record, with nothing healthy to compare with.
+    """Return the effects that a twin lacks from the beginning of a record, without a healthy record.
 
     Parameters
     ----------
     network
         With tunables, values as its file has them.
     more
-        Further records, which choose between sets of effects that this one cannot tell apart.
+        Further records, which rank sets of effects that form an ambiguity group on this one.
     at_rest
         Each row is a steady state of its own.
     most, beam
@@ -91,7 +92,7 @@ def diagnose_grown(
 
 
 class _GrownDiagnosis:
-    """A growth, and the record it was made on with its `hidden` rows (n,)."""
+    """Growth with the record that it was made on and its held-out rows `hidden` (n,)."""
 
     def __init__(
         self, network: Network, record: Columns, growth: Growth, whole: SampledRecord, hidden: np.ndarray
@@ -104,7 +105,7 @@ class _GrownDiagnosis:
         self.record = record
 
     def diagnosis(self) -> Diagnosis:
-        """Everything that is said of it."""
+        """Return the diagnosis."""
         g = self.growth
         misfit = [float(np.nanmean((r.rms / self.whole.sigma) ** 2)) for r in g.rungs]
         errors = self._errors()
@@ -123,9 +124,9 @@ class _GrownDiagnosis:
             verdict = "effect found" if all(e.confidence >= SURE and _sized(e) for e in effects) else "ambiguous"
         refused = tuple(Alternative(r.kind, r.where, r.driver, 0.0, r.why) for r in g.refused)
         if verdict == "unexplained":
-            why = "wins its place, but with all that do the record is still not explained"
+            why = "passes its tests, but all effects that do leave the record unexplained"
             if worse(errors):
-                why = "wins its place where it was fitted, but what no fit saw is foretold worse with all that do"
+                why = "passes its tests where it was fitted, but all that do predict the held-out part worse"
             own = (Alternative(e.kind, e.where, e.driver, 0.0, f"{e.says}: {why}") for e in effects)
             refused = (*own, *refused)
             effects = ()
@@ -164,9 +165,9 @@ class _GrownDiagnosis:
         )
 
     def _mostly(self, misfit: list[float], errors: dict[str, SensorError]) -> bool:
-        """Return True where most of the misfit is explained: as fitted, and of every thermometer as held out.
+        """Return True if most of the misfit is explained, of the fit and of every thermometer in the held-out segment.
 
-        The effects are kept then, and the summary calls the rest structural error.
+        The effects are reported then, and the summary calls the rest structural error.
         """
         held_out = [((e.after / e.noise) ** 2, (e.before / e.noise) ** 2) for e in errors.values()]
         return all(mostly_explained(after, before) for after, before in [(misfit[-1], misfit[0]), *held_out])
@@ -176,7 +177,9 @@ class _GrownDiagnosis:
         return tuple(f"{name} has no reading in this record, so nothing is told by it or of it" for name in names)
 
     def _residual(self, fit: GrowthFit | None) -> Array:
-        """Measured less simulated (n, m) of the whole record: of a fit, or of the twin as its file has it."""
+        """Return measured minus simulated (n, m), K, of the whole record: of a fit, or of the twin as its file
+        has it.
+        """
         problem = self.growth.problem.with_entries(fit.entries if fit else (), self.whole)
         return problem.residual(problem.start(fit) if fit else problem.start())
 
@@ -201,7 +204,7 @@ class _GrownDiagnosis:
             confidence=1.0 / (1.0 + sum(elsewhere.values())),
             z=math.sqrt(max(score, 0.0)),
             evidence=f"{self._said(a)}; without it the record would be less likely by {score:.0f} "
-            f"in -2 log likelihood, and {a.folds} of {EVERY} hidden parts of it are foretold no worse with it",
+            f"in -2 log likelihood, and {a.folds} of {EVERY} held-out parts of it are predicted no worse with it",
             says=self._said(a),
             family_wise=a.by_chance,
             noise_z=math.sqrt(max(a.limit, 0.0)),
@@ -235,11 +238,11 @@ class _GrownDiagnosis:
         return out
 
     def _shown(self, time: float) -> float:
-        """A time of the fitted part in that of the record; a state by its number in all."""
+        """Return a time of the fitted part as one of the record, s; a state by its number among all."""
         return float(np.flatnonzero(~self.hidden)[int(time)] + 1) if self.whole.at_rest else time + self.start
 
     def _blocks(self, times: Array) -> tuple[Array, list[Array]]:
-        """Hours (b,), or numbers of states over 3600, and block means (b, m) of the residuals."""
+        """Return hours (b,), or numbers of states over 3600, and block means (b, m) of the residuals."""
         n = len(self.whole.time)
         count = n if self.whole.at_rest else min(n, MOST_BLOCKS)
         edges = np.linspace(0, n, count + 1).astype(int)
@@ -296,8 +299,8 @@ class _GrownDiagnosis:
         )
         if verdict == "ambiguous":
             vague = [f"{e.kind.replace('_', ' ')} at {e.where}" for e in effects if not _sized(e)]
-            text += f"; but this record cannot tell that from {', '.join(others)}" if others else ""
-            text += f"; but this record does not tell the size of {' and '.join(vague)}" if vague else ""
+            text += f"; but on this record that is indistinguishable from {', '.join(others)}" if others else ""
+            text += f"; but the size of {' and '.join(vague)} is not identifiable from this record" if vague else ""
             text += "" if self.whole.at_rest else "; a further record, given with --with, may"
         if mostly:
             told += (
@@ -315,7 +318,7 @@ class _GrownDiagnosis:
             worst, e = max(errors.items(), key=lambda item: (item[1].after - item[1].before) / item[1].noise)
             return (
                 "The twin does not fit this record, and no effects of the catalogue explain it: those that fit it best "
-                f"foretell worse than none. {part}, {worst} is off by {amount(e.before, 'K')} re-tuned, by "
+                f"predict worse than none. {part}, {worst} is off by {amount(e.before, 'K')} re-tuned, by "
                 f"{amount(e.after, 'K')} {won}, at a noise of {amount(e.noise, 'K')}{cut}"
             )
         return (
@@ -325,7 +328,7 @@ class _GrownDiagnosis:
 
 
 def _sized(effect: Effect) -> bool:
-    """Whether the record tells an effect's size from nothing: beside another that does nearly the same it may not."""
+    """Return True if an effect's size is significantly different from zero: beside a similar effect it may not be."""
     low, high = effect.interval90
     return low > 0.0 or high < 0.0
 

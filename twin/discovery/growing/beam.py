@@ -1,4 +1,4 @@
-"""Sets of effects that may be missing, built up in a beam: each of the best sets is fitted with one effect more."""
+"""Beam search over sets of effects: each of the best sets is fitted with one more effect."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ from typing import Any
 
 import numpy as np
 
-from twin.discovery.effects.lint import EffectLabel
+from twin.discovery.effects.ambiguity_groups import EffectLabel
 from twin.discovery.evidence.priors import plausibility
 from twin.discovery.growing.descent import descend
+from twin.discovery.growing.growth_problem import GrowthFit, GrowthProblem
 from twin.discovery.growing.scoring import Scored, scores
 from twin.discovery.growing.superset.candidate_superset import name_of, unsized
-from twin.discovery.growing.superset.masses import kin
-from twin.discovery.growing.unaided import GrowthFit, GrowthProblem
+from twin.discovery.growing.superset.hidden_masses import kin
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
 from twin.network import Array
 
 BEAM = 3
-"""Sets that are built upon, by likelihood and as many by squares."""
+"""Sets that are extended in each round: so many by likelihood, and as many by squares."""
 COARSE = 2
-"""Of the grid's time constants one in so many is fitted beside every set, whatever lies between."""
+"""Step in the grid of time constants that are fitted with every set, whatever lies between."""
 NEARER = (3.0**0.5, 3.0**0.25, 3.0**0.125)
-"""Factors by which the time constants of the best set are then varied, as long as that does better."""
+"""Factors by which the time constants of the best set are varied afterwards, as long as the fit improves."""
 
 Starts = list[tuple[GrowthProblem, Array]]
 
 
 @dataclass(frozen=True)
 class FittedSet:
-    """Some effects, fitted. `score`: -2 log likelihood with what effects cost before any data."""
+    """Fitted set of effects. `score`: -2 log likelihood plus the cost of its effects by their prior."""
 
     problem: GrowthProblem
     fit: GrowthFit
@@ -45,7 +45,7 @@ class FittedSet:
 
     @property
     def form(self) -> tuple[Any, ...]:
-        """The set but for the time constants of its masses."""
+        """Return a key of the set without the time constants of its masses."""
         return tuple(sorted(kin(e.candidate) or (name_of(e.candidate),) for e in self.fit.entries))
 
     @property
@@ -54,7 +54,7 @@ class FittedSet:
 
 
 class Beam:
-    """All sets of effects that have been fitted: `known`, and by their size `levels`."""
+    """Fitted sets of effects: all by their ids, `known`, and by their number of effects, `levels`."""
 
     def __init__(self, empty: GrowthProblem, width: int) -> None:
         self.empty, self.width = empty, width
@@ -65,22 +65,22 @@ class Beam:
         self.levels: list[list[FittedSet]] = [self._fitted([[(empty, empty.start())]])]
 
     def extended(self, old: FittedSet, entry: Entry, *sizes: float) -> FittedSet:
-        """A set with one effect more."""
+        """Return a set with one more effect."""
         return self._fitted([self._starts(old, entry, *sizes)])[0]
 
     def _starts(self, old: FittedSet, entry: Entry, *sizes: float) -> Starts:
-        """Where a set with one effect more begins: at the twin file's values, at the smaller set's, at other sizes."""
+        """Return the start points of a set with one more effect: twin file's values, the smaller set's, other sizes."""
         problem = self.empty.with_entries((*old.fit.entries, entry))
         others = [self._onward(old, replace(entry, size=size)) for size in sizes]
         return [(problem, problem.start()), (problem, problem.start(old.fit)), *others]
 
     def _onward(self, old: FittedSet, entry: Entry) -> tuple[GrowthProblem, Array]:
-        """Where a set with one effect more begins at the smaller set's values."""
+        """Return the start point of a set with one more effect at the smaller set's values."""
         problem = self.empty.with_entries((*old.fit.entries, entry))
         return problem, problem.start(old.fit)
 
     def reduced(self, old: FittedSet, entry: Entry) -> FittedSet:
-        """A set without one of its effects, and without what stands on the elements that this one alone adds."""
+        """Return a set without one of its effects, and without those that depend on elements of this effect alone."""
         alone = set(entry.candidate.adds).difference(*(e.candidate.adds for e in old.fit.entries if e is not entry))
         gone = {name_of(entry.candidate)} | {
             name_of(e.candidate)
@@ -92,7 +92,7 @@ class Beam:
         return self._fitted([[(problem, problem.start()), (problem, problem.start(old.fit))]])[0]
 
     def deepen(self) -> bool:
-        """Fit sets of one effect more; False where it does not pay to go on."""
+        """Fit sets of one more effect; return False if a further round is not worth while."""
         last = likeliest(self.levels[-1])
         chosen = {s.ids: s for order in (by_score, by_squares) for s in sorted(last, key=order)[: self.width]}
         scored = [(old, self._scored(old)) for old in chosen.values()]
@@ -112,7 +112,7 @@ class Beam:
         return len(self.levels) <= 2 or now < before
 
     def _timed(self, best: FittedSet) -> list[FittedSet]:
-        """A set with other time constants of its masses, nearer and nearer to the best by squares."""
+        """Return a set with other time constants of its masses, refined towards the least squares."""
         found: list[FittedSet] = []
         for share in NEARER:
             better = True
@@ -135,7 +135,7 @@ class Beam:
         return found
 
     def _fitted(self, sets: Sequence[Starts]) -> list[FittedSet]:
-        """Sets, each from several starts: problems that differ in nothing but their scales."""
+        """Fit sets, each from several start points: problems that differ only in their scales."""
         keys = [frozenset(name_of(e.candidate) for e in starts[0][0].entries) for starts in sets]
         new: dict[frozenset[str], Starts] = {}
         for key, starts in zip(keys, sets, strict=True):
@@ -149,7 +149,7 @@ class Beam:
         return [self.known[key] for key in keys]
 
     def _neighbours(self, chosen: Iterable[FittedSet], fitted: Mapping[frozenset[str], FittedSet]) -> list[FittedSet]:
-        """Beside each set, of each mass the time constants next to the one that leaves least, and of each wall."""
+        """Return neighbours of each set in the grid of time constants, for each mass and each wall."""
         family: dict[Any, list[Candidate]] = defaultdict(list)
         for candidate in self.empty.superset.candidates:
             if len(candidate.changes) > 1 and candidate.driver == "history":
@@ -175,7 +175,9 @@ class Beam:
 
 
 def _finalists(found: Sequence[Scored]) -> list[Scored]:
-    """The best candidates of each label: what re-tuning can nearly imitate shows its worth in the fit alone."""
+    """Return the best candidates of each label: the linear score of an effect that re-tuning nearly imitates is
+    unreliable.
+    """
     kept: dict[str, Scored] = {}
     for order in (lambda s: -s.squares, lambda s: -s.likely):
         seen: Counter[tuple[EffectLabel, str, frozenset[str]]] = Counter()
@@ -188,7 +190,9 @@ def _finalists(found: Sequence[Scored]) -> list[Scored]:
 
 
 def _spread(found: Sequence[Scored]) -> list[Scored]:
-    """Masses from one end of the grid of time constants to the other: a walk from the best would cross no hill."""
+    """Return masses over the whole grid of time constants, since a local search from the best one stops at a local
+    optimum.
+    """
     family: dict[Any, list[Scored]] = defaultdict(list)
     for scored in found:
         if scored.entry.candidate.slow_s:
@@ -197,8 +201,10 @@ def _spread(found: Sequence[Scored]) -> list[Scored]:
 
 
 def likeliest(sets: Iterable[FittedSet]) -> list[FittedSet]:
-    """Of sets that differ in nothing but time constants the one that leaves least, as of every number that is fitted:
-    the likelihood would take one that leaves a slow error, which it lets pass for noise."""
+    """Return, of sets that differ only in time constants, the one of least squares.
+
+    The likelihood would prefer one with a slow misfit, which it treats as noise.
+    """
     best: dict[Any, FittedSet] = {}
     for one in sets:
         best[one.form] = min(best.get(one.form, one), one, key=by_squares)

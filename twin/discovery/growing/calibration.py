@@ -1,10 +1,11 @@
-"""Gain of the best effect by chance: records drawn with nothing missing, searched like the real one.
+"""Null distribution of the best effect's gain: records simulated without a further effect are searched like the real
+one.
 
-The null is the fit without the effect: its residual's spectrum, corrected for what fitting took, makes new residuals,
-and each is offered every candidate, to first order, with the spectrum found anew as for the real record. A slow error
-of a short record has few degrees of freedom, and a likelihood that profiles their variance is too sure of itself; how
-much so depends on the record, so it is asked rather than assumed (parametric bootstrap of the maximum; Westfall &
-Young, Resampling-Based Multiple Testing, 1993).
+The null is the fit without the effect. Its residual's spectrum, corrected for the fitted parameters, generates new
+residuals. Each is scored against every candidate, to first order, with its spectrum estimated anew as for the real
+record. The slow misfit of a short record has few degrees of freedom, and a likelihood that profiles their variance is
+too small; how much depends on the record, so it is simulated (parametric bootstrap of the maximum; Westfall & Young,
+Resampling-Based Multiple Testing, 1993).
 """
 
 from __future__ import annotations
@@ -14,35 +15,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.discovery.growing.growth_problem import GrowthFit, GrowthProblem
 from twin.discovery.growing.likelihood import Spectrum, table
 from twin.discovery.growing.scoring import answer_of, scores
-from twin.discovery.growing.unaided import GrowthFit, GrowthProblem
 
 DRAWS = 100
 TAIL = 3.14
-"""Standard deviations of a maximum (Gumbel) above its mean at which one in a hundred lies."""
+"""Standard deviations above its mean of the 99 % quantile of a maximum (Gumbel)."""
 
 
 @dataclass(frozen=True)
 class Chance:
-    """Falls of -2 log likelihood that the best of all effects brings by chance: mean and standard deviation."""
+    """Null distribution of the best effect's fall of -2 log likelihood: mean and standard deviation."""
 
     mean: float
     sd: float
 
     @property
     def limit(self) -> float:
-        """What is exceeded in one of a hundred records."""
+        """Return the gain that noise exceeds in one of a hundred records."""
         return self.mean + TAIL * self.sd
 
     def of(self, gain: float) -> float:
-        """Probability of at least this much, by the Gumbel law that maxima follow."""
+        """Return the p-value of a gain, by the Gumbel distribution of maxima."""
         scale = max(self.sd * math.sqrt(6.0) / math.pi, 1e-9)
         return -math.expm1(-math.exp(min((self.mean - 0.5772 * scale - gain) / scale, 700.0)))
 
 
 def by_chance(problem: GrowthProblem, fit: GrowthFit, seed: int = 0) -> Chance:
-    """What the best effect brings by chance on records like this one, in which nothing is missing that `fit` lacks."""
+    """Return the null distribution of the best effect's gain on records like this one that lack nothing beyond
+    `fit`.
+    """
     found = [one.entry for one in scores(problem.superset, problem, fit) if max(one.squares, one.likely) > 0.0]
     if not found:
         return Chance(0.0, 0.0)

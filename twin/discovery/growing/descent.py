@@ -1,7 +1,7 @@
-"""Least squares of many hypotheses at once.
+"""Damped Gauss-Newton fits of many hypotheses in parallel.
 
-A kernel does a block of particles in the time of one. So the starts of many hypotheses go down side by side, each step
-is tried together with the slopes at its end, and where lanes are left, with more damping too.
+A kernel simulates a block of particles in the time of one. The fits of many hypotheses therefore step together: each
+step is simulated with the derivatives at its end, and free lanes try more damping.
 """
 
 from __future__ import annotations
@@ -11,21 +11,22 @@ from itertools import accumulate
 
 import numpy as np
 
+from twin.discovery.growing.growth_problem import GrowthProblem, readings_of
 from twin.discovery.growing.likelihood import Spectrum
-from twin.discovery.growing.unaided import GrowthProblem, readings_of
 from twin.kernel import FEW_LANES
 from twin.network import Array
 
 ROUNDS = 25
 AT_ONCE = 32
-"""Starts that go down side by side; more would only need more memory."""
+"""Fits that run in parallel; more would only need more memory."""
 MOST_DAMPING, LEAST_DAMPING = 1.0e8, 1.0e-6
 GAINED = 1.0e-4
-"""Share of the squares that a step must gain for another one to be worth it."""
+"""Least relative fall of the squares by a step for another one to follow."""
 
 
 def descend(starts: Sequence[tuple[GrowthProblem, Array]]) -> list[Array]:
-    """Where damped Gauss-Newton steps on the squares of the free run and the prior end, for each start.
+    """Return the end points of damped Gauss-Newton fits to the squares of the free run and the prior, one for each
+    start.
 
     Args:
         starts: problems of one superset and with the same inputs, each with its variables (count,).
@@ -46,7 +47,7 @@ def _together(starts: Sequence[tuple[GrowthProblem, Array]]) -> list[Array]:
 
 
 def _around(asked: Sequence[tuple[_Way, list[Array]]]) -> list[list[Array]]:
-    """Readings (1 + count, n, m) around each of the points asked for."""
+    """Return the readings (1 + count, n, m) around each of the given points."""
     found = readings_of([(way.problem, way.problem.around(v)) for way, points in asked for v in points])
     sizes = [1 + v.size for _, points in asked for v in points]
     each = iter(np.split(found, list(accumulate(sizes))[:-1]))
@@ -54,7 +55,7 @@ def _around(asked: Sequence[tuple[_Way, list[Array]]]) -> list[list[Array]]:
 
 
 class _Way:
-    """One hypothesis on its way down: where it is, `v`, and the steps that it may take from there."""
+    """One fit in progress: its point `v`, and the steps from there."""
 
     def __init__(self, problem: GrowthProblem, v: Array) -> None:
         self.problem, self.v, self.rounds = problem, v, 0
@@ -62,17 +63,17 @@ class _Way:
         self._damping = 1e-3
 
     def begin(self, around: Array) -> None:
-        """Readings (1 + count, n, m) around the start are known."""
+        """Take the readings (1 + count, n, m) around the start."""
         self._cost = self._total(self.v, around[0])
         self._look(around)
 
     def trials(self, count: int) -> list[Array]:
-        """Ends of steps with more and more damping."""
+        """Return the ends of steps with increasing damping."""
         self._dampings = [self._damping * 10.0**i for i in range(count)]
         return [self._step(d) for d in self._dampings]
 
     def choose(self, trials: list[Array], around: list[Array]) -> None:
-        """Take the least damped of the steps that do better, if any."""
+        """Take the least damped of the steps that lower the squares, if any."""
         for damping, trial, there in zip(self._dampings, trials, around, strict=True):
             new = self._total(trial, there[0])
             if new < self._cost:
@@ -91,7 +92,7 @@ class _Way:
         return float(white @ white + at @ self.problem.precision @ at)
 
     def _look(self, around: Array) -> None:
-        """Normal equations where it is now."""
+        """Compute the normal equations at the current point."""
         p, v = self.problem, self.v
         residual, slopes = p.sloped(v, around)
         r, j = p.whitened(residual, self._white), p.whitened(slopes, self._white)

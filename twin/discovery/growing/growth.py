@@ -1,11 +1,10 @@
-"""A twin that grows: which effects are missing from a record, when there is no healthy one to compare with.
+"""Growth of a twin: forward selection of effects on a record without a healthy one to compare with.
 
-Where several effects are missing, the best single one is often none of them. So sets of effects are built up in a beam:
-each of the best sets so far is fitted with each of the effects that could take most of what it leaves, and the fitted
-sets are compared. The set that is kept is the one that the record asks for, by the likelihood with every hypothesis
-given the noise that suits it best (`likelihood`); then each member must earn its place, against the set without it,
-in the likelihood and on parts of the record that the fit was not shown. Effects are there from the beginning; what
-comes in later is for `engine.diagnose`.
+If several effects are missing, the best single one is often none of them. A beam search therefore extends each of the
+best sets by each effect that could explain most of its residual, and compares the fitted sets. The likelihood selects
+the set, where every hypothesis has the noise spectrum that suits it best (`likelihood`). Then each member is tested
+against the set without it, by the likelihood and on held-out parts of the record. Effects are present from the
+beginning; later onsets are left to `engine.diagnose`.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.discovery.diagnosis import Fold
-from twin.discovery.effects.lint import EffectLabel
+from twin.discovery.effects.ambiguity_groups import EffectLabel
 from twin.discovery.effects.phrases import interval
 from twin.discovery.growing.beam import BEAM, Beam, FittedSet, by_score
+from twin.discovery.growing.growth_problem import GrowthFit, GrowthProblem, SampledRecord
 from twin.discovery.growing.merit import LEFT, Merit, RejectedEffect
 from twin.discovery.growing.superset.candidate_superset import CandidateSuperset, name_of
-from twin.discovery.growing.unaided import GrowthFit, GrowthProblem, SampledRecord
 from twin.discovery.records.grid import bridged, on_grid
 from twin.discovery.scoring.equivalence import width
 from twin.discovery.scoring.search import Entry
@@ -34,9 +33,9 @@ from twin.network import Array, Network, TwinFileError
 MOST_EFFECTS = 4
 MOST_SAMPLES = 4000
 CHANCE = 3.0
-"""Standard deviations of a mean square that count as chance."""
+"""Standard deviations of a mean square up to which a difference is insignificant."""
 FEWEST, FEWEST_SAMPLES = 12, 40
-"""Steady states, and samples of a record, that a twin can grow from."""
+"""Least steady states, and samples of a record, for growing a twin."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +44,11 @@ class Added:
 
     Attributes:
         value, interval90: its size beside all the others, in `unit`. says: in words.
-        gain: fall of -2 log likelihood that it brings on its rung. needed: rise of it when the full set goes without.
-        elsewhere: the same of the further records, which were not fitted.
-        folds, foretold: hidden parts of the record that the full set foretells no worse with it, and its squares there
-            over those without it. others: labels (kind, where, driver) that the record cannot tell from it, and by how
-            much worse, in -2 log likelihood, their sets are. by_chance: probability that noise alone needs any effect
-            as much; `limit` is what it reaches in one of a hundred.
+        gain: fall of -2 log likelihood by its rung. needed: rise of it if the full set lacks it.
+        elsewhere: the same for the further records, which were not fitted.
+        folds, predicted: held-out folds that the full set predicts no worse with it, and its squares there over those
+            without it. others: labels (kind, where, driver) of its ambiguity group, with the rise of -2 log likelihood
+            of their sets. by_chance: p-value of `needed` under noise alone; `limit` is its 99 % quantile.
         entry: the effect as it was fitted.
     """
 
@@ -65,7 +63,7 @@ class Added:
     needed: float
     elsewhere: float
     folds: int
-    foretold: float
+    predicted: float
     others: dict[EffectLabel, float]
     by_chance: float
     limit: float
@@ -74,7 +72,7 @@ class Added:
 
 @dataclass(frozen=True)
 class GrowthRung:
-    """A twin on the way: `network` with its effects, fitted; RMSE per sensor `rms` (m,), K; the first adds nothing."""
+    """One rung: `network` with its effects, fitted; RMSE per sensor `rms` (m,), K; the first rung adds nothing."""
 
     network: Network
     added: Added | None
@@ -84,10 +82,10 @@ class GrowthRung:
 
 @dataclass(frozen=True)
 class Growth:
-    """The ladder. `verdict`: whether what the last rung leaves is the thermometers' noise.
+    """Ladder of a growth. `verdict`: whether the last rung leaves no more than the thermometers' noise.
 
-    `problem` is that of the last rung. `folds`: parts of the record hidden from the fit in turn, and what all effects
-    together gain there.
+    `problem` is that of the last rung. `folds`: parts of the record held out in turn, and the gain of all effects
+    there.
     """
 
     rungs: tuple[GrowthRung, ...]
@@ -99,7 +97,7 @@ class Growth:
 
     @property
     def network(self) -> Network:
-        """The twin of the last rung."""
+        """Return the twin of the last rung."""
         return self.rungs[-1].network
 
 
@@ -114,13 +112,13 @@ def grow(
     beam: int = BEAM,
     say: Callable[[str], None] = lambda _: None,
 ) -> Growth:
-    """Add effects to a twin until the record asks for no more.
+    """Add effects to a twin until the record needs no more.
 
     Args:
         network: with tunables. inputs: (N, c). measured: (N, m) degC, NaN left out.
-        more: further records (time, inputs, measured), by which sets are weighed that this one cannot tell apart.
+        more: further records (time, inputs, measured), which rank sets that form an ambiguity group on this one.
         most: effects that may be added.
-        beam: sets that each round builds on. say: called with what is being done.
+        beam: sets that each round extends. say: called with a description of each step.
 
     Raises:
         TwinFileError: a record too short or without readings, a twin without tunables.
@@ -137,7 +135,7 @@ def grow_at_rest(
     beam: int = BEAM,
     say: Callable[[str], None] = lambda _: None,
 ) -> Growth:
-    """As `grow`, for steady states: each row of `inputs` (n, c) and `measured` (n, m) is one, and no time passes.
+    """Add effects as `grow` does, from steady states: each row of `inputs` (n, c) and `measured` (n, m) is one.
 
     Raises:
         TwinFileError: fewer than `FEWEST` states with a reading, a twin without tunables.
@@ -154,7 +152,7 @@ def grow_samples(
     beam: int = BEAM,
     say: Callable[[str], None] = lambda _: None,
 ) -> Growth:
-    """As `grow`, for a record or states that have been made ready."""
+    """Add effects as `grow` does, from prepared samples or states."""
     ids = network.tunables("commission" if "commission" in network.sets else None)
     if not ids:
         raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
@@ -169,7 +167,7 @@ def grow_samples(
             break
     say("asking each of them whether it is needed")
     merit = Merit(search)
-    best = merit.weighed(merit.earned(), tuple(samples_of(network, *one) for one in more))
+    best = merit.reranked(merit.earned(), tuple(samples_of(network, *one) for one in more))
     if not merit.explains(best):
         best = merit.main_effects(best)
     rungs = _ladder(search, merit, best)
@@ -194,7 +192,7 @@ def _folds(beam: Beam, merit: Merit, best: FittedSet) -> tuple[Fold, ...]:
 
 
 def states_of(network: Network, inputs: ArrayLike, measured: ArrayLike) -> SampledRecord:
-    """Steady states with a reading, one a row; their time counts them.
+    """Return the steady states with a reading, one a row; their time is their number.
 
     Raises:
         TwinFileError: fewer than `FEWEST`.
@@ -207,7 +205,7 @@ def states_of(network: Network, inputs: ArrayLike, measured: ArrayLike) -> Sampl
 
 
 def samples_of(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: ArrayLike) -> SampledRecord:
-    """A record at its own stamps, or as means where it has more than `MOST_SAMPLES`.
+    """Return a record at its own stamps, or as means if it has more than `MOST_SAMPLES`.
 
     Raises:
         TwinFileError: too short, or not a single reading.
@@ -229,7 +227,7 @@ def samples_of(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured:
 
 
 def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[GrowthRung, ...]:
-    """The set's effects one by one, each the best of those that are left to add."""
+    """Return the rungs of a set: its effects in the order in which each is the best of those left."""
     now = beam.known[frozenset()]
     rungs = [_rung(beam, now, None)]
     left = {name_of(e.candidate): e for e in best.fit.entries}
@@ -272,7 +270,7 @@ def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[GrowthRung, ...]
 
 
 def _others(beam: Beam, merit: Merit, best: FittedSet, without: FittedSet) -> dict[EffectLabel, float]:
-    """What could stand in the place of the one effect that `best` has and `without` has not, and how much worse."""
+    """Return the labels that could replace the one effect that `without` lacks, and how much worse their sets are."""
     named = {e.label for e in best.fit.entries}
     found: dict[EffectLabel, float] = {}
     near = best.score + width(without.score - best.score)

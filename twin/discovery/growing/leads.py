@@ -1,4 +1,4 @@
-"""Leads of a growth: where to look in what a grown twin leaves of a record, or of steady states."""
+"""Leads of a growth: segments, ranges and places in which the misfit of a grown twin concentrates."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 
 from twin.discovery.diagnosis import Lead, Verdict
-from twin.discovery.growing.unaided import SampledRecord
+from twin.discovery.growing.growth_problem import SampledRecord
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.leads.concentration import NOTED, ResidualSquares
 from twin.discovery.leads.rows import suspicious_states
 from twin.discovery.leads.words import range_leads, record_rows, row_leads, segment_leads
-from twin.discovery.scoring.contest import MOST_BLOCKS
+from twin.discovery.scoring.score_tests import MOST_BLOCKS
 from twin.network import Array, Network
 
 

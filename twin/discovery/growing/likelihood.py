@@ -1,13 +1,13 @@
-"""Likelihood of a residual whose noise is not known: its own spectrum, profiled out.
+"""Likelihood of a residual with unknown noise: its own spectrum is profiled out.
 
-The noise of a record without a healthy one beside it is not known beforehand. Cosine coefficients (DCT-II, per sensor)
-are taken as independent, with the spectrum of white noise and of an error that dies away exponentially,
+Without a healthy record the noise of a record is unknown. Cosine coefficients (DCT-II, per sensor) are taken as
+independent, with the spectrum of white noise and of an exponentially correlated error,
 
     S(k) = sigma^2 (w + a / (1 + (k / k0)^2)),      w at least 1,
 
-and each hypothesis is given the w, a and k0 that suit it best. Twice the difference of two such likelihoods is what one
-hypothesis is better than another, whatever of the misfit is slow. Three numbers rather than a variance to each band of
-periods: the slowest bands hold so few cosines that a term can empty them by chance.
+and each hypothesis has the w, a and k0 that maximise its likelihood. Twice the difference of two such likelihoods
+compares two hypotheses, however slow their misfit is. Three numbers replace a variance for each band of periods: the
+slowest bands hold so few cosines that an effect can explain them by chance.
 
 Source: Whittle's likelihood with estimated spectrum (Whittle, J. R. Stat. Soc. B 15 (1953) 125); cosines instead of
 sines and cosines, because a drift does not leak in them (Makhoul, IEEE Trans. ASSP 28 (1980) 27).
@@ -25,11 +25,11 @@ from twin.discovery.records.grid import filled
 from twin.network import Array
 
 RATIO = 1.5
-"""Of one band's end to the next one's; the likelihood is summed by bands."""
+"""Ratio of the end of a band to that of the next one; the likelihood is summed by bands."""
 WHITE = 1.5 ** np.arange(12)
 SLOW = np.concatenate([[0.0], 2.0 ** np.arange(-2.0, 22.0)])
 CORNERS = 14
-"""Values of w, of a, and how many of k0 are tried."""
+"""Values of w, of a, and the number of values of k0 that are tried."""
 
 
 @dataclass(frozen=True)
@@ -40,25 +40,25 @@ class Spectrum:
 
     @classmethod
     def white(cls, sigma: Array, n: int) -> Spectrum:
-        """The declared noise (m,) alone, for n samples."""
+        """Return the spectrum of the declared noise (m,), K, alone, for n samples."""
         return cls(np.tile(sigma**2, (n, 1)))
 
     @property
     def roots(self) -> Array:
-        """Standard deviation of each coefficient (n, m), K."""
+        """Return the standard deviation of each coefficient (n, m), K."""
         root: Array = np.sqrt(self.variance)
         return root
 
 
 def cosines(values: Array, present: np.ndarray) -> Array:
-    """Cosine coefficients (n, m, ...) of series (n, m, ...); gaps are bridged by straight lines first."""
+    """Return the cosine coefficients (n, m, ...) of series (n, m, ...); gaps are interpolated first."""
     out: Array = dct(filled(values, present, 3), type=2, norm="ortho", axis=0)
     return out
 
 
 @dataclass(frozen=True)
 class SpectrumTable:
-    """Spectra of n cosines that are tried, in units of sigma^2: `shapes` (s, n), by band `inverse`, `log` (s, b)."""
+    """Table of spectra of n cosines, in units of sigma^2: `shapes` (s, n), by band `inverse` and `log` (s, b)."""
 
     shapes: Array
     starts: np.ndarray
@@ -66,12 +66,12 @@ class SpectrumTable:
     log: Array
 
     def sums(self, squares: Array) -> Array:
-        """(n, ...) to sums by band (bands, ...)."""
+        """Return sums by band (bands, ...) of squares (n, ...)."""
         summed: Array = np.add.reduceat(squares, self.starts, axis=0)
         return summed
 
     def best(self, sums: Array) -> tuple[Array, np.ndarray]:
-        """-2 log likelihood (c,) of sums of squares by band (bands, c), and which spectrum it is."""
+        """Return -2 log likelihood (c,) of sums of squares by band (bands, c), and the index of its spectrum."""
         cost = self.inverse @ sums + self.log.sum(axis=1)[:, None]
         which: np.ndarray = cost.argmin(axis=0)
         return cost[which, np.arange(sums.shape[1])], which
@@ -79,7 +79,7 @@ class SpectrumTable:
 
 @lru_cache(maxsize=8)
 def table(n: int) -> SpectrumTable:
-    """Of n cosines."""
+    """Return the table of spectra of n cosines."""
     k = np.arange(n)
     starts = np.unique(np.concatenate([[0, 1, 2], np.floor(RATIO ** np.arange(2.0, 60.0))]).astype(int))
     starts = starts[starts < n]
@@ -93,7 +93,7 @@ def table(n: int) -> SpectrumTable:
 
 
 def judged(coefficients: Array, sigma: Array) -> tuple[float, Spectrum]:
-    """-2 log likelihood of a residual (n, m) in cosines, up to a constant, and its likeliest spectrum."""
+    """Return -2 log likelihood of a residual (n, m) in cosines, up to a constant, and its likeliest spectrum."""
     tried = table(len(coefficients))
     cost, which = tried.best(tried.sums((coefficients / sigma) ** 2))
     return float(cost.sum()), Spectrum(tried.shapes[which].T * sigma**2)

@@ -1,4 +1,4 @@
-"""Tests of an effect in a fitted set: by the likelihood, and on data that were hidden."""
+"""Tests of an effect in a fitted set: by the likelihood, and on held-out data."""
 
 from __future__ import annotations
 
@@ -6,43 +6,43 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.discovery.effects.lint import EffectLabel
+from twin.discovery.effects.ambiguity_groups import EffectLabel
 from twin.discovery.effects.phrases import said
 from twin.discovery.growing.beam import Beam, FittedSet, by_score, by_squares, likeliest
 from twin.discovery.growing.calibration import Chance, by_chance
 from twin.discovery.growing.descent import descend
+from twin.discovery.growing.growth_problem import SampledRecord, readings_of
 from twin.discovery.growing.likelihood import cosines, judged
 from twin.discovery.growing.superset.candidate_superset import name_of
-from twin.discovery.growing.unaided import SampledRecord, readings_of
 from twin.discovery.scoring.equivalence import width
 from twin.discovery.scoring.search import Entry
 from twin.network import Array
 
 LEFT = 1.3
-"""Misfit that a twin with the right effects may leave, over what noise leaves."""
+"""Misfit, relative to noise, that a twin with the right effects may leave."""
 NEEDED = 25.0
-"""Least fall of -2 log likelihood that an effect must bring, whatever chance could bring on this record."""
+"""Least fall of -2 log likelihood by an effect, whatever its null distribution on this record."""
 LEAST_LEFT = 4
-"""Sets of one size, those that leave least, that may explain most of a record."""
+"""Sets of one size, those of least squares, that may explain most of a record."""
 CHECKED = 400
-"""Sets, from the best, of which each member is asked whether it is needed."""
+"""Sets, from the best, whose members are tested."""
 REFUSED = 6
-"""Near misses that are told."""
+"""Rejected effects that are reported."""
 FOLDS, PIECES = 4, 12
-"""Folds of the cross-validation, and pieces of the record that are dealt out to them in turn."""
+"""Folds of the cross-validation, and pieces of the record that are assigned to them in turn."""
 BETTER_FOLDS = 3
 MOSTLY = 0.5
-"""Share of the squares beyond noise that may be left where most is explained."""
+"""Share of the squares beyond noise that may be left if most is explained."""
 REST = 0.1
-"""Share of the re-tuned twin's misfit that may be left beyond noise: a real rig is never quite of the forms assumed,
-and no healthy record tells how far it is from them. Public records leave 0.03 to 0.07."""
+"""Share of the re-tuned twin's misfit that may be left beyond noise. A real rig never has exactly the assumed forms,
+and without a healthy record its model error is unknown. Public records leave 0.03 to 0.07."""
 SAME = 0.02
-"""Share by which a fold's error may be worse and still count as the same."""
+"""Relative difference of a fold's errors that counts as none."""
 
 
 @dataclass(frozen=True)
 class RejectedEffect:
-    """An effect that was fitted and not added, and why."""
+    """Effect that was fitted and not added, and why."""
 
     kind: str
     where: str
@@ -52,7 +52,7 @@ class RejectedEffect:
 
 
 class Merit:
-    """Judges the sets of a beam."""
+    """Tests of the fitted sets of a beam."""
 
     def __init__(self, beam: Beam) -> None:
         self._beam, self._none = beam, beam.known[frozenset()]
@@ -63,7 +63,7 @@ class Merit:
         self._piece = np.arange(rows) * PIECES // rows
 
     def earned(self) -> FittedSet:
-        """The best set of which every member earns its place."""
+        """Return the best set of which every member passes its tests."""
         asked: dict[frozenset[str], bool] = {}
         while True:
             # To ask is to fit what is left without a member, which may be better than anything so far.
@@ -83,21 +83,21 @@ class Merit:
         return best
 
     def explains(self, found: FittedSet) -> bool:
-        """Return True for a set that leaves no more than noise, or than its assumed forms leave of a real rig."""
+        """Return True for a set that leaves no more than noise, or than the model error of its assumed forms."""
         misfit, before = (float(np.nanmean((s.fit.rms / s.problem.samples.sigma) ** 2)) for s in (found, self._none))
         return misfit <= max(LEFT, REST * before)
 
     def is_rival(self, best: FittedSet, other: FittedSet) -> bool:
-        """Return True for a set that may stand in the place of `best`.
+        """Return True for a set that may replace `best`.
 
-        Beside structural error it must also leave squares beyond noise that are less than twice those of `best`.
+        With structural error it must also leave squares beyond noise that are less than twice those of `best`.
         """
         return self.explains(best) or _beyond_noise(best) > MOSTLY * _beyond_noise(other)
 
     def essential(self, best: FittedSet) -> FittedSet:
-        """Return a set without every effect that takes less than half of the squares that are left without it.
+        """Return a set without every effect that explains less than half of the squares that are left without it.
 
-        Beside structural error a lesser effect may take any part of that error.
+        With structural error a lesser effect may explain any part of that error.
         """
         while best.fit.entries:
             shares = [(_beyond_noise(best) / _beyond_noise(self._beam.reduced(best, e)), e) for e in best.fit.entries]
@@ -108,10 +108,10 @@ class Merit:
         return best
 
     def main_effects(self, best: FittedSet) -> FittedSet:
-        """Return the set that explains most of a record which no set explains.
+        """Return the set that explains most of a record which no set explains fully.
 
-        Beside structural error the likelihood takes slow misfit for noise, so the squares of hidden folds decide. The
-        set has the size of the essential part of `best`, or more where sets of that size explain too little.
+        With structural error the likelihood treats slow misfit as noise, so the squares of held-out folds decide. The
+        set has the size of the essential part of `best`, or more if sets of that size explain too little.
         """
         essential = self.essential(best)
         for level in self._beam.levels[max(len(essential.ids), 1) :]:
@@ -127,11 +127,11 @@ class Merit:
                 return min(shares, key=lambda one: one[0])[1]
         return essential if essential.ids else best
 
-    def weighed(self, best: FittedSet, more: tuple[SampledRecord, ...]) -> FittedSet:
-        """The set that foretells further records best, without another fit.
+    def reranked(self, best: FittedSet, more: tuple[SampledRecord, ...]) -> FittedSet:
+        """Return the set that predicts further records best, without another fit.
 
-        Of sets that do as well as each other it is the one; and an effect that the record nearly carries joins them
-        where they carry it with it.
+        It is chosen among sets of about equal likelihood on this record. An effect just below the threshold on this
+        record joins them if the further records support it.
         """
         if not more:
             return best
@@ -160,7 +160,7 @@ class Merit:
             best = joined
 
     def refused(self, best: FittedSet) -> tuple[RejectedEffect, ...]:
-        """The effects that would take most of what is left, and why they were not added."""
+        """Return the effects that would explain most of the remaining misfit, and why they were rejected."""
         found: dict[EffectLabel, RejectedEffect] = {}
         for one in sorted(likeliest(self._beam.known.values()), key=by_score):
             if not best.ids < one.ids or len(one.ids) != len(best.ids) + 1 or len(found) == REFUSED:
@@ -177,28 +177,28 @@ class Merit:
         return tuple(found.values())
 
     def _why_not_both(self, best: FittedSet, one: FittedSet) -> str:
-        """Why a set is not taken in which the effect that it has more than `best` earns its place."""
+        """Return why a set is rejected although the effect that it has beyond `best` passes its tests."""
         weakest = self._weakest(one)
         if weakest is not None:
             what = f"{weakest.label[0].replace('_', ' ')} at {weakest.label[1]}"
             return f"earns its place, but beside it {what} does not: {self._why_not_with(one, weakest)}"
         if self.elsewhere(one) >= self.elsewhere(best) and self._more:
-            return "earns its place, but the further records are foretold no better with it"
+            return "passes its tests, but the further records are predicted no better with it"
         return "earns its place, but is too unlikely before any data"
 
     def _why_not_with(self, one: FittedSet, entry: Entry) -> str:
         return self._why_not(self._beam.reduced(one, entry), one, entry)
 
     def elsewhere(self, one: FittedSet) -> float:
-        """-2 log likelihood of the further records, everything but their initial states as fitted to the first."""
+        """Return -2 log likelihood of the further records, with all but their initial states as fitted to the first."""
         if not self._more:
             return 0.0
         if one.ids not in self._told:
-            self._told[one.ids] = sum(_foretelling(one, samples) for samples in self._more)
+            self._told[one.ids] = sum(_prediction_cost(one, samples) for samples in self._more)
         return self._told[one.ids]
 
     def _weakest(self, found: FittedSet) -> Entry | None:
-        """A member without which the set does as well; of several the one that is missed least."""
+        """Return a member that fails its tests; of several the one with the least loss."""
         for entry in found.fit.entries:
             # Most sets fall to a smaller one that has been fitted already.
             rest = self._beam.known.get(found.ids - {name_of(entry.candidate)})
@@ -211,7 +211,7 @@ class Merit:
         return None
 
     def _why_not(self, without: FittedSet, found: FittedSet, entry: Entry) -> str:
-        """Why an effect has not earned its place in a set, "" where it has, in all records together."""
+        """Return why an effect fails its tests in a set, over all records; "" if it passes."""
         gain = without.fit.cost - found.fit.cost + self.elsewhere(without) - self.elsewhere(found)
         if gain < NEEDED:
             return f"gains {max(gain, 0.0):.0f} where {NEEDED:.0f} are asked for"
@@ -222,19 +222,20 @@ class Merit:
             return f"gains {gain:.0f} where {chance:.0f} come by chance"
         better, share = self.on_hidden_rows(without, found)
         if better < BETTER_FOLDS or share >= 1.0:
-            return f"foretells {better} of {FOLDS} hidden parts no worse, with {share:.2f} of their squares"
+            return f"predicts {better} of {FOLDS} held-out parts no worse, with {share:.2f} of their squares"
         return ""
 
     def chance(self, without: FittedSet) -> Chance:
-        """What the best of all further effects brings a set by chance."""
+        """Return the null distribution of the best further effect's gain on a set."""
         if without.ids not in self._chance:
             self._chance[without.ids] = by_chance(without.problem, without.fit)
         return self._chance[without.ids]
 
     def on_hidden_rows(self, without: FittedSet, found: FittedSet, *, further: bool = False) -> tuple[int, float]:
-        """Folds that a set predicts no worse than a smaller one, and its squares over the other's, on hidden rows.
+        """Return the folds that a set predicts no worse than a smaller one, and the ratio of their squares, on held-out
+        rows.
 
-        With `further` these are the squares in the further records, too.
+        With `further` the squares include the further records.
         """
         squares = self.hidden(without, found).reshape(-1, FOLDS, 2).sum(axis=0)
         better = int((squares[:, 1] <= squares[:, 0] * (1.0 + SAME)).sum())
@@ -244,7 +245,7 @@ class Merit:
         return better, float(total[1] / max(total[0], 1e-12))
 
     def hidden(self, without: FittedSet, found: FittedSet) -> Array:
-        """Squares (pieces, 2) of what a smaller set and a set leave of each piece of the record that was hidden."""
+        """Return the squares (pieces, 2) that a smaller set and a set leave in each held-out piece of the record."""
         out = np.zeros((PIECES, 2))
         samples = found.problem.samples
         ways = [(fold, k, one) for fold in range(FOLDS) for k, one in enumerate((without, found))]
@@ -259,33 +260,33 @@ class Merit:
         return out
 
     def pieces(self) -> list[tuple[int, int]]:
-        """First and last row of each piece."""
+        """Return the first and last row of each piece."""
         rows = [np.flatnonzero(self._piece == k) for k in range(PIECES)]
         return [(int(r[0]), int(r[-1])) for r in rows]
 
 
 def _new(small: FittedSet, large: FittedSet) -> Entry:
-    """The effect that one set has and the other has not."""
+    """Return the effect that the larger of two sets has in addition."""
     return next(e for e in large.fit.entries if name_of(e.candidate) not in small.ids)
 
 
-def _foretelling(one: FittedSet, samples: SampledRecord) -> float:
-    """-2 log likelihood of another record, everything but its initial state as fitted to the first."""
+def _prediction_cost(one: FittedSet, samples: SampledRecord) -> float:
+    """Return -2 log likelihood of another record, with all but its initial state as fitted to the first."""
     problem = one.problem.with_entries(one.fit.entries, samples)
     left = cosines(problem.residual(problem.carried(one.fit)), problem.present)
     return judged(left, samples.sigma)[0]
 
 
 def _squares(one: FittedSet, samples: SampledRecord) -> float:
-    """Return the squares over noise that a set leaves of another record, fitted as for `_foretelling`."""
+    """Return the squares over noise that a set leaves of another record, fitted as for `_prediction_cost`."""
     problem = one.problem.with_entries(one.fit.entries, samples)
     return float(np.nansum((problem.residual(problem.carried(one.fit)) / samples.sigma) ** 2))
 
 
 def mostly_explained(after: float, before: float) -> bool:
-    """Return True where misfit `after` has at most half of what `before` has beyond noise, or little beyond noise.
+    """Return True if misfit `after` is at most half of `before`, both beyond noise, or is little beyond noise.
 
-    Both are mean squares over those of the noise.
+    Both are mean squares relative to noise.
     """
     return after - 1.0 <= max(MOSTLY * (before - 1.0), LEFT - 1.0)
 

@@ -1,4 +1,4 @@
-"""Scores of candidates for a residual that re-tuning cannot explain, by the response to a finite size."""
+"""Linear scores of candidates for a residual after re-tuning, from the response to a finite size."""
 
 from __future__ import annotations
 
@@ -9,29 +9,30 @@ from itertools import islice
 
 import numpy as np
 
+from twin.discovery.growing.growth_problem import GrowthFit, GrowthProblem, readings_of
 from twin.discovery.growing.likelihood import Spectrum
 from twin.discovery.growing.superset.candidate_superset import CandidateSuperset, unsized
-from twin.discovery.growing.unaided import GrowthFit, GrowthProblem, readings_of
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
 from twin.kernel import FEW_LANES
 from twin.network import Array
 
 KEPT = 1.0e-4
-"""Share of a signature's squares that re-tuning must leave; less is nothing of its own."""
+"""Share of a signature's squares that must remain after re-tuning; with less a candidate has no signature of its own.
+"""
 MOST = 3.0
-"""An answer is not believed beyond this many times the size that it was asked at."""
+"""Largest ratio of a size to the one that was simulated for which the linear score counts."""
 SHARES = (0.1, 0.3, 0.6, 0.95)
-"""Of the largest possible size, of what is not proportional to its size."""
+"""Shares of the largest possible size at which an effect that is nonlinear in its size is simulated."""
 ASKED = 5
 
 
 @dataclass(frozen=True)
 class Scored:
-    """A candidate at its best size, to first order, and `asked`, the size at which it does what is left to explain.
+    """Candidate at its best size, to first order; `asked` is the size that was simulated.
 
     Attributes:
-        squares: of the noise that it takes. likely: squares of what is left, by its spectrum.
+        squares: fall of the squares in units of noise. likely: squares that remain, weighted by their spectrum.
     """
 
     entry: Entry
@@ -41,7 +42,7 @@ class Scored:
 
 
 def scores(superset: CandidateSuperset, problem: GrowthProblem, fit: GrowthFit) -> list[Scored]:
-    """Every candidate that does anything that re-tuning cannot."""
+    """Return the scores of all candidates with a signature that re-tuning does not explain."""
     white = Spectrum.white(problem.samples.sigma, len(problem.samples.time))
     metrics = [_Metric(problem, fit, spectrum) for spectrum in (white, fit.spectrum)]
     rms = float(np.sqrt(np.nanmean(fit.residual**2)))
@@ -62,12 +63,12 @@ def scores(superset: CandidateSuperset, problem: GrowthProblem, fit: GrowthFit) 
 
 
 def answer_of(problem: GrowthProblem, fit: GrowthFit, entry: Entry) -> Array:
-    """Change of the readings (n, m) when an effect of the size it has joins a fit."""
+    """Return the change of the readings (n, m), K, if an effect of its size joins a fit."""
     return next(_Answers(problem, fit, [entry.candidate])([(0, entry.size)]))
 
 
 class _Answers:
-    """Changes of the readings (n, m) when effects of some sizes join a fit, one effect at a time."""
+    """Changes of the readings (n, m) if effects of some sizes join a fit, one effect at a time."""
 
     def __init__(self, problem: GrowthProblem, fit: GrowthFit, candidates: Sequence[Candidate]) -> None:
         self._ones = [problem.with_entries((*fit.entries, unsized(c, 1.0))) for c in candidates]
@@ -75,7 +76,7 @@ class _Answers:
         self._none = list(self._readings([(i, 0.0) for i in range(len(candidates))]))
 
     def __call__(self, asked: Sequence[tuple[int, float]]) -> Iterator[Array]:
-        """Of candidates, by their number, at sizes."""
+        """Yield the changes for candidates, by their number, at sizes."""
         for (i, _), readings in zip(asked, self._readings(asked), strict=True):
             yield readings - self._none[i]
 
@@ -102,7 +103,7 @@ def _best(candidate: Candidate, sizes: list[float], answers: list[Array], metric
 
 
 def _asked(candidates: Sequence[Candidate], answers: _Answers, rms: float) -> list[float]:
-    """Sizes at which each candidate does as much as is left to explain."""
+    """Return the sizes at which each candidate changes the readings by as much as the residual."""
     found = [min(c.typical, c.upper) for c in candidates]
     open_ = list(range(len(candidates)))
     for _ in range(ASKED):
@@ -119,7 +120,9 @@ def _asked(candidates: Sequence[Candidate], answers: _Answers, rms: float) -> li
 
 
 def _sizes(candidate: Candidate, size: float) -> list[float]:
-    """Sizes to ask at: that which does as much as is left to explain, and shares of the largest possible."""
+    """Return the sizes to simulate: the one that changes the readings by as much as the residual, and shares of the
+    largest.
+    """
     found = [size]
     if candidate.driver in ("history", "rate_of_change"):
         found += [0.3 * size, 3.0 * size]
@@ -130,7 +133,7 @@ def _sizes(candidate: Candidate, size: float) -> list[float]:
 
 
 class _Metric:
-    """Squares in units of a spectrum, with the tunables, the state and the effects so far projected out."""
+    """Squares in units of a spectrum, with tunables, state and the effects so far projected out."""
 
     def __init__(self, problem: GrowthProblem, fit: GrowthFit, spectrum: Spectrum) -> None:
         self._problem, self._spectrum = problem, spectrum
@@ -143,7 +146,7 @@ class _Metric:
         return out
 
     def taken(self, answer: Array, size: float, candidate: Candidate) -> tuple[float, float]:
-        """How many times `answer` suits best within what is possible, and by how much the squares then fall."""
+        """Return the best multiple of `answer` within the possible sizes, and the fall of the squares by it."""
         white = self._problem.whitened(answer, self._spectrum)
         whole, s = float(white @ white), self._less(white)
         bottom = float(s @ s)

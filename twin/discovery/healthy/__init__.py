@@ -1,1 +1,1 @@
-"""Noise and model error that a healthy record shows."""
+"""Prior knowledge of a rig from its healthy record: noise, tunables and model error."""

@@ -1,4 +1,4 @@
-"""Prior knowledge of a diagnosis: noise, tunables and their uncertainty."""
+"""Prior knowledge of a diagnosis: noise, tunables and their uncertainty, known structure."""
 
 from __future__ import annotations
 
@@ -14,26 +14,27 @@ from twin.commissioning import weak_prior
 from twin.discovery.effects.laws import Book, CandidateLaw
 from twin.discovery.effects.operating import offsets
 from twin.discovery.effects.probe import FreeRun, Probe, free_run
+from twin.discovery.healthy.claim_threshold import Bootstrap, kept
 from twin.discovery.healthy.health import Health, NotHealthyError
-from twin.discovery.healthy.in_health import InHealth, MissingInHealth
-from twin.discovery.healthy.widening import Bootstrap, kept
+from twin.discovery.healthy.law_amplitudes import HealthyResidual, MissingInHealth
 from twin.discovery.records import noise as noises
 from twin.discovery.records.grid import Grid, on_grid, sample_period
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import scan
 from twin.discovery.scoring.structure import Structure
 from twin.gauss_newton import GaussianPrior
 from twin.network import Array, Network, TwinFileError
 
 BETTER = 0.9
-"""Share of the squares that a newer twin leaves of a healthy record which an older one has to stay below."""
+"""Ratio of squares on a healthy record below which an older twin replaces a newer one."""
 
 
 @dataclass(frozen=True)
 class Columns:
-    """A record as a network sees it: time (N,) s, inputs (N, c), measured (N, m) degC.
+    """Record in the columns of a network: time (N,) s, inputs (N, c), measured (N, m) degC.
 
-    `members` holds the single thermometers (N, c) of every sensor that is the mean of several, NaN where one is not.
+    `members` holds the single thermometers (N, c) of every sensor that is the mean of several, NaN where one is
+    missing.
     """
 
     time_s: Array
@@ -43,7 +44,11 @@ class Columns:
 
     @classmethod
     def of(cls, network: Network, time_s: ArrayLike, columns: Mapping[str, ArrayLike]) -> Columns:
-        """Select a network's columns; raises TwinFileError where some are missing."""
+        """Select a network's columns.
+
+        Raises:
+            TwinFileError: some columns are missing.
+        """
         inputs, measured = network.select(columns)
         nothing = np.full(len(measured), np.nan)
         single = {
@@ -56,9 +61,9 @@ class Columns:
 
 @dataclass(frozen=True)
 class CommissionedRecord(Columns):
-    """A healthy record, and the twin as it was `before` it took up what that record does not hold, newest first.
+    """Healthy record, with the twins `before` each adopted effect that the record does not hold, newest first.
 
-    Those of `before` have the columns of the twin at hand.
+    Those of `before` have the columns of the present twin.
     """
 
     before: tuple[Network, ...] = ()
@@ -66,16 +71,15 @@ class CommissionedRecord(Columns):
 
 @dataclass(frozen=True)
 class Basis:
-    """What is known before the record is looked at.
+    """Prior knowledge about a rig, before its record is used.
 
     Attributes:
-        tried: (2, c) lowest and highest inputs, but for short moments, of the healthy record, or of the record where
+        tried: (2, c) lowest and highest inputs, without short excursions, of the healthy record, or of the record if
             there is none.
-        structure: what the twin's structure leaves, as far as the healthy record says. plain: the noise where none of
-            that is known.
-        bootstrap: what healthy records drawn from this twin came to, where that was found out (`bootstrap`).
-        earlier: the twin that the healthy record belongs to, where it is not the one at hand, or None.
-        health: the healthy record, or None. missing: laws that it and a record say the twin lacked in health already.
+        structure: model error, as estimated from the healthy record. plain: the noise if no model error is known.
+        bootstrap: results on simulated healthy records of this twin, if there are any (`bootstrap`).
+        earlier: the twin that the healthy record belongs to if it is not the present one, or None.
+        health: the healthy record, or None. missing: laws that the twin lacked already in health, by both records.
     """
 
     probe: Probe
@@ -88,12 +92,12 @@ class Basis:
     structure: Structure | None = None
     bootstrap: Bootstrap | None = None
     earlier: Network | None = None
-    health: InHealth | None = None
+    health: HealthyResidual | None = None
     missing: MissingInHealth | None = None
 
     @property
     def sentence(self) -> str:
-        """Which twin the healthy record belongs to, where it is not the one at hand, else ""."""
+        """Return a sentence about the twin that the healthy record belongs to, or "" if it is the present one."""
         if self.earlier is None:
             return ""
         silent = [s.name for s in self.probe.network.sensors if len(s.measured) > 1 and s.node in self.taken_up]
@@ -104,7 +108,7 @@ class Basis:
 
     @cached_property
     def taken_up(self) -> frozenset[str]:
-        """Nodes that an effect has been taken up at since the healthy record."""
+        """Return the nodes at which an effect has been adopted since the healthy record."""
         if self.earlier is None:
             return frozenset()
         now, then = self.probe.network, self.earlier
@@ -116,26 +120,26 @@ class Basis:
         }
         return frozenset(node for e in now.elements if e.name in new for node in e.nodes())
 
-    def contest(self, grid: Grid, state: Array, run: FreeRun, laws: list[CandidateLaw]) -> Contest:
-        """The quadratic form of a record with these laws."""
+    def score_test(self, grid: Grid, state: Array, run: FreeRun, laws: list[CandidateLaw]) -> ScoreTest:
+        """Return the score test of a record with these laws."""
         structure = self.structure
         if structure is not None:
             here = offsets(self.probe.network, laws, grid)
             structure, laws = structure.beyond(here), [*laws, *here]
-        return Contest(self.probe, grid, state, run, self.noise, self.prior, structure, laws)
+        return ScoreTest(self.probe, grid, state, run, self.noise, self.prior, structure, laws)
 
     @property
     def claim(self) -> float:
-        """Log posterior odds that a bootstrap of this twin asks of a claim; 0 without one."""
+        """Return the log posterior odds that a bootstrap of this twin requires for a claim; 0 without one."""
         return 0.0 if self.bootstrap is None else self.bootstrap.claim
 
 
 def basis(network: Network, healthy: Columns | None, record: Grid, period_s: float = 0.0) -> Basis:
-    """Noise and prior from a healthy record, or from the record itself.
+    """Return noise and prior from a healthy record, or from the record itself.
 
     Args:
-        period_s: interval of the record's samples, with which the healthy record is looked at too. Between two samples
-            nothing tells when a load changed, and a twin driven by them is off by as much in health.
+        period_s: interval of the record's samples, to which the healthy record is thinned. Between two samples the time
+            of a load change is unknown, and a twin driven by them has the same error in health.
 
     Raises:
         NotHealthyError: the healthy record does not fit the twin. TwinFileError: a twin without tunables.
@@ -179,7 +183,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid, period_s: flo
 
 
 def _asked(network: Network, ids: tuple[str, ...], late_at_once: bool) -> tuple[Probe, Book]:
-    """Probe and book of a network; those of the last few are kept, as one twin is asked about several records."""
+    """Return probe and book of a network; those of the last few are cached, as one twin serves several records."""
     for known, tunables, late, probe, book in _last:
         if known is network and tunables == ids and late == late_at_once:
             return probe, book
@@ -192,7 +196,7 @@ _last: deque[tuple[Network, tuple[str, ...], bool, Probe, Book]] = deque(maxlen=
 
 
 def _as_often(healthy: Columns, period_s: float) -> Columns:
-    """Return a healthy record with samples `period_s` apart, or as it is where that is no coarser."""
+    """Return a healthy record with samples `period_s` apart, or unchanged if that is no coarser."""
     every = round(period_s / sample_period(healthy.time_s)) if len(healthy.time_s) > 1 else 1
     if every < 2:
         return healthy
@@ -203,7 +207,7 @@ def _as_often(healthy: Columns, period_s: float) -> Columns:
 
 
 def _healthy(network: Network, probe: Probe, book: Book, healthy: Columns) -> tuple[Health, Probe]:
-    """What a healthy record says by the twin that it fits best, and the probe of that; the newest of equals."""
+    """Return what the twin that fits a healthy record best learns from it, and its probe; of equals the newest."""
     before = healthy.before if isinstance(healthy, CommissionedRecord) else ()
     best, least = probe, np.inf
     for then in (network, *before) if before else ():
@@ -220,7 +224,7 @@ def _healthy(network: Network, probe: Probe, book: Book, healthy: Columns) -> tu
 
 
 def _about(prior: GaussianPrior, of: Probe, now: Probe) -> GaussianPrior:
-    """What a twin's tunables were trusted to be, about the values that it has now."""
+    """Return the prior of an earlier twin's tunables, centred on the values of the present one."""
     if of is now:
         return prior
     shared = [i for i, name in enumerate(of.scaling.ids) if name in now.scaling.ids]
@@ -244,19 +248,19 @@ def _tried(grid: Grid) -> Array:
 def _from_itself(
     probe: Probe, book: Book, grid: Grid, state: Array, noise: noises.Noise, prior: GaussianPrior
 ) -> noises.Noise:
-    """Noise of what is left after the best three hypotheses have taken what they can, twice."""
+    """Return the noise of the record after its best three hypotheses have been subtracted, in two iterations."""
     run = probe.run(grid, state)
     candidates = book.laws(grid, run)
     for _ in range(2):
-        contest = Contest(probe, grid, state, run, noise, prior)
+        score_test = ScoreTest(probe, grid, state, run, noise, prior)
         chosen: list[Array] = []
         for _ in range(3):
-            found = scan(contest, candidates, np.stack(chosen) if chosen else None)
+            found = scan(score_test, candidates, np.stack(chosen) if chosen else None)
             if not found or found[0].z < 3.0:
                 break
             chosen.append(found[0].vector)
-        sizes = contest.estimate(np.stack(chosen) if chosen else np.empty((0, contest.sites, contest.b))).sizes
-        moved = contest.moved(np.array(chosen), sizes)
-        left = contest.left_over(np.array(chosen), sizes, moved)
-        noise = noises.learn_blocks(left, grid.sigma, contest.step_s, grid.step_s, noise)
+        sizes = score_test.estimate(np.stack(chosen) if chosen else np.empty((0, score_test.sites, score_test.b))).sizes
+        moved = score_test.moved(np.array(chosen), sizes)
+        left = score_test.left_over(np.array(chosen), sizes, moved)
+        noise = noises.learn_blocks(left, grid.sigma, score_test.step_s, grid.step_s, noise)
     return noise

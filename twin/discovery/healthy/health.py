@@ -1,4 +1,4 @@
-"""A twin's healthy record: what it says of the noise, of the tunables and of what the twin's structure leaves."""
+"""Healthy record of a twin: estimates of the noise, of the tunables and of the model error."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from twin.commissioning import variance_inflation
 from twin.discovery.effects.laws import Book, CandidateLaw
 from twin.discovery.effects.operating import offsets
 from twin.discovery.effects.probe import FreeRun, Probe, free_run, posterior
-from twin.discovery.healthy.in_health import InHealth
+from twin.discovery.healthy.law_amplitudes import HealthyResidual
 from twin.discovery.records import noise as noises
 from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.records.noise import Noise
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.structure import Structure, structure_of
 from twin.gauss_newton import GaussianPrior
 from twin.network import Array, Network, TwinFileError
@@ -24,26 +24,25 @@ if TYPE_CHECKING:
     from twin.discovery.healthy.basis import Columns
 
 WIDEN = 1.0
-"""Factor on the variance that commissioning quotes for the tunables, which what its residual is like has widened."""
+"""Factor on the variance of the tunables from commissioning, which the colour of its residual has already increased."""
 HELD = 1.0e9
-"""Precision of tunables that are held where they are."""
-FORETOLD = 0.5
-"""Share of what the structure amounts to that is thought to come back as it was; the rest is noise."""
+"""Precision of fixed tunables."""
+RETURNING = 0.5
+"""Share of the model error that returns in another record; the rest is noise."""
 UNHEALTHY, AS_LEFT = 6.0, 1.5
-"""Times the noise of a thermometer that a healthy record's residual may reach, or what the twin left when it was
-commissioned, where that is more: a rig of which a lumped twin tells no more is no less healthy for it."""
+"""Ratio of a healthy record's residual to a thermometer's noise, and to the error when commissioned, up to which it is
+healthy. The larger limit counts: the model error of a lumped twin is no fault."""
 
 
 class NotHealthyError(TwinFileError):
-    """The record that is said to be healthy is not, or not of this twin; the message is about that record."""
+    """Error for a record that is declared healthy and is not, or not of this twin; the message is about that record."""
 
 
 @dataclass(frozen=True)
 class Health:
-    """What a healthy record says: noise as it is, `less` of it where the structure is known, and the rest.
+    """Estimates from a healthy record: its noise, the noise `less` its known model error, and that model error.
 
-    `itself` is the record for further questions; `rough` says what the twin leaves of it, where that is far more than
-    noise, else "".
+    `itself` is the record for further estimates; `rough` is a sentence about a residual far above noise, else "".
     """
 
     grid: Grid
@@ -51,12 +50,12 @@ class Health:
     less: Noise
     prior: GaussianPrior
     structure: Structure
-    itself: InHealth
+    itself: HealthyResidual
     rough: str = ""
 
     @classmethod
     def of(cls, network: Network, probe: Probe, book: Book, healthy: Columns) -> Health:
-        """Read a healthy record with a twin that was commissioned on it.
+        """Estimate noise, prior and model error from a healthy record with the twin that was commissioned on it.
 
         Raises:
             NotHealthyError: the record does not fit the twin.
@@ -70,18 +69,18 @@ class Health:
         noise = noises.learn(residual, grid.sigma, grid.step_s, run.readings)
         laws, held = book.laws(grid, run), _held(prior, probe.q)
         here = offsets(network, laws, grid)
-        structure = structure_of(Contest(probe, grid, state, run, noise, held), laws, here)
+        structure = structure_of(ScoreTest(probe, grid, state, run, noise, held), laws, here)
         amount = _readings(structure, probe, grid, state, run, noise, held, [*laws, *here])
-        less = noises.learn(residual - FORETOLD * amount, grid.sigma, grid.step_s, run.readings)
-        structure = structure_of(Contest(probe, grid, state, run, less, held), laws, here)
-        return cls(grid, noise, less, prior, structure, InHealth(probe, book, grid, state, run, noise), rough)
+        less = noises.learn(residual - RETURNING * amount, grid.sigma, grid.step_s, run.readings)
+        structure = structure_of(ScoreTest(probe, grid, state, run, less, held), laws, here)
+        return cls(grid, noise, less, prior, structure, HealthyResidual(probe, book, grid, state, run, noise), rough)
 
 
 def _rough(network: Network, rms: Array) -> str:
-    """What is to say of a twin that leaves so much (m,), K, of its healthy record; "" where it is of a size with noise.
+    """Return a sentence about a twin with RMSE (m,), K, far above noise on its healthy record; else "".
 
     Raises:
-        NotHealthyError: it is more than the twin left when it was commissioned.
+        NotHealthyError: the RMSE is larger than when the twin was commissioned.
     """
     single = np.array([network.parameters[f"{s.name}.sigma"].value for s in network.sensors])
     then = (network.revision.error_after_K, network.revision.error_fitted_K)
@@ -104,10 +103,10 @@ def _rough(network: Network, rms: Array) -> str:
 
 
 def _held(prior: GaussianPrior, q: int) -> GaussianPrior:
-    """The prior with its q tunables held.
+    """Return the prior with its q tunables fixed.
 
-    What tunables and structure can both take up is told by their sum; with each of the two as open as the other leaves
-    it, the sum would be open as well, and a later record's effect lost in it.
+    Tunables and structure can explain the same misfit, and only their sum is identifiable. With a separate uncertainty
+    for each, the sum would be uncertain too, and hide the effect of a later record.
     """
     precision = prior.precision.copy()
     precision[:q, :q] += HELD * np.eye(q)
@@ -124,8 +123,8 @@ def _readings(
     prior: GaussianPrior,
     laws: list[CandidateLaw],
 ) -> Array:
-    """What a structure, and the tunables with it, amount to in the readings (n, m), K."""
-    contest = Contest(probe, grid, state, run, noise, prior, structure, laws)
+    """Return the change of the readings (n, m), K, by the model error and the tunables that go with it."""
+    score_test = ScoreTest(probe, grid, state, run, noise, prior, structure, laws)
     size = dict(zip((c.id for c in structure.candidates), structure.sizes, strict=True))
     heat, reading = np.zeros_like(run.temperatures), np.zeros_like(run.readings)
     for law in laws:
@@ -133,6 +132,6 @@ def _readings(
             heat = heat if law.heat is None else heat + size[law.candidate.id] * law.heat
             reading = reading if law.reading is None else reading + size[law.candidate.id] * law.reading
     changed = probe.run(grid, state, injected=heat).readings - run.readings + reading
-    moved = contest.moved(np.empty((0, contest.sites, contest.b)), np.empty(0))
+    moved = score_test.moved(np.empty((0, score_test.sites, score_test.b)), np.empty(0))
     amount: Array = changed + probe.sensitivities(grid, state) @ moved
     return amount

@@ -1,1 +1,1 @@
-"""Leads: where to look in a record that no effect explains, each beyond what noise does by chance."""
+"""Leads: segments, input ranges, places and rows of an unexplained record in which the misfit is significant."""

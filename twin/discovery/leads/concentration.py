@@ -1,10 +1,9 @@
 """Segments of a record, and ranges of its inputs, in which the squares of a whitened residual concentrate.
 
-Segments are the pieces of one variance into which the likelihood cuts the record. For an input, blocks are put in
-order of its value, and every interval is compared with the rest: two variances, neither below that of noise, against
-one. The root of this likelihood ratio is lowered by a penalty of the interval's length, so that short intervals, which
-are many, do not win by their number. Both thresholds are what records of pure noise reach with probability `LEVEL`, by
-simulation.
+Segments are the pieces of constant variance into which the likelihood partitions the record. For an input, blocks are
+sorted by its value, and every interval is compared with the rest: two variances, neither below that of noise, against
+one. The root of this likelihood ratio is lowered by a penalty of the interval's length, since short intervals are
+numerous. Both thresholds are exceeded by pure noise with probability `LEVEL`, by simulation.
 
 Sources: optimal partitioning of Jackson et al., IEEE Signal Process. Lett. 12 (2005) 105; multiscale scan with the
 length penalty of Dümbgen & Spokoiny, Ann. Statist. 29 (2001) 124.
@@ -23,20 +22,20 @@ from scipy.special import chdtrc
 from twin.network import Array
 
 LEVEL = 0.01
-"""Probability by which noise alone gives a lead of one kind in a record."""
+"""False-alarm probability of one kind of lead in a record of noise."""
 COINCIDENCE = 0.05
-"""Probability by which a misfit that has nothing to do with the inputs is said to depend on one: the usual 5 %, as a
-lead is a hint, and a record of some hours has no more than a hundred shifts to compare with."""
+"""False-alarm probability of a dependence on an input, for misfit that depends on none: the usual 5 %, as a lead is a
+hint, and a record of some hours has no more than a hundred shifts to compare with."""
 DRAWS = 499
-"""Records of noise per threshold: the hundredth part of one more than these is a whole number."""
+"""Simulated records of noise per threshold, so that a hundredth of one more than these is a whole number."""
 MOST_SEGMENTS, MOST_RANGES = 3, 2
 """Segments, and ranges of inputs, that are named: an operator looks at a few places."""
 LEAST_SHARE = 0.1
-"""Share of the squares beyond noise that a segment must hold: with less it is not where to look first."""
+"""Least share of the squares beyond noise that a segment holds."""
 NOTED = 0.1
-"""Share of a record's misfit that effects must leave beyond noise to be looked into: no form of an effect is exact."""
+"""Share of a record's misfit that effects must leave beyond noise for leads: no form of an effect is exact."""
 GROUPS = 24
-"""Groups of equally many blocks, by the value of an input: blocks of one of at most 240 then count ten."""
+"""Groups of equally many blocks, by the value of an input; each has ten blocks of 240."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +85,8 @@ def segments(squares: ResidualSquares) -> tuple[Concentration, ...]:
     """Return the segments of a record in which squares concentrate, in order of time; none where only noise is left.
 
     The record is cut into pieces of one variance each by the least -2 log likelihood, where each cut costs as much as
-    noise gains by one with probability `LEVEL`. Pieces above the record's mean are joined where they meet, and
-    those that hold most are taken.
+    noise gains by one with probability `LEVEL`. Pieces above the record's mean are joined where they meet, and those
+    that hold most are taken.
     """
     total, count = squares.total, squares.count.astype(np.float64)
     cuts = _cuts(total, count, _cut_cost(tuple(count.tolist())))
@@ -167,7 +166,7 @@ def input_ranges(squares: ResidualSquares, inputs: Array, memory: int | None) ->
 
 
 def _orders(b: int, memory: int | None, rng: np.random.Generator) -> np.ndarray:
-    """Return orders of blocks (n, b) under which the residual has nothing to do with the inputs."""
+    """Return orders of blocks (n, b) under which the residual is independent of the inputs."""
     if memory is None:
         return np.stack([rng.permutation(b) for _ in range(DRAWS)])
     shifts = np.arange(memory + 1, b - memory)
@@ -243,7 +242,7 @@ def _quantile(scores: Array) -> float:
 
 @lru_cache(maxsize=16)
 def _cut_cost(count: Sequence[float]) -> float:
-    """Return what noise gains by a cut with probability `LEVEL`: the most of any interval over the cuts it needs."""
+    """Return the cost of a cut that noise exceeds with probability `LEVEL`, from the best interval over its cuts."""
     many = np.array(count)
     noise = _noise(many, np.random.default_rng(0), DRAWS)
     sums = np.concatenate([np.zeros((DRAWS, 1)), np.cumsum(noise, axis=1)], axis=1)

@@ -1,8 +1,8 @@
-"""Single suspicious rows: a reading or an input that leaves both its neighbours for one row, and comes back.
+"""Single suspicious rows: a reading or an input that deviates from both its neighbours for one row, and returns.
 
-A step of the rig, a ramp and noise that is correlated in time differ from one neighbour at most, or on opposite sides.
-A row counts if it is off from the rows before and from those after, in the same direction, by more than noise does
-anywhere in the record with probability `LEVEL` (Bonferroni, an upper bound).
+A step of the rig, a ramp and correlated noise differ from one neighbour at most, or on opposite sides. A row counts if
+it deviates from the rows before and from those after, in the same direction, by more than noise does anywhere in the
+record with probability `LEVEL` (Bonferroni, an upper bound).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from twin.discovery.leads.concentration import DRAWS, LEVEL
 from twin.network import Array
 
 MOST_ROWS = 5
-"""Rows that are named. An input that leaves its level for one row more often than that moves so by nature."""
+"""Rows that are named at most. An input that deviates for one row more often than that is expected to do so."""
 MAD = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation."""
 ON_A_SIDE = 2

@@ -11,7 +11,7 @@ from twin.discovery.diagnosis import Course, Lead
 from twin.discovery.effects.phrases import amount, clock, lasting
 from twin.discovery.effects.statement import disturbance_statement
 from twin.discovery.healthy.basis import Columns
-from twin.discovery.healthy.visited import BRIEF, STEADY
+from twin.discovery.healthy.operating_range import BRIEF, STEADY
 from twin.discovery.leads.concentration import ResidualSquares, input_ranges, segments
 from twin.discovery.leads.rows import MOST_ROWS, Suspicious, near_steps, suspicious_inputs, suspicious_readings
 from twin.network import Array, InputSpec, Network
@@ -20,7 +20,7 @@ from twin.segments import CLOCK_PREFIX
 NEARLY_ALL = 0.995
 """Share from which it is given as nearly all."""
 FOLLOWS = 0.7
-"""Correlation from which a course is said to follow an input, as `places.localise.describe` has it."""
+"""Correlation from which a course follows an input, as in `places.localise.describe`."""
 
 
 def segment_leads(squares: ResidualSquares, first_s: Array, last_s: Array, at_rest: bool = False) -> tuple[Lead, ...]:
@@ -63,8 +63,9 @@ def range_leads(network: Network, squares: ResidualSquares, inputs: Array, memor
 
 
 def outside_leads(network: Network, squares: ResidualSquares, inputs: Array, healthy: Columns) -> tuple[Lead, ...]:
-    """Return the inputs (b, c) that leave what they ranged over in the healthy record, by more than an input does that
-    hardly moves."""
+    """Return the inputs (b, c) far outside their range in the healthy record, by more than a nearly constant input
+    varies.
+    """
     found = []
     for j, (column, spec) in enumerate(network.inputs.items()):
         then = healthy.inputs[np.isfinite(healthy.inputs[:, j]), j]
@@ -162,7 +163,7 @@ def _course(description: dict[str, Any]) -> str:
 
 
 def _room(spec: InputSpec) -> float:
-    """Return by how much an input moves that is taken to hardly move."""
+    """Return the variation of an input that counts as nearly constant."""
     width = spec.upper - spec.lower
     return STEADY * float(width if np.isfinite(width) else abs(spec.nominal))
 

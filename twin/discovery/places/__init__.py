@@ -1,1 +1,1 @@
-"""Places of effects that the catalogue does not have."""
+"""Localisation of effects that the catalogue does not have."""

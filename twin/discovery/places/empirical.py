@@ -1,9 +1,9 @@
-"""A curve instead of a cause: what enters at a place as a function of something known, offered, not adopted silently.
+"""Empirical curve in place of a cause: heat at a place as a function of one known variable, offered but never adopted
+silently.
 
-Where no known effect explains a record, the heat that is missing at the likeliest node is fitted, on the part of the
-record that a fit may see, as straight lines between knots of one variable (Kristensen, Madsen & Jorgensen, Comput.
-Chem. Eng. 28 (2004) 1431, steps b to d). It is worth offering only if the free run on the held-out part is better for
-it.
+If no known effect explains a record, the missing heat at the likeliest node is fitted on the fitting segment, by linear
+interpolation between knots of one variable (Kristensen, Madsen & Jorgensen, Comput. Chem. Eng. 28 (2004) 1431, steps b
+to d). It is offered only if it improves the free run on the held-out segment.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
     from twin.discovery.healthy.basis import Basis
 
 BETTER = 0.8
-"""Share of the re-tuned twin's squared held-out error that a curve must get below."""
+"""Share of the re-tuned twin's squared held-out error below which a curve is offered."""
 _LEAST_SPREAD = 0.02
 
 
 @dataclass(frozen=True)
 class Empirical:
-    """A curve that is offered: heat `heats` (5,) W at `node` at the `knots` (5,) of `variable`.
+    """Curve on offer: heat `heats` (5,) W at `node` at the `knots` (5,) of `variable`.
 
-    `network` is the twin with it; `errors`: sensor -> RMSE in K of ten-second means over the held-out part, re-tuned
+    `network` is the twin with it; `errors`: sensor -> RMSE in K of ten-second means over the held-out segment, re-tuned
     alone and with the curve.
     """
 
@@ -49,7 +49,7 @@ class Empirical:
     says: str
 
     def document(self) -> dict[str, Any]:
-        """For `diagnosis.json`."""
+        """Return its part of `diagnosis.json`."""
         return {
             "where": self.node,
             "follows": self.variable,
@@ -61,7 +61,7 @@ class Empirical:
 
 @dataclass(frozen=True)
 class TooMuchHeat:
-    """Missing heat that no effect can hold: the record contradicts the twin. `says` is a sentence for the user."""
+    """Missing heat beyond any possible effect: the record contradicts the twin. `says` is a sentence for the user."""
 
     says: str
 
@@ -69,31 +69,31 @@ class TooMuchHeat:
 def offer(
     finding: Finding, known: Basis, grid: Grid, split: int, found: tuple[Course, ...], errors: dict[str, SensorError]
 ) -> Empirical | TooMuchHeat | None:
-    """The best curve for the heat missing at the likeliest node; None where none is of use on the held-out part.
+    """Return the best curve of the missing heat at the likeliest node; None if none improves the held-out segment.
 
     Args:
         grid: the whole record, held out from bin `split` on. errors: of the twin re-tuned alone.
     """
     if not found or found[0].signature != "energy":
         return None
-    network, contest = known.probe.network, finding.contest
+    network, score_test = known.probe.network, finding.score_test
     node = next((c.site for c in found if c.site in network.nodes), "")
     if not node:
         return None
     k = network.nodes.index(node)
     best: tuple[float, str, Array, Array, Array] | None = None
     for name, values in _variables(network, grid, node).items():
-        blocks = contest.block_means(values[: contest.edges[-1]])
+        blocks = score_test.block_means(values[: score_test.edges[-1]])
         low, high = float(np.nanmin(blocks)), float(np.nanmax(blocks))
         if not high - low > _LEAST_SPREAD * max(abs(low), abs(high), 1e-9):
             continue
         knots = np.linspace(low, high, KNOTS)
-        vectors = np.zeros((KNOTS, contest.sites, contest.b))
+        vectors = np.zeros((KNOTS, score_test.sites, score_test.b))
         vectors[:, k] = _hats(np.nan_to_num(blocks, nan=low), knots)
-        fitted = contest.estimate(vectors)
-        score = fitted.gain - KNOTS * math.log(contest.count)
+        fitted = score_test.estimate(vectors)
+        score = fitted.gain - KNOTS * math.log(score_test.count)
         if best is None or score > best[0]:
-            best = (score, name, knots, fitted.sizes, contest.moved(vectors, fitted.sizes))
+            best = (score, name, knots, fitted.sizes, score_test.moved(vectors, fitted.sizes))
     if best is None or best[0] <= 0.0:
         return None
     _, name, knots, heats, moved = best
@@ -129,7 +129,9 @@ def offer(
 
 
 def _variables(network: Network, grid: Grid, node: str) -> dict[str, Array]:
-    """What the heat may follow (n,): every input, and the temperature of the node itself where it is read."""
+    """Return the variables (n,) that the heat may follow: every input, and the node's own temperature if it is
+    measured.
+    """
     out = {column: grid.inputs[:, j] for j, column in enumerate(network.input_columns)}
     for j, sensor in enumerate(network.sensors):
         if sensor.node == node:
@@ -138,7 +140,7 @@ def _variables(network: Network, grid: Grid, node: str) -> dict[str, Array]:
 
 
 def _hats(values: Array, knots: Array) -> Array:
-    """Weights (knots, b) of straight lines between knots."""
+    """Return the weights (knots, b) of linear interpolation between knots."""
     return np.stack([np.interp(values, knots, row) for row in np.eye(len(knots))])
 
 

@@ -1,8 +1,8 @@
-"""Localisation without a catalogue: one unknown quantity at one site, free to change from block to block.
+"""Localisation without a catalogue: one unknown quantity at one site, free in each block.
 
 A random walk at the site, given all readings, is the smoother of an augmented Kalman filter (Rauch, Tung & Striebel,
-AIAA J. 3 (1965) 1445) written in one step, since the contest already holds the whole record as a quadratic form. Its
-marginal likelihood says how well an unknown at this site explains the record; the walk's size is profiled.
+AIAA J. 3 (1965) 1445), solved in one step, since the score test holds the whole record as a quadratic form. Its
+marginal likelihood ranks the sites; the walk's step size is profiled.
 """
 
 from __future__ import annotations
@@ -14,32 +14,32 @@ from scipy.linalg import solve_triangular
 
 from twin.discovery.diagnosis import Course
 from twin.discovery.places.sites import Site
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.network import Array
 
 WALK_PER_BLOCK = (0.03, 0.1, 0.3, 1.0, 3.0)
 """Step of the walk from block to block, in typical sizes of the site, that are tried."""
 
 
-def courses(contest: Contest, sites: dict[str, Site], begins: float) -> tuple[Course, ...]:
-    """Return the unknown courses at each site, the likeliest first.
+def courses(score_test: ScoreTest, sites: dict[str, Site], begins: float) -> tuple[Course, ...]:
+    """Return the posterior courses of an unknown quantity at each site, the likeliest first.
 
-    A course is the running sum of a beginning and of independent steps, whose sizes are the unknowns: their prior is
+    A course is the cumulative sum of an initial value and independent steps, which are the unknowns: their prior is
     diagonal.
 
     Args:
-        begins: standard deviation of the beginning, in typical sizes of the site; that of the sizes of named laws, for
-            otherwise an unknown would be the likelier of the two for a large fault.
+        begins: prior standard deviation of the initial value, in typical sizes of the site. It is that of the sizes of
+            named laws, since otherwise an unknown would be the likelier of the two for a large fault.
     """
     found = []
     for name, site in sites.items():
-        gram, score = contest.small(site.vector)
+        gram, score = score_test.small(site.vector)
         gram, score = _late_sums(_late_sums(gram).T), _late_sums(score)
         best: tuple[float, Array, Any, Any] | None = None
         for share in WALK_PER_BLOCK:
-            scale: Array = np.full(contest.b, share * site.typical)
+            scale: Array = np.full(score_test.b, share * site.typical)
             scale[0] = begins * site.typical
-            lower = np.linalg.cholesky(np.eye(contest.b) + gram * np.outer(scale, scale))
+            lower = np.linalg.cholesky(np.eye(score_test.b) + gram * np.outer(scale, scale))
             half = solve_triangular(lower, scale * score, lower=True, check_finite=False)
             evidence = 0.5 * float(half @ half) - float(np.log(np.diag(lower)).sum())
             if best is None or evidence > best[0]:
@@ -52,7 +52,7 @@ def courses(contest: Contest, sites: dict[str, Site], begins: float) -> tuple[Co
         summed = np.cumsum(root, axis=1)
         mean, sd = summed.T @ half, np.sqrt((summed**2).sum(axis=0))
         counted = min(site.counts * evidence, evidence)
-        found.append(Course(name, site.unit, contest.hours, mean, sd, counted, site.signature, site.where))
+        found.append(Course(name, site.unit, score_test.hours, mean, sd, counted, site.signature, site.where))
     found.sort(key=lambda c: -c.log_evidence)
     return tuple(found)
 
@@ -64,7 +64,7 @@ def _late_sums(values: Array) -> Array:
 
 
 def describe(course: Course, drivers: dict[str, Array], step_h: float) -> dict[str, Any]:
-    """What a course looks like: since when, how much, what it follows.
+    """Return onset, size and driver of a course.
 
     Args:
         drivers: name -> block means (b,) of what it may follow.
@@ -103,7 +103,7 @@ def describe(course: Course, drivers: dict[str, Array], step_h: float) -> dict[s
 
 
 def _onset(mean: Array) -> int:
-    """First block of the latter of two pieces that differ most in mean square."""
+    """Return the first block of the second of two segments that differ most in mean square."""
     n = len(mean)
     squares = np.cumsum(mean**2)
     at = np.arange(1, n - 1)
@@ -115,7 +115,7 @@ def _onset(mean: Array) -> int:
 
 
 def _period(values: Array, step_h: float) -> tuple[float, float]:
-    """Strongest period, s, and its share of the variance (with its first harmonic)."""
+    """Return the strongest period, s, and its share of the variance (with its first harmonic)."""
     if len(values) < 24:
         return 0.0, 0.0
     spectrum = np.abs(np.fft.rfft(values - values.mean())) ** 2

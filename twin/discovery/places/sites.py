@@ -1,7 +1,7 @@
-"""Places where an unknown may act: heat at a node, an error of a thermometer, the flow, the fan, the room's reading.
+"""Sites of an unknown quantity: heat at a node, a thermometer error, the flow, the fan, the room's reading.
 
-Each is one quantity free to change from block to block. Heat at a node needs no law; the flow, the fan and the room act
-through the laws of the elements that they drive, so that what they do to all nodes at once is known.
+Each is one quantity that is free in each block. Heat at a node needs no law. Flow, fan and room act through the laws of
+the elements that they drive, so that their action on all nodes together is known.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from twin.discovery.diagnosis import Course, Effect
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.records.grid import Grid
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.network import Array, Network
 
 Signature = Literal["energy", "transport", "sensor"]
@@ -27,16 +27,17 @@ SPOKEN = {
 }
 TYPICAL_W, TYPICAL_K = 20.0, 0.2
 ROOM = 0.95
-"""An error of the room's thermometer, free from block to block, does nearly all that a radiator can do in a way that no
-catalogue knows, and is rarer."""
+"""Share of its evidence that an error of the room's thermometer has. It imitates nearly all unlisted errors of a
+radiator, and is rarer."""
 _DRIVERS = {"heater_power_W": "heater_power", "pump_speed_pct": "pump_speed", "fan_speed_pct": "fan_speed"}
 
 
 @dataclass(frozen=True)
 class Site:
-    """A place of an unknown: `vector` (sites, b) of one unit, a typical size, where it is in a diagnosis's words.
+    """Site of an unknown quantity: `vector` (sites, b) of one unit, a typical size, its place in the diagnosis's
+    vocabulary.
 
-    `counts` is the share of its evidence that counts, as what is likelier beforehand is told if it is nearly as good.
+    `counts` is the share of its evidence that counts, so that a site of higher prior wins if it is nearly as good.
     """
 
     vector: Array
@@ -47,16 +48,16 @@ class Site:
     counts: float = 1.0
 
 
-def sites_of(network: Network, contest: Contest, laws: list[CandidateLaw]) -> dict[str, Site]:
-    """Every place of an unknown by name; flow, fan and room only where the twin has a law for them."""
+def sites_of(network: Network, score_test: ScoreTest, laws: list[CandidateLaw]) -> dict[str, Site]:
+    """Return the sites of an unknown quantity by name; flow, fan and room only if the twin has a law for them."""
     out: dict[str, Site] = {}
     for k, node in enumerate(network.nodes):
-        p = np.zeros((contest.sites, contest.b))
+        p = np.zeros((score_test.sites, score_test.b))
         p[k] = 1.0
         out[node] = Site(p, TYPICAL_W, "W", "energy", node)
     for j, name in enumerate(network.sensor_names):
-        p = np.zeros((contest.sites, contest.b))
-        p[contest.k + j] = 1.0
+        p = np.zeros((score_test.sites, score_test.b))
+        p[score_test.k + j] = 1.0
         out[name] = Site(p, TYPICAL_K, "K", "sensor", name)
     for law in laws:
         c = law.candidate
@@ -71,24 +72,23 @@ def sites_of(network: Network, contest: Contest, laws: list[CandidateLaw]) -> di
             kind = (c.where, "sensor")
         if kind is not None and kind[0] not in out:
             counts = ROOM if kind[1] == "sensor" else 1.0
-            out[kind[0]] = Site(contest.vector(law), c.typical, c.unit, kind[1], c.where, counts)
+            out[kind[0]] = Site(score_test.vector(law), c.typical, c.unit, kind[1], c.where, counts)
     return out
 
 
-def drivers_of(network: Network, grid: Grid, contest: Contest) -> dict[str, Array]:
-    """Block means (b,) of what an unknown may follow, by the name of the driver."""
-    means = contest.block_means(grid.inputs)
+def drivers_of(network: Network, grid: Grid, score_test: ScoreTest) -> dict[str, Array]:
+    """Return the block means (b,) of the drivers that an unknown may follow, by name."""
+    means = score_test.block_means(grid.inputs)
     out = {
         _DRIVERS.get(column, "temperature" if column.endswith("_C") else column): means[:, j]
         for j, column in enumerate(network.input_columns)
     }
-    out["elapsed_time"] = contest.hours
+    out["elapsed_time"] = score_test.hours
     return out
 
 
 def signatures(found: tuple[Course, ...]) -> dict[str, Any]:
-    """What kind of thing the unknown is like: the best of each signature, and how far the others are behind, in
-    logarithms of evidence."""
+    """Return the physical types of the unknown: the best course of each, and the log evidence that the others lack."""
     best: dict[str, Course] = {}
     for course in found:
         best[course.signature] = max(course, best.get(course.signature, course), key=lambda c: c.log_evidence)
@@ -101,7 +101,7 @@ def signatures(found: tuple[Course, ...]) -> dict[str, Any]:
 
 
 def spoken(description: dict[str, Any]) -> str:
-    """The signature in words, and against which others."""
+    """Return the physical type in words, with the others that it was compared with."""
     first = description.get("signature")
     if first is None:
         return ""
@@ -114,7 +114,7 @@ def spoken(description: dict[str, Any]) -> str:
 
 
 def unknown(found: tuple[Course, ...], description: dict[str, Any], start: float) -> tuple[Effect, ...]:
-    """The unknown at its likeliest place as an effect of kind `unknown`."""
+    """Return the unknown at its likeliest site as an effect of kind `unknown`."""
     if not found or not description:
         return ()
     best = found[0]

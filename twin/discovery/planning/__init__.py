@@ -1,1 +1,1 @@
-"""Before data: what a record could see, and the experiment that would decide."""
+"""Planning of records: detectability and isolability before data, and the experiment that splits an ambiguity group."""

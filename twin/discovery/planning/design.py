@@ -1,9 +1,9 @@
-"""Which load, pump and fan levels would tell hypotheses apart, half an hour by half an hour.
+"""Design of experiments for isolation: load, pump and fan levels, half an hour by half an hour.
 
-Every hypothesis is run freely from where the record ended, with its own tunables and sizes, over one more half hour at
-each combination of levels; the combination is kept that makes the least expected differences between any two as large
-as they can be (T-optimality for two models, Atkinson & Fedorov, Biometrika 62 (1975) 57; taken step by step). What the
-wrong hypothesis could take up by its tunables, initial state and sizes is projected out.
+Every hypothesis is simulated from the record's end, with its own tunables and sizes, over a further half hour at
+each combination of levels. The combination is chosen that maximises the least expected difference between any two
+(T-optimality for two models, Atkinson & Fedorov, Biometrika 62 (1975) 57; taken step by step). The part that the
+wrong hypothesis could explain by its tunables, initial state and sizes is projected out.
 """
 
 from __future__ import annotations
@@ -27,35 +27,35 @@ from twin.network import Array
 SEGMENT_S = 1800.0
 LEAST_SEGMENTS, MOST_SEGMENTS = 4, 16
 NEARLY = 0.03
-"""Share of a sufficient difference below which further gain counts in proportion, above which less and less."""
+"""Share of a sufficient difference below which further gain counts in proportion, and above which it saturates."""
 BLOCK_S = 300.0
 _STEP, _STATE_STEP, _SIZE_STEP = 1.0e-4, 1.0e-2, 1.0e-2
 _FREE = 1.0e-12
-"""Precision of a size: nothing is known of it beforehand, so only the course of a reading tells."""
+"""Prior precision of a size, a flat prior: only the change of a reading over time is informative."""
 
 
 @dataclass(frozen=True)
 class Levels:
-    """Levels of each driven input column that a plan may use, and the hottest that any reading may become, degC."""
+    """Levels of each driven input column for a plan, and the highest permitted reading, degC."""
 
     driven: Mapping[str, tuple[float, ...]]
     hottest_C: float
 
     def combinations(self) -> list[dict[str, float]]:
-        """Every combination of levels."""
+        """Return every combination of levels."""
         return [dict(zip(self.driven, each, strict=True)) for each in itertools.product(*self.driven.values())]
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Inputs that nobody drives: `base` (c,) at the end of the record; the column of the time of day goes on."""
+    """Inputs that are not driven: `base` (c,) at the end of the record; the column of the time of day continues."""
 
     columns: tuple[str, ...]
     base: Array
     step_s: float
 
     def inputs(self, begin_s: float, bins: int, levels: Mapping[str, float]) -> tuple[Array, Array]:
-        """Time (n,) s from the plan's beginning and inputs (n, c)."""
+        """Return time (n,) s from the plan's beginning and inputs (n, c)."""
         time: Array = begin_s + self.step_s * np.arange(bins, dtype=np.float64)
         out: Array = np.tile(self.base, (bins, 1))
         for j, column in enumerate(self.columns):
@@ -67,10 +67,10 @@ class Surroundings:
 
 
 class Runner:
-    """One hypothesis and its neighbours in every direction in which a fit could move it.
+    """Simulation of one hypothesis and of its derivatives in all fitted variables.
 
     Args:
-        fitted: the hypothesis as it was fitted; its effects are there all along, at the size that they have reached.
+        fitted: the fit of the hypothesis; its effects are present throughout, at their final sizes.
         state: initial temperatures (k,).
     """
 
@@ -101,10 +101,10 @@ class Runner:
         self._own = slice(q, q + k)
 
     def learn(self, slopes: Array) -> None:
-        """Take in what a record tells of tunables and sizes; its own initial state tells nothing of the next one.
+        """Add a record's information about tunables and sizes; its initial state is not that of the next one.
 
         Args:
-            slopes: (rows, q + k + e) of the whitened record, widened as far as it is to be believed.
+            slopes: (rows, q + k + e) of the whitened record, scaled by its reliability.
         """
         inner = slopes.T @ slopes
         own, rest = inner[self._own, self._own], inner[:, self._own]
@@ -113,7 +113,7 @@ class Runner:
         self.precision = self.precision + inner
 
     def advance(self, state: Array, time: Array, inputs: Array) -> tuple[Array, Array, Array]:
-        """Readings (n, m) of the hypothesis, slopes (n, m, q + k + e), and the states it ends with."""
+        """Return the readings (n, m) of the hypothesis, derivatives (n, m, q + k + e), and the final states."""
         readings, after = self._model.kernel.trace(self._rows, state, time, self._model.driven(time, inputs))
         all_along = np.ones((*self._all_sizes.shape, 1))
         self._model.read(readings, time, inputs, self._all_sizes, all_along, np.array([0, len(time)]))
@@ -123,7 +123,7 @@ class Runner:
 
 
 def from_the_start(entry: Entry, size: float) -> Entry:
-    """The entry as something that is there all the time."""
+    """Return the entry as an effect that is present throughout."""
     return replace(entry, shape=Shape("step"), size=size)
 
 
@@ -135,7 +135,7 @@ def _size_step(entry: Entry) -> float:
 
 @dataclass
 class _Track:
-    """What has been run so far: block means of every hypothesis (b, m) and their slopes (b, m, q + k + e)."""
+    """Plan so far: block means of every hypothesis (b, m) and their derivatives (b, m, q + k + e)."""
 
     states: list[Array]
     means: list[Array]
@@ -144,8 +144,11 @@ class _Track:
 
 @dataclass(frozen=True)
 class Designed:
-    """`levels`, one dict per half hour; `differences` (h, h): expected fall of the weighted squares of hypothesis i
-    (row) over j (column) if i is true; `gains` (h,) that of each over a twin without it; `hottest_C` of all."""
+    """Designed plan: `levels`, one dict per half hour, with its expected information.
+
+    `differences` (h, h): expected fall of the weighted squares of hypothesis i (row) over j (column) if i is true;
+    `gains` (h,) that of each over a twin without it; `hottest_C` of all readings.
+    """
 
     levels: tuple[dict[str, float], ...]
     differences: Array
@@ -154,10 +157,10 @@ class Designed:
 
 
 class Designer:
-    """Plans for telling hypotheses apart.
+    """Designer of experiments that isolate hypotheses.
 
     Args:
-        apart: (h, h) by how much, in weighted squares, hypothesis j (column) is worse than i (row) already.
+        apart: (h, h) excess of hypothesis j's (column) weighted squares over i's (row) on the records so far.
     """
 
     def __init__(
@@ -171,7 +174,7 @@ class Designer:
         self._block_s = self._per_block * around.step_s
 
     def shuffled(self, seed: int = 0, segments: int = MOST_SEGMENTS) -> Designed:
-        """A plan of random levels: what these hypotheses look like under everything that may be driven."""
+        """Return a plan of random levels: the distinguishability of hypotheses if all drives are varied."""
         rng = np.random.default_rng(seed)
         track, chosen, hottest = self._start(), [], -np.inf
         for number in range(segments):
@@ -188,11 +191,12 @@ class Designer:
         return Designed(tuple(chosen), differences, gains, hottest)
 
     def greedy(self, pairs: list[tuple[int, int]], enough: float, share: float) -> Designed:
-        """Half hours chosen one by one until every pair is expected to differ enough, or the longest plan is full.
+        """Choose half hours one by one until every pair is expected to differ enough, or the plan has its maximum
+        length.
 
         Args:
-            pairs: hypotheses to be told apart. enough: difference that settles a pair; `share` of the gain that the
-                plan's own record will add is asked for on top.
+            pairs: hypotheses to isolate from each other. enough: difference that settles a pair; `share` of the gain
+                that the plan's own record will add is required on top.
         """
         track, chosen, hottest = self._start(), [], -np.inf
         options = self._levels.combinations()
@@ -226,7 +230,7 @@ class Designer:
         return _Track([r.state for r in self._runners], [], [])
 
     def _step(self, track: _Track, number: int, levels: Mapping[str, float]) -> tuple[_Track, float]:
-        """Half an hour more, and how hot it becomes."""
+        """Return the plan extended by half an hour, and its highest reading, degC."""
         time, inputs = self._around.inputs(number * self.segment_s, self._bins + 1, levels)
         states, means, slopes, warmest = [], [], [], -np.inf
         for runner, state in zip(self._runners, track.states, strict=True):
@@ -246,7 +250,7 @@ class Designer:
         return _block_means(values, self._per_block)
 
     def expected(self, track: _Track) -> tuple[Array, Array]:
-        """Expected differences (h, h) and gains (h,) of what has been run."""
+        """Return expected differences (h, h) and gains (h,) of the plan so far."""
         count = len(self._runners)
         white = [self._white(slopes) for slopes in track.slopes]
         inner = [np.linalg.inv(j.T @ j + r.precision) for j, r in zip(white, self._runners, strict=True)]
@@ -266,7 +270,7 @@ class Designer:
         return out, gains
 
     def _in_all(self, track: _Track) -> tuple[Array, Array]:
-        """Expected differences with what is known already, and gains."""
+        """Return expected differences including those of the records so far, and gains."""
         differences, gains = self.expected(track)
         return np.maximum(differences + self._apart, 0.0), gains
 
@@ -276,7 +280,7 @@ class Designer:
 
 
 def informed(runner: Runner, grid: Grid, noise: Noise) -> Array:
-    """Whitened slopes (rows, q + k + e) of a record with these inputs, begun in the runner's state."""
+    """Return the whitened derivatives (rows, q + k + e) of a record with these inputs, begun in the runner's state."""
     per_block = max(round(BLOCK_S / grid.step_s), 1)
     _, slopes, _ = runner.advance(runner.state, grid.time - grid.time[0], grid.inputs)
     return noise.whiten(_block_means(slopes, per_block), per_block * grid.step_s).reshape(-1, slopes.shape[2])

@@ -1,4 +1,4 @@
-"""The experiment that would tell the remaining causes apart, or, where no input can, the measurement that would."""
+"""Next experiment for an ambiguity group, or the further measurement if no input isolates its causes."""
 
 from __future__ import annotations
 
@@ -19,28 +19,31 @@ if TYPE_CHECKING:
     from twin.discovery.healthy.basis import Basis
 
 MARGIN_K = 3.0
-"""What a planned reading stays below an alarm limit; and how much hotter than ever it may become without one."""
+"""Margin, K, of a planned reading below an alarm limit, or above the hottest reading so far if there is no limit."""
 BEYOND = 0.25
-"""Share of the range that the twin has been tried in by which a plan may leave it: a twin far outside the loads that it
-was commissioned on is wrong by more than the causes differ."""
+"""Share of the tried input range by which a plan may exceed it. Far outside the loads of its commissioning a twin's
+model error exceeds the difference of the causes."""
 LEAST_RANGE = {"W": (0.5, 1.1), "pct": (0.7, 1.2)}
-"""Range of a column that has never been varied, in multiples of its value, by its unit."""
+"""Range of a constant column, in multiples of its value, by its unit."""
 LEAST_PERCENT = 30.0
-"""A pump or fan is not planned to turn more slowly than this, unless it has done so before."""
+"""Least planned speed of a pump or fan, %, unless it has been slower before."""
 MOST_CAUSES = 8
 SETTLED = 1.5
-"""Times the width of the set that a planned record is to push the wrong cause out of it by."""
+"""Multiple of the equivalence width that a planned record must add to exclude a wrong cause."""
 WIDEN = 4.0
-"""Factor on the variances that a later record is believed to tell of tunables and sizes, as for commissioning."""
+"""Factor on the variances of tunables and sizes that a later record gives, as for commissioning."""
 OWN_ERROR = 200.0
-"""Expected difference beyond what decides for which a plan is lengthened: under loads that are new to it a twin's own
-error weighs as much."""
+"""Expected difference beyond the deciding one up to which a plan is lengthened: under new loads model error has that
+size."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a rig allows: (low, high) of each input column that it drives, in the column's unit, and the hottest that
-    any of its thermometers may read, degC, or NaN where it does not say; `rig` is its name."""
+    """Limits of a rig: (low, high) of each driven input column, in the column's unit, and the highest permitted
+    reading.
+
+    The highest reading of any thermometer is in degC, or NaN if it is not declared; `rig` is the rig's name.
+    """
 
     driven: Mapping[str, tuple[float, float]]
     hottest_C: float
@@ -50,7 +53,7 @@ class Limits:
 def levels_of(
     network: Network, grid: Grid, tried: Array, limits: Limits | None = None, later: tuple[Grid, ...] = ()
 ) -> Levels:
-    """Low, middle and high of everything that is driven: about where the twin has been tried, within the limits.
+    """Return low, middle and high levels of all driven inputs, about the tried range and within the limits.
 
     Args:
         tried: (2, c) lowest and highest inputs of the record that the twin was commissioned on. later: records made
@@ -91,11 +94,11 @@ def plan(
     ambiguous: bool = True,
     later: tuple[Grid, ...] = (),
 ) -> dict[str, Any] | None:
-    """The next experiment as the contract of `diagnosis.json` has it; None where nothing is open.
+    """Return the next experiment as in the contract of `diagnosis.json`; None if the answer is unambiguous.
 
     Args:
-        later: records made since. The plan goes on from where the last one ended, with what they tell of tunables and
-            sizes, and asks only for the difference that they have left to be shown.
+        later: records made since. The plan continues from the last one's end, with its information about tunables and
+            sizes, and asks only for the difference that is still missing.
     """
     causes = open_questions(finding, ambiguous)[:MOST_CAUSES]
     if not causes:
@@ -151,7 +154,7 @@ def _designer(
     finding: Finding, known: Basis, grids: tuple[Grid, ...], levels: Levels, causes: tuple[Ranked, ...]
 ) -> Designer:
     probe, last = known.probe, grids[-1]
-    span = finding.contest.grid.span_s
+    span = finding.score_test.grid.span_s
 
     def runners(state: Array) -> list[Runner]:
         found = []
@@ -175,17 +178,17 @@ def _designer(
 
 
 def _least(best: Designed, a: int, b: int) -> float:
-    """Expected difference of two hypotheses, whichever is true."""
+    """Return the smaller expected difference of two hypotheses, whichever is true."""
     return float(min(best.differences[a, b], best.differences[b, a]))
 
 
 def _all_pairs(groups: list[list[int]]) -> list[tuple[int, int]]:
-    """Every two hypotheses of different groups, the lower number first."""
+    """Return every two hypotheses of different groups, the lower number first."""
     return [(min(a, b), max(a, b)) for i, g in enumerate(groups) for h in groups[i + 1 :] for a in g for b in h]
 
 
 def alike(rich: Designed) -> list[list[int]]:
-    """Hypotheses in groups that stay together even under levels drawn at random, the best of each first."""
+    """Return the ambiguity groups that remain even under random levels, the best hypothesis of each first."""
     count = len(rich.gains)
     groups: list[list[int]] = []
     for i in range(count):
@@ -201,7 +204,7 @@ def alike(rich: Designed) -> list[list[int]]:
 
 
 def _together(told: list[tuple[int, int]], count: int) -> list[list[int]]:
-    """Hypotheses in groups that the pairs `told` apart leave connected."""
+    """Return the groups of hypotheses that remain connected without the isolated pairs `told`."""
     groups: list[list[int]] = []
     for i in range(count):
         near = [g for g in groups if any((k, i) not in told for k in g)]
@@ -210,7 +213,7 @@ def _together(told: list[tuple[int, int]], count: int) -> list[list[int]]:
 
 
 def _steps(best: Designed, segment_s: float) -> list[dict[str, float]]:
-    """Rows of a load profile: time and levels where they change, and the end."""
+    """Return the rows of a load profile: time and levels at each change, and the end."""
     rows: list[dict[str, float]] = []
     for number, levels in enumerate(best.levels):
         if not rows or any(rows[-1][c] != v for c, v in levels.items()):
@@ -246,7 +249,7 @@ _MEASURE = {
 
 
 def _measures(causes: list[Ranked]) -> list[str]:
-    """Measurements by other means that would tell, one for each cause."""
+    """Return further measurements that would isolate the causes, one for each."""
     found = []
     for r in causes:
         c = r.entries[-1].candidate
@@ -257,7 +260,7 @@ def _measures(causes: list[Ranked]) -> list[str]:
 
 
 def said(entry: Entry) -> str:
-    """An effect by kind, place and driver."""
+    """Return an effect by kind, place and driver."""
     kind, where, driver = (x.replace("_", " ") for x in entry.label)
     return f"{kind} at {where} ({driver})"
 

@@ -1,7 +1,8 @@
-"""Forecast of detectability: the smallest effect of each kind that a record shows, and pairs that it does not separate.
+"""Detectability and isolability: the smallest detectable effect of each kind in a record, and pairs that it does not
+isolate.
 
-No reading is needed: signatures follow from the inputs and from what the twin does with them. The usual condition
-number of the tunables says next to nothing about this; the matrix of pairs does.
+No reading is needed: signatures follow from the inputs and the twin's response to them. The condition number of the
+tunables is no measure of this; the correlations of pairs are.
 """
 
 from __future__ import annotations
@@ -14,26 +15,27 @@ from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.probe import Probe
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.records.grid import Grid
-from twin.discovery.scoring.contest import Contest
 from twin.discovery.scoring.null import FALSE_ALARMS, null_scores
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.elements.candidates import Candidate
 from twin.network import Array, Network
 
 CONFUSED = 0.98
 CLEAR = 6.0
-"""Score at which an effect shows on any record."""
+"""Score at which an effect is detectable on any record."""
 LARGE = 5.0
-"""Typical sizes: an effect of that size should be seen."""
+"""Size of a large effect, in typical sizes, which should be detectable."""
 MOST_HIDDEN = 0.4
-"""Mean share, over the kinds, of entries that may stay hidden in a record that is called adequate."""
+"""Mean share, over the kinds, of undetectable entries up to which a record may be called adequate."""
 STILL = 0.02
-"""Share by which an input moves that counts as standing still."""
+"""Relative variation up to which an input counts as constant."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """One candidate, present from the beginning: the least size that would be noticed, and how much of its signature
-    the tunables cannot take up."""
+    """Detectability of one candidate, present from the beginning: its least detectable size, and the share of its
+    signature that is orthogonal to the tunables.
+    """
 
     candidate: Candidate
     least: float
@@ -42,7 +44,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Forecast:
-    """Candidates by how well they show, and pairs (a, b, correlation) that look alike."""
+    """Candidates by detectability, and pairs (a, b, correlation) with similar signatures."""
 
     seen: tuple[Seen, ...]
     unseen: tuple[Candidate, ...]
@@ -50,33 +52,33 @@ class Forecast:
 
 
 def plan_of(network: Network, time: Array, inputs: Array) -> Grid:
-    """A planned record on bins of ten seconds: time (n,) s evenly spaced, inputs (n, c), no readings."""
+    """Return a planned record in bins of ten seconds: time (n,) s evenly spaced, inputs (n, c), no readings."""
     step = float(time[1] - time[0])
     return Grid(time, inputs, np.full((len(time), len(network.sensors)), np.nan), network.sigma / np.sqrt(step), step)
 
 
 def planned(probe: Probe, grid: Grid, state: Array | None = None) -> tuple[Grid, Array]:
-    """The grid with the twin's own readings in place of measured ones, and its initial state."""
+    """Return the grid with simulated instead of measured readings, and its initial state."""
     start = probe.probed_state(grid) if state is None else state
     return replace(grid, measured=probe.run(grid, start).readings), start
 
 
 def forecast(known: Basis, grid: Grid, state: Array | None = None) -> Forecast:
-    """What inputs like the grid's could show.
+    """Return detectability and isolability for the inputs of a grid.
 
     Args:
-        grid: its readings are not looked at. state: initial temperatures (k,); from the grid's readings by default.
+        grid: its readings are not used. state: initial temperatures (k,); by default from the grid's readings.
     """
     own, start = planned(known.probe, grid, state)
     run = known.probe.run(own, start)
     found, candidates = known.book.laws(own, run), known.book.candidates
-    contest = known.contest(own, start, run, found)
-    vectors = np.stack([contest.vector(law) for law in found])
+    score_test = known.score_test(own, start, run, found)
+    vectors = np.stack([score_test.vector(law) for law in found])
     flat = vectors.reshape(len(found), -1)
-    gram, _ = contest.joint(vectors)
+    gram, _ = score_test.joint(vectors)
     norm = np.sqrt(np.maximum(np.diag(gram), 0.0))
-    bare = np.sqrt(np.maximum(contest.bare(flat), 1e-30))
-    threshold = null_scores(contest, found).quantile(FALSE_ALARMS)
+    bare = np.sqrt(np.maximum(score_test.bare(flat), 1e-30))
+    threshold = null_scores(score_test, found).quantile(FALSE_ALARMS)
     here = {law.candidate.id for law in found}
     seen, unseen = [], [c for c in candidates if c.id not in here]
     for law, n, b in zip(found, norm, bare, strict=True):
@@ -99,17 +101,17 @@ def forecast(known: Basis, grid: Grid, state: Array | None = None) -> Forecast:
     return Forecast(tuple(seen), tuple(unseen), tuple(confused))
 
 
-def too_little(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
-    """Kinds that a record that shows nothing could not have shown; none where they are few."""
-    share = hidden(contest, found, candidates)
+def too_little(score_test: ScoreTest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
+    """Return the kinds of effect that a record could not show; none if they are few."""
+    share = hidden(score_test, found, candidates)
     if sum(share.values()) < MOST_HIDDEN * len(share):
         return ()
     return tuple(spoken(kind) for kind, missing in share.items() if missing > 0.5)
 
 
-def too_still(contest: Contest, kinds: tuple[str, ...]) -> str:
-    """Why a record could not have shown these kinds, as one sentence."""
-    network, inputs = contest.probe.network, contest.grid.inputs
+def too_still(score_test: ScoreTest, kinds: tuple[str, ...]) -> str:
+    """Return a sentence with the reason why a record could not show these kinds."""
+    network, inputs = score_test.probe.network, score_test.grid.inputs
     still = [
         f"{column} stays at {inputs[0, j]:.4g}"
         for j, column in enumerate(network.input_columns)
@@ -123,7 +125,7 @@ def too_still(contest: Contest, kinds: tuple[str, ...]) -> str:
 
 
 def _driven(network: Network) -> str:
-    """What can be stepped on a rig, as a sentence names it."""
+    """Return the inputs of a rig that can be stepped, as a phrase."""
     columns = [c for c in network.input_columns if not c.endswith("_C") and not c.startswith("time_of_day")]
     short = {"heater_power_W": "load", "pump_speed_pct": "pump", "fan_speed_pct": "fan"}
     words = [short.get(c, c) for c in columns] or ["what drives it"]
@@ -131,13 +133,15 @@ def _driven(network: Network) -> str:
 
 
 def either(kinds: tuple[str, ...]) -> str:
-    """Kinds as a sentence names them."""
+    """Return kinds as a phrase, joined by `or`."""
     return " or ".join(filter(None, (", ".join(kinds[:-1]), kinds[-1])))
 
 
-def unseen_kinds(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> tuple[str, ...]:
-    """Kinds of effect of which a record could have shown none, however large."""
-    share = hidden(contest, found, candidates)
+def unseen_kinds(
+    score_test: ScoreTest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]
+) -> tuple[str, ...]:
+    """Return the kinds of effect that are undetectable in a record even if large."""
+    share = hidden(score_test, found, candidates)
     return tuple(spoken(kind) for kind, missing in share.items() if missing > 0.99)
 
 
@@ -146,12 +150,12 @@ def spoken(kind: str) -> str:
     return {"coupling": "coupling (heat exchange between two places)"}.get(kind, kind.replace("_", " "))
 
 
-def hidden(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> dict[str, float]:
-    """Share of each kind's entries, place by place, that would have to be very large to show from the beginning."""
+def hidden(score_test: ScoreTest, found: list[CandidateLaw], candidates: tuple[Candidate, ...]) -> dict[str, float]:
+    """Return the share of each kind's entries (by place) that are undetectable from the start even if large."""
     found = [law for law in found if not law.candidate.begins]
     visible = {
         (law.candidate.kind, law.candidate.where)
-        for law, norm in zip(found, _norms(contest, found), strict=True)
+        for law, norm in zip(found, _norms(score_test, found), strict=True)
         if norm * LARGE * law.candidate.typical > CLEAR
     }
     every: dict[str, set[str]] = {}
@@ -160,7 +164,7 @@ def hidden(contest: Contest, found: list[CandidateLaw], candidates: tuple[Candid
     return {kind: 1.0 - sum((kind, w) in visible for w in places) / len(places) for kind, places in every.items()}
 
 
-def _norms(contest: Contest, found: list[CandidateLaw]) -> Array:
-    gram, _ = contest.joint(np.stack([contest.vector(law) for law in found]))
+def _norms(score_test: ScoreTest, found: list[CandidateLaw]) -> Array:
+    gram, _ = score_test.joint(np.stack([score_test.vector(law) for law in found]))
     norms: Array = np.sqrt(np.maximum(np.diag(gram), 0.0))
     return norms

@@ -1,1 +1,1 @@
-"""Records as a diagnosis sees them: blocks, noise, and the readings that may be used."""
+"""Records of a diagnosis: even grid, noise, stuck readings and standstills."""

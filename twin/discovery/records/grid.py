@@ -1,8 +1,8 @@
-"""A record on an even grid: means over short bins, which is where diagnosis works.
+"""Record on an even grid: means over short bins, in which the diagnosis computes.
 
-Irregular sampling, gaps and repeated stamps end here. A bin without a reading stays NaN; `filled` closes such gaps by
-straight lines, and does the same to every signature that is compared with the residual, so that both went through the
-same linear operation. Where the inputs are missing, too, the rig is followed anew after the gap (`twin.segments`).
+Irregular sampling, gaps and repeated stamps end here. A bin without a reading stays NaN. `filled` closes such gaps by
+linear interpolation, in the residual and equally in every signature, so that both pass the same linear operation. After
+a gap in the inputs the simulation restarts in a new segment (`twin.segments`).
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from twin.segments import find_segments, segment_rows
 
 BIN_S = 10.0
 MOST_BINS = 10_800
-"""Bins beyond which they are made twice as long, or more: what is told of days is told by blocks of minutes."""
+"""Bins up to which they keep their length; effects in records of days are resolved by blocks of minutes."""
 
 
 class TooShortError(TwinFileError):
-    """A record that is too short to be one of a rig in motion."""
+    """Error for a record that is too short for a diagnosis of dynamics."""
 
 
 @dataclass(frozen=True)
 class Grid:
     """Bins of `step_s`: `time` (n,) s at their beginnings, `inputs` (n, c), `measured` (n, m) degC with NaN.
 
-    `sigma` (m,) is the white noise of a bin's mean, K. `begins`: bins at which the rig is followed anew; states of a
-    record are the node temperatures (s * k,) at each of them.
+    `sigma` (m,) is the white noise of a bin's mean, K. `begins`: bins at which segments begin, each with its own
+    initial state; states of a record are the node temperatures (s * k,), degC, at each of them.
     """
 
     time: Array
@@ -41,8 +41,8 @@ class Grid:
     begins: tuple[int, ...] = (0,)
 
     @property
-    def stretches(self) -> tuple[slice, ...]:
-        """Bins of each stretch that is followed in one go."""
+    def segments(self) -> tuple[slice, ...]:
+        """Return the bins of each segment, which is simulated without a restart."""
         return segment_rows(self.begins, len(self.time))
 
     @property
@@ -50,7 +50,7 @@ class Grid:
         return float(self.step_s * len(self.time))
 
     def part(self, first: int, last: int) -> Grid:
-        """Bins `first` to `last`, the latter left out."""
+        """Return bins `first` to `last`, the latter excluded."""
         rows = slice(first, last)
         begins = (0, *(b - first for b in self.begins if first < b < last))
         return Grid(self.time[rows], self.inputs[rows], self.measured[rows], self.sigma, self.step_s, begins)
@@ -59,14 +59,14 @@ class Grid:
 def on_grid(
     network: Network, time_s: ArrayLike, inputs: ArrayLike, measured: ArrayLike, least_s: float = BIN_S
 ) -> Grid:
-    """Means over bins of `least_s`, or of the record's own step where that is longer; of a record of days, of several.
+    """Return means over bins of `least_s`, or of the record's own step if that is longer; of multiples of it for days.
 
     Parameters
     ----------
     time_s
         (N,) s.
     inputs
-        (N, c); in a gap temperatures follow a straight line, all else holds.
+        (N, c); in a gap temperatures are interpolated, all else is held.
     measured
         (N, m) degC; NaN is left out.
 
@@ -146,14 +146,14 @@ def _require_readings(y: Array) -> None:
 
 
 def centred(readings: Array) -> Array:
-    """Simulated values (n, ...) at the beginnings of bins as means over the bins."""
+    """Return means over the bins of simulated values (n, ...) at their beginnings."""
     out = np.array(readings)
     out[:-1] += 0.5 * (readings[1:] - readings[:-1])
     return out
 
 
 def bridged(network: Network, time_s: ArrayLike, inputs: ArrayLike) -> Array:
-    """Inputs (N, c) without NaN: temperatures on straight lines over gaps, everything else held."""
+    """Return inputs (N, c) without NaN: temperatures interpolated over gaps, everything else held."""
     t, given = np.asarray(time_s, dtype=np.float64), np.asarray(inputs, dtype=np.float64)
     u = hold_inputs(network, given)
     for j, column in enumerate(network.input_columns):
@@ -166,8 +166,8 @@ def bridged(network: Network, time_s: ArrayLike, inputs: ArrayLike) -> Array:
 def _held_means(t: Array, u: Array, edges: Array, period: float) -> Array:
     """Return the means over time (bins, c) of held inputs, between edges (bins + 1,) s from the first sample on.
 
-    Samples are no equal shares of a bin where they come seldom. A sample stands for one period, since where the next
-    ones are lost nobody knows when the input changed; a bin without any holds the last sample before its end.
+    Samples at long intervals have unequal shares of a bin. A sample holds for one period, since with the next ones lost
+    the time of a change is unknown; a bin without any holds the last sample before its end.
     """
     until = np.minimum(np.append(t[1:], np.inf), t + period)
     known = until - t
@@ -185,13 +185,13 @@ def _held_means(t: Array, u: Array, edges: Array, period: float) -> Array:
 
 
 def filled(values: Array, present: np.ndarray, anchor: int = 1) -> Array:
-    """`values` (n, m, ...) where `present` (n, m), straight lines between; 0 for a column that is never present.
+    """Return `values` (n, m, ...) with linear interpolation where not `present` (n, m); 0 in a column never present.
 
     Parameters
     ----------
     anchor
-        Rows on either side of a gap whose mean the line begins and ends at. One noisy row at the end of a long gap
-        would otherwise count as often as the gap has rows.
+        Rows on either side of a gap whose mean is an end point of the line. A single noisy row at the end of a long gap
+            would otherwise count as often as the gap has rows.
     """
     out = np.array(values, dtype=np.float64)
     rows = np.arange(len(values))

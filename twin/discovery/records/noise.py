@@ -1,8 +1,8 @@
 """Noise of a healthy residual, and its weights: one covariance for each band of periods.
 
-A residual of a healthy twin is not white: the twin is lumped and the rig is not. In the cosine transform (DCT-II,
-along time, per sensor) its coefficients are nearly independent, and their covariance across sensors depends on the
-period alone. Learned from a healthy record it serves records of any length. Cosines rather than a Fourier transform,
+The residual of a healthy twin is not white, because the twin is lumped and the rig is not. In the cosine transform
+(DCT-II, along time, per sensor) its coefficients are nearly independent, and their covariance across sensors depends on
+the period alone. Learned from a healthy record it serves records of any length. Cosines replace the Fourier transform,
 because a drift does not leak in them (Makhoul, IEEE Trans. ASSP 28 (1980) 27).
 """
 
@@ -18,18 +18,21 @@ from twin.network import Array
 EDGES_S = (3600.0, 1200.0, 420.0, 120.0, 40.0)
 """Periods, s, between the bands."""
 CAUTION = (4.0, 2.0, 1.5, 1.2, 1.1, 1.1)
-"""Factor on the variance of each band: a healthy record of ten hours tells little about the longest periods."""
+"""Factor on the variance of each band: a healthy record of ten hours has few of the longest periods."""
 LEAST_SHARE, MOST_SHARE = 0.04, 16.0
-"""Limits to the variance that structure is thought to leave, as a multiple of what it left in the healthy record."""
+"""Limits of the model error's variance, as a multiple of that in the healthy record."""
 SHRINK = 0.3
-"""Share of each covariance's off-diagonal that is given up."""
+"""Relative shrinkage of each covariance's off-diagonal."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Whitening by band for m sensors: `roots` (bands, m, m) with roots @ roots' = covariance^-1 of one bin of
-    `step_s`; `sd` (bands, m), K; `white` (m,), K, of a bin, what the thermometers alone make; `moves` (bands,), K^2,
-    power of the twin's own readings while it was learned, or None where it holds for that record alone."""
+    """Whitening by band for m sensors.
+
+    `roots` (bands, m, m) with roots @ roots' = covariance^-1 of one bin of `step_s`; `sd` (bands, m), K; `white` (m,),
+    K, noise of the thermometers alone in a bin; `moves` (bands,), K^2, power of the twin's readings in the record that
+    it was learned from, or None if it holds for that record alone.
+    """
 
     roots: Array
     sd: Array
@@ -38,11 +41,11 @@ class Noise:
     moves: Array | None = None
 
     def where_moved(self, readings: Array, step_s: float) -> Noise:
-        """The noise to expect in a record in which the twin's readings (n, m) are these.
+        """Return the noise to expect in a record in which the twin's readings (n, m), degC, are these.
 
-        What a lumped twin leaves of a rig that is not is a share of what moves: measured on a distributed plant, its
-        standard deviation follows that of the twin's readings, band by band, within a few per cent. So the part that
-        is not the thermometers' own grows and shrinks with it. The slowest band, of too few coefficients, only grows.
+        The model error of a lumped twin is proportional to the variation: measured on a distributed plant, its
+        standard deviation follows that of the twin's readings, band by band, within a few per cent. The part beyond the
+        thermometers' own noise is therefore scaled by it. The slowest band, of too few coefficients, is only scaled up.
         """
         if self.moves is None:
             return self
@@ -59,16 +62,16 @@ class Noise:
         return Noise(roots, sd, self.step_s, self.white)
 
     def of_thermometers(self) -> Noise:
-        """What the thermometers alone make, as if the twin were the rig."""
+        """Return the noise of the thermometers alone, without model error."""
         count = len(self.sd)
         roots = np.stack([np.diag(1.0 / self.white)] * count)
         return Noise(roots, np.tile(self.white, (count, 1)), self.step_s, self.white)
 
     def whiten(self, values: Array, step_s: float | None = None) -> Array:
-        """(n, m, ...) in time to (n, m, ...) whitened cosine coefficients.
+        """Return whitened cosine coefficients (n, m, ...) of values (n, m, ...) in time.
 
         Args:
-            step_s: of `values` where they are means over longer bins.
+            step_s: of `values` if they are means over longer bins.
         """
         step = step_s or self.step_s
         c = dct(values, type=2, norm="ortho", axis=0)
@@ -83,17 +86,17 @@ class Noise:
         return whitened
 
     def rms(self, n: int) -> Array:
-        """Root mean square (m,), K, of `n` bins in a row."""
+        """Return the root mean square (m,), K, of `n` bins in a row."""
         found: Array = np.sqrt((self.sd[bands(n, self.step_s)] ** 2).mean(axis=0))
         return found
 
     def draw(self, n: int, rng: np.random.Generator) -> Array:
-        """Noise (n, m), K, of n bins as it was met, without the caution with which records are weighed."""
+        """Return random noise (n, m), K, of n bins as learned, without the factors `CAUTION` of the weights."""
         whitened = rng.standard_normal((n, len(self.white)))
         return self.colour(whitened / np.sqrt(np.array(CAUTION))[bands(n, self.step_s), None])
 
     def colour(self, whitened: Array, step_s: float | None = None) -> Array:
-        """The inverse of `whiten`, for (n, m)."""
+        """Invert `whiten`, for (n, m)."""
         step = step_s or self.step_s
         out = np.empty_like(whitened)
         band = bands(len(whitened), step)
@@ -105,21 +108,21 @@ class Noise:
         return series
 
     def at_step(self, step_s: float) -> Noise:
-        """The same noise of means over bins of another length."""
+        """Return the same noise for means over bins of another length."""
         share = np.sqrt(step_s / self.step_s)
         moves = None if self.moves is None else self.moves / share**2
         return Noise(self.roots * share, self.sd / share, step_s, self.white / share, moves)
 
 
 def bands(n: int, step_s: float) -> np.ndarray:
-    """Band (n,) of each of n cosine coefficients; 0 holds the longest periods."""
+    """Return the band (n,) of each of n cosine coefficients; 0 holds the longest periods."""
     period = 2.0 * n * step_s / np.maximum(np.arange(n), 0.5)
     band: np.ndarray = np.searchsorted(-np.array(EDGES_S), -period, side="right")
     return band
 
 
 def power(readings: Array, step_s: float) -> Array:
-    """Mean square (bands,) of the cosine coefficients of readings (n, m) in each band, K^2; 0 for an empty band."""
+    """Return the mean square (bands,), K^2, of the cosine coefficients of readings (n, m); 0 for an empty band."""
     c = dct(readings - readings.mean(axis=0), type=2, norm="ortho", axis=0)
     band = bands(len(c), step_s)
     squares = np.bincount(band, (c**2).mean(axis=1), len(EDGES_S) + 1)
@@ -128,11 +131,11 @@ def power(readings: Array, step_s: float) -> Array:
 
 
 def learn(residual: Array, sigma: Array, step_s: float, readings: Array | None = None) -> Noise:
-    """Noise from a healthy residual (n, m) without NaN.
+    """Learn the noise from a healthy residual (n, m), K, without NaN.
 
     Args:
-        sigma: (m,) K, white noise of a bin, the least that any band is given.
-        readings: (n, m) degC, the twin's own, where the noise is to serve records that move more or less.
+        sigma: (m,) K, white noise of a bin, the least of any band.
+        readings: (n, m) degC, the twin's own, if the noise is to be scaled to the variation of other records.
     """
     n, m = residual.shape
     c = dct(residual, type=2, norm="ortho", axis=0)
@@ -152,16 +155,16 @@ def learn(residual: Array, sigma: Array, step_s: float, readings: Array | None =
 
 
 def _root(covariance: Array) -> tuple[Array, Array]:
-    """(m, m) by which to whiten, and standard deviations (m,)."""
+    """Return the whitening matrix (m, m) and standard deviations (m,)."""
     values, vectors = np.linalg.eigh(covariance)
     root: Array = vectors / np.sqrt(np.maximum(values, 1e-12))
     return root, np.sqrt(np.diag(covariance))
 
 
 def learn_blocks(left: Array, sigma: Array, block_s: float, step_s: float, before: Noise) -> Noise:
-    """Noise per bin of `step_s` from what is left (b, m) of a record's block means of `block_s`.
+    """Learn the noise per bin of `step_s` from the residual (b, m), K, of block means of `block_s`.
 
-    Periods shorter than two blocks keep the noise that they had `before`.
+    Periods shorter than two blocks keep the noise `before`.
     """
     share = np.sqrt(block_s / step_s)
     learned = learn(left, sigma / share, block_s)

@@ -1,7 +1,7 @@
-"""Times in which pump or fan stood still, as they never did in health: nobody knows what a twin is worth there.
+"""Standstills of pump or fan in a record whose healthy record has none, where a twin is not valid.
 
-Water that does not flow is warmed and cooled in other ways than a loop that was commissioned with it flowing can tell,
-and it is not where the readings of the next minutes say either.
+Stagnant water warms and cools by other laws than those of the commissioned loop, and it distorts the readings of the
+next minutes as well.
 """
 
 from __future__ import annotations
@@ -13,32 +13,34 @@ import numpy as np
 from twin.network import Array, Network
 
 NEARLY = 0.5
-"""Share of the least speed of the healthy record from which something counts as standing."""
+"""Share of the least speed of the healthy record below which a speed counts as a standstill."""
 LEAST_PERCENTILE = 0.1
-"""Of the speeds in health, which is taken for the least: what lasts for a moment is no level."""
+"""Percentile of the healthy speeds that counts as the least, without short dips."""
 AGAIN_S = 600.0
-"""How long after a standstill what is read is of water that had stood."""
+"""Time after a standstill, s, for which readings are of stagnant water."""
 MOST = 0.5
-"""Share of a record that may be left aside; a rig that mostly stands is judged as it is."""
+"""Share of a record that may be excluded; a rig that mostly stands still is diagnosed as it is."""
 
 
 @dataclass(frozen=True)
 class Standstill:
-    """`rows` (N,) bool to be left aside; `columns`: what stood; `spells`: how often; `first_s`, `total_s`: s."""
+    """Standstills: `rows` (N,) bool to be excluded; `columns` of the drives; `count` of them; `first_s`, `total_s`:
+    s.
+    """
 
     rows: np.ndarray
     columns: tuple[str, ...] = ()
-    spells: int = 0
+    count: int = 0
     first_s: float = 0.0
     total_s: float = 0.0
 
     @property
     def sentence(self) -> str:
-        """What becomes of it, for an operator; "" where nothing stood."""
-        if not self.spells:
+        """Return a sentence about the excluded rows; "" if nothing stood still."""
+        if not self.count:
             return ""
         what = " and ".join(c.removesuffix("_pct").removesuffix("_speed") for c in self.columns)
-        often = "" if self.spells == 1 else f" in {self.spells} spells"
+        often = "" if self.count == 1 else f" in {self.count} periods"
         return (
             f"{what} stood for {self.total_s / 60.0:.3g} min{often} (first at {self.first_s / 3600.0:.1f} h), as never "
             "in the healthy record: what was read then, and ten minutes after, is left aside"
@@ -46,7 +48,7 @@ class Standstill:
 
 
 def standstill(network: Network, time_s: Array, inputs: Array, healthy_inputs: Array) -> Standstill:
-    """Where a speed, in %, was far below the least that it had in health.
+    """Return the periods in which a speed, in %, was far below its least one in health.
 
     Args:
         time_s: (N,) s. inputs: (N, c). healthy_inputs: (M, c).

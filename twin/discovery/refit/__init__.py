@@ -1,1 +1,1 @@
-"""An effect fitted together with the tunables, and tried on what the fit never saw."""
+"""Joint fit of effects and tunables, with cross-validation on held-out folds."""

@@ -1,7 +1,7 @@
-"""Effects and tunables fitted together, in the network that has the effects as real elements.
+"""Joint fit of effects and tunables, in the network that has the effects as real elements.
 
-Damped Gauss-Newton on the whitened block means, with what commissioning knows of the tunables as their prior. It begins
-at the commissioned values: beginning at values that have already absorbed an effect ends in other minima.
+Damped Gauss-Newton on the whitened block means, with the commissioned distribution of the tunables as their prior. It
+begins at the commissioned values: tunables that have already compensated for an effect lead to other minima.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from twin.discovery.effects.shapes import TIMED, Shape
 from twin.discovery.records.grid import Grid
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.stepping import LeastSquaresProblem, minimise
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
 from twin.network import Array
 from twin.segments import separate_columns
 
 ROUNDS, AGAIN = 12, 4
-"""Rounds of a fit, and of one that begins where another of the same effects ended."""
+"""Rounds of a fit, and of one that continues another of the same effects."""
 REACH = 1.0
-"""Longest step of a tunable, in standard deviations of a weak prior: its derivative is not to be trusted beyond, but
-where it held so far."""
+"""Longest step of a tunable, in standard deviations of a weak prior: derivatives are unreliable beyond, unless they
+held so far."""
 SHORT = 0.2
-"""Share of what is soon over by which its beginning and its end are moved for slopes, at most."""
+"""Largest share of a short transient by which its beginning and end are shifted for derivatives."""
 GROWN_S = 180.0
-"""Shortest time in which something grows, s: quicker is at once. What passes may be over within a bin."""
+"""Shortest growth time, s; quicker growth is a step. A transient may end within a bin."""
 _STEP = 1.0e-4
 _STATE_STEP = 1.0e-2
 _SIZE_STEP = 1.0e-2
@@ -38,15 +38,16 @@ _SIZE_STEP = 1.0e-2
 
 @dataclass(frozen=True)
 class Fit:
-    """Effects and tunables together.
+    """Joint fit of effects and tunables.
 
     Attributes:
         entries: with their sizes and standard deviations. moved: (q + s * k,) of [tunables z, initial state] from
-            commissioning. values: (p,) of the original network. state: (s * k,) at the first bin of each stretch.
+            commissioning. values: (p,) of the original network. state: (s * k,), degC, at the first bin of each
+            segment.
         total: weighted squares, of residual and of tunables against their prior. chi: residual's per block and sensor.
-        away: those of the tunables; what no effect explains may push them far.
-        residual: (b * m,) whitened, of the contest that it was fitted in.
-        done: whether more rounds would have led no further.
+        away: those of the tunables, which are large if the fit compensates for a missing effect.
+        residual: (b * m,) whitened, of the score test that it was fitted in.
+        done: whether it has converged.
     """
 
     entries: tuple[Entry, ...]
@@ -60,15 +61,16 @@ class Fit:
     done: bool
 
 
-def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None, rounds: int = ROUNDS) -> Fit:
-    """Minimise the contest's squares over tunables, initial state and sizes; the contest then looks at the result.
+def fit(score_test: ScoreTest, model: Model, state: Array, moved: Array | None = None, rounds: int = ROUNDS) -> Fit:
+    """Minimise the score test's squares over tunables, initial state and sizes; the score test then holds the result.
 
     Args:
-        state: temperatures (s * k,) at the beginnings, about which the contest was linearised.
-        moved: (q + s * k,) of [tunables z, initial state] where another fit of the same effects ended, to begin there.
-        rounds: steps that it may take.
+        state: temperatures (s * k,), degC, at the beginnings of segments, about which the score test was linearised.
+        moved: (q + s * k,) of [tunables z, initial state] at the end of another fit of the same effects, as start
+            point.
+        rounds: steps at most.
     """
-    probe, grid, entries = contest.probe, contest.grid, model.entries
+    probe, grid, entries = score_test.probe, score_test.grid, model.entries
     scaling, q, k, e = probe.scaling, probe.q, len(grid.begins) * probe.k, len(entries)
     timed = [i for i, x in enumerate(entries) if x.shape.onset_s > 0.0]
     grown = [i for i, x in enumerate(entries) if x.shape.free(grid.span_s)]
@@ -88,7 +90,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     reach[:q], reach[q : q + k] = REACH * scaling.prior_sd(), 5.0
     reach[first_time:first_growth], reach[first_growth:] = 1.0, 0.7
     precision = np.zeros((count, count))
-    precision[: q + k, : q + k] = contest.prior.precision
+    precision[: q + k, : q + k] = score_test.prior.precision
     steps = np.full(count, _STEP)
     steps[q : q + k] = _STATE_STEP
     steps[q + k : first_time] = [_SIZE_STEP * x.candidate.typical for x in entries]
@@ -99,7 +101,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         if shape.name in ("periodic", "spell"):
             told_s = grid.span_s if shape.name == "periodic" else shape.growth_s
             steps[first_growth + place] = min(6.0 * grid.step_s / max(told_s, grid.step_s), SHORT)
-            reach[first_growth + place] = contest.step_s / max(told_s, grid.step_s)
+            reach[first_growth + place] = score_test.step_s / max(told_s, grid.step_s)
     for place, i in enumerate(timed):
         if entries[i].shape.name in ("spell", "pulse"):
             # Its beginning and its end bend the readings apart.
@@ -116,7 +118,7 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         return tuple(found)
 
     def run(v: Array) -> Array:
-        """Readings of runs at v (P, count)."""
+        """Return the readings of runs at v (P, count)."""
         values = np.tile(probe.network.values, (len(v), 1))
         values[:, scaling.index] = scaling.to_values(z0 + v[:, :q])
         shapes = tuple(shapes_at(row) for row in v)
@@ -124,22 +126,22 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         return simulated(model, grid, start, values, sizes, shapes)
 
     def look(rows: Array) -> Array:
-        """Whitened residuals (P, rows) of runs at `rows` (P, count)."""
-        return contest.residuals_of(run(rows))
+        """Return the whitened residuals (P, rows) of runs at `rows` (P, count)."""
+        return score_test.residuals_of(run(rows))
 
     def slopes_at(v: Array) -> tuple[Array, Array]:
-        """Whitened slopes (rows, count), and those (rows, onsets) that onsets have towards earlier times."""
+        """Return the whitened derivatives (rows, count), and those (rows, onsets) of onsets towards earlier times."""
         sign = np.where(v + steps > high, -steps, steps)
         alone = np.diag(sign)
-        # A beginning is felt in its own stretch alone, so that all of them are moved at once.
+        # A beginning is felt in its own segment alone, so that all of them are moved at once.
         at_once = alone[q : q + k].reshape(-1, probe.k, count).sum(axis=0)
         moves = np.vstack([np.zeros(count), alone[:q], at_once, alone[q + k :], -np.diag(steps)[onsets]])
         # A run is cut where any of those beside it is: only with these is the difference that of the move.
-        seen = contest.seen(run(v + moves))
+        seen = score_test.seen(run(v + moves))
         change = np.moveaxis(seen[1:] - seen[0], 0, 2)
-        states = separate_columns(change[..., q : q + probe.k], contest.begins)
+        states = separate_columns(change[..., q : q + probe.k], score_test.begins)
         each = np.concatenate([change[..., :q], states, change[..., q + probe.k :]], axis=2)
-        both = contest.features(each / np.append(sign, -steps[onsets]))
+        both = score_test.features(each / np.append(sign, -steps[onsets]))
         return both[:, :count], both[:, count:]
 
     onsets = np.arange(first_time, first_growth)
@@ -149,7 +151,9 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
     v[onsets] = [entries[i].shape.onset_s / 3600.0 for i in timed]
     v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
     v = np.clip(v, low, high)
-    squares = LeastSquaresProblem(look, slopes_at, precision, low, high, reach, onsets, contest.step_s / 3600.0, scale)
+    squares = LeastSquaresProblem(
+        look, slopes_at, precision, low, high, reach, onsets, score_test.step_s / 3600.0, scale
+    )
     found, slopes, done = minimise(squares, v, rounds)
     v = found.v
     covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)
@@ -168,11 +172,11 @@ def fit(contest: Contest, model: Model, state: Array, moved: Array | None = None
         for i, x in enumerate(entries)
     )
     fitted = tuple(_going_on(x, grid.span_s) for x in fitted)
-    contest.take(found.residual, v[: q + k])
+    score_test.take(found.residual, v[: q + k])
     values = probe.network.values.copy()
     values[scaling.index] = scaling.to_values(z0 + v[:q])
-    chi = float(found.residual @ found.residual) / max(contest.count, 1)
-    away = float(v[: q + k] @ contest.prior.precision @ v[: q + k])
+    chi = float(found.residual @ found.residual) / max(score_test.count, 1)
+    away = float(v[: q + k] @ score_test.prior.precision @ v[: q + k])
     return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], found.total, chi, away, found.residual, done)
 
 
@@ -183,27 +187,27 @@ def simulated(
     return _between(model.run(grid.time, grid.inputs, state, values, sizes, shapes, grid.begins))
 
 
-def look_at(contest: Contest, model: Model, found: Fit) -> None:
-    """Have the contest look at what a fit has found; the model is of its effects."""
+def look_at(score_test: ScoreTest, model: Model, found: Fit) -> None:
+    """Set the score test's residual to that of a fit; the model is of its effects."""
     sizes = np.array([[e.size for e in model.entries]])
-    grid = contest.grid
+    grid = score_test.grid
     (readings,) = simulated(model, grid, found.state[None], found.values[None], sizes, None)
-    contest.look_at(FreeRun(readings, readings), found.moved)
+    score_test.look_at(FreeRun(readings, readings), found.moved)
 
 
 def _reached(shape: Shape, span_s: float) -> float:
-    """Amplitude at the end of a record."""
+    """Return the amplitude at the end of a record."""
     return shape.mean(span_s - 1.0, span_s)
 
 
 def _between(readings: Array) -> Array:
-    """Readings (P, n, m) in the middle of their bins, from those at the beginnings."""
+    """Return the readings (P, n, m) in the middle of their bins, from those at the beginnings."""
     readings[:, :-1] += 0.5 * np.diff(readings, axis=1)
     return readings
 
 
 def _going_on(entry: Entry, span_s: float) -> Entry:
-    """The entry, where it still rises or is there at the record's end, as one that does not end with it."""
+    """Return an entry that still rises or is present at the record's end without an end of its course."""
     shape = entry.shape.going_on(span_s)
     times = shape.growth_s / entry.shape.growth_s if shape.growth_s > entry.shape.growth_s else 1.0
     return replace(entry, shape=shape, size=times * entry.size, sd=times * entry.sd)

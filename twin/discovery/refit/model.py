@@ -1,4 +1,4 @@
-"""A twin with effects added as real elements, run freely with each effect coming in as its shape says."""
+"""Free simulation of a twin with effects as real elements, each with its time course."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from twin.network import Array, Network
 from twin.segments import restarted_states, segment_rows
 
 SETTLE_S, FIRST_ROWS, STATE_STEP_K = 900.0, 6, 1.0e-2
-"""Readings at a beginning that tell its temperatures, those that give a first guess, and how far it is moved."""
+"""Readings at a segment's beginning, s, that determine its temperatures, those of a first guess, and the derivative's
+step, K."""
 FADED = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 4.0, 5.0, 7.0)
-"""Time constants of a pulse after which it is held anew, until a thousandth of it is left."""
+"""Times after which a decaying pulse gets a new constant value, in its time constants, until a thousandth is left."""
 PIECE_S, READ_PIECE_S = 600.0, 300.0
-"""A growing effect is held constant for so long; an error of reading, which nothing evens out, for less."""
+"""Time, s, for which a growing effect is held constant; an error of reading, which nothing smooths, for less."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """`original` with the elements of `entries`, neutral, as `network`, and the kernel that simulates it.
+    """Network `network`: the `original` with the neutral elements of `entries`, and the kernel that simulates it.
 
-    The network may hold other effects besides, which stay neutral.
+    The network may hold other effects, which stay neutral.
     """
 
     original: Network
@@ -39,7 +40,7 @@ class Model:
 
     @classmethod
     def of(cls, probe: Probe, entries: tuple[Entry, ...]) -> Model:
-        """The network of a probe with these effects, its tunables free; compiled once for most of what there is.
+        """Return the model of these effects in a probe's network, with free tunables; most share a compiled kernel.
 
         Raises:
             TwinFileError: an element does not fit.
@@ -51,7 +52,7 @@ class Model:
 
     @classmethod
     def alone(cls, probe: Probe, entries: tuple[Entry, ...]) -> Model:
-        """The same with these effects and no others in it.
+        """Return the same with these effects and no others in it.
 
         Raises:
             TwinFileError: an element does not fit.
@@ -62,13 +63,14 @@ class Model:
 
     @cached_property
     def _here(self) -> np.ndarray:
-        """Positions of the original network's parameters."""
+        """Return the positions of the original network's parameters."""
         return self.network.index(self.original.ids)
 
     @cached_property
     def _masses(self) -> list[tuple[int, int, int, str]]:
-        """Effects that bring a temperature of their own: effect, its place in a full state, the node beside it, and the
-        input that it begins at instead, if any."""
+        """Return the effects with a temperature of their own: effect, its index in a full state, its node, and the
+        input of its initial temperature, if any.
+        """
         names = self.kernel.states
         found = []
         for i, entry in enumerate(self.entries):
@@ -81,11 +83,11 @@ class Model:
 
     @cached_property
     def _shared(self) -> list[tuple[int, int]]:
-        """Parameters that are the same as another."""
+        """Return the parameters that equal another one."""
         return [(self._places[p.id], self._places[p.same_as]) for p in self.network.parameters.values() if p.same_as]
 
     def parameters(self, values: Array, sizes: Array) -> Array:
-        """Full parameter vectors (P, p) of the bigger network.
+        """Return full parameter vectors (P, p) of the larger network.
 
         Args:
             values: (P, p) of the original network. sizes: (P, e).
@@ -105,7 +107,7 @@ class Model:
 
     @cached_property
     def _places(self) -> dict[str, int]:
-        """Position of each parameter of the bigger network."""
+        """Return the position of each parameter of the larger network."""
         return {name: i for i, name in enumerate(self.network.ids)}
 
     def _enter(self, candidate: Candidate, rows: Array, sizes: Array) -> None:
@@ -128,12 +130,12 @@ class Model:
         shapes: tuple[tuple[Shape, ...], ...] | None = None,
         begins: tuple[int, ...] = (0,),
     ) -> Array:
-        """Readings (P, n, m) in degC of free runs.
+        """Return the readings (P, n, m), degC, of free runs.
 
         Args:
-            state: (P, s * k) at the first sample of each stretch. values: (P, p) of the original network.
-            sizes: (P, e). shapes: (P, e) how the effects come in, as the entries say by default.
-            begins: (s,) rows at which stretches begin.
+            state: (P, s * k), degC, at the first sample of each segment. values: (P, p) of the original network.
+            sizes: (P, e). shapes: (P, e) time courses of the effects, by default those of the entries.
+            begins: (s,) rows at which segments begin.
         """
         given, inputs = inputs, self.driven(time, inputs)
         since = time - time[0]
@@ -176,13 +178,13 @@ class Model:
 
     @cached_property
     def _injected(self) -> tuple[tuple[int, int], ...]:
-        """Effects that are open laws of heat in a shared kernel, and their slots there."""
+        """Return the effects that are open laws of heat in a shared kernel, and their slots there."""
         shared = injection(0, self.network.nodes[0]) in {e.name for e in self.network.elements}
         heats = [i for i, e in enumerate(self.entries) if e.candidate.injects] if shared else []
         return tuple((i, slot) for slot, i in enumerate(heats))
 
     def driven(self, time: Array, inputs: Array) -> Array:
-        """Inputs (n, c) with the values of open laws in the columns that their elements follow."""
+        """Return inputs (n, c) with the values of open laws in their elements' columns."""
         more = self.network.input_columns[inputs.shape[1] :]
         if not more:
             return inputs
@@ -200,7 +202,7 @@ class Model:
         return np.ascontiguousarray(np.column_stack([inputs, *(values.get(column, nothing) for column in more)]))
 
     def read(self, readings: Array, time: Array, inputs: Array, sizes: Array, course: Array, cuts: np.ndarray) -> None:
-        """Add the errors of reading of open laws in a shared kernel to the readings (P, n, m).
+        """Add the reading errors of open laws in a shared kernel to the readings (P, n, m).
 
         Args:
             sizes: (P, e). course: (P, e, pieces), between `cuts`.
@@ -223,13 +225,14 @@ class Model:
         values: Array,
         begins: tuple[int, ...],
     ) -> Array:
-        """State (s * k,) at all beginnings of a record, where a fit has seen the first ones.
+        """Return the state (s * k,), degC, at the beginnings of all segments of a record, of which a fit has the first
+        ones.
 
-        What a fit has not seen is told by the readings of the first quarter of an hour, parameters and sizes as they
-        are: the rig is followed from there as from the record's beginning.
+        The state of a held-out segment follows from the readings of its first quarter of an hour, with fixed parameters
+        and sizes, as at the record's beginning.
 
         Args:
-            measured: (n, m) degC. state: (t * k,) of the first t stretches. values: (p,) of the original network.
+            measured: (n, m) degC. state: (t * k,) of the first t segments. values: (p,) of the original network.
         """
         k, sizes = len(self.original.nodes), np.array([[e.size for e in self.entries]])
         if len(state) >= len(begins) * k:
@@ -252,7 +255,7 @@ class Model:
 
 
 def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
-    """Rows (c,) at which sizes change, and the end; what grows does so every `piece` s."""
+    """Return the rows (c,) at which sizes change, and the end; a growing effect changes every `piece` s."""
     borders = {0.0}
     short: set[float] = set()
     for shape in shapes:

@@ -1,7 +1,7 @@
-"""Damped Gauss-Newton where some quantities bend the residual: several steps are tried side by side, each a run of it.
+"""Damped Gauss-Newton for residuals with kinks in some variables: several trial steps are simulated side by side.
 
-Block means bend where an onset passes from one block into the next, so what the slope says of an onset may hold on one
-side only and not far, and all else must not wait for it. Marquardt, J. SIAM 11 (1963) 431, otherwise.
+Block means have a kink where an onset passes from one block into the next, so an onset's derivative may hold on one
+side only and not far, and must not slow down the other variables. Marquardt, J. SIAM 11 (1963) 431, otherwise.
 """
 
 from __future__ import annotations
@@ -14,29 +14,30 @@ import numpy as np
 from twin.network import Array
 
 DAMPINGS, FURTHER, SHORTER = (1.0, 30.0, 1000.0), 4.0, 0.3
-"""Steps so many times more damped, so many times as long, and with this share of what bends are tried side by side:
-eight runs cost little more than one."""
+"""Trial steps: factors on the damping, on the length, and the share for variables with kinks. Eight runs cost little
+more than one."""
 LITTLE, LEAST = 1.0e-4, 0.2
-"""Gain, of all squares or in all, after which nothing more is asked for."""
-FORETOLD = 0.7
-"""Share of what they foretold, and its inverse, within which slopes are taken to hold for another step."""
+"""Gain, relative to all squares and absolute, at which the fit has converged."""
+PREDICTED = 0.7
+"""Ratio of gained to predicted squares, and its inverse, within which derivatives hold for another step."""
 CALMER, STIFFER = 10.0, 1.0e3
-"""Damping after a step that gained is so many times less, after none did so many times more."""
+"""Factors by which damping falls after a step that gained, and rises after none did."""
 MOST_TURNS, NOTHING = 4, 1.0e-6
-"""Turns of a step within bounds per quantity, and the share of its gain for which no bound is left again."""
+"""Iterations of a bounded step per variable, and the relative gain below which no bound is released again."""
 LEAST_DAMPED, FIRST_DAMPED, MOST_DAMPED = 1.0e-6, 1.0e-3, 1.0e6
 
 
 @dataclass(frozen=True)
 class LeastSquaresProblem:
-    """Least-squares problem over v (c,): |residual|^2 + v' precision v is to be made small.
+    """Least-squares problem over v (c,): minimise |residual|^2 + v' precision v.
 
     Attributes:
         look: residuals (P, rows) at v (P, c).
-        slopes: how fast (rows, c) the residual falls at v (c,), and for what bends (rows, bends) towards lower values.
-        precision: (c, c). low, high: (c,) bounds. reach: (c,) longest steps, but where slopes held so far.
-        bends: (bends,) places of what bends. leap: how far apart its bends are.
-        scale: (c,) what is much of each quantity, in its unit.
+        slopes: derivatives (rows, c) of the residual at v (c,), and for variables with kinks (rows, bends) towards
+            lower values.
+        precision: (c, c). low, high: (c,) bounds. reach: (c,) longest steps, unless derivatives held so far.
+        bends: (bends,) indices of variables with kinks. leap: distance of the kinks.
+        scale: (c,) large change of each variable, in its unit.
     """
 
     look: Callable[[Array], Array]
@@ -49,15 +50,15 @@ class LeastSquaresProblem:
     leap: float
     scale: Array
 
-    def weighed(self, v: Array, residual: Array) -> Array:
-        """Squares (P,) at v (P, c)."""
+    def total_squares(self, v: Array, residual: Array) -> Array:
+        """Return the squares (P,) at v (P, c)."""
         total: Array = (residual**2).sum(axis=1) + ((v @ self.precision) * v).sum(axis=1)
         return total
 
 
 @dataclass(frozen=True)
 class SearchPoint:
-    """Where a search is: v (c,), residual (rows,), and the squares."""
+    """Point of the search: v (c,), residual (rows,), and the squares."""
 
     v: Array
     residual: Array
@@ -66,7 +67,7 @@ class SearchPoint:
 
 @dataclass(frozen=True)
 class TrialStep:
-    """A step (c,), its damping, how much longer it may be, and the squares that the slopes foretell of it."""
+    """Step (c,), its damping, its longest multiple, and the squares that its derivatives predict."""
 
     step: Array
     damping: float
@@ -75,13 +76,14 @@ class TrialStep:
 
 
 def minimise(squares: LeastSquaresProblem, v: Array, rounds: int) -> tuple[SearchPoint, Array, bool]:
-    """Where the squares are least near v (c,), as far as some rounds lead, the slopes (rows, c) there, and whether more
-    rounds would lead no further; if they would, the slopes are those of the last round.
+    """Return the minimum of the squares near v (c,) after at most some rounds, the derivatives (rows, c), and
+    convergence.
 
-    After a single round, of which the squares alone are asked for, they are those of its beginning.
+    Before convergence the derivatives are those of the last round. After a single round, which serves for the squares
+    alone, they are those of its beginning.
     """
     residuals = squares.look(v[None])
-    place = SearchPoint(v, residuals[0], float(squares.weighed(v[None], residuals)[0]))
+    place = SearchPoint(v, residuals[0], float(squares.total_squares(v[None], residuals)[0]))
     slopes = squares.slopes(place.v)
     damping, longer, fresh = FIRST_DAMPED, 1.0, True
     for _ in range(rounds):
@@ -89,7 +91,7 @@ def minimise(squares: LeastSquaresProblem, v: Array, rounds: int) -> tuple[Searc
         tried = _steps(squares, place, slopes, damping, longer)
         if place.total - min(s.total for s in tried) > little:
             best, found = _best(squares, place, tried)
-            gained, foretold = place.total - found.total, place.total - best.total
+            gained, predicted = place.total - found.total, place.total - best.total
             if gained > 0.0:
                 longer = longer * best.longer if best.damping == damping else 1.0
                 damping = max(best.damping / CALMER, LEAST_DAMPED)
@@ -98,7 +100,7 @@ def minimise(squares: LeastSquaresProblem, v: Array, rounds: int) -> tuple[Searc
                 if done:
                     break
                 straight = not best.step[squares.bends].any()
-                if straight and gained > little and FORETOLD * foretold < gained < foretold / FORETOLD:
+                if straight and gained > little and PREDICTED * predicted < gained < predicted / PREDICTED:
                     continue
             elif fresh:
                 damping, longer = damping * STIFFER, 1.0
@@ -115,12 +117,12 @@ def minimise(squares: LeastSquaresProblem, v: Array, rounds: int) -> tuple[Searc
 
 
 def _best(squares: LeastSquaresProblem, place: SearchPoint, tried: list[TrialStep]) -> tuple[TrialStep, SearchPoint]:
-    """The step that led to the least squares, and where it led; a step that is no number leads nowhere."""
+    """Return the step to the least squares, and its end point; a step with NaN leads nowhere."""
     steps = np.stack([s.step for s in tried])
     steps[~np.isfinite(steps).all(axis=1)] = 0.0
     v = np.clip(place.v + steps, squares.low, squares.high)
     residuals = squares.look(v)
-    totals = squares.weighed(v, residuals)
+    totals = squares.total_squares(v, residuals)
     k = int(np.argmin(totals))
     return tried[k], SearchPoint(v[k], residuals[k], float(totals[k]))
 
@@ -128,20 +130,20 @@ def _best(squares: LeastSquaresProblem, place: SearchPoint, tried: list[TrialSte
 def _steps(
     squares: LeastSquaresProblem, place: SearchPoint, slopes: tuple[Array, Array], damping: float, longest: float
 ) -> list[TrialStep]:
-    """Steps worth trying: with what bends held, moved as its slope says, all of it or each alone, and across its bends.
+    """Return trial steps: kinked variables held, moved by their derivatives, all or each alone, and across their kinks.
 
-    Of a leap the slopes foretell nothing: it promises no gain.
+    Derivatives predict nothing across a kink: such a step has no predicted gain.
     """
     bends, lower = squares.bends, slopes[1]
     along = slopes[0].copy()
 
     def form() -> tuple[Array, Array]:
-        """Matrix and pull of the quadratic form that the slopes make of the squares."""
+        """Return matrix and gradient of the squares' quadratic form by the derivatives."""
         hessian: Array = along.T @ along + squares.precision
         return hessian, along.T @ place.residual - squares.precision @ place.v
 
     def step(down: Array, up: Array, damped: float = 1.0, longer: float = 1.0) -> TrialStep:
-        """With what bends going down and up (bends,) no further than this."""
+        """Return a step with kinked variables moving down and up (bends,) no further than this."""
         reach = longest * longer * squares.reach
         low, high = np.maximum(squares.low - place.v, -reach), np.minimum(squares.high - place.v, reach)
         low[bends], high[bends] = np.maximum(low[bends], -down), np.minimum(high[bends], up)
@@ -150,7 +152,7 @@ def _steps(
         free = much >= 1e-9 * np.median(much)
         stiff = hessian + damping * damped * np.diag(np.maximum(much, 1e-9 * much.max()) / squares.scale**2)
         taken = bounded(stiff, pull, np.where(free, low, 0.0), np.where(free, high, 0.0))
-        total = squares.weighed((place.v + taken)[None], (place.residual - along @ taken)[None])
+        total = squares.total_squares((place.v + taken)[None], (place.residual - along @ taken)[None])
         return TrialStep(taken, damping * damped, longer, float(total[0]))
 
     hessian, pull = form()
@@ -177,10 +179,10 @@ def _steps(
 
 
 def bounded(hessian: Array, pull: Array, low: Array, high: Array) -> Array:
-    """Step s that makes s H s / 2 - pull s least, low <= s <= high, where 0 is allowed.
+    """Return the step s that minimises s H s / 2 - pull s subject to low <= s <= high, where 0 is feasible.
 
-    Active sets (Nocedal & Wright, Numerical Optimization, algorithm 16.3): towards the least of what is free until
-    something runs into its bound and stays there; once nothing does, what its bound holds back most is let go again.
+    Active sets (Nocedal & Wright, Numerical Optimization, algorithm 16.3): step towards the minimum of the free
+    variables until one meets its bound and stays there; once none does, release the bound with the largest multiplier.
     """
     diagonal = np.diag(hessian)
     step = np.zeros_like(pull)

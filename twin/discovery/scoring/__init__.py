@@ -1,1 +1,1 @@
-"""One quadratic form for every hypothesis: scores, with the tunables and the structure projected out."""
+"""Score tests of candidate effects on one quadratic form, with tunables and known structure projected out."""

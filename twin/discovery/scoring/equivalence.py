@@ -1,4 +1,4 @@
-"""Which explanations remain: those that are not worse than the best by more than can be told."""
+"""Ambiguity group of a finding: explanations that are not significantly worse than the best."""
 
 from __future__ import annotations
 
@@ -10,25 +10,27 @@ if TYPE_CHECKING:
 
 LEAST_WEIGHT = 0.003
 OPEN = 0.15
-"""Share of the weight from which another driver of the same effect is worth an experiment."""
+"""Posterior probability from which another driver of the same effect justifies an experiment."""
 SHARE = 0.003
-"""Of the gain: two explanations closer than this are not told apart, whatever the noise."""
+"""Share of the gain within which two explanations are indistinguishable, whatever the noise."""
 
 
 def width(gain: float) -> float:
-    """How much worse, in weighted squares, an explanation may be and still not be excluded; it grows with the gain,
-    since at a large one the form assumed decides and not the noise."""
+    """Return the excess of weighted squares up to which an explanation is not excluded.
+
+    It grows with the gain: at a large gain the assumed form decides, and not the noise.
+    """
     return max(10.0, SHARE * gain)
 
 
 def instead(other: Ranked, first: Ranked) -> Entry:
-    """The effect of another explanation that stands where the first has something else, its last where none does."""
+    """Return the effect of another explanation that replaces one of the first, or its last effect if none does."""
     known = {e.label for e in first.entries}
     return next((e for e in other.entries[::-1] if e.label not in known), other.entries[-1])
 
 
 def remaining(finding: Finding) -> tuple[Ranked, ...]:
-    """The answer and what cannot be told from it, one for each kind, place and driver."""
+    """Return the answer and its ambiguity group, one explanation for each kind, place and driver."""
     if not finding.ranked:
         return ()
     first = finding.ranked[0]
@@ -44,8 +46,11 @@ def remaining(finding: Finding) -> tuple[Ranked, ...]:
 
 
 def open_questions(finding: Finding, ambiguous: bool) -> tuple[Ranked, ...]:
-    """Of what remains, what is worth an experiment: all of it where the finding is ambiguous, else other drivers of
-    the same effect that have some weight."""
+    """Return the explanations that justify an experiment.
+
+    These are all that remain if the finding is ambiguous, else other drivers of the same effect with enough
+    probability.
+    """
     left = remaining(finding)
     if not left:
         return ()

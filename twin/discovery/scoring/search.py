@@ -1,4 +1,4 @@
-"""The search: every law in every time shape from every onset, then one, two or three of them together."""
+"""Search by score: every law in every time course from every onset, then one, two or three of them jointly."""
 
 from __future__ import annotations
 
@@ -9,30 +9,31 @@ import numpy as np
 
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import Shape
-from twin.discovery.scoring.contest import Contest, JointEstimate
+from twin.discovery.scoring.score_tests import JointEstimate, ScoreTest
 from twin.discovery.scoring.sweep import LAST_SHARE, Courses, Given, LawSquares
 from twin.elements.candidates import Candidate
 from twin.gauss_newton import SE90
 from twin.network import Array
 
 WORTH_GROWING = 4.0
-"""Gain of a law's best step below which its growth is not looked at: the two are never far apart."""
+"""Gain of a law's best step below which its growing courses are not scored: the two never differ much."""
 CAME_IN = 25.0
-"""Gain over being there all along, from which what a lumped twin may seem to lack is something that came in."""
+"""Gain over the presence from the beginning from which an effect has an onset, and is no model error of a lumped twin.
+"""
 CAME_IN_SHARE = 0.1
-"""The same as a share of its gain, where nothing tells how much of it a lumped twin leaves: the beginning of a record
-has moments of its own."""
+"""The same as a share of its gain, if the model error is unknown: the beginning of a record has transients of its own.
+"""
 ACTUATED = ("heater_power", "pump_speed", "fan_speed")
-"""Drivers that an effect follows while it grows too: an input tells more than the time does."""
+"""Drivers that an effect follows even if it grows too: an input explains more than time does."""
 _TINY = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One hypothesis, its size fitted alone: `vector` (sites, b) at size 1.
+    """One hypothesis with its size estimated alone: `vector` (sites, b) at size 1.
 
-    `sd` of what grows is that of what it comes to at the record's end, as a size. `log_bayes` is its log evidence over
-    no effect, averaged over onsets by their prior, and `log_occam` the logarithm of that average over its best.
+    `sd` of a growing effect is that of its size at the record's end. `log_bayes` is its log Bayes factor over no
+    effect, averaged over onsets by their prior, and `log_occam` the logarithm of that average over its maximum.
     """
 
     law: CandidateLaw
@@ -53,18 +54,18 @@ class Entry:
     def z(self) -> float:
         return float(np.sqrt(max(self.gain, 0.0)))
 
-    def placed(self, contest: Contest) -> Array:
-        """The vector at the entry's present shape."""
-        placed: Array = contest.vector(self.law) * self.shape.block_means(contest.edges * contest.grid.step_s)
+    def placed(self, score_test: ScoreTest) -> Array:
+        """Return the vector for the entry's present shape."""
+        placed: Array = score_test.vector(self.law) * self.shape.block_means(score_test.edges * score_test.grid.step_s)
         return placed
 
-    def refreshed(self, contest: Contest) -> Entry:
-        """The entry with the vector of its present shape in another contest."""
-        return replace(self, vector=self.placed(contest))
+    def refreshed(self, score_test: ScoreTest) -> Entry:
+        """Return the entry with the vector of its present shape in another score test."""
+        return replace(self, vector=self.placed(score_test))
 
     @property
     def driver(self) -> str:
-        """What the effect follows: an input where its law does, time where it grows, else what its law says."""
+        """Return the driver of the effect: the input of its law, else time if it grows, else that of the law."""
         if self.shape.name == "periodic":
             return "periodic"
         time = self.shape.grows and self.candidate.driver not in ACTUATED
@@ -72,7 +73,9 @@ class Entry:
 
     @property
     def change(self) -> str:
-        """A parameter that drifts is a missing law of time; one that jumped is a moved parameter."""
+        """Return the type of change: a drifting parameter is a missing law of time, one that stepped a moved
+        parameter.
+        """
         return "new" if self.shape.grows else self.candidate.change
 
     @property
@@ -84,19 +87,19 @@ def allowed(candidate: Candidate, size: float) -> bool:
     return candidate.lower <= size <= candidate.upper
 
 
-def scan(contest: Contest, laws: list[CandidateLaw], given: Array | None = None) -> list[Entry]:
-    """Best onset of each law in each of its shapes, by falling gain.
+def scan(score_test: ScoreTest, laws: list[CandidateLaw], given: Array | None = None) -> list[Entry]:
+    """Return the best onset of each law in each of its shapes, by falling gain.
 
     Args:
-        given: vectors (e, sites, b) of effects that are already known; their sizes are fitted along.
+        given: vectors (e, sites, b) of effects that are already known; their sizes are fitted jointly.
     """
-    known = Courses.of(contest)
+    known = Courses.of(score_test)
     onsets, steps = known.onsets, known.steps
-    beside = Given(contest, given) if given is not None and len(given) else None
+    beside = Given(score_test, given) if given is not None and len(given) else None
     found: list[Entry] = []
     for law in laws:
         others, courses = known.beyond(law.candidate)
-        p, score, bottom, growing = _beside(contest, law, beside)
+        p, score, bottom, growing = _beside(score_test, law, beside)
         size, gain = _gains(law, score @ steps, bottom)
         if law.candidate.lumped and not _came_in(law, gain):
             gain[np.abs(size) < law.candidate.lumped] = 0.0
@@ -120,21 +123,22 @@ def scan(contest: Contest, laws: list[CandidateLaw], given: Array | None = None)
 
 
 def _came_in(law: CandidateLaw, gain: Array) -> bool:
-    """Whether gains (i,) by onset say that a law was not there all along; by more, where no size is beyond doubt."""
+    """Return True if gains (i,) by onset indicate an onset after the beginning; the limit is higher if the size is
+    uncertain.
+    """
     more = gain.max() - gain[0]
     return bool(more >= CAME_IN and (law.candidate.lumped < np.inf or more >= CAME_IN_SHARE * gain.max()))
 
 
-def able_to_begin(contest: Contest, entry: Entry, given: Array) -> tuple[float, float]:
-    """The earliest and the latest onset, s, with which an effect wins as much as its best, but for what chance takes
-    from one in ten.
+def able_to_begin(score_test: ScoreTest, entry: Entry, given: Array) -> tuple[float, float]:
+    """Return the earliest and the latest onset, s, with a gain equal to the best within the 90 % interval.
 
     Args:
         given: vectors (e, sites, b) of the effects beside it.
     """
-    known = Courses.of(contest)
-    beside = Given(contest, given) if len(given) else None
-    _, score, bottom, growing = _beside(contest, entry.law, beside)
+    known = Courses.of(score_test)
+    beside = Given(score_test, given) if len(given) else None
+    _, score, bottom, growing = _beside(score_test, entry.law, beside)
     if entry.shape.name == "step":
         onsets, gain = known.onsets, _gains(entry.law, score @ known.steps, bottom)[1]
     else:
@@ -146,22 +150,24 @@ def able_to_begin(contest: Contest, entry: Entry, given: Array) -> tuple[float, 
     return (float(able.min()), float(able.max())) if len(able) else (entry.shape.onset_s, entry.shape.onset_s)
 
 
-def _beside(contest: Contest, law: CandidateLaw, beside: Given | None) -> tuple[Array, Array, Array, Array]:
-    """A law's blocks (sites, b) and score (b,), and the squares of its steps and of what else it may be, less what
-    those beside it stand for."""
-    squares = LawSquares.of(contest, law)
-    p, score, bottom, growing = squares.blocks, contest.scored(squares.blocks), squares.steps, squares.growths
+def _beside(score_test: ScoreTest, law: CandidateLaw, beside: Given | None) -> tuple[Array, Array, Array, Array]:
+    """Return a law's blocks (sites, b) and score (b,), and the squares of its steps and of its other shapes.
+
+    The part that the given effects explain is subtracted.
+    """
+    squares = LawSquares.of(score_test, law)
+    p, score, bottom, growing = squares.blocks, score_test.scored(squares.blocks), squares.steps, squares.growths
     if beside is not None:
         share = beside.share(p)
         score = score - beside.score(share)
         bottom = bottom - (share[::-1].cumsum(axis=0)[::-1][: len(bottom)] ** 2).sum(axis=1)
-        growing = growing - ((share.T @ Courses.of(contest).beyond(law.candidate)[1]) ** 2).sum(axis=0)
+        growing = growing - ((share.T @ Courses.of(score_test).beyond(law.candidate)[1]) ** 2).sum(axis=0)
     least = _TINY * max(float(squares.steps.max()), _TINY)
     return p, score, np.maximum(bottom, least), np.maximum(growing, least)
 
 
 def _gains(law: CandidateLaw, top: Array, bottom: Array) -> tuple[Array, Array]:
-    """Sizes and gains of courses with scores `top` and squares `bottom`; none where the size is impossible."""
+    """Return sizes and gains of courses with scores `top` and squares `bottom`; no gain if the size is impossible."""
     size = top / bottom
     inside = (size >= law.candidate.lower) & (size <= law.candidate.upper)
     gain: Array = np.where(inside, top * size, 0.0)
@@ -172,29 +178,29 @@ def _entry(law: CandidateLaw, shape: Shape, vector: Array, size: float, bottom: 
     return Entry(law, shape, vector, float(size), float(bottom) ** -0.5, float(gain))
 
 
-def refine(contest: Contest, entry: Entry) -> Entry:
-    """The entry with its onset (and growth) moved to where its gain is greatest."""
-    edges_s = contest.edges * contest.grid.step_s
-    p = contest.vector(entry.law)
-    gram, score = contest.small(p)
+def refine(score_test: ScoreTest, entry: Entry) -> Entry:
+    """Return the entry with onset and growth time at the maximum of its gain."""
+    edges_s = score_test.edges * score_test.grid.step_s
+    p = score_test.vector(entry.law)
+    gram, score = score_test.small(p)
     best = entry
-    reach = contest.step_s
+    reach = score_test.step_s
     while reach >= 30.0:
-        for shift, stretch in itertools.product((-reach, 0.0, reach), (0.7, 1.0, 1.4)):
-            growth = best.shape.growth_s * stretch
-            if stretch != 1.0 and not best.shape.free(float(edges_s[-1])):
+        for shift, factor in itertools.product((-reach, 0.0, reach), (0.7, 1.0, 1.4)):
+            growth = best.shape.growth_s * factor
+            if factor != 1.0 and not best.shape.free(float(edges_s[-1])):
                 continue
             onset = best.shape.onset_s + shift
             if onset < 0.0 or onset > edges_s[-1] * LAST_SHARE:
                 continue
             shape = Shape(best.shape.name, onset, growth).going_on(float(edges_s[-1]))
-            best = _better(contest, best, shape, p, gram, score)
+            best = _better(score_test, best, shape, p, gram, score)
         reach *= 0.5
     return best
 
 
-def _better(contest: Contest, entry: Entry, shape: Shape, p: Array, gram: Array, score: Array) -> Entry:
-    course = shape.block_means(contest.edges * contest.grid.step_s)
+def _better(score_test: ScoreTest, entry: Entry, shape: Shape, p: Array, gram: Array, score: Array) -> Entry:
+    course = shape.block_means(score_test.edges * score_test.grid.step_s)
     bottom = max(float(course @ gram @ course), _TINY)
     top = float(score @ course)
     if top**2 / bottom <= entry.gain or not allowed(entry.candidate, top / bottom):
@@ -202,15 +208,15 @@ def _better(contest: Contest, entry: Entry, shape: Shape, p: Array, gram: Array,
     return Entry(entry.law, shape, p * course, top / bottom, bottom**-0.5, top**2 / bottom)
 
 
-def together(contest: Contest, entries: tuple[Entry, ...]) -> tuple[tuple[Entry, ...], JointEstimate]:
-    """The entries with sizes fitted together, and that fit."""
+def together(score_test: ScoreTest, entries: tuple[Entry, ...]) -> tuple[tuple[Entry, ...], JointEstimate]:
+    """Return the entries with jointly fitted sizes, and that fit."""
     if not entries:
-        return entries, contest.estimate(np.empty((0, contest.sites, contest.b)))
-    fit = contest.estimate(np.stack([e.vector for e in entries]))
+        return entries, score_test.estimate(np.empty((0, score_test.sites, score_test.b)))
+    fit = score_test.estimate(np.stack([e.vector for e in entries]))
     sizes, sd = fit.sizes.tolist(), np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)).tolist()
     return tuple(replace(e, size=s, sd=d) for e, s, d in zip(entries, sizes, sd, strict=True)), fit
 
 
 def possible(entries: tuple[Entry, ...]) -> bool:
-    """Whether all sizes are of a possible sign and magnitude."""
+    """Return True if all sizes have a possible sign and magnitude."""
     return all(allowed(e.candidate, e.size) for e in entries)

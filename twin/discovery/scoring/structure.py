@@ -1,11 +1,11 @@
-"""Model error of a twin in the terms of the catalogue, estimated from the healthy record.
+"""Known structure: model error of a twin in the terms of the catalogue, estimated from the healthy record.
 
-A twin is lumped and its rig is not: water on its way through a tank of three zones reads like two litres of hose, a
-heater's element like a late heater. All of that is there in health, so it is no finding; left out, it would be found in
-the next record under those names, or bend what is there. So before anything is looked for, every law of the catalogue
-that does not follow time is given an amplitude all along: a priori normal about none, with one and the same multiple of
-the laws' typical sizes as standard deviation, which the healthy record chooses by its evidence. What that record leaves
-them at, jointly, is taken from the next one, and how far it leaves them open is part of that record's noise.
+A twin is lumped and its rig is not: transport through a tank of three zones resembles two litres of hose, a heater's
+element a lagging heater. This model error is present in health and no fault. Unmodelled, it would appear in the next
+record under those names, or bias the estimates of true faults. Before any search, every law of the catalogue that does
+not follow time therefore has an amplitude throughout. Its prior is normal about zero, with one multiple of the laws'
+typical sizes as standard deviation, which the evidence of the healthy record selects. The joint posterior mean is
+subtracted from the next record, and the posterior covariance is part of that record's noise.
 
 Source: Kennedy & O'Hagan, J. R. Stat. Soc. B 63 (2001) 425 (a discrepancy beside a calibrated simulator), with a basis
 of physical laws; the width by type II maximum likelihood (Rasmussen & Williams, Gaussian Processes, 2006, sec. 5.4.1).
@@ -21,28 +21,28 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.phrases import said
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.elements.candidates import Candidate
 from twin.network import Array
 
 WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
-"""Typical sizes that are tried as the standard deviation of amplitudes."""
+"""Prior standard deviations of amplitudes that are tried, in typical sizes."""
 NAMED, PLAIN = 3, 3.0
-"""Laws that are named to an operator at most, and the score from which one is."""
+"""Laws that a report names at most, and the score from which one is named."""
 SPEAKS = 5.0
-"""Logarithm of the odds from which a record speaks for offsets at operating points."""
+"""Log odds from which a record supports offsets at operating points."""
 _OF_TIME = ("elapsed_time", "time_of_day")
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Amplitudes of laws all along.
+    """Amplitudes of laws that are present throughout.
 
     Attributes:
         candidates: l of them. sizes: (l,) in their units. covariance: (l, l).
-        width: standard deviation of offsets at operating points before the record was seen, in typical sizes; 0 where
-            it speaks for none. evidence: logarithm of the record's probability.
-        moves: candidate id -> (q,) move of the tunables, z, that goes with a unit of it; none for most.
+        width: prior standard deviation of offsets at operating points, in typical sizes; 0 if the record supports none.
+            evidence: log marginal likelihood of the record.
+        moves: candidate id -> (q,) change of the tunables, z, for a unit of it; none for most.
     """
 
     candidates: tuple[Candidate, ...]
@@ -53,15 +53,15 @@ class Structure:
     moves: Mapping[str, Array] = field(default_factory=dict)
 
     def moved(self, which: Sequence[int], q: int) -> Array:
-        """Return the moves (q, n) of the tunables with a unit of each of n candidates."""
+        """Return the changes (q, n) of the tunables for a unit of each of n candidates."""
         none = np.zeros(q)
         return np.array([self.moves.get(self.candidates[i].id, none) for i in which]).reshape(-1, q).T
 
     def with_laws(self, candidates: Sequence[Candidate], sizes: Array, covariance: Array, moves: Array) -> Structure:
-        """Return the same with laws (n,) of which a healthy record says so much for itself.
+        """Return the structure with further laws (n,), with the amplitudes of a healthy record.
 
         Args:
-            sizes: (n,). covariance: (n, n). moves: (q, n) of the tunables with a unit of each.
+            sizes: (n,). covariance: (n, n). moves: (q, n) of the tunables for a unit of each.
         """
         ids = [c.id for c in candidates]
         rest = [i for i, c in enumerate(self.candidates) if c.id not in ids]
@@ -74,7 +74,9 @@ class Structure:
         )
 
     def beyond(self, offsets: Sequence[CandidateLaw]) -> Structure:
-        """The same with offsets at points of another record that the healthy one could say nothing of."""
+        """Return the structure with offsets at operating points of another record that the healthy one did not
+        visit.
+        """
         if not self.width:
             return self
         known = {c.id for c in self.candidates}
@@ -86,10 +88,10 @@ class Structure:
 
     @property
     def sentence(self) -> str:
-        """Name the plainest of it to an operator; "" where nothing is plain.
+        """Return a sentence with the most significant laws; "" if none is significant.
 
-        Laws that act alike share what the record shows, so that no amplitude is an estimate of its law by itself.
-        An amplitude that its law cannot have, such as a negative delay, is part of the basis and no physics: unnamed.
+        Laws with similar signatures share an amplitude, so that none estimates its law by itself. An amplitude that its
+        law cannot have, such as a negative delay, is part of the basis without physical meaning and is not named.
         """
         z = np.abs(self.sizes) / np.sqrt(np.diag(self.covariance))
         plain: dict[tuple[str, str, str], str] = {}
@@ -106,21 +108,21 @@ class Structure:
         )
 
 
-def structure_of(contest: Contest, laws: list[CandidateLaw], offsets: Sequence[CandidateLaw]) -> Structure:
-    """What each law amounts to in the healthy record that the contest holds, all of them together.
+def structure_of(score_test: ScoreTest, laws: list[CandidateLaw], offsets: Sequence[CandidateLaw]) -> Structure:
+    """Return the joint amplitudes of laws in the healthy record that the score test holds.
 
-    With offsets at operating points where the record speaks for them: a twin that is its rig has none.
+    Offsets at operating points are included if the record supports them.
     """
-    plain = _fitted(contest, laws)
-    both = _fitted(contest, [*laws, *offsets]) if offsets else plain
+    plain = _fitted(score_test, laws)
+    both = _fitted(score_test, [*laws, *offsets]) if offsets else plain
     return both if both.evidence > plain.evidence + SPEAKS else replace(plain, width=0.0)
 
 
-def _fitted(contest: Contest, laws: list[CandidateLaw]) -> Structure:
-    used = [law for law in laws if belongs(law.candidate, contest)]
-    gram, score = contest.joint(np.stack([contest.vector(law) for law in used]))
+def _fitted(score_test: ScoreTest, laws: list[CandidateLaw]) -> Structure:
+    used = [law for law in laws if belongs(law.candidate, score_test)]
+    gram, score = score_test.joint(np.stack([score_test.vector(law) for law in used]))
     # The noise was learned from the same record and holds the structure: it is not taken for more than it is.
-    closer = max(contest.expected / max(contest.chi, 1e-9), 1.0)
+    closer = max(score_test.expected / max(score_test.chi, 1e-9), 1.0)
     gram, score = closer * gram, closer * score
     typical = np.array([law.candidate.typical for law in used])
     scaled, pull = gram * np.outer(typical, typical), score * typical
@@ -139,6 +141,6 @@ def _fitted(contest: Contest, laws: list[CandidateLaw]) -> Structure:
     return Structure(candidates, sizes * typical, covariance * np.outer(typical, typical), width, evidence)
 
 
-def belongs(candidate: Candidate, contest: Contest) -> bool:
-    """Whether a law may be part of a twin's structure: it does not follow time, and nothing tunes it anyway."""
-    return candidate.driver not in _OF_TIME and not set(candidate.changes) <= set(contest.probe.scaling.ids)
+def belongs(candidate: Candidate, score_test: ScoreTest) -> bool:
+    """Return True if a law may be part of a twin's structure: it does not follow time, and is no tunable."""
+    return candidate.driver not in _OF_TIME and not set(candidate.changes) <= set(score_test.probe.scaling.ids)

@@ -12,23 +12,24 @@ from numpy.typing import NDArray
 
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import EARLY_S, Shape, courses_of, family, means_between
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.elements.candidates import Candidate
 from twin.network import Array
 
 LAST_SHARE = 0.95
-"""Onsets are looked for up to this share of the record; an effect needs some time to show."""
+"""Share of the record up to which onsets are tried; an effect needs some time to show."""
 _KNOWN = 1e-10
 FADING_S = (60.0, 600.0, 3600.0)
 """Time constants of pulses that are tried, s: water that is poured in, a wall, a room."""
 LEAST_BLOCKS, LEAST_TURNS, PERIODS, PHASES = 3.0, 2.0, 40, 12
 """Blocks in the shortest period and periods in a record, how many periods are tried and how many phases of each."""
 DAY_S, DAYS, DAY_PHASES = 86_400.0, 1.25, 24
-"""A day, s; days in a record from which a daily course is tried, which then shows six hours of it twice, and phases of
-a day, one an hour. Two whole turns are not asked for, as of other periods: rooms, shifts and the sun go by the day."""
+"""Seconds of a day; days in a record from which a daily course is tried, which then shows six hours of it twice; and
+phases of a day, one an hour. Two whole periods are not required, unlike for other periods: rooms, shifts and the sun
+follow the day."""
 RATES = 3.0
-"""Rates of periodic courses in one over the length of a record: with three, the nearest one is off by a sixth of a turn
-where the record ends, if it is right where it begins."""
+"""Frequencies of periodic courses per inverse record length: with three, the nearest one deviates by a sixth of a
+period at the record's end, if it agrees at the beginning."""
 DUTIES = (0.25, 0.5, 0.75)
 PANEL = 32
 """Rows of a Gram matrix that are multiplied at once: with eight panels in 240 rows, nine sixteenths of all products are
@@ -39,7 +40,7 @@ BEGINNINGS = 8
 
 @dataclass(frozen=True)
 class Courses:
-    """Onsets (i,), s, of steps and their courses (b, i); shapes that grow, j of them, and theirs (b, j).
+    """Onsets (i,), s, of steps and their courses (b, i); j growing shapes, and their courses (b, j).
 
     `edges_s` (b + 1,) bound the blocks.
     """
@@ -53,32 +54,32 @@ class Courses:
     _fading: dict[float, tuple[list[Shape], Array]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, contest: Contest) -> Courses:
-        known: Courses | None = contest.memo.get("courses")
+    def of(cls, score_test: ScoreTest) -> Courses:
+        known: Courses | None = score_test.memo.get("courses")
         if known is None:
-            known = contest.memo["courses"] = _courses(contest)
+            known = score_test.memo["courses"] = _courses(score_test)
         return known
 
     @cached_property
     def timed(self) -> list[Shape]:
-        """Periodic shapes and pulses, which the search by evidence alone asks for."""
+        """Return periodic shapes and pulses, for the search by evidence alone."""
         return _timed(self.onsets, self.edges_s)
 
     @cached_property
     def by_name(self) -> tuple[tuple[list[Shape], NDArray[np.intp]], ...]:
-        """Return `timed` shapes of each name, with their columns of `returns`."""
+        """Return the `timed` shapes of each name, with their columns of `returns`."""
         return rows_by_name(self.timed)
 
     @cached_property
     def returns(self) -> Array:
-        """Courses (b, k) of the `timed` shapes."""
+        """Return courses (b, k) of the `timed` shapes."""
         return courses_of(self.timed, self.edges_s).T.copy()
 
     @cached_property
     def turns(self) -> tuple[list[Shape], Array, NDArray[np.intp]]:
-        """Periodic shapes, their courses (b, k), and of each the nearest one among those of `timed`.
+        """Return periodic shapes, their courses (b, k), and for each the nearest one among those of `timed`.
 
-        Their frequencies are so close together that none that the record holds falls between two of them.
+        Their frequencies are closer than the resolution of the record.
         """
         coarse = next(shapes for shapes, _ in self.by_name if shapes[0].name == "periodic")
         onset, growth, duty = np.array([(s.onset_s, s.growth_s, s.duty) for s in coarse]).T
@@ -94,7 +95,7 @@ class Courses:
         return shapes, means_between(self.edges_s, "periodic", times).T.copy(), of
 
     def beyond(self, candidate: Candidate) -> tuple[list[Shape], Array]:
-        """The shapes of a candidate other than steps, and their courses (b, j)."""
+        """Return the shapes of a candidate other than steps, and their courses (b, j)."""
         if candidate.shapes == ("step",) or candidate.passes:
             return [], self.growths[:, :0]
         if not candidate.begins:
@@ -108,7 +109,7 @@ class Courses:
 
 @dataclass(frozen=True)
 class LawSquares:
-    """Of a law at size 1, nothing else known: `blocks` (sites, b), squares of its steps (i,) and other shapes (j,).
+    """Squares of a law at size 1, alone: `blocks` (sites, b), squares of its steps (i,) and other shapes (j,).
 
     `sites` (a,) are those at which it acts; `most` is the largest square of a step.
     """
@@ -120,46 +121,46 @@ class LawSquares:
     most: float
 
     @classmethod
-    def of(cls, contest: Contest, law: CandidateLaw) -> LawSquares:
-        (found,) = cls.of_all(contest, [law])
+    def of(cls, score_test: ScoreTest, law: CandidateLaw) -> LawSquares:
+        (found,) = cls.of_all(score_test, [law])
         return found
 
     @classmethod
-    def of_all(cls, contest: Contest, laws: Sequence[CandidateLaw]) -> list[LawSquares]:
+    def of_all(cls, score_test: ScoreTest, laws: Sequence[CandidateLaw]) -> list[LawSquares]:
         """Return those of several laws; of laws that are steps alone, all that are new at once."""
-        new = [law for law in laws if law not in contest.memo]
-        courses = Courses.of(contest)
+        new = [law for law in laws if law not in score_test.memo]
+        courses = Courses.of(score_test)
         alone = [law for law in new if not len(courses.beyond(law.candidate)[0])]
         count = len(courses.onsets)
         if alone:
-            vectors = np.stack([contest.vector(law) for law in alone])
-            for law, blocks, steps in zip(alone, vectors, _steps_of(contest, vectors)[:, :count], strict=True):
-                contest.memo[law] = cls._of(blocks, steps, np.zeros(0))
+            vectors = np.stack([score_test.vector(law) for law in alone])
+            for law, blocks, steps in zip(alone, vectors, _steps_of(score_test, vectors)[:, :count], strict=True):
+                score_test.memo[law] = cls._of(blocks, steps, np.zeros(0))
         for law in new:
-            if law not in contest.memo:
-                blocks = contest.vector(law)
-                gram = contest.small_gram(blocks)
-                growths = squares_of(contest, gram, courses.beyond(law.candidate)[1])
-                contest.memo[law] = cls._of(blocks, _late_sums(gram)[:count], growths)
-        return [contest.memo[law] for law in laws]
+            if law not in score_test.memo:
+                blocks = score_test.vector(law)
+                gram = score_test.small_gram(blocks)
+                growths = squares_of(score_test, gram, courses.beyond(law.candidate)[1])
+                score_test.memo[law] = cls._of(blocks, _late_sums(gram)[:count], growths)
+        return [score_test.memo[law] for law in laws]
 
     @classmethod
     def _of(cls, blocks: Array, steps: Array, growths: Array) -> LawSquares:
         return cls(blocks, steps, growths, np.flatnonzero(blocks.any(axis=1)), float(steps.max()))
 
 
-def returning(contest: Contest, law: CandidateLaw, gram: Array) -> Array:
-    """Return the squares (k,) of a law at size 1, of Gram matrix (b, b), in the courses that come back or fade."""
-    known: Array | None = contest.memo.get(("returning", law))
+def returning(score_test: ScoreTest, law: CandidateLaw, gram: Array) -> Array:
+    """Return the squares (k,) of a law at size 1, of Gram matrix (b, b), for periodic courses and pulses."""
+    known: Array | None = score_test.memo.get(("returning", law))
     if known is None:
-        known = contest.memo["returning", law] = squares_of(contest, gram, Courses.of(contest).returns)
+        known = score_test.memo["returning", law] = squares_of(score_test, gram, Courses.of(score_test).returns)
     return known
 
 
-def _steps_of(contest: Contest, vectors: Array) -> Array:
+def _steps_of(score_test: ScoreTest, vectors: Array) -> Array:
     """Return the squares (l, b) of steps of laws, `vectors` (l, sites, b), that begin with each block."""
-    b, active = contest.b, np.flatnonzero(vectors.any(axis=(0, 2)))
-    sites, more = contest.gram.reshape(contest.sites, b, contest.sites, b), np.zeros((len(vectors), b))
+    b, active = score_test.b, np.flatnonzero(vectors.any(axis=(0, 2)))
+    sites, more = score_test.gram.reshape(score_test.sites, b, score_test.sites, b), np.zeros((len(vectors), b))
     for one in active:
         for other in active:
             there = np.flatnonzero((vectors[:, one].any(axis=1)) & (vectors[:, other].any(axis=1)))
@@ -174,8 +175,8 @@ _Begun = tuple[int, NDArray[np.intp], Array]
 """First row of some courses, their columns, and their rows from the first on."""
 
 
-def squares_of(contest: Contest, gram: Array, courses: Array) -> Array:
-    """Return the squares (j,) of courses (b, j), which the contest keeps, in a Gram matrix (b, b).
+def squares_of(score_test: ScoreTest, gram: Array, courses: Array) -> Array:
+    """Return the squares (j,) of courses (b, j), which the score test keeps, in a Gram matrix (b, b).
 
     Most courses begin after the record does, and rows before that are not multiplied; nor is what lies below the
     diagonal of a symmetric matrix, but for squares of `PANEL` rows on it.
@@ -184,9 +185,9 @@ def squares_of(contest: Contest, gram: Array, courses: Array) -> Array:
     if not len(found):
         return found
     once = gram * _twice_beyond(len(gram))
-    known: tuple[Array, list[_Begun]] | None = contest.memo.get(("begun", id(courses)))
+    known: tuple[Array, list[_Begun]] | None = score_test.memo.get(("begun", id(courses)))
     if known is None:  # with the courses, whose identity so stays their own
-        known = contest.memo["begun", id(courses)] = courses, _by_beginning(courses)
+        known = score_test.memo["begun", id(courses)] = courses, _by_beginning(courses)
     for first, columns, begun in known[1]:
         squares = np.zeros(len(columns))
         # Squares on the diagonal stand where those of the whole matrix do, whatever row the courses begin with.
@@ -201,8 +202,7 @@ def squares_of(contest: Contest, gram: Array, courses: Array) -> Array:
 
 @functools.cache
 def _twice_beyond(b: int) -> Array:
-    """Weights (b, b) of a symmetric matrix of which what is right of the squares on its diagonal counts twice, what is
-    left of them not at all."""
+    """Return weights (b, b) of a symmetric matrix: 2 to the right of its diagonal panels, 0 to the left, 1 on them."""
     panel = np.arange(b) // PANEL
     weights: Array = 1.0 + np.sign(panel - panel[:, None])
     return weights
@@ -223,24 +223,26 @@ def _by_beginning(courses: Array) -> list[_Begun]:
 
 
 class Given:
-    """Effects whose sizes are fitted along with each that is tried, `vectors` (e, sites, b)."""
+    """Known effects whose sizes are fitted jointly with each candidate, `vectors` (e, sites, b)."""
 
-    def __init__(self, contest: Contest, vectors: Array) -> None:
+    def __init__(self, score_test: ScoreTest, vectors: Array) -> None:
         flat = vectors.reshape(len(vectors), -1)
-        onto = contest.gram @ flat.T
-        self._onto = onto.reshape(contest.sites, contest.b, -1)
+        onto = score_test.gram @ flat.T
+        self._onto = onto.reshape(score_test.sites, score_test.b, -1)
         values, axes = np.linalg.eigh(flat @ onto)
         kept = values > _KNOWN * values.max()
         self._root = axes[:, kept] / np.sqrt(values[kept])
-        self._score = self._root.T @ (flat @ contest.score)
+        self._score = self._root.T @ (flat @ score_test.score)
 
     def share(self, p: Array) -> Array:
-        """(b, e): the part of a law's blocks that the given effects stand for; its square leaves the Gram matrix."""
+        """Return the part (b, e) of a law's blocks that the given effects explain; its square leaves the Gram
+        matrix.
+        """
         shared: Array = np.einsum("sbe,sb->be", self._onto, p) @ self._root
         return shared
 
     def score(self, share: Array) -> Array:
-        """(b,) of the law's score that goes with it."""
+        """Return the part (b,) of the law's score that goes with it."""
         taken: Array = share @ self._score
         return taken
 
@@ -255,9 +257,9 @@ def rows_by_name(shapes: Sequence[Shape]) -> tuple[tuple[list[Shape], NDArray[np
     return tuple(found)
 
 
-def _courses(contest: Contest) -> Courses:
-    edges_s = contest.edges * contest.grid.step_s
-    onsets = edges_s[: max(int(contest.b * LAST_SHARE), 1)]
+def _courses(score_test: ScoreTest) -> Courses:
+    edges_s = score_test.edges * score_test.grid.step_s
+    onsets = edges_s[: max(int(score_test.b * LAST_SHARE), 1)]
     begins = [Shape("step", float(t)) for t in onsets]
     steps = courses_of(begins, edges_s).T.copy()
     # Growth begins so gently that every third block is enough; `refine` looks between them.
@@ -272,7 +274,7 @@ def _courses(contest: Contest) -> Courses:
 
 
 def _timed(onsets: Array, edges_s: Array) -> list[Shape]:
-    """Periodic shapes and pulses that a record of these blocks may tell; `refined` looks between them."""
+    """Return periodic shapes and pulses that a record of these blocks resolves; `refined` searches between them."""
     span, block = float(edges_s[-1]), float(edges_s[1] - edges_s[0])
     found = [
         Shape("pulse", float(t), decay)
@@ -294,9 +296,9 @@ def _timed(onsets: Array, edges_s: Array) -> list[Shape]:
 
 
 def _late_sums(gram: Array) -> Array:
-    """Squares (b,) of steps that begin with each block: sums of the lower right corners of a Gram matrix (b, b).
+    """Return squares (b,) of steps that begin with each block: sums of the lower right corners of a Gram matrix (b, b).
 
-    The corner of a block has a row and a column more than that of the next one, and the matrix is symmetric.
+    The corner of a block has one row and one column more than that of the next one, and the matrix is symmetric.
     """
     more = np.einsum("ij,ij->i", gram, _row_and_column(len(gram)))
     sums: Array = more[::-1].cumsum()[::-1]
@@ -305,5 +307,7 @@ def _late_sums(gram: Array) -> Array:
 
 @functools.cache
 def _row_and_column(b: int) -> Array:
-    """Weights (b, b) by which a row's sum from the diagonal on is that of the row and the column of its block."""
+    """Return weights (b, b) by which a row's sum from the diagonal on is that of the row and the column of its
+    block.
+    """
     return np.triu(np.full((b, b), 2.0), 1) + np.eye(b)

@@ -1,1 +1,1 @@
-"""One thermometer of several: its error, its lateness, or the heat at its place."""
+"""Faults of one thermometer among several of a sensor: bias, drift, lag, intermittent fault, or heat at its place."""

@@ -1,8 +1,8 @@
-"""Which one of several: a sensor that is the mean of thermometers also tells how they differ.
+"""Differences between the thermometers whose mean is one sensor, and detection of the one that deviates.
 
-In a healthy rig the differences between thermometers in a row follow from the heat that the water gives off on its
-way. That is learned from a healthy record; what differs later belongs to one thermometer, to one of the places that
-they read, or to all alike.
+In a healthy rig the differences between thermometers in a row follow from the heat that the water gives off on its way.
+They are learned from a healthy record; a later deviation belongs to one thermometer, to one of their places, or to all
+alike.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from twin.network import Array, Network
 
 LEAST_MEMBERS = 3
 LATE_WINDOW_S, RATE_S, LEAST_RATE = 7200.0, 60.0, 1.5e-4
-"""Windows in which lags are estimated, over what time rates are taken, whose noise would make a lag look shorter, and
-the scatter of rates, K/s, without which a window tells nothing."""
+"""Windows for the estimation of lags, s; time over which rates are taken, s, whose noise would bias a lag low; and
+least scatter of rates in a window, K/s."""
 PRESENT = 0.7
-"""Share of a sensor's bins in which a thermometer has to have a reading, to be compared with the others."""
+"""Share of a sensor's bins with a reading that a thermometer needs for comparison with the others."""
 MARGIN_K = 0.06
-"""Differences below this are not looked at: contact and placement shift by as much."""
+"""Deviations below this, K, are ignored: contact and placement shift by as much."""
 STANDS_OUT = 6.0
-"""Times the healthy scatter of a block that one thermometer must differ by."""
+"""Deviation of one thermometer, in healthy standard deviations of a block, from which it is significant."""
 LATE_WINDOWS, LEAST_LAG_S, ALONE, NEARLY = 3, 25.0, 0.4, 0.8
-"""Windows since which one has to follow late, by how much, the share of it by which any other may, or it before, and of
-the best moment's gain that the earliest has to have."""
+"""Windows that a lag must persist for; least lag, s; share of it that any other, or itself before, may have; and share
+of the best onset's gain that the earliest onset must reach."""
 LAG_SHARE = 0.5
-"""Share of what one differs by from minute to minute that a lag has to explain; what comes and goes looks like one."""
+"""Share of a deviation from minute to minute that a lag has to explain; an intermittent fault resembles one."""
 LAGS_S = tuple(20.0 * 1.08**k for k in range(45))
-"""Time constants that are tried."""
+"""Time constants that are tried, s."""
 SHARE = 0.7
-"""Share of the differences that one member must carry to be named alone."""
+"""Share of the differences that one member must have to be isolated."""
 CORRELATED = 6.0
-"""Blocks that say as much as one of its own would: what thermometers in a row differ by comes and goes slowly."""
+"""Correlation time of differences between thermometers in a row, in blocks."""
 OFTEN = 3
-"""Blocks in which one member must stand out by itself to be called restless (decision 0021)."""
+"""Blocks in which one member must deviate alone to have an intermittent fault (decision 0021)."""
 
 
 NEAR_S = 10800.0
-"""How long before and after a moment is looked at, to see who changed then."""
+"""Time before and after an onset, s, in which the change of differences is estimated."""
 LEAST_OF = 0.2
-"""Share of what one of two members is off by that the other must be: a place warms its neighbours a little."""
+"""Ratio of two deviating members' deviations from which both count: heat at a place warms its neighbours a little."""
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,12 @@ class Members:
     """Differences between the thermometers of one sensor.
 
     Attributes:
-        columns: in the order of the flow. residual: (b, c) K, of block means, less what is healthy. sd: (c,) K.
-        edges_s: (b + 1,) s from the record's beginning. most: K, that any of them stood out by in a healthy block: a
-            row that is crossed by something warmer differs for a while.
-        fine: (n, c) K, the same as `residual` of bins of `step_s`. mean: (n,) degC, of the thermometers there are.
-        late_s: (w, c) s, by how much each follows the others late in windows of the healthy record.
-        follows: driver -> (b,), what their differences may be in proportion to, in blocks.
+        columns: in flow direction. residual: (b, c) K, of block means, less the healthy differences. sd: (c,) K.
+        edges_s: (b + 1,) s from the record's beginning. most: K, largest deviation in a healthy block: a warm front
+            that passes the row causes transient differences.
+        fine: (n, c) K, the same as `residual` for bins of `step_s`. mean: (n,) degC, of the available thermometers.
+        late_s: (w, c) s, lag of each behind the others in windows of the healthy record.
+        follows: driver -> (b,), what differences may be proportional to, in blocks.
     """
 
     sensor: str
@@ -76,17 +76,17 @@ class Members:
 
     @property
     def good(self) -> np.ndarray:
-        """Blocks in which every thermometer has a reading."""
+        """Return the blocks in which every thermometer has a reading."""
         return np.flatnonzero(np.isfinite(self.residual).all(axis=1))
 
     def by_itself(self, i: int, residual: Array) -> Array:
-        """What member i alone is off by, K, in each row of such differences (r, c)."""
+        """Return the error of member i alone, K, in each row of differences (r, c)."""
         weight = _pattern(i, residual.shape[1]) / self.sd
         off: Array = (residual / self.sd) @ weight / (weight @ weight)
         return off
 
     def without(self, column: str) -> Members:
-        """The others, compared with one another."""
+        """Return the group without one member."""
         keep = [i for i, c in enumerate(self.columns) if c != column]
 
         def rest(values: Array) -> Array:
@@ -103,7 +103,7 @@ class Members:
         )
 
     def less(self, column: str, size: float, shape: Shape) -> Members:
-        """Return the same without an effect of `size` K at one column."""
+        """Return the group without an effect of `size` K at one column."""
         pattern: Array = size * _pattern(self.columns.index(column), len(self.columns))
         bins_s: Array = np.arange(len(self.fine) + 1.0) * self.step_s
         return replace(
@@ -113,7 +113,7 @@ class Members:
         )
 
     def around(self, moment_s: float) -> Members:
-        """The same within some hours of a moment, as they differ from before it."""
+        """Return the group within some hours of a time, relative to its differences before."""
         before = (self.edges_s[1:] <= moment_s) & (self.edges_s[1:] > moment_s - NEAR_S)
         near = (self.edges_s[:-1] > moment_s - NEAR_S) & (self.edges_s[:-1] < moment_s + NEAR_S)
         known = self.residual[before & np.isfinite(self.residual).all(axis=1)]
@@ -123,8 +123,9 @@ class Members:
 
 @dataclass(frozen=True)
 class Odd:
-    """One member that differs: `column`, by `size` K times its `shape`, `final` K where it was last read, carrying
-    `share` of all differences."""
+    """Deviating member: `column`, by `size` K times its `shape`, `final` K at its last reading, with `share` of all
+    differences.
+    """
 
     column: str
     size: float
@@ -136,12 +137,12 @@ class Odd:
 
     @property
     def place(self) -> str:
-        """The place that the thermometer reads."""
+        """Return the place of the thermometer."""
         return place_of(self.column)
 
 
 def place_of(column: str) -> str:
-    """The place that a thermometer reads, by the name of its column."""
+    """Return the place of a thermometer by the name of its column."""
     return column.removeprefix("T_").removesuffix("_C")
 
 
@@ -153,7 +154,7 @@ def members(
     healthy_grid: Grid,
     edges: np.ndarray,
 ) -> tuple[Members, ...]:
-    """Differences of every sensor with at least three thermometers.
+    """Return the differences within every sensor with at least three thermometers.
 
     Args:
         record, healthy: sensor -> means on the grid's bins (n, c), degC, NaN where missing.
@@ -200,14 +201,14 @@ def members(
 
 
 def _present(values: Array) -> np.ndarray:
-    """Which of several (n, c) have a reading most of the time that any has one: (c,) bool."""
+    """Return a mask (c,) of thermometers (n, c) with a reading in most bins in which any has one."""
     good = np.isfinite(values)
     present: np.ndarray = good.mean(axis=0) > PRESENT * good.any(axis=1).mean()
     return present
 
 
 def _blocks(values: Array, edges: np.ndarray) -> tuple[Array, Array]:
-    """Block means of the mean thermometer (b,) and of each one's difference from it (b, c)."""
+    """Return block means of the mean thermometer (b,), and of each one's difference from it (b, c)."""
     good = np.isfinite(values)
     count = np.add.reduceat(good, edges[:-1], axis=0)[: len(edges) - 1]
     total = np.add.reduceat(np.where(good, values, 0.0), edges[:-1], axis=0)[: len(edges) - 1]
@@ -219,7 +220,7 @@ def _blocks(values: Array, edges: np.ndarray) -> tuple[Array, Array]:
 
 
 def _basis(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> Array:
-    """What healthy differences follow: an offset, and the excess over the room, alone and over the flow."""
+    """Return the regressors of healthy differences: offset, and excess over the room, alone and over the flow."""
     rows = np.add.reduceat(grid.inputs, edges[:-1], axis=0)[: len(edges) - 1] / np.diff(edges)[:, None]
     columns = list(network.input_columns)
     room = next((rows[:, j] for j, c in enumerate(columns) if c.startswith("T_amb")), np.zeros(len(rows)))
@@ -229,18 +230,18 @@ def _basis(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> Arra
 
 
 def _finely(network: Network, grid: Grid, values: Array, law: NDArray[np.floating]) -> tuple[Array, Array]:
-    """Of every bin, the mean of thermometers (n, c) and what each differs from it by, less what is healthy."""
+    """Return for every bin the mean of thermometers (n, c) and their differences from it, less the healthy ones."""
     every = np.arange(len(grid.time) + 1)
     mean, difference = _blocks(values, every)
     return mean, difference - _basis(network, grid, mean, every) @ law
 
 
 def lateness(mean: Array, difference: Array, step_s: float) -> Array:
-    """By how much, s, each of several thermometers follows their mean (n,) late in windows: (w, c); NaN where a window
-    does not move enough to tell.
+    """Return the lag, s, of each of several thermometers behind their mean (n,) in windows (w, c); NaN without
+    variation.
 
-    A late thermometer differs (n, c) by minus its lag times the rate at which all of them move, as far as that is slow
-    beside the lag.
+    A lagging thermometer differs (n, c) by minus its lag times the rate of the mean, as long as that rate varies slowly
+    compared with the lag.
     """
     joined = max(round(RATE_S / step_s), 1)
     rows = len(mean) // joined
@@ -262,7 +263,7 @@ def lateness(mean: Array, difference: Array, step_s: float) -> Array:
 
 
 def _follows(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> dict[str, Array]:
-    """What a place of its own may follow in blocks: how warm it is beside the room, and what is heated with."""
+    """Return the drivers of a place in blocks: its excess over the room, and the heater's power."""
     rows = np.add.reduceat(grid.inputs, edges[:-1], axis=0)[: len(edges) - 1] / np.diff(edges)[:, None]
     columns = dict(zip(network.input_columns, rows.T, strict=True))
     room = next((values for name, values in columns.items() if name.startswith("T_amb")), None)
@@ -276,11 +277,11 @@ def _follows(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> di
 
 
 def odd_one(found: Members, shapes: tuple[Shape, ...] = ()) -> Odd | None:
-    """The member that stands out, if one does.
+    """Return the deviating member, or None.
 
     Args:
-        shapes: how it may have come in; steps at every other block and drifts by default, a drift only where it is
-            better than any step by more than can be told.
+        shapes: time courses that are tried. By default steps at every other block and drifts, a drift only if it is
+            significantly better than any step.
     """
     good = found.good
     if len(good) < 6:
@@ -296,7 +297,7 @@ def odd_one(found: Members, shapes: tuple[Shape, ...] = ()) -> Odd | None:
 
 
 def apart(found: Members) -> tuple[Members, ...]:
-    """Where two members stand out, each of them without the other; else all of them together."""
+    """Return the group without each of two deviating members in turn; the whole group if there are not two."""
     if len(found.columns) <= LEAST_MEMBERS:
         return (found,)
     whole = odd_one(found)
@@ -327,7 +328,7 @@ def _drifts(found: Members) -> tuple[Shape, ...]:
 
 
 def _oddest(found: Members, good: np.ndarray, shapes: tuple[Shape, ...]) -> Odd | None:
-    """Which member, in which of these shapes, takes most of the squares of `good` blocks."""
+    """Return the member, with one of these shapes, that explains most of the squares of `good` blocks."""
     number = len(found.columns)
     best: Odd | None = None
     for shape in shapes:
@@ -352,7 +353,7 @@ def _oddest(found: Members, good: np.ndarray, shapes: tuple[Shape, ...]) -> Odd 
 
 
 def began_between(found: Members, odd: Odd) -> tuple[float, float]:
-    """90 % interval, s from the record's beginning, of when a member came to be off as `odd` says."""
+    """Return the 90 % interval, s from the record's beginning, of the onset of a member's deviation."""
     good = found.good
     i, edges, end_s = found.columns.index(odd.column), found.edges_s, float(found.edges_s[-1])
     off = found.by_itself(i, found.residual[good])
@@ -374,10 +375,11 @@ def began_between(found: Members, odd: Odd) -> tuple[float, float]:
 
 
 def restless_one(found: Members) -> Odd | None:
-    """The member that is off now and then and right on average, as one with a loose contact is; None if there is none.
+    """Return the member with an intermittent fault, which is right on average as with a loose contact; None if there is
+    none.
 
-    Its `size` is the most that it is off by in a block, its `shape` begins with the first of these blocks, its `share`
-    is theirs of all blocks.
+    Its `size` is its largest deviation in a block, its `shape` begins with the first of these blocks, its `share` is
+    theirs of all blocks.
     """
     good = np.isfinite(found.residual).all(axis=1)
     residual, number = found.residual[good] / found.sd, found.residual.shape[1]
@@ -398,12 +400,12 @@ def restless_one(found: Members) -> Odd | None:
 
 
 def _pattern(i: int, number: int) -> Array:
-    """How one of so many thermometers that is off by 1 K moves the differences from their mean: its own and others'."""
+    """Return the differences from the mean, its own and the others', if one of so many thermometers is off by 1 K."""
     return np.where(np.arange(number) == i, 1.0 - 1.0 / number, -1.0 / number)
 
 
 def lagging_one(found: Members) -> Odd | None:
-    """The member that follows the others late since some moment, as one that has come loose does; None if none does.
+    """Return the member that lags from some onset on, as one that has come loose does; None if there is none.
 
     Its `size` and `final` are the time constant, s, its `sd` is of it.
     """
@@ -426,7 +428,7 @@ def lagging_one(found: Members) -> Odd | None:
 
 
 def _lag(found: Members, i: int, since_s: float, z: float) -> Odd:
-    """Member i as one that follows the others late since about then: its time constant, and since when."""
+    """Return member i with its lag from about that time on: time constant and onset."""
     from scipy.signal import lfilter  # a second of processor time, so only where it is used
 
     seen = np.isfinite(found.fine).all(axis=1) & np.isfinite(found.mean)

@@ -14,6 +14,7 @@ import numpy as np
 
 from twin.historian.defects.panel import Mask, moving_mean, on_grid
 from twin.historian.tags import Array, Defect, Series
+from twin.quantiles import NORMAL90
 from twin.tower.air import wet_bulb
 
 CLOSURE_K = 0.35
@@ -108,7 +109,7 @@ def _at_fault(grid: Array, span: tuple[float, float, float], suspects: Sequence[
     for _, values in suspects:
         change = _changes(values)
         known = np.abs(change[np.isfinite(change)])
-        usual = float(np.quantile(known, 0.9)) / 1.645 if len(known) else 0.0
+        usual = float(np.quantile(known, 0.9)) / NORMAL90 if len(known) else 0.0
         at_edges = [np.abs(change[np.abs(grid - edge) <= LEAP_S]) for edge in (start, end)]
         leaps.append(max((float(np.nanmax(one)) for one in at_edges if np.isfinite(one).any()), default=0.0))
         leaps[-1] /= max(usual, 1e-9)

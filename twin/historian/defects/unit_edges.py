@@ -14,6 +14,7 @@ from scipy.ndimage import median_filter
 
 from twin.historian.tags import Array, Series
 from twin.historian.units import Unit
+from twin.quantiles import NORMAL90
 
 WIDTHS = (1, 7, 31)
 """Samples whose median is the level beside a jump: one tells most, many where a tag is noisy, such as the wind."""
@@ -27,8 +28,8 @@ REST = 5.0
 """Usual steps below which a value is at rest: its ratio to the next one says nothing."""
 AROUND = 101
 """Samples by which the usual step about a time is known."""
-USUAL = 0.9, 1.645
-"""Quantile of the steps by which their standard deviation is known, and that of a normal distribution."""
+USUAL = 0.9
+"""Quantile of the absolute steps by which their standard deviation is known."""
 MOST = 12
 """Edges of each direction that are kept, the most probable first."""
 
@@ -74,7 +75,7 @@ def unit_edges(series: Series, own: Unit, unit: Unit) -> list[Edge]:
         where = np.arange(len(x) - 1)
         for width, ways, size in tried:
             off, jump = ways[way]
-            usual = max(float(np.quantile(size, USUAL[0])) / USUAL[1], 0.0)
+            usual = max(float(np.quantile(size, USUAL)) / NORMAL90, 0.0)
             scale = np.maximum(usual * stretch, ROUNDED * np.maximum(jump, 1e-12))
             often = float((size >= 0.5 * np.median(jump)).sum()) / width - 2.0
             # Steps have heavy tails, as Cauchy's distribution has.

@@ -1,10 +1,9 @@
-"""Thermometers that the rest of a rig contradicts.
+"""Sensor faults by analytical redundancy: thermometers that the rest of the rig contradicts.
 
-What happens to a rig happens to its water and shows at every thermometer of the loop; what happens to a thermometer
-shows there alone. The live twin, as it is and as it was half an hour ago, runs free over the last 45 minutes. Where one
-thermometer has stepped away from such a run while the others stayed, and no parameter of the twin, then or all along,
-explains all of them nearly as well, the thermometer is doubted: from that moment on it counts as missing, until it
-agrees with both runs again.
+A change of a rig affects its water and so every thermometer of the loop, a sensor fault one thermometer alone. The live
+twin, as it is and as it was half an hour ago, runs free over the last 45 minutes. A thermometer is excluded if it has
+stepped away from such a run while the others stayed, and no change of a parameter, then or throughout, explains all of
+them nearly as well. From that time on it counts as missing, until it agrees with both runs again.
 """
 
 from __future__ import annotations
@@ -23,25 +22,25 @@ from twin.kernel import Kernel
 from twin.network import Array, Network
 
 SPAN, LATEST, LEAST, EVERY = 540, 360, 24, 12
-"""Steps of the free run; those at its end in which a thermometer may have stepped away; fewest after that; apart."""
+"""Steps of the free run; its last steps in which a step may lie; fewest steps after it; and spacing of candidates."""
 OFF_K, BACK_K = 0.1, 0.05
-"""How far a thermometer must have stepped, and how near its last `AGREEING` steps must be for it to agree again."""
+"""Least step of a faulty thermometer, K, and largest deviation of its last `AGREEING` steps for its return, K."""
 AGREEING = 120
 OTHERS_K, OTHERS = 0.03, 0.15
-"""How far the others may have moved by then, in K or as a share of the step, whichever is more."""
+"""Largest change of the others, K, or as a share of the step, whichever is more."""
 LEFT = 4.0
-"""Mean square of what the step leaves of all thermometers, in noises, so many steps as are alike counting as one."""
+"""Largest mean square that the step may leave of all thermometers, in noises, with correlated steps counting as one."""
 SURE = 15.0
-"""Logarithm of the likelihood by which the step must be ahead of any parameter."""
+"""Least log likelihood ratio of the step over any change of a parameter."""
 NEAR = 36
-"""Steps about the step from which a parameter may have changed as well."""
+"""Steps about the step within which a parameter may have changed as well."""
 SMALL, LARGE, REACH = 0.1, 0.6, 2.5
-"""Changes of a parameter whose responses are tried, as shares of its value, and how often each may be taken."""
+"""Changes of a parameter whose responses are tried, as shares of its value, and their largest multiple."""
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """A thermometer that is left aside: its number, the time since when, and by how much it stepped away, K."""
+    """Excluded thermometer: its number, the onset of its fault, s, and its step, K."""
 
     sensor: int
     since_s: float
@@ -55,21 +54,21 @@ class Doubt:
         )
 
     def document(self, network: Network) -> dict[str, Any]:
-        """Plain data for a log."""
+        """Return plain data for a log."""
         return {"sensor": network.sensor_names[self.sensor], "since_s": self.since_s, "off_K": self.off_K}
 
     def plain(self) -> dict[str, Any]:
-        """Plain data to go on from."""
+        """Return plain data for resuming."""
         return asdict(self)
 
     @classmethod
     def restored(cls, data: Mapping[str, Any]) -> Doubt:
-        """From what `plain` gave."""
+        """Restore from the result of `plain`."""
         return cls(int(data["sensor"]), float(data["since_s"]), float(data["off_K"]))
 
 
 def without(time: Array, measured: Array, doubts: Sequence[Doubt]) -> Array:
-    """Readings (n, Y) at times (n,) with NaN for what is doubted."""
+    """Return readings (n, Y) at times (n,), with NaN for excluded thermometers."""
     if not doubts:
         return measured
     left = measured.copy()
@@ -79,20 +78,20 @@ def without(time: Array, measured: Array, doubts: Sequence[Doubt]) -> Array:
 
 
 def trusted(series: ResampledSeries, doubts: Sequence[Doubt]) -> ResampledSeries:
-    """The record without what is doubted."""
+    """Return the record without excluded thermometers."""
     return replace(series, measured=without(series.time, series.measured, doubts)) if doubts else series
 
 
 def reviewed(
     features: Features, series: ResampledSeries, twins: Sequence[Array], doubts: Sequence[Doubt]
 ) -> tuple[Doubt, ...]:
-    """Those of `doubts` that stand, and the thermometer that has come to be doubted since.
+    """Return the exclusions that still hold, and a thermometer that became faulty since.
 
-    Never more than half of the thermometers: the others would contradict nothing any more.
+    Never more than half of the thermometers are excluded: with fewer there is no redundancy.
 
     Args:
-        series: as it was measured. twins: full vectors (p,): of the live twin, and of what it was before, since it may
-            have gone after a thermometer that lies.
+        series: as it was measured. twins: full vectors (p,): of the live twin, and of its earlier values, since it may
+            have followed a sensor fault.
     """
     runs = _free_runs(features, trusted(series, doubts), twins)
     if not runs:
@@ -109,8 +108,10 @@ def reviewed(
 
 
 class _TwinRun(NamedTuple):
-    """The live twin over the last steps: times (n,) s, inputs (n, c), state at the first, readings (n, Y) and what was
-    measured (n, Y), degC."""
+    """Free run of the live twin over the last steps.
+
+    Times (n,) s, inputs (n, c), state at the first, readings (n, Y) and measured (n, Y), degC.
+    """
 
     time: Array
     held: Array
@@ -120,7 +121,7 @@ class _TwinRun(NamedTuple):
 
 
 def _free_runs(features: Features, series: ResampledSeries, twins: Sequence[Array]) -> list[_TwinRun]:
-    """One of each twin; none where the record is too short to tell."""
+    """Return the free run of each twin; none if the record is too short."""
     nominal = features.network.values
     frame = features.frame(series, len(series), nominal)
     first = max(CONTEXT - SPAN, frame.begin)
@@ -139,7 +140,7 @@ def _agrees(run: _TwinRun, series: ResampledSeries, doubt: Doubt) -> bool:
 
 
 class _CentredResiduals:
-    """Residuals (n, Y) without each thermometer's mean, in noises; so many steps as are alike count as one."""
+    """Residuals (n, Y) without each thermometer's mean, in noises; correlated steps count as one."""
 
     def __init__(self, residual: Array, noise: Array) -> None:
         self.known = np.isfinite(residual)
@@ -149,12 +150,12 @@ class _CentredResiduals:
         self.total = float((self.left**2).sum())
 
     def scaled(self, shape: Array) -> Array:
-        """Responses (..., n, Y) as the residuals are."""
+        """Return responses (..., n, Y) centred and scaled as the residuals are."""
         mean = (shape * self.known).sum(axis=-2, keepdims=True) / self._count
         return np.asarray((shape - mean) * self._weight)
 
     def explained(self, shape: Array, least: float, most: float) -> tuple[Array, Array]:
-        """How often each response (..., n, Y) is in the residuals, within bounds, and by how much it lowers `total`."""
+        """Return the multiple of each response (..., n, Y) in the residuals, within bounds, and its fall of `total`."""
         scaled = self.scaled(shape)
         power = np.maximum((scaled**2).sum(axis=(-2, -1)), 1e-12)
         pull = (scaled * self.left).sum(axis=(-2, -1))
@@ -163,7 +164,7 @@ class _CentredResiduals:
 
 
 def _stepped(features: Features, run: _TwinRun, live: Array) -> Doubt | None:
-    """The thermometer that has stepped away alone."""
+    """Return the thermometer that has stepped away alone, or None."""
     residual = run.measured - run.readings
     squares = _CentredResiduals(residual, step_noise(features))
     n, sensors = residual.shape
@@ -187,7 +188,7 @@ def _stepped(features: Features, run: _TwinRun, live: Array) -> Doubt | None:
 
 
 def _moved(residual: Array, since: int) -> Array:
-    """How far the mean of residuals (n, Y) moved at step `since`, K; 0 where nothing was measured before or after."""
+    """Return the step (Y,), K, of the mean of residuals (n, Y) at step `since`; 0 without readings before or after."""
     known = np.isfinite(residual)
     filled = np.where(known, residual, 0.0)
     before, after = (
@@ -199,7 +200,9 @@ def _moved(residual: Array, since: int) -> Array:
 
 
 def _responses(network: Network, run: _TwinRun, live: Array, moments: np.ndarray) -> Array:
-    """What changes of the twin's parameters do to its readings (r, n, Y), each from every moment on and all along."""
+    """Return the responses of the readings (r, n, Y) to changes of the twin's parameters, from every onset and
+    throughout.
+    """
     # Its code is kept by what it does: compiled once, at the first step that needs it.
     kernel, rows = Kernel(network, _of_the_rig(network)), _changed(network, live)
     out = []
@@ -217,7 +220,7 @@ def _responses(network: Network, run: _TwinRun, live: Array, moments: np.ndarray
 
 
 def _changed(network: Network, live: Array) -> Array:
-    """Full vectors (r, p), a parameter with those that are tied to it changed in each."""
+    """Return full vectors (r, p), each with one parameter changed, together with those that are tied to it."""
     rows = []
     for name in _of_the_rig(network):
         own = [k for k, p in enumerate(network.parameters.values()) if name in (p.id, p.same_as)]
@@ -232,6 +235,6 @@ def _changed(network: Network, live: Array) -> Array:
 
 
 def _of_the_rig(network: Network) -> tuple[str, ...]:
-    """Parameters that are no thermometer's, and are tied to no other."""
+    """Return the parameters that are no thermometer's, and are tied to no other."""
     sensors = set(network.sensor_names)
     return tuple(i for i, p in network.parameters.items() if p.element not in sensors and not p.same_as)

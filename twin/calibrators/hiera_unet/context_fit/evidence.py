@@ -1,13 +1,13 @@
-"""What a classical fit makes of a window's context: the network's evidence token, and its rival.
+"""Gauss-Newton fit of a window's context: the network's evidence token, and its rival.
 
 Gauss-Newton from the commissioned values with a Gaussian prior (`twin.gauss_newton`), initial state included, over
-stretches before the target that double from some minutes to nearly two hours. A rig that changed in between
-contradicts the longer ones: the longest fit that explains its data nearly as well as the shortest does is taken
+segments before the target whose lengths double from some minutes to nearly two hours. A change of the rig in between
+contradicts the longer ones. The longest fit is selected that explains its data nearly as well as the shortest does
 (Lepski's principle: Lepskii, Theory Probab. Appl. 35 (1991) 454). Its standard errors are widened for residuals that
 are larger than noise and not white.
 
-A fit moves every parameter. What is believed if few have moved (`sparse`) follows from its normal equations alone, and
-stands beside it.
+A fit changes every parameter. The sparse posterior (`sparse`), in which few have changed, follows from its normal
+equations and stands beside it.
 """
 
 from __future__ import annotations
@@ -31,34 +31,35 @@ from twin.network import Array
 HORIZONS = (CONTEXT - TARGET, 720, 360, 180, 90, 45)
 """Steps before the target that are fitted."""
 LIMIT = 80.0
-"""Condition number above which a set of parameters counts as not told apart."""
+"""Condition number above which a set of parameters counts as not identifiable."""
 SMALL = 0.2
-"""Standard error, as a share of the prior's, that settles a parameter whatever the condition number."""
+"""Standard error, as a share of the prior's, below which a parameter is identifiable whatever the condition number."""
 STATE_SD = 0.3
 WORSE, LEAST_CHI = 1.25, 0.6
-"""Factor by which a longer fit's mean square may exceed that of a shorter one, or this where that is smaller."""
+"""Factor by which a longer fit's mean square may exceed that of a shorter one, and the least such mean square."""
 CORRELATED_STEPS = CORRELATED_S / STEP_S
-"""Steps over which a healthy twin's error stays alike: so many count as one."""
+"""Correlation time of a healthy twin's error in steps: so many count as one."""
 MOST = 8
 LARGEST_LOG_CONDITION = 8.0
 LASTING, TAKEN_ON = 0.25, 10.0
-"""Steps that count as one where few parameters explain a record: this share of those fitted, and so many times what
-residuals ask for. A fit takes on the better part of what the twin lacks, which no residual shows, and what it lacks
-lasts (docs/decisions/0034)."""
+"""Steps that count as one in the sparse posterior: this share of those fitted, and so many times the residuals'
+correlation time. A fit compensates for most of the model error, which then shows in no residual, and model error
+persists (docs/decisions/0034)."""
 MOVED, SLAB, SPIKE = (0.04, 0.05, 0.1), 0.3, 0.01
-"""Of training's rigs: chance that a deviation has moved, by law; its standard deviation if it has, and if not."""
+"""Prior of training's rigs: change probability of a deviation, by law; its standard deviation if it has changed, and if
+not."""
 
 
 @dataclass(frozen=True)
 class ContextFit:
-    """A fit over the context.
+    """Fit over the context.
 
     Attributes:
         theta, sd: (P,) deviations and standard errors, no wider than the prior. condition: of all P together.
-        told: (P,) bool, parameters that the fitted data tells (`tell`).
-        chi: mean square of the residuals in units of noise. steps: how much of the context was fitted.
+        told: (P,) bool, parameters that the fitted data identify (`tell`).
+        chi: mean square of the residuals in units of noise. steps: fitted steps of the context.
         start: full state at the first fitted step, under theta. state: at the first target step.
-        likelihood: of the deviations, the initial state taken out, `widened` steps counting as one.
+        likelihood: of the deviations, the initial state integrated out, `widened` steps counting as one.
         evaluations: linearisations.
     """
 
@@ -75,8 +76,11 @@ class ContextFit:
     evaluations: int
 
     def kept(self) -> Array:
-        """What a store keeps, all that `tokens_of` needs (4 + 3 P + P (P + 1) / 2,): log chi, log of the fitted share
-        of the context, deltas, standard errors, log10 condition, log of the widening, likelihood."""
+        """Return the numbers (4 + 3 P + P (P + 1) / 2,) that a store keeps for `tokens_of`.
+
+        They are log chi, log of the fitted share of the context, deltas, standard errors, log10 condition, log of the
+        widening, likelihood.
+        """
         share = self.steps / (CONTEXT - TARGET)
         condition = min(np.log10(max(self.condition, 1.0)), LARGEST_LOG_CONDITION)
         first = [np.log(self.chi), np.log(share)]
@@ -84,20 +88,20 @@ class ContextFit:
         return np.concatenate([first, self.theta, self.sd, last, self.likelihood.plain()])
 
     def tokens(self, deviations: Deviations) -> Array:
-        """What the network reads, see `tokens_of`."""
+        """Return the tokens that the network reads, see `tokens_of`."""
         return tokens_of(self.kept(), deviations)
 
 
 def tokens(count: int) -> int:
-    """How many numbers `tokens_of` gives for `count` parameters."""
+    """Return the number of values in `tokens_of` for `count` parameters."""
     return 2 + 5 * count + 1
 
 
 def tokens_of(kept: Array, deviations: Deviations) -> Array:
-    """Return tokens (2 + 5 P + 1,) of `ContextFit.kept`.
+    """Return the tokens (2 + 5 P + 1,) of `ContextFit.kept`.
 
-    Log chi, log share; deltas and standard errors of the fit; means, standard deviations and probabilities if few
-    parameters have moved; log10 condition.
+    Log chi, log share; deltas and standard errors of the fit; means, standard deviations and change probabilities of
+    the sparse posterior; log10 condition.
     """
     count = len(deviations)
     few = believed(kept, deviations)
@@ -106,7 +110,7 @@ def tokens_of(kept: Array, deviations: Deviations) -> Array:
 
 
 def believed(kept: Array, deviations: Deviations) -> Posterior:
-    """Return the posterior of `ContextFit.kept` if few of the deviations have moved."""
+    """Return the sparse posterior of `ContextFit.kept`."""
     count = len(deviations)
     widened = float(np.exp(kept[3 + 2 * count]))
     data = Likelihood.of_plain(kept[4 + 2 * count :], count)
@@ -117,19 +121,19 @@ def believed(kept: Array, deviations: Deviations) -> Posterior:
 
 
 def usual(deviations: Deviations) -> Usual:
-    """How many parameters move in training's rigs, and how far."""
+    """Return the spike-and-slab prior of training's rigs."""
     count = len(deviations)
     return Usual(np.array(MOVED)[deviations.law], np.full(count, SLAB), np.full(count, SPIKE))
 
 
 def fitted_by(kept: Array, count: int) -> tuple[Array, int]:
-    """Return theta (P,) and the steps that were fitted, from `ContextFit.kept`."""
+    """Return theta (P,) and the fitted steps, from `ContextFit.kept`."""
     return kept[2 : 2 + count], round(float(np.exp(kept[1])) * (CONTEXT - TARGET))
 
 
 @dataclass(frozen=True)
 class ParameterPrior:
-    """Prior of theta (P,): a Gaussian with independent parts."""
+    """Gaussian prior of theta (P,) with independent parts."""
 
     mean: Array
     sd: Array
@@ -171,7 +175,7 @@ def _commissioned(features: Features) -> ParameterPrior:
 
 
 def nothing(features: Features, frame: Frame, belief: ParameterPrior) -> ContextFit:
-    """What is known without any data: the prior."""
+    """Return the fit without any data: the prior."""
     none = np.zeros(len(belief.sd), dtype=bool)
     return ContextFit(
         belief.mean,
@@ -189,7 +193,7 @@ def nothing(features: Features, frame: Frame, belief: ParameterPrior) -> Context
 
 
 def _data(features: Features, frame: Frame, first: int, last: int) -> FitData:
-    """Steps `first` to `last` of the window, a step more than is fitted so that the run reaches the target."""
+    """Return steps `first` to `last` of the window, a step more than is fitted so that the run reaches the target."""
     measured = frame.measured[first:last]
     good = np.isfinite(measured) & ~stuck(frame.measured[:last])[first:]
     sigma = step_noise(features)
@@ -202,7 +206,9 @@ def _data(features: Features, frame: Frame, first: int, last: int) -> FitData:
 
 
 def step_noise(features: Features) -> Array:
-    """Noise (Y,) of one step's reading, K: five samples of white noise, and what no averaging removes."""
+    """Return the noise (Y,), K, of one step's reading: white noise over five samples, and a floor that no averaging
+    removes.
+    """
     return np.sqrt(features.network.sigma**2 / STEP_S + MODEL_K**2)
 
 
@@ -226,7 +232,7 @@ def _fit(
 def _problem(
     features: Features, frame: Frame, values: Array, first: int, data: FitData, belief: ParameterPrior
 ) -> tuple[FitProblem, GaussianPrior]:
-    """Squares over theta and the state at step `first`, and the prior of both."""
+    """Return the squares over theta and the state at step `first`, and the prior of both."""
     nodes = len(features.network.nodes)
     scaling = features.deviations.scaling(values)
     state = features.state_at(frame, first, values)
@@ -264,7 +270,10 @@ def _conclude(
 
 
 def _likelihood(fit: GaussNewtonFit, state: Array, count: int, widened: float) -> Likelihood:
-    """Of the `count` deviations, by the normal equations at the fit; the initial state was `state` (k,) +- STATE_SD."""
+    """Return the likelihood of the `count` deviations, by the normal equations at the fit.
+
+    The initial state was `state` (k,) +- STATE_SD.
+    """
     normal, slope = fit.normal / widened, fit.data.jtr / widened
     own = normal[count:, count:] + np.eye(len(state)) * STATE_SD**-2
     gain = np.linalg.solve(own, normal[count:, :count]).T
@@ -275,10 +284,10 @@ def _likelihood(fit: GaussNewtonFit, state: Array, count: int, widened: float) -
 
 
 def tell(normal: Array, plausible: Array, widened: float = 1.0) -> tuple[np.ndarray, float]:
-    """Which parameters (q,) data tells, and the condition number of all of them.
+    """Return the identifiable parameters (q,) bool, and the condition number of all of them.
 
-    Backward elimination as for a single window (`identifiability`), and on until the condition number of the
-    rest is below `LIMIT`. A parameter whose standard error is small with all the others unknown is told in any case.
+    Backward elimination as for a single window (`identifiability`), continued until the condition number of the rest is
+    below `LIMIT`. A parameter whose standard error is small with all others free is identifiable in any case.
 
     Args:
         normal: (q + k, q + k) J'J of the data, noise-weighted. plausible: (q,) prior standard deviations.
@@ -299,10 +308,10 @@ def tell(normal: Array, plausible: Array, widened: float = 1.0) -> tuple[np.ndar
 
 
 def identifiable(features: Features, frame: Frame, values: Array, since: int) -> np.ndarray:
-    """Parameters (P,) that the steps from `since` to the window's end tell, target included: which labels count.
+    """Return the parameters (P,) bool that are identifiable from step `since` on, target included: their labels count.
 
     Args:
-        since: step of the window from which on the rig is as it is now.
+        since: step of the window from which on the rig is unchanged.
     """
     first = max(since, frame.begin)
     none: np.ndarray = np.zeros(len(features.deviations), dtype=bool)
@@ -317,10 +326,10 @@ def identifiable(features: Features, frame: Frame, values: Array, since: int) ->
 
 
 def least_error(features: Features, frame: Frame, values: Array, theta: Array, since: int) -> Array:
-    """Cramer-Rao bound (P,) of theta's standard errors from the steps since `since` up to the target.
+    """Return the Cramer-Rao bound (P,) of theta's standard errors from the steps between `since` and the target.
 
-    The initial state is unknown, the noise that of `step_noise` with `CORRELATED_STEPS` alike, theta the truth; what
-    the data cannot tell is infinite.
+    The initial state is free, the noise is that of `step_noise` with `CORRELATED_STEPS` counting as one, and theta the
+    truth. The bound of a parameter that is not identifiable is infinite.
     """
     deviations = features.deviations
     first = max(since, frame.begin)

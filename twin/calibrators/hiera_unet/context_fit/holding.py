@@ -1,10 +1,11 @@
-"""What the twin takes on of a proposal: the record fitted from what the network believes, what may not move held.
+"""Adoption of a proposal by the live twin: a fit of the record with the network's prediction as prior and held
+parameters fixed.
 
-The network's parameters are drawn towards what is usual: of a rig that has changed they read halfway. And what data
-tell is mostly sums of parameters: with one of two taken on and the other left as it was, a twin would be neither what
-the network proposes nor what it was before. So the latest stretch that one set of parameters explains (`evidence`) is
-fitted once more with the network's belief as the prior: what the record tells moves to where the twin reads right, all
-else stays where the network has it.
+The network's parameters are shrunk towards those of its training rigs: after a change they are about halfway. Mostly
+only sums of parameters are identifiable. With one of two adopted and the other fixed, a twin would be neither the
+proposal nor the former twin. The latest segment that one set of parameters explains (`evidence`) is therefore fitted
+once more with the network's prediction as the prior. Identifiable parameters move to the values at which the twin reads
+correctly, all others stay at the prediction.
 """
 
 from __future__ import annotations
@@ -18,13 +19,12 @@ from twin.calibrators.hiera_unet.data.features import Features, Frame
 from twin.network import Array
 
 NARROWEST, HELD = 0.03, 0.01
-"""Least standard deviation of the network's belief, and that of what is held, as shares of what was known before any
-data."""
+"""Least standard deviation of the network's prediction, and that of held parameters, as shares of the prior's."""
 
 
 @dataclass(frozen=True)
 class Taken:
-    """Deviations (P,) to take on, and linearisations that it cost."""
+    """Deviations (P,) to adopt, and the number of linearisations."""
 
     theta: Array
     evaluations: int = 0
@@ -33,7 +33,7 @@ class Taken:
 def taken(
     features: Features, frame: Frame, values: Array, said: Array, sd: Array, held: np.ndarray, now: Array
 ) -> Taken:
-    """Deviations that explain the context of a window from the belief `said` (P,) with `sd` (P,).
+    """Return the deviations that explain the context of a window, with the prior mean `said` (P,) and `sd` (P,).
 
     Args:
         values: full vector (p,) of the commissioned twin. held: (P,) bool, those that stay at `now` (P,).

@@ -1,12 +1,12 @@
-"""What is believed of deviations if few of them have moved: a spike and a slab each, and every set of a few of them.
+"""Sparse posterior of deviations, by a spike-and-slab prior over all sets of a few changed parameters.
 
-A fit moves all parameters a little for what one did. Here each has moved or not: a deviation is N(0, spike^2), or with
-some chance N(0, slab^2), and of P no more than a few are slabs. Every such set is a Gaussian prior of its own, so with
-a Gaussian likelihood
+A fit changes all parameters a little for a change of one. Here each parameter has changed or not: a deviation is N(0,
+spike^2), or with some probability N(0, slab^2), and of P parameters only a few are slabs. Every such set is a Gaussian
+prior. With a Gaussian likelihood
 
     L(theta) = exp(-theta' A theta / 2 + h' theta)
 
-its posterior and its weight are closed:
+its posterior and its weight have closed forms:
 
     covariance C = (A + S^-1)^-1, mean C h,  log weight = log prior + (log|C| - log|S| + h' C h) / 2
 
@@ -25,28 +25,28 @@ import numpy as np
 from twin.network import Array
 
 MOST = 3
-"""Parameters that may have moved at once."""
+"""Parameters that may change at once."""
 
 
 @dataclass(frozen=True)
 class Likelihood:
-    """What data says of deviations: information A (P, P), symmetric, and pull h (P,); see above."""
+    """Gaussian likelihood of deviations: information A (P, P), symmetric, and pull h (P,); see above."""
 
     information: Array
     pull: Array
 
     @classmethod
     def nothing(cls, count: int) -> Likelihood:
-        """Of no data."""
+        """Return the likelihood without data."""
         return cls(np.zeros((count, count)), np.zeros(count))
 
     def plain(self) -> Array:
-        """(P + P (P + 1) / 2,): the pull, and the upper triangle of the information by rows."""
+        """Return the pull, and the upper triangle of the information by rows: (P + P (P + 1) / 2,)."""
         return np.concatenate([self.pull, self.information[np.triu_indices(len(self.pull))]])
 
     @classmethod
     def of_plain(cls, numbers: Array, count: int) -> Likelihood:
-        """From what `plain` gave for `count` parameters."""
+        """Restore from the result of `plain` for `count` parameters."""
         upper = np.zeros((count, count))
         upper[np.triu_indices(count)] = numbers[count:]
         return cls(upper + np.triu(upper, 1).T, np.asarray(numbers[:count], dtype=np.float64))
@@ -54,8 +54,11 @@ class Likelihood:
 
 @dataclass(frozen=True)
 class Usual:
-    """What is usual of P deviations. chance (P,) that one has moved; slab, spike (P,) standard deviations of one that
-    has and of one that has not."""
+    """Spike-and-slab prior of P deviations.
+
+    chance (P,): probability that one has changed; slab, spike (P,): standard deviations of one that has and of one that
+    has not.
+    """
 
     chance: Array
     slab: Array
@@ -64,7 +67,7 @@ class Usual:
 
 @dataclass(frozen=True)
 class Posterior:
-    """mean, sd (P,) of the mixture, chance (P,) that each has moved."""
+    """Posterior mixture: mean, sd (P,) of the deviations, chance (P,) that each has changed."""
 
     mean: Array
     sd: Array
@@ -72,7 +75,7 @@ class Posterior:
 
 
 def posterior(data: Likelihood, usual: Usual, most: int = MOST) -> Posterior:
-    """Of all sets of at most `most` moved parameters."""
+    """Return the posterior over all sets of at most `most` changed parameters."""
     count = len(data.pull)
     moved = _sets(count, min(most, count))
     variance = np.where(moved, usual.slab**2, usual.spike**2)
@@ -95,7 +98,7 @@ def posterior(data: Likelihood, usual: Usual, most: int = MOST) -> Posterior:
 
 @lru_cache(maxsize=8)
 def _sets(count: int, most: int) -> np.ndarray:
-    """(sets, P) bool, the sets of at most `most` of `count`."""
+    """Return the sets (sets, P) bool of at most `most` of `count`."""
     chosen = [c for size in range(most + 1) for c in combinations(range(count), size)]
     moved = np.zeros((len(chosen), count), dtype=bool)
     for row, columns in enumerate(chosen):

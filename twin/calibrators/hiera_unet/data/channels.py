@@ -1,6 +1,6 @@
-"""What the network sees of a rig: one table of channels for each kind of rig.
+"""Channel tables: inputs of the network for each kind of rig.
 
-A channel names a formula and its arguments; `signals` knows the formulas. All values are dimensionless: temperatures
+A channel names a formula and its arguments; `signals` defines the formulas. All values are dimensionless: temperatures
 over the twin's own temperature rise, powers over the rated one, residuals over the thermometers' noise on a signed
 logarithmic scale. A second kind of rig is a second table here, not another program.
 """
@@ -20,7 +20,7 @@ from twin.elements.flow import Flow
 from twin.network import Network, TwinFileError
 
 Role = Literal["u", "y", "r", "q", "e"]
-"""Inputs and what the twin makes of them; readings; residuals; quality; events."""
+"""Role of a channel: inputs and their simulated consequences; readings; residuals; quality; events."""
 Kind = Literal["level", "log", "flag"]
 ROLES: tuple[Role, ...] = ("u", "y", "r", "q", "e")
 
@@ -31,8 +31,8 @@ class RigChannel:
 
     Attributes:
         group: channels of a group are embedded together. unit: of the quantity before normalisation. kind: `log` for a
-            signed logarithmic scale. tolerance: what counts as little, in the channel's own scale.
-        formula, of: which signal, of what (`signals`).
+            signed logarithmic scale. tolerance: a small change, in the channel's own scale.
+        formula, of: signal and its arguments (`signals`).
     """
 
     name: str
@@ -47,7 +47,7 @@ class RigChannel:
 
 @dataclass(frozen=True)
 class ChannelTable:
-    """Channels in the order of their groups. `figures`: names of the rig's own numbers in the static tokens."""
+    """Channels in the order of their groups. `figures`: names of the rig's own numbers among the static tokens."""
 
     name: str
     channels: tuple[RigChannel, ...]
@@ -63,24 +63,24 @@ class ChannelTable:
 
     @cached_property
     def groups(self) -> dict[str, int]:
-        """Group -> how many channels, in order."""
+        """Return group -> number of channels, in order."""
         sizes: dict[str, int] = {}
         for channel in self.channels:
             sizes[channel.group] = sizes.get(channel.group, 0) + 1
         return sizes
 
     def indices(self, *roles: Role) -> np.ndarray:
-        """Places of the channels of these roles."""
+        """Return the positions of the channels of these roles."""
         return np.array([k for k, c in enumerate(self.channels) if c.role in roles], dtype=np.intp)
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of everything that the table says: a network knows the table that it was trained with."""
+        """Return the SHA-256 of the table, which identifies the table that a network was trained with."""
         return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
 
 
 def loop(network: Network) -> ChannelTable:
-    """The coolant loop's table, for a twin of one closed path with a heater, a pump and fans.
+    """Return the coolant loop's table, for a twin of one closed path with a heater, a pump and fans.
 
     Raises:
         TwinFileError: the twin is not such a loop.
@@ -150,10 +150,10 @@ TABLES: dict[str, Callable[[Network], ChannelTable]] = {"loop": loop}
 
 
 def table(network: Network) -> ChannelTable:
-    """The first table that fits a twin.
+    """Return the first table that fits a twin.
 
     Raises:
-        TwinFileError: none does; the message says why the last one did not.
+        TwinFileError: none does; the message gives the reason of the last one.
     """
     why = ""
     for make in TABLES.values():

@@ -1,8 +1,8 @@
-"""From a record to what the network reads: one window of two hours, ending at any step.
+"""Features: from a record to the network's input, one window of two hours that ends at any step.
 
-The commissioned twin runs free from the window's beginning. The state at the first target step is that run's, moved by
-what the residuals of the last minutes before it say; nothing of the target itself is used. Where a thermometer has
-been silent for long, its last residual counts, and where it never spoke, that of the others.
+The commissioned twin runs free from the window's beginning. The state at the first target step is that run's, corrected
+by the residuals of the last minutes before it; the target itself is not used. After a long gap of a thermometer its
+last residual counts, and without any reading that of the others.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from twin.calibrators.hiera_unet.data.figures import Figures
 from twin.calibrators.hiera_unet.data.parameters import Deviations, kernel_of
 from twin.calibrators.hiera_unet.data.regimes import regimes
 from twin.calibrators.hiera_unet.data.series import STEP_S, ResampledSeries, filled_forward
-from twin.calibrators.hiera_unet.data.signals import FORMULAS, Stretch, stuck
+from twin.calibrators.hiera_unet.data.signals import FORMULAS, SignalSegment, stuck
 from twin.calibrators.hiera_unet.data.windows import CONTEXT, TARGET
 from twin.discovery.effects.formulas import Formulas
 from twin.network import Array, Network
 
 CLOCK = 6
 SETTLE_STEPS = 24
-"""Steps whose residuals say where the state is at the end of them."""
+"""Steps whose residuals estimate the state at their end."""
 FIRST_STEPS = 6
 LARGEST = 8.0
-"""Channels are held inside this."""
+"""Largest absolute value of a channel."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A window before it is put in a batch: shapes as in `Windows`, without its first axis.
+    """Window before it joins a batch: shapes as in `Windows`, without its first axis.
 
-    Channels that show what a fit leaves are missing until `Features.explained` has been told of the fit.
+    Channels with the residual of a fit are missing until `Features.explained` adds them.
 
     Attributes:
         held: (1440, c) inputs without NaN. time: (1440,) s. measured: (1440, Y) degC. free: (1440, Y) degC.
-        start: full state at the first step. begin: first step with any data. stretch: what channels are made of.
+        start: full state at the first step. begin: first step with any data. segment: input of the channels' formulas.
     """
 
     x: Array
@@ -54,11 +54,11 @@ class Frame:
     free: Array
     start: Array
     begin: int
-    stretch: Stretch
+    segment: SignalSegment
 
 
 class Features:
-    """Makes windows for all rigs of one twin's structure."""
+    """Maker of windows for all rigs of one twin's structure."""
 
     def __init__(self, network: Network, table: ChannelTable, deviations: Deviations) -> None:
         self.network, self.table, self.deviations = network, table, deviations
@@ -68,7 +68,7 @@ class Features:
         self._last: tuple[ResampledSeries, int, Array, Frame] | None = None
 
     def frame(self, series: ResampledSeries, end: int, values: Array) -> Frame:
-        """The window whose last step is `end` - 1.
+        """Return the window whose last step is `end` - 1.
 
         Args:
             values: full vector (p,) of the commissioned twin.
@@ -89,8 +89,8 @@ class Features:
         free, state = self._free_run(part.time, held, part.measured, start, begin, values)
         base = self.kernel.trace(values, state, part.time[-TARGET:], held[-TARGET:])[0][0]
         figures = Figures.of(network, values)
-        stretch = Stretch(network, figures, part, held, free, self._heats(part, held, values, figures), values)
-        x, m = self._channels(stretch, begin)
+        segment = SignalSegment(network, figures, part, held, free, self._heats(part, held, values, figures), values)
+        x, m = self._channels(segment, begin)
         tokens = np.array([figures.token(network, what) for what in self.table.figures])
         return Frame(
             x,
@@ -107,29 +107,31 @@ class Features:
             free,
             start,
             begin,
-            stretch,
+            segment,
         )
 
     def explained(self, frame: Frame, values: Array, theta: Array, steps: int) -> Frame:
-        """The window with the channels of a fit.
+        """Return the window with the channels of a fit.
 
         Args:
-            theta: (P,) what was fitted. steps: to how many steps before the target.
+            theta: (P,) fitted deviations. steps: fitted steps before the target.
         """
         first = max(CONTEXT - TARGET - steps, frame.begin)
         full = self.deviations.full(theta, values)
         state = self.state_at(frame, first, values)
         run = np.full(frame.free.shape, np.nan)
         run[first:] = self.kernel.trace(full, state, frame.time[first:], frame.held[first:])[0][0]
-        stretch = replace(frame.stretch, fitted=run)
+        segment = replace(frame.segment, fitted=run)
         x, m = frame.x.copy(), frame.m.copy()
         for k, channel in enumerate(self.table.channels):
             if channel.formula == "fitted":
-                x[:, k], m[:, k] = _masked(FORMULAS[channel.formula](stretch, *channel.of), frame.begin)
-        return replace(frame, x=x, m=m, stretch=stretch)
+                x[:, k], m[:, k] = _masked(FORMULAS[channel.formula](segment, *channel.of), frame.begin)
+        return replace(frame, x=x, m=m, segment=segment)
 
     def state_at(self, frame: Frame, step: int, values: Array) -> Array:
-        """Full state at a step of the window, as the readings up to it and some minutes after say."""
+        """Return the full state at a step of the window, estimated from the readings up to it and some minutes
+        after.
+        """
         if step <= frame.begin:
             return frame.start
         rows = slice(frame.begin, step + 1)
@@ -143,12 +145,12 @@ class Features:
             found[k] += means[j]
         return found
 
-    def _channels(self, stretch: Stretch, begin: int) -> tuple[Array, np.ndarray]:
-        x = np.stack([FORMULAS[c.formula](stretch, *c.of) for c in self.table.channels], axis=1)
+    def _channels(self, segment: SignalSegment, begin: int) -> tuple[Array, np.ndarray]:
+        x = np.stack([FORMULAS[c.formula](segment, *c.of) for c in self.table.channels], axis=1)
         return _masked(x, begin)
 
     def _first_state(self, measured: Array) -> Array:
-        """Full state at rest that the first readings say."""
+        """Return the steady state of the first readings."""
         rows = measured[: FIRST_STEPS + 1]
         if not np.isfinite(rows).any():
             later = np.flatnonzero(np.isfinite(measured).any(axis=1))
@@ -158,7 +160,9 @@ class Features:
     def _free_run(
         self, time: Array, held: Array, measured: Array, start: Array, begin: int, values: Array
     ) -> tuple[Array, Array]:
-        """Readings (1440, Y) from `begin` on, NaN before, and the corrected full state at the first target step."""
+        """Return the readings (1440, Y) from `begin` on, NaN before, and the corrected full state at the first target
+        step.
+        """
         first = CONTEXT - TARGET
         free = np.full((CONTEXT, len(self.network.sensors)), np.nan)
         early, state = self.kernel.trace(values, start, time[begin : first + 1], held[begin : first + 1])
@@ -170,7 +174,9 @@ class Features:
         return free, corrected
 
     def _offsets(self, residual: Array) -> Array:
-        """What each node (k,) is off by at the step after the residuals (n, Y): lines through their last minutes."""
+        """Return the error of each node (k,) at the step after the residuals (n, Y): lines through their last
+        minutes.
+        """
         found = np.full(len(self.network.nodes), np.nan)
         for j, k in enumerate(self._node_of):
             if np.isnan(found[k]):
@@ -186,14 +192,14 @@ class Features:
 
 
 def _masked(x: Array, begin: int) -> tuple[Array, np.ndarray]:
-    """Channels (n,) or (n, C) without NaN and within `LARGEST`, and where they are there; nothing before `begin`."""
+    """Return channels (n,) or (n, C) without NaN and within `LARGEST`, and their mask; nothing before `begin`."""
     m = np.isfinite(x)
     m[:begin] = False
     return np.clip(np.where(m, x, 0.0), -LARGEST, LARGEST), m
 
 
 def _ahead(residual: Array) -> float:
-    """Residual (n,) at step n: a line through the last `SETTLE_STEPS`, or the last value before a silence."""
+    """Return the residual (n,) at step n: a line through the last `SETTLE_STEPS`, or the last value before a gap."""
     recent = residual[-SETTLE_STEPS:]
     steps = np.arange(len(recent), dtype=np.float64) - len(recent)
     good = np.isfinite(recent)
@@ -206,7 +212,7 @@ def _ahead(residual: Array) -> float:
 
 
 def clock(part: ResampledSeries) -> Array:
-    """Two harmonics of the day and one of the year (n, 6); zeros where the record does not tell the time."""
+    """Return two harmonics of the day and one of the year (n, 6); zeros if the record has no clock."""
     out = np.zeros((len(part), CLOCK))
     if np.isfinite(part.hour):
         turn = 2.0 * np.pi * (part.hour + part.time / 3600.0) / 24.0

@@ -1,4 +1,4 @@
-"""A rig's own numbers, read off its commissioned twin: what makes channels dimensionless, and the static tokens."""
+"""Nominal figures of a rig from its commissioned twin, which make channels dimensionless, and the static tokens."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Figures:
 
     Attributes:
         power_W: rated. flow_L_per_min, capacity_rate_W_per_K: at full speed. drop_K: rated power over the latter.
-        rejection_W_per_K, loss_W_per_K: at full speed, and to the room besides. rise_K: rated power over both.
+        rejection_W_per_K, loss_W_per_K: at full speed, and to the room in addition. rise_K: rated power over both.
         room, room_C: input with the room's temperature, and its nominal value. noise_K: of one thermometer.
         capacity_J_per_K: (k,) of the nodes. sensor_of: (k,) first sensor of each node, -1 without one.
     """
@@ -48,7 +48,7 @@ class Figures:
 
     @classmethod
     def of(cls, network: Network, values: Array | None = None) -> Figures:
-        """Figures of a twin with the full vector `values` (p,), its own by default."""
+        """Return the figures of a twin with the full vector `values` (p,), its own by default."""
         full = network.values if values is None else values
         at = dict(zip(network.ids, full.tolist(), strict=True))
         flow = next((e for e in network.elements if isinstance(e, Flow)), None)
@@ -70,7 +70,7 @@ class Figures:
         )
 
     def token(self, network: Network, what: tuple[str, ...]) -> float:
-        """One static token: a figure without a dimension, on a logarithmic scale."""
+        """Return one static token: a dimensionless figure on a logarithmic scale."""
         name, *of = what
         return float(_TOKENS[name](self, network, *of))
 

@@ -1,12 +1,12 @@
 """Parameters as deviations from a commissioned twin: theta = 0 is the twin as commissioned, |theta| <= `REACH`.
 
-    factor   value = nominal * exp(theta)                                  a conductance, a share, a gain
-    loss     value = nominal + scale * theta             theta >= 0         a loss that may be next to nothing when
+    factor   value = nominal * exp(theta)                                  a conductance, a share, a gain loss     value
+    = nominal + scale * theta             theta >= 0         a loss that may be nearly zero when
              value = nominal * exp(scale * theta / nominal)  otherwise      commissioned; never negative, smooth at 0
     sum      value = nominal + scale * theta                               a power that is zero in a healthy rig
 
-Which law holds, and the scales, follow from the specification alone, so that theta means the same on every rig of a
-structure. Scales are shares of the rated power.
+Law and scale follow from the specification alone, so that theta has the same meaning on every rig of a structure.
+Scales are shares of the rated power.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from twin.kernel import Kernel
 from twin.network import Array, Network
 
 REACH = 1.1
-"""Largest deviation either way: a factor of three for a factor."""
+"""Largest absolute deviation: a factor of three for a factor."""
 FACTOR, LOSS, SUM = 0, 1, 2
 LAWS = ("factor", "loss", "sum")
 RATED_W = 700.0
-"""Where a twin declares no power among its inputs."""
+"""Rated power, W, of a twin without a power among its inputs."""
 POWER_SHARE = 0.5
 """Unit of a power, as a share of the rated one."""
 LOSS_K = 50.0
-"""Rated power over this difference is the unit of a loss, W/K."""
+"""Temperature difference, K, by which the rated power is divided for the unit of a loss, W/K."""
 PRIOR_SD = (0.4, 0.25, 0.25)
 """Prior standard deviation of theta by law."""
 
 
 @dataclass(frozen=True)
 class Deviations:
-    """How P parameters of a twin deviate.
+    """Deviations of P parameters of a twin.
 
     Attributes:
-        ids: of the parameters. index (P,): their places in a full vector (p,). law (P,): FACTOR, LOSS or SUM.
-        scale (P,): in the parameter's unit, 1 for a factor. lower, upper (P,): physical bounds.
+        ids: of the parameters. index (P,): their places in a full vector (p,). law (P,): FACTOR, LOSS or SUM. scale
+        (P,): in the parameter's unit, 1 for a factor. lower, upper (P,): physical bounds.
     """
 
     ids: tuple[str, ...]
@@ -51,7 +51,7 @@ class Deviations:
 
     @classmethod
     def of(cls, network: Network, tunables: str | tuple[str, ...] = "nine") -> Deviations:
-        """Of a named set or of ids.
+        """Return the deviations of a named set or of ids.
 
         Raises:
             TwinFileError: no such set or parameter.
@@ -74,7 +74,9 @@ class Deviations:
         return len(self.ids)
 
     def values(self, theta: Array, nominal: Array) -> Array:
-        """Physical (..., P) of deviations (..., P) from full vectors `nominal` (..., p), inside the bounds."""
+        """Return physical values (..., P), within their bounds, of deviations (..., P) from full vectors `nominal`
+        (..., p).
+        """
         base = np.asarray(nominal, dtype=np.float64)[..., self.index]
         t = np.asarray(theta, dtype=np.float64)
         floor = np.maximum(base, 1e-6 * self.scale)
@@ -86,7 +88,7 @@ class Deviations:
         return clipped
 
     def theta(self, values: Array, nominal: Array) -> Array:
-        """Deviations (..., P) of physical values (..., P); the inverse of `values`."""
+        """Return the deviations (..., P) of physical values (..., P); the inverse of `values`."""
         base = np.asarray(nominal, dtype=np.float64)[..., self.index]
         v = np.asarray(values, dtype=np.float64)
         floor = np.maximum(base, 1e-6 * self.scale)
@@ -98,7 +100,7 @@ class Deviations:
         return found
 
     def full(self, theta: Array, nominal: Array) -> Array:
-        """Full vectors (..., p) with the deviations entered."""
+        """Return full vectors (..., p) with the deviations entered."""
         values = self.values(theta, nominal)
         shape = np.broadcast_shapes(values.shape[:-1], np.shape(nominal)[:-1])
         full = np.array(np.broadcast_to(nominal, (*shape, np.shape(nominal)[-1])), dtype=np.float64)
@@ -107,11 +109,11 @@ class Deviations:
 
     @property
     def prior_sd(self) -> Array:
-        """Standard deviation (P,) of theta before anything was measured."""
+        """Return the prior standard deviation (P,) of theta."""
         return np.array(PRIOR_SD)[self.law]
 
     def scaling(self, nominal: Array) -> ThetaScaling:
-        """For `twin.gauss_newton`, whose variables are then theta."""
+        """Return the scaling for `twin.gauss_newton` whose variables are theta."""
         low, high = (self.values(np.full(len(self), s * REACH), nominal) for s in (-1.0, 1.0))
         zero, one = np.zeros(len(self)), np.ones(len(self))
         return ThetaScaling(self.ids, self.index, self.law == FACTOR, zero, one, low, high, self, nominal)
@@ -119,7 +121,7 @@ class Deviations:
 
 @dataclass(frozen=True)
 class ThetaScaling(Scaling):
-    """The optimiser's variables are deviations from `nominal` (p,)."""
+    """Scaling by which the optimiser's variables are deviations from `nominal` (p,)."""
 
     of_theta: Deviations
     nominal: Array
@@ -143,11 +145,11 @@ class ThetaScaling(Scaling):
 
 
 def rated_power(network: Network) -> float:
-    """Sum of the nominal powers among the inputs, W; RATED_W where there is none."""
+    """Return the sum of the nominal powers among the inputs, W; RATED_W if there is none."""
     return sum(s.nominal for c, s in network.inputs.items() if c.endswith("_W") and s.nominal > 0.0) or RATED_W
 
 
 def kernel_of(network: Network, ids: tuple[str, ...]) -> Kernel:
-    """One kernel for all rigs of the network's structure, whatever commissioning made of their parameters."""
+    """Return one kernel for all rigs of the network's structure, independent of their commissioned parameters."""
     commissioned = network.tunables("commission") if "commission" in network.sets else ()
     return Kernel(network, (*ids, *commissioned))

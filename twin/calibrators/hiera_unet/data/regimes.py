@@ -1,16 +1,11 @@
-"""Operating regimes of a rig, told from its inputs alone by a deterministic state machine.
+"""Operating regimes of a rig, from its inputs alone by a deterministic state machine.
 
-    0 unknown      an input that matters has not been read yet
-    1 rest         no heat, no flow to speak of
-    2 heat off     flow without heat
-    3 no flow      heat without flow
-    4 start-up     the first while after rest, heat off or no flow
-    5 load         the load was stepped lately
-    6 cooling      pump or fan was stepped lately
-    7 steady       none of these
+    0 unknown      a required input has not been read yet 1 rest         no heat, negligible flow 2 heat off     flow
+    without heat 3 no flow      heat without flow 4 start-up     the first while after rest, heat off or no flow 5 load
+    the load was stepped lately 6 cooling      pump or fan was stepped lately 7 steady       none of these
 
-Every label depends on the present and the past only. Which inputs are loads and which drive the cooling is told by
-their units: W and %.
+Every label depends on the present and the past only. The unit of an input, W or %, determines whether it is a load or
+drives the cooling.
 """
 
 from __future__ import annotations
@@ -24,15 +19,15 @@ COUNT = 8
 UNKNOWN, REST, HEAT_OFF, NO_FLOW, STARTUP, LOAD, COOLING, STEADY = range(COUNT)
 NAMES = ("unknown", "rest", "heat off", "no flow", "start-up", "load", "cooling", "steady")
 OFF_SHARE = 0.03
-"""Of the nominal value, below which an input counts as off."""
+"""Share of the nominal value below which an input counts as off."""
 STEP_SHARE = 0.02
-"""Of the nominal value, by which an input must have moved to count as stepped."""
+"""Share of the nominal value by which an input must have changed to count as stepped."""
 LATELY_S = 300.0
 STARTUP_S = 1200.0
 
 
 def regimes(network: Network, inputs: Array) -> np.ndarray:
-    """Labels (n,) int8 of steps with inputs (n, c), NaN where missing."""
+    """Return labels (n,) int8 of steps with inputs (n, c), NaN where missing."""
     columns = network.input_columns
     nominal = np.maximum(np.abs(network.nominal_inputs), 1e-9)
     loads = [j for j, c in enumerate(columns) if c.endswith("_W")]
@@ -54,14 +49,14 @@ def regimes(network: Network, inputs: Array) -> np.ndarray:
 
 
 def within(event: np.ndarray, steps: int) -> np.ndarray:
-    """Whether (n,) there was an event at a step or in the `steps` before it."""
+    """Return True (n,) where an event happened at a step or in the `steps` before it."""
     since = since_last(event)
     found: np.ndarray = since <= steps
     return found
 
 
 def since_last(event: np.ndarray) -> Array:
-    """Steps (n,) since the last event, 0 at it, infinite before the first."""
+    """Return the steps (n,) since the last event, 0 at it, infinite before the first."""
     n = len(event)
     latest = np.maximum.accumulate(np.where(event, np.arange(n), -1))
     since: Array = np.where(latest >= 0, np.arange(n) - latest, np.inf)
@@ -69,7 +64,7 @@ def since_last(event: np.ndarray) -> Array:
 
 
 def _stepped(share: Array, steps: int) -> np.ndarray:
-    """Whether any column moved by more than STEP_SHARE within half a minute, lately."""
+    """Return True where any column changed by more than STEP_SHARE within half a minute, lately."""
     if not share.shape[1]:
         return np.zeros(len(share), dtype=bool)
     back = max(int(30.0 / STEP_S), 1)

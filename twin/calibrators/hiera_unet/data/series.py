@@ -1,6 +1,6 @@
-"""A record on the network's own clock: means over steps of `STEP_S`, NaN where nothing was read.
+"""Record in the network's steps: means over `STEP_S`, NaN where nothing was read.
 
-A reading of step i is the mean of what was sampled within half a step of its stamp, an input the mean from its stamp to
+A reading of step i is the mean of the samples within half a step of its stamp, an input the mean from its stamp to
 the next: the twin's readings are those at the stamp, and its inputs hold from there on.
 """
 
@@ -17,18 +17,18 @@ from twin.network import Array, Network, TwinFileError
 
 STEP_S = 5.0
 MOST_STEPS = 6_307_200
-"""A year."""
+"""Steps of a year, the longest record."""
 
 
 @dataclass(frozen=True)
 class ResampledSeries:
-    """A stretch of a record in n even steps.
+    """Segment of a record in n even steps.
 
     Attributes:
         time: (n,) s. inputs: (n, c), measured: (n, Y) degC, both NaN where missing.
         spread: (n, Y) K, standard deviation between the thermometers of a sensor; NaN for a single one.
-        extra: further measured columns that the channel table knows, each (n,).
-        hour: clock at time 0, h; NaN where the record does not tell. day: of the year at time 0; NaN likewise.
+        extra: further measured columns that the channel table uses, each (n,).
+        hour: clock at time 0, h; NaN if the record does not give it. day: of the year at time 0; NaN likewise.
         earlier: (c,) last inputs that were read before these steps, NaN where none was; or None.
     """
 
@@ -45,7 +45,7 @@ class ResampledSeries:
         return len(self.time)
 
     def part(self, first: int, last: int) -> ResampledSeries:
-        """Steps `first` to `last`, the latter left out; steps before the beginning are made up, without any data."""
+        """Return steps `first` to `last`, the latter excluded; steps before the beginning have no data."""
         lead = max(-first, 0)
         rows = slice(max(first, 0), last)
 
@@ -66,7 +66,7 @@ class ResampledSeries:
         )
 
     def ahead(self, count: int) -> ResampledSeries:
-        """The same with as many steps to come, of which nothing is known."""
+        """Return the same with as many future steps, without data."""
 
         def longer(a: Array) -> Array:
             return np.concatenate([a, np.full((count, *a.shape[1:]), np.nan)])
@@ -94,10 +94,10 @@ def series(
     hour: float = float("nan"),
     day: float = float("nan"),
 ) -> ResampledSeries:
-    """Bring a record's columns (N,) onto even steps.
+    """Resample a record's columns (N,) to even steps.
 
     Args:
-        extra: further columns to take along where the record has them.
+        extra: further columns to include if the record has them.
 
     Raises:
         TwinFileError: a column that the twin needs is missing, time goes back, or the record is shorter than a step or
@@ -135,7 +135,7 @@ def series(
 
 
 def binned(values: Array, where: np.ndarray, n: int) -> Array:
-    """Means (n, k) over finite values (N, k) that fall into each bin; NaN for an empty one."""
+    """Return means (n, k) over finite values (N, k) that fall into each bin; NaN for an empty one."""
     out = np.full((n, values.shape[1]), np.nan)
     for j in range(values.shape[1]):
         good = np.isfinite(values[:, j])
@@ -146,9 +146,9 @@ def binned(values: Array, where: np.ndarray, n: int) -> Array:
 
 
 def filled_forward(values: Array, first: Array, earlier: Array | None = None) -> Array:
-    """Values (n, c) with NaN replaced by the last finite one, `earlier` (c,) included.
+    """Return values (n, c) with NaN replaced by the last finite one, `earlier` (c,) included.
 
-    Before any, the first one that comes counts, or `first` (c,) where none comes.
+    Values before the first finite one take that one, or `first` (c,) if there is none.
     """
     good = np.isfinite(values)
     if good.all():
@@ -162,7 +162,7 @@ def filled_forward(values: Array, first: Array, earlier: Array | None = None) ->
 
 
 def latest(values: Array, earlier: Array | None = None) -> Array:
-    """Last finite values (c,) of (n, c), `earlier` (c,) or NaN where there is none."""
+    """Return the last finite values (c,) of (n, c), else `earlier` (c,) or NaN."""
     found: Array = np.full(values.shape[1], np.nan) if earlier is None else earlier.copy()
     good = np.isfinite(values)
     for j in np.flatnonzero(good.any(axis=0)):
@@ -171,7 +171,7 @@ def latest(values: Array, earlier: Array | None = None) -> Array:
 
 
 def lasting(values: Array, steps: int) -> Array:
-    """Values (n, c) with NaN replaced by the last finite one where that is no more than so many steps old."""
+    """Return values (n, c) with NaN replaced by the last finite one if that is no more than so many steps old."""
     row = np.arange(len(values))[:, None]
     last = np.maximum.accumulate(np.where(np.isfinite(values), row, -steps - 1), axis=0)
     return np.where(row - last <= steps, np.take_along_axis(values, np.maximum(last, 0), axis=0), np.nan)

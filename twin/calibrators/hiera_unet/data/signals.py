@@ -1,6 +1,6 @@
-"""The formulas that channels are made of, over one stretch of a record and the commissioned twin's run beside it.
+"""Formulas of the channels, over a segment of a record and the commissioned twin's run beside it.
 
-Every value depends on what was known at its step: means are of the past, slopes look back.
+Every value is causal: means and slopes are of the past.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ MINUTE_S = 60.0
 SPREAD_K = 0.1
 FLOW_SHARE = 0.01
 STUCK_STEPS = 36
-"""A reading that has not moved for so long is left out."""
+"""Steps without a change from which a reading counts as stuck and is left out."""
 NOISES = 2.0
-"""Residuals are linear up to so many standard deviations of a single thermometer, logarithmic beyond."""
+"""Standard deviations of a single thermometer up to which residuals are linear; they are logarithmic beyond."""
 
 
 @dataclass
-class Stretch:
-    """What the formulas look at: n steps of `series`, of which some may be missing.
+class SignalSegment:
+    """Input of the formulas: n steps of `series`, of which some may be missing.
 
     Attributes:
         inputs: (n, c) held, without NaN. free: (n, Y) degC, free run of the commissioned twin from the beginning.
         heats: (n, k) W into each node by the twin's formulas at the measured temperatures; NaN where one is missing.
         values: full vector (p,) of the commissioned twin.
-        fitted: (n, Y) degC, run of the twin as a fit has it, over what it was fitted to and on; NaN before.
+        fitted: (n, Y) degC, run of the fitted twin over its fit's segment and beyond; NaN before.
     """
 
     network: Network
@@ -59,17 +59,17 @@ class Stretch:
 
     @property
     def room(self) -> Array:
-        """Room temperature (n,), degC; the nominal one where the twin has no such input."""
+        """Return the room temperature (n,), degC; the nominal one if the twin has no such input."""
         return self.held(self.figures.room) if self.figures.room else np.full(len(self.series), self.figures.room_C)
 
 
 def signed_log(x: Array) -> Array:
-    """asinh: x itself near 0, its logarithm far from it."""
+    """Return asinh(x): linear near 0, logarithmic far from it."""
     return np.arcsinh(x)
 
 
 def quick(values: Array, constant_s: float) -> Array:
-    """Values (n,) less their running mean over `constant_s`, which looks back only."""
+    """Return values (n,) less their causal running mean over `constant_s`."""
     from scipy.signal import lfilter  # a second of processor time, so only where it is used
 
     keep = float(np.exp(-STEP_S / constant_s))
@@ -79,7 +79,7 @@ def quick(values: Array, constant_s: float) -> Array:
 
 
 def slope(values: Array, span_s: float) -> Array:
-    """Change per s (n,) over the `span_s` before each step; NaN until there is one."""
+    """Return the change per s (n,) over the `span_s` before each step; NaN before there is one."""
     back = int(span_s / STEP_S)
     half = max(back // 4, 1)
     mean = past_mean(values, half)
@@ -89,7 +89,7 @@ def slope(values: Array, span_s: float) -> Array:
 
 
 def past_mean(values: Array, steps: int) -> Array:
-    """Mean (n,) of the finite ones among a step and those before it; NaN where there is none."""
+    """Return the mean (n,) of the finite values among a step and those before it; NaN if there is none."""
     good = np.isfinite(values)
     total = np.concatenate([[0.0], np.cumsum(np.where(good, values, 0.0))])
     count = np.concatenate([[0], np.cumsum(good)])
@@ -101,7 +101,7 @@ def past_mean(values: Array, steps: int) -> Array:
 
 
 def flat_steps(values: Array) -> Array:
-    """Steps (n, Y) for which each reading (n, Y) has not changed at all, silence left out; 0 where it is missing."""
+    """Return the steps (n, Y) for which each reading (n, Y) has been constant, gaps left out; 0 where it is missing."""
     out = np.zeros(values.shape)
     for j, column in enumerate(values.T):
         there = np.flatnonzero(np.isfinite(column))
@@ -114,7 +114,7 @@ def flat_steps(values: Array) -> Array:
 
 
 def stuck(values: Array) -> np.ndarray:
-    """Readings (n, Y) that belong to a stretch of at least `STUCK_STEPS` in which nothing moved, all of it."""
+    """Return the readings (n, Y) bool that belong to a constant segment of at least `STUCK_STEPS`, all of it."""
     flat = flat_steps(values)
     out = flat >= STUCK_STEPS
     for j, column in enumerate(out.T):
@@ -123,27 +123,27 @@ def stuck(values: Array) -> np.ndarray:
     return out
 
 
-def _level(s: Stretch, column: str) -> Array:
+def _level(s: SignalSegment, column: str) -> Array:
     spec = s.network.inputs[column]
     if column.endswith("_C"):
         return (s.input(column) - s.figures.room_C) / s.figures.rise_K
     return s.input(column) / max(abs(spec.nominal), 1e-9)
 
 
-def _scale(s: Stretch, column: str) -> float:
+def _scale(s: SignalSegment, column: str) -> float:
     return s.figures.rise_K if column.endswith("_C") else max(abs(s.network.inputs[column].nominal), 1e-9)
 
 
-def _quick(s: Stretch, column: str, constant_s: str) -> Array:
+def _quick(s: SignalSegment, column: str, constant_s: str) -> Array:
     return 5.0 * quick(s.held(column), float(constant_s)) / _scale(s, column)
 
 
-def _measured(s: Stretch, name: str) -> Array:
+def _measured(s: SignalSegment, name: str) -> Array:
     flow = s.series.extra.get(name)
     return np.full(len(s.series), np.nan) if flow is None else flow / s.figures.flow_L_per_min
 
 
-def _flow_gap(s: Stretch, name: str, flow: str) -> Array:
+def _flow_gap(s: SignalSegment, name: str, flow: str) -> Array:
     column = s.series.extra.get(name)
     if column is None:
         return np.full(len(s.series), np.nan)
@@ -152,43 +152,43 @@ def _flow_gap(s: Stretch, name: str, flow: str) -> Array:
     return signed_log((column / s.figures.flow_L_per_min - share) / FLOW_SHARE) * 0.5
 
 
-def _reading(s: Stretch, sensor: str) -> Array:
+def _reading(s: SignalSegment, sensor: str) -> Array:
     return (s.reading(sensor) - s.room) / s.figures.rise_K
 
 
-def _base(s: Stretch, sensor: str) -> Array:
+def _base(s: SignalSegment, sensor: str) -> Array:
     return (s.free[:, s.network.sensor_names.index(sensor)] - s.room) / s.figures.rise_K
 
 
-def _rate(s: Stretch, sensor: str) -> Array:
+def _rate(s: SignalSegment, sensor: str) -> Array:
     return 0.5 * signed_log(slope(s.reading(sensor), RATE_S) * MINUTE_S / (NOISES * s.figures.noise_K))
 
 
-def _drop(s: Stretch, before: str, after: str) -> Array:
+def _drop(s: SignalSegment, before: str, after: str) -> Array:
     return (s.reading(after) - s.reading(before)) / s.figures.drop_K
 
 
-def _residual(s: Stretch, sensor: str) -> Array:
+def _residual(s: SignalSegment, sensor: str) -> Array:
     free = s.free[:, s.network.sensor_names.index(sensor)]
     return 0.5 * signed_log((s.reading(sensor) - free) / (NOISES * s.figures.noise_K))
 
 
-def _fitted(s: Stretch, sensor: str) -> Array:
-    """What a fit leaves: the twin's own shape of error, of which its parameters cannot make anything."""
+def _fitted(s: SignalSegment, sensor: str) -> Array:
+    """Return the residual of a fit: the part of the error that the twin's parameters cannot explain."""
     if s.fitted is None:
         return np.full(len(s.series), np.nan)
     run = s.fitted[:, s.network.sensor_names.index(sensor)]
     return signed_log((s.reading(sensor) - run) / (NOISES * s.figures.noise_K))
 
 
-def _balance(s: Stretch, node: str) -> Array:
-    """Power that the twin's formulas lack, at the measured temperatures, over the last minutes."""
+def _balance(s: SignalSegment, node: str) -> Array:
+    """Return the power that the twin's formulas lack at the measured temperatures, over the last minutes."""
     names = list(s.network.nodes)
     missing = [_missing_power(s, k) for k in (range(len(names)) if node == "all" else (names.index(node),))]
     return 0.5 * signed_log(np.sum(missing, axis=0) / (0.02 * s.figures.power_W))
 
 
-def _missing_power(s: Stretch, k: int) -> Array:
+def _missing_power(s: SignalSegment, k: int) -> Array:
     sensor = s.figures.sensor_of[k]
     if sensor < 0:
         return np.full(len(s.series), np.nan)
@@ -199,23 +199,23 @@ def _missing_power(s: Stretch, k: int) -> Array:
     return s.figures.capacity_J_per_K[k] * rate - mean
 
 
-def _stale(s: Stretch, name: str) -> Array:
+def _stale(s: SignalSegment, name: str) -> Array:
     values = s.input(name) if name in s.network.inputs else s.reading(name)
     return _log_steps(since_last(np.isfinite(values)))
 
 
-def _flat(s: Stretch, sensor: str) -> Array:
-    """How long a reading has not changed at all."""
+def _flat(s: SignalSegment, sensor: str) -> Array:
+    """Return the time for which a reading has been constant."""
     values = s.reading(sensor)
     return np.where(np.isfinite(values), _log_steps(flat_steps(values[:, None])[:, 0]), np.nan)
 
 
-def _spread(s: Stretch, sensor: str) -> Array:
+def _spread(s: SignalSegment, sensor: str) -> Array:
     return signed_log(s.series.spread[:, s.network.sensor_names.index(sensor)] / SPREAD_K)
 
 
-def _step(s: Stretch, column: str) -> Array:
-    """Last step of a command, fading over some minutes."""
+def _step(s: SignalSegment, column: str) -> Array:
+    """Return the last step of a command, decaying over some minutes."""
     from scipy.signal import lfilter  # a second of processor time, so only where it is used
 
     change = np.diff(s.held(column), prepend=s.held(column)[0]) / _scale(s, column)
@@ -224,22 +224,22 @@ def _step(s: Stretch, column: str) -> Array:
     return signed_log(10.0 * lfilter([1.0], [1.0, -keep], big))
 
 
-def _since(s: Stretch, column: str) -> Array:
+def _since(s: SignalSegment, column: str) -> Array:
     if column not in s.since:
         change = np.abs(np.diff(s.held(column), prepend=s.held(column)[0])) / _scale(s, column)
         s.since[column] = _log_steps(since_last(np.asarray(change > 0.01)))
     return s.since[column]
 
 
-def _age(s: Stretch) -> Array:
-    """Time since the record began, as far as the stretch shows."""
+def _age(s: SignalSegment) -> Array:
+    """Return the time since the record began, within the segment."""
     begun = np.asarray(np.isfinite(np.hstack([s.series.inputs, s.series.measured])).any(axis=1))
     first = int(np.argmax(begun)) if begun.any() else len(begun)
     return _log_steps(np.maximum(np.arange(len(begun), dtype=np.float64) - first, 0.0))
 
 
 def _log_steps(steps: Array) -> Array:
-    """Steps (n,) since something: 0 at it, 1 after two hours or where it never was."""
+    """Return the log-scaled steps (n,) since an event: 0 at it, 1 after two hours or without one."""
     capped = np.minimum(np.where(np.isfinite(steps), steps, np.inf), 1440.0)
     return np.log1p(capped) / np.log1p(1440.0)
 
@@ -263,4 +263,4 @@ FORMULAS: dict[str, Callable[..., Array]] = {
     "since": _since,
     "age": _age,
 }
-"""Formula -> (stretch, arguments) -> values (n,), NaN where missing."""
+"""Formula -> function of segment and arguments to values (n,), NaN where missing."""

@@ -1,4 +1,4 @@
-"""A subject: a kind of plant that a network is trained for, with all that its channels, deviations and outputs mean."""
+"""Subject: a kind of plant that a network is trained for, with its channels, deviations and outputs."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from twin.calibrators.hiera_unet.model.config import Config, named
 
 @dataclass(frozen=True)
 class Channel:
-    """A channel of a record: name, group, unit of its normalised value.
+    """Channel of a record: name, group, unit of its normalised value.
 
-    `told`: it tells the answer, so it is hidden in the target. `windowed`: it depends on the window's own belief and is
-    made when a window is read.
+    `told`: it reveals the answer, so it is hidden in the target. `windowed`: it depends on the window's own prior and
+    is computed when a window is read.
     """
 
     name: str
@@ -27,7 +27,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Deviation:
-    """A parameter deviation: name, unit, bound that it may move by, standard deviation of its prior."""
+    """Parameter deviation: name, unit, bound, standard deviation of its prior."""
 
     name: str
     unit: str
@@ -37,7 +37,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Output:
-    """A corrected output: name, unit and engineering tolerance."""
+    """Corrected output: name, unit and engineering tolerance."""
 
     name: str
     unit: str
@@ -46,10 +46,10 @@ class Output:
 
 @dataclass(frozen=True)
 class Subject:
-    """A kind of plant.
+    """Kind of plant.
 
     Attributes:
-        step_s: of the record. context, target: steps seen, and steps to explain at their end. regimes: operating
+        step_s: of the record. context, target: steps of input, and steps to predict at their end. regimes: operating
             regimes. statics: static numbers of a window before the evidence. memory: numbers of a memory token.
         slope_signs, residual, corrects: see `Config`; the residual by its channel's name.
     """
@@ -70,13 +70,13 @@ class Subject:
 
     @property
     def groups(self) -> tuple[int, ...]:
-        """Number of channels of each group, in the order of the table."""
+        """Return the number of channels of each group, in the order of the table."""
         order = list(dict.fromkeys(one.group for one in self.channels))
         return tuple(sum(one.group == group for one in self.channels) for group in order)
 
     @property
     def told(self) -> tuple[bool, ...]:
-        """Channels that tell the answer."""
+        """Return the channels that reveal the answer."""
         return tuple(one.told for one in self.channels)
 
     def index(self, name: str) -> int:

@@ -1,4 +1,4 @@
-"""What training, calibration and scoring of the network are fed with: N windows of one twin as plain arrays."""
+"""Windows for training, calibration and scoring: N windows of one twin as plain arrays."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ TARGET = 120
 
 @dataclass(frozen=True)
 class Windows:
-    """N windows of `CONTEXT` steps, whose last `TARGET` steps are to be explained; float32 unless said.
+    """N windows of `CONTEXT` steps, whose last `TARGET` steps are to be predicted; float32 unless stated.
 
     Attributes:
         x: (N, 1440, C) channels, normalised; 0 where missing.
-        m: (N, 1440, C) bool, True where x is there.
+        m: (N, 1440, C) bool, True where x is present.
         regime: (N, 1440) int8.
         clock: (N, 1440, 6) two harmonics of the day and one of the year; zeros where unknown.
         meta: (N, M) static tokens: rig figures, then the evidence (P deltas, P sd, log condition number).
         target: (N, 120, Y) degC, measured over the last 120 steps; NaN where missing.
         truth: (N, 120, Y) degC, readings of the plant without noise and faults, constant offsets included; NaN where
-            not known.
+            unknown.
         base: (N, 120, Y) degC, the commissioned twin (theta = 0) from `state`.
         state: (N, K) float64, twin state at the first target step, estimated from data before the target.
         inputs: (N, 120, c) float64, the twin's inputs over the target.
-        theta: (N, P) true parameter deviations, log-multipliers (or the specification's own scale); NaN where the
-            plant has none.
+        theta: (N, P) true parameter deviations, log-multipliers (or the specification's own scale); NaN where the plant
+            has none.
         known: (N, P) bool, where theta is known and identifiable.
-        changed: (N,) bool, whether something undeclared is present.
+        changed: (N,) bool, whether an undeclared change is present.
         nominal: (N, p) float64, full parameter vector of the commissioned twin that theta deviates from: one network
             serves all rigs that share the twin's structure, each with values of its own.
     """
@@ -55,7 +55,7 @@ class Windows:
         return len(self.x)
 
     def take(self, rows: NDArray[np.intp] | slice | NDArray[np.bool_]) -> Windows:
-        """The windows of the given rows."""
+        """Return the windows of the given rows."""
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
 
@@ -65,7 +65,7 @@ def joined(parts: Sequence[Windows]) -> Windows:
 
 
 def concatenate(parts: Sequence[Windows]) -> Windows:
-    """All windows of several batches in order.
+    """Return all windows of several batches in order.
 
     Raises:
         ValueError: there is no batch.

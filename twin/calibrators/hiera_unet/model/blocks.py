@@ -1,4 +1,4 @@
-"""Blocks of the encoder and decoder: attention in windows with a relative-time bias, half kernels.
+"""Blocks of encoder and decoder: attention in windows with a relative-time bias, half kernels.
 
 Tokens are (B, n, d). In one dimension neighbouring tokens are contiguous, so a window is a view: (B * n / w, w, d).
 """
@@ -12,18 +12,17 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 INVALID, FUTURE = -1e4, -1e5
-"""Added to the score of a key that holds nothing, and of one that is not there yet.
+"""Terms added to the score of a key without a valid token, and of a future one.
 
-Finite, so that a row without any valid key stays finite; the future far below the invalid, so that such a row looks
-at invalid keys of its past and never at valid ones of its future.
-"""
+They are finite, so that a row without any valid key stays finite. The future is far below the invalid, so that such a
+row attends to invalid keys of its past and never to valid ones of its future."""
 
 
 class LagBias(nn.Module):
-    """B_tau of eq. 5: a learned bias a head as a function of the time between query and key.
+    """Bias B_tau of eq. 5: a learned bias of each head as a function of the time between query and key.
 
-    Piecewise linear between `knots` knots, evenly spaced in sign(dt) log(1 + |dt| / stride) over the window. It sees
-    true times, so a gap counts by its length and not by how many tokens it has.
+    Piecewise linear between `knots` knots, evenly spaced in sign(dt) log(1 + |dt| / stride) over the window. It uses
+    true times, so a gap counts by its length and not by its number of tokens.
     """
 
     def __init__(self, heads: int, knots: int, window: int, stride: int) -> None:
@@ -35,9 +34,9 @@ class LagBias(nn.Module):
         self._kept: tuple[Tensor, int, Tensor] | None = None
 
     def forward(self, time: Tensor) -> Tensor:
-        """Time of the tokens in steps (..., w) -> bias (..., heads, w, w).
+        """Return the bias (..., heads, w, w) for the times (..., w), in steps, of the tokens.
 
-        Of a table that is not being trained the last bias is kept: most windows have the same lags.
+        The last bias is cached unless the table is being trained: most windows have the same lags.
         """
         if not torch.is_inference_mode_enabled():
             return self._bias(time)
@@ -56,7 +55,7 @@ class LagBias(nn.Module):
 
 
 def masking(valid: Tensor, causal: bool) -> Tensor:
-    """Validity of keys (..., w) -> what is added to their scores, (..., 1, w, w)."""
+    """Return the terms (..., 1, w, w) that are added to the scores of keys with validity (..., w)."""
     w = valid.shape[-1]
     score = torch.where(valid > 0, 0.0, INVALID)[..., None, None, :].expand(*valid.shape[:-1], 1, w, w)
     if causal:
@@ -65,7 +64,7 @@ def masking(valid: Tensor, causal: bool) -> Tensor:
 
 
 class AttentionBlock(nn.Module):
-    """Attention in windows, then a two-layer perceptron, each on normalised tokens and added to what was there."""
+    """Attention in windows, then a two-layer perceptron, each on normalised tokens with a residual connection."""
 
     def __init__(self, dim: int, heads: int, ratio: int = 4) -> None:
         super().__init__()
@@ -75,11 +74,12 @@ class AttentionBlock(nn.Module):
         self.mlp = nn.Sequential(nn.Linear(dim, ratio * dim), nn.GELU(), nn.Linear(ratio * dim, dim))
 
     def forward(self, x: Tensor, score: Tensor, window: int, read: Tensor | None = None) -> Tensor:
-        """
+        """Return the tokens (B, n, d).
+
         Args:
             x: (B, n, d). score: (B, n / window or 1, heads or 1, window, window), added to the attention scores.
-            read: (B, r, d) tokens that every token of a window may read; they are never written. Without them a
-                metadata token would carry the future of one block into the past of the next.
+            read: (B, r, d) tokens that every token of a window may read; they are never written. Written metadata
+                tokens would carry the future of one block into the past of the next.
         """
         b, n, d = x.shape
         q, k, v = self.split(x.reshape(-1, window, d))
@@ -91,24 +91,26 @@ class AttentionBlock(nn.Module):
         return self.after(x, attention(q, k, v, score))
 
     def split(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """(B', w, d) -> q, k, v, each (B', heads, w, d / heads)."""
+        """Return q, k, v, each (B', heads, w, d / heads), of tokens (B', w, d)."""
         q, k, v = self.qkv(self.norm1(x)).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
         return q, k, v
 
     def after(self, x: Tensor, read: Tensor) -> Tensor:
-        """Tokens (B, n, d) and what their heads read (B', heads, w, d / heads) -> tokens."""
+        """Return tokens (B, n, d) after attention, from tokens (B, n, d) and the heads' output (B', heads, w, d /
+        heads).
+        """
         x = x + self.proj(read.transpose(1, 2).reshape(x.shape))
         return x + self.mlp(self.norm2(x))
 
 
 def attention(q: Tensor, k: Tensor, v: Tensor, score: Tensor) -> Tensor:
-    """(B', heads, w, d / heads), `score` (B', heads or 1, w, keys) added."""
+    """Return the attention output (B', heads, w, d / heads), with `score` (B', heads or 1, w, keys) added."""
     # A float mask on purpose: it carries the bias, and a boolean one is no faster.
     return F.scaled_dot_product_attention(q, k, v, attn_mask=score.to(q.dtype))
 
 
 class Local(nn.Module):
-    """First block of all: an `AttentionBlock` with one head for each channel group, which sees no other group."""
+    """First block: an `AttentionBlock` with one head for each channel group, independent of the other groups."""
 
     def __init__(self, groups: int, dim: int, knots: int, window: int) -> None:
         super().__init__()
@@ -117,9 +119,10 @@ class Local(nn.Module):
         self.bias = LagBias(groups, knots, window, 1)
 
     def forward(self, tokens: Sequence[Tensor], valid: Tensor, causal: bool) -> list[Tensor]:
-        """
+        """Return the tokens (B, n, d) of each group.
+
         Args:
-            tokens: (B, n, d) of each group. valid: (B, G, n), share of a group's channels that are there.
+            tokens: (B, n, d) of each group. valid: (B, G, n), share of a group's channels that are present.
         """
         w = self.window
         bias = self.bias(torch.arange(w, device=valid.device, dtype=torch.float32))
@@ -135,7 +138,7 @@ class HalfConv(nn.Module):
     """Depth-wise convolution in time whose weights are one half kernel.
 
     Causal: y_t = sum_j w_j x_(t-j). Symmetric: the mean of that and its mirror image, y_t = sum_j w_j (x_(t-j) +
-    x_(t+j)) / 2; so both have the same response to anything slow. `weight` has the oldest step first.
+    x_(t+j)) / 2; so both have the same response to slow signals. `weight` has the oldest step first.
     """
 
     def __init__(self, dim: int, taps: int) -> None:
@@ -144,7 +147,7 @@ class HalfConv(nn.Module):
         nn.init.trunc_normal_(self.weight, std=taps**-0.5)
 
     def forward(self, x: Tensor, causal: bool) -> Tensor:
-        """(B, n, d) -> (B, n, d)."""
+        """Return the convolution (B, n, d) of x (B, n, d)."""
         past, now, reach = self.weight[:-1], self.weight[-1:], len(self.weight) - 1
         kernel = self.weight if causal else torch.cat([past, 2.0 * now, past.flip(0)]) / 2.0
         padded = F.pad(x, (0, 0, reach, 0 if causal else reach))
@@ -156,7 +159,9 @@ class HalfConv(nn.Module):
 
 
 def upsample(coarse: Tensor, factor: int, causal: bool) -> Tensor:
-    """(B, n, d) -> (B, n * factor, d): linear between centres, or, causal, the last coarse token that is complete."""
+    """Return (B, n * factor, d): linear interpolation between centres of (B, n, d), or, if causal, the last complete
+    token.
+    """
     if not causal:
         return F.interpolate(coarse.transpose(1, 2), scale_factor=factor, mode="linear").transpose(1, 2)
     held = coarse.repeat_interleave(factor, dim=1)

@@ -1,4 +1,4 @@
-"""Every choice that fixes the network, as plain data: what is not in here is not in a checkpoint's identity."""
+"""Configuration of a network as plain data, with all choices that a checkpoint's identity covers."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 TOWER_GROUPS = (6, 9, 10, 6, 12, 9)
-"""Channels a group of the table that the published counts belong to: 52 in all."""
+"""Channels of each group of the table that the published counts belong to: 52 in all."""
 
 
 class HieraError(ValueError):
-    """A configuration, checkpoint, record or batch that cannot be used; the message is one plain sentence.
+    """Error for a configuration, checkpoint, record or batch that cannot be used; the message is one plain sentence.
 
     Parameters
     ----------
@@ -25,29 +25,30 @@ class HieraError(ValueError):
 
 @dataclass(frozen=True)
 class Config:
-    """Sizes of one network. Steps are those of the record; four stages see it at strides 1, 5, 30 and 120 steps.
+    """Sizes of one network. Steps are those of the record; four stages read it at strides 1, 5, 30 and 120 steps.
 
     Attributes:
         groups: channels in each group of the channel table, in its order.
         bounds: (P,) range of each parameter deviation in its own unit (1.1 for a log-multiplier that may triple).
-        tolerances: (Y,) engineering tolerance of each output in its own unit; errors are weighed with them.
-        regimes: number of operating regimes. clock: numbers that tell the time of day and year.
-        meta: static numbers a window. With `evidence` the last 5 P + 1 of them are an independent fit of the deviations
-            and its standard errors, what is believed of them if few have moved (means, standard deviations, chances),
-            and the logarithm of the fit's condition number.
-        evidence: whether the parameter head corrects that belief; without, it starts from the commissioned twin.
+        tolerances: (Y,) engineering tolerance of each output in its own unit; errors are weighted by them.
+        regimes: number of operating regimes. clock: numbers that encode the time of day and year.
+        meta: static numbers of a window. With `evidence` the last 5 P + 1 of them are an independent fit of the
+            deviations and its standard errors, their sparse posterior (means, standard deviations, probabilities), and
+            the logarithm of the fit's condition number.
+        evidence: whether the parameter head corrects the sparse posterior; without it the head starts from the
+            commissioned twin.
         memory: numbers of a memory token, which the deepest stage reads beside the static numbers; 0 without memory.
-        slope_signs: (P,) sign of the twin's slope by each deviation, where the last 2 P channels are scores and
+        slope_signs: (P,) sign of the twin's derivative in each deviation, if the last 2 P channels are scores and
             information rates; the heads then read them directly (`heads.WeightedStep`). residual: index of the channel
             of the twin's residual in tolerances.
-        gated: whether a skip passes a gate; without, it is concatenated directly.
+        gated: whether a skip passes a gate; without one it is concatenated directly.
         corrects: whether deviations and outputs are corrections of an answer that is given with a window, each scaled
-            by a factor that held-out windows set. Static numbers are then standardised, and the output head reads them.
+            by a factor from held-out windows. Static numbers are then standardised, and the output head reads them.
         trees: models, trees and nodes of the boosted trees that give this answer (`tower.trees.Trees`); none without.
-        step_s: length of a step. context, target: steps seen, and steps to explain at their end.
-        margin: steps before the target that the decoder works out as well, so that cropping alters nothing.
-        group_dim: width of a group's own tokens. dims, depths, windows: width, blocks and attention window (tokens)
-            of each stage. merges: how many tokens become one before stages 2, 3 and 4. head_dim: of attention.
+        step_s: length of a step. context, target: steps of input, and steps to predict at their end.
+        margin: steps before the target that the decoder computes too, so that cropping changes nothing.
+        group_dim: width of a group's own tokens. dims, depths, windows: width, blocks and attention window (tokens) of
+            each stage. merges: tokens that become one before stages 2, 3 and 4. head_dim: of attention.
     """
 
     name: str
@@ -114,7 +115,7 @@ class Config:
 
     @property
     def told(self) -> int:
-        """Static numbers that are evidence, at their end."""
+        """Return the number of static numbers that are evidence, at their end."""
         return 5 * self.parameters + 1
 
     @property
@@ -123,19 +124,19 @@ class Config:
 
     @property
     def strides(self) -> tuple[int, ...]:
-        """Steps a token stands for, by stage."""
+        """Return the steps of a token, by stage."""
         out = [1]
         for merge in self.merges:
             out.append(out[-1] * merge)
         return tuple(out)
 
     def document(self) -> dict[str, Any]:
-        """Plain data for a JSON file."""
+        """Return plain data for a JSON file."""
         return {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(self).items()}
 
     @classmethod
     def of(cls, document: dict[str, Any]) -> Config:
-        """The configuration that `document` gave.
+        """Return the configuration of a `document`.
 
         Raises:
             HieraError: it has other fields than this version's.
@@ -148,7 +149,7 @@ class Config:
 
 
 SMALL: dict[str, Any] = {"group_dim": 8, "dims": (32, 64, 96, 128), "depths": (1, 1, 2, 2), "head_dim": 16}
-"""What the small configuration has otherwise than the full one."""
+"""Differences of the small configuration from the full one."""
 
 PAPER: dict[str, Any] = {
     "groups": TOWER_GROUPS,
@@ -161,7 +162,7 @@ PAPER: dict[str, Any] = {
 
 
 def named(name: str, **sizes: Any) -> Config:
-    """Configuration ``full`` or ``small`` with the sizes that a twin and its channel table give.
+    """Return configuration ``full`` or ``small`` with the sizes of a twin and its channel table.
 
     Raises:
         HieraError: no such configuration.

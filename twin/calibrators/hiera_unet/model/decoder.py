@@ -1,4 +1,4 @@
-"""The decoder: coarse features brought back to full resolution, joined at each stride by gated encoder features."""
+"""Decoder: coarse features upsampled to full resolution, joined at each stride by gated encoder features."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twin.calibrators.hiera_unet.model.encoder import Scale
 
 
 class Gate(nn.Module):
-    """G_s of eq. 7: raw channels and regime decide which features of a skip pass; the raw channels join them."""
+    """Gate G_s of eq. 7: raw channels and regime weight the features of a skip; the raw channels join them."""
 
     def __init__(self, config: Config, dim: int) -> None:
         super().__init__()
@@ -24,7 +24,7 @@ class Gate(nn.Module):
         )
 
     def forward(self, scale: Scale) -> Tensor:
-        """-> (B, n, d)."""
+        """Return the gated features (B, n, d)."""
         skip = scale.h + self.raw(scale.raw)
         if not self.open:
             return skip
@@ -32,7 +32,7 @@ class Gate(nn.Module):
 
 
 class Up(nn.Module):
-    """D_s = Up(D_(s+1)) ⊕ G_s(H_s): two depth-wise convolutions in time, then a point-wise projection."""
+    """Upsampling D_s = Up(D_(s+1)) ⊕ G_s(H_s): two depth-wise convolutions in time, then a point-wise projection."""
 
     def __init__(self, config: Config, index: int) -> None:
         super().__init__()
@@ -45,7 +45,9 @@ class Up(nn.Module):
         self.proj = nn.Linear(width, dim)
 
     def forward(self, coarse: Tensor, scale: Scale, causal: bool, last: int) -> Tensor:
-        """Coarse features (B, n / factor, c) and this stride's -> (B, last, d), the last tokens of it."""
+        """Return the last tokens (B, last, d) of this stride, from coarse features (B, n / factor, c) and this
+        stride's.
+        """
         up = upsample(coarse, self.factor, causal)[:, -last:]
         own = Scale(scale.h[:, -last:], scale.valid[:, -last:], scale.raw[:, -last:], scale.regime[:, -last:])
         z = self.norm(torch.cat([up, self.gate(own)], -1))
@@ -70,11 +72,12 @@ class Decoder(nn.Module):
         crop: bool = True,
         corrected: int | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """
+        """Return the features that the heads read.
+
         Args:
-            summary: (B, d4) of the whole record; it stays out in causal mode, since it has seen the future.
-            crop: False works the decoder out over the whole context, to measure what the crop alters.
-            corrected: of so many windows, the first ones, D1 is wanted; None for all.
+            summary: (B, d4) of the whole record; it is left out in causal mode, since it contains the future.
+            crop: False computes the decoder over the whole context, to measure the influence of cropping.
+            corrected: number of windows, the first ones, for which D1 is computed; None for all.
 
         Returns:
             D3 (B, 48, d3) and D1 over the target (B or `corrected`, 120, d1).

@@ -1,7 +1,7 @@
-"""The encoder: channel groups, four stages of windowed attention, mask-weighted merges between them.
+"""Encoder: channel groups, four stages of windowed attention, mask-weighted merges between them.
 
-Differs from Hiera in the merge (concatenate and project, as the calibration paper has it, where Hiera pools the
-queries) and in the bias B_tau; needs no permutation, since in one dimension windows are contiguous.
+It differs from Hiera in the merge (concatenate and project, as in the calibration paper, where Hiera pools the
+queries) and in the bias B_tau. It needs no permutation, since in one dimension windows are contiguous.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from twin.calibrators.hiera_unet.model.config import Config
 
 @dataclass(frozen=True)
 class Scale:
-    """What a stage hands to the decoder, at its own stride.
+    """Output of a stage for the decoder, at its own stride.
 
     Attributes:
-        h: (B, n, d) tokens. valid: (B, n), share of the record under a token that is there.
+        h: (B, n, d) tokens. valid: (B, n), share of the record under a token that is present.
         raw: (B, n, 2 C) mask-weighted means of the channels, then their availability.
         regime: (B, n, R) share of each regime.
     """
@@ -31,14 +31,14 @@ class Scale:
     regime: Tensor
 
     def of_first(self, count: int | None) -> Scale:
-        """Return the same of the first windows of the batch; None for all."""
+        """Return the first windows of the batch; None for all."""
         if count is None:
             return self
         return Scale(self.h[:count], self.valid[:count], self.raw[:count], self.regime[:count])
 
 
 class GroupEmbed(nn.Module):
-    """Channels of each group to its tokens. The weights of 1 - m are the learned tokens of a missing value."""
+    """Embedding of each group's channels as tokens. The weights of 1 - m are the learned tokens of a missing value."""
 
     def __init__(self, groups: tuple[int, ...], dim: int) -> None:
         super().__init__()
@@ -46,7 +46,9 @@ class GroupEmbed(nn.Module):
         self.layers = nn.ModuleList(nn.Linear(2 * size, dim) for size in groups)
 
     def forward(self, x: Tensor, m: Tensor) -> tuple[list[Tensor], Tensor]:
-        """(B, n, C) values, 0 where missing, and mask -> tokens (B, n, d) of each group, validity (B, G, n)."""
+        """Return tokens (B, n, d) of each group and validity (B, G, n), from values (B, n, C), 0 where missing, and a
+        mask.
+        """
         known, lost = (part.split(self.groups, -1) for part in (x, 1.0 - m))
         pairs = zip(self.layers, known, lost, strict=True)
         tokens = [layer(torch.cat([v, gone], -1)) for layer, v, gone in pairs]
@@ -54,10 +56,10 @@ class GroupEmbed(nn.Module):
 
 
 class Merge(nn.Module):
-    """Neighbouring tokens become one, each weighted by its validity.
+    """Merge of neighbouring tokens into one, each weighted by its validity.
 
-    y = W concat(v_i h_i) / mean(v) + b where anything is there, else 0; + embedding(mean v); + a link from the raw
-    channels at the new stride, so that a trend survives the merging.
+    y = W concat(v_i h_i) / mean(v) + b if any is valid, else 0; + embedding(mean v); + a link from the raw channels at
+    the new stride, so that a trend survives the merging.
     """
 
     def __init__(self, factor: int, dim: int, out: int, channels: int) -> None:
@@ -69,7 +71,8 @@ class Merge(nn.Module):
         self.link = nn.Linear(2 * channels, out)
 
     def forward(self, h: Tensor, valid: Tensor, raw: Tensor) -> tuple[Tensor, Tensor]:
-        """
+        """Return merged tokens and their validity.
+
         Args:
             h: (B, n, d). valid: (B, n). raw: (B, n / factor, 2 C), at the new stride.
 
@@ -85,7 +88,7 @@ class Merge(nn.Module):
 
 
 class EncoderStage(nn.Module):
-    """Blocks of one width; the bias B_tau is shared by them."""
+    """Blocks of one width; they share the bias B_tau."""
 
     def __init__(self, config: Config, index: int) -> None:
         super().__init__()
@@ -96,9 +99,10 @@ class EncoderStage(nn.Module):
         self.norm = nn.LayerNorm(dim)
 
     def forward(self, x: Tensor, valid: Tensor, time: Tensor, causal: bool, read: Tensor | None = None) -> Tensor:
-        """x (B, n, d), valid (B, n), time (B or 1, n) in steps, read (B, r, d) -> (B, n, d), normalised.
+        """Return normalised tokens (B, n, d), from x (B, n, d), valid (B, n), time (B or 1, n) in steps, read (B, r,
+        d).
 
-        Where all windows have the same lags, `time` of one of them is enough.
+        If all windows have the same lags, `time` of one of them suffices.
         """
         bias = self.bias(time.unflatten(1, (-1, self.window)))
         score = masking(valid.unflatten(1, (-1, self.window)), causal) + bias
@@ -108,7 +112,7 @@ class EncoderStage(nn.Module):
 
 
 class Encoder(nn.Module):
-    """A record of channels to one feature map a stage."""
+    """Encoder from a record of channels to one feature map a stage."""
 
     def __init__(self, config: Config) -> None:
         super().__init__()
@@ -135,9 +139,10 @@ class Encoder(nn.Module):
         causal: bool,
         memory: Tensor | None = None,
     ) -> tuple[Scale, ...]:
-        """
+        """Return the feature maps of all stages.
+
         Args:
-            x: (B, n, C). m: (B, n, C), 1 where x is there. regime: (B, n) integers. clock: (B, n, 6). meta: (B, M).
+            x: (B, n, C). m: (B, n, C), 1 where x is present. regime: (B, n) integers. clock: (B, n, 6). meta: (B, M).
             memory: (B, r, `config.memory`) tokens of the plant's healthy record.
         """
         x = x * m
@@ -167,14 +172,15 @@ class Encoder(nn.Module):
 
 
 def averaged(sums: Tensor, stride: int) -> Tensor:
-    """Sums over `stride` steps of the channels, 0 where missing, and of their masks (B, n, 2 C) -> means, then
-    availability."""
+    """Return means and availability (B, n / stride, 2 C) of sums over `stride` steps of the channels and of their
+    masks.
+    """
     total, there = sums.chunk(2, -1)
     return torch.cat([total / there.clamp(min=1.0), there / stride], -1)
 
 
 def when(time: Tensor, valid: Tensor, factor: int) -> Tensor:
-    """Times of merged tokens: the validity-weighted mean of theirs, the plain mean where nothing is there."""
+    """Return the times of merged tokens: the validity-weighted mean of theirs, the plain mean if none is valid."""
     t = time.expand_as(valid).unflatten(1, (-1, factor))
     v = valid.unflatten(1, (-1, factor)).float()
     total = v.sum(-1)

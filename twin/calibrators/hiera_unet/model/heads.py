@@ -1,4 +1,4 @@
-"""Queries and heads: what is read out of the features, and starts at the commissioned twin."""
+"""Queries and heads: read-out of the features, which starts from the commissioned twin."""
 
 from __future__ import annotations
 
@@ -13,25 +13,28 @@ from twin.calibrators.hiera_unet.model.blocks import INVALID
 from twin.calibrators.hiera_unet.model.config import Config
 
 OVERREACH = 1.25
-"""A tanh cannot reach its bound and dies near it, so deviations are 1.25 bounds times tanh."""
+"""Factor of the tanh that limits deviations to 1.25 bounds: its gradient vanishes near its limit."""
 LEAST_SD = 0.004
 """Least standard deviation of a deviation, in units of its bound."""
 FIRST_WEIGHT = -2.0
-"""Logit of a token's weight in an untrained `WeightedStep`: an eighth of a reading as good as the tolerance."""
+"""Initial logit of a token's weight in `WeightedStep`: an eighth of a reading with the tolerance as its noise."""
 SHARE_RATE = 20.0
-"""By which the share of a `WeightedStep` is learned faster than a weight: it starts at none and is of order one."""
+"""Ratio of the learning rate of a `WeightedStep`'s share to that of a weight: it starts at zero and is of order one."""
 WIDEST = 3.0
-"""Logarithm of the most by which a `WeightedStep` widens or narrows the belief."""
+"""Largest log factor by which a `WeightedStep` changes the standard deviation of its prior."""
 RECENT = (60, 240)
-"""Steps before the target over which mean residuals are given to the output head, beside those of the context."""
+"""Steps before the target over which mean residuals are inputs of the output head, beside those of the context."""
 LARGEST_LOG = 6.0
-"""Of a variance, so that an exponential never overflows."""
+"""Largest log variance, so that an exponential never overflows."""
 
 
 @dataclass(frozen=True)
 class Evident:
-    """What the static numbers say of deviations, (B, P) each: a fit and its standard errors; means, standard deviations
-    and chances that they moved, if few have (`sparse`)."""
+    """Evidence about deviations among the static numbers, (B, P) each.
+
+    A fit and its standard errors; means, standard deviations and change probabilities of the sparse posterior
+    (`sparse`).
+    """
 
     fit: Tensor
     fit_sd: Tensor
@@ -41,7 +44,7 @@ class Evident:
 
 
 def evidence_of(config: Config, meta: Tensor) -> Evident | None:
-    """The evidence among the static numbers (B, M); None for a network without."""
+    """Return the evidence among the static numbers (B, M); None for a network without it."""
     if not config.evidence:
         return None
     fit, fit_sd, mean, sd, chance = meta[:, -config.told : -1].float().chunk(5, -1)
@@ -49,7 +52,7 @@ def evidence_of(config: Config, meta: Tensor) -> Evident | None:
 
 
 class Queries(nn.Module):
-    """Learned questions to the coarsest tokens; the attention they pay is returned, for audit."""
+    """Learned queries to the coarsest tokens; their attention is returned for audit."""
 
     def __init__(self, config: Config) -> None:
         super().__init__()
@@ -62,7 +65,9 @@ class Queries(nn.Module):
         self.mlp = nn.Sequential(nn.Linear(dim, dim), nn.GELU(), nn.Linear(dim, dim))
 
     def forward(self, h: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
-        """Tokens (B, n, d), validity (B, n) -> answers (B, Q, d), attention (B, Q, n), the mean over heads."""
+        """Return answers (B, Q, d) and attention (B, Q, n), the mean over heads, from tokens (B, n, d), validity (B,
+        n).
+        """
 
         def split(t: Tensor) -> Tensor:
             return t.unflatten(-1, (self.heads, -1)).transpose(1, 2)
@@ -77,16 +82,16 @@ class Queries(nn.Module):
 
 
 class WeightedStep(nn.Module):
-    """A Gauss-Newton step about the belief whose weights are learned, from the evidence over time.
+    """Gauss-Newton step about the sparse posterior with learned weights, from the evidence over time.
 
-    A token of stride 30 has the mean residual r of the twin at the belief, in tolerances, its share n of steps with a
-    reading, and the slopes s by deviations in bounds, which follow from the information rates. With a weight w of each
-    token and a standard deviation p of each deviation about its belief the step is
+    A token of stride 30 has the mean residual r of the twin at the posterior, in tolerances, its share n of steps with
+    a reading, and the derivatives s by deviations in bounds, which follow from the information rates. With a weight w
+    of each token and a prior standard deviation p of each deviation the step is
 
         (sum of w n s s' + diag(1/p^2))^-1 (sum of w n r s)
 
-    A network that reads only pooled features learns to ignore them: their constant part outweighs what differs between
-    windows. This step depends on the residuals from the first training step on.
+    A network that reads only pooled features learns to ignore them: their constant part outweighs the differences
+    between windows. This step depends on the residuals from the first training step on.
     """
 
     def __init__(self, config: Config) -> None:
@@ -98,16 +103,19 @@ class WeightedStep(nn.Module):
         self.register_buffer("signs", torch.tensor(config.slope_signs, dtype=torch.float32), persistent=False)
 
     def start(self) -> None:
-        """Begin with equal weights, small ones: the belief knows the same readings. No share of the step is taken."""
+        """Initialise with equal small weights, since the posterior has used the same readings, and no share of the
+        step.
+        """
         nn.init.zeros_(self.weigh.weight)
         nn.init.constant_(self.weigh.bias, FIRST_WEIGHT)
         nn.init.zeros_(self.widen.weight)
 
     def forward(self, d3: Tensor, raw: Tensor, hidden: Tensor, sd: Tensor) -> Tensor:
-        """
+        """Return the step.
+
         Args:
             d3: (B, n, d3). raw: (B, n, 2 C) means of the channels, then their availability. hidden: (B, h) of the head.
-            sd: (B, P) of the belief, in bounds.
+            sd: (B, P) of the sparse posterior, in bounds.
 
         Returns:
             The step (B, P) in bounds.
@@ -128,12 +136,12 @@ class WeightedStep(nn.Module):
 
 
 class ParameterHead(nn.Module):
-    """Deviations and their log-variances from the pooled features of stride 30 and the queries' answers.
+    """Head for deviations and their log-variances, from the pooled features of stride 30 and the queries' answers.
 
     Without evidence, theta = reach tanh(change). With it, theta = reach tanh(trust atanh(mean / reach) + change), where
-    mean is what is believed if few parameters have moved, and trust, between 0 and 2, says how far; log-variances are
-    then changes of that belief's, and the head sees the static numbers too. The last layer starts at zero: no change
-    and a trust of 1, so the twin is as commissioned, or as that belief has it.
+    mean is that of the sparse posterior, and trust, between 0 and 2, weights it. Log-variances are then changes of the
+    posterior's, and the head reads the static numbers too. The last layer starts at zero: no change and a trust of 1,
+    so the twin is as commissioned, or as in the posterior.
     """
 
     shrink: Tensor | None
@@ -158,7 +166,8 @@ class ParameterHead(nn.Module):
         raw: Tensor | None = None,
         statics: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """
+        """Return deviations and log-variances.
+
         Args:
             d3: (B, n, d3). valid: (B, n). answers: (B, Q, d4). meta: (B, M), its end the evidence. raw: (B, n, 2 C) of
                 a configuration with `slope_signs`. statics: (B, M) that are read in place of `meta`, standardised.
@@ -188,13 +197,13 @@ class ParameterHead(nn.Module):
 
 
 def _no_less(log_variance: Tensor) -> Tensor:
-    """The same with the variance of `LEAST_SD` added."""
+    """Return the log variance with the variance of `LEAST_SD` added."""
     least = torch.full_like(log_variance, 2.0 * math.log(LEAST_SD))
     return torch.logaddexp(log_variance.clamp(max=LARGEST_LOG), least)
 
 
 class OutputHead(nn.Module):
-    """Corrections and their log-scales, a step of the target at a time; the last layer starts at zero."""
+    """Head for corrections and their log-scales at each step of the target; the last layer starts at zero."""
 
     shrink: Tensor | None
 
@@ -209,7 +218,8 @@ class OutputHead(nn.Module):
         self.register_buffer("tolerances", torch.tensor(config.tolerances), persistent=False)
 
     def forward(self, d1: Tensor, recent: Tensor | None = None, statics: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """(B, n, d1) -> corrections in the outputs' own units, log-scales in units of the tolerances; (B, n, Y).
+        """Return corrections in the outputs' own units and log-scales in units of the tolerances, (B, n, Y) each, of
+        (B, n, d1).
 
         Args:
             recent: (B, 3) mean residuals before the target (`recent_of`), of which each step keeps a learned share.

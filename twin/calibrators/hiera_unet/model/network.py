@@ -1,4 +1,4 @@
-"""The Hiera-UNet: two hours of a record in; parameter deviations, output corrections and their spread out."""
+"""Hiera-UNet: from two hours of a record to parameter deviations, output corrections and their spread."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from twin.calibrators.hiera_unet.model.heads import OutputHead, ParameterHead, Q
 from twin.calibrators.hiera_unet.model.trees import Trees
 
 FARTHEST = 5.0
-"""Standard deviations beyond which a static number is cut off."""
+"""Standard deviations at which a static number is clipped."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the network says of B windows.
+    """Prediction of the network for B windows.
 
     Without evidence the calibrated output is f_DT(u, theta) + delta, eq. 8. With it, it is f_DT(u, theta_e) + delta,
-    where theta_e is the fit: what explains this record, whatever it had to bend for it. What of that is a parameter
-    that moved, and what the twin lacks, is for theta to say. For a configuration that `corrects`, delta is added to the
-    outputs that are given with a window, whatever theta.
+    where theta_e is the fit, which explains this record even by biased parameters. The network's theta separates
+    parameters that changed from model error. For a configuration that `corrects`, delta is added to the outputs that
+    are given with a window, whatever theta.
 
     Attributes:
         theta: (B, P) deviations in their own units. log_variance: (B, P) of theta / bound.
         delta: (B, 120, Y) corrections in the outputs' units. log_scale: (B, 120, Y) of the Laplace scale / tolerance.
-        attention: (B, Q, 12) what each query looked at.
+        attention: (B, Q, 12) attention weights of each query.
     """
 
     theta: Tensor
@@ -42,15 +42,16 @@ class Prediction:
 class HieraUNet(nn.Module):
     """Encoder, decoder and heads of one `Config`. Output never depends on `.training`.
 
-    With ``causal=True`` a correction depends on nothing later than its own step, with the same weights. Deviations
-    are one vector a window and see all of it in both modes: an online service uses those of the cycle before.
+    With ``causal=True`` a correction depends on no later step, with the same weights. Deviations are one vector a
+    window and depend on all of it in both modes: an online service uses those of the previous cycle.
     """
 
     middle: Tensor | None
     spread: Tensor | None
 
     start_outlet = False
-    """Whether the gate refused the outlet of a tower: what is served is that which the network starts at."""
+    """True if the gate refused the outlet of a tower: the service then returns the answer that the network starts from.
+    """
 
     def __init__(self, config: Config) -> None:
         super().__init__()
@@ -84,12 +85,13 @@ class HieraUNet(nn.Module):
         corrected: int | None = None,
         memory: Tensor | None = None,
     ) -> Prediction:
-        """
+        """Return the prediction for B windows.
+
         Args:
-            x: (B, 1440, C) channels, normalised. m: (B, 1440, C), true or 1 where x is there. regime: (B, 1440)
+            x: (B, 1440, C) channels, normalised. m: (B, 1440, C), true or 1 where x is present. regime: (B, 1440)
                 integers. clock: (B, 1440, 6). meta: (B, M).
             memory: (B, r, `config.memory`) tokens of the plant's healthy record, for a network that has them.
-            crop, corrected: see `Decoder`; of the other windows there are no corrections and scales.
+            crop, corrected: see `Decoder`; the other windows have no corrections and scales.
         """
         m = m.to(x.dtype)
         statics = None
@@ -103,7 +105,7 @@ class HieraUNet(nn.Module):
         return Prediction(theta, log_variance, delta, log_scale, attention)
 
     def count(self) -> int:
-        """Number of weights."""
+        """Return the number of weights."""
         return sum(p.numel() for p in self.parameters())
 
 
@@ -116,7 +118,7 @@ def _start(module: nn.Module) -> None:
 
 
 def decayed(network: nn.Module) -> tuple[list[nn.Parameter], list[nn.Parameter]]:
-    """Weights that decay, and those that do not: vectors, biases, the bias tables and the queries."""
+    """Return the weights with weight decay, and those without: vectors, biases, the bias tables and the queries."""
     yes: list[nn.Parameter] = []
     no: list[nn.Parameter] = []
     for name, p in network.named_parameters():

@@ -1,6 +1,6 @@
-"""Gradient-boosted regression trees as fixed numbers of a network: the answer that a network begins at and corrects.
+"""Gradient-boosted regression trees as constants of a network: the answer that the network corrects.
 
-They are fitted elsewhere (scikit-learn) and only evaluated here, so that a service needs torch alone.
+They are fitted by scikit-learn and only evaluated here, so that a service needs torch alone.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from torch import Tensor, nn
 MOST_DEPTH = 64
 """Levels of a tree at most; trees of 31 leaves have at most 30."""
 NAMES = ("feature", "threshold", "left", "right", "missing", "value", "base")
-"""Arrays: of nodes (models, trees, nodes), and the figure without any tree (models,)."""
+"""Array names: of nodes (models, trees, nodes), and the value without any tree (models,)."""
 CHUNK = 4096
-"""Rows that are evaluated together."""
+"""Rows in one batch."""
 
 
 class Trees(nn.Module):
@@ -47,7 +47,7 @@ class Trees(nn.Module):
         self.register_buffer("base", torch.zeros(models))
 
     def forward(self, rows: Tensor, model: int) -> Tensor:
-        """Return the figures (N,) of a model for rows (N, F); NaN is a missing value."""
+        """Return the values (N,) of a model for rows (N, F); NaN is a missing value."""
         return torch.cat([self._of(part, model) for part in rows.float().split(CHUNK)])
 
     def _of(self, rows: Tensor, model: int) -> Tensor:
@@ -66,7 +66,7 @@ class Trees(nn.Module):
 
 
 def trees_from(arrays: Mapping[str, NDArray[Any]]) -> Trees:
-    """Return trees of arrays by the names of `NAMES`."""
+    """Return trees from arrays by the names of `NAMES`."""
     found = Trees(arrays["value"].shape)
     found.load_state_dict({name: torch.from_numpy(np.asarray(arrays[name], dtype=np.float32)) for name in NAMES})
     return found

@@ -6,22 +6,15 @@ Modules among them are public as a whole. Everything else is private to the pack
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from twin.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from twin.calibrators.hiera_unet.serve.members import Ensemble, load_ensemble
     from twin.calibrators.hiera_unet.serve.refined import RefinedCalibrator
     from twin.calibrators.hiera_unet.serve.service import HieraUNetCalibrator
 
-_MODULES = {
-    "members": ("Ensemble", "load_ensemble"),
-    "refined": ("RefinedCalibrator",),
-    "service": ("HieraUNetCalibrator",),
-}
-_HOME = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
-
-_PUBLIC_MODULES = ("gates", "members")
 
 __all__ = [
     "Ensemble",
@@ -32,16 +25,12 @@ __all__ = [
     "members",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name in _PUBLIC_MODULES:
-        return import_module(f"{__name__}.{name}")
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return __all__
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "": ("gates", "members"),
+        "members": ("Ensemble", "load_ensemble"),
+        "refined": ("RefinedCalibrator",),
+        "service": ("HieraUNetCalibrator",),
+    },
+)

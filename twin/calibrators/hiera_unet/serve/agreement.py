@@ -1,10 +1,10 @@
-"""Whether proposals in a row agree.
+"""Agreement of successive proposals as a condition for a change of parameters.
 
-They share most of a two-hour record and still differ by what the latest minutes tell. One alone is therefore no
-ground to move a parameter: it moves once the next one says the same. A rig that drifts is never twice the same, and the
-surer proposals are, the sooner they differ. So where two in a row both exclude what the live twin has, on the same
-side, the newer one is taken on whether they agree or not: whatever is true, what the twin has is not. Where proposals
-turn round again and again, no one set of parameters is behind the record, whatever each of them looks like.
+Successive proposals share most of a two-hour record and still differ by the evidence of the latest minutes. One alone
+therefore changes no parameter; the next one has to agree. On a drifting rig no two proposals agree, and the smaller
+their intervals, the sooner they differ. If two in a row both exclude the live twin's value, on the same side, the newer
+one is adopted whether they agree or not. If proposals contradict each other in alternating directions, no single set of
+parameters explains the record.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ from twin.calibrators.hiera_unet.serve.gates import Reason
 from twin.network import Array
 
 IN_A_ROW = 2
-"""Open proposals that have to agree before a parameter moves."""
+"""Open proposals that have to agree before a parameter changes."""
 APART_S = 1050.0
-"""Time between two proposals that speak of a parameter from which they are not in a row: three and a half cycles."""
+"""Time between two proposals about a parameter from which they are not consecutive, s: three and a half cycles."""
 SPAN_S = 7200.0
 TURNS = 3
-"""Contradictions within `SPAN_S`, each the other way than the one before it, of which a rig that changes, even there
-and back, has fewer. A drift, however far, is one."""
+"""Contradictions within `SPAN_S` with alternating direction; a rig that changes, even to and fro, has fewer. A drift of
+any size is one."""
 
 
 @dataclass(frozen=True)
 class Spoken:
-    """What a proposal said: theta, half (P,) deviations and half widths of their intervals; open (P,) bool, by gates
-    that look at this proposal alone."""
+    """Proposal in brief: theta, half (P,) deviations and half widths of their intervals; open (P,) bool, by gates that
+    depend on this proposal alone.
+    """
 
     time_s: float
     theta: Array
@@ -41,37 +42,40 @@ class Spoken:
     open: np.ndarray
 
     def contradicts(self, other: Spoken) -> np.ndarray:
-        """Parameters (P,) that both speak of, and whose two intervals have nothing in common."""
+        """Return the parameters (P,) bool of both proposals whose two intervals are disjoint."""
         apart: np.ndarray = np.abs(self.theta - other.theta) > self.half + other.half
         return self.open & other.open & apart
 
     def beyond(self, theta: Array) -> Array:
-        """Side (P,) of its interval on which it leaves `theta` behind: 1 where that is too low, -1 too high, else 0."""
+        """Return the side (P,) of its interval on which `theta` lies: 1 if `theta` is too low, -1 if too high,
+        else 0.
+        """
         away = self.theta - theta
         return np.where(np.abs(away) > self.half, np.sign(away), 0.0)
 
     def plain(self) -> dict[str, Any]:
-        """Plain data to go on from."""
+        """Return plain data for resuming."""
         arrays = {key: to_json(getattr(self, key)) for key in ("theta", "half")}
         return {"time_s": self.time_s, **arrays, "open": self.open.tolist()}
 
     @classmethod
     def restored(cls, data: Mapping[str, Any]) -> Spoken:
-        """From what `plain` gave."""
+        """Restore from the result of `plain`."""
         theta, half = (from_json(data[key]).reshape(-1) for key in ("theta", "half"))
         return cls(data["time_s"], theta, half, np.array(data["open"], dtype=bool))
 
 
 def lately(spoken: Iterable[Spoken], now_s: float) -> tuple[Spoken, ...]:
-    """Those of the last two hours."""
+    """Return the proposals of the last two hours."""
     return tuple(s for s in spoken if now_s - s.time_s < SPAN_S)
 
 
 def doubts(before: Sequence[Spoken], now: Spoken, live: Array, ids: tuple[str, ...]) -> tuple[Reason, ...]:
-    """Gates that close on what was proposed `before`, latest last; parameters that are not open now are left out.
+    """Return the gates that earlier proposals `before`, latest last, close; parameters that are not open now are left
+    out.
 
     Args:
-        live: (P,) deviations that the live twin has.
+        live: (P,) deviations of the live twin.
     """
     found = []
     turned = turns((*before, now))
@@ -90,7 +94,7 @@ def doubts(before: Sequence[Spoken], now: Spoken, live: Array, ids: tuple[str, .
 
 
 def turns(spoken: Sequence[Spoken]) -> np.ndarray:
-    """How often (P,) what is proposed was contradicted the other way than the time before, the first time included."""
+    """Return the number (P,) of contradictions in alternating directions, the first one included."""
     count = np.zeros(len(spoken[-1].theta), dtype=int)
     for k in range(len(count)):
         latest = 0.0
@@ -103,7 +107,7 @@ def turns(spoken: Sequence[Spoken]) -> np.ndarray:
 
 
 def _in_a_row(before: Sequence[Spoken], now: Spoken, k: int) -> tuple[Spoken, ...]:
-    """The latest that speak of parameter k and have to agree with `now`, as far as none is too far from the next."""
+    """Return the latest proposals about parameter k that have to agree with `now`, up to the first long interval."""
     row: list[Spoken] = []
     for s in reversed([s for s in before if s.open[k]][-(IN_A_ROW - 1) :]):
         if (row[-1] if row else now).time_s - s.time_s > APART_S:

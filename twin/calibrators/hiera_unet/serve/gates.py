@@ -1,7 +1,7 @@
-"""When a proposal of the network may become the twin's parameters: all gates must be open.
+"""Gates of a proposal: its parameters are adopted by the live twin only if all gates are open.
 
-Each closed gate is a code with a sentence. A code with a parameter's name holds that parameter only. What holds `EVERY`
-parameter says nothing against the window: a live twin that is far off still follows its rig.
+Each closed gate is a code with a sentence. A code with a parameter's name holds that parameter only. A code that holds
+`EVERY` parameter does not discard the window: a live twin with a large error still follows its rig.
 """
 
 from __future__ import annotations
@@ -14,33 +14,33 @@ from twin.calibrators.hiera_unet.data.series import STEP_S
 from twin.network import Array
 
 HIDDEN = 0.25
-"""Share of what is required that may be hidden."""
+"""Share of the required inputs that may be hidden."""
 SHORTEST_STEPS = 360
-"""Half an hour of record, before which nothing is proposed."""
+"""Least steps of record for a proposal: half an hour."""
 UNSURE_K = 0.8
-"""Half width of an output's 90 % interval."""
+"""Largest half width of an output's 90 % interval, K."""
 VAGUE = 0.5
-"""Standard deviation of a parameter, as a share of what was known of it before any data."""
+"""Largest standard deviation of a parameter, as a share of its prior's."""
 UNEXPLAINED = 3.0
-"""Error of what was foretold, in half widths of its intervals, from which it is a surprise; never less than a
-calibrated twin may miss by."""
+"""Prediction error, in half widths of its intervals, from which it counts as unexplained; never less than the tolerance
+of a calibrated twin."""
 ROUGH = 12.0
-"""Change from step to step, in noises of a step: of no thing that has a thermal mass as a median, nor of most
-thermometers at once."""
+"""Change from step to step, in noises of a step, that no thermal mass has as a median, and no majority of thermometers
+at once."""
 FLAT_STEPS = 120
 FLAT_K = 1e-6
-"""Change from step to step that is none: means of equal readings differ by rounding."""
+"""Change from step to step below which a reading is constant, K: means of equal readings differ by rounding."""
 LEAKS = 0.05
 EVERY = "every parameter"
 UNREADABLE = ("SHORT_RECORD", "MISSING_REQUIRED", "FLAT_RECORD", "SHUFFLED_RECORD")
 """Codes of the gates on the record itself."""
 BROKEN = ("FLAT_RECORD", "SHUFFLED_RECORD")
-"""Those of a record that is none of a rig: nothing at all may be concluded from it."""
+"""Codes of a record that is not of a rig, from which nothing is concluded."""
 
 
 @dataclass(frozen=True)
 class Reason:
-    """Why something is withheld: a code, a plain sentence, the parameter where it is about one, or `EVERY`."""
+    """Reason of a closed gate: a code, a plain sentence, and the parameter that it holds, or `EVERY`."""
 
     code: str
     sentence: str
@@ -52,17 +52,17 @@ class Reason:
 
 @dataclass(frozen=True)
 class Evidently:
-    """What the gates look at.
+    """Evidence that the gates evaluate.
 
     Attributes:
-        hidden: share of what is required that is hidden, since the record began. steps: of record seen.
-        measured: (n, Y) degC, all that was seen. noise: (Y,) K of one step. condition: of all parameters together.
-        told: (P,) bool, tells them apart. half_width: (Y,) K mean half widths. missed, left: (Y,) K, root mean squares
-            of measured minus foretold over the target, and of what a fit of the latest stretch leaves there; NaN where
-            nothing was measured. tolerated: K by which a calibrated twin may miss.
+        hidden: share of the required inputs that is hidden, since the record began. steps: of record.
+        measured: (n, Y) degC, all readings. noise: (Y,) K of one step. condition: of all parameters together.
+        told: (P,) bool, identifiable parameters. half_width: (Y,) K mean half widths. missed, left: (Y,) K, root mean
+            squares of measured minus predicted over the target, and of the residual of a fit to the latest segment
+            there; NaN where nothing was measured. tolerated: K, error of a calibrated twin.
         lost: columns of inputs that were hidden for most of the target. sd, prior: (P,) of the deviations, now and
             before any data. distance: from the envelope, 1 at its limit.
-        leakage: how far deviations hang on the last moments.
+        leakage: dependence of deviations on the noise of the last minutes.
     """
 
     hidden: float
@@ -83,7 +83,7 @@ class Evidently:
 
 
 def unreadable(hidden: float, steps: int, measured: Array, noise: Array) -> tuple[Reason, ...]:
-    """Gates on the record itself, before anything is computed from it."""
+    """Return the closed gates on the record itself, before any computation with it."""
     found = []
     if steps < SHORTEST_STEPS:
         seen, least = (STEP_S * n / 60.0 for n in (steps, SHORTEST_STEPS))
@@ -106,14 +106,16 @@ def unreadable(hidden: float, steps: int, measured: Array, noise: Array) -> tupl
 
 
 def _torn(change: Array, noise: Array) -> np.ndarray:
-    """Steps (n,) bool at which more than half of the thermometers, and two of them, jump in `change` (n, Y) K."""
+    """Return the steps (n,) bool at which more than half of the thermometers, and two of them, jump in `change` (n, Y)
+    K.
+    """
     jumps = (change > ROUGH * noise).sum(axis=1)
     result: np.ndarray = jumps > np.maximum(np.isfinite(change).sum(axis=1) / 2.0, 1.0)
     return result
 
 
 def reasons(e: Evidently, ids: tuple[str, ...]) -> tuple[Reason, ...]:
-    """Every closed gate: an input that is missing, those on the record, those of single parameters."""
+    """Return every closed gate: missing inputs, those on the record, those of single parameters."""
     found = list(unreadable(e.hidden, e.steps, e.measured, e.noise))
     if not e.told.any():
         found.append(
@@ -137,14 +139,14 @@ def reasons(e: Evidently, ids: tuple[str, ...]) -> tuple[Reason, ...]:
         return (Reason("LOST_INPUT", f"{unread}, which parameters would only make up for", EVERY), *found)
     for k, name in enumerate(ids):
         if not e.told[k] and e.told.any():
-            found.append(Reason("LOW_SENSITIVITY", f"the record does not tell {name}: held", name))
+            found.append(Reason("LOW_SENSITIVITY", f"{name} is not identifiable from the record: held", name))
         elif e.sd[k] > VAGUE * e.prior[k]:
             found.append(Reason("HIGH_UNCERTAINTY", f"{name} is known too vaguely: held", name))
     return tuple(found)
 
 
 def held(found: tuple[Reason, ...], ids: tuple[str, ...]) -> np.ndarray:
-    """Which parameters (P,) may not move: all of them where a gate for the whole window is closed."""
+    """Return the held parameters (P,) bool: all of them if a gate for the whole window is closed."""
     if any(not r.parameter for r in found):
         return np.ones(len(ids), dtype=bool)
     closed = {r.parameter for r in found}

@@ -1,4 +1,4 @@
-"""The last two hours of a stream, as the network reads them."""
+"""History of a stream over the last two hours, in the network's steps."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ SPAN_S = CONTEXT * STEP_S
 LASTS = 12
 """Steps for which an input counts as read: a minute. Slow ones are logged no more often."""
 USUALLY, JUDGED = 0.5, 60
-"""Share of the steps up to its last value that count as read of an input that can be lost, and how many it takes to
-tell. Others are written down when they change, or now and then: what they said last holds."""
+"""Share of the steps up to its last value from which an input counts as regularly read, and the steps for this
+decision. Other inputs are logged on change or rarely, and their last value holds."""
 
 
 class History:
-    """Raw samples of the last two hours, and the even steps they fall into.
+    """Raw samples of the last two hours, and their even steps.
 
-    Steps lie on a grid from the first sample ever pushed on, so that a window's steps never depend on when it is asked
-    for. A reading counts for the step whose stamp is nearest, an input for the step that it lies in.
+    Steps lie on a grid from the very first sample on, so that a window's steps are independent of the time of a query.
+    A reading belongs to the step with the nearest stamp, an input to the step that it lies in.
     """
 
     def __init__(self, inputs: int, sensors: int) -> None:
@@ -36,13 +36,13 @@ class History:
 
     @property
     def last_s(self) -> float:
-        """Time of the latest sample; minus infinity before the first."""
+        """Return the time of the latest sample, s; minus infinity before the first."""
         return float(self._time[-1]) if self._time.size else -np.inf
 
     def push(self, time: Array, inputs: Array, measured: Array) -> None:
-        """Samples in order: time (n,) s, inputs (n, c), measured (n, m) degC; NaN where not read.
+        """Add samples in order: time (n,) s, inputs (n, c), measured (n, m) degC; NaN where not read.
 
-        Those that are there already are left out.
+        Samples that are present already are left out.
         """
         new = time > self.last_s
         if not new.any():
@@ -58,7 +58,7 @@ class History:
         self._time, self._inputs, self._measured = self._time[keep], self._inputs[keep], self._measured[keep]
 
     def series(self) -> ResampledSeries:
-        """The steps up to the latest sample."""
+        """Return the steps up to the latest sample."""
         assert self._origin is not None
         place = (self._time - self._origin) / STEP_S
         before, near = np.floor(place + 1e-9).astype(np.intp), np.floor(place + 0.5 - 1e-9).astype(np.intp)
@@ -73,7 +73,7 @@ class History:
         )
 
     def _given(self, read: Array) -> Array:
-        """Inputs (n, c) as read, NaN where one is lost that was read all the time before."""
+        """Return inputs (n, c) as read, with NaN for the gaps of one that was regularly read before."""
         kept = lasting(read, LASTS)
         for j, good in enumerate(np.isfinite(read).T):
             until = int(np.flatnonzero(good)[-1]) + 1 if good.any() else 0
@@ -82,7 +82,7 @@ class History:
         return np.where(self._usual, kept, filled_forward(read, self._earlier, self._earlier))
 
     def state(self) -> dict[str, Any]:
-        """Plain data to go on from."""
+        """Return plain data for resuming."""
         arrays = {
             "time": self._time,
             "inputs": self._inputs,
@@ -93,7 +93,7 @@ class History:
         return {"origin": self._origin, **{key: to_json(a) for key, a in arrays.items()}}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `state` gave."""
+        """Resume from the result of `state`."""
         self._origin = state["origin"]
         self._time = from_json(state["time"]).reshape(-1)
         self._inputs = from_json(state["inputs"]).reshape(-1, self._inputs.shape[1])

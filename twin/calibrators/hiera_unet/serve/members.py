@@ -1,4 +1,4 @@
-"""A trained ensemble as it is loaded for service."""
+"""Trained ensemble loaded for service."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from twin.calibrators.hiera_unet.weights.ensemble import mixed
 from twin.calibrators.hiera_unet.weights.envelope import place
 from twin.calibrators.hiera_unet.weights.leakage import leakage
 from twin.network import Array
+from twin.quantiles import NORMAL90
 from twin.regular_file import read_regular
 
 FORMAT = 2
-"""2: factors of parameters by the chance that they moved."""
+"""Format of a card; 2: factors of parameters by their change probability."""
 MODE = "online"
-NORMAL90 = 1.645
 LEAST = 2
-"""Members: one alone has nobody to differ from, and its intervals lack that part."""
+"""Least number of members: the intervals of one alone lack the epistemic part."""
 
 AGAIN = "have `hil train loop` write it again, with the command of one of its members"
 
 
 @dataclass(frozen=True)
 class Said:
-    """What an ensemble says of one window on its causal branch.
+    """Prediction of an ensemble for one window on its causal branch.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Said:
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Members and their conformal factors: `factors` of outputs, `parameters` by chance of having moved, if known."""
+    """Members and their conformal factors: `factors` of outputs, `parameters` by change probability, if known."""
 
     name: str
     members: tuple[Member, ...]
@@ -67,13 +67,13 @@ class Ensemble:
     card: dict[str, Any]
 
     def ask(self, windows: Windows, *, corrected: int | None = None) -> tuple[Said, ...]:
-        """Return what is said of each of N windows, on the causal branch with everything measured in sight.
+        """Return the predictions for N windows, on the causal branch with all measurements visible.
 
         Parameters
         ----------
         corrected
-            Of so many windows, the first ones, corrections and scales are wanted; None for all. Of the others both are
-            empty (0, Y).
+            Number of windows, the first ones, with corrections and scales; None for all. Those of the others are empty
+                (0, Y).
         """
         count = len(windows.x)
         wanted = count if corrected is None else corrected
@@ -102,12 +102,13 @@ class Ensemble:
         )
 
     def calibrated(self, sd: Array, meta: np.ndarray) -> Array:
-        """Standard deviations (N, P) of deviations, `NORMAL90` of which hold 90 % on windows that no training saw.
+        """Return standard deviations (N, P) of deviations, `NORMAL90` of which cover 90 % on windows outside of
+        training.
 
         Parameters
         ----------
         sd
-            (N, P) as the members say.
+            (N, P) of the members' mixture.
         meta
             (N, M), their static numbers.
         """
@@ -117,28 +118,28 @@ class Ensemble:
         return np.asarray(sd * self.parameters.of(bins.reshape(-1)).reshape(sd.shape) / NORMAL90)
 
     def half_widths(self, said: Said, regime: int) -> Array:
-        """Half widths (120, Y), K, of the outputs' intervals."""
+        """Return the half widths (120, Y), K, of the outputs' intervals."""
         return np.asarray(self.factors.of(np.array([regime]))[0] * said.scale)
 
     def leakage(self, window: Windows) -> float:
-        """How far deviations hang on the last moments of a window: the worst member's."""
+        """Return the worst member's dependence of deviations on the noise of a window's last minutes."""
         return max(leakage(m.network, *_tensors(window)) for m in self.members)
 
 
 def chances(config: Config, meta: np.ndarray, count: int) -> Array:
-    """Chances (N, P) that deviations moved, among the static numbers (N, M); 0 for a network without evidence."""
+    """Return the change probabilities (N, P) among the static numbers (N, M); 0 for a network without evidence."""
     evident = evidence_of(config, torch.from_numpy(np.ascontiguousarray(meta)))
     return np.zeros((len(meta), count)) if evident is None else np.asarray(evident.chance.double().numpy())
 
 
 def load_ensemble(card: Path, identity: Identity) -> Ensemble:
-    """The ensemble of a card, for the twin and table that `identity` names.
+    """Return the ensemble of a card, for the twin and table that `identity` names.
 
     Raises
     ------
     HieraError
         There is none, or too few members; its factors are not one for each output, and one for parameters; a member is
-        missing or altered, belongs elsewhere or is of another configuration, or its parameters leak.
+            missing or altered, belongs elsewhere or is of another configuration, or its parameters leak.
     """
     try:
         document: dict[str, Any] = dict(json.loads(read_regular(card)))
@@ -188,7 +189,13 @@ def load_ensemble(card: Path, identity: Identity) -> Ensemble:
 
 
 def _check_factors(card: Path, factors: Factors, parameters: Factors | None, identity: Identity) -> None:
-    """Raises HieraError: not one positive factor for each output, or one for parameters, overall and in every bin."""
+    """Check that factors are positive, one for each output and one for parameters, overall and in every bin.
+
+    Raises
+    ------
+    HieraError
+        They are not.
+    """
     wanted = {"outputs": (factors, identity.outputs), "parameters": (parameters, ("all parameters",))}
     for what, (found, names) in wanted.items():
         if found is None:

@@ -1,4 +1,4 @@
-"""What one cycle of the network comes to, as plain data."""
+"""Proposal of one cycle of the network as plain data."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from twin.network import Array, Network
 
 @dataclass(frozen=True)
 class Proposal:
-    """One cycle: what the network says at a moment, and what may be written of it.
+    """One cycle: the network's prediction at a time, and the part of it that may be adopted.
 
     Attributes:
-        time_s: of the latest sample that it has seen. said, sd: (P,) the network's parameters and standard errors in
-            their own units. closed: (P,) bool, those that gates hold which look at this proposal alone. held: (P,)
-            bool, those of which nothing may be said: these, and what proposals before do not bear out. values: (P,)
-            what the live twin takes on: the record fitted from `said`, what is held where it stands. reasons: closed
-            gates. adrift: whether the live twin is so far off that it takes on what is held, too: of two parameters
-            that a record does not tell apart neither can be believed, but both together read right.
+        time_s: of the latest sample. said, sd: (P,) predicted parameters and standard errors in their own units.
+            closed: (P,) bool, held by gates that depend on this proposal alone. held: (P,) bool, these and those that
+            earlier proposals do not confirm. values: (P,) adopted by the live twin: a fit of the record with the prior
+            `said`, held parameters fixed. reasons: closed gates. adrift: whether the live twin's error is so large that
+            it adopts held parameters too. If only the sum of two parameters is identifiable, neither value is reliable,
+            but both together give correct readings.
         half_width: (Y,) K mean half widths of the outputs' 90 % intervals. condition: see `Calibration`.
-        doubts: thermometers that were left aside.
-        attention: (Q, 12), what each query looked at. evaluations: simulations and forward passes.
+        doubts: excluded thermometers.
+        attention: (Q, 12), attention of each query. evaluations: simulations and forward passes.
     """
 
     time_s: float
@@ -44,11 +44,13 @@ class Proposal:
 
     @property
     def spread(self) -> Array:
-        """Standard errors (P,) of what is taken on, as far as the network knows: its own, and how far that is off."""
+        """Return the standard errors (P,) of the adopted values: the network's own, and the difference from its
+        prediction.
+        """
         return np.asarray(np.hypot(self.sd, np.where(self.held, 0.0, self.values - self.said)))
 
     def document(self, network: Network, ids: tuple[str, ...]) -> dict[str, Any]:
-        """Plain data for a log; `held` says by which gate's code."""
+        """Return plain data for a log; `held` gives the code of the gate."""
         own = {r.parameter: r.code for r in reversed(self.reasons) if r.parameter}
         whole = next((r.code for r in self.reasons if not r.parameter), "")
         whole, own = (whole, {}) if whole else (own.get(EVERY, ""), own)

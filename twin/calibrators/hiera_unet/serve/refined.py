@@ -1,11 +1,11 @@
-"""The network proposes, least squares disposes, and keeps its own counsel.
+"""Network calibrator refined by least squares.
 
-Least squares goes on as if it were alone, but for thermometers that the network leaves aside: its twin, its prior and
-its state are its own, whatever becomes of the network's. Beside it stands a fit over the longest stretch up to now that
-one set of parameters explains (`evidence`), with what the network believes as the prior where its gates are open. That
-one counts only where it explains the latest minutes far better: when the rig changed inside the window, which least
-squares alone fits as a whole. Everywhere else the answer is that of least squares. In the middle of a window, too, the
-live twin goes over to that fit where it explains the latest minutes far better than the twin itself.
+Least squares runs as if it were alone, except for thermometers that the network excludes: its twin, prior and state are
+independent of the network's. Beside it, a second fit covers the longest segment up to now that one set of parameters
+explains (`evidence`), with the network's prediction as the prior where its gates are open. The second fit replaces the
+first only if it explains the latest minutes far better. That is so after a change of the rig inside the window, which
+least squares alone fits as a whole. In the middle of a window, too, the live twin switches to the second fit if that
+explains the latest minutes far better than the twin itself.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from twin.calibrators.windows import WindowSamples, make_window
 from twin.network import Array, Network
 
 BETTER = 3.0
-"""Factor by which the mean square over the latest minutes must fall for the second fit to count."""
+"""Ratio of mean squares over the latest minutes by which the second fit must be better."""
 LATEST_S = HORIZONS[-1] * STEP_S
 
 
 @dataclass(frozen=True)
 class _LeastSquaresState:
-    """Where least squares alone left its twin: time s, inputs (c,), state, full parameters (p,)."""
+    """State of the twin of least squares alone: time s, inputs (c,), state, full parameters (p,)."""
 
     time: float
     inputs: Array
@@ -83,8 +83,11 @@ class RefinedCalibrator(LeastSquares):
         return self._said(led, window, proposal, "led by the network", alone.evaluations)
 
     def between(self, window: Window) -> tuple[Array, Array] | None:
-        """Values and state of the second fit, where it explains the latest minutes far better than the live twin; least
-        squares alone goes on from where it was."""
+        """Return values and state of the second fit if it explains the latest minutes far better than the live twin,
+        else None.
+
+        Least squares alone is not affected.
+        """
         proposal = self.proposing.propose(window)
         window = self.proposing.trusted(window)
         if any(r.code in gates.UNREADABLE for r in proposal.reasons):
@@ -94,12 +97,12 @@ class RefinedCalibrator(LeastSquares):
         return (values, end) if better else None
 
     def take(self) -> tuple[dict[str, Any], ...]:
-        """Nothing: what the network proposes is `hiera_unet`'s to tell, and is let go of here."""
+        """Return nothing: the network's proposals are those of `hiera_unet`, and are discarded here."""
         self.proposing.take()
         return ()
 
     def _apart(self, window: Window) -> Window:
-        """The window as least squares alone would have met it."""
+        """Return the window as least squares alone would have received it."""
         left, rules = self._left, self.network.rules
         if left is None or window.time[0] - left.time > rules.window_s:
             return window
@@ -118,7 +121,7 @@ class RefinedCalibrator(LeastSquares):
         return replace(found, kind=window.kind)
 
     def _led(self, window: Window, belief: ParameterPrior, alone: Calibration) -> Calibration:
-        """The fit from a belief; before the stretch that it is of, readings are those of `alone`."""
+        """Return the fit from a prior; before its segment the readings are those of `alone`."""
         features, nominal = self.proposing.features, self.proposing.network.values
         values, readings, end, found = self._fit(window, belief)
         fitted = _over(alone.fitted, readings)
@@ -134,7 +137,9 @@ class RefinedCalibrator(LeastSquares):
         return fitted_calibration(self.network, window, self.ids, fit, report)
 
     def _fit(self, window: Window, belief: ParameterPrior) -> tuple[Array, Array, Array, ContextFit]:
-        """Values (q,), readings (n', m) at the last samples of the window, state at the last, and the fit itself."""
+        """Return values (q,), readings (n', m) at the last samples of the window, state at the last, and the fit
+        itself.
+        """
         features, nominal = self.proposing.features, self.proposing.network.values
         series = self.proposing.series().ahead(TARGET)
         frame = features.frame(series, len(series), nominal)
@@ -142,7 +147,9 @@ class RefinedCalibrator(LeastSquares):
         return features.deviations.values(found.theta, nominal), *self._traced(window, frame, found), found
 
     def _belief(self, proposal: Proposal, before: Array) -> ParameterPrior:
-        """What the network says where its gates are open; elsewhere, loosely, the values (q,) of before the window."""
+        """Return the prior: the network's prediction where its gates are open, elsewhere a wide one about the values
+        (q,) before.
+        """
         deviations, nominal = self.proposing.features.deviations, self.proposing.network.values
         sd = proposal.sd / np.abs(deviations.scaling(nominal).slope(proposal.said))
         wide = deviations.prior_sd
@@ -150,7 +157,9 @@ class RefinedCalibrator(LeastSquares):
         return ParameterPrior(mean, np.where(proposal.closed, wide, np.clip(sd, NARROWEST * wide, wide)))
 
     def _traced(self, window: Window, frame: Frame, found: ContextFit) -> tuple[Array, Array]:
-        """Readings (n', m) at the last samples of the window, those that the fit is of, and the state at the last."""
+        """Return the readings (n', m) at the last samples of the window, which the fit covers, and the state at the
+        last.
+        """
         features, nominal = self.proposing.features, self.proposing.network.values
         first = max(CONTEXT - TARGET - found.steps, frame.begin)
         begin = min(int(np.searchsorted(window.time, frame.time[first])), len(window.time) - 1)
@@ -162,11 +171,13 @@ class RefinedCalibrator(LeastSquares):
         return readings[0][upto - first :], end[0]
 
     def _far_better(self, window: Window, readings: Array, others: Array) -> bool:
-        """Whether readings (n, m) explain the latest minutes far better than others do."""
+        """Return True if readings (n, m) explain the latest minutes far better than `others` do."""
         return self._recent(window, others) > BETTER * max(self._recent(window, readings), LEAST_CHI)
 
     def _recent(self, window: Window, readings: Array) -> float:
-        """Mean square of what readings (n, m) leave of the latest minutes, in units of a step's noise."""
+        """Return the mean square of the residual of readings (n, m) over the latest minutes, in units of a step's
+        noise.
+        """
         since = int(np.searchsorted(window.time, window.time[-1] - LATEST_S))
         place = ((window.time[since:] - window.time[since]) / STEP_S + 1e-9).astype(np.intp)
         left = binned((readings - window.measured)[since:], place, int(place[-1]) + 1)
@@ -175,8 +186,10 @@ class RefinedCalibrator(LeastSquares):
         return float(squares[good].mean()) if good.any() else 0.0
 
     def _said(self, done: Calibration, window: Window, proposal: Proposal, flag: str, more: int = 0) -> Calibration:
-        """With what was left aside, a flag and further evaluations; the error before is the live twin's, whoever
-        concluded."""
+        """Return a calibration with the excluded thermometers, a flag and further evaluations.
+
+        The error before it is that of the live twin, whichever fit concluded.
+        """
         aside = (d.sentence(self.network) for d in proposal.doubts)
         return replace(
             done,
@@ -205,7 +218,7 @@ class RefinedCalibrator(LeastSquares):
 
 
 def _over(readings: Array, latest: Array) -> Array:
-    """Readings (n, m), the last of them replaced by `latest` (n', m)."""
+    """Return readings (n, m), the last of them replaced by `latest` (n', m)."""
     out = readings.copy()
     out[len(out) - len(latest) :] = latest
     return out

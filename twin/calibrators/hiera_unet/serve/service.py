@@ -1,8 +1,8 @@
-"""The network as a calibrator: a proposal every five minutes from the causal branch, and gates before it is taken on.
+"""Network calibrator: a proposal every five minutes from the causal branch, with gates before its adoption.
 
-The live twin takes on what every gate lets through, within windows as at their ends. That twin is the network's own: it
-runs beside the others and steers nothing. What becomes of accepted parameters beyond it is for the caller to choose.
-The commissioned values are never overwritten, and deviations are always from them.
+The live twin adopts proposals that pass every gate, within windows as at their ends. It belongs to the network: it runs
+beside the other twins and controls nothing. Any further use of accepted parameters is the caller's choice. The
+commissioned values are never overwritten, and deviations are always from them.
 """
 
 from __future__ import annotations
@@ -29,31 +29,32 @@ from twin.calibrators.hiera_unet.serve import agreement, gates
 from twin.calibrators.hiera_unet.serve.agreement import Spoken
 from twin.calibrators.hiera_unet.serve.gates import Evidently, Reason
 from twin.calibrators.hiera_unet.serve.history import History
-from twin.calibrators.hiera_unet.serve.members import NORMAL90, Ensemble, Said
+from twin.calibrators.hiera_unet.serve.members import Ensemble, Said
 from twin.calibrators.hiera_unet.serve.proposal import Proposal
 from twin.calibrators.posterior import STATE_SD, window_data
 from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
 from twin.calibrators.windows import WindowSamples, make_window
 from twin.gauss_newton import fit_initial_state
 from twin.network import Array, Network
+from twin.quantiles import NORMAL90
 
 CYCLE_S = 300.0
 RECORDS = 288
-"""Proposals that are remembered: a day's."""
+"""Proposals in memory: a day's."""
 LIVED = 7
-"""Cycles for which the live twin's values are remembered: half an hour. Only its own: another calibrator's, which lends
-the network its windows, may have been anything."""
+"""Cycles for which the live twin's values are kept: half an hour. Values of another calibrator that shares the windows
+are not kept."""
 LATEST, FAR_OFF = 60, 4.0
-"""Latest steps over which the live twin is held against a fit, and the factor between their mean squares from which it
-is adrift."""
+"""Latest steps over which the live twin is compared with a fit, and the ratio of their mean squares from which it is
+adrift."""
 DRIVEN, DELIVERED = "level", ("level", "reading")
-"""Formula of the channels that are inputs; formulas of inputs and thermometers as a record delivers them. All others
-are made of these, or of a meter that a rig need not have."""
+"""Formula of the channels that are inputs; formulas of inputs and thermometers as recorded. All others are derived from
+these, or from an optional meter."""
 TRAINED = Path(__file__).resolve().parents[4] / "profiles" / "trained"
 
 
 class _WindowReading(NamedTuple):
-    """A window as the network reads it, and what it says."""
+    """Window as the network reads it, and the prediction."""
 
     frame: Frame
     evidence: ContextFit
@@ -62,7 +63,7 @@ class _WindowReading(NamedTuple):
 
 
 class HieraUNetCalibrator:
-    """The network calibrator; satisfies `Calibrator`, `Follower` and `Proposer`. Deterministic.
+    """Network calibrator; satisfies `Calibrator`, `Follower` and `Proposer`. Deterministic.
 
     `records`: the latest proposals as plain data, those at the ends of windows included.
 
@@ -87,7 +88,7 @@ class HieraUNetCalibrator:
 
     @classmethod
     def shipped(cls, network: Network, tunables: str = "nine", card: Path | None = None) -> HieraUNetCalibrator:
-        """With the small ensemble under `profiles/trained`, or that of another card.
+        """Return the calibrator with the small ensemble under `profiles/trained`, or that of another card.
 
         Raises:
             HieraError: torch is missing, or there is no ensemble for this twin.
@@ -111,14 +112,14 @@ class HieraUNetCalibrator:
         return self._concluded(self.trusted(window), proposal)
 
     def propose(self, window: Window) -> Proposal:
-        """What the network says at the end of a window, or of the part of it that has gone by."""
+        """Return the proposal at the end of a window, or of the part of it that has passed."""
         self.history.push(window.time, np.where(window.read, window.inputs, np.nan), window.measured)
         return self._propose(window.parameters)
 
     def between(self, window: Window) -> tuple[Array, Array] | None:
-        """Propose within a window; the live twin's values and state from there on, None where nothing can be believed.
+        """Propose within a window; return the live twin's new values and state, None if the record is unreadable.
 
-        What only waits for the next proposal to say the same is no reason to leave the state where it is.
+        The state is updated also while a change of parameters waits for the agreement of the next proposal.
         """
         self._lived.append(window.parameters.copy())
         proposal = self.propose(window)
@@ -128,7 +129,7 @@ class HieraUNetCalibrator:
         return values, end
 
     def trusted(self, window: Window) -> Window:
-        """The window without thermometers that the latest proposal left aside, and judged without them."""
+        """Return the window without the thermometers that the latest proposal excludes."""
         if not self._aside:
             return window
         left = contradicted.without(window.time, window.measured, self._aside)
@@ -143,7 +144,7 @@ class HieraUNetCalibrator:
         return replace(found, kind=window.kind) if found.kind == "skipped" else found
 
     def series(self) -> ResampledSeries:
-        """The record so far, without thermometers that the latest proposal left aside."""
+        """Return the record so far, without the thermometers that the latest proposal excludes."""
         return contradicted.trusted(self.history.series(), self._aside)
 
     def take(self) -> tuple[dict[str, Any], ...]:
@@ -151,16 +152,16 @@ class HieraUNetCalibrator:
         return told
 
     def follow(self, time: Array, inputs: Array, measured: Array, read: np.ndarray, state: Array) -> FilteredReadings:
-        """Take in samples; the spread is that of the latest proposal.
+        """Add samples; the spread is that of the latest proposal.
 
-        `filtered` is NaN: between windows the live twin's own readings stand.
+        `filtered` is NaN: between windows the live twin's own readings are used.
         """
         self.history.push(time, np.where(read, inputs, np.nan), measured)
         nothing = np.full((len(time), len(self.network.sensors)), np.nan)
         return FilteredReadings(nothing, np.broadcast_to(self._spread, nothing.shape).copy())
 
     def _propose(self, live: Array) -> Proposal:
-        """One cycle on everything that was pushed; `live` is the full vector (p,) of what the twin has now."""
+        """Compute one cycle on all samples; `live` is the full vector (p,) of the live twin."""
         nominal, deviations = self.network.values, self.features.deviations
         before = self._lived[0] if self._lived else live
         twins = (live, before) if (before != live).any() else (live,)
@@ -203,7 +204,9 @@ class HieraUNetCalibrator:
         return proposal
 
     def _adrift(self, ahead: _WindowReading, live: Array) -> bool:
-        """Whether the twin with deviations `live` (P,) is far off the latest minutes that the latest fit explains."""
+        """Return True if the twin with deviations `live` (P,) has a large error over the latest minutes, which the
+        latest fit explains.
+        """
         noise, squares = step_noise(self.features), []
         for theta in (live, ahead.evidence.theta):
             left = _rms(self._misses(ahead, theta)[-LATEST:] / noise)
@@ -211,7 +214,7 @@ class HieraUNetCalibrator:
         return squares[0] > FAR_OFF * max(squares[1], 1.0)
 
     def _doubts(self, alone: tuple[Reason, ...], said: Said, allowed: np.ndarray, live: Array) -> tuple[Reason, ...]:
-        """Gates that close on what was proposed before; of a record that cannot be read nothing is remembered."""
+        """Return the gates that earlier proposals close; the proposal of an unreadable record is not kept."""
         if any(r.code in gates.UNREADABLE for r in alone):
             self._spoken = ()
             return ()
@@ -222,8 +225,10 @@ class HieraUNetCalibrator:
         return agreement.doubts(before, now, live, self.ids)
 
     def _read(self, series: ResampledSeries) -> tuple[_WindowReading, _WindowReading]:
-        """Return what a fit and the members say of the window that ends with a series, and of the one that ends a
-        target later, of which nobody is asked for corrections."""
+        """Return fit and prediction of the window that ends with a series, and of the one that ends a target later.
+
+        The later one has no corrections.
+        """
         nominal, found = self.network.values, []
         for part in (series, series.ahead(TARGET)):
             frame = self.features.frame(part, len(part), nominal)
@@ -236,9 +241,9 @@ class HieraUNetCalibrator:
         return past, ahead
 
     def _evidently(self, past: _WindowReading, ahead: _WindowReading) -> Evidently:
-        """What the gates look at: of the record and of what was foretold in the past, of parameters what is ahead.
+        """Return the evidence for the gates: of the record and its past predictions, and of the parameters at present.
 
-        What nobody could foretell contradicts only where no fit explains it since.
+        A prediction error before an unpredictable change counts only if no fit since explains it.
         """
         frame, said = past.frame, past.said
         # What is made of a reading is hidden with it, and would count it several times.
@@ -266,16 +271,16 @@ class HieraUNetCalibrator:
         )
 
     def _lost(self, frame: Frame) -> tuple[str, ...]:
-        """Columns of inputs that were hidden for most of the target."""
+        """Return the columns of inputs that were hidden for most of the target."""
         inputs = [(k, c.of[0]) for k, c in enumerate(self.features.table.channels) if c.formula == DRIVEN]
         return tuple(column for k, column in inputs if frame.m[-TARGET:, k].mean() < 0.5)
 
     def _left(self, ahead: _WindowReading) -> Array:
-        """What a fit of the latest stretch leaves of it (Y,), root mean square, K; of ten minutes at most."""
+        """Return the root mean square (Y,), K, of a fit's residual over its latest segment, of ten minutes at most."""
         return _rms(self._misses(ahead, ahead.evidence.theta)[-TARGET:])
 
     def _misses(self, ahead: _WindowReading, theta: Array) -> Array:
-        """Measured less what deviations (P,) make of the latest stretch that was fitted (n, Y), K."""
+        """Return measured minus simulated by deviations (P,) over the latest fitted segment (n, Y), K."""
         frame, found, last = ahead.frame, ahead.evidence, CONTEXT - TARGET
         rows = slice(max(last - found.steps, frame.begin), last)
         full = self.features.deviations.full(theta, ahead.row.nominal[0])
@@ -283,7 +288,7 @@ class HieraUNetCalibrator:
         return np.asarray(frame.measured[rows] - run)
 
     def _taken_on(self, window: Window, proposal: Proposal) -> tuple[Array, Array, Array, Array]:
-        """The window with what is not held: values (q,), state at its start, readings (n, m), state at its end."""
+        """Return the window with the accepted parameters: values (q,), initial state, readings (n, m), final state."""
         index = self.network.index(self.ids)
         full = window.parameters.copy()
         full[index] = proposal.values
@@ -328,7 +333,7 @@ class HieraUNetCalibrator:
 
 
 def _rms(left: Array) -> Array:
-    """Root mean squares (Y,) of what is left (n, Y); NaN where nothing was measured."""
+    """Return root mean squares (Y,) of residuals (n, Y); NaN where nothing was measured."""
     good = np.isfinite(left)
     count = good.sum(axis=0)
     squares = np.where(good, left, 0.0) ** 2
@@ -336,7 +341,7 @@ def _rms(left: Array) -> Array:
 
 
 def one(features: Features, frame: Frame, evidence: ContextFit, nominal: Array) -> Windows:
-    """A window as a batch of one; truth, labels and what is not known of it are NaN."""
+    """Return a window as a batch of one; truth and labels are NaN."""
     count, sensors = len(evidence.theta), frame.target.shape[1]
     single = np.float32
     return Windows(

@@ -1,6 +1,6 @@
-"""Records of rigs whose truth is known, and the windows that are cut from them.
+"""Simulated records of rigs with known truth, and the windows that are cut from them.
 
-A campaign is seeded: seed and number give it again, bit by bit. Healthy ones are about a third, for the structure.
+Seed and number of a campaign reproduce it bit by bit. About a third are healthy, for the first phase of training.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from twin.network import Array
 
 HEALTHY = 0.35
 STEPS = 2520
-"""Three and a half hours."""
+"""Steps of a campaign: three and a half hours."""
 WINDOWS = 3
 APART = 60
-"""Steps between the windows of a campaign: the pace of the service."""
+"""Steps between the windows of a campaign, as in service."""
 EARLY = 0.12
 """Share of campaigns whose first window begins before the record does."""
 PER_RIG = 8
@@ -33,19 +33,19 @@ PER_RIG = 8
 AMISS = 0.05
 """Share of its full size from which a change counts as present."""
 SAME, STEADY = 0.03, 0.05
-"""Deviations that differ by less count as one; a label that moves by more within the target does not count."""
+"""Difference of deviations that counts as none; change of a label within the target from which the label is unknown."""
 INPUT_NOISE = {"_W": 0.8, "_pct": 0.06, "_C": 0.03}
 INPUT_WANDER = {"_W": 0.0, "_pct": 0.0, "_C": 0.04}
 
 
 @dataclass(frozen=True)
 class LabelledRecord:
-    """A record with its truth, over n steps.
+    """Record with its truth, over n steps.
 
     Attributes:
-        truth: (n, Y) degC, readings without noise and faults. theta: (n, P), NaN where the plant has no such
-            parameter. amiss: (n,) bool, something undeclared is present.
-        nominal: (p,) of the commissioned twin. source: who made it. what: the changes, in words.
+        truth: (n, Y) degC, readings without noise and faults. theta: (n, P), NaN where the plant has no such parameter.
+            amiss: (n,) bool, an undeclared change is present.
+        nominal: (p,) of the commissioned twin. source: generator of the record. what: the changes, in words.
     """
 
     series: ResampledSeries
@@ -58,7 +58,7 @@ class LabelledRecord:
 
     @property
     def onset(self) -> int:
-        """First step with anything undeclared; n if there is none."""
+        """Return the first step with an undeclared change; n if there is none."""
         return int(np.argmax(self.amiss)) if self.amiss.any() else len(self.amiss)
 
 
@@ -74,7 +74,7 @@ class WindowLabel:
 
 
 def simulated(family: Family, seed: int, number: int) -> LabelledRecord:
-    """Campaign `number` of a seed: a rig of the family, operated at random, healthy or not."""
+    """Return campaign `number` of a seed: a rig of the family, operated at random, healthy or not."""
     rng = np.random.default_rng([seed, number, 3])
     rig = rig_of(family, seed, number // PER_RIG)
     hour = float(rng.uniform(0.0, 24.0))
@@ -93,7 +93,7 @@ def recorded(
     *,
     gaps: bool = True,
 ) -> LabelledRecord:
-    """What a logger keeps of a rig that is driven with `inputs` (n, c) from `hour` o'clock on and changes so.
+    """Return the logged record of a rig that is driven with `inputs` (n, c) from `hour` o'clock on, with changes.
 
     Args:
         gaps: whether readings may be missing or stuck.
@@ -131,7 +131,7 @@ def recorded(
 def _logged(
     family: Family, rig: TrainingRig, rng: np.random.Generator, inputs: Array, read: Array
 ) -> tuple[Array, Array]:
-    """What the logger writes of inputs and readings."""
+    """Return the inputs and readings as logged."""
     told = inputs.copy()
     for j, column in enumerate(family.network.input_columns):
         ending = next((e for e in INPUT_NOISE if column.endswith(e)), "")
@@ -144,7 +144,7 @@ def _logged(
 def _vectors(
     family: Family, rig: TrainingRig, theta: Array, changes: tuple[undeclared.Change, ...]
 ) -> list[tuple[int, Array]]:
-    """The plant's vector wherever it changes, slow changes in steps of five minutes."""
+    """Return the plant's vector at each of its changes, slow ones in steps of five minutes."""
     rows = [theta] + [c.course[:, None] for c in changes if c.added]
     course = np.hstack(rows)
     moved = np.abs(np.diff(course, axis=0, prepend=course[:1]))
@@ -169,12 +169,12 @@ def _rig_of(family: Family, seed: int) -> TrainingRig:
 
 
 def rig_of(family: Family, seed: int, number: int) -> TrainingRig:
-    """Rig `number` of a seed."""
+    """Return rig `number` of a seed."""
     return _rig_of(family, int(np.random.default_rng([seed, number, 5]).integers(1, 2**31)))
 
 
 def ends(campaign: LabelledRecord, rng: np.random.Generator, count: int = WINDOWS) -> list[int]:
-    """Last steps (exclusive) of windows: after the change rather than before it, where there is one."""
+    """Return the last steps (exclusive) of windows: mostly after the change, if there is one."""
     n = len(campaign.series)
     reach = APART * (count - 1)
     low = CONTEXT if rng.uniform() > EARLY else TARGET + 240
@@ -185,7 +185,7 @@ def ends(campaign: LabelledRecord, rng: np.random.Generator, count: int = WINDOW
 
 
 def label(features: Features, campaign: LabelledRecord, end: int) -> WindowLabel:
-    """Truth and evidence of the window that ends before step `end`."""
+    """Return truth and evidence of the window that ends before step `end`."""
     frame = features.frame(campaign.series, end, campaign.nominal)
     rows = campaign.theta[end - TARGET : end]
     theta = rows.mean(axis=0)

@@ -1,7 +1,7 @@
-"""What may change in a rig without anyone declaring it: drawn at random, sized like real trouble.
+"""Undeclared changes of a rig: random, with realistic sizes.
 
-A change moves parameters that the twin tracks (then its deviation is known), brings in physics that the twin lacks, or
-falsifies a thermometer. It comes at once, grows, or comes and goes.
+A change varies parameters that the twin tracks (then its deviation is known), adds physics that the twin lacks, or is a
+sensor fault. Its time course is a step, growing, or intermittent.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FROM_THE_START = 0.2
 SHAPES = ("step", "ramp", "saturating", "for a time")
 SHAPE_SHARES = (0.6, 0.2, 0.08, 0.12)
 UNTOLD = ("resistance",)
-"""Parameters that hardly act beside the flow: moved, but seldom."""
+"""Parameters with little influence beside the flow, which change rarely."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Change:
 
     Attributes:
         what: in words. course: (n,) from 0 to 1. theta: (P,) deviation at full size.
-        added: place in the plant's vector -> what is added at full size. heat: (n, k) W into the nodes, or None.
-        sensor, error: a sensor's number, and what becomes of its readings (n,), or None.
+        added: place in the plant's vector -> increment at full size. heat: (n, k) W into the nodes, or None.
+        sensor, error: a sensor's number, and the function of its faulty readings (n,), or None.
     """
 
     what: str
@@ -45,7 +45,7 @@ class Change:
 
 
 def draw(family: Family, plant: Array, rng: np.random.Generator, inputs: Array, hour: float) -> tuple[Change, ...]:
-    """Between one and three changes for a record with `inputs` (n, c)."""
+    """Draw between one and three changes for a record with `inputs` (n, c)."""
     kind = rng.choice(("tracked", "structure", "both"), p=(0.45, 0.2, 0.35))
     found: list[Change] = []
     if kind != "structure":
@@ -57,13 +57,13 @@ def draw(family: Family, plant: Array, rng: np.random.Generator, inputs: Array, 
 
 
 def untracked(family: Family, plant: Array, rng: np.random.Generator, inputs: Array, hour: float) -> Change:
-    """Something that no tracked parameter is, unless it is heat where the twin tracks a power."""
+    """Draw a change outside of the tracked parameters, except for heat where the twin tracks a power."""
     make = _STRUCTURE[int(rng.integers(len(_STRUCTURE)))]
     return make(family, plant, rng, inputs, hour)
 
 
 def course(rng: np.random.Generator, n: int) -> tuple[Array, str]:
-    """How a change comes in: (n,) from 0 to 1, and in words."""
+    """Draw the time course of a change: (n,) from 0 to 1, and in words."""
     if rng.uniform() < FROM_THE_START:
         return np.ones(n), "from the start"
     onset = float(rng.uniform(0.08, 0.95)) * n
@@ -80,7 +80,7 @@ def course(rng: np.random.Generator, n: int) -> tuple[Array, str]:
 
 
 def tracked(family: Family, rng: np.random.Generator, n: int, count: int) -> Change:
-    """Parameters that the twin tracks move together."""
+    """Draw a joint change of parameters that the twin tracks."""
     deviations = family.deviations
     weight = np.array([0.15 if name.endswith(UNTOLD) else 1.0 for name in deviations.ids])
     chosen = rng.choice(len(deviations), size=min(count, len(deviations)), replace=False, p=weight / weight.sum())
@@ -93,7 +93,7 @@ def tracked(family: Family, rng: np.random.Generator, n: int, count: int) -> Cha
 
 
 def size(rng: np.random.Generator, law: int) -> float:
-    """A deviation: log-uniform in size, so that small and large ones are met alike."""
+    """Draw a deviation: log-uniform in size, so that small and large ones are equally frequent."""
     low, high, positive = {FACTOR: (0.03, REACH, 0.4), LOSS: (0.02, 0.8, 0.8), SUM: (0.02, REACH, 0.8)}[law]
     sign = 1.0 if rng.uniform() < positive else -1.0
     value = float(np.exp(rng.uniform(np.log(low), np.log(high))))
@@ -105,7 +105,7 @@ def _none(family: Family) -> Array:
 
 
 def _source(family: Family, plant: Array, rng: np.random.Generator, inputs: Array, hour: float) -> Change:
-    """Heat from nowhere, by one of several laws. Where the twin tracks a power there, the deviation is known."""
+    """Draw a heat source of one of several laws. Where the twin tracks a power, the deviation is known."""
     n, nodes = len(inputs), family.network.nodes
     node = int(rng.integers(len(nodes)))
     watts = float(np.exp(rng.uniform(np.log(8.0), np.log(250.0)))) * (1.0 if rng.uniform() < 0.85 else -1.0)
@@ -152,7 +152,7 @@ _ADDED: tuple[tuple[str, str, float, float, bool], ...] = (
 
 
 def _physics(family: Family, plant: Array, rng: np.random.Generator, inputs: Array, hour: float) -> Change:
-    """A parameter of the plant that the twin does not track, or does not have, moves."""
+    """Draw a change of a parameter of the plant that the twin does not track, or does not have."""
     kinds = {e.name: e.kind for e in family.plant.elements}
     tracked_ids = set(family.deviations.ids)
     places = [
@@ -176,7 +176,7 @@ def _physics(family: Family, plant: Array, rng: np.random.Generator, inputs: Arr
 
 
 def _thermometer(family: Family, plant: Array, rng: np.random.Generator, inputs: Array, hour: float) -> Change:
-    """A sensor that reads off, drifts, reads late or by a factor."""
+    """Draw a sensor fault: bias, drift, lag or gain."""
     j = int(rng.integers(len(family.network.sensors)))
     shape, words = course(rng, len(inputs))
     name = str(rng.choice(("bias", "drift", "lag", "gain"), p=(0.4, 0.25, 0.2, 0.15)))
@@ -202,7 +202,7 @@ _STRUCTURE = (_source, _source, _physics, _physics, _physics, _thermometer, _the
 
 
 def moved(changes: tuple[Change, ...], count: int, n: int) -> Array:
-    """Deviations (n, P) of the tracked parameters themselves."""
+    """Return the deviations (n, P) of the tracked parameters themselves."""
     theta: Array = np.zeros((n, count))
     for change in changes:
         theta += change.course[:, None] * change.theta
@@ -210,7 +210,7 @@ def moved(changes: tuple[Change, ...], count: int, n: int) -> Array:
 
 
 def heated(changes: tuple[Change, ...], family: Family, n: int) -> Array:
-    """Heat (n, k) W into the nodes."""
+    """Return the heat (n, k), W, into the nodes."""
     heat: Array = np.zeros((n, len(family.network.nodes)))
     for change in changes:
         if change.heat is not None:
@@ -219,7 +219,9 @@ def heated(changes: tuple[Change, ...], family: Family, n: int) -> Array:
 
 
 def equivalent(heat: Array, family: Family) -> Array:
-    """Deviations (n, P) that heat into the nodes (n, k) is: where the twin tracks a constant power."""
+    """Return the deviations (n, P) that are equivalent to heat into the nodes (n, k), where the twin tracks a constant
+    power.
+    """
     deviations, network = family.deviations, family.network
     theta: Array = np.zeros((len(heat), len(deviations)))
     for k, name in enumerate(deviations.ids):

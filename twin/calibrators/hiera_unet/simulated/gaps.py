@@ -1,4 +1,4 @@
-"""What a logger makes of good readings: silence, bursts of missing samples, stuck values, coarse steps, few samples."""
+"""Defects of a logger: gaps, bursts of missing samples, stuck values, coarse resolution, few samples."""
 
 from __future__ import annotations
 
@@ -17,11 +17,13 @@ DROPPED = (0.1, 0.25)
 """Share of the channels that are lost in records that lose channels."""
 
 INPUTS_LOST = 0.25
-"""How often an input is lost for each time that a sensor is."""
+"""Ratio of lost inputs to lost sensors."""
 
 
 def logged(rng: np.random.Generator, readings: Array, sigma: Array) -> Array:
-    """Readings (n, Y) with noise (Y,) K of one sample, averaged over steps as they were sampled, and rounded."""
+    """Return readings (n, Y), degC, with noise (Y,) K of one sample, averaged over the samples of a step, and
+    rounded.
+    """
     period = float(rng.choice(SAMPLE_S, p=SAMPLE_SHARES))
     resolution = float(rng.choice(RESOLUTIONS_K, p=RESOLUTION_SHARES))
     per_step = max(STEP_S / period, 1.0)
@@ -35,7 +37,7 @@ def logged(rng: np.random.Generator, readings: Array, sigma: Array) -> Array:
 
 
 def damaged(rng: np.random.Generator, inputs: Array, measured: Array) -> tuple[Array, Array, tuple[str, ...]]:
-    """Inputs (n, c) and measured (n, Y) with what went missing or stuck, and what that was."""
+    """Return inputs (n, c) and measured (n, Y) with gaps and stuck values, and a description of them."""
     inputs, measured, said = inputs.copy(), measured.copy(), []
     if rng.uniform() < CLEAN:
         return inputs, measured, ()

@@ -1,4 +1,4 @@
-"""Random operation of a rig: what a load, a pump, a fan and a room do over some hours."""
+"""Random operation of a rig over some hours: load, pump, fan and room."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ DWELL_S = {
 }
 COOLING_DWELL_S = (1800.0, 10800.0)
 LOAD_SHARE = (0.4, 1.3)
-"""Of the nominal power."""
+"""Range of the load, as shares of the nominal power."""
 SPEED_PCT = {"pump": (50.0, 100.0), "fan": (35.0, 100.0)}
 STILL_SHARE = 0.35
-"""Chance that pump and fan stay where they are."""
+"""Probability that pump and fan stay constant."""
 SLOW_ROOM_S, SLOW_ROOM_K, DRAUGHT_S, DRAUGHT_K = 2400.0, 0.3, 45.0, 0.08
 DAILY_ROOM_K = 1.5
 
@@ -30,10 +30,10 @@ DAILY_ROOM_K = 1.5
 def drive(
     network: Network, rng: np.random.Generator, n: int, hour: float, *, thorough: bool = False, power: float = 1.0
 ) -> Array:
-    """Inputs (n, c) of n steps, beginning at `hour` o'clock.
+    """Return inputs (n, c) of n steps, beginning at `hour` o'clock.
 
     Args:
-        thorough: every input moves through its range, as commissioning asks for.
+        thorough: every input varies over its range, as commissioning requires.
         power: usual load of the rig as a share of the nominal one.
     """
     kind = "steps" if thorough else str(rng.choice(KINDS, p=SHARES))
@@ -67,7 +67,7 @@ def course(
     *,
     ramps: bool = False,
 ) -> Array:
-    """Levels (n,) that hold for log-uniform times, or straight lines between them."""
+    """Return levels (n,) that hold for log-uniform times, or straight lines between them."""
     edges, at = [0.0], 0.0
     while at < n:
         at += float(np.exp(rng.uniform(np.log(shortest_s), np.log(longest_s)))) / STEP_S
@@ -81,7 +81,7 @@ def course(
 
 
 def room(rng: np.random.Generator, n: int, hour: float) -> Array:
-    """Swing of a room (n,), K: the day's, a slow wander and draughts."""
+    """Return the variation of a room (n,), K: the day's, a slow random one and draughts."""
     time = np.arange(n) * STEP_S / 3600.0
     daily = rng.uniform(0.0, DAILY_ROOM_K) * np.cos(2.0 * np.pi * (hour + time - 15.5) / 24.0)
     slow = wander(rng, n, SLOW_ROOM_K * rng.uniform(0.3, 2.0), SLOW_ROOM_S)
@@ -90,7 +90,7 @@ def room(rng: np.random.Generator, n: int, hour: float) -> Array:
 
 
 def wander(rng: np.random.Generator, n: int, sd: float, constant_s: float) -> Array:
-    """Ornstein-Uhlenbeck course (n,)."""
+    """Return an Ornstein-Uhlenbeck course (n,)."""
     from scipy.signal import lfilter
 
     keep = float(np.exp(-STEP_S / constant_s))

@@ -1,9 +1,9 @@
-"""Rigs to learn from: networks with more in them than the twin, with random parameters, each commissioned.
+"""Simulated rigs for training: networks with more physics than the twin, random parameters, each commissioned.
 
-The twin's network is surrounded by what a lumped twin leaves out: pipes with walls, hidden masses, radiation, natural
-convection, thermometers that lag, air that is drawn in again, and a source of any time course in every volume. Some of
-it belongs to a healthy rig, and commissioning does what it can about it; some comes in later as an undeclared change.
-All of it is one network and one compiled kernel, whose parameters say what is there.
+The twin's network is extended by the physics that a lumped twin omits: pipes with walls, hidden masses, radiation,
+natural convection, lagging thermometers, recirculated air, and a source of any time course in every volume. Some of it
+belongs to a healthy rig, and commissioning compensates for it; some is added later as an undeclared change. All of it
+is one network and one compiled kernel, whose parameters select the physics.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from twin.revisions import with_elements
 from twin.steady import steady_state
 
 NOTHING = 1e-9
-"""A size that does nothing; exactly 0 would leave the element out of the kernel."""
+"""Size without influence; exactly 0 would leave the element out of the kernel."""
 COMMISSION_H = 8.0
 OFFSET_K = 0.03
 SPIN_UP_STEPS = 240
 
 ParameterLaw = tuple[str, float, float]
-"""`log` and the sd of a logarithm and its shift; `uniform` from, to; `wide` log-uniform from, to."""
+"""Distribution: `log` with the sd of a logarithm and its shift; `uniform` from, to; `wide` log-uniform from, to."""
 
 OWN: Mapping[tuple[str, str], ParameterLaw] = {
     ("node", "capacitance"): ("log", 0.3, 0.1),
@@ -47,12 +47,12 @@ OWN: Mapping[tuple[str, str], ParameterLaw] = {
     ("radiator", "recirculation"): ("wide", 1e-6, 3e-4),
     ("sensor", "lag_s"): ("uniform", 1.0, 9.0),
 }
-"""Parameters of the twin's own elements as they vary from rig to rig, by kind and beginning of the name."""
+"""Distributions over rigs of the twin's own parameters, by kind and beginning of the name."""
 WITH_POWER = (("radiator", "UA_100"), ("flow", "nominal"))
-"""What a rig made for more power has more of."""
+"""Parameters that grow with the rated power of a rig."""
 ON_THE_SHEET = (("node", "capacitance"), ("flow", "nominal"))
 FITTED: Mapping[tuple[str, str], ParameterLaw] = {("flow", "effectiveness"): ("uniform", 0.5, 1.0)}
-"""The same for those that commissioning or tracking adjusts, where it is more."""
+"""Wider distributions of parameters that commissioning or tracking adjusts."""
 ADDED: Mapping[tuple[str, str], ParameterLaw] = {
     ("natural_convection", "coefficient"): ("wide", 0.01, 0.5),
     ("radiation", "area"): ("wide", 0.005, 0.2),
@@ -67,7 +67,7 @@ ADDED: Mapping[tuple[str, str], ParameterLaw] = {
 
 @dataclass(frozen=True)
 class TrainingRig:
-    """One rig: what is really there, and what its operator believes.
+    """One rig: its plant, and its commissioned twin.
 
     Attributes:
         plant: full vector of the plant's network. nominal: (p,) of the commissioned twin.
@@ -83,7 +83,7 @@ class TrainingRig:
 
 
 class Family:
-    """All rigs around one twin."""
+    """Family of all rigs around one twin."""
 
     def __init__(self, network: Network, deviations: Deviations) -> None:
         self.network, self.deviations = network, deviations
@@ -94,7 +94,7 @@ class Family:
         self._kinds = {e.name: e.kind for e in self.plant.elements}
 
     def draw(self, rng: np.random.Generator, power: float = 1.0) -> Array:
-        """Full vector of a healthy plant, made for `power` times the nominal load."""
+        """Draw the full vector of a healthy plant, made for `power` times the nominal load."""
         values = self.plant.values.copy()
         added = {e.name for e in self.plant.elements} - {e.name for e in self.network.elements}
         sets = self.network.sets
@@ -109,7 +109,7 @@ class Family:
         return values
 
     def sheet(self, plant: Array, rng: np.random.Generator) -> Network:
-        """The twin as its data sheet has it: volumes and nominal flow roughly right, all else as shipped."""
+        """Draw the twin of a data sheet: volumes and nominal flow approximate, all else as shipped."""
         own = dict(zip(self.network.ids, self.nominal_of(plant).tolist(), strict=True))
         known = {}
         for p in self.network.parameters.values():
@@ -119,18 +119,18 @@ class Family:
         return self.network.with_values(known)
 
     def nominal_of(self, plant: Array) -> Array:
-        """The plant's own values of the twin's parameters, (p,)."""
+        """Return the plant's own values (p,) of the twin's parameters."""
         own: Array = plant[self._own]
         return own
 
     def deviated(self, plant: Array, theta: Array) -> Array:
-        """The plant with deviations (P,) from its own healthy values."""
+        """Return the plant with deviations (P,) from its own healthy values."""
         full = plant.copy()
         full[self._own[self.deviations.index]] = self.deviations.values(theta, self.nominal_of(plant))
         return full
 
     def start(self, plant: Array, inputs: Array, rng: np.random.Generator) -> Array:
-        """A full state of the plant that has run for a while: not at rest, but without a past that shows."""
+        """Draw a full state of the plant in operation: not at rest, but without remains of an earlier load."""
         begin = steady_state(self.network, inputs[0], self.nominal_of(plant))
         begin = begin + rng.normal(0.0, 2.0) + rng.normal(0.0, 0.3, begin.size)
         time = np.arange(SPIN_UP_STEPS, dtype=np.float64) * STEP_S
@@ -139,12 +139,12 @@ class Family:
         return end
 
     def driven(self, inputs: Array, injected: Array | None = None) -> Array:
-        """The plant's inputs: those of the twin (n, c) and heat (n, k) W into its nodes."""
+        """Return the plant's inputs: those of the twin (n, c) and heat (n, k) W into its nodes."""
         extra = np.zeros((len(inputs), len(self.network.nodes))) if injected is None else injected
         return np.ascontiguousarray(np.hstack([inputs, extra]))
 
     def readings(self, vectors: list[tuple[int, Array]], state: Array, inputs: Array, injected: Array) -> Array:
-        """Fault-free readings (n, Y) of a plant whose vector changes.
+        """Return fault-free readings (n, Y), degC, of a plant whose vector changes.
 
         Args:
             vectors: (first step, full vector), in order, from step 0 on.
@@ -159,7 +159,7 @@ class Family:
         return out
 
     def rig(self, seed: int) -> TrainingRig:
-        """A rig, commissioned on a healthy record of its own; now and then a narrow one.
+        """Return a rig, commissioned on a healthy record of its own, sometimes of a narrow range.
 
         Raises:
             TwinFileError: no rig that can be commissioned was found.
@@ -188,7 +188,7 @@ class Family:
 
 
 def surrounded(network: Network) -> Network:
-    """The network with everything that a lumped twin leaves out, at small sizes.
+    """Return the network with all physics that a lumped twin omits, at small sizes.
 
     Raises:
         TwinFileError: an element does not fit this network.

@@ -1,7 +1,7 @@
-"""Campaigns on disk: compact records in shards, from which windows are made when they are needed.
+"""Campaigns on disk: compact records in shards, from which windows are made on request.
 
-A folder holds `<split>-<source>-<number>.npz` and `manifest.json`, which says how they were made and their SHA-256. A
-record costs some ten bytes a value and step; its windows would cost two hundred times as much.
+A folder holds `<split>-<source>-<number>.npz` and `manifest.json` with their generation and their SHA-256. A record
+costs some ten bytes a value and step; its windows would cost two hundred times as much.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ SPLITS = ("train", "conformal", "test")
 
 @dataclass(frozen=True)
 class Kept:
-    """A campaign with the labels of its windows."""
+    """Campaign with the labels of its windows."""
 
     campaign: LabelledRecord
     labels: tuple[WindowLabel, ...]
 
 
 def write_shard(path: Path, kept: Sequence[Kept]) -> str:
-    """Write campaigns into one compressed file, in one step; returns its SHA-256."""
+    """Write campaigns into one compressed file, in one step; return its SHA-256."""
     names = sorted({name for k in kept for name in k.campaign.series.extra})
     lengths = [len(k.campaign.series) for k in kept]
     arrays: dict[str, np.ndarray] = {
@@ -75,11 +75,15 @@ def write_shard(path: Path, kept: Sequence[Kept]) -> str:
 
 
 MOST_UNPACKED = 8 * 10**9
-"""Bytes of a file's arrays once they are unpacked: a megabyte of equal values can stand for gigabytes."""
+"""Largest size of a file's arrays once they are unpacked, bytes: a megabyte of equal values can stand for gigabytes."""
 
 
 def _require_regular(path: Path) -> None:
-    """Raise OSError where `path` is no regular file, ValueError where it unpacks to more than `MOST_UNPACKED` bytes."""
+    """Check that `path` is a regular file of bounded size.
+
+    Raises:
+        OSError: it is no regular file. ValueError: it unpacks to more than `MOST_UNPACKED` bytes.
+    """
     refuse_irregular(path, path.stat().st_mode)
     with zipfile.ZipFile(path) as packed:
         size = sum(item.file_size for item in packed.infolist())
@@ -88,7 +92,7 @@ def _require_regular(path: Path) -> None:
 
 
 def read_shard(path: Path) -> list[Kept]:
-    """The campaigns of one file."""
+    """Return the campaigns of one file."""
     _require_regular(path)
     with np.load(path, allow_pickle=False) as file:
         a = {name: file[name] for name in file.files}
@@ -124,7 +128,7 @@ def read_shard(path: Path) -> list[Kept]:
 
 
 def windows_of(features: Features, kept: Iterable[Kept]) -> Windows:
-    """The windows of campaigns, in order.
+    """Return the windows of campaigns, in order.
 
     Raises:
         ValueError: there are none.
@@ -161,7 +165,7 @@ def _row(features: Features, campaign: LabelledRecord, label: WindowLabel) -> Ma
 
 
 class Store:
-    """A folder of generated campaigns.
+    """Folder of generated campaigns.
 
     Raises:
         TwinFileError: no manifest, another format, or made for another twin or set of parameters.
@@ -184,14 +188,14 @@ class Store:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the manifest: the name of these data."""
+        """Return the SHA-256 of the manifest, which identifies the data."""
         return hashlib.sha256((self.folder / MANIFEST).read_bytes()).hexdigest()
 
     def campaigns(self, split: str, source: str | None = None, most: int | None = None) -> list[Kept]:
-        """Campaigns of a split (train, conformal or test), of one source or all.
+        """Return the campaigns of a split (train, conformal or test), of one source or all.
 
         Raises:
-            TwinFileError: a shard is missing or is not what the manifest says.
+            TwinFileError: a shard is missing or differs from the manifest.
         """
         kept: list[Kept] = []
         for name, entry in self.manifest["shards"].items():
@@ -206,12 +210,14 @@ class Store:
         return kept
 
     def windows(self, split: str, source: str | None = None, most: int | None = None) -> Windows:
-        """All windows of a split; `most` limits the number of campaigns."""
+        """Return all windows of a split; `most` limits the number of campaigns."""
         return windows_of(self.features, self.campaigns(split, source, most))
 
 
 def identity(features: Features) -> dict[str, Any]:
-    """What data and their reader must agree on; windows are made on reading, so channels may differ."""
+    """Return the identity that data and their reader must share; windows are made on reading, so channels may
+    differ.
+    """
     return {
         "format": FORMAT,
         "twin": structure(features.network),
@@ -221,7 +227,7 @@ def identity(features: Features) -> dict[str, Any]:
 
 
 def structure(network: Network) -> str:
-    """SHA-256 of a twin's structure: its elements with their places, without the values of parameters."""
+    """Return the SHA-256 of a twin's structure: its elements with their places, without the values of parameters."""
     said = [
         repr((e.kind, sorted((k, str(getattr(e, f.name))) for k, f in e.places().items()), e.name))
         for e in network.elements
@@ -231,7 +237,7 @@ def structure(network: Network) -> str:
 
 
 def write_manifest(folder: Path, features: Features, shards: Mapping[str, Mapping[str, Any]], **more: Any) -> None:
-    """Say what is in a folder: `shards` name -> split, source, campaigns, windows, sha256."""
+    """Write the manifest of a folder: `shards` name -> split, source, campaigns, windows, sha256."""
     text = json.dumps({**identity(features), **more, "shards": dict(shards)}, indent=1, sort_keys=True) + "\n"
     with tempfile.NamedTemporaryFile("w", dir=folder, suffix=".tmp", delete=False, encoding="utf-8") as file:
         file.write(text)

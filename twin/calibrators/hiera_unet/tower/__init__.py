@@ -6,8 +6,9 @@ Modules among them are for the training of a network. Everything else is private
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from twin.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from twin.calibrators.hiera_unet.tower.cell_table import CellTable
@@ -26,29 +27,6 @@ if TYPE_CHECKING:
     from twin.calibrators.hiera_unet.tower.predict import predict as predict_windows
     from twin.calibrators.hiera_unet.tower.windows import Fleet
 
-_MODULES = {
-    "cell_table": {"CellTable": "CellTable"},
-    "commissioned": {n: n for n in ("commissioned_log_power", "commissioned_outlet")},
-    "ensemble": {
-        **{n: n for n in ("BRANCHES", "CAUSAL", "SYMMETRIC", "EnsembleAnswer", "TowerEnsemble")},
-        "load_tower_ensemble": "load_ensemble",
-    },
-    "member": {n: n for n in ("MemberTraining", "adapt", "load_fleet", "load_member")},
-    "plan": {"TowerPlan": "TowerPlan"},
-    "predict": {"Blindness": "Blindness", "Predicted": "Predicted", "predict_windows": "predict"},
-    "windows": {"Fleet": "Fleet"},
-}
-_HOME = {public: (f"{__name__}.{module}", own) for module, names in _MODULES.items() for public, own in names.items()}
-
-_PUBLIC_MODULES = (
-    "cell_table",
-    "ensemble",
-    "member",
-    "predict",
-    "score",
-    "table",
-)
-"""Parts that `hil.training` puts together: each is public as a whole."""
 
 __all__ = [
     "BRANCHES",
@@ -77,17 +55,23 @@ __all__ = [
     "table",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module on first use."""
-    if name in _PUBLIC_MODULES:
-        return import_module(f"{__name__}.{name}")
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, own = _HOME[name]
-    return getattr(import_module(module), own)
-
-
-def __dir__() -> list[str]:
-    """Return the public names."""
-    return __all__
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "": ("cell_table", "ensemble", "member", "predict", "score", "table"),
+        "cell_table": ("CellTable",),
+        "commissioned": ("commissioned_log_power", "commissioned_outlet"),
+        "ensemble": (
+            "BRANCHES",
+            "CAUSAL",
+            "EnsembleAnswer",
+            "SYMMETRIC",
+            "TowerEnsemble",
+            "load_tower_ensemble = load_ensemble",
+        ),
+        "member": ("MemberTraining", "adapt", "load_fleet", "load_member"),
+        "plan": ("TowerPlan",),
+        "predict": ("Blindness", "Predicted", "predict_windows = predict"),
+        "windows": ("Fleet",),
+    },
+)

@@ -1,6 +1,6 @@
-"""Minutes and cycles of a cell as arrays that windows are cut from, in one file.
+"""Minutes and cycles of a cell as arrays for windows, in one file.
 
-A cycle is a target interval of two hours. The belief that it starts from knows the readings before it alone.
+A cycle is a target interval of two hours. Its prior uses the readings before it alone.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ MINUTELY = (
 STABLE, STAGING, RAMP, HOT, MAINTAINED = range(5)
 KINDS = ("stable", "fan staging", "load ramp", "high wet bulb", "after maintenance")
 STAGED, RAMPED, HOT_QUANTILE, AFTER_D = 0.15, 0.08, 0.8, 3.0
-"""Range of the fan's speed and of the load within a target, quantile of the wet bulb, days after an entry."""
+"""Range of the fan's speed and of the load within a target, quantile of the wet bulb, days after a maintenance entry.
+"""
 LEAST_KNOWN, LEAST_SEEN = 0.6, 12
 """Share of a target's minutes with all inputs, and blocks of the day before, below which a cycle is no window."""
 
@@ -128,7 +129,7 @@ class CellTable:
 
 @dataclass(frozen=True)
 class CellSources:
-    """Data of a cell that its table is made of; n minutes.
+    """Data of a cell for its table; n minutes.
 
     Attributes
     ----------
@@ -143,7 +144,7 @@ class CellSources:
     healthy_end_s
         End of the healthy record, s since 1970.
     true_water, true
-        (n,) degC and (n, 4), truth of a simulated cell; NaN where it is not known.
+        (n,) degC and (n, 4), truth of a simulated cell; NaN where it is unknown.
     """
 
     name: str

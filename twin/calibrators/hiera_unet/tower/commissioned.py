@@ -14,7 +14,7 @@ ANY_KAPPA = -1.3
 
 
 def commissioned_outlet(model: CellModel, minutes: Minutes) -> Array:
-    """Return the outlet by the clean cell, degC (n,), NaN where the inputs are not known."""
+    """Return the outlet by the clean cell, degC (n,), NaN where the inputs are unknown."""
     rows = np.flatnonzero(minutes.known)
     u = minutes.operation.inputs.take(rows)
     out = solve_cell(u, model.design).t_out
@@ -24,7 +24,7 @@ def commissioned_outlet(model: CellModel, minutes: Minutes) -> Array:
 
 
 def commissioned_log_power(model: CellModel, minutes: Minutes) -> Array:
-    """Return the logarithm of the clean cell's fan power, kW (n,), NaN where the inputs are not known."""
+    """Return the logarithm of the clean cell's fan power, kW (n,), NaN where the inputs are unknown."""
     rows = np.flatnonzero(minutes.known)
     found = np.full(len(minutes.time_s), np.nan)
     neutral = np.zeros(len(NAMES))

@@ -33,7 +33,7 @@ FORMAT = 1
 CAUSAL, SYMMETRIC = "causal", "symmetric"
 BRANCHES = (CAUSAL, SYMMETRIC)
 LEAST = 2
-"""Members: one alone has nobody to differ from, and its intervals lack that part."""
+"""Least number of members: the intervals of one alone lack the epistemic part."""
 AGAIN = "write it again with `python -m hil.training.tower.ensemble`"
 
 

@@ -1,4 +1,6 @@
-"""One member from its tables to its weights and card: training by steps or by the clock, gate, envelope, curves."""
+"""Training of one member from its tables to its weights and card: by steps or by time, with gate, envelope and
+curves.
+"""
 
 from __future__ import annotations
 
@@ -41,15 +43,15 @@ from twin.calibrators.hiera_unet.weights import checkpoint
 from twin.calibrators.hiera_unet.weights.envelope import envelope, place
 
 LOOKED_AT, LOOKS = {"cpu": 256, "cuda": 2048}, 15
-"""Held-out windows of a look on a processor and on a device, always the same, and looks in a training."""
+"""Held-out windows of an evaluation on a processor and on a device, always the same, and evaluations in a training."""
 TIMED = 10
-"""Steps after a warm-up of as many, by which a training with a time limit plans its number of steps."""
+"""Steps, after a warm-up of as many, by which a training with a time limit plans its number of steps."""
 FIRST_LOOK = 50
 LONGEST = 1_000_000
 KEEP_EVERY_S = 60.0
 HULL = 256
 OWN_MONTHS, MONTH_MIN = 9.0, 365.25 / 12.0 * 1440.0
-"""Months of its own record that a station teaches (the paper's), and minutes of a month."""
+"""Months of its own record for the adaptation to a station (the paper's), and minutes of a month."""
 Say = Callable[[int, int, str], None]
 
 
@@ -71,7 +73,7 @@ def own_rows(fleet: Fleet, first: float, last: float) -> torch.Tensor:
 
 
 class MemberTraining:
-    """A training that goes on from `folder`, until its steps are done, a time is over or `stopped` says so.
+    """Training that resumes from `folder`, until its steps are done, a time is over or `stopped` returns True.
 
     Parameters
     ----------
@@ -80,8 +82,8 @@ class MemberTraining:
     digest
         Of the data. steps of `plan` are those wanted without a time limit.
     trees
-        Boosted trees whose answer the network corrects; without, it corrects the belief. `fleet.base` has the answers
-        of trees that did not learn from the window's plant.
+        Boosted trees whose answer the network corrects; without them it corrects the prior mean. `fleet.base` has the
+            answers of trees that were not trained on the window's plant.
     """
 
     def __init__(
@@ -157,7 +159,7 @@ class MemberTraining:
         return trainer.done >= trainer.plan.steps or (until is not None and time.monotonic() > until)
 
     def _choose(self) -> None:
-        """Take the averaged weights of the look with the least error on held-out windows, with their factors."""
+        """Take the averaged weights of the evaluation with the least error on held-out windows, with their factors."""
         self.trainer.average.load_state_dict(self.best["average"])
 
     def _now(self) -> float:
@@ -166,13 +168,13 @@ class MemberTraining:
         return time.monotonic()
 
     def _fit_to(self, until: float, seconds: float) -> None:
-        """Set the number of steps to what fits before `until` at so many seconds a step."""
+        """Set the number of steps that fit before `until` at so many seconds a step."""
         left = max(until - time.monotonic(), 0.0) * 0.97
         steps = self.trainer.done + max(int(left / max(seconds, 1e-5)), 1)
         self.trainer.plan = replace(self.trainer.plan, steps=min(steps, LONGEST))
 
     def keep(self) -> None:
-        """Write what the training goes on from."""
+        """Write the state for resuming."""
         assert self.folder is not None
         self.folder.mkdir(parents=True, exist_ok=True)
         checkpoint.keep({**self.trainer.state(), "best": self.best}, self.folder / "training.pt")

@@ -1,4 +1,4 @@
-"""Memory of a plant: residuals of its commissioned twin over the healthy record, in bins of the operating point.
+"""Memory tokens of a plant: residuals of its commissioned twin over the healthy record, in bins of the operating point.
 
 A bin is a token: mean residual and its spread in tolerances, logarithm of the minutes in it, its middle, and the kind
 of the bin. An empty bin has a count of zero and no residual.

@@ -1,4 +1,4 @@
-"""Every choice of a tower training, as plain data."""
+"""Plan of a tower training as plain data."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from twin.calibrators.hiera_unet.model.config import HieraError
 
 @dataclass(frozen=True)
 class TowerPlan:
-    """Plan of a training.
+    """Plan of a tower training.
 
     Attributes:
         steps, batch: of the optimiser, and windows of each, of which a share `pairs` are followed by their next cycle.
         mix: shares of the kinds of windows: stable, fan staging, load ramp, high wet bulb, after maintenance; empty for
-            natural shares, each cell alike. A correction is learned for the shares that it is judged by.
+            natural shares with equal cells. A correction is learned for the shares that it is scored by.
         balance, smooth, uncertainty: weights of eq. 11. The balance of a tower holds by construction, as heat is
             derived from the corrected outlet. price: of the corrections' squares.
         through: share of the outputs' gradient that reaches the parameters through the twin, for a network whose outlet
-            hangs on them.
+            depends on them.
         sure: share of steps without the likelihoods. even_every: steps between two measurements of the gradients that
             are made equal.
-        jumped, shifted: shares of windows with a jump of a deviation, and with a belief that is moved by its sd.
-        offset: sd, K, of an offset that a window's thermometer gets, with belief and label. unnamed: share of windows
-            without the numbers that tell a plant from others: design, memory, clock.
+        jumped, shifted: shares of windows with a jump of a deviation, and with a prior that is shifted by its sd.
+        offset: sd, K, of an offset that a window's thermometer gets, with prior and label. unnamed: share of windows
+            without the numbers that identify a plant: design, memory, clock.
         dropped, burst: shares of windows that lose channels, and that lose all measurements for up to two hours.
         adapt: share of windows of the station itself when a network is adapted to it; 0 for the family.
         half: bfloat16 in the network's products.

@@ -1,4 +1,4 @@
-"""Predictions of a network on windows, and the blindness gate: does each head hang on the channels at all?"""
+"""Predictions of a network on windows, and the blindness gate: dependence of each head on the channels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from twin.calibrators.hiera_unet.tower.windows import BLOCK_MIN, TARGET, CellBat
 from twin.tower.air import Array
 
 LEAST_WORSE = 0.05
-"""Share by which the parameters, or the outputs, must be worse with another window's channels."""
+"""Least relative increase of the errors of parameters, or outputs, with another window's channels."""
 RESAMPLES = 1000
 BLOCK_CYCLES = 84
 """Cycles of a bootstrap block: a week."""
@@ -58,8 +58,10 @@ def begun(network: HieraUNet, batch: CellBatch) -> CellBatch:
 
 @torch.no_grad()
 def corrections_of(trees: Trees, batch: CellBatch) -> tuple[Tensor, Tensor]:
-    """Return the corrections of the belief by trees: deviations (B, 4), and outlet (B, 12) K by blocks of ten
-    minutes. The first model is that of the outlet."""
+    """Return the corrections of the prior by trees: deviations (B, 4), and outlet (B, 12) K by blocks of ten minutes.
+
+    The first model is that of the outlet.
+    """
     points = batch.minutely[:, BLOCK_MIN // 2 :: BLOCK_MIN]
     rows = torch.cat([batch.features[:, None].expand(-1, points.shape[1], -1), points], -1)
     water = trees(rows.flatten(0, 1), 0).unflatten(0, (len(batch.features), -1))
@@ -68,12 +70,12 @@ def corrections_of(trees: Trees, batch: CellBatch) -> tuple[Tensor, Tensor]:
 
 
 def settle(fleet: Fleet, trees: Trees, rows: NDArray[np.int64] | None = None, size: int = 256) -> None:
-    """Work out the answer of trees to windows of a fleet, so that its batches have it.
+    """Compute the answer of trees to windows of a fleet, so that its batches have it.
 
     Parameters
     ----------
     rows
-        Cycles (K,); all windows without. Others keep what they have, at first no correction.
+        Cycles (K,); all windows by default. Others keep theirs, at first no correction.
     """
     if rows is None or fleet.base is None:
         cycles, device = len(fleet.valid), fleet.device
@@ -90,8 +92,11 @@ def settle(fleet: Fleet, trees: Trees, rows: NDArray[np.int64] | None = None, si
 
 
 def outlet_of(network: HieraUNet, p: Prediction, batch: CellBatch) -> Tensor:
-    """Return the outlet (B, 120), degC, that a prediction says: its correction of the given answer, or of the twin at
-    the deviations for a network of an earlier kind. Where the gate refused the outlet it is the given answer."""
+    """Return the predicted outlet (B, 120), degC.
+
+    It is the correction of the given answer, or of the twin at the deviations for a network of an earlier kind. If the
+    gate refused the outlet, it is the given answer.
+    """
     if network.start_outlet:
         return batch.base_water
     delta = p.delta[..., 0].float()
@@ -101,7 +106,7 @@ def outlet_of(network: HieraUNet, p: Prediction, batch: CellBatch) -> Tensor:
 
 
 def answer(network: HieraUNet, batch: CellBatch, causal: bool, half: bool) -> Prediction:
-    """Return what a network says of a batch."""
+    """Return the prediction of a network for a batch."""
     with torch.inference_mode(), torch.autocast(batch.x.device.type, torch.bfloat16, enabled=half):
         return network(batch.x, batch.m, batch.regime, batch.clock, batch.meta, causal=causal, memory=batch.memory)
 
@@ -143,8 +148,10 @@ def predict(
 
 @dataclass(frozen=True)
 class Blindness:
-    """Errors with another window's channels over those with the own, less one: parameters and outputs, with the 95 %
-    interval of each by a block bootstrap."""
+    """Relative increase of the errors with another window's channels.
+
+    That of parameters and of outputs, each with its 95 % interval by a block bootstrap.
+    """
 
     parameters: tuple[float, float, float]
     outputs: tuple[float, float, float]
@@ -152,12 +159,14 @@ class Blindness:
 
     @property
     def code(self) -> str:
-        """`BLIND` where the parameters hardly hang on the channels, "" else: the checkpoint is refused."""
+        """Return `BLIND` if the parameters hardly depend on the channels, so that the checkpoint is refused;
+        else "".
+        """
         return _code(self.parameters)
 
     @property
     def outputs_code(self) -> str:
-        """`BLIND` where the outputs hardly hang on the channels, "" else: the outlet is the start's."""
+        """Return `BLIND` if the outputs hardly depend on the channels, so that the start's outlet is used; else ""."""
         return _code(self.outputs)
 
     def document(self) -> dict[str, Any]:
@@ -177,19 +186,19 @@ def _code(worse: tuple[float, float, float]) -> str:
 
 
 def outlet_refused(card: Mapping[str, Any]) -> bool:
-    """Return whether the gate refused the outputs of a member; a card with one code for both heads says no."""
+    """Return True if the gate refused the outputs of a member; False for a card with one code for both heads."""
     return bool(card.get("gate", {}).get("heads", {}).get("outputs") == BLIND)
 
 
 def start_sentence(trees: bool, whose: Sequence[str] = ()) -> str:
-    """Return what a card and a report say of an outlet that the gate refused.
+    """Return a sentence of card and report about an outlet that the gate refused.
 
     Parameters
     ----------
     trees
-        Whether the network starts at boosted trees.
+        Whether the network starts from boosted trees.
     whose
-        Members of an ensemble that it holds for, where it holds for some.
+        Members of an ensemble that it holds for, if it holds for some.
     """
     start = "boosted trees on Gauss-Newton" if trees else "Gauss-Newton"
     if whose:

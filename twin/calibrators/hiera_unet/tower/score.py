@@ -1,8 +1,9 @@
 """Scores of predictions on unseen cells: deviations, outlet, intervals, and the rivals on the same windows.
 
-All errors are against the truth of a simulated station, the target's own readings hidden from every method. Rivals:
+All errors are against the truth of a simulated station, with the target's own readings hidden from every method.
+Rivals:
 the commissioned twin; persistence of its last error; recursive Gauss-Newton with the learned discrepancy; and gradient
-boosting that corrects the figures of the last.
+boosting that corrects the latter's deviations and outlet.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from twin.calibrators.hiera_unet.model.trees import Trees
 from twin.calibrators.hiera_unet.tower.predict import BLOCK_CYCLES, Predicted, corrections_of, interval
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
 from twin.calibrators.hiera_unet.tower.windows import BLOCK_MIN, CONTEXT, LAST_MIN, TARGET, Fleet
+from twin.gauss_newton import SE90
 from twin.tower.air import Array
 from twin.tower.model import DEVIATIONS
 
@@ -29,10 +31,10 @@ LEVEL = 0.9
 
 @dataclass(frozen=True)
 class Targets:
-    """Targets of K windows: what is true and what the belief says. Arrays (K, 120) in degC, (K, 4) deviations.
+    """Targets of K windows: truth and prior. Arrays (K, 120) in degC, (K, 4) deviations.
 
     Attributes:
-        water: by the twin at the belief. slopes: (K, 120, 3). true_water, reading, commissioned: NaN where none.
+        water: by the twin at the prior mean. slopes: (K, 120, 3). true_water, reading, commissioned: NaN where none.
         changed: minutes soon after a change of the fan. recent: (K, 3) mean residual of readings before the target, K.
         features: (K, F) of the window for a booster. minutely: (K, 120, 5) operating point and lead.
     """
@@ -106,7 +108,7 @@ class MethodPrediction:
 
 def believed(t: Targets) -> MethodPrediction:
     """Return recursive Gauss-Newton with the learned discrepancy, with its own intervals of the deviations."""
-    return MethodPrediction(t.mean, t.water, 1.6449 * t.sd)
+    return MethodPrediction(t.mean, t.water, SE90 * t.sd)
 
 
 def commissioned(t: Targets) -> MethodPrediction:
@@ -190,7 +192,9 @@ def _bounds() -> Array:
 
 @dataclass(frozen=True)
 class IntervalFactors:
-    """Factors of standard deviations that hold 90 % of windows that no training saw: deviations (4,), water."""
+    """Factors by which standard deviations become 90 % intervals on windows outside of training: deviations (4,),
+    water.
+    """
 
     theta: Array
     water: float

@@ -25,13 +25,13 @@ from twin.tower.twin_file import BOUNDS
 
 DAY_S = 86400.0
 MOST = 6.0
-"""Normalised values are cut off here: a defect of the archive must not rule a window."""
+"""Largest absolute normalised value: a defect of the archive must not dominate a window."""
 EVAPORATED = 0.00146
 """Share of the water that evaporates for a kelvin of its range: 85 % of c_p over the heat of vaporisation."""
 LOAD_STEP = 0.05
 """Change of the load within ten minutes, share of design, that counts as a step."""
 RATE_K = 0.5
-"""Change of an outlet reading in five minutes that a basin and a thermowell hardly allow."""
+"""Change of an outlet reading in five minutes, K, beyond the dynamics of a basin and a thermowell."""
 CERTIFICATES = ("reference_thermometer", "instrument_work", "calibration", "thermometer_replacement")
 CLEANINGS = ("cleaning", "fill_cleaning", "nozzle_cleaning")
 CHANGES = ("fan_maintenance", "belt_change", "blade_pitch", "drift_eliminator")
@@ -302,7 +302,7 @@ def _stepped(share: Array) -> Array:
 
 
 def _seen_at(event: Event) -> float:
-    """Return the time from which an entry is in the books: the end of its day where only that is known."""
+    """Return the time, s, at which a maintenance entry is known: the end of its day if only that is recorded."""
     return event.time_s + (DAY_S if event.by_day else 0.0)
 
 

@@ -1,8 +1,8 @@
-"""Training of a tower network: losses that start at one, made equal in their gradients, and state to go on from.
+"""Training of a tower network: losses scaled to start at one, with equal gradients, and state for resuming.
 
-The parameter loss measures each error in the given answer's own usual one, absolutely where it is large, and weighs
-each label by the share of its prior variance that the belief has resolved. The output is the given answer plus the
-correction, judged as `score` does: by its absolute error against the truth. Windows in which a deviation jumps inside
+The parameter loss divides each error by the usual one of the given answer, is linear in large errors, and weights
+each label by the share of its prior variance that the data have resolved. The output is the given answer plus the
+correction, scored as in `score`: by its absolute error against the truth. Windows in which a deviation jumps inside
 the target have no output loss.
 """
 
@@ -29,7 +29,7 @@ from twin.calibrators.hiera_unet.tower.windows import CONTEXT, TARGET, TOLERANCE
 from twin.calibrators.hiera_unet.training import losses
 
 JUMPS = (0.1, 0.0, 0.08, 0.5)
-"""Largest added jump of fill, air, uniformity and bias; none of the air, whose fan power would not move with it."""
+"""Largest added jump of fill, air, uniformity and bias; none of the air, since the fan power would not follow it."""
 BURST = (2, 120)
 REFERENCE_BATCHES = 16
 STATICS_OF = 4096
@@ -45,7 +45,7 @@ IDENTITY = ("configuration", "plan", "channel table", "data", "number of windows
 
 @dataclass(frozen=True)
 class OwnWindows:
-    """Windows of the station itself, which only show readings: `rows` that may be drawn, and their share of a batch."""
+    """Windows of the station itself, which have readings only: `rows` that may be drawn, and their share of a batch."""
 
     fleet: Fleet
     rows: Tensor | None = None
@@ -158,8 +158,10 @@ class TowerTrainer:
         return batch.m & ~lost[:, None] & ~(silent[..., None] & self.fleet.told)
 
     def _unnamed(self, batch: CellBatch) -> tuple[Tensor, Tensor, Tensor]:
-        """Return static numbers, memory and clock, each without what tells a plant in some windows: a network must not
-        learn its plants by heart."""
+        """Return static numbers, memory and clock, each without the numbers that identify a plant in some windows.
+
+        A network must not memorise its plants.
+        """
         b = len(batch.x)
         hidden = [self._uniform(b, 1) < self.plan.unnamed for _ in range(3)]
         meta = batch.meta

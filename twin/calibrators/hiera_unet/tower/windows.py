@@ -1,7 +1,8 @@
-"""Windows of many cells, cut on the device that trains: channels, the twin about the window's belief, and the truth.
+"""Windows of many cells, cut on the training device: channels, the twin linearised about the window's prior, and the
+truth.
 
 All tables lie in one row of minutes. A window of a cycle is the day up to the end of its target. Channels that depend
-on the belief are made here: the residual of the twin at the belief, and for each deviation
+on the prior are computed here: the residual of the twin at the prior mean, and for each deviation
 
     score = residual slope,    rate = slope^2,      in units of the outlet's tolerance and the deviation's bound.
 """
@@ -25,7 +26,7 @@ OUTLET = SUBJECT.index("r_outlet")
 SCORES = slice(SUBJECT.index("score_fill"), SUBJECT.index("score_bias") + 1)
 RATES = slice(SUBJECT.index("rate_fill"), SUBJECT.index("rate_bias") + 1)
 MEANS = slice(-13, -9)
-"""Places of the belief's means among the static numbers."""
+"""Places of the prior's means among the static numbers."""
 BLOCK_MIN = 10
 LAST_MIN = (30, 120, 720)
 """Minutes before the target over which mean residuals are features of the trees."""
@@ -69,8 +70,9 @@ class CellBatch:
     minutely: Tensor
 
     def begun(self, theta: Tensor, water: Tensor) -> CellBatch:
-        """Return the windows with corrections of the belief, deviations (B, 4) and outlet (B, 12) K, as answer to
-        correct."""
+        """Return the windows with corrections of the prior, deviations (B, 4) and outlet (B, 12) K, as the answer to
+        correct.
+        """
         base = self.mean + theta
         meta = self.meta.clone()
         meta[:, MEANS] = base
@@ -80,8 +82,9 @@ class CellBatch:
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump of one deviation that is added to windows: `deviation` (B,), -1 for none, `size` (B,), first `minute`
-    (B,) of the context."""
+    """Jump of one deviation that is added to windows: `deviation` (B,), -1 for none, `size` (B,), first `minute` (B,)
+    of the context.
+    """
 
     deviation: Tensor
     size: Tensor

@@ -1,6 +1,6 @@
-"""The rig's own energy balance, as a price on corrections: what they store, and what they let out.
+"""Energy balance of the rig as a penalty on corrections: stored power and heat that leaves.
 
-A twin's readings satisfy its balance exactly. Corrected by delta they satisfy it only if no power comes from nowhere:
+A twin's readings satisfy its balance exactly. Readings corrected by delta satisfy it only without a spurious power:
 sum_i C_i d(delta_i)/dt + sum_j g_j delta_j = 0 with g_j the heat that leaves the rig per K of volume j.
 """
 
@@ -17,13 +17,14 @@ from twin.network import Array, Network
 from twin.reference_simulation import right_hand_side
 
 Balance = Callable[[Windows], tuple[Array, Array]]
-"""Windows -> what each output's volume stores, J/K, and lets out of the rig, W/K; both (N, Y)."""
+"""Function from windows to the storage, J/K, and the loss to outside of the rig, W/K, of each output's volume; both (N,
+Y)."""
 
 
 def balance_of(network: Network) -> Balance | None:
-    """The balance of a network whose volumes remember nothing but their temperature; None for others.
+    """Return the balance of a network whose volumes have no state but their temperature; None for others.
 
-    A volume without a thermometer is left out, of several thermometers on one volume all but the first.
+    A volume without a thermometer is left out, as are all but the first thermometer of one volume.
     """
     k = len(network.nodes)
     if Kernel(network, ()).size > k:

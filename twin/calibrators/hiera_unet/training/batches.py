@@ -1,4 +1,4 @@
-"""Windows on their way to the device: one batch as tensors."""
+"""Batches of windows as tensors on the training device."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from torch import Tensor
 from twin.calibrators.hiera_unet.data.windows import Windows
 
 Simulate = Callable[[Tensor, Windows], Tensor]
-"""Deviations (B, P), the windows they belong to -> the twin's outputs (B, 120, Y), differentiable."""
+"""Differentiable function from deviations (B, P) and their windows to the twin's outputs (B, 120, Y)."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """B windows as tensors; the names are those of `Windows`. `goal` is the truth where it is known, else the
-    measurement; `rows` the windows themselves, for the twin."""
+    """Batch of B windows as tensors with the names of `Windows`.
+
+    `goal` is the truth where it is known, else the measurement; `rows` the windows themselves, for the twin.
+    """
 
     x: Tensor
     m: Tensor

@@ -1,7 +1,7 @@
-"""What a window does not get to see while it is trained: its own answer, and what rigs lose.
+"""Hiding of inputs in training: the answer that the target's readings reveal, and channels that rigs lose.
 
-The measurements of the target are inputs as well, so "the correction is the residual" would be a perfect answer. In
-most windows all of them are hidden, in the others random blocks.
+The measurements of the target are inputs as well, so that copying the residual would be a perfect answer. In most
+windows all of them are hidden, in the others random blocks.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from twin.calibrators.hiera_unet.training.plan import Hiding
 
 
 def hide(mask: Tensor, told: Tensor, target: int, rules: Hiding, rng: torch.Generator) -> Tensor:
-    """The mask (B, n, C) less what is hidden.
+    """Return the mask (B, n, C) without the hidden values.
 
     Args:
-        told: (C,) bool, channels that tell the answer: measurements and residuals. Only those are ever hidden, so
-            that a command is never seen apart from what it does.
+        told: (C,) bool, channels that reveal the answer: measurements and residuals. Only those are ever hidden, so
+            that a command is never present without its consequence.
     """
     b, n, c = mask.shape
     device = mask.device
@@ -38,7 +38,7 @@ def hide(mask: Tensor, told: Tensor, target: int, rules: Hiding, rng: torch.Gene
 
 
 def blind(mask: Tensor, told: Tensor, target: int) -> Tensor:
-    """The mask with all of the target's answer hidden: the protocol of a blind score."""
+    """Return the mask with the target's answer hidden: the protocol of a blind score."""
     out = mask.clone()
     out[:, -target:] &= ~told
     return out

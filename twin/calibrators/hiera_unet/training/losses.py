@@ -1,7 +1,7 @@
-"""Losses of eq. 9 to 11, dimensionless, each a mean over what may be judged.
+"""Losses of eq. 9 to 11, dimensionless, each a mean over the known entries.
 
-L = L_data + 0.30 L_bal + 0.08 L_smooth + 0.15 L_unc, with the published weights; and, not in eq. 11: the known
-parameters, and a price on corrections, higher for their mean over the window, which parameters should explain.
+L = L_data + 0.30 L_bal + 0.08 L_smooth + 0.15 L_unc, with the published weights. Not in eq. 11: the known
+parameters, and a penalty on corrections, higher for their mean over the window, which parameters should explain.
 """
 
 from __future__ import annotations
@@ -10,30 +10,32 @@ import torch
 from torch import Tensor
 
 BETA = 0.5
-"""Power of the predicted scale by which a likelihood is weighed (Seitzer et al., ICLR 2022): without it the badly
-predicted steps lose their say, and the mean stalls."""
+"""Power of the predicted scale that weights a likelihood (Seitzer et al., ICLR 2022): without it badly predicted steps
+lose their gradient, and the mean stalls."""
 LOG_RANGE = 6.0
-"""Log-scales beyond this are cut off, so that an exponential never overflows."""
+"""Largest absolute log-scale, so that an exponential never overflows."""
 FAR = 3.0
-"""Standard deviations beyond which a parameter's error counts by its size."""
+"""Standard deviations beyond which a parameter's error counts linearly."""
 RESOLUTION = 0.02
 """Least scale of an output, in units of the tolerance."""
 
 
 def known_only(error: Tensor, known: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Errors with 0 for what is not known, and what is. A NaN that is only masked afterwards still spoils gradients."""
+    """Return errors with 0 where unknown, and a mask of the known ones: a NaN that is masked later would spoil
+    gradients.
+    """
     good = torch.isfinite(error) if known is None else known & torch.isfinite(error)
     return torch.where(good, error, 0.0), good
 
 
 def mean_of(values: Tensor, good: Tensor) -> Tensor:
-    """Mean over entries where `good`; 0 where there is none."""
+    """Return the mean over entries where `good`; 0 if there are none."""
     total = torch.where(good, values, 0.0).sum()
     return total / good.sum().clamp(min=1)
 
 
 def data_loss(error: Tensor, tolerances: Tensor) -> Tensor:
-    """Eq. 9: mean |error| (B, n, Y) in units of the tolerances (Y,); NaN is not judged."""
+    """Return the loss of eq. 9: mean |error| (B, n, Y) in units of the tolerances (Y,); NaN is left out."""
     e, good = known_only(error)
     return mean_of(e.abs() / tolerances, good)
 
@@ -41,14 +43,15 @@ def data_loss(error: Tensor, tolerances: Tensor) -> Tensor:
 def balance_loss(
     delta: Tensor, storage: Tensor, exchange: Tensor, rated: float, judged: Tensor, step_s: float
 ) -> Tensor:
-    """Eq. 10 for a twin that closes its own balance: power out of nowhere that the corrections imply, of 2.5 % rated.
+    """Return the loss of eq. 10 for a twin with an exact balance: spurious power of the corrections, relative to 2.5 %
+    rated.
 
-    A twin's own readings balance exactly, so corrected ones miss by what the corrections store and exchange. The
-    storage is taken between the first and the last tenth of the window, where noise does not drown it.
+    A twin's own readings balance exactly, so corrected ones deviate by what the corrections store and exchange. The
+    storage is taken between the first and the last tenth of the window, where it exceeds the noise.
 
     Args:
-        delta: (B, n, Y) K. storage: (Y,) J/K of what each output is of. exchange: (B, Y), W leaving the rig per K of
-            each output. rated: W. judged: (B,) bool, False where the balance is known not to hold.
+        delta: (B, n, Y) K. storage: (Y,) J/K of each output's volume. exchange: (B, Y), W leaving the rig per K of each
+            output. rated: W. judged: (B,) bool, False if the balance is known not to hold.
     """
     edge = max(delta.shape[1] // 10, 1)
     seconds = (delta.shape[1] - edge) * step_s
@@ -58,7 +61,7 @@ def balance_loss(
 
 
 def smooth_loss(theta: Tensor, bounds: Tensor, pairs: Tensor) -> Tensor:
-    """Mean |theta_k - theta_(k-1)| / bound over pairs (Q, 2) of rows that are windows of one rig in one condition."""
+    """Return the mean |theta_k - theta_(k-1)| / bound over pairs (Q, 2) of windows of one rig in one condition."""
     if not len(pairs):
         return theta.sum() * 0.0
     change = (theta[pairs[:, 0]] - theta[pairs[:, 1]]).abs() / bounds
@@ -66,16 +69,18 @@ def smooth_loss(theta: Tensor, bounds: Tensor, pairs: Tensor) -> Tensor:
 
 
 def parameter_loss(theta: Tensor, true: Tensor, known: Tensor, bounds: Tensor) -> Tensor:
-    """Mean square of (theta - true) / bound over what is known (B, P) and identifiable.
+    """Return the mean square of (theta - true) / bound over known and identifiable entries (B, P).
 
-    Squares, because most parameters of most windows have not moved: the best absolute error is then to say so always.
+    Squares are used because most parameters of most windows have not changed: zero would minimise absolute errors.
     """
     e, good = known_only(theta - true, known)
     return mean_of((e / bounds) ** 2, good)
 
 
 def laplace_loss(error: Tensor, log_scale: Tensor, tolerances: Tensor) -> Tensor:
-    """Negative log-likelihood of errors (B, n, Y) under Laplace laws of scale tolerance * exp(log_scale), by beta."""
+    """Return the negative log-likelihood, weighted by beta, of errors (B, n, Y) with Laplace scale tolerance *
+    exp(log_scale).
+    """
     s = log_scale.clamp(-LOG_RANGE, LOG_RANGE)
     b = torch.exp(s) + RESOLUTION
     e, good = known_only(error)
@@ -83,11 +88,11 @@ def laplace_loss(error: Tensor, log_scale: Tensor, tolerances: Tensor) -> Tensor
 
 
 def gaussian_loss(error: Tensor, log_variance: Tensor, bounds: Tensor, known: Tensor) -> Tensor:
-    """Negative log-likelihood of parameter errors (B, P), in units of the bounds, over what is known, by beta.
+    """Return the negative log-likelihood of known parameter errors (B, P), in units of the bounds, weighted by beta.
 
-    What the network says is the whole variance, so that its intervals are what it was judged by. Errors beyond `FAR`
-    standard deviations count by their size, not its square: of a deviation that is said to be sure to four thousandths
-    of its bound and has moved by a third, the gradient would be a thousand times the usual one.
+    The predicted variance is the whole variance, so that intervals match the loss. Errors beyond `FAR` standard
+    deviations count linearly. A deviation with a predicted sd of four thousandths of its bound that has changed by a
+    third would otherwise have a thousand times the usual gradient.
     """
     v = torch.exp(log_variance.clamp(-2 * LOG_RANGE, LOG_RANGE))
     e, good = known_only(error, known)
@@ -97,6 +102,6 @@ def gaussian_loss(error: Tensor, log_variance: Tensor, bounds: Tensor, known: Te
 
 
 def correction_price(delta: Tensor, tolerances: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean square of corrections (B, n, Y) in tolerances, and that of their means over the window."""
+    """Return the mean square of corrections (B, n, Y) in tolerances, and that of their means over the window."""
     d = delta / tolerances
     return (d**2).mean(), (d.mean(1) ** 2).mean()

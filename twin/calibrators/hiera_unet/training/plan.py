@@ -1,4 +1,4 @@
-"""Every choice of a training, as plain data: with the data and the seed, enough to make it again."""
+"""Plan of a training as plain data, which reproduces it together with the data and the seed."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from twin.calibrators.hiera_unet.model.config import HieraError
 
 @dataclass(frozen=True)
 class Hiding:
-    """What is hidden from a window in training.
+    """Rules of hiding inputs in training.
 
-    `whole`: chance that all of the target is hidden; otherwise, if `blocks`, random ones of `block_steps` are.
-    `dropped`: chance that a window loses whole channels, each with the chance `each`. `burst`: chance that it loses
-    all measurements for 2 to `burst_steps` steps.
+    `whole`: probability that all of the target is hidden; otherwise, if `blocks`, random ones of `block_steps` are.
+    `dropped`: probability that a window loses whole channels, each with probability `each`. `burst`: probability that
+    it loses all measurements for 2 to `burst_steps` steps.
     """
 
     whole: float = 0.7
@@ -28,10 +28,11 @@ class Hiding:
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Balance, smoothness and uncertainty as published; parameters, corrections and slow corrections this project's.
+    """Weights of the losses.
 
-    `through`: share of the outputs' gradient that goes through the twin into the parameters. The twin run with them
-    alone has a loss of its own where the outputs are calibrated from the evidence.
+    Balance, smoothness and uncertainty are as published; parameters, corrections and slow corrections are this
+    project's. `through`: share of the outputs' gradient that passes through the twin into the parameters. If the
+    outputs are calibrated from the evidence, the twin with the parameters alone has a loss of its own.
     """
 
     balance: float = 0.30
@@ -45,16 +46,16 @@ class LossWeights:
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """How a network is trained.
+    """Plan of a training.
 
     Attributes:
-        steps: in all. batch: windows a step, of which 2 `pairs` are adjacent ones of a rig and a share `moved` of the
-            rest such as a known parameter moved in; intervals are set on natural shares. rate: highest of AdamW,
-            reached over the share `warmup` and then brought down along a cosine. (The paper's 3e-2 does not train.)
-        structure: share of steps, the first, in which only healthy windows are seen and no parameter moves: what the
-            twin lacks in a healthy rig belongs to the correction.
+        steps: in all. batch: windows a step, of which 2 `pairs` are adjacent ones of a rig, and a share `moved` of the
+            rest has a known changed parameter; intervals are set on natural shares. rate: highest of AdamW, reached
+            over the share `warmup` and then lowered along a cosine. (The paper's 3e-2 does not train.)
+        structure: share of steps, the first, with healthy windows only and fixed parameters, in which the correction
+            learns the model error of a healthy rig.
         sure: share of steps, the first, without the likelihood.
-        healthy: largest absolute deviation of a healthy window, as a share of its bound; beyond it a parameter moved.
+        healthy: largest absolute deviation of a healthy window, as a share of its bound; beyond it a parameter changed.
         half: bfloat16 in the network's products; never in losses or the twin.
     """
 
@@ -83,5 +84,5 @@ class TrainingPlan:
             )
 
     def document(self) -> dict[str, Any]:
-        """Plain data for a JSON file."""
+        """Return plain data for a JSON file."""
         return asdict(self)

@@ -1,4 +1,4 @@
-"""Which windows a training step sees."""
+"""Sampling of windows for a training step."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from twin.calibrators.hiera_unet.training.plan import TrainingPlan
 
 
 class Sampler:
-    """Rows drawn at random, with some adjacent windows of one rig in one condition among them.
+    """Sampler of random rows, with some adjacent windows of one rig in one condition among them.
 
     Attributes:
-        healthy: rows without anything undeclared and without a deviation to speak of.
-        moved: rows in which a parameter deviates and it is known by how much.
-        neighbours: (Q, 2) rows that follow each other on one rig while its parameters stay.
+        healthy: rows without undeclared changes and with negligible deviations.
+        moved: rows in which a parameter deviates by a known amount.
+        neighbours: (Q, 2) consecutive rows of one rig with constant parameters.
     """
 
     def __init__(self, windows: Windows, config: Config, plan: TrainingPlan) -> None:
@@ -31,7 +31,7 @@ class Sampler:
         self._rng = np.random.default_rng(plan.seed)
 
     def draw(self, structural: bool) -> tuple[np.ndarray, Tensor]:
-        """Rows (B,) and the pairs (Q, 2) among them, as positions in the batch."""
+        """Return rows (B,) and the pairs (Q, 2) among them, as positions in the batch."""
         if structural:
             return self._rng.choice(self.healthy, self.plan.batch), torch.zeros(0, 2, dtype=torch.long)
         pairs = min(self.plan.pairs, len(self.neighbours))
@@ -51,7 +51,7 @@ class Sampler:
 
 
 def neighbours(windows: Windows) -> np.ndarray:
-    """(Q, 2) rows i, i + 1 of the same commissioned twin with the same deviations."""
+    """Return pairs (Q, 2) of rows i, i + 1 of the same commissioned twin with the same deviations."""
     if len(windows) < 2:
         return np.zeros((0, 2), dtype=np.intp)
     rig = (windows.nominal[1:] == windows.nominal[:-1]).all(1)

@@ -1,4 +1,4 @@
-"""How good predictions are, with the target hidden: errors per output and parameter, coverage and width."""
+"""Scores of predictions with a hidden target: errors per output and parameter, coverage and width."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from twin.network import Array
 NINETY = float(np.log(10.0))
 """Half width of a 90 % interval of a Laplace law, in its scale."""
 MOVED = 0.05
-"""Deviation from which on a parameter counts as moved."""
+"""Least deviation of a parameter that counts as changed."""
 
 
 @dataclass(frozen=True)
 class ScoredWindows:
-    """Predictions of N windows beside what they are to meet; NaN where nothing is known.
+    """Predictions of N windows with their references; NaN where the reference is unknown.
 
     Attributes:
-        error, scale: (N, 120, Y), calibrated output minus goal, and Laplace scale, in the outputs' units.
-        before, rival: (N, 120, Y), commissioned twin minus goal, and the twin with the evidence alone minus goal.
+        error, scale: (N, 120, Y), calibrated output minus reference, and Laplace scale, in the outputs' units.
+        before, rival: (N, 120, Y), commissioned twin minus reference, and the twin with the evidence alone minus it.
         theta, theta_sd, theta_error, evidence_error: (N, P) in the parameters' units; errors only where known.
         changed: (N,).
         delta: (N, 120, Y) correction.
@@ -46,7 +46,7 @@ class ScoredWindows:
     delta: Array
 
     def metrics(self) -> dict[str, Any]:
-        """Plain numbers: mean absolute errors, those of parameters that moved apart, and raw 90 % intervals."""
+        """Return mean absolute errors, those of changed parameters separately, and raw 90 % intervals."""
         inside = np.abs(self.error) <= NINETY * self.scale
         good = np.isfinite(self.error)
         moved = np.where(np.abs(self.theta - self.theta_error) > MOVED, 1.0, np.nan)
@@ -77,10 +77,10 @@ def outcome(
     hidden: bool = True,
     batch: int = 24,
 ) -> ScoredWindows:
-    """Predictions for windows.
+    """Return the scored predictions of windows.
 
     Args:
-        told: (C,) bool, channels that tell the answer. hidden: whether the target's are hidden.
+        told: (C,) bool, channels that reveal the answer. hidden: whether those of the target are hidden.
     """
     config = network.config
     device = next(network.parameters()).device
@@ -119,7 +119,9 @@ def outcome(
 
 
 def missed(simulate: Simulate, theta: Array, windows: Windows) -> Array:
-    """What the twin with deviations (N, P) misses of the goal, (N, 120, Y); NaN where it is not known."""
+    """Return the error (N, 120, Y) of the twin with deviations (N, P) against the reference; NaN where it is
+    unknown.
+    """
     with torch.inference_mode():
         twin = simulate(torch.from_numpy(np.ascontiguousarray(theta)), windows).numpy()
     error: Array = twin - np.where(np.isfinite(windows.truth), windows.truth, windows.target)
@@ -127,13 +129,13 @@ def missed(simulate: Simulate, theta: Array, windows: Windows) -> Array:
 
 
 def average(values: Sequence[float | None]) -> float:
-    """Mean of the values that are known; NaN without any."""
+    """Return the mean of the known values; NaN without any."""
     known = [v for v in values if v is not None]
     return sum(known) / len(known) if known else float("nan")
 
 
 def _means(values: Array) -> list[float | None]:
-    """Means over windows and steps, a column each; None for a column of which nothing is known."""
+    """Return means over windows and steps, for each column; None for an unknown column."""
     good = np.isfinite(values)
     count = good.sum((0, 1))
     total = np.where(good, values, 0.0).sum((0, 1))

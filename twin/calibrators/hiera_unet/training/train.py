@@ -1,7 +1,7 @@
-"""Training: one network, step by step, from plain arrays; it can be cut anywhere and gone on with.
+"""Training of one network, step by step, from plain arrays; it can be interrupted and resumed at any step.
 
-First the structure: on healthy windows, with no parameter moved, the correction learns what the twin lacks even there.
-Then the parameters, which so mean "relative to the healthy rig". Causal and symmetric batches alternate.
+In the first phase, on healthy windows with fixed parameters, the correction learns the model error of a healthy rig.
+Then the parameters are learned, relative to the healthy rig. Causal and symmetric batches alternate.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from twin.calibrators.hiera_unet.training.sampling import Sampler
 
 @dataclass(frozen=True)
 class Physics:
-    """What training needs of the twin.
+    """Physics of the twin for training.
 
     Attributes:
-        simulate: deviations and windows -> outputs, differentiable. told: (C,) bool, channels that tell the answer.
+        simulate: deviations and windows -> outputs, differentiable. told: (C,) bool, channels that reveal the answer.
         balance, rated: energy balance and rated power, W; without a balance its loss is off.
     """
 
@@ -47,7 +47,7 @@ class Trainer:
     """Weights, optimiser, average of weights, and random generators of one training.
 
     Args:
-        digest: of the data's manifest; a training goes on only with the data that it was begun with.
+        digest: of the data's manifest; a training resumes only with the data that it was begun with.
 
     Raises:
         HieraError: the windows do not fit the configuration.
@@ -81,11 +81,11 @@ class Trainer:
 
     @property
     def structural(self) -> bool:
-        """Whether the next step belongs to the structure."""
+        """Return True if the next step belongs to the first phase, with fixed parameters."""
         return self.sampler.healthy.size > 0 and self.done < self.plan.structure * self.plan.steps
 
     def rate(self) -> float:
-        """Learning rate of the next step: a linear warm-up, then a cosine to 1 %."""
+        """Return the learning rate of the next step: a linear warm-up, then a cosine to 1 %."""
         warm = max(self.plan.warmup * self.plan.steps, 1.0)
         if self.done < warm:
             return self.plan.rate * (self.done + 1) / warm
@@ -93,7 +93,7 @@ class Trainer:
         return self.plan.rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * min(share, 1.0))))
 
     def step(self) -> dict[str, float]:
-        """One step; every part of the loss as a number."""
+        """Take one step; return every part of the loss as a number."""
         structural, causal = self.structural, self.done % 2 == 1
         rows, pairs = self.sampler.draw(structural)
         batch = Batch.of(self.windows.take(rows), self.device)
@@ -113,7 +113,7 @@ class Trainer:
         return {name: float(value.detach()) for name, value in parts.items()} | {"gradient": float(norm)}
 
     def loss(self, p: Prediction, batch: Batch, pairs: Tensor, structural: bool) -> dict[str, Tensor]:
-        """Every part, and their weighted sum as ``loss``."""
+        """Return every part of the loss, and their weighted sum as ``loss``."""
         w, bounds, tolerances = self.plan.weights, self.bounds, self.tolerances
         given = evidence_of(self.config, batch.meta)
         # A kelvin of output moves a deviation a hundred times as hard as its own label does. Unscaled, that alone would
@@ -158,7 +158,7 @@ class Trainer:
             torch._foreach_lerp_(own, live, 1.0 - keep)
 
     def state(self) -> dict[str, Any]:
-        """Everything needed to go on: tensors and plain data."""
+        """Return all data for resuming: tensors and plain data."""
         return {
             "identity": self.identity(),
             "done": self.done,
@@ -170,7 +170,7 @@ class Trainer:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `state` gave.
+        """Resume from the result of `state`.
 
         Raises:
             HieraError: it belongs to another configuration, plan or other windows.
@@ -188,13 +188,17 @@ class Trainer:
         self.sampler.restore(state["sampler"])
 
     def identity(self) -> str:
-        """What must be the same for a training to go on."""
+        """Return an identity that must match for a training to resume."""
         plain = (self.config.document(), self.plan.document(), self.digest, len(self.windows))
         return json.dumps(plain, sort_keys=True)
 
 
 def check(config: Config, windows: Windows) -> None:
-    """Raises HieraError: windows of other shapes than the configuration's."""
+    """Check the shapes of windows.
+
+    Raises:
+        HieraError: windows of other shapes than the configuration's.
+    """
     found = (windows.x.shape[1:], windows.meta.shape[1], windows.theta.shape[1], windows.target.shape[1:])
     wanted = ((config.context, config.channels), config.meta, config.parameters, (config.target, config.outputs))
     if found != wanted or not len(windows):

@@ -1,4 +1,4 @@
-"""The twin as a layer of the network: predictions in, and gradients back through the kernel's Jacobian.
+"""Twin as a layer of the network: predictions forward, and gradients through the kernel's Jacobian backward.
 
     yhat = TwinLayer(kernel, deviations)(theta, state, inputs, nominal)
 
@@ -22,7 +22,7 @@ THETA_STEP, STATE_STEP = 1e-4, 1e-2
 
 
 class TwinLayer(torch.nn.Module):
-    """Free runs of a twin over the steps of `inputs`; has no weights of its own.
+    """Free simulation of a twin over the steps of `inputs`, a layer without weights.
 
     Args:
         kernel: of `parameters.kernel_of`, which serves every rig of the structure. step_s: between the steps.
@@ -35,7 +35,7 @@ class TwinLayer(torch.nn.Module):
     def forward(
         self, theta: torch.Tensor, state: torch.Tensor, inputs: torch.Tensor, nominal: torch.Tensor | None = None
     ) -> torch.Tensor:
-        """Readings (B, n, Y), degC, in the type of `theta`.
+        """Return the readings (B, n, Y), degC, in the type of `theta`.
 
         Args:
             theta: (B, P). state: (B, K) at the first step. inputs: (B, n, c), held from a step to the next.
@@ -53,12 +53,12 @@ class WindowSimulation:
         self.nodes = len(kernel.network.nodes)
 
     def readings(self, theta: Array, state: Array, inputs: Array, nominal: Array) -> Array:
-        """(n, Y) for one window."""
+        """Return the readings (n, Y), degC, of one window."""
         time = np.arange(len(inputs), dtype=np.float64) * self.step_s
         return self.kernel.trace(self.deviations.full(theta, nominal), state, time, inputs)[0][0]
 
     def linearised(self, theta: Array, state: Array, inputs: Array, nominal: Array) -> tuple[Array, Array]:
-        """Readings (n, Y) and their derivatives (n, Y, P + k) to theta and the node temperatures."""
+        """Return the readings (n, Y) and their derivatives (n, Y, P + k) in theta and the node temperatures."""
         p, k = len(theta), self.nodes
         moves = np.zeros((1 + 2 * (p + k), p + k))
         steps = np.concatenate([np.full(p, THETA_STEP), np.full(k, STATE_STEP)])

@@ -1,4 +1,4 @@
-"""What ties a network to a twin: its sizes, its identity, and the physics that training needs."""
+"""Binding of a network to a twin: its sizes, its identity, and the physics that training needs."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def subject_of(network: Network, table: ChannelTable, deviations: Deviations) ->
 
 
 def config_for(name: str, network: Network, table: ChannelTable, deviations: Deviations) -> Config:
-    """Configuration ``full`` or ``small`` with the sizes of a twin and its channel table.
+    """Return configuration ``full`` or ``small`` with the sizes of a twin and its channel table.
 
     Raises:
         HieraError: no such configuration.
@@ -51,12 +51,12 @@ def config_for(name: str, network: Network, table: ChannelTable, deviations: Dev
 
 
 def identity_of(network: Network, table: ChannelTable, deviations: Deviations) -> Identity:
-    """What weights trained for this twin and table belong to."""
+    """Return the identity of weights that are trained for this twin and table."""
     return Identity(structure(network), table.digest, deviations.ids, network.sensor_names)
 
 
 def physics_of(network: Network, table: ChannelTable, deviations: Deviations) -> Physics:
-    """The twin inside the graph, its energy balance, and the channels that tell the answer."""
+    """Return the twin as a layer, its energy balance, and the channels that reveal the answer."""
     layer = TwinLayer(kernel_of(network, deviations.ids), deviations)
 
     def simulate(theta: Tensor, rows: Windows) -> Tensor:

@@ -1,7 +1,7 @@
-"""A trained network on disk: weights as safetensors, and a card in JSON that says what they are and how they came.
+"""Trained network on disk: weights as safetensors, and a card in JSON with their identity and origin.
 
 A card names the configuration, the structure of the twin and the channel table that the weights belong to; anything
-else is refused before a number is computed.
+else is refused before any computation.
 """
 
 from __future__ import annotations
@@ -25,17 +25,20 @@ from twin.regular_file import MOST_WEIGHTS, read_regular
 TOWER_CELL = "tower_cell"
 """`Identity.twin` of weights for cells of cooling towers, whose twins all have one structure."""
 FORMAT = 3
-"""2: evidence holds what is believed if few parameters have moved, and heads correct that. 3: each group's first block
-is one like any other, and half kernels have the oldest step first."""
+"""Format of a checkpoint. 2: evidence holds the sparse posterior, and heads correct it. 3: each group's first block has
+the common form, and half kernels have the oldest step first."""
 
 EXACT = ("trees.", "middle", "spread")
-"""Numbers that are no weights and keep 32 bits."""
+"""Prefixes of constants that are no weights and keep 32 bits."""
 
 
 @dataclass(frozen=True)
 class Identity:
-    """What weights belong to. `twin`: digest of the twin's structure, whatever its values. `table`: of the channels.
-    `parameters`, `outputs`: ids and sensors, in order."""
+    """Identity of the twin and table that weights belong to.
+
+    `twin`: digest of the twin's structure, independent of its values. `table`: of the channels. `parameters`,
+    `outputs`: ids and sensors, in order.
+    """
 
     twin: str
     table: str
@@ -45,10 +48,10 @@ class Identity:
 
 @dataclass(frozen=True)
 class Member:
-    """One trained network with its place in the world.
+    """Trained network with its identity and card.
 
     Attributes:
-        card: everything else that the JSON file says, as plain data: seed, data, curves, metrics, command.
+        card: all other content of the JSON file, as plain data: seed, data, curves, metrics, command.
     """
 
     network: HieraUNet
@@ -58,7 +61,7 @@ class Member:
 
 
 def save(member: Member, path: Path, *, half: bool = True) -> Path:
-    """Write `path` (.safetensors) and its card beside it (.json); the path of the card.
+    """Write `path` (.safetensors) and its card (.json) beside it; return the path of the card.
 
     Args:
         half: weights as 16-bit floats, half the size.
@@ -90,14 +93,14 @@ def save(member: Member, path: Path, *, half: bool = True) -> Path:
 
 
 def load(path: Path, identity: Identity | None = None, config: Config | None = None) -> Member:
-    """The network of `path`, on the CPU in single precision.
+    """Return the network of `path`, on the CPU in single precision.
 
     Args:
-        identity: what it must belong to. config: what it must be; each unchecked without.
+        identity: required twin and table. config: required configuration; None skips the check.
 
     Raises:
-        HieraError: no such file, a card that does not fit its weights, or a network of another configuration, twin
-            or channel table.
+        HieraError: no such file, a card that does not fit its weights, or a network of another configuration, twin or
+            channel table.
     """
     card = path.with_suffix(".json")
     document = _document(card)
@@ -191,7 +194,7 @@ def _digest(path: Path) -> str:
 
 
 def keep(state: dict[str, Any], path: Path) -> None:
-    """Write what a training goes on from; the file appears whole or not at all."""
+    """Write the state of a training for resuming; the file appears whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f".{path.name}.part")
     torch.save(state, unfinished)
@@ -199,7 +202,7 @@ def keep(state: dict[str, Any], path: Path) -> None:
 
 
 def kept(path: Path) -> dict[str, Any]:
-    """What `keep` wrote; tensors and plain data only, nothing in it is executed.
+    """Return the state that `keep` wrote; it holds tensors and plain data only, nothing in it is executed.
 
     Raises:
         HieraError: it cannot be read.

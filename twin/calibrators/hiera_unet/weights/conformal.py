@@ -1,10 +1,10 @@
-"""Intervals that hold what they promise: predicted scales times factors found on windows that no training saw.
+"""Conformal intervals: predicted scales times factors from windows outside of training.
 
-Split conformal prediction with normalised scores (Papadopoulos et al., ECML 2002), a factor for each bin of its own
-(Mondrian). Errors inside a window are alike, so a window gives one score an output: that of one step drawn at random.
-Parameters are in one bin if they are believed to have moved with like chances: few have, so that one factor for all
-would hold 90 % of those that stayed and half of those that did not.
-crepes does it where it is installed, `quantile` otherwise, with the same numbers.
+Split conformal prediction with normalised scores (Papadopoulos et al., ECML 2002), with a factor for each bin
+(Mondrian). Errors inside a window are correlated, so a window gives one score for an output: that of one random step.
+Parameters are binned by their change probability. Few change, so that one factor for all would cover 90 % of the
+constant ones and half of the changed ones. crepes computes the factors if it is installed, else `quantile`, with the
+same numbers.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ LEAST = 40
 """Scores below which a bin has no factor of its own."""
 CONFIDENCE = 0.90
 CHANCES = (0.05, 0.3, 0.7)
-"""Chances of having moved at which one bin of parameters ends and the next begins."""
+"""Change probabilities that separate the bins of parameters."""
 
 
 @dataclass(frozen=True)
 class Factors:
-    """Half width = factor * scale.
+    """Conformal factors: half width = factor * scale.
 
     Attributes:
-        confidence: promised share inside. overall: (Q,) factors, one a quantity. binned: bin -> (Q,), where a bin had
-            enough scores. counts: bin -> scores. method: what computed them.
+        confidence: nominal coverage. overall: (Q,) factors, one a quantity. binned: bin -> (Q,), for bins with enough
+            scores. counts: bin -> scores. method: name of the algorithm.
     """
 
     confidence: float
@@ -41,7 +41,7 @@ class Factors:
     method: str
 
     def of(self, bins: np.ndarray) -> Array:
-        """Factors (N, Q) of windows in `bins` (N,)."""
+        """Return factors (N, Q) of windows in `bins` (N,)."""
         return np.array([self.binned.get(int(b), self.overall) for b in bins]).reshape(len(bins), -1)
 
     def document(self) -> dict[str, Any]:
@@ -65,7 +65,7 @@ class Factors:
 
 
 def fit(scores: Array, bins: np.ndarray, confidence: float = CONFIDENCE) -> Factors:
-    """Factors from scores (N, Q) = |error| / scale, NaN where nothing is known, of windows in `bins` (N,).
+    """Return factors from scores (N, Q) = |error| / scale, NaN where the truth is unknown, of windows in `bins` (N,).
 
     Raises:
         HieraError: too few scores for the confidence.
@@ -88,13 +88,16 @@ def fit(scores: Array, bins: np.ndarray, confidence: float = CONFIDENCE) -> Fact
 
 
 def by_chance(chance: Array) -> np.ndarray:
-    """Bins of parameters that are believed to have moved with these chances, of the same shape."""
+    """Return the bins of parameters with these change probabilities, of the same shape."""
     return np.digitize(chance, CHANCES)
 
 
 def fit_parameters(error: Array, sd: Array, chance: Array) -> Factors | None:
-    """One factor a bin, from errors (N, P), NaN where no label counts, their standard deviations and chances of having
-    moved; None where too few are known."""
+    """Return one factor a bin, from errors (N, P), NaN without a label, their standard deviations and change
+    probabilities.
+
+    None if too few are known.
+    """
     scores = (np.abs(error) / sd).reshape(-1, 1)
     if not np.isfinite(quantile(scores[:, 0], CONFIDENCE)):
         return None
@@ -102,7 +105,7 @@ def fit_parameters(error: Array, sd: Array, chance: Array) -> Factors | None:
 
 
 def one_a_window(error: Array, scale: Array, rng: np.random.Generator) -> Array:
-    """Scores (N, Y): |error| / scale (N, n, Y) at one known step of each window and output, drawn at random."""
+    """Return scores (N, Y): |error| / scale (N, n, Y) at one random known step of each window and output."""
     score = np.abs(error) / scale
     chance = np.where(np.isfinite(score), rng.random(score.shape), -1.0)
     step = chance.argmax(axis=1)
@@ -110,14 +113,14 @@ def one_a_window(error: Array, scale: Array, rng: np.random.Generator) -> Array:
 
 
 def quantile(scores: Array, confidence: float) -> float:
-    """The ceil((n + 1) confidence)-th smallest of the finite scores; infinite where there are too few."""
+    """Return the ceil((n + 1) confidence)-th smallest of the finite scores; infinite if there are too few."""
     known = np.sort(scores[np.isfinite(scores)])
     rank = int(np.ceil((known.size + 1) * confidence - 1e-9))
     return float(known[rank - 1]) if 0 < rank <= known.size else float("inf")
 
 
 def by_crepes(scores: Array, confidence: float) -> float:
-    """The same by crepes: half the width of the interval round 0 of a scale of 1."""
+    """Return the same by crepes: half the width of the interval around 0 at scale 1."""
     from crepes import ConformalRegressor
 
     known = scores[np.isfinite(scores)]

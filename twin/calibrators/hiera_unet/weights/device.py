@@ -1,4 +1,4 @@
-"""Where a network runs."""
+"""Device and memory settings for a network."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ NEEDED = ("torch", "safetensors")
 MMAP_THRESHOLD, TRIM_THRESHOLD = -3, -1
 """Numbers of glibc's mallopt(3)."""
 MAPPED_BYTES, KEPT_BYTES = 1 << 25, 1 << 26
-"""What glibc may not map apart, its largest, and what a forward of the full network needs twice over."""
+"""Largest allocation, bytes, that glibc serves without a mapping of its own, and freed bytes that it keeps, enough for
+two forward passes of the full network."""
 
 
 def ready(device: str = "cpu", threads: int = 0) -> None:
-    """Make sure that a network can run on `device`, on so many threads of the processor (0: as torch chooses).
+    """Check that a network can run on `device`, and set the number of processor threads (0: torch's choice).
 
     Raises:
         HieraError: a package is missing, or there is no such device.
@@ -40,8 +41,10 @@ def ready(device: str = "cpu", threads: int = 0) -> None:
 
 
 def _keep_memory() -> None:
-    """Have glibc keep the memory that a forward frees; it gives it back by default, and a tenth of the next forward
-    goes into having thousands of pages zeroed again."""
+    """Let glibc keep the memory that a forward pass frees.
+
+    By default it returns the memory, and a tenth of the next forward pass is spent on zeroing thousands of pages again.
+    """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is not None:
         mallopt(MMAP_THRESHOLD, MAPPED_BYTES)

@@ -1,4 +1,4 @@
-"""Several networks as one: mean of means; mean of their variances plus the variance of their means."""
+"""Ensemble statistics: mean of means; mean of the members' variances plus the variance of their means."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from twin.network import Array
 
 
 def mixed(means: Sequence[Array], variances: Sequence[Array]) -> tuple[Array, Array]:
-    """Mean and variance of a mixture in equal parts: aleatoric plus epistemic. A single member has no second part."""
+    """Return mean and variance of a mixture in equal parts: aleatoric plus epistemic. A single member has no second
+    part.
+    """
     m, v = np.stack(means), np.stack(variances)
     return m.mean(axis=0), v.mean(axis=0) + m.var(axis=0)
 
 
 def together(members: Sequence[ScoredWindows]) -> ScoredWindows:
-    """What an ensemble says of the windows that each member has been asked about.
+    """Return the ensemble's prediction for windows that each member has predicted.
 
-    `scale` is that of the Laplace law with the mixture's variance.
+    `scale` is that of the Laplace distribution with the mixture's variance.
     """
     first = members[0]
     error, variance = mixed([o.error for o in members], [2.0 * o.scale**2 for o in members])

@@ -1,7 +1,7 @@
-"""How far a window is from everything that a network was trained on.
+"""Training envelope: distance of a window from all windows that a network was trained on.
 
-Of the window itself: what its channels are on the average and how far they go, over the context. Not of what a network
-makes of it, which may be one point for all that it was trained on and another where a target is hidden.
+It depends on the window itself, by mean and spread of its channels over the context. Features of the network would not
+serve: they may be one point for all training windows, and another if a target is hidden.
 """
 
 from __future__ import annotations
@@ -14,13 +14,15 @@ from twin.calibrators.hiera_unet.data.windows import TARGET
 from twin.network import Array
 
 SHRINK = 0.1
-"""Share of the mean variance that the covariance is shrunk towards: features outnumber what windows can tell."""
+"""Share of the mean variance that the covariance is shrunk towards, since there are more features than independent
+windows."""
 INSIDE = 0.995
 
 
 def place(x: np.ndarray, m: np.ndarray) -> Array:
-    """Means and standard deviations (N, 2 C) of channels x (N, n, C) before the target, where m (N, n, C) has them; NaN
-    for a channel that is not there."""
+    """Return means and standard deviations (N, 2 C) of channels x (N, n, C) before the target, with mask m; NaN if
+    absent.
+    """
     there = m[:, :-TARGET].astype(np.float64)
     values = np.where(there > 0.0, x[:, :-TARGET], 0.0).astype(np.float64)
     count = there.sum(axis=1)
@@ -32,23 +34,23 @@ def place(x: np.ndarray, m: np.ndarray) -> Array:
 
 @dataclass(frozen=True)
 class Envelope:
-    """A Gaussian hull: mean (F,), precision (F, F), and the distance that 99.5 % of unseen windows stay within."""
+    """Gaussian envelope: mean (F,), precision (F, F), and the distance that covers 99.5 % of held-out windows."""
 
     mean: Array
     precision: Array
     limit: float
 
     def distance(self, features: Array) -> Array:
-        """Mahalanobis distances (N,) of features (N, F), as a share of the limit: above 1 is outside.
+        """Return Mahalanobis distances (N,) of features (N, F), as a share of the limit: above 1 is outside.
 
-        What is not there (NaN) is where it is on the average.
+        Missing features (NaN) take their mean.
         """
         d = np.nan_to_num(features - self.mean)
         return np.asarray(np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", d, self.precision, d), 0.0)) / self.limit)
 
 
 def envelope(features: Array, unseen: Array) -> Envelope:
-    """Of training features (N, F), with the limit set on features (M, F) of windows that were not trained on."""
+    """Return the envelope of training features (N, F), with its limit from features (M, F) of held-out windows."""
     mean = np.nan_to_num(np.nanmean(features, axis=0))
     covariance = np.cov(np.nan_to_num(features - mean), rowvar=False)
     level = np.trace(covariance) / len(covariance)

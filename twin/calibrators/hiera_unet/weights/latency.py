@@ -1,4 +1,4 @@
-"""How long one causal forward takes, on one thread of this machine's processor."""
+"""Latency of one causal forward pass, on one thread of this machine's processor."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from twin.calibrators.hiera_unet.model.network import HieraUNet
 
 
 def forward_ms(config: Config, repetitions: int, seed: int = 0) -> tuple[int, list[float]]:
-    """Number of weights, and the wall time of each of so many causal forwards of one window, ms.
+    """Return the number of weights, and the wall time, ms, of each of so many causal forward passes of one window.
 
-    Weights and window are random: how long a forward takes depends on the sizes alone. Threads of torch are as before
-    when it returns.
+    Weights and window are random, since the time depends on the sizes alone. The number of torch's threads is restored.
 
     Raises:
-        ValueError: no repetition is asked for.
+        ValueError: `repetitions` is not positive.
     """
     if repetitions < 1:
         raise ValueError(f"{repetitions} repetitions of a forward time nothing; ask for one or more")

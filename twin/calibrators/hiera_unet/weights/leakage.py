@@ -1,4 +1,4 @@
-"""Whether the parameters of a network hang on the noise of a record's last moments."""
+"""Leakage test: dependence of a network's parameters on the noise of a record's last minutes."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from torch import Tensor
 from twin.calibrators.hiera_unet.model.network import HieraUNet
 
 SHUFFLED = 30
-"""Steps at the end of the record: as many as the paper's last half hour of a day."""
+"""Shuffled steps at the end of the record: as many as the paper's last half hour of a day."""
 ALLOWED = 0.05
 
 
 def leakage(network: HieraUNet, x: Tensor, m: Tensor, regime: Tensor, clock: Tensor, meta: Tensor) -> float:
-    """Largest |change of a deviation| / bound, averaged over windows, when the last steps are shuffled.
+    """Return the largest |change of a deviation| / bound, averaged over windows, when the last steps are shuffled.
 
-    A checkpoint with more than `ALLOWED` is disqualified: its parameters are not slow.
+    A checkpoint with more than `ALLOWED` is rejected: its parameters are not slow.
     """
     order = torch.arange(x.shape[1])
     tail = torch.randperm(SHUFFLED, generator=torch.Generator().manual_seed(0))

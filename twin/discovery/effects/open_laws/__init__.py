@@ -1,1 +1,3 @@
-"""Laws without a name: any recorded input or temperature as driver, in several forms, at every site of a network."""
+"""Laws outside the catalogue: any recorded input or temperature as driver, in several forms, at every site of a
+network.
+"""

@@ -17,22 +17,22 @@ from twin.laws import law_values
 from twin.network import Array, Network
 
 MOST_LEVELS = 8
-"""Levels of a column up to which a threshold is sought between each two; beyond, at quartiles."""
+"""Distinct levels of a column up to which a threshold is tried between each two; with more, at quartiles."""
 LAGS_S = (900.0, 3600.0)
 """Time constants with which an effect may follow its driver, s: those of a volume and of a room."""
 LEAST_SPREAD = 1.0e-3
-"""Standard deviation of a column, as a share of its largest magnitude, below which nothing can follow it."""
+"""Least standard deviation of a driver, as a share of its largest magnitude."""
 NAMES = {"heater_power_W": "heater_power", "pump_speed_pct": "pump_speed", "fan_speed_pct": "fan_speed"}
 
 
 @dataclass(frozen=True)
 class Values:
-    """Values of a form for a driver, one for a unit of its strength.
+    """Values of one form for a driver, at strength 1.
 
     Attributes:
-        driver: in a diagnosis's words. form, parameters: as in `twin.elements.law_forms`, the strength 1.
-        column: index of the input that is followed, or None. scale: largest magnitude of the values.
-        says: what it follows, in words. of: node whose temperature is followed instead of an input, or "".
+        driver: in the vocabulary of the diagnosis. form, parameters: as in `twin.elements.law_forms`, at strength 1.
+        column: index of the driving input, or None. scale: largest magnitude of the values.
+        says: the driver in words. of: node whose temperature is the driver instead of an input, or "".
     """
 
     driver: str

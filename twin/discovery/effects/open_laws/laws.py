@@ -32,7 +32,7 @@ to them, so that heat seems to follow those that it raised."""
 
 
 class OpenLaw(CandidateLaw):
-    """A law at a site; its response is made when it is asked for, as there are hundreds of them."""
+    """Law at a site; its response is computed on request, as there are hundreds of laws."""
 
     site: OpenSite
     values: Array

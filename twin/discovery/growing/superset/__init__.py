@@ -1,1 +1,3 @@
-"""Candidate superset: one network with every effect of a catalogue, hidden masses, effects shared by equal places."""
+"""Candidate superset: one network with every effect of a catalogue, hidden masses, effects shared by equivalent
+places.
+"""

@@ -1,6 +1,6 @@
-"""One network that holds every effect of a catalogue at no size, so that any set of them is a matter of numbers.
+"""Network with every effect of a catalogue at neutral values, so that any set of them is simulated by one kernel.
 
-Compiling a kernel takes longer than a hundred simulations of a short record; here one kernel serves all hypotheses.
+Compiling a kernel takes longer than a hundred simulations of a short record.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from twin.discovery.effects.catalogue import LATE, catalogue, extended, sites_of
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.effects.shared_kernels import SharedKernel
-from twin.discovery.growing.superset.alike import apart, together
-from twin.discovery.growing.superset.masses import masses
-from twin.discovery.growing.superset.resting import Resting
+from twin.discovery.growing.superset.equivalent_places import family_candidates, untied_losses
+from twin.discovery.growing.superset.hidden_masses import masses
+from twin.discovery.growing.superset.steady_states import SteadyStates
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
@@ -26,17 +26,17 @@ from twin.kernel import Kernel
 from twin.network import Array, Network
 
 MOVING = (*LATE, "elapsed_time", "time_of_day")
-"""Drivers that tell nothing where nothing changes."""
+"""Drivers without information in steady states."""
 UNNOTICED = 5.0
-"""Typical sizes that an instrument may be off by: a thermometer by 1 K, a meter by 15 %. Where nothing was
-commissioned, larger ones would stand for any law that is missing."""
+"""Typical sizes up to which an instrument's error may go unnoticed: 1 K of a thermometer, 15 % of a meter. In a twin
+that was never commissioned, larger ones would imitate any missing law."""
 
 
 @dataclass(frozen=True)
 class CandidateSuperset:
-    """`original`, what it may lack, the `network` with all of it, and a kernel in which all sizes are free.
+    """Network `original`, its candidates, the `network` with all of them, and a kernel in which all sizes are free.
 
-    `after`: element that a candidate adds -> element without which it is not asked for.
+    `after`: element that a candidate adds -> element without which the candidate is not tried.
     """
 
     original: Network
@@ -49,15 +49,15 @@ class CandidateSuperset:
     def of(
         cls, network: Network, tunables: tuple[str, ...], period_s: float, record_s: float, at_rest: bool = False
     ) -> CandidateSuperset:
-        """Everything that a network lacks altogether.
+        """Return the superset of all effects that a network has no element for.
 
         Args:
-            tunables: what a fit varies besides; a parameter among them is not asked for. period_s: between samples.
-            record_s: how long the record is. at_rest: only what shows in steady states.
+            tunables: parameters that a fit varies too, which are no candidates. period_s: between samples.
+            record_s: length of the record. at_rest: only effects that show in steady states.
         """
         sites = sites_of(network)
         slow, after = ((), {}) if at_rest else masses(sites, period_s, record_s)
-        first = [*_lacking(network, tunables, slow), *apart(network, sites)]
+        first = [*_lacking(network, tunables, slow), *untied_losses(network, sites)]
         full = SharedKernel.of(network, (), first).network
         known = {name for c in first for name in c.changes}
         # A pipe that is missing may miss its wall, too.
@@ -69,16 +69,16 @@ class CandidateSuperset:
         return cls(network, candidates, shared.network, shared.kernel, after)
 
     @cached_property
-    def resting(self) -> Resting:
-        """The network at rest."""
-        return Resting(self.network, self.kernel)
+    def resting(self) -> SteadyStates:
+        """Return the steady states of the network."""
+        return SteadyStates(self.network, self.kernel)
 
     def model(self, entries: tuple[Entry, ...]) -> Model:
-        """The simulation of some of the effects."""
+        """Return the model of some of the effects."""
         return Model(self.original, self.network, entries, self.kernel)
 
     def plain(self, entries: tuple[Entry, ...], values: Array) -> Network:
-        """The original network with these effects and no others, at their sizes, and parameter values (p,)."""
+        """Return the original network with these effects alone, at their sizes, and parameter values (p,)."""
         bigger = self.original
         for entry in entries:
             if not any(name in {e.name for e in bigger.elements} for name in entry.candidate.adds):
@@ -94,29 +94,31 @@ class CandidateSuperset:
 
 
 def unsized(candidate: Candidate, size: float) -> Entry:
-    """An effect that is there from the beginning, at a size that nothing speaks for yet."""
+    """Return an effect that is present from the beginning, at an arbitrary size."""
     return Entry(CandidateLaw(candidate, None, None), Shape("step"), np.empty(0), size, 0.0, 0.0)
 
 
 def name_of(candidate: Candidate) -> str:
-    """What a candidate is, whatever size it is looked for at."""
+    """Return the identity of a candidate, independent of its size."""
     return candidate.id.rpartition("]")[0]
 
 
 def _lacking(network: Network, tunables: tuple[str, ...], slow: tuple[Candidate, ...] = ()) -> list[Candidate]:
-    """What a network lacks altogether, with the masses `slow` in the place of those of the catalogue."""
+    """Return the candidates that a network has no element for, with the masses `slow` in place of those of the
+    catalogue.
+    """
     # What is there from the beginning was not put in at some time and does not pass; a reading that never changes is
     # left out.
     every = [c for c in catalogue(network) if not c.begins and not c.sticks and not c.passes]
     talks = Counter(name for c in every for name in c.replaces)
     single = [c for c in every if _absent(network, c) and all(talks[name] == 1 for name in c.replaces)]
     single = [*(_noticed(c) for c in single if not c.slow_s), *slow]
-    unique = {c.id: c for c in (*single, *together(network, sites_of(network), single))}
+    unique = {c.id: c for c in (*single, *family_candidates(network, sites_of(network), single))}
     return [c for c in unique.values() if not set(tunables) & set(c.changes)]
 
 
 def _absent(network: Network, candidate: Candidate) -> bool:
-    """Whether it is something that the twin has not at all, rather than a known value in doubt."""
+    """Return True for a candidate that the twin has no element for, as opposed to an uncertain parameter."""
     values = [network.parameters[name].value for name in candidate.changes if name in network.parameters]
     new = bool(candidate.adds or candidate.replaces)
     if candidate.change == "new":
@@ -125,7 +127,7 @@ def _absent(network: Network, candidate: Candidate) -> bool:
 
 
 def _noticed(candidate: Candidate) -> Candidate:
-    """An instrument's error only as large as could stay unnoticed; a lag is no error."""
+    """Return an instrument error limited to a size that may go unnoticed; lags are not limited."""
     if candidate.kind not in ("sensor", "actuator") or candidate.driver in MOVING:
         return candidate
     most = UNNOTICED * candidate.typical

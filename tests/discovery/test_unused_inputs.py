@@ -9,7 +9,7 @@ import pytest
 
 from tests.discovery.test_a_room import ROOM
 from tests.hil.made_diagnosis import effect, made
-from twin.discovery.answer.unused import unused, with_unused
+from twin.discovery.answer.unused_inputs import unused, with_unused
 from twin.discovery.diagnosis import Alternative
 from twin.network import Network
 from twin.revisions import with_elements

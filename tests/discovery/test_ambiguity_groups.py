@@ -8,8 +8,8 @@ import pytest
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import run, steady
 from tests.discovery.test_records import TWINS
+from twin.discovery.effects.ambiguity_groups import ambiguity_groups, compute_ambiguity_groups, exciting_inputs
 from twin.discovery.effects.catalogue import catalogue
-from twin.discovery.effects.lint import ambiguity_groups, examine, richest
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
 from twin.kernel import simulate
@@ -20,7 +20,7 @@ PUMP, FLOW = ("actuator", "pump_speed", "constant"), ("flow", "loop", "constant"
 
 
 def test_a_pump_and_its_flow_are_one_and_a_source_and_a_thermometer_are_two(bench: Bench) -> None:
-    found = examine(bench.network)
+    found = compute_ambiguity_groups(bench.network)
     groups = [set(g) for g in found.groups]
     assert any({PUMP, FLOW} <= g for g in groups)
     assert any({FINS, FAN} <= g for g in groups)
@@ -33,7 +33,7 @@ def test_a_pump_and_its_flow_are_one_and_a_source_and_a_thermometer_are_two(benc
 
 def test_what_is_called_alike_is_alike_in_the_readings(bench: Bench) -> None:
     """A pump that delivers 3 % less and a flow factor that is 3 % less, under the richest inputs."""
-    network, grid = bench.network, richest(bench.network)
+    network, grid = bench.network, exciting_inputs(bench.network)
     slow = bench.with_element("slip", {"kind": "actuator", "column": "pump_speed_pct", "gain": {"value": 0.97}})
     less = bench.with_values(circuit__factor=0.97)
     state = network.initial_state(np.full((6, len(network.sensors)), np.nan))
@@ -44,7 +44,7 @@ def test_what_is_called_alike_is_alike_in_the_readings(bench: Bench) -> None:
 
 def test_water_that_comes_in_is_varied_too() -> None:
     """A moving inlet shows what a steady one hides: delay, metal and loss of the water that passes."""
-    unseen = {label[:2] for label in examine(load(TWINS / "heated_pipe_mixed.toml")).unseen}
+    unseen = {label[:2] for label in compute_ambiguity_groups(load(TWINS / "heated_pipe_mixed.toml")).undetectable}
     assert not {(kind, "water") for kind in ("delay", "thermal_mass", "heat_loss")} & unseen
     assert ("sensor", "T_ambient_C") in unseen
 

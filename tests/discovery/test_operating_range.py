@@ -10,7 +10,7 @@ import pytest
 from tests.discovery.conftest import Bench
 from tests.hil.made_diagnosis import made
 from twin.discovery.healthy.basis import Columns
-from twin.discovery.healthy.visited import beside_unvisited, unvisited
+from twin.discovery.healthy.operating_range import range_notes, with_range_notes
 
 LIKE = "may always have been so"
 
@@ -40,7 +40,7 @@ def test_an_input_that_goes_where_it_was_not_in_health_is_told(
     bench: Bench, then: tuple[float, float], here: tuple[float, float], said: str
 ) -> None:
     good = bench.record(1.0)
-    found = unvisited(bench.network, _with(good, 0, *here), _with(good, 0, *then))
+    found = range_notes(bench.network, _with(good, 0, *here), _with(good, 0, *then))
     assert [said in note and LIKE in note for note in found] == ([True] if said else [])
 
 
@@ -48,12 +48,12 @@ def test_a_moment_is_not_told_nor_a_time_of_day(bench: Bench) -> None:
     good = bench.record(1.0)
     brief = good.inputs.copy()
     brief[:5, 0] = 0.0
-    assert unvisited(bench.network, replace(good, inputs=brief), good) == []
+    assert range_notes(bench.network, replace(good, inputs=brief), good) == []
 
 
 @pytest.mark.parametrize("verdict", ["effect found", "adequate"])
 def test_a_note_stands_beside_what_is_claimed_alone(bench: Bench, verdict: str) -> None:
     good = bench.record(1.0)
-    found = beside_unvisited(made(verdict), bench.network, _with(good, 0, 0.0, 3000.0), good)
+    found = with_range_notes(made(verdict), bench.network, _with(good, 0, 0.0, 3000.0), good)
     assert len(found.notes) == (verdict != "adequate") and found.verdict == verdict
-    assert not beside_unvisited(made(verdict), bench.network, _with(good, 0, 0.0, 3000.0), None).notes
+    assert not with_range_notes(made(verdict), bench.network, _with(good, 0, 0.0, 3000.0), None).notes

@@ -1,8 +1,8 @@
-"""Entries of a twin's catalogue that no input can separate, found once for each twin by its richest run.
+"""Ambiguity groups of a twin's catalogue: effects that no input isolates, found once for each twin.
 
-Every candidate is switched on a quarter into a run in which everything that is driven steps through its range, the
-room drifts, and the tunables are free. Candidates whose whitened signatures then still agree to one part in a thousand
-agree on every record of that rig: an answer that names one of them has to name the others.
+A simulation excites the twin: all drives step through their ranges, the room drifts, and the tunables are free. After a
+quarter of it each candidate begins. Candidates whose whitened signatures agree there to one part in a thousand agree on
+every record of the rig: a diagnosis that names one of them has to name the others.
 """
 
 from __future__ import annotations
@@ -24,44 +24,50 @@ from twin.steady import steady_state
 ALIKE = 0.999
 HOURS, ONSET = 8.0, 0.25
 REST, AT_REST = (0.45, 0.78), 0.05
-"""Part of the run in which heaters rest, and their power then."""
+"""Part of the run in which heaters rest, and their power then, as shares."""
 INLET_K = 20.0
-"""How far from its nominal temperature water comes in, where the twin's bounds allow that."""
+"""Deviation of inlet water from its nominal temperature, K, within the bounds of the twin."""
 VISIBLE = 5.0
-"""Score from which an effect can be seen at all."""
+"""Least score at which an effect is detectable."""
 LARGE = 5.0
-"""Typical sizes that an effect of which nothing can be seen would have to exceed."""
+"""Typical sizes of a large effect; one that shows no score of `VISIBLE` at that size is undetectable."""
 
 EffectLabel = tuple[str, str, str]
 """Kind, place and driver."""
 
 
 @dataclass(frozen=True)
-class Lint:
-    """`groups` of labels that no input separates; `unseen` ones that a large effect would not show either."""
+class AmbiguityGroups:
+    """Groups of labels that no input isolates, and labels that are `undetectable` even if the effect is large."""
 
     groups: tuple[tuple[EffectLabel, ...], ...]
-    unseen: tuple[EffectLabel, ...]
+    undetectable: tuple[EffectLabel, ...]
 
-    def beside(self, label: EffectLabel) -> tuple[EffectLabel, ...]:
-        """What no record of the rig tells from an entry."""
+    def indistinguishable_from(self, label: EffectLabel) -> tuple[EffectLabel, ...]:
+        """Return the other members of the ambiguity groups of a label."""
         return tuple(dict.fromkeys(x for g in self.groups if label in g for x in g if x != label))
 
 
-def ambiguity_groups(network: Network) -> Lint:
-    """Groups of a twin's catalogue; from the cache where this very twin has been looked at before."""
-    held = stored("lint", network)
+def ambiguity_groups(network: Network) -> AmbiguityGroups:
+    """Return the ambiguity groups of a twin's catalogue, from the cache if they were computed before.
+
+    Raises
+    ------
+    TwinFileError
+        The twin has no tunables.
+    """
+    held = stored("ambiguity_groups", network)
     if held is not None:
         with contextlib.suppress(ValueError, KeyError, TypeError):
             groups = tuple(tuple((k, w, d) for k, w, d in g) for g in held["groups"])
-            return Lint(groups, tuple((k, w, d) for k, w, d in held["unseen"]))
-    found = examine(network)
-    store("lint", asdict(found), network)
+            return AmbiguityGroups(groups, tuple((k, w, d) for k, w, d in held["undetectable"]))
+    found = compute_ambiguity_groups(network)
+    store("ambiguity_groups", asdict(found), network)
     return found
 
 
-def examine(network: Network) -> Lint:
-    """Groups of a twin's catalogue, found anew.
+def compute_ambiguity_groups(network: Network) -> AmbiguityGroups:
+    """Compute the ambiguity groups of a twin's catalogue.
 
     Raises
     ------
@@ -70,7 +76,7 @@ def examine(network: Network) -> Lint:
     """
     ids = network.tunables("commission" if "commission" in network.sets else None)
     probe, book = Probe(network, ids), Book(network)
-    grid = richest(network)
+    grid = exciting_inputs(network)
     state = steady_state(network, grid.inputs[0]).reshape(-1)
     grid = Grid(grid.time, grid.inputs, probe.run(grid, state).readings, grid.sigma, grid.step_s)
     run = probe.run(grid, state)
@@ -102,12 +108,15 @@ def examine(network: Network) -> Lint:
     named = [tuple(dict.fromkeys(labels[i] for i in sorted(g))) for g in groups]
     seen = {labels[i] for i in range(len(laws)) if visible[i]}
     every = dict.fromkeys((c.kind, c.where, c.driver) for c in book.candidates)
-    return Lint(tuple(g for g in named if len(g) > 1), tuple(x for x in every if x not in seen))
+    return AmbiguityGroups(tuple(g for g in named if len(g) > 1), tuple(x for x in every if x not in seen))
 
 
-def richest(network: Network, seed: int = 0) -> Grid:
-    """Inputs in which everything varies by itself: drives and water that comes in by steps of 5 to 40 minutes, the room
-    slowly; for a third of the time the heater rests, so that the slowest volume cools and warms."""
+def exciting_inputs(network: Network, seed: int = 0) -> Grid:
+    """Return inputs that excite a network persistently, each column independent of the others.
+
+    Drives and inlet temperatures step every 5 to 40 minutes, the room drifts slowly. The heater rests for a third of
+    the time, so that the slowest volume cools and warms again.
+    """
     rng = np.random.default_rng(seed)
     bins = int(HOURS * 3600.0 / BIN_S)
     time: Array = BIN_S * np.arange(bins, dtype=np.float64)

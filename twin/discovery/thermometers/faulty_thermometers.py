@@ -1,8 +1,8 @@
-"""Thermometers that are at fault by themselves: one that stands still, one of several that differs from the others.
+"""Isolation of faulty thermometers: stuck ones, and one of several that deviates from the others.
 
-One of several that differs is looked at first, and its own error is taken off the mean of all; the record is then
-diagnosed without it. Heat that is found at their place then belongs to one of the places, where one thermometer shows
-it more than the others; what such heat leaves of the thermometer's own course is its own error.
+A deviating one of several is examined first. Its error is subtracted from the mean of all, and the record is then
+diagnosed without it. Heat that is found at their common place belongs to one of their places, if one thermometer shows
+it more than the others; the rest of that thermometer's deviation is its own fault.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Verdict
 from twin.discovery.effects.phrases import amount, clock, when
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.healthy.basis import Columns
-from twin.discovery.records.readings import Stuck
+from twin.discovery.records.stuck_readings import Stuck
+from twin.discovery.thermometers.fault_hypotheses import FaultHypothesis, fault_hypotheses, has_thermal_onset
 from twin.discovery.thermometers.members import (
     LATE_WINDOW_S,
     Members,
@@ -27,28 +28,28 @@ from twin.discovery.thermometers.members import (
     odd_one,
     restless_one,
 )
-from twin.discovery.thermometers.nature import Nature, came_slowly, natures
 from twin.gauss_newton import SE90
 from twin.network import Array, Network
 
 HEATS = ("heat_source", "heat_loss")
-"""Kinds that warm or cool one place of several, whose thermometer then stands out without being at fault."""
+"""Kinds that warm or cool one place of several, whose thermometer then deviates without a fault."""
 SURE, OPEN = 0.85, 0.05
-"""Share of the weight that one thing must have to be named alone, and of the likeliest one's that it must have to stay
-in question."""
+"""Probability from which a hypothesis is reported alone, and share of the likeliest one's above which it stays in the
+ambiguity group."""
 SMEARED = 2.0
-"""Times the log odds of a claim that may be left where an error was taken off in block means: its edges are sharper."""
+"""Multiple of the claim's log odds that may remain after an error was subtracted in block means, which blur its edges.
+"""
 
 
 @dataclass(frozen=True)
-class Alone:
-    """Thermometers of one sensor that differ from the others by themselves.
+class FaultyThermometers:
+    """Thermometers of one sensor with faults of their own.
 
     Attributes:
-        group: all that are compared. columns: those that differ.
-        late: the time constant of the only one, where it follows the others late.
-        settled: it follows late, or differs in a way that is known of a thermometer or a place; else it comes and goes,
-            which may be an error upon heat at its place.
+        group: all that are compared. columns: those that deviate.
+        late: the time constant of the only one, if it lags.
+        settled: it lags, or deviates as a known fault does; else the fault is intermittent, and may overlie heat at its
+            place.
     """
 
     group: Members
@@ -57,68 +58,73 @@ class Alone:
     settled: bool = True
 
 
-def by_themselves(groups: tuple[Members, ...]) -> Alone | None:
-    """Return the first thermometers of several that differ in a way that is known of thermometers or places, if any.
+def faulty_thermometers(groups: tuple[Members, ...]) -> FaultyThermometers | None:
+    """Return the first thermometers of several with a known fault of thermometer or place, or None.
 
-    A late one makes the mean of several late by a part of what it is, as a mass would that is not there. One that
-    errs, or comes and goes, shows in the mean as an error of another form.
+    A lagging one lets the mean of several lag by a part of its time constant, as a missing mass would. A biased or
+    intermittent one appears in the mean as a fault of another form.
     """
     for group in groups:
         late = lagging_one(group)
         if late is not None:
-            return Alone(group, (late.column,), late)
+            return FaultyThermometers(group, (late.column,), late)
     for group in groups:
-        differ = [odd.column for each in apart(group) if (odd := odd_one(each)) is not None and natures(each, odd)]
+        differ = [
+            odd.column for each in apart(group) if (odd := odd_one(each)) is not None and fault_hypotheses(each, odd)
+        ]
         restless = None if differ else restless_one(group)
         columns = differ if restless is None else [restless.column]
         if columns:
-            return Alone(group, tuple(dict.fromkeys(columns)), settled=bool(differ))
+            return FaultyThermometers(group, tuple(dict.fromkeys(columns)), settled=bool(differ))
     return None
 
 
-def unlisted(groups: tuple[Members, ...]) -> Alone | None:
-    """Return the first thermometer of several that differs in no known way, and came to differ at once, if any."""
+def unlisted_fault(groups: tuple[Members, ...]) -> FaultyThermometers | None:
+    """Return the first thermometer of several whose deviation has no known form and began at once, or None."""
     for group in groups:
         odd = odd_one(group)
-        if odd is not None and not came_slowly(group, odd):
-            return Alone(group, (odd.column,))
+        if odd is not None and not has_thermal_onset(group, odd):
+            return FaultyThermometers(group, (odd.column,))
     return None
 
 
-def without(alone: Alone, network: Network, record: Columns) -> Columns:
-    """Return the record without the errors of such thermometers, and with the mean of several only, unless late."""
-    group, columns = alone.group, set(alone.columns)
+def without_faults(faulty: FaultyThermometers, network: Network, record: Columns) -> Columns:
+    """Return the record without the errors of faulty thermometers, and without single readings unless one lags."""
+    group, columns = faulty.group, set(faulty.columns)
     j = network.sensor_names.index(group.sensor)
     measured, members = record.measured.copy(), dict(record.members)
-    if alone.late is None:
-        measured[:, j] -= sum(_share_of(group, c, columns, record.time_s) for c in alone.columns)
+    if faulty.late is None:
+        measured[:, j] -= sum(_share_of(group, c, columns, record.time_s) for c in faulty.columns)
         del members[group.sensor]
         return replace(record, measured=measured, members=members)
-    (column,) = alone.columns
+    (column,) = faulty.columns
     own = np.nan_to_num(group.by_itself(group.columns.index(column), group.fine))
     since_s = record.time_s - record.time_s[0]
     bins = np.clip((since_s / group.step_s).astype(int), 0, len(own) - 1)
-    off = np.where(since_s >= alone.late.shape.onset_s, own[bins], 0.0)
+    off = np.where(since_s >= faulty.late.shape.onset_s, own[bins], 0.0)
     each = record.members[group.sensor].copy()
     measured[:, j] -= off / len(group.columns)
     each[:, network.sensors[j].measured.index(column)] -= off
     return replace(record, measured=measured, members=members | {group.sensor: each})
 
 
-def beside(alone: Alone, left: Diagnosis, network: Network, start: float, still: tuple[Stuck, ...]) -> Diagnosis:
-    """Return what is told of such thermometers, and beside them what was found without their errors.
+def with_faults(
+    faulty: FaultyThermometers, left: Diagnosis, network: Network, start: float, still: tuple[Stuck, ...]
+) -> Diagnosis:
+    """Return the diagnosis of faulty thermometers together with that of the record without their errors.
 
     Args:
-        left: found without their errors, and without what stood still. start: of the record, s. still: what stood.
+        left: diagnosis without their errors, and without stuck readings. start: of the record, s. still: stuck
+            readings.
     """
-    stood = standing(still)
-    if alone.late is not None:
-        return _together((*stood, _late(alone.group, alone.late, start)), (), left)
-    group = alone.group
+    stood = stuck_effects(still)
+    if faulty.late is not None:
+        return _together((*stood, _late(faulty.group, faulty.late, start)), (), left)
+    group = faulty.group
     node = next(s.node for s in network.sensors if s.name == group.sensor)
     if left.odds <= SMEARED * left.claim and all(e.where in (node, group.sensor) for e in left.effects):
         left = replace(left, verdict="adequate", effects=(), indistinguishable=(), network=None)
-    effects, same, group = placed(left.effects, group, node, start)
+    effects, same, group = attributed(left.effects, group, node, start)
     belongs = effects != left.effects
     said = left.summary
     for before, after in zip(left.effects, effects, strict=True):
@@ -126,12 +132,12 @@ def beside(alone: Alone, left: Diagnosis, network: Network, start: float, still:
     left = replace(left, effects=effects, summary=said, indistinguishable=(*left.indistinguishable, *same))
     errors: list[Effect] = []
     others: list[Alternative] = []
-    for column in alone.columns:
+    for column in faulty.columns:
         each = group
-        for other in set(alone.columns) - {column}:
+        for other in set(faulty.columns) - {column}:
             each = each.without(other)
         odd = odd_one(each)
-        told = () if odd is None else natures(each, odd)
+        told = () if odd is None else fault_hypotheses(each, odd)
         restless = None if told else restless_one(each)
         if odd is not None and odd.column == column and told:
             errors.append(_fault(each, odd, told, start))
@@ -144,7 +150,7 @@ def beside(alone: Alone, left: Diagnosis, network: Network, start: float, still:
 
 
 def _together(errors: tuple[Effect, ...], same: tuple[Alternative, ...], left: Diagnosis) -> Diagnosis:
-    """Return a diagnosis with the errors of single thermometers first."""
+    """Return a diagnosis with the faults of single thermometers first."""
     if not errors:
         return left
     found = left.verdict != "adequate"
@@ -153,7 +159,7 @@ def _together(errors: tuple[Effect, ...], same: tuple[Alternative, ...], left: D
         verdict = "unexplained"
     elif same and verdict == "effect found":
         verdict = "ambiguous"
-    but = f"; but this record cannot tell that from {_either(same, *errors)}" if same else ""
+    but = f"; but on this record that is indistinguishable from {_either(same, *errors)}" if same else ""
     rest = f"Beside that: {left.summary}" if found else f"Without that the twin is adequate: {_leaves(left)}."
     return replace(
         left,
@@ -167,23 +173,24 @@ def _together(errors: tuple[Effect, ...], same: tuple[Alternative, ...], left: D
     )
 
 
-def placed(
+def attributed(
     effects: tuple[Effect, ...], group: Members, node: str, start: float
 ) -> tuple[tuple[Effect, ...], tuple[Alternative, ...], Members]:
-    """Return effects at the place of several thermometers with the one thermometer or place that they belong to.
+    """Return effects at the place of several thermometers, each assigned to the one thermometer or place that it
+    belongs to.
 
     Args:
         node: place of the thermometers. start: of the record, s.
 
     Returns:
-        effects, what cannot be told from errors of one thermometer, and the thermometers less what heat explains.
+        effects, the ambiguity group of errors of one thermometer, and the thermometers less what heat explains.
     """
     found: list[Effect] = []
     others: list[Alternative] = []
     for effect in effects:
         here = effect.where in (node, group.sensor) and effect.kind in (*HEATS, "sensor")
         near, odd = _came_in_with(effect, group, start) if here else (group, None)
-        told = () if odd is None else natures(near, odd)
+        told = () if odd is None else fault_hypotheses(near, odd)
         if odd is None or not told or (effect.kind == "heat_source" and effect.value * odd.final < 0.0):
             found.append(effect)
         elif effect.kind == "sensor":
@@ -197,14 +204,14 @@ def placed(
 
 
 def _came_in_with(effect: Effect, group: Members, start: float) -> tuple[Members, Odd | None]:
-    """Return the member that came to differ as an effect came in, if one did, and those that it was compared with."""
+    """Return the member whose deviation began with an effect, or None, and those that it was compared with."""
     shape = Shape(effect.shape, max(effect.onset_s - start, 0.0), effect.growth_s)
     near = group.around(shape.onset_s) if shape.name == "step" and shape.onset_s > 0.0 else group
     return near, odd_one(near, (shape,))
 
 
-def _instead(odd: Odd, told: tuple[Nature, ...]) -> tuple[Alternative, ...]:
-    """What cannot be told from the likeliest, that first, where that has not nearly all of the weight."""
+def _instead(odd: Odd, told: tuple[FaultHypothesis, ...]) -> tuple[Alternative, ...]:
+    """Return the ambiguity group of the likeliest hypothesis, itself first, unless its probability is high enough."""
     places: dict[tuple[str, bool], float] = {}
     for n in told:
         places[n.kind, n.local] = places.get((n.kind, n.local), 0.0) + n.share
@@ -215,14 +222,16 @@ def _instead(odd: Odd, told: tuple[Nature, ...]) -> tuple[Alternative, ...]:
 
 
 def _either(same: tuple[Alternative, ...], *faults: Effect) -> str:
-    """What else it may be, in words."""
+    """Return the other possible causes in words."""
     said = {(e.kind, e.where) for e in faults}
     named = dict.fromkeys((a.kind, a.where) for a in same if (a.kind, a.where) not in said)
     return " or ".join(f"{kind.replace('_', ' ')} at {where}" for kind, where in named)
 
 
 def _share_of(group: Members, column: str, faults: AbstractSet[str], time_s: Array) -> Array:
-    """What one thermometer's error puts on its group's mean (N,), K: by bins, or of the block where one is missing."""
+    """Return the part (N,), K, of its group's mean that is one thermometer's error: by bins, or by block if bins are
+    missing.
+    """
     alone = group
     for other in faults - {column}:
         alone = alone.without(other)
@@ -262,11 +271,11 @@ def _late(one: Members, odd: Odd, start: float) -> Effect:
     )
 
 
-def _fault(one: Members, odd: Odd, likely: tuple[Nature, ...], start: float) -> Effect:
-    """What is the matter where one differs: the likeliest thing, an error of reading where nothing explains it."""
+def _fault(one: Members, odd: Odd, likely: tuple[FaultHypothesis, ...], start: float) -> Effect:
+    """Return the fault of a deviating member: the likeliest hypothesis, a sensor fault if none explains it."""
     spread, drifts = SE90 * odd.sd, odd.shape.name != "step"
     low, high = began_between(one, odd)
-    told = likely[0] if likely else Nature("sensor", "elapsed_time" if drifts else "constant", False, 1.0)
+    told = likely[0] if likely else FaultHypothesis("sensor", "elapsed_time" if drifts else "constant", False, 1.0)
     off = amount(abs(odd.final), "K", spread)
     if told.local:
         says = f"{odd.place} is {off} {'warmer' if odd.final > 0.0 else 'colder'} than its neighbours tell"
@@ -316,7 +325,7 @@ def _restless(one: Members, odd: Odd, start: float) -> Effect:
 
 
 def _strange(one: Members, odd: Odd, start: float) -> Effect:
-    """Return a thermometer that differs from its neighbours in no listed way, with the most that it differs by."""
+    """Return a thermometer with a deviation of no listed form as an effect of its largest deviation."""
     good = one.good
     off = one.by_itself(one.columns.index(odd.column), one.residual[good])
     most, onset = float(np.abs(off).max()), start + odd.shape.onset_s
@@ -339,14 +348,14 @@ def _strange(one: Members, odd: Odd, start: float) -> Effect:
     )
 
 
-def standing(still: tuple[Stuck, ...]) -> tuple[Effect, ...]:
-    """Return each thermometer that shows one value and nothing else, once or from time to time."""
+def stuck_effects(still: tuple[Stuck, ...]) -> tuple[Effect, ...]:
+    """Return each stuck thermometer as an effect, stuck once or intermittently."""
     columns = dict.fromkeys(span.column for span in still)
     return tuple(_standing(tuple(span for span in still if span.column == column)) for column in columns)
 
 
 def _standing(spans: tuple[Stuck, ...]) -> Effect:
-    """Return one that stood still in such spans."""
+    """Return one thermometer that was stuck in these spans."""
     first, last = spans[0], spans[-1]
     says = f"{first.column} stands still at {first.value:.2f} degC from {clock(first.first_s)} to {clock(first.last_s)}"
     if len(spans) > 1:

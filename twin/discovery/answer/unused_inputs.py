@@ -1,4 +1,4 @@
-"""Inputs that no element of a twin uses, where neither answer nor alternatives mention them."""
+"""Notes on inputs that no element of a twin uses and that neither the answer nor the alternatives name."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from twin.network import Array, Network
 
 
 def with_unused(found: Diagnosis, network: Network, inputs: Array) -> Diagnosis:
-    """A diagnosis with a note on each input (column of `inputs` (N, c)) that nothing uses and that nothing tells of."""
+    """Return a diagnosis with a note on each input (column of `inputs` (N, c)) that neither the twin nor the answer
+    uses.
+    """
     return replace(found, notes=(*found.notes, *unused(found, network, inputs)))
 
 
 def unused(found: Diagnosis, network: Network, inputs: Array) -> list[str]:
-    """Of each such input, that it was tried as the cause of something, and what spoke against it."""
+    """Return a sentence for each such input: that it was tried as the driver of an effect, and what excluded it."""
     used = {column for element in network.elements for column in element.inputs()}
     told = {e.driver for e in found.effects} | {a.driver for a in (*found.indistinguishable, *found.alternatives)}
     # What an actuator does to an input that nothing uses is nothing.

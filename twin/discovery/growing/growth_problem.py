@@ -1,8 +1,8 @@
-"""Tunables, initial state and effects fitted to a record with nothing healthy beside it.
+"""Least-squares problem of tunables, initial state and effects on a record without a healthy one.
 
-Least squares of the free run, so that slow misfit counts in full: weighing it down by the residual's spectrum would let
-a fast effect be bought with a slow error. The spectrum judges what such fits leave (`likelihood`) and how sure their
-sizes are. The prior is wide: nothing was commissioned.
+The squares of the free run count slow misfit in full. Weighting by the residual's spectrum would trade a slow error for
+a better fit of fast effects. The spectrum enters the likelihood of a fit (`likelihood`) and the standard deviations of
+its sizes. The prior is wide, as nothing was commissioned.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from twin.kernel import FEW_LANES
 from twin.network import Array
 
 STATE_SD_K = 1.0
-"""How well the first readings tell the temperatures at which a record begins."""
+"""Standard deviation, K, of the initial temperatures given the first readings."""
 REACH, REACH_SIZE = 1.0, 2.0
-"""Longest step of a tunable, in standard deviations of its prior, and of an effect, in sizes that it has."""
+"""Longest step of a tunable, in standard deviations of its prior, and of an effect, relative to its size."""
 _STEP = 1.0e-4
 _STATE_STEP = 1.0e-2
 _SIZE_STEP = 1.0e-3
@@ -31,10 +31,10 @@ _SIZE_STEP = 1.0e-3
 
 @dataclass(frozen=True)
 class SampledRecord:
-    """A record at its own stamps: time (n,) s, inputs (n, c) without gaps, measured (n, m) degC or NaN, sigma (m,).
+    """Record at its own stamps: time (n,) s, inputs (n, c) without gaps, measured (n, m) degC or NaN, sigma (m,) K.
 
-    With `at_rest` each row is a steady state of its own and the time only counts them. `means`: the readings are means
-    over bins that begin at `time`.
+    With `at_rest` each row is a steady state and `time` is its number. `means`: the readings are means over bins that
+    begin at `time`.
     """
 
     time: Array
@@ -46,22 +46,22 @@ class SampledRecord:
 
     @property
     def span_s(self) -> float:
-        """From the first to the last."""
+        """Return the time from the first to the last sample, s."""
         return float(self.time[-1] - self.time[0])
 
     def without(self, rows: np.ndarray) -> SampledRecord:
-        """The record with the readings of some rows hidden."""
+        """Return the record without the readings of some rows."""
         return replace(self, measured=np.where(rows[:, None], np.nan, self.measured))
 
 
 @dataclass(frozen=True)
 class GrowthFit:
-    """One hypothesis at its best.
+    """Fit of one hypothesis.
 
     Attributes:
-        entries: effects with sizes and standard deviations. values: (p,) of the network. state: (k,) at the start.
-        residual: (n, m) measured less simulated, NaN where nothing was measured. spectrum: of it.
-        cost: -2 log likelihood and the prior's part. slopes: (n, m, q + k + e) of the readings.
+        entries: effects with sizes and standard deviations. values: (p,) of the network. state: (k,) initial, degC.
+        residual: (n, m) K measured minus simulated, NaN where nothing was measured. spectrum: of the residual.
+        cost: -2 log likelihood plus the prior's part. slopes: (n, m, q + k + e) derivatives of the readings.
         at_bound: ids of tunables on a bound.
     """
 
@@ -77,7 +77,7 @@ class GrowthFit:
 
     @property
     def rms(self) -> Array:
-        """Per sensor (m,), K; NaN of one that has no reading."""
+        """Return the RMSE (m,), K, per sensor; NaN for one without readings."""
         count = np.isfinite(self.residual).sum(axis=0)
         mean = np.nansum(self.residual**2, axis=0) / np.maximum(count, 1)
         root: Array = np.sqrt(np.where(count > 0, mean, np.nan))
@@ -89,10 +89,10 @@ class GrowthFit:
 
 
 class GrowthProblem:
-    """Some effects and a record; `v` is [tunables z - z0 (q,), state - state0 (k,), sizes over scales (e,)].
+    """Fit of some effects to a record; `v` is [tunables z - z0 (q,), state - state0 (k,), sizes over scales (e,)].
 
     Args:
-        entries: their sizes are where the fit begins, and its scale.
+        entries: effects, whose sizes are start point and scale.
     """
 
     def __init__(
@@ -130,11 +130,11 @@ class GrowthProblem:
         self.steps = np.concatenate([np.full(self.q, _STEP), np.full(self.k, _STATE_STEP), np.full(self.e, _SIZE_STEP)])
 
     def with_entries(self, entries: tuple[Entry, ...], samples: SampledRecord | None = None) -> GrowthProblem:
-        """Other effects, or another record."""
+        """Return the problem of other effects, or of another record."""
         return GrowthProblem(self.superset, samples or self.samples, self.ids, entries)
 
     def start(self, like: GrowthFit | None = None) -> Array:
-        """Where a fit begins: the network's own values, or those of another fit; effects at the sizes given."""
+        """Return the start point: the network's own values, or those of another fit; effects at the given sizes."""
         v = np.zeros(self.q + self.k + self.e)
         if like is not None:
             v[: self.q] = self.scaling.to_z(like.values[self.scaling.index]) - self.z0
@@ -143,33 +143,33 @@ class GrowthProblem:
         return np.clip(v, self.low, self.high)
 
     def carried(self, fit: GrowthFit) -> Array:
-        """Tunables and sizes of a fit to another record; the state is this record's own."""
+        """Return the point with tunables and sizes of a fit to another record; the state is this record's own."""
         v = self.with_entries(fit.entries).start(fit)
         v[self.q : self.q + self.k] = 0.0
         return v
 
     def point(self, v: Array) -> tuple[Array, Array]:
-        """Full parameter vectors (P, p) of the superset's network and states (P, k) at v (P, count)."""
+        """Return the full parameter vectors (P, p) of the superset's network and the states (P, k) at v (P, count)."""
         values = np.tile(self.network.values, (len(v), 1))
         values[:, self.scaling.index] = self.scaling.to_values(self.z0 + v[:, : self.q])
         state = self.state0 + v[:, self.q : self.q + self.k]
         return self.model.parameters(values, v[:, self.q + self.k :] * self.scales), state
 
     def readings(self, v: Array) -> Array:
-        """Of free runs at v (P, count): (P, n, m)."""
+        """Return the readings (P, n, m) of free runs at v (P, count)."""
         return readings_of([(self, v)])
 
     def residual(self, v: Array) -> Array:
-        """(n, m), NaN where nothing was measured."""
+        """Return the residual (n, m), K, NaN where nothing was measured."""
         off: Array = self.samples.measured - self.readings(v[None, :])[0]
         return off
 
     def around(self, v: Array) -> Array:
-        """v and a step from it in each variable (1 + count, count)."""
+        """Return v and a step from it in each variable (1 + count, count)."""
         return v + np.vstack([np.zeros(v.size), np.diag(self._signed(v))])
 
     def sloped(self, v: Array, readings: Array) -> tuple[Array, Array]:
-        """Residual (n, m) and what each variable adds to the readings (n, m, count), from those around v."""
+        """Return the residual (n, m) and the derivatives (n, m, count) of the readings, from those around v."""
         differences = (readings[1:] - readings[0]) / self._signed(v)[:, None, None]
         return self.samples.measured - readings[0], np.moveaxis(differences, 0, 2)
 
@@ -178,7 +178,7 @@ class GrowthProblem:
         return signed
 
     def fitted(self, v: Array) -> GrowthFit:
-        """What v says, where the squares are least."""
+        """Return the fit at v, the minimum of the squares."""
         white = Spectrum.white(self.samples.sigma, len(self.samples.time))
         residual, slopes = self.sloped(v, self.readings(self.around(v)))
         left = cosines(residual, self.present)
@@ -203,7 +203,7 @@ class GrowthProblem:
         return GrowthFit(entries, values, state, residual, spectrum, cost, slopes, self.precision, bound)
 
     def whitened(self, values: Array, spectrum: Spectrum) -> Array:
-        """(n, m, ...) in time to (n * m, ...) cosines over their standard deviations."""
+        """Return values (n, m, ...) in time as cosine coefficients (n * m, ...) over their standard deviations."""
         c = cosines(values, self.present)
         roots = spectrum.roots.reshape(c.shape[0], c.shape[1], *([1] * (c.ndim - 2)))
         flat: Array = (c / roots).reshape(-1, *c.shape[2:])
@@ -211,7 +211,7 @@ class GrowthProblem:
 
 
 def readings_of(asked: Sequence[tuple[GrowthProblem, Array]]) -> Array:
-    """Readings (all P, n, m) of runs of problems of one superset and with the same inputs, each at v (P, count)."""
+    """Return the readings (all P, n, m) of problems of one superset and with the same inputs, each at v (P, count)."""
     points = [problem.point(v) for problem, v in asked]
     full, state = (np.concatenate(rows) for rows in zip(*points, strict=True))
     samples, superset = asked[0][0].samples, asked[0][0].superset

@@ -1,4 +1,4 @@
-"""Healthy records drawn from a twin: what the noise that it was commissioned with makes of its own readings."""
+"""Simulated healthy records of a twin, with the noise that it was commissioned with."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from twin.kernel import simulate
 from twin.network import Array, Network
 
 
-def drawn(known: Basis, healthy: Columns, rng: np.random.Generator) -> Iterator[Columns]:
-    """Records of one rig under the inputs of the healthy one, without end.
+def simulated_records(known: Basis, healthy: Columns, rng: np.random.Generator) -> Iterator[Columns]:
+    """Yield records of one rig under the inputs of the healthy one, without end.
 
-    The rig is the twin with parameters drawn from what commissioning knows of them. A record has noise of all periods
-    as it was learned, white noise in every sample, and gaps where the healthy record has them. Single thermometers of
-    a sensor keep their mean distance from it.
+    The rig is the twin with parameters drawn from their commissioned distribution. A record has coloured noise of all
+    periods, white noise in every sample, and the gaps of the healthy record. Single thermometers of a sensor keep their
+    mean offset.
     """
     network = known.probe.network
     grid = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
@@ -46,7 +46,7 @@ def drawn(known: Basis, healthy: Columns, rng: np.random.Generator) -> Iterator[
 
 
 def _members(mean: Array, healthy: Array, network: Network, name: str, rng: np.random.Generator) -> Array:
-    """Single readings (N, c) whose mean is `mean` (N,), each as far from it on average as in the healthy record."""
+    """Return single readings (N, c) with the mean `mean` (N,) and the mean offsets of the healthy record."""
     count = healthy.shape[1]
     own = network.sigma[network.sensor_names.index(name)] * np.sqrt(count) * rng.standard_normal(healthy.shape)
     whole = healthy[np.isfinite(healthy).all(axis=1)]

@@ -1,4 +1,4 @@
-"""Diagnoses of healthy records that were drawn from a twin, and the odds that a claim with that twin needs for them."""
+"""Claim threshold of a twin: log odds that diagnoses of its simulated healthy records exceed once in a hundred."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from twin.discovery.scoring.null import FALSE_ALARMS, Null
 from twin.network import Array, Network
 
 FEWEST = 10
-"""Draws from which a tail can be fitted."""
+"""Least number of simulated records to which a tail is fitted."""
 
 
 @dataclass(frozen=True)
 class Bootstrap:
-    """Diagnoses of healthy records drawn from a twin.
+    """Diagnoses of simulated healthy records of a twin.
 
     Attributes
     ----------
@@ -39,12 +39,12 @@ class Bootstrap:
 
     @property
     def claim(self) -> float:
-        """Log odds that one healthy record in a hundred exceeds, and no less than were needed before."""
+        """Return the log odds that one healthy record in a hundred exceeds, and at least those needed before."""
         return max(self.needed, Null(np.sort(np.array(self.odds))).quantile(FALSE_ALARMS))
 
     @property
     def sentence(self) -> str:
-        """The outcome, for an operator."""
+        """Return the outcome in a sentence."""
         raised = f"a claim with it needs log odds of {self.claim:.1f} instead of {self.needed:.1f}"
         return (
             f"of {self.draws} healthy records drawn from this twin, commissioned and diagnosed anew, {self.alarms} "
@@ -58,7 +58,7 @@ def keep_bootstrap(found: Bootstrap, network: Network, *healthy: Array) -> None:
 
 
 def kept(network: Network, *healthy: Array) -> Bootstrap | None:
-    """The bootstrap that was kept for this twin and the arrays of its healthy record, if any."""
+    """Return the bootstrap from the cache for this twin and the arrays of its healthy record, or None."""
     found = stored("bootstrap", network, *healthy)
     if found is None:
         return None

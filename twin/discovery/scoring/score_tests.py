@@ -1,13 +1,13 @@
-"""All hypotheses against one residual, as one quadratic form.
+"""Score tests of all candidates on one residual, as one quadratic form.
 
-The record is cut into blocks. The response of every sensor to heat in every node during every block, whitened and with
-the tunables and the initial state projected out (with what commissioning knows of them as their prior), makes a Gram
-matrix G; its product with the residual a vector g. A candidate of any law, time shape and onset is then a vector p of
-heat (or of offset of a sensor) per place and block, its score z = p'g / sqrt(p'Gp), its size p'g / p'Gp, and any number
-of them is tried without another simulation.
+The record is divided into blocks. The response of every sensor to heat in every node during every block is whitened,
+and tunables and initial state are projected out, with their commissioned distribution as prior. The result gives a Gram
+matrix G, and with the residual a score vector g. A candidate of any law, time course and onset is a vector p of heat
+(or of offset of a sensor) per place and block. Its score is z = p'g / sqrt(p'Gp) and its size p'g / p'Gp, so that any
+number of candidates is tested without another simulation.
 
-Source: score (Lagrange multiplier) test of Rao, Proc. Camb. Phil. Soc. 44 (1948) 50; projecting the tunables out is
-what keeps a term from being credited with what re-tuning does (Plumlee, J. Am. Stat. Assoc. 112 (2017) 1274).
+Source: score (Lagrange multiplier) test of Rao, Proc. Camb. Phil. Soc. 44 (1948) 50. The projection prevents that an
+effect explains misfit that re-tuning removes (Plumlee, J. Am. Stat. Assoc. 112 (2017) 1274).
 """
 
 from __future__ import annotations
@@ -33,38 +33,41 @@ MOST_BLOCKS = 240
 LEAST_BLOCK_BINS = 6
 FORGOTTEN = 0.05
 ANCHOR = 6
-"""Blocks on either side of a gap that the line across it rests on."""
+"""Blocks on either side of a gap whose mean is an end point of its interpolation."""
 NARROW = 0.03
-"""Standard deviations of noise along a direction below which what a structure leaves open there is nothing."""
+"""Standard deviations of noise along a direction below which the uncertainty of the known structure is negligible."""
 
 
 def block_edges(bins: int, most: int = MOST_BLOCKS) -> np.ndarray:
-    """(b + 1,) bins at which blocks begin, of equal length to a bin."""
+    """Return the bins (b + 1,) at which blocks begin, of equal length within a bin."""
     blocks = max(min(most, bins // LEAST_BLOCK_BINS), 2)
     edges: np.ndarray = np.linspace(0, bins, blocks + 1).round().astype(np.intp)
     return edges
 
 
 def narrowed(whitened: Array, opened: tuple[Array, Array]) -> Array:
-    """Whitened (r, ...), whitened for what is open along orthonormal directions (r, d) too, which count less (d,)."""
+    """Return whitened values (r, ...), also whitened for the structure's uncertainty.
+
+    It lies along orthonormal directions (r, d), whose components shrink by the factors 1 - less (d,).
+    """
     directions, less = opened
     flat = whitened.reshape(len(whitened), -1)
     out: Array = (flat - directions @ (less[:, None] * (directions.T @ flat))).reshape(whitened.shape)
     return out
 
 
-def repeated(prior: GaussianPrior, q: int, stretches: int) -> GaussianPrior:
-    """A prior of [tunables z (q,), state] with the state's part for each of several stretches."""
-    if stretches == 1:
+def repeated(prior: GaussianPrior, q: int, segments: int) -> GaussianPrior:
+    """Return a prior of [tunables z (q,), state] with the state's part repeated for each of several segments."""
+    if segments == 1:
         return prior
     state = prior.precision[q:, q:]
-    precision = block_diag(prior.precision[:q, :q], *[state] * stretches)
-    return GaussianPrior(np.concatenate([prior.mean[:q], np.tile(prior.mean[q:], stretches)]), precision)
+    precision = block_diag(prior.precision[:q, :q], *[state] * segments)
+    return GaussianPrior(np.concatenate([prior.mean[:q], np.tile(prior.mean[q:], segments)]), precision)
 
 
 @dataclass(frozen=True)
 class JointEstimate:
-    """Several effects at once.
+    """Joint estimate of several effects.
 
     Attributes:
         sizes: (e,) in the candidates' units. covariance: (e, e). gain: fall of the weighted squares.
@@ -75,29 +78,29 @@ class JointEstimate:
     gain: float
 
 
-class Contest:
-    """The quadratic form of one record.
+class ScoreTest:
+    """Score tests of candidates on one record: Gram matrix, score and residual.
 
     Args:
-        noise: what a healthy residual looks like; it is scaled to how much this run moves.
+        noise: of a healthy residual, which is scaled to the variation of this run.
         prior: of [tunables z, initial state].
-        structure: what the twin's structure leaves all along, in the terms of the `laws` of this record; by what it
-            amounts to the residual is less, and how far it is open is noise. None where nothing tells.
+        structure: model error present throughout, by its amplitudes of the `laws` on this record. Its mean is
+            subtracted from the residual, and its uncertainty is noise. None if it is unknown.
 
     Raises:
         TwinFileError: heat in the twin's nodes moves no reading, or its effect is not finite.
 
     Attributes:
-        edges, hours: block borders, bins, and their beginnings, h from the record's. b, sites: numbers of blocks and of
-            places, which are the k nodes and then the m sensors. begins: first whole block of each stretch.
-        total: weighted squares of the run last looked at, and of how far its tunables have moved.
-        expected: misfit per block and sensor where there is nothing but noise.
-        slopes: (b * m, q + s * k) whitened, of tunables and the state at the beginning of each stretch.
-        residual: (b * m,) whitened, of that run.
-        memory: blocks until what a block of heat did to the readings has gone by nineteen parts in twenty.
-        gram: (sites * b, sites * b), the same for every run. score: (sites * b,). misfit: those squares less what
-            tunables and initial state can still take up, to first order.
-        memo: what a search has worked out from `gram` and will want again.
+        edges, hours: block edges, bins, and their beginnings, h from the record's. b, sites: numbers of blocks and of
+            places, which are the k nodes and then the m sensors. begins: first whole block of each segment.
+        total: weighted squares of the current run, and of its tunables against their prior.
+        expected: misfit per block and sensor of noise alone.
+        slopes: (b * m, q + s * k) whitened derivatives in tunables and the initial state of each segment.
+        residual: (b * m,) whitened, of the current run.
+        memory: blocks after which the response to a block of heat has decayed to a twentieth.
+        gram: (sites * b, sites * b), the same for every run. score: (sites * b,). misfit: `total` less the part that
+            tunables and initial state can still explain, to first order.
+        memo: cached results of a search from `gram`.
     """
 
     def __init__(
@@ -119,15 +122,15 @@ class Contest:
         self.step_s = grid.span_s / self.b
         self.present = np.isfinite(grid.measured)
         self.known = np.add.reduceat(self.present, self.edges[:-1], axis=0) >= 0.3 * np.diff(self.edges)[:, None]
-        # A block that is begun anew in its midst has a mean of two stretches.
+        # A block that is begun anew in its midst has a mean of two segments.
         amid = [b for b in grid.begins[1:] if b not in self.edges]
         self.known[np.searchsorted(self.edges, amid) - 1] = False
         self.begins = tuple(int(b) for b in np.searchsorted(self.edges[:-1], grid.begins))
         self._seen = np.maximum(np.add.reduceat(self.present, self.edges[:-1], axis=0, dtype=np.intp), 1)
         self._measured = self.seen(grid.measured)
         heat = probe.blocks(grid, state, self.edges)
-        # From the beginning of the longest stretch, since nothing is remembered beyond a stretch's end.
-        longest = max(grid.stretches, key=lambda rows: rows.stop - rows.start)
+        # From the beginning of the longest segment, since nothing is remembered beyond a segment's end.
+        longest = max(grid.segments, key=lambda rows: rows.stop - rows.start)
         begun = int(np.searchsorted(self.edges[:-1], longest.start))
         after = np.abs(heat[begun:, :, min(begun, self.b - 1), :]).sum(axis=(1, 2))
         if not np.isfinite(after).all() or not after.any():
@@ -155,7 +158,7 @@ class Contest:
 
     @property
     def gram(self) -> Array:
-        """Return the Gram matrix, made when it is first asked for: a contest that only weighs fits needs none."""
+        """Return the Gram matrix, computed on first request: a score test that only weights fits needs none."""
         known: Array | None = self.memo.get("gram")
         if known is None:
             cross = self.slopes.T @ self._columns
@@ -163,13 +166,13 @@ class Contest:
         return known
 
     def _means(self, values: Array) -> Array:
-        """(n, ...) to block means (b, ...)."""
+        """Return block means (b, ...) of values (n, ...)."""
         lengths = np.diff(self.edges).reshape(-1, *([1] * (values.ndim - 1)))
         means: Array = np.add.reduceat(values, self.edges[:-1], axis=0) / lengths
         return means
 
     def seen(self, values: Array) -> Array:
-        """(..., n, m) to means (..., b, m) over bins with a reading; 0 for a block without."""
+        """Return means (..., b, m) of values (..., n, m) over bins with a reading; 0 for a block without one."""
         there = values if self.present.all() else np.where(self.present, values, 0.0)
         means: Array = np.add.reduceat(there, self.edges[:-1], axis=-2) / self._seen
         return means
@@ -178,7 +181,7 @@ class Contest:
         return self.noise.whiten(values, self.step_s)
 
     def block_means(self, values: Array) -> Array:
-        """Block means (b, ...) of a series (n, ...) with NaN; NaN for a block without any value."""
+        """Return block means (b, ...) of a series (n, ...) with NaN; NaN for a block without any value."""
         good = np.isfinite(values)
         count = np.add.reduceat(good, self.edges[:-1], axis=0)
         total = np.add.reduceat(np.where(good, values, 0.0), self.edges[:-1], axis=0)
@@ -186,28 +189,33 @@ class Contest:
         return means
 
     def left_over(self, vectors: Array, sizes: Array, moved: Array) -> Array:
-        """Block means (b, m) of the residual after effects of these sizes and a move of the tunables, in K."""
+        """Return block means (b, m), K, of the residual after effects of these sizes and a change of the tunables."""
         left = self.residual - self.slopes @ moved
         for vector, size in zip(vectors, sizes, strict=True):
             left = left - self._columns @ vector.ravel() * size
         return self.noise.colour(left.reshape(self.b, self.m), self.step_s)
 
     def features(self, means: Array) -> Array:
-        """Whitened (b * m, ...) of what was `seen` (b, m, ...) of a residual or of signatures; blocks without a reading
-        are bridged by straight lines."""
+        """Return whitened values (b * m, ...) of block means (b, m, ...) by `seen`, of a residual or of signatures.
+
+        Blocks without a reading are interpolated.
+        """
         white = self._white(filled(means, self.known, ANCHOR))
         return self._narrowed(white.reshape(self.b * self.m, *means.shape[2:]))
 
     def residuals_of(self, readings: Array) -> Array:
-        """Whitened (P, b * m): measured less `readings` (P, n, m), and less what the twin's structure leaves."""
+        """Return whitened residuals (P, b * m): measured less `readings` (P, n, m), and less the known structure."""
         left = self.features(np.moveaxis(self._measured - self.seen(readings), 0, 2))
         return np.ascontiguousarray(left.T) - self._less
 
     def _left_by(
         self, structure: Structure | None, laws: Sequence[CandidateLaw]
     ) -> tuple[tuple[Array, Array] | None, Array]:
-        """Orthonormal whitened directions (b * m, r) that a structure leaves open, with the shares (r,) by which they
-        count less, and what it amounts to (b * m,), so narrowed."""
+        """Return the uncertain directions of a structure, their shrinkage, and its mean.
+
+        These are orthonormal whitened directions (b * m, r), the shares (r,) by which their components shrink, and the
+        mean (b * m,), shrunk likewise; None in place of directions if there is no structure.
+        """
         known = {law.candidate.id: law for law in laws}
         here = [] if structure is None else [i for i, c in enumerate(structure.candidates) if c.id in known]
         if structure is None or not here:
@@ -228,11 +236,13 @@ class Contest:
         return whitened if self._open is None else narrowed(whitened, self._open)
 
     def look_at(self, run: FreeRun, moved: Array | None = None) -> None:
-        """Take the residual of a run, whose tunables and state stand `moved` (q + s * k,) off the prior's mean."""
+        """Set the residual to that of a run, whose tunables and state differ by `moved` (q + s * k,) from the prior's
+        mean.
+        """
         self.take(self.residuals_of(run.readings[None])[0], moved)
 
     def take(self, residual: Array, moved: Array | None = None) -> None:
-        """Take a whitened residual (b * m,) as that of a run; `moved` as in `look_at`."""
+        """Set the residual to a whitened one (b * m,); `moved` as in `look_at`."""
         self.residual = residual
         pull = self.slopes.T @ residual
         if moved is not None:
@@ -245,7 +255,7 @@ class Contest:
 
     @property
     def chi(self) -> float:
-        """Misfit per block and sensor; about 1 or less for a twin as good as when it was commissioned."""
+        """Return the misfit per block and sensor; about 1 or less for a twin as good as when it was commissioned."""
         return self.misfit / max(self.count, 1)
 
     @property
@@ -254,7 +264,7 @@ class Contest:
         return starts
 
     def vector(self, law: CandidateLaw) -> Array:
-        """The law at size 1: (sites, b)."""
+        """Return the vector of a law at size 1: (sites, b)."""
         p = np.zeros((self.sites, self.b))
         if law.heat is not None:
             p[: self.k] = self._means(law.heat).T
@@ -263,13 +273,15 @@ class Contest:
         return p
 
     def noise_scores(self, rng: np.random.Generator, draws: int) -> Array:
-        """Scores (sites * b, draws) of records that hold nothing but the noise assumed."""
+        """Return scores (sites * b, draws) of simulated records of noise alone."""
         white = rng.normal(0.0, 1.0, (self.b * self.m, draws))
         scores: Array = self._columns.T @ white - self._taken.T @ (self.slopes.T @ white)
         return scores
 
     def small(self, p: Array, scores: Array | None = None) -> tuple[Array, Array]:
-        """Gram matrix (b, b) and score (b,) of one law's blocks, p (sites, b); of `scores` (sites * b, d): (b, d)."""
+        """Return Gram matrix (b, b) and score (b,) of one law's blocks, p (sites, b); of `scores` (sites * b, d): (b,
+        d).
+        """
         if scores is None:
             return self.small_gram(p), self.scored(p)
         active = np.flatnonzero(p.any(axis=1))
@@ -277,7 +289,7 @@ class Contest:
         return self.small_gram(p), (drawn[active] * p[active][:, :, None]).sum(axis=0)
 
     def small_gram(self, p: Array) -> Array:
-        """Gram matrix (b, b) of one law's blocks, p (sites, b)."""
+        """Return the Gram matrix (b, b) of one law's blocks, p (sites, b)."""
         active = np.flatnonzero(p.any(axis=1))
         sites = self.gram.reshape(self.sites, self.b, self.sites, self.b)
         gram = np.zeros((self.b, self.b))
@@ -291,17 +303,17 @@ class Contest:
         return gram
 
     def scored(self, p: Array) -> Array:
-        """Score (b,) of one law's blocks, p (sites, b)."""
+        """Return the score (b,) of one law's blocks, p (sites, b)."""
         score: Array = (self.score.reshape(self.sites, self.b) * p).sum(axis=0)
         return score
 
     def joint(self, vectors: Array) -> tuple[Array, Array]:
-        """Gram matrix (e, e) and score (e,) of e effects, `vectors` (e, sites, b)."""
+        """Return Gram matrix (e, e) and score (e,) of e effects, `vectors` (e, sites, b)."""
         seen = self.signatures(vectors)
         return self.across(seen), self.scores_of(seen)
 
     def estimate(self, vectors: Array) -> JointEstimate:
-        """Sizes of e effects together."""
+        """Estimate the sizes of e effects jointly."""
         if not len(vectors):
             return JointEstimate(np.empty(0), np.empty((0, 0)), 0.0)
         gram, score = self.joint(vectors)
@@ -310,41 +322,45 @@ class Contest:
         return JointEstimate(sizes, covariance, float(sizes @ score))
 
     def bare(self, flat: Array) -> Array:
-        """Squared norms (e,) of signatures `flat` (e, sites * b) before the tunables have taken their part."""
+        """Return squared norms (e,) of signatures `flat` (e, sites * b) without projecting out the tunables."""
         squared: Array = ((self._columns @ flat.T) ** 2).sum(axis=0)
         return squared
 
     def signatures(self, vectors: Array) -> Array:
-        """Whitened (b * m, e) of effects at size 1, `vectors` (e, sites, b), tunables not projected out."""
+        """Return whitened signatures (b * m, e) of effects at size 1, `vectors` (e, sites, b), tunables not projected
+        out.
+        """
         found: Array = self._columns @ vectors.reshape(len(vectors), -1).T
         return found
 
     def seen_at(self, vector: Array, courses: Array) -> Array:
-        """Whitened (b * m, c) of an effect, `vector` (sites, b), in time courses (b, c) of its own."""
+        """Return whitened signatures (b * m, c) of an effect, `vector` (sites, b), with time courses (b, c)."""
         found = np.zeros((len(self._columns), courses.shape[1]))
         for site in np.flatnonzero(vector.any(axis=1)):
             found += self._columns[:, site * self.b : (site + 1) * self.b] @ (vector[site][:, None] * courses)
         return found
 
     def onto(self, signatures: Array) -> Array:
-        """Products (sites * b, e) of a unit at each site and block with whitened signatures (b * m, e), tunables and
-        initial state projected out."""
+        """Return products (sites * b, e) of a unit at each site and block with whitened signatures (b * m, e).
+
+        Tunables and initial state are projected out.
+        """
         found: Array = self._columns.T @ signatures - self._taken.T @ (self.slopes.T @ signatures)
         return found
 
     def scores_of(self, signatures: Array) -> Array:
-        """Score (e,) of whitened signatures (b * m, e), tunables and initial state projected out."""
+        """Return the score (e,) of whitened signatures (b * m, e), tunables and initial state projected out."""
         score: Array = signatures.T @ (self.residual - self.slopes @ self._shift)
         return score
 
     def across(self, signatures: Array) -> Array:
-        """Gram matrix (e, e) of whitened signatures (b * m, e), tunables and initial state projected out."""
+        """Return the Gram matrix (e, e) of whitened signatures (b * m, e), tunables and initial state projected out."""
         return self.beside_tunables(signatures)[1]
 
     def beside_tunables(self, signatures: Array) -> tuple[Array, Array, Array]:
-        """Tunables and initial state projected out of whitened signatures (b * m, e).
+        """Project tunables and initial state out of whitened signatures (b * m, e).
 
-        Returns moves (q + s * k, e) of tunables and state with a unit of each, the Gram matrix (e, e) and score (e,).
+        Returns changes (q + s * k, e) of tunables and state for a unit of each, the Gram matrix (e, e) and score (e,).
         """
         pull = self.slopes.T @ signatures
         moves = np.asarray(-np.linalg.solve(self._normal, pull), dtype=np.float64)
@@ -353,7 +369,7 @@ class Contest:
         return moves, gram, score
 
     def moved(self, vectors: Array, sizes: Array) -> Array:
-        """Change of [tunables z, initial state] (q + s * k,) that goes with effects of these sizes."""
+        """Return the change of [tunables z, initial state] (q + s * k,) that goes with effects of these sizes."""
         shift = np.array(self._shift, dtype=np.float64)
         for vector, size in zip(vectors, sizes, strict=True):
             shift -= self._taken @ vector.ravel() * size

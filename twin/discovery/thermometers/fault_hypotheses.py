@@ -1,9 +1,9 @@
-"""Classification of one deviating thermometer among several: it errs, or its place is warmer or colder than others.
+"""Classification of one deviating thermometer among several: sensor fault, or heat gain or loss at its place.
 
-A thermometer errs at once; a place has a mass, and comes to its new temperature within a minute. A thermometer errs by
-as much whatever the rig does, or more the warmer it is; a place that loses heat, or whose contact is poor, differs by
-more the warmer it is beside the room. How many watts that takes no loop shows as long as they are few, so a place is
-told in the kelvins that its thermometer shows.
+A sensor fault begins at once, while a place with a thermal mass reaches its new temperature within a minute. A bias is
+constant, and a gain error follows the temperature; a place that loses heat, or whose contact is poor, deviates in
+proportion to its excess over the room. A loop does not show the power of so little heat, so the effect of a place is
+given in kelvins of its thermometer.
 """
 
 from __future__ import annotations
@@ -17,20 +17,21 @@ from twin.discovery.thermometers.members import CORRELATED, Members, Odd
 from twin.network import Array
 
 SLOW_S = (20.0, 40.0, 80.0, 160.0, 320.0)
-"""Time constants of a place that comes to its new temperature."""
+"""Time constants, s, of a place that reaches its new temperature."""
 AROUND_S, SOONER_S, EVERY_S = 2700.0, 1500.0, 5.0
-"""How much of a record around an onset is looked at, how far from it the onset may be, and in what steps."""
+"""Segment of a record around an onset, s, the range of the onset in it, and the step of that range."""
 RARER = 2.0 * np.log(10.0)
-"""Places that differ in a way that no loop shows are rarer than thermometers that err, so are thermometers that err by
-a share, and so is what takes heat away, but by being warm, than what gives some; in weighted squares."""
+"""Prior cost, in weighted squares, of a rarer fault. Places with an effect that no loop shows are rarer than sensor
+faults, gain errors rarer than biases, and heat sinks other than losses rarer than sources."""
 LEFT = 0.1
-"""Share of its squares that an error may leave of what one thermometer differs by."""
+"""Share of a deviation's squares that a sensor fault may leave unexplained."""
 
 
 @dataclass(frozen=True)
-class Nature:
-    """One thing that may be the matter: `kind` at the thermometer or, where `local`, at its place, following `driver`;
-    `share` of the weight of all."""
+class FaultHypothesis:
+    """Fault hypothesis: `kind` at the thermometer or, if `local`, at its place, with `driver`; `share` is its
+    probability.
+    """
 
     kind: str
     driver: str
@@ -38,8 +39,8 @@ class Nature:
     share: float
 
 
-def natures(found: Members, odd: Odd) -> tuple[Nature, ...]:
-    """What may be the matter where one member differs, the likeliest first; none where nothing explains it."""
+def fault_hypotheses(found: Members, odd: Odd) -> tuple[FaultHypothesis, ...]:
+    """Return the fault hypotheses of a deviating member, the likeliest first; none if nothing explains it."""
     good, i = found.good, found.columns.index(odd.column)
     y = found.by_itself(i, found.residual[good])
     course = odd.shape.block_means(found.edges_s)[good]
@@ -71,22 +72,26 @@ def natures(found: Members, odd: Odd) -> tuple[Nature, ...]:
     most = min(costs.values())
     weights = {key: float(np.exp(-0.5 * (cost - most))) for key, cost in costs.items()}
     total = sum(weights.values())
-    return tuple(Nature(*key, weight / total) for key, weight in sorted(weights.items(), key=lambda item: -item[1]))
+    return tuple(
+        FaultHypothesis(*key, weight / total) for key, weight in sorted(weights.items(), key=lambda item: -item[1])
+    )
 
 
-def came_slowly(found: Members, odd: Odd) -> bool:
-    """Whether a member came to differ as a place does that has a mass, and not at once."""
+def has_thermal_onset(found: Members, odd: Odd) -> bool:
+    """Return True if a member's deviation began with the lag of a thermal mass, and not at once."""
     return odd.shape.name == "step" and _sudden(found, found.columns.index(odd.column), odd) < -RARER
 
 
 def _left(y: Array, columns: Array) -> float:
-    """Squares of y (b,) that are left beside columns (b, e)."""
+    """Return the squares of y (b,) after a fit of columns (b, e)."""
     size, *_ = np.linalg.lstsq(columns, y, rcond=None)
     return float(((y - columns @ size) ** 2).sum())
 
 
 def _sudden(found: Members, i: int, odd: Odd) -> float:
-    """Weighted squares by which a member came in at once rather than as a place does; negative the other way round."""
+    """Return the excess of weighted squares of an onset with thermal lag over one at once; negative if lag fits
+    better.
+    """
     time_s = (np.arange(len(found.fine)) + 0.5) * found.step_s
     near = np.abs(time_s - odd.shape.onset_s) < AROUND_S
     y = found.by_itself(i, found.fine[near])

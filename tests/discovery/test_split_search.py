@@ -7,8 +7,8 @@ import pytest
 
 from tests.discovery.conftest import HOUR, Bench
 from twin.discovery.engine import diagnose
-from twin.discovery.evidence.inquiry import Inquiry
 from twin.discovery.evidence.search import searched
+from twin.discovery.evidence.split_search import SplitSearch
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
 from twin.kernel import Kernel
@@ -69,8 +69,8 @@ def test_a_second_effect_that_the_fit_would_see_the_first_minutes_of_is_seen_for
 def test_a_lesser_mass_is_told_beside_heat(bench: Bench, healthy: Columns, mass_h: float) -> None:
     record = heat_then_mass(bench, 3.0, mass_h)
     grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
-    inquiry = Inquiry.of(bench.network, record, basis(bench.network, healthy, grid), grid, lambda _: None)
-    told = searched(inquiry.part(grid.part(0, int(0.75 * len(grid.time))))).told
+    split_search = SplitSearch.of(bench.network, record, basis(bench.network, healthy, grid), grid, lambda _: None)
+    told = searched(split_search.part(grid.part(0, int(0.75 * len(grid.time))))).told
     assert told is not None
     assert {(e.candidate.kind, e.candidate.where) for e in told.entries} == {
         ("heat_source", "modules"),
@@ -96,7 +96,9 @@ def test_a_hose_of_some_litres_is_found_though_its_score_promises_nothing(
     hose = brisk.with_element("hose", {"kind": "pipe", "to": "modules", "volume": 5.0})
     record = brisk.record(16.0, seed=6, changed=hose, onset_h=onset_h)
     grid = on_grid(brisk.network, record.time_s, record.inputs, record.measured)
-    part = Inquiry.of(brisk.network, record, basis(brisk.network, brisk_healthy, grid), grid, lambda _: None).part(grid)
+    part = SplitSearch.of(brisk.network, record, basis(brisk.network, brisk_healthy, grid), grid, lambda _: None).part(
+        grid
+    )
     found = searched(part).told
     assert found is not None
     (entry,) = found.entries

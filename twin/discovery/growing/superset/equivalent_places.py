@@ -1,7 +1,7 @@
-"""Places that are alike: one effect at all of them, with one size, is simpler than one at each.
+"""Equivalent places: one effect of one size at all of them is simpler than one at each.
 
-Numbered nodes (`heater_1`, `heater_2`) make a family. Candidates that differ in nothing but the member they stand at
-are offered once more, for the whole family. Where the twin file itself ties members, each is offered to differ.
+Numbered nodes (`heater_1`, `heater_2`) make a family. Candidates that differ only in their member are added once more
+for the whole family. If the twin file itself ties members to one parameter, each may deviate from the others.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from twin.elements.candidates import Candidate, Sites
 from twin.network import Network
 
 
-def together(network: Network, sites: Sites, candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
-    """Candidates for whole families, made of those for their members."""
+def family_candidates(network: Network, sites: Sites, candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
+    """Return candidates for whole families, made of those for their members."""
     single = [c for c in candidates if not c.replaces]
     found = []
     for place, nodes in sites.groups.items():
@@ -33,10 +33,10 @@ def together(network: Network, sites: Sites, candidates: Iterable[Candidate]) ->
     return tuple(found)
 
 
-def apart(network: Network, sites: Sites) -> tuple[Candidate, ...]:
-    """Further losses of single places that the twin ties to others by one conductance: they may differ after all.
+def untied_losses(network: Network, sites: Sites) -> tuple[Candidate, ...]:
+    """Return further losses of single places that the twin ties to others by one conductance.
 
-    Without them the difference is bought as a law that grows with temperature, since only that is offered singly.
+    Without them a deviation of one place would be explained by a loss that grows with temperature, which exists singly.
     """
     losses = [e for e in sites.having(AmbientLoss.kind) if len(e.nodes()) > 1]
     taken = {e.name for e in network.elements}
@@ -74,7 +74,7 @@ def _slower(place: str, members: tuple[Candidate, ...], slow_s: float) -> Candid
 
 
 def _node_of(network: Network, candidate: Candidate) -> str:
-    """The one node that a candidate stands at, "" where there are none or several."""
+    """Return the one node of a candidate, "" if it has none or several."""
     nodes = {str(v) for table in candidate.adds.values() for k, v in table.items() if k in ("node", "to", "from")}
     if not candidate.adds:
         names = {name.rsplit(".", 1)[0] for name in candidate.changes}
@@ -83,7 +83,7 @@ def _node_of(network: Network, candidate: Candidate) -> str:
 
 
 def _form(candidate: Candidate, node: str) -> Any:
-    """What is left of a candidate without the place it stands at."""
+    """Return a candidate's form, independent of its place."""
     tables = tuple(
         tuple(sorted((k, str(v)) for k, v in table.items() if v != node)) for table in candidate.adds.values()
     )
@@ -92,7 +92,7 @@ def _form(candidate: Candidate, node: str) -> Any:
 
 
 def _tied(network: Network, members: Iterable[Candidate]) -> bool:
-    """Whether the members share an element, or a parameter already."""
+    """Return True if the members share an element or a parameter already."""
     names = [name for c in members for name in c.changes]
     held = [network.parameters[name].same_as for name in names if name in network.parameters]
     return len(set(names)) < len(names) or any(held)

@@ -1,4 +1,4 @@
-"""Inputs of a record outside the range of the healthy record, where the healthy rig is not known."""
+"""Inputs of a record outside the range of the healthy record, where the healthy rig is unknown."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from twin.discovery.healthy.basis import Columns
 from twin.network import InputSpec, Network
 
 BEYOND = 0.5
-"""Share of what an input ranged over in health by which it has to go beyond that to be told."""
+"""Share of an input's healthy range by which it must exceed that range for a note."""
 STEADY = 0.05
-"""Share of its declared range that counts as an input's where it hardly moved."""
+"""Share of its declared range that counts as the healthy range of an input that hardly moved."""
 BRIEF = (2.0, 98.0)
-"""Percentiles of what an input ranged over: what lasts for a moment is left aside."""
+"""Percentiles that bound an input's range, without short excursions."""
 
 
-def beside_unvisited(found: Diagnosis, network: Network, record: Columns, healthy: Columns | None) -> Diagnosis:
-    """A diagnosis that claims something, with a note on each input that went far beyond what it did in health."""
+def with_range_notes(found: Diagnosis, network: Network, record: Columns, healthy: Columns | None) -> Diagnosis:
+    """Return a diagnosis that claims an effect with a note on each input far beyond its healthy range."""
     if healthy is None or found.verdict == "adequate":
         return found
-    return replace(found, notes=(*found.notes, *unvisited(network, record, healthy)))
+    return replace(found, notes=(*found.notes, *range_notes(network, record, healthy)))
 
 
-def unvisited(network: Network, record: Columns, healthy: Columns) -> list[str]:
-    """A sentence for each input that the record takes far beyond the healthy record's range of it."""
+def range_notes(network: Network, record: Columns, healthy: Columns) -> list[str]:
+    """Return a sentence for each input of the record far beyond its range in the healthy record."""
     said = []
     for j, (column, spec) in enumerate(network.inputs.items()):
         here, then = (x[np.isfinite(x)] for x in (record.inputs[:, j], healthy.inputs[:, j]))

@@ -1,7 +1,6 @@
 """Steady states of one network at many operating points and parameter sets at once.
 
-Newton steps on the right side, evaluated by numpy over all of them together; what an oracle does one by one is
-`twin.steady`.
+Newton steps on the right-hand side, vectorised by numpy; `twin.steady` computes a single state.
 """
 
 from __future__ import annotations
@@ -19,15 +18,15 @@ LONGEST_K = 50.0
 _PROBE_K = 1.0e-3
 
 
-class Resting:
-    """A network at rest; what takes part in no steady state (masses, lags, delays) must not be varied."""
+class SteadyStates:
+    """Steady states of a network; parameters without influence on them (of masses, lags, delays) must not be varied."""
 
     def __init__(self, network: Network, kernel: Kernel) -> None:
         self.network, self._kernel = network, kernel
         self._rhs = define_functions(python_source(network), f"<{network.name} at rest>", ARRAYS)["rhs"]
 
     def readings(self, inputs: Array, parameters: Array) -> Array:
-        """What the sensors show (P, n, m), degC.
+        """Return the readings of the sensors (P, n, m), degC.
 
         Args:
             inputs: (n, c), each row an operating point. parameters: (P, p) full vectors.
@@ -44,7 +43,7 @@ class Resting:
         return out
 
     def _states(self, inputs: Array, parameters: Array) -> Array:
-        """Node temperatures (P, n, k), degC."""
+        """Return the node temperatures (P, n, k), degC."""
         count, n, k = len(parameters), len(inputs), len(self.network.nodes)
         p = np.repeat(parameters, n, axis=0).T
         u = np.tile(inputs, (count, 1)).T

@@ -1,6 +1,6 @@
-"""Hypotheses weighed by records made later: each must explain them too, at about the size that it had.
+"""Ranking of hypotheses by records made later: each must explain them too, at about the size that it had.
 
-Where even the best leaves more than noise, its misfit stands for the variance (quasi-likelihood; McCullagh & Nelder,
+If even the best leaves more than noise, its misfit replaces the variance (quasi-likelihood; McCullagh & Nelder,
 Generalized Linear Models, 2nd ed., sec. 9.2).
 """
 
@@ -21,18 +21,18 @@ from twin.discovery.refit.validation import validate
 from twin.discovery.scoring.search import Entry
 
 SAME_SIZE = 0.05
-"""Share by which an effect's size may differ from record to record without that counting against it."""
+"""Relative difference of an effect's sizes in two records that has no cost."""
 MORE_LEFT, MORE_SHARE = 4.0, 0.1
-"""Misfit that the answer may leave in a later record, over what noise alone leaves, or of what there was: its steps
-are harsher than those that the noise was learned from."""
+"""Misfit that the answer may leave in a later record, relative to noise alone or to the misfit before. Its steps are
+larger than those of the record from which the noise was learned."""
 
 
-def weighed(finding: Finding, first: Part, later: Sequence[Part]) -> tuple[Finding, tuple[str, ...]]:
-    """The finding with its hypotheses ranked by all records, and what is to be said of the later ones.
+def reranked(finding: Finding, first: Part, later: Sequence[Part]) -> tuple[Finding, tuple[str, ...]]:
+    """Return the finding with its hypotheses ranked by all records, and sentences about the later ones.
 
-    What is said of the answer itself, its score and the blocks left out, stays that of the first record.
+    Score and cross-validation folds of the answer stay those of the first record.
     """
-    each = weigh(finding.ranked, later, finding.contest.grid.span_s)
+    each = weigh(finding.ranked, later, finding.score_test.grid.span_s)
     for part in later:
         part.reset()
     odds = np.array(
@@ -53,31 +53,33 @@ def weighed(finding: Finding, first: Part, later: Sequence[Part]) -> tuple[Findi
     best = finding.ranked[at].fit
     notes = [
         f"with the answer, later record {number} still leaves {chi:.2f} of misfit where noise alone leaves "
-        f"{part.contest.expected:.2f}; there is more in it, so diagnose that record by itself"
+        f"{part.score_test.expected:.2f}; there is more in it, so diagnose that record by itself"
         for number, (chi, part) in enumerate(zip(each[at].chis, later, strict=True), start=1)
-        if chi > max(MORE_LEFT * part.contest.expected, MORE_SHARE * part.contest.chi)
+        if chi > max(MORE_LEFT * part.score_test.expected, MORE_SHARE * part.score_test.chi)
     ]
     same = at == 0
-    folds = finding.folds if same else validate(first.contest, Model.of(first.basis.probe, best.entries), best)
+    folds = finding.folds if same else validate(first.score_test, Model.of(first.basis.probe, best.entries), best)
     first.reset()
     told = finding.fit if same else best
     return replace(finding, ranked=ranked, fit=told, entries=best.entries, folds=folds), tuple(notes)
 
 
 @dataclass(frozen=True)
-class Weighed:
-    """A hypothesis with later records: `fit` of the first record, its total that of all; `chis` (parts,): misfit that
-    it leaves in each later one."""
+class RerankedHypothesis:
+    """Hypothesis over all records: `fit` of the first record with the total of all; `chis` (parts,): misfit in each
+    later one.
+    """
 
     fit: Fit
     chis: tuple[float, ...]
 
 
-def weigh(ranked: Sequence[Ranked], parts: Sequence[Part], span_s: float) -> list[Weighed]:
-    """Each hypothesis over all records; in the later ones its effects are there throughout, as they ended in the first.
+def weigh(ranked: Sequence[Ranked], parts: Sequence[Part], span_s: float) -> list[RerankedHypothesis]:
+    """Evaluate each hypothesis over all records; in later ones its effects are present throughout, at their final
+    sizes.
 
     Args:
-        span_s: length of the first record, at whose end the effects have the sizes that they go on with.
+        span_s: length of the first record, at whose end the effects have those sizes.
     """
     totals = [hypothesis.fit.total for hypothesis in ranked]
     chis: list[list[float]] = [[] for _ in ranked]
@@ -89,25 +91,25 @@ def weigh(ranked: Sequence[Ranked], parts: Sequence[Part], span_s: float) -> lis
             before = [e for e in hypothesis.entries if e.candidate.id in laws]
             grown = [e.shape.entered.mean(span_s - 1.0, span_s) for e in before]
             entries = tuple(
-                from_the_start(replace(e, law=laws[e.candidate.id]), share * e.size).refreshed(part.contest)
+                from_the_start(replace(e, law=laws[e.candidate.id]), share * e.size).refreshed(part.score_test)
                 for e, share in zip(before, grown, strict=True)
             )
             part.reset()
-            fitted = fit(part.contest, Model.of(part.contest.probe, entries), part.state)
+            fitted = fit(part.score_test, Model.of(part.score_test.probe, entries), part.state)
             sizes = zip(before, grown, fitted.entries, strict=True)
             costs.append(fitted.total + sum(_apart(e, share, later) for e, share, later in sizes))
             chis[i].append(fitted.chi)
         # What even the best leaves over noise is the twin's own error: differences count by as much less.
-        excess = max(min(chi[-1] for chi in chis) / part.contest.expected, 1.0)
+        excess = max(min(chi[-1] for chi in chis) / part.score_test.expected, 1.0)
         totals = [total + cost / excess for total, cost in zip(totals, costs, strict=True)]
     return [
-        Weighed(replace(hypothesis.fit, total=total), tuple(chi))
+        RerankedHypothesis(replace(hypothesis.fit, total=total), tuple(chi))
         for hypothesis, total, chi in zip(ranked, totals, chis, strict=True)
     ]
 
 
 def _apart(first: Entry, grown: float, later: Entry) -> float:
-    """What two sizes of one effect, fitted apart, cost in weighted squares; of the first, its `grown` share."""
+    """Return the cost, in weighted squares, of unequal sizes of one effect; of the first its `grown` share."""
     size, sd = grown * first.size, grown * first.sd
     spread = sd**2 + later.sd**2 + (SAME_SIZE * size) ** 2
     return (size - later.size) ** 2 / max(spread, 1e-30)

@@ -1,4 +1,4 @@
-"""Choice of the part of a record that the fits may see, and the finding from it."""
+"""Search on a fitting segment of a record: choice of the held-out segment, and the finding."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from twin.discovery.records.grid import Grid
 from twin.discovery.refit.fitting import AGAIN, Fit
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import validate
-from twin.discovery.scoring.contest import Contest
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
 from twin.elements.candidates import Candidate
@@ -35,17 +35,17 @@ from twin.gauss_newton import SE90
 from twin.network import Network
 
 STILL_HELD = 0.4
-"""Share of the held-out part that stays held out where that part shows what the rest does not."""
+"""Share of the held-out segment that stays held out if that segment shows an effect that the rest does not."""
 WELL_SEEN, KEPT = LAST_SHARE - 0.01, 6
-"""Share of a part within which a search looks for an onset wherever the part's blocks may end, and bins that no fit
-sees even so."""
+"""Share of a part within which a search finds an onset whatever its block edges, and bins that stay held out even then.
+"""
 LATE = 0.85
-"""Share of the part that a fit sees, beyond which an onset leaves it too little of what follows."""
+"""Share of the fitting segment beyond which an onset leaves too little of it to identify the effect."""
 
 
 @dataclass(frozen=True)
 class SplitFinding:
-    """The finding in `train`, the record up to bin `split`."""
+    """Finding in `train`, the record up to bin `split`."""
 
     finding: Finding
     train: Part
@@ -55,8 +55,8 @@ class SplitFinding:
 
 
 @dataclass(frozen=True)
-class Inquiry:
-    """A record, what is known of its rig, and who is told what is being done.
+class SplitSearch:
+    """Search of a record with prior knowledge of its rig; `say` is called with a description of each step.
 
     `begun` is all of the record as `known` has it, made by `of`.
     """
@@ -69,16 +69,17 @@ class Inquiry:
     say: Callable[[str], None]
 
     @classmethod
-    def of(cls, network: Network, record: Columns, known: Basis, grid: Grid, say: Callable[[str], None]) -> Inquiry:
-        """Return the inquiry of a record, beside what the twin lacked in health already."""
+    def of(cls, network: Network, record: Columns, known: Basis, grid: Grid, say: Callable[[str], None]) -> SplitSearch:
+        """Return the search of a record, with the laws that the twin lacked already in health."""
         begun = Part.of(known, grid)
         more = with_missing(begun)
         return cls(network, record, more, grid, begun if more is known else Part.of(more, grid), say)
 
-    def settled(self, held_out: float) -> tuple[Inquiry, SplitFinding]:
-        """Return the answer (see `answer`), and the inquiry that gave it.
+    def settled(self, held_out: float) -> tuple[SplitSearch, SplitFinding]:
+        """Return the answer (see `answer`), and the search that gave it.
 
-        Where an effect was there in health already, the twin is taken to lack it, and the search begins anew.
+        If an effect was already present in health, it becomes a law that the twin has always lacked, and the search
+        restarts.
         """
         found = self.answer(held_out)
         known = with_usual(self.known, found.finding.entries)
@@ -96,16 +97,16 @@ class Inquiry:
 
     @property
     def whole(self) -> Part:
-        """Return all of the record, to scan; answers are fitted to a part of it."""
+        """Return all of the record, for the scan; answers are fitted to the fitting segment."""
         return self._scanned[0]
 
     def part(self, grid: Grid) -> Part:
-        """Return a part of the record, or a further one, with the forms that suit this record best."""
+        """Return a part of the record, or a further record, with the law forms of greatest evidence on this record."""
         made = Part.of(self.known, grid)
         made.add(self._scanned[1])
         return made
 
-    def on_unseen(self, finding: Finding, split: int) -> dict[str, SensorError]:
+    def held_out_errors(self, finding: Finding, split: int) -> dict[str, SensorError]:
         """Return the errors of a finding from bin `split` on."""
         return self._held_out.errors(finding, split)
 
@@ -114,10 +115,11 @@ class Inquiry:
         return HeldOutRecord(self.network, self.record, self.grid, self.known.plain)
 
     def answer(self, held_out: float) -> SplitFinding:
-        """Return the effects that are told, and what was kept out of their fit.
+        """Return the finding, and the bin at which its held-out segment begins.
 
         Args:
-            held_out: share of the record, at its end, that no fit sees, unless it holds what the rest does not show.
+            held_out: share of the record, at its end, that is held out, unless it shows an effect that the rest does
+                not.
         """
         bins = len(self.grid.time)
         split = int(bins * (1.0 - held_out))
@@ -168,21 +170,22 @@ class Inquiry:
         return replace(found, notes=notes)
 
     def _beside(self, finding: Finding, prior: Prior, claim: float) -> Entry | None:
-        """Return the likeliest effect of the whole record beside those found in a part of it, if its odds allow a
-        claim."""
+        """Return the likeliest effect of the whole record in addition to those of a part of it, if its odds allow a
+        claim.
+        """
         entries = finding.together or finding.entries
         if not entries:
             return None
         whole = self.whole
         whole.know(e.candidate for e in entries)
         laws = {law.candidate.id: law for law in whole.laws}
-        here = tuple(replace(e, law=laws[e.candidate.id]).refreshed(whole.contest) for e in entries)
+        here = tuple(replace(e, law=laws[e.candidate.id]).refreshed(whole.score_test) for e in entries)
         ((fit, _),) = fitted(whole, [here], AGAIN)
-        contest = copy.copy(whole.contest)
-        contest.take(fit.residual, fit.moved)
-        known = joint(contest, tuple(e.refreshed(contest) for e in fit.entries))
+        score_test = copy.copy(whole.score_test)
+        score_test.take(fit.residual, fit.moved)
+        known = joint(score_test, tuple(e.refreshed(score_test) for e in fit.entries))
         others = [law for law in whole.laws if apart(law.candidate, fit.entries)]
-        found = scan(contest, others, known, timed=False)
+        found = scan(score_test, others, known, timed=False)
         best = max(found, key=lambda e: e.log_bayes + prior.of(e), default=None)
         return best if best is not None and best.log_bayes + prior.of(best) > claim else None
 
@@ -193,12 +196,14 @@ class Inquiry:
         return f"{split * self.grid.step_s / 3600.0:.1f} h"
 
     def _amid(self, entry: Entry) -> int:
-        """Return the bin in the middle between an onset and the record's end, or where a search can see that onset."""
+        """Return the bin midway between an onset and the record's end, or the first from which a search finds that
+        onset.
+        """
         bins, onset = len(self.grid.time), entry.shape.onset_s / self.grid.step_s
         return min(max((int(onset) + bins) // 2, int(onset / WELL_SEEN)), bins - KEPT)
 
     def _searched(self, split: int, shorter: SplitFinding | None = None) -> SplitFinding:
-        """Return the finding in the record up to bin `split`, beside what a shorter part of it has shown."""
+        """Return the finding in the record up to bin `split`, given the effects of a shorter part."""
         whole = split >= len(self.grid.time)
         train = self.whole if whole else self.part(self.grid.part(0, split))
         found = searched(train, self.say, () if shorter is None else (shorter.finding.entries,))
@@ -206,7 +211,7 @@ class Inquiry:
 
 
 def _nearer(part: Part) -> tuple[Candidate, ...]:
-    """Return, of laws that come in many forms, those of greater evidence at each place than the catalogue's own."""
+    """Return, for laws with many forms, those of greater evidence at each place than the catalogue's own."""
     best: dict[tuple[str, str, str], Entry] = {}
     for entry in part.scanned:
         c = entry.candidate
@@ -217,7 +222,7 @@ def _nearer(part: Part) -> tuple[Candidate, ...]:
         entry = first
         while entry.candidate.near is not None:
             laws: Sequence[CandidateLaw] = part.basis.book.laws(part.grid, part.run, entry.candidate.near())
-            nearer = scan(part.contest, laws)
+            nearer = scan(part.score_test, laws)
             if not nearer or nearer[0].log_bayes <= entry.log_bayes:
                 break
             entry = nearer[0]
@@ -227,24 +232,24 @@ def _nearer(part: Part) -> tuple[Candidate, ...]:
 
 
 def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
-    """Return what is told of hypotheses: the likeliest, where its odds allow a claim.
+    """Return the finding of a search: the likeliest hypothesis, if its odds allow a claim.
 
     Args:
-        fewer: tell one of two effects that begin at one moment, where the other may be no more than an error of form.
+        fewer: report one of two effects that begin at one moment, if the other may be its form error.
     """
-    contest, claim = part.contest, max(CLAIM, part.basis.claim)
+    score_test, claim = part.score_test, max(CLAIM, part.basis.claim)
     part.reset()
     best = found.told
     least = max(claim, found.unlisted if best is None else found.rival_of(best))
-    together = _at_one_moment(best, contest) if best is not None and best.odds >= least else None
+    together = _at_one_moment(best, score_test) if best is not None and best.odds >= least else None
     if fewer and together is not None and best is not None:
         # What comes back in the turns of another is certainly of one cause, whatever share of it the other has.
-        same = _same_turns_by_chance(*together, contest.grid.span_s) < 1.0
+        same = _same_turns_by_chance(*together, score_test.grid.span_s) < 1.0
         enough = least if same else best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)
         fewer_ones = with_fewer_effects(best, found.hypotheses, enough)
-        others = [h for h in fewer_ones if _at_one_moment(h, contest) is None]
+        others = [h for h in fewer_ones if _at_one_moment(h, score_test) is None]
         best = others[0] if others else best
-    claimed = best is not None and best.odds >= least and _at_one_moment(best, contest) is None
+    claimed = best is not None and best.odds >= least and _at_one_moment(best, score_test) is None
     ranked = _ranked(found, best) if claimed and best is not None else ()
     finding = Finding(
         entries=(),
@@ -252,10 +257,10 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
         retuned=plainly(part, found.retuned),
         ranked=ranked,
         scanned=tuple(found.scanned),
-        start=contest.misfit,
-        count=contest.count,
+        start=score_test.misfit,
+        count=score_test.count,
         ladder=ladder_of(part, best if claimed else None, found.scanned),
-        contest=contest,
+        score_test=score_test,
         state=part.state,
         claim=claim,
         odds=max((h.odds for h in found.hypotheses), default=-math.inf),
@@ -265,30 +270,28 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     if not claimed:
         return finding
     assert best is not None and best.fit is not None
-    folds = validate(contest, Model.of(part.basis.probe, best.fit.entries), best.fit)
+    folds = validate(score_test, Model.of(part.basis.probe, best.fit.entries), best.fit)
     part.reset()
     return replace(finding, entries=best.fit.entries, fit=_as_used(best, part), folds=folds)
 
 
 def with_fewer_effects(best: Hypothesis, hypotheses: Sequence[Hypothesis], enough: float) -> list[Hypothesis]:
-    """Return the fitted hypotheses of log odds `enough` with some of the kinds and places of `best`."""
+    """Return the fitted hypotheses of log odds `enough` or more with a proper subset of the classes of `best`."""
     classes = {class_of(e) for e in best.entries}
     fits = [h for h in hypotheses if h.fit is not None and h.odds >= enough]
     return [h for h in fits if {class_of(e) for e in h.entries} < classes]
 
 
-def _at_one_moment(h: Hypothesis | None, contest: Contest) -> tuple[Entry, Entry] | None:
-    """Return two effects of a hypothesis that are likelier one of no listed form; or None."""
-    return None if h is None else coinciding(h.entries, contest.grid.span_s, contest.grid.step_s)
+def _at_one_moment(h: Hypothesis | None, score_test: ScoreTest) -> tuple[Entry, Entry] | None:
+    """Return two effects of a hypothesis that are likelier one effect of no listed form; or None."""
+    return None if h is None else coinciding(h.entries, score_test.grid.span_s, score_test.grid.step_s)
 
 
 def coinciding(entries: Sequence[Entry], span_s: float, step_s: float) -> tuple[Entry, Entry] | None:
-    """Return two effects that begin so close together, or come back so alike, that one cause of no listed form is
-    likelier than two; or None.
+    """Return two effects with the same onset or period, for which one cause of no listed form is likelier; or None.
 
-    Of two independent faults, the second begins by chance within d of the first with probability 2 d / span. Of those
-    that come back it has by chance the same turns in the whole record, of all that are no shorter, with probability
-    2 period / span.
+    Of two independent faults, the second begins by chance within d of the first with probability 2 d / span. Two
+    periodic ones have the same periods in the whole record by chance with probability 2 period / span.
     """
     least = math.log(SURE / (1.0 - SURE))
     for one, other in itertools.combinations(entries, 2):
@@ -303,7 +306,7 @@ def coinciding(entries: Sequence[Entry], span_s: float, step_s: float) -> tuple[
 
 
 def _same_turns_by_chance(one: Entry, other: Entry, span_s: float) -> float:
-    """Return the probability that two effects come back alike by chance; 1 where they do not."""
+    """Return the probability that two effects have the same period by chance; 1 if they do not."""
     a, b = one.shape, other.shape
     if a.name != "periodic" or b.name != "periodic" or abs(1.0 / a.growth_s - 1.0 / b.growth_s) * span_s > 1.0:
         return 1.0
@@ -311,7 +314,7 @@ def _same_turns_by_chance(one: Entry, other: Entry, span_s: float) -> float:
 
 
 def _ranked(found: Found, best: Hypothesis) -> tuple[Ranked, ...]:
-    """Return the fitted hypotheses of as many effects by their share; those of more are the same with a better form."""
+    """Return the fitted hypotheses of as many effects by posterior probability; larger ones only correct their form."""
     rivals = [h for h in found.hypotheses if h.fit is not None and len(h.entries) <= len(best.entries)]
     odds = np.array([h.odds for h in rivals])
     weights = np.exp(odds - logsumexp(odds))
@@ -324,7 +327,7 @@ def _ranked(found: Found, best: Hypothesis) -> tuple[Ranked, ...]:
 
 
 def _as_used(best: Hypothesis, part: Part) -> Fit:
-    """Return the fit with the values that predict best alone: a twin does not know what its structure leaves."""
+    """Return the fit with the values that predict best without known structure, as a simulation has none."""
     found = best.fit
     assert found is not None
     used = plainly(part, found)

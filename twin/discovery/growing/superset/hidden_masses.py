@@ -1,9 +1,10 @@
-"""Masses that the model does not show, as many to a node and as slow as a record could tell.
+"""Thermal masses that the model lacks, at each node and with each time constant that a record can identify.
 
-The catalogue's time constants are those of loops of litres; a house has walls of days and a borehole sand of weeks. So
-here the record gives the grid: from a few of its samples, below which a mass follows as a wire would, to a few of its
-lengths, above which every mass only takes heat. A lump has one time constant, what conducts has many, so a second mass
-is offered beside a first one (Foster chain; Incropera, Fundamentals of Heat and Mass Transfer, 7th ed., sec. 5.3).
+The catalogue's time constants are those of loops of litres; a house has walls of days and a borehole sand of weeks. The
+record therefore gives the grid. It begins at a few samples, below which a mass follows its node without delay, and ends
+at a few record lengths, above which every mass is a mere heat sink. A lump has one time constant and a conducting body
+many, so a second mass is tried beside a first one (Foster chain; Incropera, Fundamentals of Heat and Mass Transfer, 7th
+ed., sec. 5.3).
 """
 
 from __future__ import annotations
@@ -16,22 +17,22 @@ from twin.elements.candidates import Candidate, Sites
 from twin.elements.hidden_mass import LEAST_S, HiddenMass
 
 LEAST_PERIODS, RECORDS = 4.0, 3.0
-"""Time constants that are looked for: samples at least, and times the record's length at most."""
+"""Least time constant in samples, and largest in record lengths."""
 FIRST_S, RATIO = 120.0, math.sqrt(3.0)
-"""A time constant of the grid, s, and how far each is from the next."""
+"""First time constant of the grid, s, and the ratio of neighbours."""
 TO_A_NODE = 2
-"""Masses beside one node, those of the twin file among them."""
+"""Masses at one node, those of the twin file included."""
 
 
 def time_constants(period_s: float, record_s: float) -> tuple[float, ...]:
-    """The grid for a record of this length with a sample each period, s."""
+    """Return the grid of time constants, s, for a record of this length with a sample each period, s."""
     first = math.ceil(math.log(max(LEAST_PERIODS * period_s, 2.0 * LEAST_S) / FIRST_S, RATIO) - 1e-9)
     last = math.floor(math.log(RECORDS * record_s / FIRST_S, RATIO) + 1e-9)
     return tuple(FIRST_S * RATIO**k for k in range(first, last + 1))
 
 
 def masses(sites: Sites, period_s: float, record_s: float) -> tuple[tuple[Candidate, ...], dict[str, str]]:
-    """Masses beside each node with every time constant, and which element must be there before one is asked for."""
+    """Return masses at each node with every time constant, and the element on which a second mass depends."""
     taken = {e.name for e in sites.elements}
     found: list[Candidate] = []
     after: dict[str, str] = {}
@@ -51,14 +52,16 @@ def masses(sites: Sites, period_s: float, record_s: float) -> tuple[tuple[Candid
 
 
 def kin(candidate: Candidate) -> tuple[str, ...]:
-    """What a mass is but for its time constant, which is one more number to be fitted; nothing of all else."""
+    """Return the identity of a mass without its time constant, which is a further fitted number; () for other
+    candidates.
+    """
     if not candidate.slow_s:
         return ()
     return candidate.kind, candidate.where, candidate.unit, *sorted(n.rpartition(".")[2] for n in candidate.changes)
 
 
 def _named(first: Candidate, name: str, slow_s: float) -> Candidate:
-    """A mass with a time constant as an element of this name."""
+    """Return a mass with a time constant as an element of this name."""
     assert first.slower is not None
     made = first.slower(slow_s)
     (table,) = made.adds.values()

@@ -1,4 +1,6 @@
-"""A finding's effects as a diagnosis has them: size, onset, how sure; and the others, with why they were ruled out."""
+"""Fault isolation from a ranked finding: the effects to report, their ambiguity group, and the causes that are
+excluded.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,7 @@ import numpy as np
 
 from twin.discovery.answer.words import sentence
 from twin.discovery.diagnosis import Alternative, Effect, Verdict
-from twin.discovery.effects.lint import EffectLabel
+from twin.discovery.effects.ambiguity_groups import EffectLabel
 from twin.discovery.effects.phrases import interval
 from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.priors import SURE
@@ -18,27 +20,32 @@ from twin.discovery.scoring.search import Entry, able_to_begin
 from twin.gauss_newton import SE90
 
 
-def told(finding: Finding, grid: Grid) -> tuple[Verdict, tuple[Effect, ...]]:
-    """Each effect of the best fit, and whether each is sure enough to be named alone: its share of the posterior."""
+def isolated_effects(finding: Finding, grid: Grid) -> tuple[Verdict, tuple[Effect, ...]]:
+    """Return the verdict and each effect of the best fit with its posterior probability.
+
+    The verdict is `effect found` if each has a posterior of at least `SURE`, and also without its prior, else
+    `ambiguous`.
+    """
     assert finding.fit is not None
-    sure = [share_of(e, finding.ranked) for e in finding.entries]
+    sure = [posterior_share(e, finding.ranked) for e in finding.entries]
     # What is likelier beforehand alone is not named alone: the record itself has to say so.
-    told_apart = min(ahead(e, finding.ranked) for e in finding.entries) >= math.log(SURE / (1.0 - SURE))
+    told_apart = min(log_bayes_lead(e, finding.ranked) for e in finding.entries) >= math.log(SURE / (1.0 - SURE))
     verdict: Verdict = "effect found" if min(sure) >= SURE and told_apart else "ambiguous"
     return verdict, tuple(_effect(e, finding, s, grid) for e, s in zip(finding.fit.entries, sure, strict=True))
 
 
-def share_of(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
-    """Posterior share of the explanations that have such a kind at such a place."""
+def posterior_share(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
+    """Return the posterior probability of all explanations with the kind and place of an effect."""
     place = (entry.candidate.kind, entry.candidate.where)
     total = sum(r.weight for r in ranked)
     mine = sum(r.weight for r in ranked if any((e.candidate.kind, e.candidate.where) == place for e in r.entries))
     return mine / max(total, 1e-300)
 
 
-def ahead(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
-    """By how much, in log Bayes factor, the best explanation with such a kind at such a place is ahead of the best
-    without."""
+def log_bayes_lead(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
+    """Return the log Bayes factor of the best explanation with the kind and place of an effect over the best
+    without.
+    """
     place = (entry.candidate.kind, entry.candidate.where)
     best = {True: -math.inf, False: -math.inf}
     for r in ranked:
@@ -47,8 +54,8 @@ def ahead(entry: Entry, ranked: tuple[Ranked, ...]) -> float:
     return best[True] - best[False] if best[False] > -math.inf else math.inf
 
 
-def rivals(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...], tuple[Alternative, ...]]:
-    """What cannot be told from the winner (of an ambiguous finding with the winner itself), and what was ruled out."""
+def alternatives_of(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...], tuple[Alternative, ...]]:
+    """Return the ambiguity group of the answer (with the answer itself if it is ambiguous), and the excluded causes."""
     first = finding.ranked[0]
     left = remaining(finding)[0 if verdict == "ambiguous" else 1 :]
     labels = [instead(r, first).label for r in left]
@@ -74,15 +81,17 @@ def rivals(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternative, ...],
     return tuple(same.values()), tuple(out.values())
 
 
-def ruled_out(finding: Finding) -> frozenset[EffectLabel]:
-    """Return the labels that were fitted in the place of the answer's and that this record excludes."""
+def excluded_labels(finding: Finding) -> frozenset[EffectLabel]:
+    """Return the labels of hypotheses that were fitted in place of the answer and that this record excludes."""
     first = finding.ranked[0]
     left = {instead(r, first).label for r in remaining(finding)}
     return frozenset(instead(r, first).label for r in finding.ranked[1:]) - left
 
 
-def near_misses(finding: Finding) -> tuple[Alternative, ...]:
-    """What came nearest where nothing explains the record, and how far."""
+def nearest_effects(finding: Finding) -> tuple[Alternative, ...]:
+    """Return the effects that come nearest to an unexplained record, with the share of the misfit that each
+    explains.
+    """
     out: dict[tuple[str, str, str], Alternative] = {}
     for e in finding.scanned[:24]:
         if e.label not in out and len(out) < 8:
@@ -122,24 +131,24 @@ def _effect(entry: Entry, finding: Finding, sure: float, grid: Grid) -> Effect:
 def _onsets(entry: Entry, finding: Finding) -> tuple[float, float]:
     """Return the 90 % interval of an onset, s.
 
-    It holds the onsets that the scan cannot tell apart. Slopes about the fit see no further than the next edge of a
-    block: where the effect does nothing, since what it follows stands still, they say nothing at all.
+    It holds all onsets that the scan does not distinguish. Slopes about the fit reach no further than the next edge of
+    a block. Where the driver of an effect stands still, they give no information about its onset.
     """
     onset, spread = entry.shape.onset_s, SE90 * entry.onset_sd_s
     if onset <= 0.0:
         return 0.0, spread
     assert finding.fit is not None
-    contest = finding.contest
-    others = [e.placed(contest) for e in finding.fit.entries if e is not entry]
-    first, last = able_to_begin(contest, entry, np.stack(others) if others else np.zeros((0,)))
+    score_test = finding.score_test
+    others = [e.placed(score_test) for e in finding.fit.entries if e is not entry]
+    first, last = able_to_begin(score_test, entry, np.stack(others) if others else np.zeros((0,)))
     if entry.shape.name == "step":
-        spread = min(spread, contest.step_s)
+        spread = min(spread, score_test.step_s)
     low, high = min(onset, first), max(onset, last)
     early, late = min(low, onset - spread), max(high, onset + spread)
-    return max(early, 0.0), min(late, contest.grid.span_s)
+    return max(early, 0.0), min(late, score_test.grid.span_s)
 
 
 def grown_by_end(entry: Entry, grid: Grid) -> float:
-    """Share of its size that an effect has reached when the record ends."""
+    """Return the share of its size that an effect has reached at the end of a record."""
     end = grid.span_s
     return entry.shape.mean(end - 1.0, end) if entry.shape.grows else 1.0

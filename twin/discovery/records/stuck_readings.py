@@ -1,4 +1,4 @@
-"""Thermometers that have stopped telling anything, found before anything is made of their readings."""
+"""Stuck thermometers, detected before their readings are used."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from twin.network import Array
 
 STUCK_S = 900.0
 STUCK_SAMPLES = 60
-"""A noisy reading does not repeat itself for so long and so often."""
+"""Equal readings in a row that make a noisy thermometer stuck."""
 
 
 @dataclass(frozen=True)
 class Stuck:
-    """A column that shows one value from `first_s` to `last_s`, degC."""
+    """Column with one constant value from `first_s` to `last_s`, degC."""
 
     column: str
     value: float
@@ -25,9 +25,9 @@ class Stuck:
 
 
 def stuck(column: str, time_s: Array, values: Array, sigma: float) -> tuple[Stuck, ...]:
-    """Spans over which `values` (n,), degC, do not change although the thermometer has a noise of `sigma` K.
+    """Return the spans over which `values` (n,), degC, are constant although the thermometer has a noise of `sigma` K.
 
-    A thermometer whose steps are far coarser than its noise repeats itself by nature and is left alone.
+    A thermometer with a resolution far coarser than its noise repeats itself normally and is left out.
     """
     good = np.flatnonzero(np.isfinite(values))
     if len(good) < STUCK_SAMPLES:
