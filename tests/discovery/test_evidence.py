@@ -77,16 +77,40 @@ def test_a_probability_between_bounds_is_that_of_the_normal_law(low: float, high
     assert float(log_mass(np.array(low), np.array(high))) == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize(("top", "bottom"), [(3.0, 1.5), (-4.0, 0.7), (0.2, 4.0)])
-@pytest.mark.parametrize("bounds", [(-20.0, 20.0), (0.0, 20.0), (-0.5, 0.4)])
+@pytest.mark.parametrize(("top", "bottom"), [(3.0, 1.5), (-4.0, 0.7), (0.2, 4.0), (60.0, 4.0)])
+@pytest.mark.parametrize("bounds", [(-120.0, 120.0), (0.0, 120.0), (-0.5, 0.4)])
 def test_the_evidence_of_a_size_is_its_integral(top: float, bottom: float, bounds: tuple[float, float]) -> None:
     law = Candidate("heat_source", "tank", "constant", "new", {}, "W", 0.4, *bounds, "gives off {value}")
-    prior = norm(0.0, SPREAD * law.typical)
-    inside = prior.cdf(bounds[1]) - prior.cdf(bounds[0])
-    mean, _ = quad(lambda x: np.exp(top * x - 0.5 * bottom * x**2) * prior.pdf(x) / inside, *bounds, points=[0.0])
-    found, size = log_bayes_of_sizes(law, np.array(top), np.array(bottom))
-    assert float(found) == pytest.approx(np.log(mean), abs=1e-6)
-    assert bounds[0] <= float(size) <= bounds[1]
+    size = float(np.clip(top / bottom, *bounds))
+    shift = 0.5 * top**2 / bottom
+
+    def mean_with(width: float) -> float:
+        prior = norm(0.0, width)
+        inside = prior.cdf(bounds[1]) - prior.cdf(bounds[0])
+        height, _ = quad(
+            lambda x: np.exp(top * x - 0.5 * bottom * x**2 - shift) * prior.pdf(x) / inside, *bounds, points=[size]
+        )
+        return float(np.log(height)) + shift
+
+    usual = SPREAD * law.typical
+    # A size of a greater order has a prior of its own width, which is less likely by as much.
+    expected = mean_with(usual)
+    if abs(size) > usual:
+        expected = max(expected, mean_with(abs(size)) - np.log(abs(size) / usual))
+    found, told = log_bayes_of_sizes(law, np.array(top), np.array(bottom))
+    assert float(found) == pytest.approx(expected, abs=1e-6)
+    assert bounds[0] <= float(told) <= bounds[1]
+
+
+def test_a_size_of_a_hundred_typical_ones_costs_a_few_nats_and_not_its_square() -> None:
+    law = Candidate(
+        "heat_loss", "tank", "temperature_difference", "new", {}, "W/K", 1.0, -200.0, 200.0, "loses {value}"
+    )
+    squares = np.full(2, 25.0)
+    (usual, large), sizes = log_bayes_of_sizes(law, np.array([4.0, 100.0]) * squares, squares)
+    assert sizes == pytest.approx([4.0, 100.0], rel=0.01)
+    gained = 0.5 * 25.0 * (100.0**2 - 4.0**2)
+    assert large - usual == pytest.approx(gained - 2.0 * np.log(100.0 / SPREAD), abs=1.0)
 
 
 @pytest.mark.parametrize(

@@ -32,10 +32,16 @@ def test_a_stranger_is_diagnosed(stranger: Path, case: str) -> None:  # noqa: F8
     if truth["kind"] == "none":
         assert found.verdict == "adequate"
         return
-    assert found.verdict == "effect found" or case in SECOND_BESIDE
     effect, *others = found.effects
     assert len(others) <= (case in SECOND_BESIDE)
-    assert (effect.kind, effect.where, effect.change) == (truth["kind"], truth["where"], truth["change"])
+    if found.verdict == "ambiguous" and case not in SECOND_BESIDE:
+        # A radiator that fouls and a fan that turns slower are one change of its conductance.
+        alike = {(a.kind, a.where) for a in found.indistinguishable}
+        assert alike == {("heat_rejection", "radiator"), ("actuator", "fan_speed")}
+        assert (truth["kind"], truth["where"]) in alike
+    else:
+        assert found.verdict == "effect found" or case in SECOND_BESIDE
+        assert (effect.kind, effect.where, effect.change) == (truth["kind"], truth["where"], truth["change"])
     assert effect.driver in truth["driver"].split("|")
     assert abs(effect.onset_s - key["onset_s"]) < 1800.0 or effect.onset_interval90_s[0] <= key["onset_s"]
     for error in found.errors.values():

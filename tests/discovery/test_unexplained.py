@@ -34,6 +34,21 @@ def test_water_that_flows_less_for_a_time_is_named_with_its_end(brisk: Bench, br
     assert {(a.kind, a.where) for a in found.indistinguishable} <= {("flow", "loop"), ("actuator", "pump_speed")}
 
 
+def test_a_heater_left_on_for_some_seconds_is_told_with_its_heat(brisk: Bench, brisk_healthy: Columns) -> None:
+    hot = brisk.with_element("hot", {"kind": "heat_source", "node": "heater", "power": 700.0})
+    found = diagnose(
+        brisk.network, brisk.record(12.0, changed=hot, onset_h=5.0, until_h=5.0 + 20.0 / HOUR), brisk_healthy
+    )
+    (effect,) = found.effects
+    assert (effect.kind, effect.where, effect.driver) == ("heat_source", "heater", "constant")
+    assert effect.onset_s == pytest.approx(5.0 * HOUR, abs=30.0)
+    assert effect.value * effect.growth_s == pytest.approx(700.0 * 20.0, rel=0.15)
+    assert (
+        f"for {effect.growth_s:.0f} s, and no longer; {effect.value * effect.growth_s / 1e3:.3g} kJ in all"
+        in effect.says
+    )
+
+
 def test_what_lasts_is_not_said_to_have_ended(brisk: Bench, brisk_healthy: Columns) -> None:
     more = brisk.with_element("leak", {"kind": "heat_source", "node": "tank", "power": {"value": 40.0}})
     found = diagnose(brisk.network, brisk.record(14.0, changed=more, onset_h=5.0), brisk_healthy)

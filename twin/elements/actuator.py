@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 from twin.elements.base import STAMP, Element, Names, ParameterSpec, place
@@ -65,14 +66,14 @@ class Actuator(Element):
                 name = f"actuator_of_{column}"
                 table = {name: {"kind": cls.kind, "column": column}}
                 full = sites.scales.get(column, 0.0) or _full(column)
-                found += [replace(c, adds=table) for c in _faults(column, name, _NEUTRAL, full)]
+                found += _with_forms([replace(c, adds=table) for c in _faults(column, name, _NEUTRAL, full)])
         return tuple(found)
 
     def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         now = {key: sites.values[f"{self.name}.{key}"] for key in _NEUTRAL}
         changed = {f"{self.name}.{key}" for key, value in now.items() if value != _NEUTRAL[key]}
         faults = _faults(self.column, self.name, now, sites.values[f"{self.name}.full"])
-        return tuple(replace(c, change="existing") if changed & set(c.changes) else c for c in faults)
+        return tuple(_with_forms([replace(c, change="existing") if changed & set(c.changes) else c for c in faults]))
 
     def emit(self, n: Names) -> Fragment:
         value = n.arrived()
@@ -105,6 +106,15 @@ _NEUTRAL = {"gain": 1.0, "exponent": 1.0, "droop": 0.0, "dead_time_s": 0.0, "lag
 
 def _full(column: str) -> float:
     return 1000.0 if column.endswith("_W") else 100.0
+
+
+def _with_forms(faults: list[Candidate]) -> list[Candidate]:
+    """Return the faults of an actuator, with the dead time as another form of the lag: beside each other the two are
+    hardly distinguished."""
+    if len(faults) < 2:
+        return faults
+    *others, lag, dead_time = faults
+    return [*others, replace(lag, near=partial(tuple, (dead_time,)))]
 
 
 def _faults(column: str, name: str, now: Mapping[str, float], full: float) -> list[Candidate]:

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from twin.discovery.diagnosis import Alternative, Effect, SensorError, Verdict
-from twin.discovery.effects.phrases import clock, lasting, said, when
+from twin.discovery.effects.phrases import SHORT_S, amount, clock, lasting, said, when
 from twin.discovery.effects.statement import disturbance_statement
 from twin.discovery.evidence.held_out import MUCH_WORSE, worse
 from twin.discovery.places.sites import spoken
@@ -20,6 +20,8 @@ MOST_SAID = 14.0
 """Log odds, of a million to one, beyond which the number is not written out."""
 RETUNED = 1.5
 """Ratio of the commissioned twin's error to the re-tuned one's from which the summary gives both."""
+MEGA = 1e6
+"""Heat, J, from which it is given in megajoules."""
 _DRIVEN = {"threshold": "a temperature that switches it"}
 
 
@@ -33,8 +35,10 @@ def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0, spread: float
     if entry.shape.name == "saturating":
         return f"{text} by the end, growing {since} with a time constant of {clock(entry.shape.growth_s)}"
     if entry.shape.name == "spell":
-        first = start + entry.shape.onset_s
-        return f"{text}, from {clock(first)} to {clock(first + entry.shape.growth_s)}, and no longer{_in_all(entry)}"
+        first, length_s = start + entry.shape.onset_s, entry.shape.growth_s
+        if length_s < SHORT_S:
+            return f"{text}, at {clock(first)} for {lasting(length_s)}, and no longer{_in_all(entry)}"
+        return f"{text}, from {clock(first)} to {clock(first + length_s)}, and no longer{_in_all(entry)}"
     if entry.shape.name == "periodic":
         on = entry.shape.duty * entry.shape.growth_s
         return f"{text}, {since} for {clock(on)} in every {clock(entry.shape.growth_s)}"
@@ -46,8 +50,11 @@ def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0, spread: float
 
 
 def _in_all(entry: Entry) -> str:
-    """Return the total amount of what was filled in, in words."""
-    return f"; {entry.size * entry.shape.growth_s:.2g} kg in all" if entry.candidate.unit == "kg/s" else ""
+    """Return the total mass of water that was filled in, or the total heat of a constant power, in words."""
+    total, unit = entry.size * entry.shape.growth_s, entry.candidate.unit
+    if unit == "W" and entry.candidate.driver == "constant":
+        return f"; {amount(total * 1e-3, 'kJ') if abs(total) < MEGA else amount(total * 1e-6, 'MJ')} in all"
+    return f"; {total:.2g} kg in all" if unit == "kg/s" else ""
 
 
 def odds_of_best(finding: Finding) -> str:

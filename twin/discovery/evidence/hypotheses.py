@@ -27,7 +27,7 @@ Place = tuple[str, bool]
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """Set of effects; `odds` is its log posterior odds against no effect, `fit` None while only its linear estimate is
-    known.
+    known, and `log_width` what sizes of a greater order than usual take from `log_bayes`.
     """
 
     entries: tuple[Entry, ...]
@@ -35,6 +35,7 @@ class Hypothesis:
     log_bayes: float
     quadratic: float
     form_error: float
+    log_width: float
     fit: Fit | None = None
     settled: bool = False
     gained: float = 0.0

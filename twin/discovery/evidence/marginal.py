@@ -39,6 +39,8 @@ BEYOND = 9.0
 LEAD, NEGLIGIBLE = 64, -math.log(np.finfo(np.float64).eps)
 """Effects whose log B is computed first, those that lead before their bounds are applied, and the loss of log B at
 which an effect is below rounding."""
+ORDERS = 3
+"""Iterations for the order of sizes: a prior of the usual width shrinks large ones."""
 KEPT_BYTES, MOST_TOGETHER = 1 << 26, 8
 """Bytes for the cached columns of effects, and effects whose columns are cached in any case."""
 
@@ -67,10 +69,25 @@ def _mass_between(low: Array, high: Array) -> Array:
     return found
 
 
+def widths(typical: Array | float, sizes: Array | float) -> Array:
+    """Return the standard deviations of the priors of effects with these sizes.
+
+    A size is of the order of its typical one, or of any greater order, each less likely by as much (`log_widths`).
+    """
+    return np.maximum(SPREAD * np.asarray(typical), np.abs(sizes))
+
+
+def log_widths(candidates: Sequence[Candidate], sizes: Array) -> float:
+    """Return the logarithm of how much less likely it is that sizes are of a greater order than the usual one."""
+    usual = SPREAD * np.array([c.typical for c in candidates])
+    return float(np.log(np.maximum(np.abs(sizes) / usual, 1.0)).sum())
+
+
 def log_bayes_of_sizes(candidates: Candidate | Sequence[Candidate], top: Array, bottom: Array) -> tuple[Array, Array]:
     """Return log B of single effects with scores `top` and squares `bottom`, and their sizes.
 
-    The prior of a size is a Gaussian truncated to its candidate's bounds.
+    The prior of a size is a Gaussian of the usual width or, if that is likelier, of its own order (`widths`), within
+    its candidate's bounds.
 
     Args:
         candidates: one for all scores, which have any shape, or one for each row (c,) of scores (c, n).
@@ -80,12 +97,38 @@ def log_bayes_of_sizes(candidates: Candidate | Sequence[Candidate], top: Array, 
         typical, lower, upper = np.array(c.typical), np.array(c.lower), np.array(c.upper)
     else:
         typical, lower, upper = np.array([(c.typical, c.lower, c.upper) for c in candidates]).T[..., None]
-    prior = SPREAD * typical
+    usual = SPREAD * typical
+    odds, sizes = _within_bounds(usual, lower, upper, top, bottom)
+    alone = np.abs(np.clip(top / bottom, lower, upper))
+    large = np.asarray(alone > usual)
+    if large.any():
+        usual, lower, upper = (np.broadcast_to(v, odds.shape)[large] for v in (usual, lower, upper))
+        wide = np.asarray(alone)[large]
+        other, size = _within_bounds(
+            wide, lower, upper, *(np.broadcast_to(v, odds.shape)[large] for v in (top, bottom))
+        )
+        other -= np.log(wide / usual)
+        better = other > odds[large]
+        odds[large], sizes[large] = np.where(better, other, odds[large]), np.where(better, size, sizes[large])
+    return odds, sizes
+
+
+def _within_bounds(prior: Array, lower: Array, upper: Array, top: Array, bottom: Array) -> tuple[Array, Array]:
+    """Return log B and sizes with Gaussian priors of these standard deviations, cut off at bounds."""
     variance = 1.0 / (bottom + prior**-2.0)
     mean, sd = variance * top, np.sqrt(variance)
     odds = 0.5 * mean * top - 0.5 * np.log1p(prior**2 * bottom)
     here = log_mass((lower - mean) / sd, (upper - mean) / sd)
-    return odds + here - log_mass(lower / prior, upper / prior), np.clip(mean, lower, upper)
+    return np.array(odds + here - log_mass(lower / prior, upper / prior)), np.array(np.clip(mean, lower, upper))
+
+
+def free_log_bayes(candidate: Candidate, top: Array, bottom: Array) -> Array:
+    """Return log B of sizes without what bounds make of it."""
+    usual = SPREAD * candidate.typical
+    odds: Array = 0.5 * top**2 / (bottom + usual**-2.0) - 0.5 * np.log1p(usual**2 * bottom)
+    wide = np.maximum(np.abs(top / bottom), usual)
+    other = 0.5 * top**2 / (bottom + wide**-2.0) - 0.5 * np.log1p(wide**2 * bottom) - np.log(wide / usual)
+    return np.maximum(odds, other)
 
 
 def likeliest(candidate: Candidate, top: Array, bottom: Array) -> NDArray[np.intp]:
@@ -94,8 +137,8 @@ def likeliest(candidate: Candidate, top: Array, bottom: Array) -> NDArray[np.int
     The bounds of a size raise log B by at most the prior's own truncation, which bounds it from above. All effects that
     are left out add less than rounding to the likeliest one.
     """
+    most = free_log_bayes(candidate, top, bottom)
     prior = SPREAD * candidate.typical
-    most = 0.5 * top**2 / (bottom + prior**-2.0) - 0.5 * np.log1p(prior**2 * bottom)
     before = _log_mass(candidate.lower / prior, candidate.upper / prior)
     lead = np.argpartition(most, -min(LEAD, len(most)))[-LEAD:]
     least = float(log_bayes_of_sizes(candidate, top[lead], bottom[lead])[0].max())
@@ -143,6 +186,7 @@ class Joint:
         scale: (c,) prior standard deviations of the columns.
         root: (c, c), root @ root' the inverse of I + S G S. form_error: its likeliest share.
         log_bayes: over no effect, averaged over the shares. quadratic: twice the part of it that depends on the data.
+        log_width: what sizes of a greater order than usual take from `log_bayes`.
         sizes: (e,) of the effects.
     """
 
@@ -153,6 +197,7 @@ class Joint:
     form_error: float
     log_bayes: float
     quadratic: float
+    log_width: float
     sizes: Array
 
     @cached_property
@@ -191,12 +236,18 @@ def _columns(score_test: ScoreTest, entry: Entry) -> Array:
 
 def joint(score_test: ScoreTest, entries: Sequence[Entry]) -> Joint:
     """Return the evidence of effects together; their shapes stay fixed."""
-    count = len(entries)
-    prior = np.array([SPREAD * e.candidate.typical for e in entries])
+    count, candidates = len(entries), [e.candidate for e in entries]
+    typical = np.array([c.typical for c in candidates])
     seen = _in_order([_columns(score_test, e) for e in entries])
     each = seen.shape[1] // count - 1
     gram, score = score_test.across(seen), score_test.scores_of(seen)
-    sizes = np.linalg.solve(gram[:count, :count] + np.diag(prior**-2.0), score[:count])
+    prior, sizes = SPREAD * typical, np.zeros(count)
+    for _ in range(ORDERS):
+        sizes = np.asarray(
+            np.linalg.solve(gram[:count, :count] + np.diag(prior**-2.0), score[:count]), dtype=np.float64
+        )
+        prior = widths(typical, sizes)
+    less = log_widths(candidates, sizes)
     found: list[tuple[float, float, Array, Array, Array]] = []
     for share in FORM_ERRORS:
         scale = np.concatenate([prior, np.repeat(share * np.abs(sizes), each)])
@@ -206,7 +257,7 @@ def joint(score_test: ScoreTest, entries: Sequence[Entry]) -> Joint:
         quadratic = float(pull @ pull)
         mean = scale * (root @ pull)
         spread = scale * np.sqrt((root**2).sum(axis=1))
-        log_bayes = 0.5 * quadratic - 0.5 * float(np.log(np.maximum(values, 1.0)).sum())
+        log_bayes = 0.5 * quadratic - 0.5 * float(np.log(np.maximum(values, 1.0)).sum()) - less
         log_bayes += sum(
             _within(e.candidate, float(m), float(s), float(p))
             for e, m, s, p in zip(entries, mean, spread, prior, strict=False)
@@ -215,7 +266,7 @@ def joint(score_test: ScoreTest, entries: Sequence[Entry]) -> Joint:
     best = max(range(len(found)), key=lambda i: found[i][0])
     log_bayes, quadratic, scale, root, mean = found[best]
     total = float(logsumexp([f[0] for f in found]) - np.log(len(found)))
-    return Joint(score_test, seen, scale, root, FORM_ERRORS[best], total, quadratic, mean)
+    return Joint(score_test, seen, scale, root, FORM_ERRORS[best], total, quadratic, less, mean)
 
 
 def _within(candidate: Candidate, mean: float, sd: float, prior: float) -> float:

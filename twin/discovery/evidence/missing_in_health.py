@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from twin.discovery.evidence.hypotheses import Prior, apart
-from twin.discovery.evidence.marginal import joint
+from twin.discovery.evidence.marginal import joint, log_widths, widths
 from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, MISSING_IN_HEALTH, SPREAD
 from twin.discovery.evidence.scan import scan
@@ -154,12 +154,13 @@ def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
         amounts = known.health.amplitudes([entry.candidate], known.probe.scaling.ids)
         if not amounts.candidates:
             continue
-        wide = (SPREAD * entry.candidate.typical) ** 2
+        wide = float(widths(entry.candidate.typical, entry.size)) ** 2
         variance = 1.0 / (float(amounts.precision[0, 0]) + 1.0 / wide)
         mean = variance * float(amounts.score[0])
         variance += (max(FORM_ERRORS) * mean) ** 2
         before = math.log(MISSING_IN_HEALTH) + _log_normal(entry.size - mean, variance + entry.sd**2)
-        if before > math.log(FAULT) + _log_normal(entry.size, wide + entry.sd**2):
+        fault = math.log(FAULT) - log_widths([entry.candidate], np.array([entry.size]))
+        if before > fault + _log_normal(entry.size, wide + entry.sd**2):
             structure, law = known.structure, (entry.candidate,)
             assert structure is not None
             structure = structure.with_laws(law, np.array([mean]), np.array([[variance]]), amounts.moves)
@@ -182,7 +183,11 @@ def _columns_of(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior
     here += score_test.slopes[:, : part.basis.probe.q] @ amounts.moves
     there = score_test.signatures(np.stack([e.vector for e in effects]))
     _, gram, score = score_test.beside_tunables(np.concatenate([there, here], axis=1))
-    wide = [(SPREAD * c.typical) ** -2.0 for c in (*(e.candidate for e in effects), *amounts.candidates)]
+    sizes = np.array([e.size for e in effects])
+    wide = [
+        *widths(np.array([e.candidate.typical for e in effects]), sizes) ** -2.0,
+        *((SPREAD * c.typical) ** -2.0 for c in amounts.candidates),
+    ]
     count = len(effects)
     missing = [math.log(MISSING_IN_HEALTH) + prior.share(c) for c in amounts.candidates]
     columns = _Columns(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -102,21 +103,25 @@ class Part:
         """Return the lags and delays, each with the onset and the size of highest evidence.
 
         A lag is not linear in its size. Its response at each of several sizes, a factor of `APART` apart, is scanned as
-        a law of its own, with that size as its typical one. Only every second time constant is included.
+        a law of its own, with that size as its typical one. A mass has only one such size: what it does beyond that is
+        told by its time constants, of which only every second one is included.
         """
         made: list[tuple[CandidateLaw, CandidateLaw]] = []
         slow: Counter[str] = Counter()
-        for law in self.laws:
+        book, known = self.basis.book, {law.candidate.id for law in self.laws}
+        late = [law for law in self.laws if law.candidate.driver in LATE and not law.candidate.begins]
+        others = tuple(o for law in late if law.candidate.near is not None for o in law.candidate.near())
+        late += book.laws(self.grid, self.run, tuple(o for o in others if o.id not in known))
+        for law in late:
             c = law.candidate
-            if c.driver not in LATE or c.begins:
-                continue
             if c.slower is not None:
                 slow[c.where] += 1
                 if slow[c.where] % 2 == 0:
                     continue
-            tried = {min(MUCH * c.typical * APART**k, c.upper) for k in range(SIZES)}
+            sizes = 1 if c.kind == "thermal_mass" else SIZES
+            tried = {min(MUCH * c.typical * APART**k, c.upper) for k in range(sizes)}
             forms = tuple(replace(c, typical=size, shapes=("step",)) for size in sorted(tried))
-            made += [(law, form) for form in self.basis.book.laws(self.grid, self.run, forms)]
+            made += [(law, form) for form in book.laws(self.grid, self.run, forms)]
         law_of = {id(form): law for law, form in made}
         best: dict[str, tuple[CandidateLaw, Entry]] = {}
         for entry in scan(self.score_test, [form for _, form in made], timed=False):
@@ -125,11 +130,12 @@ class Part:
         return [*best.values()]
 
     def late(self, onset_s: float) -> list[Entry]:
-        """Return the lags and delays at the size of highest evidence: from the beginning, an onset, and their own."""
+        """Return the lags and delays at the size of highest evidence, from the beginning and from an onset."""
         found = []
         for law, entry in self.secants:
-            own_s = entry.shape.onset_s if abs(entry.shape.onset_s - onset_s) > self.score_test.step_s else onset_s
-            for since in {s if s > EARLY_S else 0.0 for s in (0.0, onset_s, own_s)}:
+            for since in {0.0, onset_s if onset_s > EARLY_S else 0.0}:
+                if since == 0.0 and math.isinf(law.candidate.lumped):
+                    continue  # nothing tells it from the lag of a twin of mixed volumes
                 begun = Entry(law, Shape("step", since), np.empty(0), entry.candidate.typical, 0.0, 0.0)
                 found.append(begun.refreshed(self.score_test))
         return found

@@ -19,7 +19,8 @@ UNLISTED = 0.1
 """Share of faults that are of no named law. A judgement, not a count."""
 SPREAD = 5.0
 """Standard deviation of a size, in typical sizes of its law. In a prototype on 40-hour records of independent plants
-the odds changed by 1 to 1.5 between 2 and 15."""
+the odds changed by 1 to 1.5 between 2 and 15. A size may be of any greater order, which is less likely by the ratio of
+the two: typical sizes are of a rig of some hundred watts, and rigs differ by orders."""
 ALL_ALONG = 0.5
 """Probability that an effect was present when the record began; otherwise any onset in it is equally likely."""
 AT_ONCE = 0.5
@@ -27,6 +28,9 @@ AT_ONCE = 0.5
 rest equally, and within a family its courses."""
 FORM_ERRORS = (0.01, 0.03, 0.1)
 """Standard deviations of an effect's form error, as equally likely shares of its size: no law is exact."""
+FORM_SHARE = (2.0 * max(FORM_ERRORS)) ** 2
+"""Share of the log odds of an effect that an error of its form, of two standard deviations, may amount to: what a
+further effect adds has to be more."""
 FORM_S = 7200.0
 """Time over which a form error keeps its sign, s: that of a load step and of a change of the weather."""
 CLAIM = 12.0

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import EARLY_S, TIMED, Shape, courses_of
-from twin.discovery.evidence.marginal import Joint, likeliest, log_bayes_of_sizes
-from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE, SPREAD
+from twin.discovery.evidence.marginal import Joint, free_log_bayes, likeliest, log_bayes_of_sizes
+from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE, Courses, LawSquares, returning, rows_by_name
@@ -292,14 +292,9 @@ def _turns(
 
 
 def _roughly(candidate: Candidate, top: Array, bottom: Array) -> Array:
-    """Return log B of sizes without the factor of their bounds, except for sizes of a sign that the candidate
-    excludes.
-    """
-    prior = SPREAD * candidate.typical
-    mean = top / (bottom + prior**-2.0)
-    odds = 0.5 * mean * top - 0.5 * np.log1p(prior**2 * bottom)
-    impossible = ((mean > 0.0) & (candidate.upper <= 0.0)) | ((mean < 0.0) & (candidate.lower >= 0.0))
-    return np.where(impossible, -math.inf, odds)
+    """Return log B of sizes without the factor of their bounds; minus infinity for an excluded sign."""
+    impossible = ((top > 0.0) & (candidate.upper <= 0.0)) | ((top < 0.0) & (candidate.lower >= 0.0))
+    return np.where(impossible, -math.inf, free_log_bayes(candidate, top, bottom))
 
 
 def _begun(shape: Shape, since_s: float) -> Shape:

@@ -19,7 +19,7 @@ from twin.discovery.evidence.hypotheses import Found, Hypothesis, Prior, apart, 
 from twin.discovery.evidence.marginal import joint
 from twin.discovery.evidence.missing_in_health import with_missing, with_usual
 from twin.discovery.evidence.part import Part, fitted, plainly
-from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, SURE, UNLISTED
+from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_SHARE, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
 from twin.discovery.evidence.search import ladder_of, searched
 from twin.discovery.healthy.basis import Basis, Columns
@@ -245,7 +245,7 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     if fewer and together is not None and best is not None:
         # What comes back in the turns of another is certainly of one cause, whatever share of it the other has.
         same = _same_turns_by_chance(*together, score_test.grid.span_s) < 1.0
-        enough = least if same else best.odds * (1.0 - (2.0 * max(FORM_ERRORS)) ** 2)
+        enough = least if same else best.odds * (1.0 - FORM_SHARE)
         fewer_ones = with_fewer_effects(best, found.hypotheses, enough)
         others = [h for h in fewer_ones if _at_one_moment(h, score_test) is None]
         best = others[0] if others else best
@@ -270,9 +270,11 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
     if not claimed:
         return finding
     assert best is not None and best.fit is not None
-    folds = validate(score_test, Model.of(part.basis.probe, best.fit.entries), best.fit)
+    # The effect that the data tell most surely is named first.
+    told = replace(best.fit, entries=tuple(sorted(best.fit.entries, key=lambda e: -abs(e.size) / max(e.sd, 1e-300))))
+    folds = validate(score_test, Model.of(part.basis.probe, told.entries), told)
     part.reset()
-    return replace(finding, entries=best.fit.entries, fit=_as_used(best, part), folds=folds)
+    return replace(finding, entries=told.entries, fit=_as_used(told, part), folds=folds)
 
 
 def with_fewer_effects(best: Hypothesis, hypotheses: Sequence[Hypothesis], enough: float) -> list[Hypothesis]:
@@ -326,10 +328,8 @@ def _ranked(found: Found, best: Hypothesis) -> tuple[Ranked, ...]:
     )
 
 
-def _as_used(best: Hypothesis, part: Part) -> Fit:
+def _as_used(found: Fit, part: Part) -> Fit:
     """Return the fit with the values that predict best without known structure, as a simulation has none."""
-    found = best.fit
-    assert found is not None
     used = plainly(part, found)
     same = all(a.size * b.size > 0.0 for a, b in zip(used.entries, found.entries, strict=True))
     return replace(used, total=found.total, chi=found.chi) if same else found
