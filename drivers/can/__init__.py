@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from drivers.can.bus import CanReceiver
     from drivers.can.dbc import DbcContents, DbcSignal, bind, describe_dbc, read_dbc
+    from drivers.can.encoding import EncodedFrame, FrameEncoder
     from drivers.can.wire import CanWire
 
 _HOME = {
@@ -18,6 +19,8 @@ _HOME = {
     "CanWire": "drivers.can.wire",
     "DbcContents": "drivers.can.dbc",
     "DbcSignal": "drivers.can.dbc",
+    "EncodedFrame": "drivers.can.encoding",
+    "FrameEncoder": "drivers.can.encoding",
     "bind": "drivers.can.dbc",
     "describe_dbc": "drivers.can.dbc",
     "read_dbc": "drivers.can.dbc",
@@ -28,6 +31,8 @@ __all__ = [
     "CanWire",
     "DbcContents",
     "DbcSignal",
+    "EncodedFrame",
+    "FrameEncoder",
     "bind",
     "describe_dbc",
     "read_dbc",

@@ -11,31 +11,43 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from drivers.virtual.rig import (
+    from drivers.virtual.processes import (
         PortInUseError,
-        VirtualRig,
+        RunningRig,
         VirtualRigError,
-        VirtualRigOptions,
-        serve,
-        start_virtual_rig,
+        all_ready,
+        spawn,
+        stop_on_signals,
+        until_stopped,
     )
+    from drivers.virtual.rig import VirtualRig, VirtualRigOptions, serve, start_virtual_rig
 
 _HOME = {
-    "PortInUseError": "drivers.virtual.rig",
+    "PortInUseError": "drivers.virtual.processes",
+    "RunningRig": "drivers.virtual.processes",
     "VirtualRig": "drivers.virtual.rig",
-    "VirtualRigError": "drivers.virtual.rig",
+    "VirtualRigError": "drivers.virtual.processes",
     "VirtualRigOptions": "drivers.virtual.rig",
+    "all_ready": "drivers.virtual.processes",
     "serve": "drivers.virtual.rig",
+    "spawn": "drivers.virtual.processes",
     "start_virtual_rig": "drivers.virtual.rig",
+    "stop_on_signals": "drivers.virtual.processes",
+    "until_stopped": "drivers.virtual.processes",
 }
 
 __all__ = [
     "PortInUseError",
+    "RunningRig",
     "VirtualRig",
     "VirtualRigError",
     "VirtualRigOptions",
+    "all_ready",
     "serve",
+    "spawn",
     "start_virtual_rig",
+    "stop_on_signals",
+    "until_stopped",
 ]
 
 
