@@ -1,6 +1,6 @@
 """Virtual rig: plant physics with a Modbus server, and a CAN node, in processes of their own.
 
-The package is firmware: it imports neither a Modbus nor a CAN library, and nothing of the twin.
+The package is firmware: it imports no Modbus library, and nothing of the twin.
 
 The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
 """
@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from drivers.virtual.own_map import is_own_rig
     from drivers.virtual.processes import (
         PortInUseError,
         RunningRig,
@@ -29,6 +30,7 @@ _HOME = {
     "VirtualRigError": "drivers.virtual.processes",
     "VirtualRigOptions": "drivers.virtual.rig",
     "all_ready": "drivers.virtual.processes",
+    "is_own_rig": "drivers.virtual.own_map",
     "serve": "drivers.virtual.rig",
     "spawn": "drivers.virtual.processes",
     "start_virtual_rig": "drivers.virtual.rig",
@@ -43,6 +45,7 @@ __all__ = [
     "VirtualRigError",
     "VirtualRigOptions",
     "all_ready",
+    "is_own_rig",
     "serve",
     "spawn",
     "start_virtual_rig",

@@ -67,7 +67,9 @@ def _serve(memory: Memory, function: int, pdu: bytes) -> bytes:
     if function in (3, 4):
         _fixed(pdu, 5)
         _check(count, 125)
-        return bytes((function, 2 * count)) + memory.read_registers("input" if function == 4 else "holding", first, count)
+        return bytes((function, 2 * count)) + memory.read_registers(
+            "input" if function == 4 else "holding", first, count
+        )
     if function == 16:
         return _write_many(memory, pdu, first, count)
     if function == 6:

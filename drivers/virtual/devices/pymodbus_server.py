@@ -83,7 +83,7 @@ class PymodbusServer:
     def __init__(
         self, registers: Registers, host: str, port: int, tls: ssl.SSLContext | None, rtu_port: int | None = None
     ) -> None:
-        self.port: int | None = port
+        self.port = port
         self.rtu_port = rtu_port
         self.line: PseudoLine | None = None
         self._registers, self._host, self._tls = registers, host, tls
