@@ -47,8 +47,19 @@ def is_served_copy(path: Path) -> bool:
     return read_regular(path).startswith(HEADER.encode("ascii"))
 
 
-def write_served_file(source: Path, sections: Sections, out: Path) -> None:
+def write_served_file(source: Path, sections: Sections, out: Path, time_scale: float = 1.0) -> None:
     """Write the rig file `source` with its buses at the served addresses to `out`.
+
+    Parameters
+    ----------
+    source
+        Rig file.
+    sections
+        Keys of each bus that differ, by its name.
+    out
+        File to write; paths in it are as seen from its folder.
+    time_scale
+        Factor of the served rig's clock to real time.
 
     Raises
     ------
@@ -61,6 +72,8 @@ def write_served_file(source: Path, sections: Sections, out: Path) -> None:
         top[key] = document.pop(key)
     top["name"] = f"{top.get('name', source.stem)} (served)"
     top["description"] = f"Simulated devices of {source.name}, no hardware"
+    if time_scale != 1.0:
+        top["time_scale"] = time_scale
     if isinstance(top.get("twin"), str):
         top["twin"] = _from(out, source.parent / top["twin"])
     for name, section in document["bus"].items():

@@ -21,6 +21,7 @@ from drivers.virtual import (
 )
 from hil.served_rig.served_file import is_served_copy, write_served_file
 
+MOST_SPEED = 100.0
 INVERSE_CRIME = (
     "The plant is the twin itself (an inverse crime): this tries wiring, interlocks, alarms and test plans, and is no "
     "evidence for calibration or diagnosis."
@@ -42,7 +43,7 @@ class ServedRigOptions:
     mode
         Real time, `speed` times as fast, or granted step by step on the control port.
     speed
-        Factor to real time, in modes real and scaled.
+        Factor to real time in modes real and scaled, at most 100 as `time_scale` of a rig file.
     seed
         Seed of the noise.
     control_port
@@ -59,8 +60,8 @@ class ServedRigOptions:
     free_ports: bool = True
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.speed <= 1e6:
-            raise ValueError(f"speed is {self.speed}; give a factor above 0.")
+        if not 0.0 < self.speed <= MOST_SPEED:
+            raise ValueError(f"speed is {self.speed:g}; give a factor above 0, at most {MOST_SPEED:g}.")
         if not 0 <= self.control_port <= 65535:
             raise ValueError(f"control_port is {self.control_port}; give 0 (any free port) to 65535.")
 
@@ -176,7 +177,7 @@ async def _serve(rig: Rig, file: Path, options: ServedRigOptions, out: Path | No
     async with started as served:
         if out is not None:
             try:
-                write_served_file(file, served.sections, out)
+                write_served_file(file, served.sections, out, options.speed)
             except OSError as error:
                 raise ServedRigError(
                     f"{out}: cannot be written ({error.strerror or error}); give another path with --out"
