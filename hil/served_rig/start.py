@@ -23,7 +23,7 @@ from hil.served_rig.served_file import is_served_copy, write_served_file
 
 MOST_SPEED = 100.0
 INVERSE_CRIME = (
-    "The plant is the twin itself (an inverse crime): this tries wiring, interlocks, alarms and test plans, and is no "
+    "A twin that predicts itself is an inverse crime: it tries wiring, interlocks, alarms and test plans, and is no "
     "evidence for calibration or diagnosis."
 )
 

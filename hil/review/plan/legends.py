@@ -21,10 +21,10 @@ _FRAME_PX = 50.0
 """
 _LETTER_PX = 6.8
 """Mean width of a letter in a legend, px."""
-_TITLE_FRAME_PX = 120.0
+_TITLE_FRAME_PX = 100.0
 """Width of a panel's title bar without the title: icon and buttons."""
-_TITLE_LETTER_PX = 7.6
-"""Mean width of a letter in a title, px."""
+_TITLE_LETTER_PX = 6.1
+"""Mean width of a letter in a title, px, measured as above."""
 _LEAST_NAME = 8
 """Letters of a name that are always shown."""
 _MOST = 1.2

@@ -17,8 +17,6 @@ panels of a tab share in a window of a usual 1000 points."""
 _MOST_LANES = 5
 """Lanes that a sensor's tab has room for; the others need scrolling."""
 _LEAST_REACH_K = 0.25
-_EVENTS_SHARE = 1.6
-"""Width of the events against a plot beside them: an event is a sentence."""
 
 
 def _by_unit(entities: dict[str, tuple[str, str]]) -> dict[str, list[tuple[str, str]]]:
@@ -114,7 +112,7 @@ def overview(
         "State, quality, gates, windows" if proposers else "State, quality, windows",
         ("/state", "/quality", *gates, "/windows/**"),
     )
-    events = Panel("texts", "Events", ("/events",), _EVENTS_SHARE)
+    events = Panel("texts", "Events", ("/events",))
     colours = dict(zip(actuators, itertools.cycle(ACTUATOR_WORDS), strict=False))
     driven = tuple(_told_by_title(panel, colours) for panel in unit_panels(actuators))
     rows.append(Stack("columns", (*driven, lanes, events), share=3.0))
