@@ -154,9 +154,11 @@ def serve(file: Path, options: ServedRigOptions, out: Path | None, *, say: Calla
 
     Raises
     ------
-    ConfigurationError
+    ServedRigError
         The file cannot be served, or `out` is a file that is no served copy.
-    PortInUseError, VirtualRigError
+    ConfigurationError
+        The rig file has mistakes, or addresses that are not of this machine.
+    VirtualRigError
         The process cannot be started.
     """
     rig = load_rig(file)
