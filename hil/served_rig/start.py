@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -186,7 +187,9 @@ async def _serve(rig: Rig, file: Path, options: ServedRigOptions, out: Path | No
                 ) from None
         for line in _about(rig, file, options, served):
             say(line)
-        say(f"  Run on it: hil run LOAD.csv --rig {file if out is None else out}{_granted(options, served)}")
+        path = shlex.quote(str(file if out is None else out))
+        run = f"hil run LOAD.csv --rig {path}{_granted(options, served)}"
+        say(f"  In a second terminal: {run if rig.setpoints else f'hil check {path} --online'}")
         say(f"  {options.mode} time, a period of {rig.period_s:g} s; Ctrl-C ends it.")
         return await until_stopped(served, stop, say)
 
