@@ -12,14 +12,16 @@ from drivers.lazy_names import lazy_names
 if TYPE_CHECKING:
     from drivers.can.bus import CanReceiver
     from drivers.can.dbc import DbcContents, DbcSignal, bind, describe_dbc, read_dbc
+    from drivers.can.encoding import EncodedFrame, FrameEncoder
     from drivers.can.wire import CanWire
-
 
 __all__ = [
     "CanReceiver",
     "CanWire",
     "DbcContents",
     "DbcSignal",
+    "EncodedFrame",
+    "FrameEncoder",
     "bind",
     "describe_dbc",
     "read_dbc",
@@ -29,7 +31,17 @@ __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "bus": ("CanReceiver",),
-        "dbc": ("DbcContents", "DbcSignal", "bind", "describe_dbc", "read_dbc"),
+        "dbc": (
+            "DbcContents",
+            "DbcSignal",
+            "bind",
+            "describe_dbc",
+            "read_dbc",
+        ),
+        "encoding": (
+            "EncodedFrame",
+            "FrameEncoder",
+        ),
         "wire": ("CanWire",),
     },
 )

@@ -1,6 +1,6 @@
 """Virtual rig: plant physics with a Modbus server, and a CAN node, in processes of their own.
 
-The package is firmware: it imports neither a Modbus nor a CAN library, and nothing of the twin.
+The package is firmware: it imports no Modbus library, and nothing of the twin.
 
 The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
 """
@@ -12,28 +12,51 @@ from typing import TYPE_CHECKING
 from drivers.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from drivers.virtual.rig import (
+    from drivers.virtual.own_map import is_own_rig
+    from drivers.virtual.processes import (
         PortInUseError,
-        VirtualRig,
+        RunningRig,
         VirtualRigError,
-        VirtualRigOptions,
-        serve,
-        start_virtual_rig,
+        all_ready,
+        spawn,
+        stop_on_signals,
+        until_stopped,
     )
-
+    from drivers.virtual.rig import VirtualRig, VirtualRigOptions, serve, start_virtual_rig
 
 __all__ = [
     "PortInUseError",
+    "RunningRig",
     "VirtualRig",
     "VirtualRigError",
     "VirtualRigOptions",
+    "all_ready",
+    "is_own_rig",
     "serve",
+    "spawn",
     "start_virtual_rig",
+    "stop_on_signals",
+    "until_stopped",
 ]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "rig": ("PortInUseError", "VirtualRig", "VirtualRigError", "VirtualRigOptions", "serve", "start_virtual_rig"),
+        "own_map": ("is_own_rig",),
+        "processes": (
+            "PortInUseError",
+            "RunningRig",
+            "VirtualRigError",
+            "all_ready",
+            "spawn",
+            "stop_on_signals",
+            "until_stopped",
+        ),
+        "rig": (
+            "VirtualRig",
+            "VirtualRigOptions",
+            "serve",
+            "start_virtual_rig",
+        ),
     },
 )

@@ -1,4 +1,4 @@
-"""Start, supervision and end of the virtual rig's two processes.
+"""Options, start and serving of the virtual rig's two processes.
 
     rig = await start_virtual_rig(mode="lockstep", seed=7)
     async with rig:
@@ -8,149 +8,37 @@
 """
 
 import asyncio
-import contextlib
-import json
 import math
-import signal
 import socket
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, get_args
 
 from drivers.virtual.plant import load_effects
+from drivers.virtual.processes import RigProcess, RunningRig, all_ready, spawn, stop_on_signals, until_stopped
 
 Mode = Literal["real", "scaled", "lockstep"]
 Server = Literal["own", "pymodbus"]
 
-START_TIMEOUT_S = 120.0
-"""Time-out of the start, s: the first start on a machine compiles the physics."""
-END_TIMEOUT_S = 3.0
 _TLS = ("--tls-certificate", "--tls-key", "--tls-ca")
 _PORTS = ("modbus_port", "can_port", "control_port", "rtu_port", "serial_port")
 
 
-class VirtualRigError(Exception):
-    """Error of a virtual rig that cannot be started, or that ended unasked."""
-
-
-class PortInUseError(VirtualRigError, OSError):
-    """Error of a port of the virtual rig that cannot be opened."""
-
-
-class _RigProcess:
-    """Process of the rig and the JSON lines of its standard output."""
-
-    def __init__(self, name: str, process: asyncio.subprocess.Process) -> None:
-        self.name, self.process = name, process
-        self.last: dict[str, Any] = {}
-
-    async def read_line(self) -> dict[str, Any] | None:
-        """Return the next JSON line; None at the end of the stream."""
-        assert self.process.stdout is not None
-        while line := await self.process.stdout.readline():
-            with contextlib.suppress(json.JSONDecodeError):
-                self.last = json.loads(line)
-                return self.last
-        return None
-
-    async def until_ready(self) -> dict[str, Any]:
-        """Return the readiness line; raise VirtualRigError or PortInUseError where there is none."""
-        line = await self.read_line()
-        if line is None:
-            code = await self.process.wait()
-            raise VirtualRigError(
-                f"The virtual rig's process '{self.name}' ended with exit code {code} before it was ready; "
-                "its message is on standard error."
-            )
-        if line["event"] == "error":
-            raise PortInUseError(line["errno"], line["message"])
-        return line
-
-    async def until_end(self) -> None:
-        """Read to the end of stdout and collect the exit code."""
-        while await self.read_line() is not None:
-            pass
-        await self.process.wait()
-
-    async def end(self) -> None:
-        """End the process: close its standard input, then send SIGTERM, then SIGKILL."""
-        if self.process.stdin is not None:
-            self.process.stdin.close()
-        for insist in (self.process.terminate, self.process.kill):
-            try:
-                await asyncio.wait_for(self.process.wait(), END_TIMEOUT_S)
-                return
-            except TimeoutError:
-                with contextlib.suppress(ProcessLookupError):
-                    insist()
-        await self.process.wait()
-
-
-class VirtualRig:
-    """Running virtual rig. It ends with `stop`, at the end of `async with`, and whenever this process dies."""
+class VirtualRig(RunningRig):
+    """Running virtual rig: processes `plc` and `thermocouples`, and their ports."""
 
     def __init__(
-        self, host: str, mode: Mode, period_s: float, children: list[_RigProcess], ports: dict[str, Any]
+        self, host: str, mode: Mode, period_s: float, children: list[RigProcess], ports: dict[str, Any]
     ) -> None:
+        super().__init__(children)
         self.host, self.mode, self.period_s = host, mode, period_s
         self.modbus_port = ports["modbus_port"]
         self.can_port = ports["can_port"]
         self.control_port = ports["control_port"]
         self.rtu_port: int | None = ports.get("rtu_port")
         self.serial_port: str | None = ports.get("serial_port")
-        self.failure: str | None = None
-        """Sentence about the cause, where the rig ended unasked."""
-        self._children = children
-        self._stopping = False
-        self._ended = asyncio.Event()
-        self._watcher = asyncio.create_task(self._watch(), name="virtual rig")
-
-    @property
-    def pids(self) -> dict[str, int]:
-        """Process ids of `plc` and `thermocouples`."""
-        return {child.name: child.process.pid for child in self._children}
-
-    @property
-    def running(self) -> bool:
-        """True while both processes are alive, as far as has been noticed."""
-        return not self._ended.is_set()
-
-    async def wait(self) -> str | None:
-        """Wait until the rig ends; return `failure` (None after `stop` or a `quit` on the control port)."""
-        await self._ended.wait()
-        return self.failure
-
-    async def stop(self) -> None:
-        """End both processes and wait for them; harmless when repeated."""
-        self._stopping = True
-        await asyncio.gather(*(child.end() for child in self._children))
-        await self._watcher
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        await self.stop()
-
-    async def _watch(self) -> None:
-        """Follow both processes to their end; when one ends, end the other and note which of them failed."""
-        follow = [asyncio.create_task(child.until_end()) for child in self._children]
-        await asyncio.wait(follow, return_when=asyncio.FIRST_COMPLETED)
-        asked = self._stopping
-        await asyncio.gather(*(child.end() for child in self._children))
-        await asyncio.gather(*follow)
-        if not asked and not any(child.last.get("reason") == "quit" for child in self._children):
-            blame = max(self._children, key=lambda child: child.process.returncode != 0)
-            code = blame.process.returncode or 0
-            how = f"by signal {-code}" if code < 0 else f"with exit code {code}"
-            self.failure = f"The virtual rig's process '{blame.name}' ended {how}; start the rig again."
-        self._ended.set()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -291,46 +179,21 @@ async def start_virtual_rig(options: VirtualRigOptions | None = None, **changes:
         fmu_ports(options.fmu, dict(options.fmu_variables))
     common = options.common_arguments()
     near, far = socket.socketpair()
-    children: list[_RigProcess] = []
+    children: list[RigProcess] = []
     try:
         with near, far:
-            children.append(await _spawn("plc", [*common, *options.plc_arguments()], near))
+            plc = [*common, *options.plc_arguments()]
+            children.append(await spawn("plc", "drivers.virtual.devices.plc", plc, near))
             module = ["--port", str(options.can_port), "--epoch", repr(time.time())]
-            children.append(await _spawn("thermocouples", [*common, *module], far))
+            node = "drivers.virtual.devices.thermocouples"
+            children.append(await spawn("thermocouples", node, [*common, *module], far))
         ports: dict[str, Any] = {}
-        async with asyncio.timeout(START_TIMEOUT_S):
-            # The first error wins, not the first process: the PLC also ends when the module could not start.
-            said = await asyncio.gather(*(child.until_ready() for child in children), return_exceptions=True)
-        errors = [item for item in said if isinstance(item, BaseException)]
-        if errors:
-            raise next((error for error in errors if isinstance(error, PortInUseError)), errors[0])
-        for line in said:
-            assert isinstance(line, dict)
+        for line in await all_ready(children):
             ports.update({key: line[key] for key in _PORTS if key in line})
-    except TimeoutError as error:
-        await asyncio.gather(*(child.end() for child in children))
-        raise VirtualRigError(f"The virtual rig was not ready within {START_TIMEOUT_S:g} s; try again.") from error
     except BaseException:
         await asyncio.gather(*(child.end() for child in children))
         raise
     return VirtualRig(options.host, options.mode, options.period_s, children, ports)
-
-
-async def _spawn(name: str, arguments: list[str], link: socket.socket) -> _RigProcess:
-    """Start one process of the rig, out of reach of the terminal's Ctrl-C: the parent decides how it ends."""
-    process = await asyncio.create_subprocess_exec(
-        sys.executable,
-        "-m",
-        f"drivers.virtual.devices.{name}",
-        *arguments,
-        "--link-fd",
-        str(link.fileno()),
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
-        pass_fds=(link.fileno(),),
-        start_new_session=True,
-    )
-    return _RigProcess(name, process)
 
 
 def serve(*, say: Callable[[str], None] = print, **options: Any) -> int:
@@ -342,10 +205,7 @@ def serve(*, say: Callable[[str], None] = print, **options: Any) -> int:
 
 
 async def _serve(say: Callable[[str], None], options: dict[str, Any]) -> int:
-    stop = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, stop.set)
+    stop = stop_on_signals()
     async with await start_virtual_rig(**options) as rig:
         kind = "Modbus/TCP" if options.get("tls") is None else "Modbus/TCP over TLS,"
         say(f"Virtual rig on {rig.host}: {kind} port {rig.modbus_port}, device id 1")
@@ -358,13 +218,4 @@ async def _serve(say: Callable[[str], None], options: dict[str, Any]) -> int:
             what = "Reachable" if options.get("tls") is None else "CAN and control port are reachable"
             say(f"  {what} from other machines, without any password.")
         say(f"  {rig.mode} time, a period of {rig.period_s:g} s; Ctrl-C ends it.")
-        waits = [asyncio.create_task(stop.wait()), asyncio.create_task(rig.wait())]
-        await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
-        for wait in waits:
-            wait.cancel()
-        await asyncio.gather(*waits, return_exceptions=True)
-        failure = rig.failure
-    if failure:
-        say(failure)
-        return 1
-    return 0
+        return await until_stopped(rig, stop, say)

@@ -15,7 +15,7 @@ from hil.run_folder import DiagnosisVerdict, Labels, Note
 
 
 def label_section(labels: Labels, manifest: dict[str, Any], diagnosis: DiagnosisVerdict | None) -> Html:
-    """Return the table of test object, serial number, operator, tags, rig and profile; unknown ones are left out.
+    """Return the table of test object, serial number, operator, tags, files and version; unknown ones are left out.
 
     `diagnosis` is the verdict of the diagnosis in the run's folder.
     """
@@ -27,8 +27,10 @@ def label_section(labels: Labels, manifest: dict[str, Any], diagnosis: Diagnosis
         ["tags", ", ".join(labels.tags)],
         ["rig", files["rig"]["path"] if "rig" in files else ""],
         ["profile", files["profile"]["path"] if "profile" in files else ""],
+        ["twin", _named_file(files["twin"]) if "twin" in files else ""],
         ["started", manifest["started"]],
         ["ended", manifest.get("ended") or ""],
+        ["made by", f"hil {manifest['versions']['hil']}" if "hil" in manifest.get("versions", {}) else ""],
         ["diagnosis", (manifest.get("diagnosis") or "") if diagnosis is None else str(diagnosis)],
     ]
     rows = [row for row in rows if row[1]]
@@ -64,6 +66,11 @@ def quality_section(header: Header, samples: JournalSamples) -> Html:
     text = f"Ticks of {len(samples.tick)} with a value that is not good." if rows else "Every value was good."
     body = table(head, rows) if rows else joined([])
     return joined([element("h2", "Data quality"), body, element("p", text, class_="note")])
+
+
+def _named_file(item: dict[str, Any]) -> str:
+    """Return path and hash of a file of the run."""
+    return f"{item['path']} (sha256 {item['sha256'][:16]})"
 
 
 def _plain(value: object) -> str:

@@ -20,6 +20,8 @@ from hil.review.batches import Estimates, ReviewBatch, Rows, States, Texts
 from hil.review.plan import NEUTRAL, Colour, Panel, ReviewPlan, Stack, symbol, twin_colours
 
 TIMELINE, DATES = "test_time", "UTC"
+_AFTER = 0.07
+"""Part of the time axis behind the run: the last time on the axis would be cut else."""
 _SETTLED = 3
 _AFTER_TIME = "  "
 
@@ -143,7 +145,8 @@ def _blueprint(plan: ReviewPlan, end_s: float, live: bool) -> rrb.Blueprint:
     def view(panel: Panel, around: float) -> Any:
         margin = max(around, panel.margin)
         start = rrb.TimeRangeBoundary.absolute(seconds=origin - margin * end_s)
-        whole = rrb.TimeRange(start=start, end=rrb.TimeRangeBoundary.absolute(seconds=origin + end_s))
+        end = rrb.TimeRangeBoundary.absolute(seconds=origin + (1.0 + _AFTER) * end_s)
+        whole = rrb.TimeRange(start=start, end=end)
         axis = rrb.TimeAxis(view_range=whole)
         contents = list(panel.contents)
         match panel.kind:

@@ -33,7 +33,7 @@ async def plain(*, rtu: bool, timeout_s: float = 0.1) -> AsyncIterator[tuple[Asy
     registers, clients = Registers(), set()
     registers.inputs = struct.pack(f">{INPUT_COUNT}H", *(100 + a for a in range(INPUT_COUNT)))
     kind = RtuConnection if rtu else ModbusConnection
-    server = await asyncio.get_running_loop().create_server(lambda: kind(registers, clients), "127.0.0.1", 0)
+    server = await asyncio.get_running_loop().create_server(lambda: kind({1: registers}, clients), "127.0.0.1", 0)
     async with FaultyLink(server.sockets[0].getsockname()[1], rtu_frames if rtu else modbus_frames) as link:
         framer = FramerType.RTU if rtu else FramerType.SOCKET
         client = AsyncModbusTcpClient("127.0.0.1", port=link.port, framer=framer, timeout=timeout_s, retries=0)

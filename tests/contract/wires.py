@@ -184,7 +184,7 @@ async def _served(registers: Registers, is_rtu: bool, *, by_pymodbus: bool) -> A
         return
     clients: set[ModbusConnection | RtuConnection] = set()
     kind: Callable[..., asyncio.Protocol] = RtuConnection if is_rtu else ModbusConnection
-    server = await asyncio.get_running_loop().create_server(lambda: kind(registers, clients), "127.0.0.1", 0)
+    server = await asyncio.get_running_loop().create_server(lambda: kind({1: registers}, clients), "127.0.0.1", 0)
     try:
         yield server.sockets[0].getsockname()[1]
     finally:

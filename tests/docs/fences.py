@@ -3,6 +3,7 @@
 ``sh``            commands, run one by one in the folder of the page
 ``sh background`` one command that goes on until a later fence ends it
 ``sh REASON``     commands that no test can run, with a reason of `REASONS`
+``sh serving``    `hil rig`, which goes on until the end of the page
 ``python``        run in the folder of the page
 ``LANG file=X``   the text of the file X, which later fences use
 """

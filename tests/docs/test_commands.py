@@ -14,6 +14,7 @@ import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -74,6 +75,7 @@ class Background:
 
     def __init__(self) -> None:
         self.process: subprocess.Popen[bytes] | None = None
+        self.served: subprocess.Popen[str] | None = None
 
     def start(self, arguments: list[str]) -> None:
         """Start `hil` with `arguments`, and wait until its profile runs."""
@@ -84,12 +86,23 @@ class Background:
             assert time.monotonic() < end, f"hil {shlex.join(arguments)} does not run"
             time.sleep(0.5)
 
+    def serve(self, arguments: list[str]) -> None:
+        """Start `hil rig`, and wait until it serves; `background` ends it."""
+        words = [sys.executable, "-u", "-m", "hil", *arguments]
+        self.served = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        assert self.served.stdout is not None
+        assert any("Ctrl-C" in line for line in self.served.stdout), f"hil {shlex.join(arguments)} does not serve"
+
 
 @pytest.fixture
 def background() -> Iterator[Background]:
     """The background command, which a page must have ended by its last fence."""
     running = Background()
     yield running
+    if running.served is not None:
+        running.served.send_signal(signal.SIGINT)
+        running.served.communicate(timeout=START_S)
+        assert running.served.returncode == 0
     if running.process is not None:
         try:
             assert running.process.wait(timeout=START_S) in (0, 1)
@@ -175,6 +188,9 @@ def test_every_fence_of_a_page_runs(name: str, folder: Path, background: Backgro
         elif fence.language == "sh" and "background" in fence.words:
             (command,) = fence.commands()
             background.start(_arguments(command)[1:])
+        elif fence.language == "sh" and "serving" in fence.words:
+            (command,) = fence.commands()
+            background.serve(_arguments(command)[1:])
         elif fence.language == "sh":
             for command in fence.commands():
                 history += (command,)
@@ -184,7 +200,7 @@ def test_every_fence_of_a_page_runs(name: str, folder: Path, background: Backgro
 @pytest.mark.parametrize("fence", ALL, ids=lambda fence: fence.place)
 def test_info_strings_are_known(fence: Fence) -> None:
     assert fence.language in LANGUAGES, f"{fence.place}: language {fence.language!r}"
-    known = {*REASONS, "background"}
+    known = {*REASONS, "background", "serving"}
     assert all(word in known or word.startswith("file=") for word in fence.words), f"{fence.place}: {fence.words}"
 
 

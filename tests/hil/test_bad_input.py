@@ -110,16 +110,20 @@ def test_a_bad_effects_file_is_refused_before_anything_is_written(tmp_path, more
     assert len(printed.splitlines()) == 1 and not runs.exists()
 
 
-def test_a_run_on_a_wire_that_the_virtual_rig_does_not_serve_is_refused(tmp_path):
+def test_effects_of_the_virtual_rig_are_refused_for_a_rig_that_is_served_by_its_file(tmp_path):
     rig = tmp_path / "rig.toml"
     text = RIG.read_text(encoding="utf-8")
     text = text.replace('transport = "modbus_tcp"\nhost', 'transport = "modbus_rtu_tcp"\nhost')
     text = text.replace('"thermocouples.dbc"', f'"{RIG.parent / "thermocouples.dbc"}"')
     text = text.replace('twin = "../twins/virtual.toml"\n', "")
     rig.write_text(text, encoding="utf-8")
-    code, printed = hil("run", load(tmp_path, GOOD_LOAD), "--virtual", "--rig", rig, "--runs", tmp_path / "runs")
+    effects = tmp_path / "effects.toml"
+    effects.write_text(EFFECT, encoding="utf-8")
+    command = ["run", load(tmp_path, GOOD_LOAD), "--virtual", "--lockstep", "--rig", rig, "--with", effects]
+    code, printed = hil(*command, "--runs", tmp_path / "runs")
     assert code == 2
-    assert "bus plc is Modbus RTU over TCP 127.0.0.1:5020, which --virtual does not start" in printed
+    assert f"--with changes the built-in virtual rig, and {rig} describes another; take --with out" in printed
+    assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.parametrize(

@@ -86,6 +86,14 @@ def test_the_page_begins_with_the_verdict_and_holds_every_picture(folder):
     assert all(f"<h3>{title}</h3>" in text for title in ("Effects", "Other explanations", "Tunables", "Provenance"))
 
 
+def test_the_page_names_the_twin_and_the_version_above_the_verdict(tmp_path: Path) -> None:
+    about = {"files": {"twin": {"path": "twins/loop.toml", "sha256": "ab12" * 16}}, "versions": {"hil": "9.8.7"}}
+    write(made(), SENSORS, tmp_path, {"record": "r.parquet", "provenance": about})
+    head = page(read_findings(tmp_path)).split('class="verdict')[0]
+    assert "twins/loop.toml (sha256 ab12ab12ab12ab12)" in head
+    assert "hil 9.8.7" in head
+
+
 def test_the_page_needs_nothing_else(folder):
     text = (folder / "diagnosis.html").read_text(encoding="utf-8")
     assert re.findall(r"https?://|<script|<link|@import|url\(", text) == []

@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drivers.rig_file import file_sha256
 from drivers.signals.points import Quality, Signal
+from hil import __version__
 from hil.journal.rows import JournalSamples
 from hil.journal.writer import Header, JournalWriter
 from hil.report.actuators import pair_actuators
@@ -115,6 +117,16 @@ def test_a_run_without_a_twin_shows_every_signal_in_numbers_and_pictures(tmp_pat
     assert "Measured against twin" not in page
     assert "nan" not in re.sub(r"base64,[^\"]*|Provenance", "", page)
     assert rows["0.00 min"][2] == "begun"
+
+
+def test_a_report_names_the_twin_and_the_version_in_its_first_table(tmp_path):
+    folder = made(tmp_path / "run", samples(), header())
+    twin = tmp_path / "bench_twin.toml"
+    twin.write_text("x = 1\n")
+    folder.write_manifest(new_manifest({"twin": twin}, network_mode="shadow"))
+    head = cells(page_of(folder).split("</table>")[0])
+    assert ["twin", f"{twin} (sha256 {file_sha256(twin)[:16]})"] in head
+    assert ["made by", f"hil {__version__}"] in head
 
 
 def test_a_report_states_what_the_meters_did_not_follow(tmp_path):

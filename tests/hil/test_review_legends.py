@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from hil.cli.run_commands.review import command as review
 from hil.review.plan import make_plan
-from hil.review.plan.legends import with_room_for_legends
+from hil.review.plan.legends import fitted_title, with_room_for_legends
 from hil.review.plan.styles import Panel, Stack, path
 from hil.review.rerun_io import axis_time, read_columns
 from tests.hil.ended_run import ended_run
@@ -90,3 +90,12 @@ def test_a_review_of_a_live_or_resumed_run_is_made_again_when_the_run_has_gone_o
     os.utime(folder.review, (1e9, 1e9))
     shown(folder)
     assert folder.review.stat().st_mtime_ns >= made
+
+
+def test_a_long_name_loses_its_middle_and_the_title_keeps_its_unit() -> None:
+    title = "condenser_water_supply_temperature: measured - tracked [K]"
+    fitted = fitted_title(title, 350.0)
+    assert len(fitted) == 40
+    assert fitted.startswith("cond")
+    assert fitted.endswith("ture: measured - tracked [K]")
+    assert fitted_title(title, 1400.0) == title

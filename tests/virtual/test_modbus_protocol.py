@@ -98,7 +98,7 @@ class Wire(asyncio.Transport):
 
 
 def connection() -> tuple[ModbusConnection, Wire]:
-    wire, modbus = Wire(), ModbusConnection(Registers(), set())
+    wire, modbus = Wire(), ModbusConnection({1: Registers()}, set())
     modbus.connection_made(wire)
     return modbus, wire
 

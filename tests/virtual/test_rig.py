@@ -21,7 +21,8 @@ from raw_client import RawClient
 
 from drivers.virtual.plant.effects import EffectFileError
 from drivers.virtual.plant.plant import Plant
-from drivers.virtual.rig import PortInUseError, VirtualRig, VirtualRigError, start_virtual_rig
+from drivers.virtual.processes import PortInUseError, VirtualRigError
+from drivers.virtual.rig import VirtualRig, start_virtual_rig
 
 PROFILES = Path(__file__).resolve().parents[2] / "profiles"
 Connect = Callable[[VirtualRig], RawClient]

@@ -10,12 +10,19 @@ from typing import TYPE_CHECKING
 from drivers.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from drivers.virtual.devices.control import ControlConnection
     from drivers.virtual.devices.modbus_protocol import (
+        DEVICE_ID,
         ILLEGAL_ADDRESS,
         ILLEGAL_FUNCTION,
         ILLEGAL_VALUE,
+        BitTable,
+        Memory,
         ModbusConnection,
+        RefusedRequest,
+        RegisterTable,
     )
+    from drivers.virtual.devices.modbus_server import ModbusServer
     from drivers.virtual.devices.registers import (
         HEARTBEAT,
         HEATER_SET,
@@ -25,11 +32,12 @@ if TYPE_CHECKING:
         Registers,
     )
     from drivers.virtual.devices.rtu_protocol import crc
-    from drivers.virtual.devices.socketcand import CanConnection, CanHub
+    from drivers.virtual.devices.socketcand import CanConnection, CanHub, frame_text
+    from drivers.virtual.devices.supervision import end_with_parent, listen, port_of, say
     from drivers.virtual.devices.truth import Moment, read_truth
 
-
 __all__ = [
+    "DEVICE_ID",
     "HEARTBEAT",
     "HEATER_SET",
     "ILLEGAL_ADDRESS",
@@ -38,22 +46,65 @@ __all__ = [
     "PUMP_SET",
     "THERMOSTAT_C",
     "WATCHDOG_TRIPPED",
+    "BitTable",
     "CanConnection",
     "CanHub",
+    "ControlConnection",
+    "Memory",
     "ModbusConnection",
+    "ModbusServer",
     "Moment",
+    "RefusedRequest",
+    "RegisterTable",
     "Registers",
     "crc",
+    "end_with_parent",
+    "frame_text",
+    "listen",
+    "port_of",
     "read_truth",
+    "say",
 ]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "modbus_protocol": ("ILLEGAL_ADDRESS", "ILLEGAL_FUNCTION", "ILLEGAL_VALUE", "ModbusConnection"),
-        "registers": ("HEARTBEAT", "HEATER_SET", "PUMP_SET", "Registers", "THERMOSTAT_C", "WATCHDOG_TRIPPED"),
+        "control": ("ControlConnection",),
+        "modbus_protocol": (
+            "BitTable",
+            "DEVICE_ID",
+            "ILLEGAL_ADDRESS",
+            "ILLEGAL_FUNCTION",
+            "ILLEGAL_VALUE",
+            "Memory",
+            "ModbusConnection",
+            "RefusedRequest",
+            "RegisterTable",
+        ),
+        "modbus_server": ("ModbusServer",),
+        "registers": (
+            "HEARTBEAT",
+            "HEATER_SET",
+            "PUMP_SET",
+            "Registers",
+            "THERMOSTAT_C",
+            "WATCHDOG_TRIPPED",
+        ),
         "rtu_protocol": ("crc",),
-        "socketcand": ("CanConnection", "CanHub"),
-        "truth": ("Moment", "read_truth"),
+        "socketcand": (
+            "CanConnection",
+            "CanHub",
+            "frame_text",
+        ),
+        "supervision": (
+            "end_with_parent",
+            "listen",
+            "port_of",
+            "say",
+        ),
+        "truth": (
+            "Moment",
+            "read_truth",
+        ),
     },
 )

@@ -6,18 +6,20 @@ time of an accelerated replay.
 
 import asyncio
 import struct
-from typing import Any
-
-from drivers.virtual.devices.registers import ARM, ARMED, HOLDING_COUNT, INPUT_COUNT, STATUS_BITS, Registers
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, Protocol
 
 DEVICE_ID = 1
+"""Device number of the virtual rig's PLC."""
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, NO_SUCH_DEVICE = 1, 2, 3, 0x0B
-COIL_COUNT = 1
 
 _HEAD = struct.Struct(">HHHBB")
 _TWO = struct.Struct(">HH")
 _PDU_LIMIT = 253
 _FUNCTIONS = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
+
+BitTable = Literal["coil", "discrete"]
+RegisterTable = Literal["holding", "input"]
 
 
 class RefusedRequest(Exception):
@@ -27,86 +29,100 @@ class RefusedRequest(Exception):
         self.code = code
 
 
-def answer(registers: Registers, pdu: bytes) -> bytes:
+class Memory(Protocol):
+    """Registers and bits of a device. Each method raises RefusedRequest for addresses or values that it has not."""
+
+    def read_registers(self, table: RegisterTable, first: int, count: int) -> bytes:
+        """Return `count` registers, big-endian."""
+
+    def read_bits(self, table: BitTable, first: int, count: int) -> int:
+        """Return `count` bits, the first one as bit 0."""
+
+    def write_registers(self, first: int, values: Sequence[int]) -> None:
+        """Write holding registers, all or none."""
+
+    def write_bits(self, first: int, values: Sequence[int]) -> None:
+        """Write coils, all or none."""
+
+
+Devices = Mapping[int, Memory]
+"""Memories by device number."""
+
+
+def answer(memory: Memory, pdu: bytes) -> bytes:
     """Return the response PDU to a request PDU."""
     function = pdu[0]
     try:
-        return _serve(registers, function, pdu)
+        return _serve(memory, function, pdu)
     except RefusedRequest as refused:
         return bytes((function | 0x80, refused.code))
 
 
-def _serve(registers: Registers, function: int, pdu: bytes) -> bytes:
+def _serve(memory: Memory, function: int, pdu: bytes) -> bytes:
     if function not in _FUNCTIONS:
         raise RefusedRequest(ILLEGAL_FUNCTION)
     if len(pdu) < 5:
         raise RefusedRequest(ILLEGAL_VALUE)
     first, count = _TWO.unpack_from(pdu, 1)
-    if function == 4:
+    if function in (3, 4):
         _fixed(pdu, 5)
-        _check(first, count, 125, INPUT_COUNT)
-        return bytes((4, 2 * count)) + registers.inputs[2 * first : 2 * (first + count)]
-    if function == 3:
-        _fixed(pdu, 5)
-        values = _read_holding(registers, first, count)
-        return bytes((3, 2 * count)) + values
+        _check(count, 125)
+        return bytes((function, 2 * count)) + memory.read_registers(
+            "input" if function == 4 else "holding", first, count
+        )
     if function == 16:
-        return _write_many(registers, pdu, first, count)
+        return _write_many(memory, pdu, first, count)
     if function == 6:
         _fixed(pdu, 5)
-        _check(first, 1, 1, HOLDING_COUNT)
-        _write(registers, first, (count,))
+        memory.write_registers(first, (count,))
         return pdu
     if function in (1, 2):
         _fixed(pdu, 5)
-        _check(first, count, 2000, COIL_COUNT if function == 1 else STATUS_BITS)
-        bits = (registers.status & ARMED) if function == 1 else registers.status
-        return bytes((function, 1, (bits >> first) & ((1 << count) - 1)))
+        _check(count, 2000)
+        size = (count + 7) // 8
+        bits = memory.read_bits("coil" if function == 1 else "discrete", first, count)
+        return bytes((function, size)) + bits.to_bytes(size, "little")
     if function == 5:
         _fixed(pdu, 5)
         if count not in (0x0000, 0xFF00):
             raise RefusedRequest(ILLEGAL_VALUE)
-        _check(first, 1, 1, COIL_COUNT)
-        _write(registers, ARM, (1 if count else 0,))
+        memory.write_bits(first, (1 if count else 0,))
         return pdu
     if function == 15:
         if len(pdu) < 6 or pdu[5] != (count + 7) // 8 or len(pdu) != 6 + pdu[5]:
             raise RefusedRequest(ILLEGAL_VALUE)
-        _check(first, count, 1968, COIL_COUNT)
-        _write(registers, ARM, (pdu[6] & 1,))
+        _check(count, 1968)
+        bits = int.from_bytes(pdu[6:], "little")
+        memory.write_bits(first, [bits >> at & 1 for at in range(count)])
         return pdu[:5]
     if function == 22:
         _fixed(pdu, 7)
-        _check(first, 1, 1, HOLDING_COUNT)
         keep, put = _TWO.unpack_from(pdu, 3)
-        _write(registers, first, ((registers.holding[first] & keep) | (put & ~keep & 0xFFFF),))
+        (held,) = struct.unpack(">H", memory.read_registers("holding", first, 1))
+        memory.write_registers(first, ((held & keep) | (put & ~keep & 0xFFFF),))
         return pdu
-    return _read_write_many(registers, pdu, first, count)
+    return _read_write_many(memory, pdu, first, count)
 
 
-def _write_many(registers: Registers, pdu: bytes, first: int, count: int) -> bytes:
+def _write_many(memory: Memory, pdu: bytes, first: int, count: int) -> bytes:
     if len(pdu) < 6 or pdu[5] != 2 * count or len(pdu) != 6 + 2 * count:
         raise RefusedRequest(ILLEGAL_VALUE)
-    _check(first, count, 123, HOLDING_COUNT)
-    _write(registers, first, struct.unpack_from(f">{count}H", pdu, 6))
+    _check(count, 123)
+    memory.write_registers(first, struct.unpack_from(f">{count}H", pdu, 6))
     return pdu[:5]
 
 
-def _read_write_many(registers: Registers, pdu: bytes, first: int, count: int) -> bytes:
+def _read_write_many(memory: Memory, pdu: bytes, first: int, count: int) -> bytes:
     if len(pdu) < 10:
         raise RefusedRequest(ILLEGAL_VALUE)
     to, number = _TWO.unpack_from(pdu, 5)
     if pdu[9] != 2 * number or len(pdu) != 10 + 2 * number:
         raise RefusedRequest(ILLEGAL_VALUE)
-    _check(first, count, 125, HOLDING_COUNT)
-    _check(to, number, 121, HOLDING_COUNT)
-    _write(registers, to, struct.unpack_from(f">{number}H", pdu, 10))
-    return bytes((23, 2 * count)) + _read_holding(registers, first, count)
-
-
-def _read_holding(registers: Registers, first: int, count: int) -> bytes:
-    _check(first, count, 125, HOLDING_COUNT)
-    return struct.pack(f">{count}H", *registers.holding[first : first + count])
+    _check(count, 125)
+    _check(number, 121)
+    memory.read_registers("holding", first, count)  # refuses what cannot be read before anything is written
+    memory.write_registers(to, struct.unpack_from(f">{number}H", pdu, 10))
+    return bytes((23, 2 * count)) + memory.read_registers("holding", first, count)
 
 
 def _fixed(pdu: bytes, length: int) -> None:
@@ -114,16 +130,9 @@ def _fixed(pdu: bytes, length: int) -> None:
         raise RefusedRequest(ILLEGAL_VALUE)
 
 
-def _check(first: int, count: int, limit: int, size: int) -> None:
-    """Refuse a wrong quantity, then a wrong address: the order of the specification's state diagrams."""
+def _check(count: int, limit: int) -> None:
+    """Refuse a wrong quantity; a wrong address comes after it, as in the specification's state diagrams."""
     if not 1 <= count <= limit:
-        raise RefusedRequest(ILLEGAL_VALUE)
-    if first + count > size:
-        raise RefusedRequest(ILLEGAL_ADDRESS)
-
-
-def _write(registers: Registers, first: int, values: tuple[int, ...]) -> None:
-    if not registers.write(first, values):
         raise RefusedRequest(ILLEGAL_VALUE)
 
 
@@ -158,16 +167,12 @@ class Connection(asyncio.Protocol):
 
 
 class ModbusConnection(Connection):
-    """Connection of one client of Modbus/TCP."""
+    """Connection of one client of Modbus/TCP to the devices behind one port."""
 
-    def __init__(self, registers: Registers, connections: "set[ModbusConnection]") -> None:
+    def __init__(self, devices: Devices, connections: "set[ModbusConnection]") -> None:
         super().__init__(connections)
-        self._registers = registers
+        self._devices = devices
         self._rest = b""
-
-    def reply(self, pdu: bytes) -> bytes:
-        """Return the response PDU to a request PDU; a device of another register map answers in its own way."""
-        return answer(self._registers, pdu)
 
     def data_received(self, data: bytes) -> None:
         """Answer every whole frame in the buffer with one write; keep a partial one."""
@@ -185,8 +190,9 @@ class ModbusConnection(Connection):
             stop = at + 6 + length
             if stop > end:
                 break
+            memory = self._devices.get(device)
             absent = bytes((function | 0x80, NO_SUCH_DEVICE))
-            pdu = self.reply(data[at + 7 : stop]) if device == DEVICE_ID else absent
+            pdu = absent if memory is None else answer(memory, data[at + 7 : stop])
             answers.append(_HEAD.pack(transaction, 0, len(pdu) + 1, device, pdu[0]) + pdu[1:])
             at = stop
         self._rest = data[at:]

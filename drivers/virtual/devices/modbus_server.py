@@ -1,4 +1,4 @@
-"""Modbus ports of the PLC, which close and open with its power: Modbus/TCP or TLS, RTU over TCP, a serial line."""
+"""Modbus ports of one or more devices, which close and open with their power: TCP or TLS, RTU over TCP, a line."""
 
 from __future__ import annotations
 
@@ -6,40 +6,50 @@ import asyncio
 import ssl
 from pathlib import Path
 
-from drivers.virtual.devices.modbus_protocol import ModbusConnection
-from drivers.virtual.devices.registers import Registers
+from drivers.virtual.devices.modbus_protocol import Devices, ModbusConnection
 from drivers.virtual.devices.rtu_protocol import PseudoLine, RtuConnection
 from drivers.virtual.devices.supervision import listen, port_of
 
 
 class ModbusServer:
-    """Server of `registers` on `port`, and on `rtu_port` and a pseudo-terminal where these are requested."""
+    """Server of `devices` on `port`, on `rtu_port` and on a pseudo-terminal, where these are requested (0: any port).
+
+    `name` stands in messages about a port that cannot be opened.
+    """
 
     def __init__(
-        self, registers: Registers, host: str, port: int, tls: ssl.SSLContext | None, rtu_port: int | None = None
+        self,
+        devices: Devices,
+        host: str,
+        port: int | None,
+        tls: ssl.SSLContext | None,
+        rtu_port: int | None = None,
+        name: str = "Modbus",
     ) -> None:
         self.port = port
+        self._name = name
         self.rtu_port = rtu_port
         self.line: PseudoLine | None = None
-        self._registers, self._host, self._tls = registers, host, tls
+        self._devices, self._host, self._tls = devices, host, tls
         self._tcp: set[ModbusConnection] = set()
         self._rtu: set[RtuConnection] = set()
         self._servers: list[asyncio.Server] = []
 
     def open_line(self) -> None:
         """Open the pseudo-terminal."""
-        self.line = PseudoLine(self._registers)
+        self.line = PseudoLine(self._devices)
 
     async def open(self) -> None:
         """Listen; on the same ports when it is opened again."""
-        server = await listen(
-            lambda: ModbusConnection(self._registers, self._tcp), self._host, self.port, "Modbus", self._tls
-        )
-        self._servers.append(server)
-        self.port = port_of(server)
+        if self.port is not None:
+            server = await listen(
+                lambda: ModbusConnection(self._devices, self._tcp), self._host, self.port, self._name, self._tls
+            )
+            self._servers.append(server)
+            self.port = port_of(server)
         if self.rtu_port is not None:
             server = await listen(
-                lambda: RtuConnection(self._registers, self._rtu), self._host, self.rtu_port, "Modbus RTU"
+                lambda: RtuConnection(self._devices, self._rtu), self._host, self.rtu_port, f"{self._name} RTU"
             )
             self._servers.append(server)
             self.rtu_port = port_of(server)

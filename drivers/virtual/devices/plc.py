@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from drivers.virtual.devices import link
 from drivers.virtual.devices.control import ControlConnection
+from drivers.virtual.devices.modbus_protocol import DEVICE_ID
 from drivers.virtual.devices.modbus_server import ModbusServer, tls_context
 from drivers.virtual.devices.registers import Registers
 from drivers.virtual.devices.supervision import end_with_parent, listen, port_of, say
@@ -212,12 +213,15 @@ async def run(arguments: argparse.Namespace) -> int:
     tls = None
     if arguments.tls_certificate is not None:
         tls = tls_context(arguments.tls_certificate, arguments.tls_key, arguments.tls_ca)
-    kind: type[ModbusServer] | type[PymodbusServer] = ModbusServer
+    where = (arguments.host, arguments.modbus_port, tls, arguments.rtu_port)
+    modbus: ModbusServer | PymodbusServer
     if arguments.server == "pymodbus":
         from drivers.virtual.devices.pymodbus_server import PymodbusServer
 
-        kind = PymodbusServer
-    modbus = plc.server = kind(plc.registers, arguments.host, arguments.modbus_port, tls, rtu_port=arguments.rtu_port)
+        modbus = PymodbusServer(plc.registers, *where)
+    else:
+        modbus = ModbusServer({DEVICE_ID: plc.registers}, *where)
+    plc.server = modbus
     if arguments.serial:
         modbus.open_line()
     await modbus.open()

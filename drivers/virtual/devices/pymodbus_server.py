@@ -16,8 +16,8 @@ from pymodbus.framer import FramerType
 from pymodbus.server import ModbusTcpServer, ModbusTlsServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from drivers.virtual.devices.modbus_protocol import COIL_COUNT, DEVICE_ID
-from drivers.virtual.devices.registers import ARM, ARMED, HOLDING_COUNT, INPUT_COUNT, STATUS_BITS, Registers
+from drivers.virtual.devices.modbus_protocol import DEVICE_ID
+from drivers.virtual.devices.registers import ARM, ARMED, COIL_COUNT, HOLDING_COUNT, INPUT_COUNT, STATUS_BITS, Registers
 from drivers.virtual.devices.rtu_protocol import PseudoLine
 from drivers.virtual.devices.supervision import port_refused
 
@@ -91,7 +91,7 @@ class PymodbusServer:
 
     def open_line(self) -> None:
         """Open the pseudo-terminal."""
-        self.line = PseudoLine(self._registers)
+        self.line = PseudoLine({DEVICE_ID: self._registers})
 
     async def open(self) -> None:
         """Listen; on the same ports when it is opened again. A port that cannot be had ends the process."""

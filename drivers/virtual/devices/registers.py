@@ -9,9 +9,18 @@ Holding registers: 0 heater_power_set 0.1 W; 1 pump_speed_set 0.1 %; 2 fan_speed
 import struct
 from collections.abc import Callable, Sequence
 
+from drivers.virtual.devices.modbus_protocol import (
+    ILLEGAL_ADDRESS,
+    ILLEGAL_VALUE,
+    BitTable,
+    RefusedRequest,
+    RegisterTable,
+)
+
 HEATER_SET, PUMP_SET, FAN_SET, HEARTBEAT, WATCHDOG, ARM = range(6)
 HOLDING_COUNT = 6
 INPUT_COUNT = 12
+COIL_COUNT = 1
 
 ARMED, WATCHDOG_TRIPPED, THERMOSTAT_TRIPPED = 1, 2, 4
 STATUS_BITS = 3
@@ -90,6 +99,31 @@ class Registers:
         self.on_write()
         return True
 
+    def read_registers(self, table: RegisterTable, first: int, count: int) -> bytes:
+        """Return registers, big-endian; raise RefusedRequest."""
+        _require(first, count, INPUT_COUNT if table == "input" else HOLDING_COUNT)
+        if table == "input":
+            return self.inputs[2 * first : 2 * (first + count)]
+        return struct.pack(f">{count}H", *self.holding[first : first + count])
+
+    def read_bits(self, table: BitTable, first: int, count: int) -> int:
+        """Return the arming coil or the status bits, the first one as bit 0; raise RefusedRequest."""
+        _require(first, count, COIL_COUNT if table == "coil" else STATUS_BITS)
+        bits = (self.status & ARMED) if table == "coil" else self.status
+        return (bits >> first) & ((1 << count) - 1)
+
+    def write_registers(self, first: int, values: Sequence[int]) -> None:
+        """Write holding registers; raise RefusedRequest."""
+        _require(first, len(values), HOLDING_COUNT)
+        if not self.write(first, values):
+            raise RefusedRequest(ILLEGAL_VALUE)
+
+    def write_bits(self, first: int, values: Sequence[int]) -> None:
+        """Write the arming coil; raise RefusedRequest."""
+        _require(first, len(values), COIL_COUNT)
+        if not self.write(ARM, values):
+            raise RefusedRequest(ILLEGAL_VALUE)
+
     def supervise(self, now: float, heater_water_C: float) -> None:
         """Run the interlocks at rig time `now` in s: a trip cuts the heater, clears its set-point and disarms."""
         self.now = now
@@ -124,3 +158,8 @@ class Registers:
             self.holding[HEARTBEAT],
             cycle & 0xFFFF,
         )
+
+
+def _require(first: int, count: int, size: int) -> None:
+    if first + count > size:
+        raise RefusedRequest(ILLEGAL_ADDRESS)

@@ -12,8 +12,7 @@ import contextlib
 import os
 import tty
 
-from drivers.virtual.devices.modbus_protocol import DEVICE_ID, Connection, answer
-from drivers.virtual.devices.registers import Registers
+from drivers.virtual.devices.modbus_protocol import Connection, Devices, answer
 
 _LONGEST = 256
 
@@ -56,8 +55,8 @@ def request_size(start: bytes) -> int | None:
 class RtuServer:
     """Server of one line: bytes of requests in, bytes of answers out."""
 
-    def __init__(self, registers: Registers) -> None:
-        self._registers = registers
+    def __init__(self, devices: Devices) -> None:
+        self._devices = devices
         self._rest = b""
 
     def feed(self, data: bytes) -> bytes:
@@ -76,8 +75,9 @@ class RtuServer:
             if len(frame) < 4 or crc(frame[:-2]) != frame[-2:]:
                 self._rest = b""
                 break
-            if frame[0] == DEVICE_ID:
-                reply = frame[:1] + answer(self._registers, frame[1:-2])
+            memory = self._devices.get(frame[0])
+            if memory is not None:
+                reply = frame[:1] + answer(memory, frame[1:-2])
                 answers += reply + crc(reply)
         return answers
 
@@ -85,9 +85,9 @@ class RtuServer:
 class RtuConnection(Connection):
     """Connection of one client of RTU over TCP."""
 
-    def __init__(self, registers: Registers, connections: set[RtuConnection]) -> None:
+    def __init__(self, devices: Devices, connections: set[RtuConnection]) -> None:
         super().__init__(connections)
-        self._frames = RtuServer(registers)
+        self._frames = RtuServer(devices)
 
     def data_received(self, data: bytes) -> None:
         """Answer every whole request."""
@@ -99,8 +99,8 @@ class RtuConnection(Connection):
 class PseudoLine:
     """Pseudo-terminal as a serial line: a client opens `path`. `powered` is False while the PLC reboots."""
 
-    def __init__(self, registers: Registers) -> None:
-        self._frames = RtuServer(registers)
+    def __init__(self, devices: Devices) -> None:
+        self._frames = RtuServer(devices)
         self._ours, self._theirs = os.openpty()  # theirs stays open here, or the line would end with its first client
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)

@@ -9,6 +9,7 @@ import asyncio
 from collections.abc import Callable
 
 BUS = "vcan0"
+"""Name of the virtual rig's bus."""
 LARGEST_BACKLOG = 1 << 20
 """Bytes kept for a client that reads slowly; frames beyond are dropped and counted."""
 SETTLE_S = 0.1
@@ -17,10 +18,11 @@ _LONGEST_LINE = 256
 
 
 class CanHub:
-    """Bus on which every connected client in raw mode receives every frame."""
+    """Bus on which every connected client in raw mode receives every frame; clients open it as `bus`."""
 
-    def __init__(self, clock: Callable[[], float]) -> None:
+    def __init__(self, clock: Callable[[], float], bus: str = BUS) -> None:
         self._clock = clock
+        self.bus = bus
         self.clients: set[CanConnection] = set()
         self.listeners: tuple[CanConnection, ...] = ()
         self.dropped = 0
@@ -109,11 +111,11 @@ class CanConnection(asyncio.Protocol):
         elif words[0] == "send" and self.raw:
             self._send(words[1:])
         elif words[0] == "open" and len(words) == 2:
-            if words[1] == BUS:
+            if words[1] == self._hub.bus:
                 self._opened = True
                 self._transport.write(b"< ok >")
             else:
-                self._refuse(f"no bus {words[1]}, open {BUS}")
+                self._refuse(f"no bus {words[1]}, open {self._hub.bus}")
         elif words[0] == "rawmode" and self._opened:
             self._transport.write(b"< ok >")
             if not self.raw:

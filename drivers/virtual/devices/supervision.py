@@ -25,7 +25,24 @@ def say(**fields: Any) -> None:
 async def listen(
     factory: Callable[[], asyncio.BaseProtocol], host: str, port: int, what: str, tls: ssl.SSLContext | None = None
 ) -> asyncio.Server:
-    """Return a server on `host:port` (0: any). Raise SystemExit after a sentence where the port cannot be opened."""
+    """Return a server.
+
+    Parameters
+    ----------
+    factory
+        Makes the protocol of a connection.
+    host, port
+        Address to listen on; port 0 is any free one.
+    what
+        Name of the port in the message.
+    tls
+        Context for connections over TLS.
+
+    Raises
+    ------
+    SystemExit
+        The port cannot be opened; the parent gets a sentence about it.
+    """
     try:
         return await asyncio.get_running_loop().create_server(factory, host, port, ssl=tls, reuse_address=True)
     except OSError as error:

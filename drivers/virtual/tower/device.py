@@ -13,7 +13,7 @@ import csv
 import json
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,10 +25,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from drivers.signals import DriverError
-from drivers.virtual.devices import ILLEGAL_ADDRESS, ILLEGAL_FUNCTION, ILLEGAL_VALUE, ModbusConnection
+from drivers.virtual.devices import DEVICE_ID, ILLEGAL_ADDRESS, ILLEGAL_FUNCTION, ModbusConnection, RefusedRequest
 
 FIRST_REGISTER = 10
-MOST_REGISTERS = 125
 LONGEST_S = 3900.0
 """Longest regular interval between two samples of an archive, s; a longer one is a gap."""
 GOOD = 192
@@ -200,33 +199,32 @@ class Replay:
         """Station time, s since 1970."""
         return self.start_s + (self._clock() - self._zero) * self.speed
 
+    def read_registers(self, table: str, first: int, count: int) -> bytes:
+        """Return input registers now; raise RefusedRequest for others."""
+        if table != "input":
+            raise RefusedRequest(ILLEGAL_FUNCTION)
+        held = self.registers()
+        if 2 * (first + count) > len(held):
+            raise RefusedRequest(ILLEGAL_ADDRESS)
+        return held[2 * first : 2 * (first + count)]
+
+    def read_bits(self, table: str, first: int, count: int) -> int:
+        """Refuse: a station has no bits."""
+        raise RefusedRequest(ILLEGAL_FUNCTION)
+
+    def write_registers(self, first: int, values: Sequence[int]) -> None:
+        """Refuse: a station is only read."""
+        raise RefusedRequest(ILLEGAL_FUNCTION)
+
+    def write_bits(self, first: int, values: Sequence[int]) -> None:
+        """Refuse: a station is only read."""
+        raise RefusedRequest(ILLEGAL_FUNCTION)
+
     def registers(self) -> bytes:
         """Return the input registers now."""
         now = self.now_s
         head = struct.pack(">I", int(now)) + bytes(2 * (FIRST_REGISTER - 2))
         return head + b"".join(struct.pack(">f", one.at(float(int(now)))) for one in self.tags)
-
-
-class StationConnection(ModbusConnection):
-    """One client of the station: it may read input registers."""
-
-    def __init__(self, replay: Replay, connections: set[Any]) -> None:
-        super().__init__(replay, connections)  # type: ignore[arg-type]
-        self._replay = replay
-
-    def reply(self, pdu: bytes) -> bytes:
-        """Return the response PDU to a request PDU."""
-        if pdu[0] != 4:
-            return bytes((pdu[0] | 0x80, ILLEGAL_FUNCTION))
-        if len(pdu) != 5:
-            return bytes((0x84, ILLEGAL_VALUE))
-        first, count = struct.unpack_from(">HH", pdu, 1)
-        if not 1 <= count <= MOST_REGISTERS:
-            return bytes((0x84, ILLEGAL_VALUE))
-        held = self._replay.registers()
-        if 2 * (first + count) > len(held):
-            return bytes((0x84, ILLEGAL_ADDRESS))
-        return bytes((4, 2 * count)) + held[2 * first : 2 * (first + count)]
 
 
 async def serve_station(replay: Replay, host: str, port: int, ready: Callable[[int], None]) -> None:
@@ -239,7 +237,7 @@ async def serve_station(replay: Replay, host: str, port: int, ready: Callable[[i
     """
     connections: set[Any] = set()
     server = await asyncio.get_running_loop().create_server(
-        lambda: StationConnection(replay, connections), host, port, reuse_address=True
+        lambda: ModbusConnection({DEVICE_ID: replay}, connections), host, port, reuse_address=True
     )
     try:
         ready(int(server.sockets[0].getsockname()[1]))

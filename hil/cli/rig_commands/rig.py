@@ -1,4 +1,4 @@
-"""Command `hil rig`: serve the virtual rig."""
+"""Command `hil rig`: serve the virtual rig, or a rig file."""
 
 from __future__ import annotations
 
@@ -6,11 +6,23 @@ import sys
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
 from hil.cli.options import INPUT_FILE
 
+_OF_A_FILE = ("rig", "twin", "no_twin", "out", "mode", "speed", "seed", "control_port")
+"""Parameters that a served rig file takes."""
+
 
 @click.command()
+@click.argument("rig", type=INPUT_FILE, required=False)
+@click.option("--twin", type=INPUT_FILE, help="Twin behind the devices of RIG; default: the one that RIG names.")
+@click.option("--no-twin", is_flag=True, help="Serve RIG with constant values, set-points echoed to their read-backs.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Serve RIG on free ports, and write the rig file that points to them.",
+)
 @click.option("--modbus-port", default=5020, show_default=True, help="Modbus/TCP port of the PLC; 0 picks a free one.")
 @click.option("--rtu-port", type=int, help="Serve Modbus RTU over TCP on this port, too; 0 picks a free one.")
 @click.option("--serial", is_flag=True, help="Serve Modbus RTU on a pseudo-terminal, too, and print its path.")
@@ -43,6 +55,10 @@ from hil.cli.options import INPUT_FILE
     "--tls-ca", type=INPUT_FILE, help="Certificate (PEM) of the authority that signs the clients' certificates."
 )
 def command(
+    rig: Path | None,
+    twin: Path | None,
+    no_twin: bool,
+    out: Path | None,
     modbus_port: int,
     rtu_port: int | None,
     serial: bool,
@@ -63,13 +79,20 @@ def command(
 ) -> None:
     """Serve the virtual rig: a PLC on Modbus/TCP and a thermocouple module on CAN, in processes of their own.
 
+    With RIG, a rig file, serve the devices which that file describes, for trials before the hardware is touched.
+
     \b
     Example:
+      hil rig my_rig.toml --twin my_twin.toml --out served.toml
       hil rig --with profiles/effects/modules_heat.toml
       mbpoll -m tcp -a 1 -t 3 -r 1 -c 12 -p 5020 127.0.0.1
       cantools monitor -i socketcand -c vcan0 --bus-kwargs host=127.0.0.1 port=29536 -- \\
           profiles/rigs/thermocouples.dbc
     """
+    if rig is not None:
+        sys.exit(_serve_file(rig, None if no_twin else twin, out, no_twin=no_twin))
+    if twin is not None or no_twin or out is not None:
+        raise click.UsageError("--twin, --no-twin and --out belong to a rig file; name it, `hil rig my_rig.toml ...`")
     from drivers.virtual import serve
 
     tls = None
@@ -101,3 +124,30 @@ def command(
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     sys.exit(code)
+
+
+def _serve_file(rig: Path, twin: Path | None, out: Path | None, *, no_twin: bool) -> int:
+    """Serve a rig file until Ctrl-C; return the exit code."""
+    from drivers.rig_file import load_rig
+    from hil.served_rig import ServedRigOptions, serve
+
+    context = click.get_current_context()
+    given = [name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE]
+    foreign = [option for option in context.command.params if option.name in given and option.name not in _OF_A_FILE]
+    if foreign:
+        raise click.UsageError(f"{foreign[0].opts[0]} is of the built-in virtual rig; take it out, or take {rig} out")
+    if no_twin and "twin" in given:
+        raise click.UsageError("--twin and --no-twin exclude each other; choose one")
+    read, options = load_rig(rig), context.params
+    try:
+        chosen = ServedRigOptions(
+            twin=None if no_twin else twin or read.twin,
+            mode=options["mode"],
+            speed=options["speed"] if options["mode"] == "scaled" else read.time_scale,
+            seed=options["seed"],
+            control_port=options["control_port"],
+            free_ports=out is not None,
+        )
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+    return serve(rig, chosen, out)

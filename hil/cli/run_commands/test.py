@@ -28,7 +28,11 @@ if TYPE_CHECKING:
 @click.option("--rig", type=INPUT_FILE, help="Rig file; default: that of the plan, else the virtual rig's.")
 @click.option("--twin", type=INPUT_FILE, help="Twin file; default: that of the plan, else of the rig file.")
 @click.option("--no-twin", is_flag=True, help="Run without a twin; no limit may name one.")
-@click.option("--virtual", is_flag=True, help="Start a virtual rig and run on that.")
+@click.option(
+    "--virtual",
+    is_flag=True,
+    help="Run on a virtual rig: the built-in one, or the devices of --rig as that file describes them.",
+)
 @click.option("--lockstep", is_flag=True, help="Run as fast as the machine can, reproducibly (virtual rig).")
 @click.option("--speed", type=float, help="Factor to real time, up to 100 (virtual rig).")
 @click.option("--control", help="host:port of a running `hil rig --mode lockstep`, which grants steps.")

@@ -52,6 +52,7 @@ def page(findings: Findings) -> str:
     title = f"Diagnosis of {subject.parent.name}/{subject.name}" if subject.parent.name else subject.name
     body = [
         element("h1", title),
+        _origin(d),
         _verdict(d),
         _cards(d),
         _leads(d),
@@ -169,6 +170,18 @@ def _verdict(d: dict[str, Any]) -> Html:
             *(_note(text) for text in d["notes"]),
         ]
     )
+
+
+def _origin(d: dict[str, Any]) -> Html:
+    """Render the twin with its hash, and the version of hil; nothing where they are not recorded."""
+    about = d.get("provenance") or {}
+    twin = about.get("files", {}).get("twin")
+    rows = []
+    if twin is not None:
+        rows.append(["twin", f"{twin['path']} (sha256 {twin['sha256'][:16]})"])
+    if "hil" in about.get("versions", {}):
+        rows.append(["made by", f"hil {about['versions']['hil']}"])
+    return _table(["", ""], rows) if rows else NOTHING
 
 
 def _leads(d: dict[str, Any]) -> Html:

@@ -1,4 +1,8 @@
-"""Margins for legends: a legend covers the lower left corner of its plot, so the run begins to the right of it."""
+"""Room for legends and titles in the panels of a tab.
+
+A legend covers the lower left corner of its plot, so the run begins to the right of it. A title that is wider than its
+panel would be cut at its end, where the unit stands, so the name at its beginning is shortened.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +21,18 @@ _FRAME_PX = 50.0
 """
 _LETTER_PX = 6.8
 """Mean width of a letter in a legend, px."""
+_TITLE_FRAME_PX = 100.0
+"""Width of a panel's title bar without the title: icon and buttons."""
+_TITLE_LETTER_PX = 6.1
+"""Mean width of a letter in a title, px, measured as above."""
+_LEAST_NAME = 8
+"""Letters of a name that are always shown."""
 _MOST = 1.2
 """Largest part of a plot for a margin: a larger legend would leave no room for the run."""
 
 
 def with_room_for_legends(tab: Stack, labels: Mapping[str, tuple[str, ...]]) -> Stack:
-    """Return `tab` with margins before the run for its legends.
+    """Return `tab` with margins before the run for its legends, and with titles that its panels have room for.
 
     Parameters
     ----------
@@ -52,8 +62,23 @@ def _stack(stack: Stack, labels: Mapping[str, tuple[str, ...]], width_px: float)
         if isinstance(part, Stack):
             parts.append(_stack(part, labels, width))
         else:
-            parts.append(replace(part, margin=need if common is None else common))
+            title = fitted_title(part.title, width)
+            parts.append(replace(part, title=title, margin=need if common is None else common))
     return replace(stack, parts=tuple(parts), margin=0.0)
+
+
+def fitted_title(title: str, width_px: float) -> str:
+    """Return a title that fits in a panel of `width_px` pixels: the name before `:`, ` (` or ` [` loses its middle."""
+    most = int((width_px - _TITLE_FRAME_PX) / _TITLE_LETTER_PX)
+    if len(title) <= most:
+        return title
+    name = re.split(r":| \(| \[", title, maxsplit=1)[0]
+    rest = title[len(name) :]
+    room = max(most - len(rest), _LEAST_NAME)
+    if len(name) <= room:
+        return title
+    head = room // 2
+    return f"{name[:head]}…{name[len(name) - (room - 1 - head) :]}{rest}"
 
 
 def _needed(panel: Panel, labels: Mapping[str, tuple[str, ...]], width_px: float) -> float:

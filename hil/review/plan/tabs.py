@@ -109,7 +109,7 @@ def overview(
         rows.append(Stack("columns", unit_panels(others), share=6.0))
     lanes = Panel(
         "lanes",
-        "State, quality, gates and windows" if proposers else "State, calibration windows and quality",
+        "State, quality, gates, windows" if proposers else "State, quality, windows",
         ("/state", "/quality", *gates, "/windows/**"),
     )
     events = Panel("texts", "Events", ("/events",))

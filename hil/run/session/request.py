@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Literal
 
 from drivers.rig_file import ResidualSpec, Rig, load_rig
 from drivers.signals import ConfigurationError
+from drivers.virtual import is_own_rig
 from hil.profile import WINDOW_S, Profile, SetpointLimit, read_profile, validate
 from hil.rig import unguarded
 from hil.run.outputs import setpoint_columns
 from hil.run_folder import Labels
+from hil.served_rig import INVERSE_CRIME
 from hil.testing import PreparedTest, prepared_test
 from hil.tracking import DEFAULT, STATIC, NetworkMode, TrackingConfig
 
@@ -40,7 +42,8 @@ class RunRequest:
     runs
         Folder for the new run folder.
     virtual
-        Start the virtual rig in place of the one at the rig file's addresses.
+        Start a virtual rig in place of the one at the rig file's addresses: the built-in one where the file describes
+        that, else its devices as the file describes them.
     mode
         Clock of the run: real time, scaled time, or lockstep.
     speed
@@ -148,22 +151,12 @@ def prepare(request: RunRequest) -> RunInputs:
         )
     if request.mode != "real" and not request.virtual and request.control is None:
         raise ConfigurationError(f"{request.mode} time needs a rig whose time can be set; add --virtual")
-    secured = [name for name, bus in rig.bus.items() if bus.transport == "modbus_tls"]
-    if request.virtual and secured:
-        raise ConfigurationError(
-            f"{request.rig}: bus {secured[0]} wants TLS, which --virtual does not start; serve the rig with "
-            "`hil rig --tls-certificate ...` and take --virtual out"
-        )
-    unlike = [name for name, bus in rig.bus.items() if bus.transport not in ("modbus_tcp", "socketcand")]
-    if request.virtual and unlike:
-        raise ConfigurationError(
-            f"{request.rig}: bus {unlike[0]} is {rig.bus[unlike[0]].place}, which --virtual does not start; serve the "
-            "rig with `hil rig --rtu-port` or `--serial` and take --virtual out"
-        )
     if request.effects is not None and not request.virtual:
         raise ConfigurationError(
             "--with switches on effects in the virtual rig; give --virtual too, or take --with out"
         )
+    if request.virtual and not is_own_rig(rig):
+        notes = [*notes, *_check_served(request, rig)]
     if request.effects is not None:
         notes = [*notes, *_check_effects(request.effects, profile, request.start_s)]
     if request.diagnose_s is not None:
@@ -178,6 +171,24 @@ def prepare(request: RunRequest) -> RunInputs:
 def _twins(request: RunRequest) -> tuple[str, ...]:
     """Return the names of the twins that run."""
     return (STATIC, *(DEFAULT if request.calibrators is None else request.calibrators))
+
+
+def plant_twin(request: RunRequest, rig: Rig) -> Path | None:
+    """Return the twin behind the devices of a rig file that --virtual serves; None where there is none."""
+    return request.twin or rig.twin
+
+
+def _check_served(request: RunRequest, rig: Rig) -> list[str]:
+    """Return notes on a rig file whose devices --virtual serves; raises ConfigurationError."""
+    if request.effects is not None:
+        raise ConfigurationError(
+            f"--with changes the built-in virtual rig, and {request.rig} describes another; take --with out, or "
+            f"serve a twin that has the effect: hil rig {request.rig} --twin OTHER.toml --out served.toml"
+        )
+    twin = plant_twin(request, rig)
+    if twin is None:
+        return [f"{request.rig} is served without a twin: set-points appear at their read-backs, all other values rest"]
+    return [f"{request.rig} is served with {twin} as its plant. {INVERSE_CRIME}"]
 
 
 def _check_effects(file: Path, profile: Profile, start_s: float) -> list[str]:

@@ -6,8 +6,10 @@ import contextlib
 from collections.abc import AsyncIterator, Callable
 
 from drivers.rig_file import Rig
+from drivers.virtual import is_own_rig
 from hil.run.engine import LOCKSTEP_DEADLINE_S, Clock, LockstepClock, MonotonicClock
-from hil.run.session.request import RunRequest
+from hil.run.session.request import RunRequest, plant_twin
+from hil.served_rig import ServedRigOptions, moved_rig, start_served_rig
 
 SCHEDULING_DELAY_S = 0.25
 """Delay of a busy machine, s of wall time, that must not count as a lost sensor in scaled time."""
@@ -27,6 +29,8 @@ async def rig_and_clock(
         The rig in lockstep cannot be reached.
     VirtualRigError
         The virtual rig cannot be started.
+    ServedRigError
+        The rig file cannot be served.
     """
     if request.control is not None:
         lockstep = LockstepClock(*request.control)
@@ -35,6 +39,10 @@ async def rig_and_clock(
         return
     if not request.virtual:
         yield rig, MonotonicClock(rig.period_s, speed_of(request, rig))
+        return
+    if not is_own_rig(rig):
+        async with _served(request, rig, announce) as both:
+            yield both
         return
     from drivers.virtual import start_virtual_rig
 
@@ -62,6 +70,22 @@ async def rig_and_clock(
             yield patient.with_ports(ports), MonotonicClock(rig.period_s, speed_of(request, rig))
     finally:
         await virtual.stop()
+
+
+@contextlib.asynccontextmanager
+async def _served(request: RunRequest, rig: Rig, announce: Callable[[str], None]) -> AsyncIterator[tuple[Rig, Clock]]:
+    """Yield the rig with the addresses of its served devices, and its clock; the devices end with the block."""
+    announce(f"serving the devices of {request.rig}")
+    twin = plant_twin(request, rig)
+    options = ServedRigOptions(twin=twin, mode=request.mode, speed=request.speed, seed=request.seed)
+    async with await start_served_rig(request.rig, options) as served:
+        if request.mode == "lockstep":
+            lockstep = LockstepClock("127.0.0.1", served.control_port)
+            await lockstep.connect()
+            yield _waiting(moved_rig(rig, served.sections)), lockstep
+        else:
+            patient = _patient(rig, request.speed) if request.mode == "scaled" else rig
+            yield moved_rig(patient, served.sections), MonotonicClock(rig.period_s, speed_of(request, rig))
 
 
 def speed_of(request: RunRequest, rig: Rig) -> float:

@@ -13,10 +13,10 @@ import pytest
 
 from drivers.historian import open_store
 from drivers.rig_file.reader import load_rig
+from drivers.virtual.devices.modbus_protocol import answer
 from drivers.virtual.tower.device import (
     FIRST_REGISTER,
     Replay,
-    StationConnection,
     StationFolderError,
     load_station,
     rig_text,
@@ -29,7 +29,7 @@ from hil.tower.station.collection import Collected, collect
 
 def ask(replay: Replay, first: int, count: int, function: int = 4) -> bytes:
     """Return the response PDU to one read."""
-    return StationConnection(replay, set()).reply(struct.pack(">BHH", function, first, count))
+    return answer(replay, struct.pack(">BHH", function, first, count))
 
 
 def test_registers_hold_clock_and_values_between_samples(folder: Path) -> None:
