@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.record import RecordError
+from hil.record import ReadingOptions, RecordError
 from hil.tower.calibration import read_points
 from hil.tower.station import (
     cells_of,
@@ -40,7 +40,7 @@ class CheckedFile:
     problems: tuple[str, ...] = ()
 
 
-def check_file(path: Path, kind: str) -> CheckedFile:
+def check_file(path: Path, kind: str, choice: ReadingOptions | None = None) -> CheckedFile:
     """Return the content and the problems of a tower's file or folder.
 
     Parameters
@@ -49,6 +49,8 @@ def check_file(path: Path, kind: str) -> CheckedFile:
         The file or folder.
     kind
         Its kind, as `hil.tower.tower_kind` names it.
+    choice
+        Decimal sign, order of dates and time column of a store in CSV, where they are ambiguous.
 
     Raises
     ------
@@ -56,15 +58,15 @@ def check_file(path: Path, kind: str) -> CheckedFile:
         A store cannot be opened.
     """
     try:
-        return _CHECKS[kind](path)
+        return _store(path, choice) if kind == "store" else _CHECKS[kind](path)
     except RecordError as error:
         return CheckedFile(_WHAT[kind], (), tuple(str(error).splitlines()))
 
 
-def _store(path: Path) -> CheckedFile:
+def _store(path: Path, choice: ReadingOptions | None) -> CheckedFile:
     beside = {name: path / name for name in ("tags.csv", "datasheet.json", "events.csv") if (path / name).is_file()}
     others = [file for name, file in beside.items() if name.endswith(".csv")]
-    with open_samples(str(path), others) as store:
+    with open_samples(str(path), others, choice=choice) as store:
         names, span = store.tags(), store.span()
         what = f"a historian store of {len(names)} tags"
         if span is None:
@@ -211,7 +213,6 @@ def _plural(count: int, what: str) -> str:
 
 
 _CHECKS: dict[str, Callable[[Path], CheckedFile]] = {
-    "store": _store,
     "record": _record,
     "tags": _tags,
     "labels": _labels,

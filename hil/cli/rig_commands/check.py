@@ -126,6 +126,8 @@ def command(
             return
         if checker is _record:
             _record(file, choice, console())
+        elif checker is _tower:
+            _tower(file, choice, console())
         elif choice != ReadingOptions():
             raise click.UsageError(
                 f"--decimal, --dates, --time-column and --time-scale describe a record; {file} is no record"
@@ -391,13 +393,14 @@ def _tower_kind(file: Path) -> str | None:
     return tower_kind(file)
 
 
-def _tower(file: Path, _: Path, out: Console) -> None:
+def _tower(file: Path, choice: ReadingOptions | Path, out: Console) -> None:
     import sys
 
     from hil.errors import FOUND
+    from hil.record import ReadingOptions
     from hil.tower import check_file
 
-    found = check_file(file, _tower_kind(file) or "")
+    found = check_file(file, _tower_kind(file) or "", choice if isinstance(choice, ReadingOptions) else None)
     for line in found.lines:
         out.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
     if not found.problems:
