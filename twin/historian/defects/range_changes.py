@@ -447,12 +447,11 @@ def _spans(series: Series, leaps: Sequence[_Leap]) -> list[Defect]:
 
 def _defect(series: Series, start_s: float, end_s: float, factor: float, constant: float) -> Defect:
     unit = unit_of(series.tag.unit)
+    # The map is of the record's unit; the store is corrected in the tag's own, whose zero may be another.
+    own = (constant + (factor - 1.0) * unit.offset) / unit.scale
+    times = f"{factor:.3g} times what it did" if factor != 1.0 else ""
+    more = f"{abs(own):.3g} {series.tag.unit} {'more' if own > 0.0 else 'less'}" if own != 0.0 else ""
     says = f"{series.tag.name} reads "
-    if constant == 0.0:
-        says += f"{factor:.3g} times what it did"
-    else:
-        own = constant / unit.scale
-        says += f"{abs(own):.3g} {series.tag.unit} {'more' if own > 0.0 else 'less'} than it did"
-        says += f" times {factor:.3g}" if factor != 1.0 else ""
+    says += f"{times} and {more}" if times and more else times or f"{more} than it did"
     says += ", and no other tag moved then: its range was changed; correct the readings in the store"
     return Defect("range_change", (series.tag.name,), start_s, end_s, says, "left out")
