@@ -30,6 +30,8 @@ DEVIATIONS = {
     "uniformity": "uniformity, share of clean",
     "bias": "bias of the outlet thermometer [K]",
 }
+LEGEND_OF_FOUR = 1.4
+"""Share of the height, beside panels of 1, in which a legend of four lines is whole."""
 BLUE, VIOLET = TRACKED["blue"], TRACKED["violet"]
 TableColumns = dict[str, NDArray[np.float64]]
 
@@ -144,7 +146,7 @@ def _plan(cells: dict[int, TableColumns], name: str, end_s: float, asked: frozen
                 for d in ("outlet", *DEVIATIONS)
             ]
         outlet = Panel("lines", "outlet [°C]", (f"{base}/measured", f"{base}/twin", *of_network), 2.0)
-        error = Panel("lines", "reading minus twin [K]", (f"{base}/error",))
+        error = Panel("lines", "reading minus twin [K]", (f"{base}/error",), LEGEND_OF_FOUR)
         panels = tuple(
             Panel("lines", title, (f"{base}/{d}", *((f"{base}/network/{d}",) if cell in asked else ())))
             for d, title in DEVIATIONS.items()

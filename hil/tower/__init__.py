@@ -35,7 +35,9 @@ if TYPE_CHECKING:
         write_table,
     )
     from hil.tower.calibration import calibrate as calibrate_station
+    from hil.tower.check import CheckedFile, check_file
     from hil.tower.diagnose import adopt, diagnose_station, document, write_document
+    from hil.tower.file_kinds import tower_kind
     from hil.tower.governance import (
         REPORT,
         CellGovernance,
@@ -86,6 +88,7 @@ __all__ = [
     "CellGovernance",
     "CellRecord",
     "CellResult",
+    "CheckedFile",
     "Collected",
     "NetworkGovernance",
     "NetworkMode",
@@ -99,6 +102,7 @@ __all__ = [
     "ask_network",
     "calibrate_station",
     "cells_of",
+    "check_file",
     "check_network",
     "collect_points",
     "commission_cell",
@@ -132,6 +136,7 @@ __all__ = [
     "site_of",
     "sources_of",
     "step_sentence",
+    "tower_kind",
     "unused_labels",
     "write_about",
     "write_document",
@@ -161,6 +166,8 @@ __getattr__, __dir__ = lazy_names(
             "commission_cell",
             "learn_healthy",
         ),
+        "check": ("CheckedFile", "check_file"),
+        "file_kinds": ("tower_kind",),
         "diagnose": (
             "adopt",
             "diagnose_station",

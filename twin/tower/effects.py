@@ -1,13 +1,15 @@
 """Effects that a clean cell lacks: a driver from the record, a path by which it acts, and a size.
 
     pattern     g(t) = driver by minute, from the effect's onset on: 0 where it does not act
-    exhaust     T_wb at the fill += size g EXHAUST (T_in - T_wb)           air that comes back, of this cell or others
+    exhaust     h at the fill += size g (h_exhaust - h)                     air that comes back, of this cell or others
     past_fill   T_out += size g (T_in - T_out)                             hot water that leaks past the fill
     wetted      wetted share of the plan -= size g                         nozzles that starve
     outlet      T_out += size g                                            heat of the channel, or of its thermometer
     inlet, wet_bulb, water                                                 errors of these readings, K, K, logarithm
 
-Each is the same physics as the cell's own, so a refit with an effect stays a fit of Merkel's method.
+The exhaust is saturated at T_wb + EXHAUST (T_in - T_wb), and h is the enthalpy of saturated air at the wet bulb, which
+mixing conserves. The cell's own recirculation (`model`) is a fifth as large, and linear: its prior is wider than the
+difference. The rest is the same physics as the cell's own, so a refit with an effect stays a fit of Merkel's method.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.tower.air import Array
+from twin.tower.air import Array, saturated_enthalpy
 
 if TYPE_CHECKING:
     from twin.tower.model import Operation
@@ -39,6 +41,8 @@ LATITUDE = 40.0
 differs, and the size takes the rest."""
 WIND_M_S = 5.0
 """Wind speed at which a size is given, m/s."""
+NEAR_K = 0.01
+"""Difference by which a slope is taken, K."""
 MOST_SHARE = 0.6
 """Bound of a share that an effect may reach in any minute."""
 HOUR_S, DAY_S, YEAR_S = 3600.0, 86400.0, 365.25 * 86400.0
@@ -159,7 +163,7 @@ def before_fill(effects: Sequence[CellEffect], o: Operation, slow: Array, rise: 
         x, u = one.size * o.patterns[:, k], o.inputs
         if one.path == "exhaust":
             share = np.clip(x, -MOST_SHARE, MOST_SHARE)
-            wet = u.wet + share * rise * np.maximum(u.t_in - u.wet, 0.0)
+            wet = mixed_wet_bulb(u.wet, u.wet + rise * np.maximum(u.t_in - u.wet, 0.0), share, u.pressure)
             u = replace(u, wet=wet, dry=np.maximum(u.dry, wet))
         elif one.path == "inlet":
             u = replace(u, t_in=u.t_in + x)
@@ -173,6 +177,30 @@ def before_fill(effects: Sequence[CellEffect], o: Operation, slow: Array, rise: 
             slow[:, 2] -= x
         o = replace(o, inputs=u)
     return o, slow
+
+
+def mixed_wet_bulb(wet: Array, exhaust: Array, share: Array, pressure: Array) -> Array:
+    """Return the wet bulb of air with a share of saturated exhaust, degC (n,).
+
+    The mixture has the mean enthalpy (adiabatic mixing, ASHRAE Handbook of Fundamentals, chapter 1). The enthalpy of
+    saturated air is convex in its temperature, so that the wet bulb lies above the mean of the two.
+
+    Parameters
+    ----------
+    wet, exhaust
+        Wet bulb of the ambient air and of the exhaust, degC (n,).
+    share
+        Of the exhaust, 1 (n,).
+    pressure
+        Of the air, kPa (n,).
+    """
+    ambient = saturated_enthalpy(wet, pressure)
+    wanted = ambient + share * (saturated_enthalpy(exhaust, pressure) - ambient)
+    mixed = wet + share * (exhaust - wet)
+    # One step of Newton's method leaves less than 0.01 K of a share of 0.3 between 10 and 30 degC.
+    found = saturated_enthalpy(mixed, pressure)
+    slope = (saturated_enthalpy(mixed + NEAR_K, pressure) - found) / NEAR_K
+    return np.asarray(mixed - (found - wanted) / slope)
 
 
 def after_fill(effects: Sequence[CellEffect], o: Operation, t_in: Array, t_out: Array) -> Array:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hil.cli.options.labels import label_options
     from hil.cli.options.own_process import OWN_PROCESS, owns_process
     from hil.cli.options.paths import INPUT_CARD, INPUT_FILE, INPUT_PATH, PROJECT, RECORD_FILE, VIRTUAL_RIG
-    from hil.cli.options.record_reading import reading
+    from hil.cli.options.record_reading import reading, reading_tables
     from hil.cli.options.subject import record_of, subject_of
     from hil.cli.options.tracking import CALIBRATORS, NETWORK, NETWORK_MODE
 
@@ -35,6 +35,7 @@ __all__ = [
     "label_options",
     "owns_process",
     "reading",
+    "reading_tables",
     "record_of",
     "subject_of",
 ]
@@ -57,7 +58,7 @@ __getattr__, __dir__ = lazy_names(
             "RECORD_FILE",
             "VIRTUAL_RIG",
         ),
-        "record_reading": ("reading",),
+        "record_reading": ("reading", "reading_tables"),
         "subject": (
             "record_of",
             "subject_of",

@@ -57,6 +57,9 @@ def command(
 ) -> None:
     """Check FILE: a rig file, twin, load profile, test plan, scenario, effects file or record.
 
+    Of a cooling tower: a historian store or aligned record (folders), tags.csv, events.csv, labels.csv, test points,
+    datasheet.json. It exits with 1 if one has problems.
+
     Nothing is moved or written. If FILE is a run folder, its record is checked. A run that ended without a record gets
     one from its journal.
 
@@ -73,6 +76,7 @@ def command(
       hil check my_twin.toml --catalogue
       hil check profiles/tests/cooling_steps.toml
       hil check runs/<a run>
+      hil check station
       hil check --kinds
     """
     from hil.record import ReadingOptions
@@ -91,8 +95,10 @@ def command(
         )
     from hil.cli.options import record_of
 
-    file = record_of(file)
-    checker = _checker(file, rig)
+    checker: Callable[[Path, Path, Console], None] = _tower
+    if _tower_kind(file) is None:
+        file = record_of(file)
+        checker = _checker(file, rig)
     if picture is not None:
         from hil.run_folder import RunFolderError, require_output
 
@@ -120,6 +126,8 @@ def command(
             return
         if checker is _record:
             _record(file, choice, console())
+        elif checker is _tower:
+            _tower(file, choice, console())
         elif choice != ReadingOptions():
             raise click.UsageError(
                 f"--decimal, --dates, --time-column and --time-scale describe a record; {file} is no record"
@@ -377,6 +385,32 @@ def _profile(file: Path, rig: Path, out: Console) -> None:
         low, high = profile.values[:, index].min(), profile.values[:, index].max()
         out.print(f"  {column}: {low:g} to {high:g}")
     out.print(f"{file}: {profile.duration_s / 3600:.2f} h, runs on {target.name}", style="green")
+
+
+def _tower_kind(file: Path) -> str | None:
+    from hil.tower import tower_kind
+
+    return tower_kind(file)
+
+
+def _tower(file: Path, choice: ReadingOptions | Path, out: Console) -> None:
+    import sys
+
+    from hil.errors import FOUND
+    from hil.record import ReadingOptions
+    from hil.tower import check_file
+
+    found = check_file(file, _tower_kind(file) or "", choice if isinstance(choice, ReadingOptions) else None)
+    for line in found.lines:
+        out.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
+    if not found.problems:
+        out.print(f"{file}: {found.what}; no mistakes found", style="green", soft_wrap=True)
+        return
+    count = len(found.problems)
+    out.print(f"{file}: {found.what}; {count} problem{'s' if count > 1 else ''}", style="red", soft_wrap=True)
+    for sentence in found.problems:
+        out.print(f"  {sentence}", markup=False, highlight=False, soft_wrap=True)
+    sys.exit(FOUND)
 
 
 def _record(file: Path, choice: ReadingOptions | Path, out: Console) -> None:

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import INPUT_FILE
+from hil.cli.options import INPUT_FILE, reading_tables
 
 if TYPE_CHECKING:
+    from hil.record import ReadingOptions
     from hil.tower import Aligned
     from twin.historian import Defect
 
@@ -26,8 +27,15 @@ SHOWN = 40
 @click.option("--datasheet", type=INPUT_FILE, help="Datasheet of the station; default: datasheet.json in STORE.")
 @click.option("--events", type=INPUT_FILE, help="Events of the station; default: events.csv in STORE.")
 @click.option("--stamps", metavar="ZONE", help="Zone of the time stamps in STORE, such as Europe/Madrid; default: UTC.")
+@reading_tables
 def command(
-    store: str, tags: Path | None, out: Path, datasheet: Path | None, events: Path | None, stamps: str | None
+    store: str,
+    tags: Path | None,
+    out: Path,
+    datasheet: Path | None,
+    events: Path | None,
+    stamps: str | None,
+    choice: ReadingOptions,
 ) -> None:
     """Make an aligned one-minute record of the tags in STORE.
 
@@ -56,7 +64,11 @@ def command(
 
     terminal = console(stderr=True)
     others = [path for path in (tags, events) if path is not None]
-    with open_samples(store, others, say=lambda text: terminal.print(text, markup=False, soft_wrap=True)) as opened:
+
+    def say(text: str) -> None:
+        terminal.print(text, markup=False, soft_wrap=True)
+
+    with open_samples(store, others, say=say, choice=choice) as opened:
         result = align_station(opened, station, out, stamps)
     _show(result, out)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,7 @@ def tag_samples(raw: RawRecord, choice: ReadingOptions | None = None) -> tuple[d
     names = [low[name] for name in SERIES if name in low and not is_numeric(cells[low[name]])]
     if len(values) == 1 and names:
         value = _numbers(raw, values[0], cells[values[0]], signs)
-        return _by_row(raw, time_s, np.array(texts_of(cells[names[0]]), dtype=object), value), read.zoneless
+        return _by_row(raw, time_s, texts_of(cells[names[0]]), value), read.zoneless
     found = {}
     for name in raw.names:
         if name in columns or is_rating_name(name) or not is_numeric(cells[name]):
@@ -73,18 +74,20 @@ def tag_samples(raw: RawRecord, choice: ReadingOptions | None = None) -> tuple[d
     return found, read.zoneless
 
 
-def _by_row(raw: RawRecord, time_s: Array, tags: NDArray[np.object_], value: Array) -> dict[str, Samples]:
+def _by_row(raw: RawRecord, time_s: Array, tags: Sequence[str | None], value: Array) -> dict[str, Samples]:
     """Return the samples of a table with one in each row."""
     quality = _quality(raw)
-    known = np.isfinite(time_s) & np.array([bool(tag) for tag in tags])
-    names, code = np.unique(np.where(known, tags, "").astype(str), return_inverse=True)
+    number = {name: k for k, name in enumerate(sorted({(tag or "").strip() for tag in set(tags)}))}
+    names = list(number)
+    code = np.fromiter((number[(tag or "").strip()] for tag in tags), dtype=np.intp, count=len(tags))
+    known = np.isfinite(time_s) & np.array([bool(name) for name in names], dtype=bool)[code]
     order = np.argsort(code, kind="stable")
     ends = np.cumsum(np.bincount(code, minlength=len(names)))
     found = {}
-    for name, rows in zip(names.tolist(), np.split(order, ends[:-1]), strict=True):
+    for name, rows in zip(names, np.split(order, ends[:-1]), strict=True):
         rows = rows[known[rows]]
         if len(rows):
-            found[name.strip()] = Samples(time_s[rows], value[rows], quality[rows])
+            found[name] = Samples(time_s[rows], value[rows], quality[rows])
     return found
 
 

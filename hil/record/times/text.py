@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import datetime
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.record.times.wall_clock import TimeTextError, require_full_clock
 from hil.record.times.zones import CELL, minutes_of
+
+Read = TypeVar("Read")
 
 Order = Literal["ymd", "dmy", "mdy"]
 ORDERS: tuple[Order, ...] = ("dmy", "mdy", "ymd")
@@ -109,9 +111,9 @@ def read_stamps(cells: Sequence[str | None], order: Order | None = None) -> Stam
 def _with_zones_in_all(cells: Sequence[str | None], stamps: Stamps) -> Stamps:
     """Return stamps with a note on those without a zone; raise TimeTextError where the others are not in UTC."""
     dated = [cell for cell, x in zip(cells, stamps.micros, strict=True) if cell is not None and x is not None]
-    zones = [_ZONE_BEHIND.search(cell) for cell in dated]
-    without = [cell for cell, zone in zip(dated, zones, strict=True) if zone is None]
-    other = next((cell for cell, zone in zip(dated, zones, strict=True) if zone and minutes_of(zone[1])), None)
+    zones = {cell: _ZONE_BEHIND.search(cell) for cell in dict.fromkeys(dated)}
+    without = [cell for cell in dated if zones[cell] is None]
+    other = next((cell for cell, zone in zones.items() if zone and minutes_of(zone[1])), None)
     if not without or len(without) == len(dated):
         return stamps
     if other is not None:
@@ -120,13 +122,13 @@ def _with_zones_in_all(cells: Sequence[str | None], stamps: Stamps) -> Stamps:
 
 
 def _read_stamps(cells: Sequence[str | None], order: Order | None) -> Stamps:
-    plain = [_iso(cell) for cell in cells]
+    plain = _of_each(_iso, cells)
     there = sum(cell is not None for cell in cells)
     if order is None and there and sum(x is not None for x in plain) == there:
-        return Stamps(plain, "ISO 8601", any(_has_zone(cell) for cell in cells if cell))
-    parts = [None if cell is None else _parts(cell) for cell in cells]
+        return Stamps(plain, "ISO 8601", any(_has_zone(cell) for cell in set(cells) if cell))
+    parts = _of_each(_parts, cells)
     if sum(part is not None for part in parts) < sum(x is not None for x in plain):
-        return Stamps(plain, "ISO 8601", any(_has_zone(cell) for cell in cells if cell))
+        return Stamps(plain, "ISO 8601", any(_has_zone(cell) for cell in set(cells) if cell))
     zoned = any(part.zoned for part in parts if part is not None)
     open_parts = [part for part in parts if part is not None and part.numbers is not None]
     if not open_parts:
@@ -140,6 +142,12 @@ def _read_stamps(cells: Sequence[str | None], order: Order | None) -> Stamps:
     kept, note = _decided(read, cells)
     how = WORDS[kept] if open_parts[0].sep == "." else WORDS[kept].replace(".", "/")
     return Stamps(read[kept], how, zoned, note=note)
+
+
+def _of_each(read: Callable[[str], Read | None], cells: Sequence[str | None]) -> list[Read | None]:
+    """Return what is read of each cell, each different text once: long tables repeat a time for each tag."""
+    found: dict[str | None, Read | None] = {cell: read(cell) for cell in set(cells) if cell is not None}
+    return [found.get(cell) for cell in cells]
 
 
 def read_times_of_day(cells: Sequence[str | None]) -> Stamps | None:
@@ -230,12 +238,13 @@ def _four_fields(cells: Sequence[str | None]) -> Stamps | None:
 def _require_full_clock(cells: Sequence[str | None], micros: Sequence[int | None]) -> None:
     """Raise TimeTextError for text of a clock of twelve hours without AM and PM."""
     there = [(cell, x) for cell, x in zip(cells, micros, strict=True) if cell is not None and x is not None]
-    hours = [match for cell, _ in there if (match := _HOUR.search(cell))]
-    if len(hours) < len(there) or any(cell.rstrip(". ").lower().endswith("m") for cell, _ in there):
+    different = {cell: _HOUR.search(cell) for cell, _ in there}
+    if any(match is None or cell.rstrip(". ").lower().endswith("m") for cell, match in different.items()):
         return
+    hours = {cell: int(match[1]) for cell, match in different.items() if match is not None}
     require_full_clock(
         np.array([x for _, x in there], dtype=np.int64),
-        np.array([int(match[1]) for match in hours], dtype=np.int64),
+        np.array([hours[cell] for cell, _ in there], dtype=np.int64),
         lambda row: there[row][0],
     )
 

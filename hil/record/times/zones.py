@@ -7,8 +7,11 @@ import re
 import zoneinfo
 
 _EUROPE = "z=0 utc=0 gmt=0 ut=0 wet=0 west=60 cet=60 cest=120 mez=60 mesz=120 eet=120 eest=180 oez=120 oesz=180 msk=180"
-_FURTHER = "jst=540 est=-300 edt=-240 cdt=-300 mst=-420 mdt=-360 pst=-480 pdt=-420 akst=-540"
-ABBREVIATIONS = {name: int(ahead) for name, ahead in (pair.split("=") for pair in f"{_EUROPE} {_FURTHER}".split())}
+_FURTHER = "jst=540 kst=540 hkt=480 sast=120 est=-300 edt=-240 cdt=-300 mst=-420 mdt=-360 pst=-480 pdt=-420 akst=-540"
+_SOUTH = "akdt=-480 hst=-600 brt=-180 awst=480 acst=570 acdt=630 aest=600 aedt=660 nzst=720 nzdt=780"
+ABBREVIATIONS = {
+    name: int(ahead) for name, ahead in (pair.split("=") for pair in f"{_EUROPE} {_FURTHER} {_SOUTH}".split())
+}
 """Minutes ahead of UTC; American ones are those of RFC 5322, 4.3. CST, IST and BST have several meanings each."""
 _OFFSET = r"[+-]\d{1,2}(?::?\d{2})?"
 CELL = rf"(?:UTC|GMT){_OFFSET}|" + "|".join(sorted(ABBREVIATIONS, key=len, reverse=True)) + r"|[+-]\d{2}(?::?\d{2})?"

@@ -8,7 +8,7 @@ Where nothing decides and the two readings differ, the record is refused.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -171,7 +171,7 @@ def evidence_of(cells: Any) -> DecimalSignEvidence | None:
     try:
         text.cast(pa.float64())
     except pa.ArrowInvalid:
-        return _by_cell(text.to_pylist(), present)
+        return _by_cell(text, present)
     undecided = pc.match_substring_regex(text, _UNDECIDED)
     points = pc.and_(pc.match_substring(text, "."), pc.invert(undecided))
     return DecimalSignEvidence(
@@ -191,24 +191,47 @@ def _first(text: Any, where: Any) -> tuple[int, str] | None:
     return None if row < 0 else (row, text[row].as_py())
 
 
-def _by_cell(cells: list[str | None], present: int) -> DecimalSignEvidence:
+@dataclass(frozen=True, eq=False)
+class _Texts:
+    """Different texts of a column in the order of their first rows, the number of rows of each, and the number of the
+    text in each row (n,), -1 for none. A column of names or of times in a long table has few."""
+
+    texts: list[str]
+    first: NDArray[np.intp]
+    count: NDArray[np.intp]
+    code: NDArray[np.intp]
+
+
+def _different(cells: pa.ChunkedArray) -> _Texts:
+    """Return the different texts of `cells`, so that each is read once."""
+    import pyarrow as pa
+
+    encoded = pa.concat_arrays(cells.chunks) if isinstance(cells, pa.ChunkedArray) and cells.num_chunks else cells
+    encoded = pa.array([], cells.type).dictionary_encode() if not len(cells) else encoded.dictionary_encode()
+    code = np.asarray(encoded.indices.fill_null(-1).to_numpy(zero_copy_only=False), dtype=np.intp)
+    there = np.flatnonzero(code >= 0)
+    _, at = np.unique(code[there], return_index=True)
+    count = np.bincount(code[there], minlength=len(encoded.dictionary))
+    return _Texts(encoded.dictionary.to_pylist(), there[at], count, code)
+
+
+def _by_cell(cells: pa.ChunkedArray, present: int) -> DecimalSignEvidence:
     numbers = points = commas = undecided = 0
     point = comma = either = None
-    for row, cell in enumerate(cells):
-        if cell is None:
-            continue
+    found = _different(cells)
+    for cell, row, count in zip(found.texts, found.first.tolist(), found.count.tolist(), strict=True):
         with_point, with_comma = readings(cell)
         if with_point is None and with_comma is None:
             continue
-        numbers += 1
+        numbers += count
         if with_comma is None:
-            points += 1
+            points += count
             point = point or (row, cell)
         elif with_point is None:
-            commas += 1
+            commas += count
             comma = comma or (row, cell)
         elif with_point != with_comma:
-            undecided += 1
+            undecided += count
             either = either or (row, cell)
     return DecimalSignEvidence(present, numbers, points, commas, undecided, point, comma, either)
 
@@ -351,25 +374,25 @@ def parse(cells: Any, sign: Sign = ".") -> Numbers | None:
             return Numbers(np.array(text.cast(pa.float64()).to_numpy(), dtype=np.float64), present)
         except pa.ArrowInvalid:
             pass
-    return _parsed(text.to_pylist(), present, sign)
+    return _parsed(text, present, sign)
 
 
-def _parsed(cells: Sequence[str | None], present: int, sign: Sign) -> Numbers:
-    values = np.full(len(cells), np.nan)
+def _parsed(cells: pa.ChunkedArray, present: int, sign: Sign) -> Numbers:
+    found = _different(cells)
+    values = np.full(len(found.texts) + 1, np.nan)  # the last is that of a row without text
     bad = row = commas = thousands = marked = 0
     text = ""
-    for index, cell in enumerate(cells):
-        if cell is None:
-            continue
+    for index, (cell, first, count) in enumerate(
+        zip(found.texts, found.first.tolist(), found.count.tolist(), strict=True)
+    ):
         value = readings(cell)[sign == ","]
         if value is None:
             if not bad:
-                row, text = index, cell
-            bad += 1
-            marked += cell.lower() in MARKS
+                row, text = first, cell
+            bad += count
+            marked += count * (cell.lower() in MARKS)
             continue
         values[index] = value
-        decimal = sign in cell
-        commas += decimal and sign == ","
-        thousands += len(_GROUPING.sub("", cell)) < len(cell) or (("," if sign == "." else ".") in cell)
-    return Numbers(values, present, bad, row, text, commas, thousands, marked)
+        commas += count * (sign in cell and sign == ",")
+        thousands += count * (len(_GROUPING.sub("", cell)) < len(cell) or (("," if sign == "." else ".") in cell))
+    return Numbers(values[found.code], present, bad, row, text, commas, thousands, marked)

@@ -11,7 +11,7 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.tower.calibration.calibrated_table import TABLE, informed, read_remarks, write_table
-    from hil.tower.calibration.commission import commission_cell, learn_healthy
+    from hil.tower.calibration.commission import commission_cell, learn_healthy, read_points
     from hil.tower.calibration.healthy import Healthy, healthy_of, parse_span, path_beside, write_healthy
     from hil.tower.calibration.picture import draw_cell
     from hil.tower.calibration.prepared_cells import (
@@ -56,6 +56,7 @@ __all__ = [
     "prepare_cells",
     "priors_of",
     "read_minutes",
+    "read_points",
     "read_remarks",
     "read_truth",
     "remarks_of",
@@ -72,6 +73,7 @@ __getattr__, __dir__ = lazy_names(
         "commission": (
             "commission_cell",
             "learn_healthy",
+            "read_points",
         ),
         "healthy": (
             "Healthy",

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.tower.station.alignment import Aligned, align
+    from hil.tower.station.alignment import Aligned, align, surveyed
     from hil.tower.station.collection import Collected, collect
     from hil.tower.station.csv_store import open_samples
-    from hil.tower.station.description import read_station
+    from hil.tower.station.description import checked_datasheet, read_station
     from hil.tower.station.errors import TowerOutputError, writing
     from hil.tower.station.input_files import read_datasheet, read_object, read_rows
     from hil.tower.station.json_shape import misfit
@@ -41,6 +41,7 @@ __all__ = [
     "TowerOutputError",
     "align",
     "cells_of",
+    "checked_datasheet",
     "collect",
     "event_entries",
     "events_of",
@@ -58,6 +59,7 @@ __all__ = [
     "seconds",
     "span_of",
     "station_of",
+    "surveyed",
     "unused_labels",
     "writing",
 ]
@@ -68,13 +70,14 @@ __getattr__, __dir__ = lazy_names(
         "alignment": (
             "Aligned",
             "align",
+            "surveyed",
         ),
         "collection": (
             "Collected",
             "collect",
         ),
         "csv_store": ("open_samples",),
-        "description": ("read_station",),
+        "description": ("checked_datasheet", "read_station"),
         "errors": (
             "TowerOutputError",
             "writing",

@@ -162,6 +162,23 @@ def _own_zone(store: HistorianStore, stamps: str | None) -> list[str]:
     ]
 
 
+def surveyed(store: HistorianStore, station: Station) -> tuple[list[Series], list[str]]:
+    """Return the raw series of the station's tags, and what is wrong with them before defects are looked for.
+
+    Raises
+    ------
+    RecordError
+        The store has none of the tags.
+    HistorianError
+        The store fails.
+    """
+    raw, remarks = read_series(store, station)
+    raw, strays = without_strays(raw, station.places)
+    _, wrong = in_usual_units(raw, station.places, station.design_flow_kg_s, station.full_speed)
+    order = order_and_silence(raw, station.places, frozenset(one.tag.name for one in raw))
+    return raw, [*station.remarks, *remarks, *strays, *order, *wrong]
+
+
 def read_series(store: HistorianStore, station: Station) -> tuple[list[Series], list[str]]:
     """Return the raw series of the station's tags that the store has, and a sentence for each that it has not."""
     there = set(store.tags())

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 
 from drivers.historian import HistorianError, HistorianStore, Samples, open_store
-from hil.record import RecordError, read_cells, tag_samples
+from hil.record import ReadingOptions, RecordError, read_cells, tag_samples
 
 OTHERS = frozenset({"tags.csv", "events.csv", "labels.csv", "commissioning.csv", "points.csv"})
 """Names of a station's other files."""
@@ -19,11 +19,11 @@ OTHERS = frozenset({"tags.csv", "events.csv", "labels.csv", "commissioning.csv",
 class CsvStore:
     """CSV files with samples, read whole and never written. `zoneless`: files whose times have no zone."""
 
-    def __init__(self, files: Sequence[Path]) -> None:
+    def __init__(self, files: Sequence[Path], choice: ReadingOptions | None = None) -> None:
         pieces: dict[str, list[Samples]] = {}
         zoneless = []
         for path in files:
-            found, without_zone = tag_samples(read_cells(path))
+            found, without_zone = tag_samples(read_cells(path), choice)
             zoneless += [path] if without_zone else []
             for tag, samples in found.items():
                 pieces.setdefault(tag, []).append(samples)
@@ -65,7 +65,11 @@ class CsvStore:
 
 
 def open_samples(
-    address: str, others: Iterable[Path] = (), *, say: Callable[[str], None] | None = None
+    address: str,
+    others: Iterable[Path] = (),
+    *,
+    say: Callable[[str], None] | None = None,
+    choice: ReadingOptions | None = None,
 ) -> HistorianStore:
     """Return the store at `address`: CSV files where it is one, or a folder of them without Parquet files.
 
@@ -77,6 +81,8 @@ def open_samples(
         Files of the station that hold no samples.
     say
         Takes a sentence on a store that is waited for.
+    choice
+        Decimal sign, order of dates and time column of CSV files, where they are ambiguous.
 
     Raises
     ------
@@ -87,7 +93,7 @@ def open_samples(
     """
     path = Path(address)
     if path.suffix.lower() == ".csv" and path.is_file():
-        return CsvStore([path])
+        return CsvStore([path], choice)
     if path.is_dir() and not any(path.glob("*.parquet")) and not any(path.glob("*/*.parquet")):
         apart = {other.resolve() for other in others}
         files = [
@@ -96,7 +102,7 @@ def open_samples(
             if one.name.lower() not in OTHERS and one.resolve() not in apart and one.is_file()
         ]
         if files:
-            return CsvStore(files)
+            return CsvStore(files, choice)
         raise RecordError(
             f"{path}: holds no samples; give a folder of Parquet or CSV files with the columns timestamp, tag, value, "
             f"quality, or of CSV files with a column for each tag"

@@ -78,7 +78,7 @@ def read_station(tags: Path, datasheet: Path | None = None, events: Path | None 
         file, line, tag and remedy.
     """
     dictionary, remarks, places = _tags(tags)
-    sheet = _datasheet(datasheet) if datasheet is not None else {}
+    sheet = checked_datasheet(datasheet) if datasheet is not None else {}
     _refuse_other_speeds(dictionary, sheet, places, datasheet)
     happened = read_events(events) if events is not None else ()
     if events is not None:
@@ -169,7 +169,14 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
     return max(seconds, 1.0)
 
 
-def _datasheet(path: Path) -> dict[str, Any]:
+def checked_datasheet(path: Path) -> dict[str, Any]:
+    """Return the datasheet of a station whose zone, pressure and full speed are possible.
+
+    Raises
+    ------
+    RecordError
+        The file cannot be read, or one of them is not.
+    """
     found = read_datasheet(path)
     zone = found.get("timezone")
     if zone is not None and zone not in zoneinfo.available_timezones():

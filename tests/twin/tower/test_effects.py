@@ -11,13 +11,14 @@ from tests.twin.tower.test_calibration import SITE, clean
 from twin.elements import tower_effect
 from twin.network import Revision
 from twin.tower import effects as physics
+from twin.tower.air import saturated_enthalpy
 from twin.tower.clean_cell.commissioning import fit_clean_cell
 from twin.tower.diagnosis.adoption import adopted, effects_of
 from twin.tower.diagnosis.candidates import candidates, decoys, noons
 from twin.tower.diagnosis.evidence import gain
 from twin.tower.diagnosis.search import CellCase, search_effects
 from twin.tower.diagnosis.validation import held_out_parts
-from twin.tower.effects import CellEffect, pattern, sun_height
+from twin.tower.effects import CellEffect, mixed_wet_bulb, pattern, sun_height
 from twin.tower.estimates import Priors, time_grid
 from twin.tower.minutes import minutes_of
 from twin.tower.model import CellModel
@@ -78,6 +79,16 @@ def test_an_effect_of_positive_size_warms_the_outlet(path: str, warmer: bool) ->
     acting = made.columns["neighbours_speed_pct"] > 0.0
     assert (change[acting] > 0.0).all() is np.bool_(warmer) or (change[acting] > 0.0).all() == warmer
     assert np.abs(change[~acting]).max() < 1e-9
+
+
+def test_air_with_exhaust_has_the_mean_enthalpy_and_a_wet_bulb_above_the_mean() -> None:
+    wet, exhaust, share = np.array([5.0, 15.0, 22.0, 28.0]), np.array([16.0, 26.0, 31.0, 36.0]), 0.15 * np.ones(4)
+    mixed = mixed_wet_bulb(wet, exhaust, share, 99.0 * np.ones(4))
+    ambient, back, found = (saturated_enthalpy(t, 99.0) for t in (wet, exhaust, mixed))
+    assert np.allclose(found - ambient, share * (back - ambient), rtol=2e-3)
+    above = (mixed - wet) / (share * (exhaust - wet))
+    assert (above > 1.1).all() and (above < 1.3).all() and (np.diff(above) != 0.0).all()
+    assert np.allclose(mixed_wet_bulb(wet, exhaust, 0.0 * share, 99.0 * np.ones(4)), wet)
 
 
 def test_an_adopted_effect_is_read_back_from_the_twin_file() -> None:

@@ -12,6 +12,7 @@ from twin.historian.defects.clocks import Shift, changed_clocks, corrected, repe
 from twin.historian.defects.humidity import latched, wet_bulb_defects
 from twin.historian.defects.panel import panel
 from twin.historian.defects.quality import bad_quality
+from twin.historian.defects.range_changes import range_changes
 from twin.historian.defects.repeats import repeated_stamps
 from twin.historian.defects.silence import communication_gaps, interface_groups
 from twin.historian.defects.stuck import constant_value, stuck_values
@@ -47,7 +48,7 @@ def find_and_repair(
     """Return the series without what their defects spoil, and the defects, all times in UTC.
 
     Clocks come first, so that every later finding is in UTC. Each step sees the series as the steps before it left
-    them: clocks, quality, repeated stamps, silence, units, stuck values, humidity, swaps. What can be undone is
+    them: clocks, quality, repeated stamps, silence, units, stuck values, humidity, swaps, ranges. What can be undone is
     undone (clock, unit, swap); the rest is left out. One cause is one defect: what a step has left out is a hole to
     the next ones.
 
@@ -107,6 +108,9 @@ def find_and_repair(
     for defect in swaps:
         series = undo_swap(series, defect)
     found += swaps
+    ranges = range_changes(series)
+    found += ranges
+    series = _without(series, ranges)
     return Repaired(
         tuple(series),
         tuple(sorted(found, key=lambda d: (d.start_s, d.kind, d.tags))),

@@ -1,0 +1,108 @@
+"""`hil check` of a tower's files and folders: kind, content, problems with file, line and remedy, and the exit code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.hil.tower.made_store import hil, written_station
+from twin.historian.tags import Series
+
+TAGS = "tag,unit,cell,role\nT1OUT,degC,1,water_outlet_temperature\n"
+LABELS = "time,cell,parameter,kind,value,sd,lo,hi\n2022-05-01,1,fill,interval,,,0.8,0.9\n"
+POINTS = (
+    "cell,test,water_inlet_C,water_outlet_C,entering_wet_bulb_C,dry_bulb_C,water_flow_kg_s,fan_speed_pct\n"
+    "1,a,35,25,18,22,200,100\n"
+)
+
+
+@pytest.fixture(scope="module")
+def station(tmp_path_factory: pytest.TempPathFactory, clean: list[Series]) -> Path:
+    return written_station(tmp_path_factory.mktemp("check") / "station", clean)
+
+
+def test_a_store_is_listed_by_tag_with_unit_and_span(station: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert hil("check", station) == 0
+    said = capsys.readouterr().out
+    assert "T1OUT (water_outlet_temperature, cell 1): " in said and "degC" in said
+    assert "a historian store of" in said and "2022-04-15T00:" in said and "no mistakes found" in said
+
+
+def test_a_store_without_its_dictionary_names_the_command_that_takes_one(
+    station: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for file in station.rglob("*.parquet"):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    assert hil("check", tmp_path) == 0
+    assert f"hil tower align {tmp_path} --tags TAGS.csv" in capsys.readouterr().out
+
+
+def test_a_dictionary_beside_a_store_that_lacks_its_tag_is_a_problem_with_its_line(
+    clean: list[Series], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = written_station(tmp_path / "station", clean)
+    tags = folder / "tags.csv"
+    tags.write_text(tags.read_text().replace("T1OUT,", "T1OUTX,"))
+    line = next(n for n, text in enumerate(tags.read_text().splitlines(), 1) if text.startswith("T1OUTX"))
+    assert hil("check", folder) == 1
+    said = capsys.readouterr().out
+    assert f"tags.csv:{line}: T1OUTX of the dictionary is not in the store" in said and "rename it" in said
+
+
+def test_an_aligned_record_is_told_by_cell_and_a_damaged_one_is_a_problem(
+    station: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = tmp_path / "record"
+    assert hil("tower", "align", station, "--out", record) == 0
+    capsys.readouterr()
+    assert hil("check", record) == 0
+    said = capsys.readouterr().out
+    assert "an aligned record of 2 cells; no mistakes found" in said and "t_out_C 99 %" in said
+    assert hil("check", record / "station.json") == 1
+    assert f"check its folder, {record}" in capsys.readouterr().out
+    (record / "cell2.parquet").write_bytes(b"PAR1 cut")
+    assert hil("check", record) == 1
+    said = capsys.readouterr().out
+    assert "1 problem" in said and "cell2.parquet: cannot be read" in said and "align the store again" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "wrong", "words", "problem"),
+    [
+        ("dictionary.csv", TAGS, ("degC", "degX"), "a tag dictionary of 1 tag; cells with an outlet: 1", ":2: T1OUT"),
+        ("seen.csv", LABELS, ("fill", "fil"), "1 labels of cell 1", ":2: parameter 'fil' is unknown"),
+        ("tests.csv", POINTS, ("200", "x"), "cell 1: 1 test point, water 200 to 200 kg/s", ":2: water_flow_kg_s"),
+        (
+            "log.csv",
+            "time,cell,event\n2022-05-01,1,cleaning\n",
+            ("2022", "x"),
+            "1 event, 1 of which may",
+            ":2: 'x-05-01'",
+        ),
+        (
+            "sheet.json",
+            '{"station": "X", "timezone": "Europe/Madrid", "design": {"water_flow_kg_s": 200}}',
+            ("Madrid", "Madrit"),
+            "the datasheet of station X; no mistakes found",
+            "'Europe/Madrit' is no time zone",
+        ),
+    ],
+)
+def test_a_table_is_known_by_its_heading_and_its_mistake_has_a_line(
+    name: str,
+    content: str,
+    wrong: tuple[str, str],
+    words: str,
+    problem: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = tmp_path / name
+    file.write_text(content)
+    assert hil("check", file) == 0
+    assert words in capsys.readouterr().out
+    file.write_text(content.replace(*wrong))
+    assert hil("check", file) == 1
+    said = capsys.readouterr().out
+    assert "1 problem" in said and f"{file}{problem if problem.startswith(':') else ': ' + problem}" in said

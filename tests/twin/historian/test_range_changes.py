@@ -1,0 +1,106 @@
+"""Changes of range: told with tag, time and size, left out, and none made of a step of the plant or a usual bias."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.twin.historian.made_station import START_S, ZONE, Instrument, archived, clean_store, instruments, scanned
+from twin.historian.defects import find_and_repair
+from twin.historian.defects.range_changes import range_changes
+from twin.historian.tags import Defect, Series
+
+DAY_S = 86400.0
+
+
+def _store(
+    plant: list[Instrument], rng: np.random.Generator, changes: list[tuple[str, float, float, float, float]]
+) -> list[Series]:
+    """Return the samples with changes of tags: name, from and to in days, factor and constant."""
+    store = []
+    for one in plant:
+        time_s, value = scanned(one, rng)
+        for name, low, high, factor, constant in changes:
+            inside = (time_s >= START_S + low * DAY_S) & (time_s <= START_S + high * DAY_S)
+            value = np.where(inside & (one.tag.name == name), factor * value + constant, value)
+        store.append(archived(one, (time_s, value)))
+    return store
+
+
+def _running(plant: list[Instrument], first_day: float) -> float:
+    """Return a day in the middle of two on which both cells run, and at which the fans turn fast."""
+    by_name = {one.tag.name: one.truth for one in plant}
+    on = (by_name["ON1"] > 0.5) & (by_name["ON2"] > 0.5)
+    steady = np.convolve(on, np.ones(2880), mode="same") > 2879.5
+    fast = np.convolve(np.minimum(by_name["SI1"], by_name["SI2"]) > 50.0, np.ones(61), mode="same") > 60.5
+    rows = np.flatnonzero(steady & fast)
+    return float(rows[rows > first_day * 1440][0]) / 1440.0
+
+
+def _found(store: list[Series]) -> list[Defect]:
+    return list(find_and_repair(store, timezone=ZONE, pressure_kPa=95.0, full_speed="50 Hz").defects)
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "constant", "words"),
+    [
+        ("T1OUT", 1.0, 5.0, "5 degC more than it did"),
+        ("T2IN", 1.0, -4.0, "4 degC less than it did"),
+        ("F1", 1.37, 0.0, "1.37 times what it did"),
+        ("F2", 0.7, 0.0, "0.7 times what it did"),
+        ("JI1", 1.6, 0.0, "1.6 times what it did"),
+        ("PH", 1.25, 0.0, "1.25 times what it did"),
+        ("PB", 1.0, -40.0, "40 hPa less than it did"),
+    ],
+)
+def test_a_change_of_range_is_told_with_tag_time_and_size(
+    name: str, factor: float, constant: float, words: str
+) -> None:
+    rng = np.random.default_rng(70)
+    plant = instruments(rng, 20.0)
+    at = _running(plant, 6.0)
+    store = _store(plant, rng, [(name, at, 99.0, factor, constant)])
+    found = _found(store)
+    assert [(one.kind, one.tags) for one in found] == [("range_change", (name,))]
+    assert abs(found[0].start_s - START_S - at * DAY_S) < 3600.0
+    assert found[0].end_s == next(one.time_s[-1] for one in store if one.tag.name == name)
+    said = found[0].says.split(" reads ")[1].split(",")[0].split()
+    wanted = words.split()
+    assert float(said[0]) == pytest.approx(float(wanted[0]), rel=0.06) and said[1:] == wanted[1:]
+
+
+def test_readings_in_another_range_are_left_out_and_those_after_its_end_kept() -> None:
+    rng = np.random.default_rng(71)
+    plant = instruments(rng, 20.0)
+    at = _running(plant, 5.0)
+    repaired = find_and_repair(
+        _store(plant, rng, [("T2OUT", at, at + 0.8, 1.0, 6.0)]), timezone=ZONE, pressure_kPa=95.0, full_speed="50 Hz"
+    )
+    assert [(one.kind, one.repair) for one in repaired.defects] == [("range_change", "left out")]
+    assert repaired.defects[0].end_s == pytest.approx(START_S + (at + 0.8) * DAY_S, abs=3600.0)
+    outlet = next(one for one in repaired.series if one.tag.name == "T2OUT")
+    truth = next(one for one in plant if one.tag.name == "T2OUT").truth
+    off = np.abs(outlet.value - np.interp(outlet.time_s, START_S + 60.0 * np.arange(len(truth)), truth))
+    assert off.max() < 3.0
+    inside = outlet.between(START_S + (at + 0.05) * DAY_S, START_S + (at + 0.75) * DAY_S)
+    assert len(inside.time_s) == 0 and len(outlet.between(START_S + (at + 1.0) * DAY_S, np.inf).time_s) > 1000
+
+
+@pytest.mark.parametrize("seed", [72, 73, 74])
+def test_a_clean_store_has_no_change_of_range(seed: int) -> None:
+    assert range_changes(clean_store(np.random.default_rng(seed), 25.0, cells=3)) == []
+
+
+def test_a_step_that_a_redundant_tag_shares_is_one_of_the_plant() -> None:
+    rng = np.random.default_rng(75)
+    plant = instruments(rng, 20.0)
+    at = _running(plant, 6.0)
+    both = [("F1", at, 99.0, 1.4, 0.0), ("V1", at, 99.0, 1.0, 30.0), ("PH", at, 99.0, 1.3, 0.0)]
+    assert [one for one in _found(_store(plant, rng, both)) if one.kind == "range_change"] == []
+
+
+def test_a_bias_that_a_calibration_finds_is_no_change_of_range() -> None:
+    rng = np.random.default_rng(76)
+    plant = instruments(rng, 20.0)
+    at = _running(plant, 6.0)
+    assert _found(_store(plant, rng, [("T1OUT", at, 99.0, 1.0, 1.0), ("JI1", at, 99.0, 1.15, 0.0)])) == []

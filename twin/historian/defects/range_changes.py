@@ -1,0 +1,457 @@
+"""Tags that read on another scale from one sample to the next: a transmitter that was given another range.
+
+Such a jump has no factor of a unit. It is told from a step of the plant by three kinds of evidence, which must agree:
+
+* the tag leaps between two samples, and the other tags show nothing unusual within an hour (a step of the plant moves
+  its redundant measurements, a command or a state);
+* over days, one map (times a factor, or plus a constant) makes the readings after the leap go with the prediction by
+  the other tags, and as they stand they do not;
+* the prediction without the leap, in which the other tags may explain it, is worse by a large share of it.
+
+Sizes that the plant's own faults have are no change of range: the bias of a thermometer, the pitch of a fan's blades.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.historian.checks import FAN_APART, THERMOMETER_K
+from twin.historian.defects.panel import Mask, TagPanel, design_matrix, on_grid, panel, robust_prediction
+from twin.historian.tags import Array, Defect, Series, longest_interval_s
+from twin.historian.units import unit_of
+
+WITNESSED = frozenset(
+    {
+        "water_inlet_temperature",
+        "water_outlet_temperature",
+        "basin_temperature",
+        "return_header_temperature",
+        "supply_temperature",
+        "water_flow",
+        "header_pressure",
+        "pump_power",
+        "station_heat_load",
+        "dry_bulb_temperature",
+        "wet_bulb_temperature",
+        "relative_humidity",
+        "relative_humidity_redundant",
+        "barometric_pressure",
+    }
+)
+"""Roles that other tags follow. A valve, a command or the makeup is set by hand or switched, and may leap alone."""
+WEATHER = frozenset(
+    {
+        "dry_bulb_temperature",
+        "wet_bulb_temperature",
+        "relative_humidity",
+        "relative_humidity_redundant",
+        "barometric_pressure",
+    }
+)
+FANS = ("fan_speed", "fan_power")
+LEAST = {"temperature": 1.5 * THERMOMETER_K, "share": 10.0}
+"""Smallest leap by dimension, in the record's unit: beyond the largest bias that a calibration may find; of a humidity,
+five times the tolerance of its measurement (2 %)."""
+LEAST_SHARE = 0.15
+"""Smallest leap of a flow, power or pressure as a share of the reading: flow meters drift by a third of it."""
+LEAST_KPA = 2.0
+"""Smallest leap of a barometer, ten times what the weather does in an hour."""
+SMALLEST_WORK = 0.1
+"""Share of the 95 % quantile of a flow, power or pressure below which it is at rest."""
+LEVEL = 3
+"""Samples on either side of a leap whose median is the level."""
+HOUR_S = 3600.0
+HELD = 0.6
+"""Share of the leap between two samples by which the levels must differ."""
+FAR = 5.0
+"""Standard deviations of a tag's usual steps beyond which it leaps; they grow with the root of the time between
+samples."""
+UNUSUAL = 6.0
+"""Usual changes of a tag within the hour about a leap, from which it moved as well. A plant's changes have heavy
+tails."""
+USUAL = 0.9, 1.645
+"""Quantile of the changes by which their standard deviation is known, and that of a normal distribution."""
+AFTER_S = 5.0 * 86400.0, 43200.0
+"""Times after a leap over which it must last; the second is for a range that is soon corrected."""
+BEFORE_S = 5.0 * 86400.0
+LEAST_ROWS = 16
+"""Rows of a quarter of an hour on either side by which a leap is judged: four hours of operation."""
+CLEAR = 0.35
+"""Largest median distance of the mapped readings from their prediction, as a share of the leap."""
+CLEARLY = 1.25
+"""Distance from the prediction, as a multiple of that of the other map, up to which a flow, power or pressure is taken
+to keep its zero, and a temperature its span."""
+EXPLAINS = 0.3
+"""Share of the leap by which the shorter side is worse predicted without it."""
+BACK = 0.35
+"""Share of a leap by which the return from it may differ."""
+ROUNDS = 4
+FEWEST = 100
+"""Samples of a tag below which nothing is judged by them."""
+MOST = 100
+"""Leaps of a tag that are judged, the largest first; and changes of range of a station."""
+
+
+@dataclass(frozen=True)
+class _Leap:
+    """A leap of a tag: times of the samples before and after it, and the map from the old reading to the new one."""
+
+    before_s: float
+    after_s: float
+    factor: float
+    constant: float
+    doubt: float
+    """Distance of the mapped readings from their prediction, as a share of the leap."""
+
+    @property
+    def size(self) -> float:
+        """Logarithm of the factor, or the constant where the factor is 1."""
+        return float(np.log(self.factor)) if self.factor != 1.0 else self.constant
+
+
+def range_changes(series: Sequence[Series]) -> list[Defect]:
+    """Return the spans in which tags read on another scale than before.
+
+    Parameters
+    ----------
+    series
+        Good samples of the tags in the units of the dictionary, without changes of unit and stuck values.
+
+    Returns
+    -------
+    list of Defect
+        One a span, of the kind `range_change`; the readings before the first leap of a tag are taken as right.
+    """
+    table = panel(series)
+    rows_of = {k: _candidates(table, k) for k in range(len(table.series))}
+    leaps: dict[int, list[_Leap]] = {k: [] for k in rows_of}
+    for _ in range(MOST):
+        unusual = _unusual(table)
+        judged = [
+            (leap.doubt, k, leap)
+            for k, rows in rows_of.items()
+            for row in rows.tolist()
+            if (
+                _returns(table, k, row, leaps[k])
+                or not _others_moved(table, k, float(table.series[k].time_s[row + 1]), unusual)
+            )
+            and (leap := _judged(table, k, row)) is not None
+        ]
+        if not judged:
+            break
+        # The surest first: with its readings mapped, the other leaps are judged anew.
+        _, k, leap = min(judged, key=lambda one: one[:2])
+        leaps[k].append(leap)
+        table = _mapped(table, k, leap)
+        related = [j for j in rows_of if len(rows_of[j]) and _related(table, k, j)]
+        rows_of = {j: _candidates(table, j) for j in related}
+    return [one for k, found in leaps.items() for one in _spans(table.series[k], found)]
+
+
+def _mapped(table: TagPanel, k: int, leap: _Leap) -> TagPanel:
+    """Return the table with a tag's readings after a leap mapped to those before it."""
+    one = table.series[k]
+    unit = unit_of(one.tag.unit)
+    again = ((unit.scale * one.value + unit.offset - leap.constant) / leap.factor - unit.offset) / unit.scale
+    mapped = replace(
+        one,
+        value=np.where(one.time_s >= leap.after_s, again, one.value),
+        holes=np.concatenate([one.holes, [[leap.after_s, leap.after_s]]]),
+    )
+    values = table.values.copy()
+    values[k] = on_grid(mapped, table.grid_s)
+    return TagPanel((*table.series[:k], mapped, *table.series[k + 1 :]), table.grid_s, values)
+
+
+def _related(table: TagPanel, k: int, j: int) -> bool:
+    """Return whether two tags are of one cell, or one of them of the station."""
+    cells = table.series[k].tag.cell, table.series[j].tag.cell
+    return None in cells or cells[0] == cells[1]
+
+
+def _canonical(series: Series) -> Array:
+    unit = unit_of(series.tag.unit)
+    return np.asarray(unit.scale * series.value + unit.offset)
+
+
+def _is_ratio(series: Series) -> bool:
+    """Return True for a quantity whose changes count as shares of it."""
+    return unit_of(series.tag.unit).dimension not in LEAST and series.tag.role != "barometric_pressure"
+
+
+def _candidates(table: TagPanel, k: int) -> NDArray[np.intp]:
+    """Return the rows after which a tag leaps to another level, the largest leap first."""
+    series = table.series[k]
+    if not _witnessed(table, k) or len(series.time_s) < FEWEST:
+        return np.zeros(0, dtype=np.intp)
+    x, least = _canonical(series), LEAST.get(unit_of(series.tag.unit).dimension, LEAST_KPA)
+    if _is_ratio(series) or series.tag.role in FANS:
+        rest = max(SMALLEST_WORK * float(np.quantile(np.abs(x), 0.95)), 1e-9)
+        least = _least_ratio(series)
+        x = np.where(x > rest, np.log(np.maximum(x, rest)), np.nan)
+        if series.tag.role in FANS:
+            x = x - _of_its_fan(table, k)
+    step = np.where(series.broken(), 0.0, np.nan_to_num(np.diff(x)))
+    apart = np.diff(series.time_s)
+    usual = float(np.quantile(np.abs(step), USUAL[0])) / USUAL[1]
+    stretch = np.sqrt(np.maximum(apart / max(float(np.median(apart)), 1e-9), 1.0))
+    rows = np.flatnonzero(np.abs(step) >= np.maximum(least, 0.0 if series.tag.role in FANS else FAR * usual * stretch))
+    rows = rows[np.argsort(-np.abs(step[rows]), kind="stable")][:MOST]
+    return np.asarray([row for row in rows.tolist() if _stays(x, row, step[row])], dtype=np.intp)
+
+
+def _stays(x: Array, row: int, step: float) -> bool:
+    """Return whether the samples about a step are on the two levels that it joins: no spike, and no ramp."""
+    before, after = x[max(row + 1 - LEVEL, 0) : row + 1], x[row + 1 : row + 1 + LEVEL]
+    change = float(np.nanmedian(after) - np.nanmedian(before))
+    return bool(change * np.sign(step) >= HELD * abs(step))
+
+
+def _of_its_fan(table: TagPanel, k: int) -> Array:
+    """Return the logarithm of the law by which another tag of the same fan follows, at the samples of a tag (n,).
+
+    Power goes with the cube of the speed, and the speed with its command.
+    """
+    own = table.series[k]
+    of_fan = {one.tag.role: one for one in table.series if one.tag.cell == own.tag.cell}
+    laws = (("fan_speed", 3.0), ("fan_speed_command", 3.0)) if own.tag.role == "fan_power" else _SPEED_LAWS
+    other, power = next((of_fan[role], power) for role, power in laws if role in of_fan)
+    limit = 1.2 * longest_interval_s(other)
+    value = unit_of(other.tag.unit).scale * other.at(own.time_s, limit)
+    rest = SMALLEST_WORK * float(np.quantile(np.abs(_canonical(other)), 0.95))
+    return np.asarray(power * np.where(value > rest, np.log(np.maximum(value, max(rest, 1e-9))), np.nan))
+
+
+_SPEED_LAWS = (("fan_speed_command", 1.0), ("fan_power", 1.0 / 3.0))
+
+
+def _witnessed(table: TagPanel, k: int) -> bool:
+    """Return whether other tags follow a tag; a fan's speed and power only beside another tag of the same fan."""
+    tag = table.series[k].tag
+    if tag.role not in FANS:
+        return tag.role in WITNESSED
+    of_fan = {one.tag.role for one in table.series if one.tag.cell == tag.cell}
+    return len(of_fan & {*FANS, "fan_speed_command"}) > 1
+
+
+def _unusual(table: TagPanel) -> Array:
+    """Return the changes of each tag over the hour about each row, in usual ones (tags, m); NaN where unknown."""
+    rows = round(HOUR_S / (table.grid_s[1] - table.grid_s[0])) if len(table.grid_s) > 1 else 1
+    change = np.full_like(table.values, np.nan)
+    if table.values.shape[1] > 2 * rows:
+        change[:, rows:-rows] = np.abs(table.values[:, 2 * rows :] - table.values[:, : -2 * rows])
+    found = np.full_like(change, np.nan)
+    for k, one in enumerate(table.series):
+        if (
+            unit_of(one.tag.unit).dimension == "angle"
+            or one.tag.role == "wind_speed"
+            or not np.isfinite(change[k]).any()
+        ):
+            continue
+        usual = float(np.nanquantile(change[k], USUAL[0])) / USUAL[1]
+        if unit_of(one.tag.unit).dimension == "state":
+            found[k] = np.where(change[k] > 0.0, np.inf, 0.0)
+        else:
+            found[k] = change[k] / max(usual, 1e-9)
+    return found
+
+
+def _others_moved(table: TagPanel, k: int, at_s: float, unusual: Array) -> bool:
+    """Return whether another tag of the cell or the station moved unusually within the hour about a time.
+
+    The weather does not follow the plant, so only its own instruments count for it.
+    """
+    row = int(np.clip(np.searchsorted(table.grid_s, at_s), 0, len(table.grid_s) - 1))
+    moved = np.nanmax(np.nan_to_num(unusual[:, max(row - 1, 0) : row + 2], posinf=np.inf), axis=1) > UNUSUAL
+    weather = table.series[k].tag.role in WEATHER
+    counts = [
+        j != k and _related(table, k, j) and (not weather or one.tag.role in WEATHER)
+        for j, one in enumerate(table.series)
+    ]
+    return bool((moved & np.array(counts)).any())
+
+
+def _returns(table: TagPanel, k: int, row: int, leaps: Sequence[_Leap]) -> bool:
+    """Return whether a leap goes back by what the leaps of the tag before it have left, so that it ends their span."""
+    x, at_s = _canonical(table.series[k]), float(table.series[k].time_s[row])
+    factor, constant = 1.0, 0.0
+    for leap in (one for one in leaps if one.after_s <= at_s):
+        factor, constant = factor * leap.factor, constant * leap.factor + leap.constant
+    if (factor, constant) == (1.0, 0.0):
+        return False
+    # The table holds the readings mapped already: a return leaves them short by the same map.
+    before, after = (
+        float(np.median(x[max(row + 1 - LEVEL, 0) : row + 1])),
+        float(np.median(x[row + 1 : row + 1 + LEVEL])),
+    )
+    wanted = (before - constant) / factor - before
+    return abs(after - before - wanted) < BACK * abs(wanted)
+
+
+def _witnesses(table: TagPanel, k: int, rows: slice) -> Array:
+    """Return what predicts a tag over some rows: the other tags, and the laws that tie them."""
+    tag = table.series[k].tag
+    drivers = [
+        j
+        for j, one in enumerate(table.series)
+        if j != k and unit_of(one.tag.unit).dimension != "angle" and _related(table, k, j)
+    ]
+    values = [table.values[j, rows] for j in drivers]
+    for j in drivers:
+        role = table.series[j].tag.role
+        if tag.role == "fan_power" and role.startswith("fan_speed"):
+            values.append(table.values[j, rows] ** 3)
+        elif tag.role == "fan_speed" and role == "fan_power":
+            values.append(np.cbrt(table.values[j, rows]))
+    return design_matrix(np.stack(values)) if values else np.ones((rows.stop - rows.start, 1))
+
+
+def _judged(table: TagPanel, k: int, row: int) -> _Leap | None:
+    """Return a leap after a row of the tag's samples with its map, or None if the other tags do not bear it out."""
+    series, grid = table.series[k], table.grid_s
+    before_s, after_s = float(series.time_s[row]), float(series.time_s[row + 1])
+    for last_s in AFTER_S:
+        low, high = np.searchsorted(grid, (before_s - BEFORE_S, after_s + last_s)).tolist()
+        rows = slice(low, high)
+        x = table.values[k, rows]
+        if _is_ratio(series):
+            x = np.where(np.abs(x) > SMALLEST_WORK * np.nanquantile(np.abs(table.values[k]), 0.95), x, np.nan)
+        x = np.where((grid[rows] > before_s) & (grid[rows] < after_s), np.nan, x)
+        after = grid[rows] >= after_s
+        if min((np.isfinite(x) & part).sum() for part in (after, ~after)) < LEAST_ROWS:
+            continue
+        matrix = _witnesses(table, k, rows)
+        plain, _ = robust_prediction(x, matrix)
+        usual_map = _is_ratio(series) or series.tag.role in FANS
+        fits = [_fitted(x, after, matrix, ratio=ratio) for ratio in (usual_map, not usual_map)]
+        errors = [np.inf if one is None else one.error for one in fits]
+        fit = fits[0] if errors[0] <= CLEARLY * errors[1] else fits[1]
+        if fit is not None and fit.is_borne_out(x - plain, after) and _at_the_edge(series, row, fit):
+            factor = fit.factor if fit.constant != 0.0 else _by_law(table, k, row, last_s) or fit.factor
+            return _Leap(before_s, after_s, factor, fit.constant, fit.doubt(after))
+    return None
+
+
+def _by_law(table: TagPanel, k: int, row: int, last_s: float) -> float | None:
+    """Return the factor of a fan's tag by the law of its fan, over the days about a leap; None for another tag."""
+    series = table.series[k]
+    if series.tag.role not in FANS:
+        return None
+    x = _canonical(series)
+    rest = SMALLEST_WORK * float(np.quantile(np.abs(x), 0.95))
+    ratio = np.where(x > rest, np.log(np.maximum(x, rest)), np.nan) - _of_its_fan(table, k)
+    time_s = series.time_s
+    low, high = np.searchsorted(time_s, (time_s[row] - BEFORE_S, time_s[row + 1] + last_s)).tolist()
+    change = float(np.nanmedian(ratio[row + 1 : high]) - np.nanmedian(ratio[low : row + 1]))
+    return float(np.exp(change)) if np.isfinite(change) else None
+
+
+def _at_the_edge(series: Series, row: int, fit: _Fit) -> bool:
+    """Return whether the map of days is, at the leap, large enough and the step that the samples show there."""
+    x = _canonical(series)
+    before, after = (
+        float(np.median(part)) for part in (x[max(row + 1 - LEVEL, 0) : row + 1], x[row + 1 : row + 1 + LEVEL])
+    )
+    mapped = fit.factor * before + fit.constant
+    if abs(mapped - after) > 0.5 * abs(after - before):
+        return False
+    if not _is_ratio(series):
+        return abs(mapped - before) >= LEAST.get(unit_of(series.tag.unit).dimension, LEAST_KPA)
+    return abs(float(np.log(max(mapped, 1e-9) / max(before, 1e-9)))) >= _least_ratio(series)
+
+
+def _least_ratio(series: Series) -> float:
+    return float(np.log1p(FAN_APART if series.tag.role == "fan_power" else LEAST_SHARE))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Map of the readings after a leap, their leap (m,) and the distance of the mapped readings from the prediction."""
+
+    factor: float
+    constant: float
+    leap: Array
+    residual: Array
+
+    @property
+    def error(self) -> float:
+        """Median distance from the prediction."""
+        return float(np.nanmedian(np.abs(self.residual)))
+
+    def doubt(self, after: Mask) -> float:
+        """Return the distance of the mapped readings from the prediction as a share of the leap."""
+        return self.error / float(np.nanmedian(np.abs(self.leap[after])))
+
+    def is_borne_out(self, plain: Array, after: Mask) -> bool:
+        """Return whether the other tags go with the mapped readings on both sides, and cannot explain them unmapped.
+
+        Parameters
+        ----------
+        plain
+            Distance of the readings as they stand from a prediction without the leap (m,).
+        after
+            Rows after the leap (m,).
+        """
+        known = np.isfinite(self.residual) & np.isfinite(plain)
+        parts = [known & after, known & ~after]
+        size = float(np.median(np.abs(self.leap[parts[0]]))) if parts[0].any() else 0.0
+        if size <= 0.0:
+            return False
+        if any(float(np.median(np.abs(self.residual[part]))) > CLEAR * size for part in parts):
+            return False
+        gained = float(np.abs(plain[known]).sum() - np.abs(self.residual[known]).sum())
+        return gained > EXPLAINS * size * float(min(part.sum() for part in parts))
+
+
+def _fitted(x: Array, after: Mask, matrix: Array, *, ratio: bool) -> _Fit | None:
+    """Return the map by a factor (or else a constant) with which the readings after a leap go with the prediction."""
+    sides = [np.flatnonzero(np.isfinite(x) & part) for part in (~after, after)]
+    near = [float(np.median(x[part])) for part in (sides[0][-LEAST_ROWS // 4 :], sides[1][: LEAST_ROWS // 4])]
+    if ratio and not (near[0] > 0.0 and near[1] > 0.0):
+        return None
+    factor, constant = (near[1] / near[0], 0.0) if ratio else (1.0, near[1] - near[0])
+    for _ in range(ROUNDS):
+        mapped = np.where(after, (x - constant) / factor, x)
+        predicted, _ = robust_prediction(mapped, matrix)
+        there = predicted[sides[1]]
+        if ratio:
+            factor = float(np.median(x[sides[1]] / np.where(there > 0.0, there, np.nan)))
+            if not factor > 0.0:
+                return None
+        else:
+            constant = float(np.median(x[sides[1]] - there))
+    mapped = np.where(after, (x - constant) / factor, x)
+    return _Fit(factor, constant, np.where(after, x - mapped, 0.0), mapped - predicted)
+
+
+def _spans(series: Series, leaps: Sequence[_Leap]) -> list[Defect]:
+    """Return the spans between leaps in which the readings are on another scale than before the first."""
+    found: list[Defect] = []
+    factor, constant, since = 1.0, 0.0, 0.0
+    for leap in sorted(leaps, key=lambda one: one.after_s):
+        if (factor, constant) != (1.0, 0.0):
+            found.append(_defect(series, since, leap.before_s, factor, constant))
+        total = factor * leap.factor, constant * leap.factor + leap.constant
+        size, before = leap.size, np.log(factor) if factor != 1.0 else constant
+        back = before != 0.0 and abs(size + before) < BACK * abs(before)
+        factor, constant = (1.0, 0.0) if back else total
+        since = leap.after_s
+    if (factor, constant) != (1.0, 0.0) and len(series.time_s):
+        found.append(_defect(series, since, float(series.time_s[-1]), factor, constant))
+    return found
+
+
+def _defect(series: Series, start_s: float, end_s: float, factor: float, constant: float) -> Defect:
+    unit = unit_of(series.tag.unit)
+    # The map is of the record's unit; the store is corrected in the tag's own, whose zero may be another.
+    own = (constant + (factor - 1.0) * unit.offset) / unit.scale
+    times = f"{factor:.3g} times what it did" if factor != 1.0 else ""
+    more = f"{abs(own):.3g} {series.tag.unit} {'more' if own > 0.0 else 'less'}" if own != 0.0 else ""
+    says = f"{series.tag.name} reads "
+    says += f"{times} and {more}" if times and more else times or f"{more} than it did"
+    says += ", and no other tag moved then: its range was changed; correct the readings in the store"
+    return Defect("range_change", (series.tag.name,), start_s, end_s, says, "left out")
