@@ -15,6 +15,7 @@ HEADINGS = {
 """Columns by which a table of a station is known; another command's table has not both."""
 DATASHEET = frozenset({"station", "timezone", "design", "fan", "basin", "bypass", "cells_in_station"})
 OF_RECORD = frozenset({"alignment.json", "station.json"})
+OF_RUN = frozenset({"run.json", "journal.sqlite"})
 HEADING_BYTES = 20_000
 SHEET_BYTES = 1_000_000
 
@@ -50,11 +51,17 @@ def _of_folder(path: Path) -> str | None:
         return "calibration"
     if any(re.fullmatch(r"cell\d+\.parquet", name) for name in names) and names & OF_RECORD:
         return "record"
-    if "manifest.json" in names:
+    if names & OF_RUN or "manifest.json" in names:
         return None
-    if "tags.csv" in names or any(name.endswith(".parquet") for name in names) or any(path.glob("*/*.parquet")):
+    deeper = (one.parent for one in path.glob("*/*.parquet"))
+    if "tags.csv" in names or any(name.endswith(".parquet") for name in names) or not all(map(_is_run, deeper)):
         return "store"
     return "store" if any(name.lower().endswith(".csv") for name in names) else None
+
+
+def _is_run(folder: Path) -> bool:
+    """Return True for the folder of a run, whose record is no store."""
+    return any((folder / name).exists() for name in OF_RUN)
 
 
 def _of_json(path: Path) -> str | None:

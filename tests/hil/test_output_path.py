@@ -107,6 +107,7 @@ def calls(run, folder):
         ("export", "--out"): ("export", run.path, "--to", "csv", "--force"),
         ("init", "--out"): ("init", "--force"),
         ("review", "--screenshot"): ("review", run.path),
+        ("rig", "--out"): ("rig", PROJECT / "profiles/rigs/virtual.toml"),
         ("tower commission", "--out"): ("tower", "commission", folder, "--cell", "1", *points),
         ("tower report", "--picture"): ("tower", "report", folder),
         ("tower serve", "--rig"): ("tower", "serve", folder),

@@ -129,8 +129,11 @@ def command(
 def _serve_file(rig: Path, twin: Path | None, out: Path | None, *, no_twin: bool) -> int:
     """Serve a rig file until Ctrl-C; return the exit code."""
     from drivers.rig_file import load_rig
+    from hil.run_folder import RunFolderError, require_output
     from hil.served_rig import ServedRigOptions, serve
 
+    if out is not None:
+        require_output(out, RunFolderError, [rig, *([] if twin is None else [twin])])
     context = click.get_current_context()
     given = [name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE]
     foreign = [option for option in context.command.params if option.name in given and option.name not in _OF_A_FILE]

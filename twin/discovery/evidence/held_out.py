@@ -106,22 +106,6 @@ class HeldOutRecord:
         off = np.array([_rms(self._off(run, split, j)) for j in range(len(self.network.sensors))])
         return float(np.nansum((off / np.maximum(self.network.sigma, self._usual(finding, split))) ** 2))
 
-    def predicted_gain(self, finding: Finding, split: int) -> tuple[float, float]:
-        """Return by how much an answer is nearer to the record than re-tuning alone from bin `split` on, and how far
-        apart they are.
-
-        Both are mean squares over all sensors, relative to noise: they agree for a true effect.
-        """
-        late = self.record.time_s >= self.grid.time[split]
-        alone = self._run(finding, finding.retuned.values, finding.retuned.state)[late]
-        answered, measured = self._answered(finding)[late], self._measured[late]
-        gained = (measured - alone) ** 2 - (measured - answered) ** 2
-        apart = np.where(np.isfinite(measured), (answered - alone) ** 2, np.nan)
-        seen = np.isfinite(measured).any(axis=0)
-        each = (np.nanmean(x[:, seen], axis=0) / self.network.sigma[seen] ** 2 for x in (gained, apart))
-        nearer, between = (float(x.sum()) for x in each)
-        return nearer, between
-
     def _answered(self, finding: Finding) -> Array:
         found = finding.fit or finding.retuned
         return self._run(finding, found.values, found.state, found.entries)
