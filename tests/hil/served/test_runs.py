@@ -139,17 +139,20 @@ def test_an_interlock_trips_a_served_run(tmp_path: Path) -> None:
     ("arguments", "said"),
     [
         (("bench.toml",), "bus plc is at 192.168.1.20:502, which is not this machine; add --out served.toml"),
-        (("bench.toml", "--out", "bench.toml"), "bench.toml: is there already and no served copy"),
+        (("bench.toml", "--out", "bench.toml"), "bench.toml is a file that this command reads"),
+        (("bench.toml", "--out", "notes.toml"), "notes.toml: is there already and no served copy"),
         (("bench.toml", "--serial"), "--serial is of the built-in virtual rig"),
         (("--out", "served.toml"), "belong to a rig file"),
         (("bench.toml", "--twin", "bench.toml", "--out", "s.toml"), "bench.toml"),
-        (("bench.toml", "--out", "none/s.toml"), "none/s.toml: cannot be written"),
+        (("bench.toml", "--out", "none/s.toml"), "none is no folder that is there"),
     ],
 )
 def test_mistakes_give_a_sentence(tmp_path: Path, arguments: tuple[str, ...], said: str) -> None:
     bench_file(tmp_path)
+    (tmp_path / "notes.toml").write_text("kept", encoding="utf-8")
     done = hil("rig", *arguments, cwd=tmp_path)
     assert done.returncode == 2
+    assert (tmp_path / "notes.toml").read_text(encoding="utf-8") == "kept"
     assert said in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
 
