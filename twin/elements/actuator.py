@@ -109,8 +109,7 @@ def _full(column: str) -> float:
 
 
 def _with_forms(faults: list[Candidate]) -> list[Candidate]:
-    """Return the faults of an actuator, with the dead time as another form of the lag: beside each other the two are
-    hardly distinguished."""
+    """Return the faults of an actuator, with the dead time as another form of the lag, which it resembles."""
     if len(faults) < 2:
         return faults
     *others, lag, dead_time = faults

@@ -27,7 +27,7 @@ Place = tuple[str, bool]
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """Set of effects; `odds` is its log posterior odds against no effect, `fit` None while only its linear estimate is
-    known, and `log_width` what sizes of a greater order than usual take from `log_bayes`.
+    known, and `log_width` the prior cost of sizes beyond the usual width, which `log_bayes` contains.
     """
 
     entries: tuple[Entry, ...]

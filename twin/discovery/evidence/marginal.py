@@ -72,13 +72,13 @@ def _mass_between(low: Array, high: Array) -> Array:
 def widths(typical: Array | float, sizes: Array | float) -> Array:
     """Return the standard deviations of the priors of effects with these sizes.
 
-    A size is of the order of its typical one, or of any greater order, each less likely by as much (`log_widths`).
+    The usual one is `SPREAD` typical sizes. For a larger size it is that size, at the prior cost of `log_widths`.
     """
     return np.maximum(SPREAD * np.asarray(typical), np.abs(sizes))
 
 
 def log_widths(candidates: Sequence[Candidate], sizes: Array) -> float:
-    """Return the logarithm of how much less likely it is that sizes are of a greater order than the usual one."""
+    """Return the log prior cost of sizes beyond the usual width, the sum of the logarithms of their ratios to it."""
     usual = SPREAD * np.array([c.typical for c in candidates])
     return float(np.log(np.maximum(np.abs(sizes) / usual, 1.0)).sum())
 
@@ -114,7 +114,7 @@ def log_bayes_of_sizes(candidates: Candidate | Sequence[Candidate], top: Array, 
 
 
 def _within_bounds(prior: Array, lower: Array, upper: Array, top: Array, bottom: Array) -> tuple[Array, Array]:
-    """Return log B and sizes with Gaussian priors of these standard deviations, cut off at bounds."""
+    """Return log B and sizes under Gaussian priors of these standard deviations, truncated to bounds."""
     variance = 1.0 / (bottom + prior**-2.0)
     mean, sd = variance * top, np.sqrt(variance)
     odds = 0.5 * mean * top - 0.5 * np.log1p(prior**2 * bottom)
@@ -123,7 +123,7 @@ def _within_bounds(prior: Array, lower: Array, upper: Array, top: Array, bottom:
 
 
 def free_log_bayes(candidate: Candidate, top: Array, bottom: Array) -> Array:
-    """Return log B of sizes without what bounds make of it."""
+    """Return log B of sizes whose priors are not truncated to their bounds."""
     usual = SPREAD * candidate.typical
     odds: Array = 0.5 * top**2 / (bottom + usual**-2.0) - 0.5 * np.log1p(usual**2 * bottom)
     wide = np.maximum(np.abs(top / bottom), usual)
@@ -186,7 +186,7 @@ class Joint:
         scale: (c,) prior standard deviations of the columns.
         root: (c, c), root @ root' the inverse of I + S G S. form_error: its likeliest share.
         log_bayes: over no effect, averaged over the shares. quadratic: twice the part of it that depends on the data.
-        log_width: what sizes of a greater order than usual take from `log_bayes`.
+        log_width: prior cost of sizes beyond the usual width, which `log_bayes` contains.
         sizes: (e,) of the effects.
     """
 

@@ -36,7 +36,8 @@ SIDE_BY_SIDE = 4
 NEGLIGIBLE = 1e-12
 """Squares of an effect, relative to noise, below which it has no influence."""
 MUCH, APART, SIZES = 4.0, 4.0, 3
-"""Typical sizes at which the fit of a lag or delay may begin: the least, their ratio, and how many."""
+"""Sizes at which the fit of a lag or delay may begin, in typical ones: the least, their ratio, and how many. For the
+lag of an actuator they are 4 min, 16 min and an hour, its upper bound."""
 
 
 @dataclass
@@ -103,8 +104,8 @@ class Part:
         """Return the lags and delays, each with the onset and the size of highest evidence.
 
         A lag is not linear in its size. Its response at each of several sizes, a factor of `APART` apart, is scanned as
-        a law of its own, with that size as its typical one. A mass has only one such size: what it does beyond that is
-        told by its time constants, of which only every second one is included.
+        a law of its own, with that size as its typical one. A mass has one such size, and several time constants, of
+        which every second one is included.
         """
         made: list[tuple[CandidateLaw, CandidateLaw]] = []
         slow: Counter[str] = Counter()
@@ -135,7 +136,7 @@ class Part:
         for law, entry in self.secants:
             for since in {0.0, onset_s if onset_s > EARLY_S else 0.0}:
                 if since == 0.0 and math.isinf(law.candidate.lumped):
-                    continue  # nothing tells it from the lag of a twin of mixed volumes
+                    continue  # indistinguishable from the lag that a twin of mixed volumes lacks
                 begun = Entry(law, Shape("step", since), np.empty(0), entry.candidate.typical, 0.0, 0.0)
                 found.append(begun.refreshed(self.score_test))
         return found

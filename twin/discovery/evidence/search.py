@@ -235,7 +235,7 @@ def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
     sizes = np.array([e.size for e in entries])
     unusual = float(((sizes / widths(np.array([e.candidate.typical for e in entries]), sizes)) ** 2).sum())
     quadratic = misfit - fit.total - unusual + form_quadratic(own, entries, h.form_error)
-    # A prior of a greater width is less likely by that, and so is any size in it.
+    # A wider prior costs its width twice: as a rarer order, and as a lower density within it.
     larger = log_widths([e.candidate for e in entries], sizes) - h.log_width
     won = 0.5 * (quadratic - h.quadratic) - 2.0 * larger
     return replace(
