@@ -45,7 +45,7 @@ def read_regular(path: Path, most: int = MOST_TEXT) -> bytes:
 
 
 def refuse_irregular(path: Path, mode: int) -> None:
-    """Raise OSError where the `mode` of a file is not that of a regular one; `strerror` says what it is."""
+    """Raise OSError where the `mode` of a file is not that of a regular one; `strerror` names its kind."""
     for is_kind, number, what in _KINDS:
         if is_kind(mode):
             raise OSError(number, what, str(path))

@@ -1,4 +1,4 @@
-"""Files that the pages name: each path of the repository in code marks exists, and so does each picture."""
+"""Files that the pages name in code marks: each path of the repository exists. `tests.language` checks links."""
 
 from __future__ import annotations
 
@@ -16,13 +16,11 @@ PAGES = [
 EXAMPLES = {"make_up_water", "NAME"}
 """Parts of names that stand for a file of the reader's own."""
 _NAMED = re.compile(r"`((?:hil|drivers|twin|tests|profiles|docs)/[\w./-]*)`")
-_PICTURE = re.compile(r"!\[[^\]]*\]\(([^)]+)\)")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(PROJECT)))
-def test_files_and_pictures_that_a_page_names_exist(page: Path) -> None:
+def test_files_that_a_page_names_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     named = {PROJECT / path for path in _NAMED.findall(text) if not any(example in path for example in EXAMPLES)}
-    named |= {page.parent / path for path in _PICTURE.findall(text)}
     ignored = {PROJECT / "docs" / "_build"}
     assert sorted(str(path) for path in named - ignored if not path.exists()) == []

@@ -1,4 +1,4 @@
-"""`python -m tests.language`: print the findings; exit code 1 if there is one.
+"""`python -m tests.language`: print broken links and breaches of the language rules; exit code 1 if there is one.
 
 Arguments keep the paths that begin with one of them.
 """

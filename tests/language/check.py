@@ -1,4 +1,4 @@
-"""Findings of the language rules in the repository."""
+"""Findings in the repository: the language rules, and links that lead nowhere."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
+from tests.language.links import broken_links, pages
 from tests.language.markdown import sentences, text_lines
 from tests.language.rules import LONGEST, MEDIAN, has_weak_opening, words_to_replace
 from tests.language.source import texts
@@ -20,7 +21,7 @@ GENERATED = ("docs/_build", "docs/results")
 
 @dataclass(frozen=True)
 class Finding:
-    """One sentence or text that breaks a rule."""
+    """One sentence, text or link that breaks a rule."""
 
     path: str
     line: int
@@ -41,6 +42,9 @@ def findings(root: Path = PROJECT) -> list[Finding]:
     for package in PACKAGES:
         for path in _files(root / package, ".py"):
             found += module_findings(str(path.relative_to(root)), path.read_text(encoding="utf-8"))
+    for path in pages(root):
+        name = str(path.relative_to(root))
+        found += [Finding(name, line, problem) for line, problem in broken_links(root, path)]
     return found
 
 

@@ -124,6 +124,7 @@ def windows() -> plt.Figure:
     top.axhline(network.rules.calibrated_K, color=GREY, ls="--", lw=1)
     top.text(0.05, 1.08 * network.rules.calibrated_K, "calibrated", fontsize=8, color=GREY)
     top.set(ylabel="error of the prediction, K", title="each window, predicted before it was calibrated")
+    top.set_ylim(top=4.0)  # room for the legend above the first window after the change
     top.legend(frameon=False, fontsize=8, ncol=4, loc="upper right")
     bottom.step([0.0, 3.5, 3.5, HOURS], [0.0, 0.0, 180.0, 180.0], color=RED, lw=1, label="heat that the rig gives off")
     bottom.set(xlabel="time, h", ylabel="heat in the modules, W")
@@ -186,14 +187,14 @@ def hiera() -> plt.Figure:
 def scores() -> plt.Figure:
     """Draw residual, scores by onset and residual with the effect, of a record of the virtual rig."""
     from twin.discovery.engine import diagnose
-    from twin.discovery.evidence.split_search import SplitSearch
+    from twin.discovery.evidence.part import Part
     from twin.discovery.healthy.basis import basis
     from twin.discovery.records.grid import on_grid
     from twin.discovery.scoring.sweep import Courses, LawSquares
 
     network, record, healthy = _virtual("tank_insulation.toml")
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
-    whole = SplitSearch(network, record, basis(network, healthy, grid), grid, lambda _: None).whole
+    whole = Part.of(basis(network, healthy, grid), grid)
     found = diagnose(network, record, healthy)
     figure, axes = plt.subplots(3, 1, figsize=(8.0, 7.4), sharex=True)
     colours = (RED, GREY, ORANGE, BLUE)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import sys
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from drivers.virtual.devices import (
     CanConnection,
     CanHub,
     ControlConnection,
+    ControlledRig,
     ModbusServer,
     end_with_parent,
     frame_text,
@@ -33,9 +33,6 @@ from drivers.virtual.devices import (
 )
 
 HOST = "127.0.0.1"
-LARGEST_BACKLOG_S = 5.0
-"""Wall-clock seconds that the rig catches up with after a stall of the host; older time is lost."""
-LONGEST_REBOOT_S = 600.0
 _PLAIN = {"parity": "none", "stop_bits": 1}
 """Character format that every pseudo-terminal takes."""
 _MOST_REPEATS = 100
@@ -64,60 +61,43 @@ class ServeOptions:
     free_ports: bool = True
 
 
-class _Serving:
-    """Time of a served rig, and its control port (`devices.control`)."""
+class _Serving(ControlledRig):
+    """Served rig behind its control port."""
 
     def __init__(self, rig: DescribedRig, options: ServeOptions, epoch_s: float) -> None:
-        self.rig, self._options, self._epoch_s = rig, options, epoch_s
-        self.stop = asyncio.Event()
-        self.controller: ControlConnection | None = None
-        self.servers: list[ModbusServer] = []
+        super().__init__(options.mode, rig.rig.period_s, rig.step_s / options.speed)
+        self.rig, self._epoch_s = rig, epoch_s
         self.hubs: dict[str, CanHub] = {}
-        self.ended_because = "stopped"
-        self.failed = False
-        self._timer: asyncio.TimerHandle | None = None
-        self._opening: set[asyncio.Task[None]] = set()
-        self._due = 0.0
-
-    # Time by itself: real and scaled modes, and lockstep after its client has gone.
-
-    def run_free(self) -> None:
-        """Start advancing with the clock."""
-        if self._timer is None:
-            loop = asyncio.get_running_loop()
-            self._due = loop.time() + self._wall_step_s
-            self._timer = loop.call_at(self._due, self._tick)
-
-    def hold(self) -> None:
-        """Stop advancing by itself."""
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
 
     @property
-    def _wall_step_s(self) -> float:
-        return self.rig.step_s / self._options.speed
+    def time_s(self) -> float:
+        """Rig time, s."""
+        return self.rig.time_s
 
-    def _advanced(self, steps: int) -> bool:
-        """Advance by some steps; False where the plant failed, which ends the rig."""
+    def cycle(self) -> None:
+        """Advance by a period of the rig file, then send each frame once."""
+        for name in self._advanced(self.rig.steps_of_a_period):
+            self._send(name)
+
+    def tick(self) -> None:
+        """Advance by a step, and send each frame as often as its cycle time asks."""
+        for name in self._advanced(1):
+            self._send(name)
+            self._repeat(name)
+
+    def restart(self) -> None:
+        """Lose the memory of the devices; their plant goes on."""
+        self.rig.restart()
+
+    def _advanced(self, steps: int) -> Iterable[str]:
+        """Advance by some steps; return the CAN buses that have frames to send then, none where the plant failed."""
         try:
             for _ in range(steps):
                 self.rig.step()
         except DriverError as error:
-            print(f"hil rig: {error}; the rig ends", file=sys.stderr)
-            self.failed = True
-            self.stop.set()
-        return not self.failed
-
-    def _tick(self) -> None:
-        loop = asyncio.get_running_loop()
-        if not self._advanced(1):
-            return
-        self._due = max(self._due + self._wall_step_s, loop.time() - LARGEST_BACKLOG_S)
-        for name in self.hubs:
-            self._send(name)
-            self._repeat(name)
-        self._timer = loop.call_at(self._due, self._tick)
+            self.fail(error)
+            return ()
+        return self.hubs
 
     def _repeat(self, name: str) -> None:
         """Send the frames of a bus again within the step, where the DBC gives a shorter cycle time."""
@@ -127,7 +107,7 @@ class _Serving:
         times = min(math.ceil(self.rig.step_s / fastest_s), _MOST_REPEATS)
         for k in range(1, times):
             part = k / times
-            asyncio.get_running_loop().call_later(part * self._wall_step_s, self._send, name, part * self.rig.step_s)
+            asyncio.get_running_loop().call_later(part * self._tick_s, self._send, name, part * self.rig.step_s)
 
     def _send(self, name: str, later_s: float = 0.0) -> None:
         hub = self.hubs[name]
@@ -137,62 +117,6 @@ class _Serving:
         for frame in self.rig.frames(name):
             identifier = f"{frame.identifier:08X}" if frame.extended else f"{frame.identifier:03X}"
             hub.publish(frame_text(identifier, stamp, frame.data), 1)
-
-    # Commands of the control port.
-
-    def greeting(self) -> str:
-        """Return the first line to a control client."""
-        rig = self.rig
-        return f"virtual-rig 1 mode={self._options.mode} period={rig.rig.period_s!r} t={rig.time_s:.3f}\n"
-
-    def grant(self) -> str:
-        """Run one granted period; return the answer to the client."""
-        if self._options.mode != "lockstep":
-            return f"error the rig runs in {self._options.mode} time; steps are granted in lockstep only.\n"
-        if not self._advanced(self.rig.steps_of_a_period):
-            return "error the plant has failed; the rig ends.\n"
-        for name in self.hubs:
-            self._send(name)
-        return f"t {self.rig.time_s:.3f}\n"
-
-    def congested(self) -> bool:
-        """Return False: frames are encoded before a step is answered."""
-        return False
-
-    def on_controller(self, connected: bool) -> None:
-        """Hold the time in lockstep while a client grants it; let it run without one, so that the watchdog can trip."""
-        if self._options.mode == "lockstep":
-            if connected:
-                self.hold()
-            elif not self.stop.is_set():
-                self.run_free()
-
-    def reboot(self, seconds: str) -> str:
-        """Cut the devices' power for `seconds` (text, s); return the answer to the client."""
-        try:
-            down_s = float(seconds)
-        except ValueError:
-            down_s = math.nan
-        if not 0.0 <= down_s <= LONGEST_REBOOT_S:
-            return f"error reboot takes 0 to {LONGEST_REBOOT_S:g} seconds.\n"
-        self.rig.restart()
-        for server in self.servers:
-            server.close()
-        asyncio.get_running_loop().call_later(down_s, self._serve_again)
-        return "ok\n"
-
-    def _serve_again(self) -> None:
-        if self.stop.is_set():
-            return
-        for server in self.servers:
-            task = asyncio.get_running_loop().create_task(server.open(), name="reboot")
-            self._opening.add(task)
-            task.add_done_callback(self._opening.discard)
-
-    def quit(self) -> None:
-        """End the process after what is being written."""
-        self.ended_because = "quit"
-        asyncio.get_running_loop().call_later(0.02, self.stop.set)
 
 
 async def serve_described(
@@ -225,7 +149,7 @@ async def serve_described(
     for name, wire in wire_of_bus(rig).items():
         wires.setdefault(wire, []).append(name)
     for names in wires.values():
-        sections |= await _open_wire(serving, rig, names)
+        sections |= await _open_wire(serving, rig, names, options.free_ports)
     for name, bus in rig.bus.items():
         if isinstance(bus, CanBus):
             hub = serving.hubs[name] = CanHub(time.time, bus.channel)
@@ -246,9 +170,9 @@ async def serve_described(
     return int(serving.failed)
 
 
-async def _open_wire(serving: _Serving, rig: Rig, names: list[str]) -> dict[str, dict[str, Any]]:
+async def _open_wire(serving: _Serving, rig: Rig, names: list[str], free: bool) -> dict[str, dict[str, Any]]:
     """Open the port or line that some buses share; return the address of each as keys of its section."""
-    first, free = rig.bus[names[0]], serving._options.free_ports
+    first = rig.bus[names[0]]
     devices = {rig.bus[name].device_id: serving.rig.memories[name] for name in names}  # type: ignore[union-attr]
     called = f"Modbus (bus {', '.join(names)})"
     if isinstance(first, ModbusRtuBus):
@@ -270,10 +194,7 @@ async def _open_wire(serving: _Serving, rig: Rig, names: list[str]) -> dict[str,
 
 
 def _close(serving: _Serving, servers: Iterable[asyncio.Server]) -> None:
-    for modbus in serving.servers:
-        modbus.close()
-        if modbus.line is not None:
-            modbus.line.close()
+    serving.close_servers()
     for server in servers:
         server.close()
     for hub in serving.hubs.values():

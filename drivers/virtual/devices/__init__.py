@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from drivers.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from drivers.virtual.devices.control import ControlConnection
+    from drivers.virtual.devices.control import ControlConnection, ControlledRig
     from drivers.virtual.devices.modbus_protocol import (
         DEVICE_ID,
         ILLEGAL_ADDRESS,
@@ -50,6 +50,7 @@ __all__ = [
     "CanConnection",
     "CanHub",
     "ControlConnection",
+    "ControlledRig",
     "Memory",
     "ModbusConnection",
     "ModbusServer",
@@ -69,7 +70,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "control": ("ControlConnection",),
+        "control": ("ControlConnection", "ControlledRig"),
         "modbus_protocol": (
             "BitTable",
             "DEVICE_ID",

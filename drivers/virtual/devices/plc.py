@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import math
 import socket
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.virtual.devices import link
-from drivers.virtual.devices.control import ControlConnection
+from drivers.virtual.devices.control import ControlConnection, ControlledRig
 from drivers.virtual.devices.modbus_protocol import DEVICE_ID
 from drivers.virtual.devices.modbus_server import ModbusServer, tls_context
 from drivers.virtual.devices.registers import Registers
@@ -30,12 +29,9 @@ if TYPE_CHECKING:
 
 MODES = ("real", "scaled", "lockstep")
 SERVERS = ("own", "pymodbus")
-LONGEST_REBOOT_S = 600.0
-LARGEST_BACKLOG_S = 5.0
-"""Wall-clock seconds that the plant catches up with after a stall of the host; older time is lost."""
 
 
-class Plc:
+class Plc(ControlledRig):
     """PLC with its plant. It owns rig time: interlocks, plant, read-backs and registers advance once a period."""
 
     def __init__(
@@ -49,26 +45,22 @@ class Plc:
         start_s: float = 0.0,
         plant: SimulatedPlant | None = None,
     ) -> None:
-        self.mode, self.period_s = mode, period_s
-        self._wall_period_s = period_s / speed if mode == "scaled" else period_s
+        super().__init__(mode, period_s, period_s / speed if mode == "scaled" else period_s)
         self.registers = Registers()
         own = plant is None
         self.plant = plant or Plant(seed=seed, period_s=period_s, effects=effects, start_s=start_s)
         self._instruments = Instruments(seed, period_s, effects, unit)
-        self.stop = asyncio.Event()
-        self.controller: ControlConnection | None = None
         self.link: link.LinkSender | None = None
         self.truth: TruthLog | None = None
-        self.server: ModbusServer | PymodbusServer | None = None
         self.missed_records = 0
-        self.ended_because = "stopped"
-        self.failed = False
-        self._timer: asyncio.TimerHandle | None = None
-        self._opening: asyncio.Task[None] | None = None
-        self._due = 0.0
         if own:  # compile or load the physics before the ports open
             Plant(seed=seed, period_s=period_s).step(0.0, 0.0, 0.0)
         self.registers.publish(self._instruments.read(self.plant), 0)
+
+    @property
+    def time_s(self) -> float:
+        """Rig time, s."""
+        return self.plant.time_s
 
     def cycle(self) -> None:
         """Advance rig time by one period."""
@@ -76,11 +68,7 @@ class Plc:
         try:
             plant.step(registers.heater_W, registers.pump_fraction, registers.fan_fraction)
         except FmuPlantError as error:
-            if not self.failed:
-                print(f"hil rig: {error}; the rig ends", file=sys.stderr)
-            self.failed = True
-            self.hold()
-            self.stop.set()
+            self.fail(error)
             return
         # Temperatures leave first: the other process works while this one packs its registers.
         sender = self.link
@@ -99,44 +87,6 @@ class Plc:
         self.truth = truth = TruthLog(path, self.plant)
         self.registers.on_write = lambda: truth.note(self.registers, period=False)
 
-    # Time by itself: real and scaled modes, and lockstep after its client has gone.
-
-    def run_free(self) -> None:
-        """Start advancing with the clock."""
-        if self._timer is None:
-            loop = asyncio.get_running_loop()
-            self._due = loop.time() + self._wall_period_s
-            self._timer = loop.call_at(self._due, self._tick)
-
-    def hold(self) -> None:
-        """Stop advancing by itself."""
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-
-    def _tick(self) -> None:
-        self.cycle()
-        loop = asyncio.get_running_loop()
-        if self.failed:
-            return
-        self._due = max(self._due + self._wall_period_s, loop.time() - LARGEST_BACKLOG_S)
-        self._timer = loop.call_at(self._due, self._tick)
-
-    # Commands of the control port.
-
-    def greeting(self) -> str:
-        """Return the first line to a control client."""
-        return f"virtual-rig 1 mode={self.mode} period={self.period_s!r} t={self.plant.time_s:.3f}\n"
-
-    def grant(self) -> str:
-        """Run one granted period; return the answer to the client."""
-        if self.mode != "lockstep":
-            return f"error the rig runs in {self.mode} time; steps are granted in lockstep only.\n"
-        self.cycle()
-        if self.failed:
-            return "error the plant has failed; the rig ends.\n"
-        return f"t {self.plant.time_s:.3f}\n"
-
     def congested(self) -> bool:
         """Return True in lockstep while steps must wait for the module, so that no frame is lost."""
         return self.mode == "lockstep" and self.link is not None and not self.link.ready
@@ -152,37 +102,10 @@ class Plc:
         if self.controller is not None:
             self.controller.proceed()
 
-    def on_controller(self, connected: bool) -> None:
-        """Hold the time in lockstep while a client grants it; let it run without one, so that the watchdog can trip."""
-        if self.mode == "lockstep":
-            if connected:
-                self.hold()
-            elif not self.stop.is_set():
-                self.run_free()
-
-    def reboot(self, seconds: str) -> str:
-        """Cut the PLC's power for `seconds` (text, s); return the answer to the client."""
-        try:
-            down_s = float(seconds)
-        except ValueError:
-            down_s = math.nan
-        if not 0.0 <= down_s <= LONGEST_REBOOT_S:
-            return f"error reboot takes 0 to {LONGEST_REBOOT_S:g} seconds.\n"
+    def restart(self) -> None:
+        """Lose the registers of the PLC; its plant goes on."""
         self.registers.restart()
         self.registers.on_write()
-        if self.server is not None:
-            self.server.close()
-            asyncio.get_running_loop().call_later(down_s, self._serve_again)
-        return "ok\n"
-
-    def _serve_again(self) -> None:
-        if self.server is not None and not self.stop.is_set():
-            self._opening = asyncio.get_running_loop().create_task(self.server.open(), name="reboot")
-
-    def quit(self) -> None:
-        """End the process after what is being written."""
-        self.ended_because = "quit"
-        asyncio.get_running_loop().call_later(0.02, self.stop.set)
 
 
 async def run(arguments: argparse.Namespace) -> int:
@@ -221,7 +144,7 @@ async def run(arguments: argparse.Namespace) -> int:
         modbus = PymodbusServer(plc.registers, *where)
     else:
         modbus = ModbusServer({DEVICE_ID: plc.registers}, *where)
-    plc.server = modbus
+    plc.servers.append(modbus)
     if arguments.serial:
         modbus.open_line()
     await modbus.open()
@@ -240,9 +163,7 @@ async def run(arguments: argparse.Namespace) -> int:
     say(event="ready", modbus_port=modbus.port, control_port=port_of(control), **further, **line)
     await plc.stop.wait()
     plc.hold()
-    modbus.close()
-    if modbus.line is not None:
-        modbus.line.close()
+    plc.close_servers()
     control.close()
     if plc.controller is not None:
         plc.controller.close()

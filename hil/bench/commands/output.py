@@ -14,8 +14,23 @@ from hil.cli.options import PROJECT
 if TYPE_CHECKING:
     from hil.bench.measure import ReportTable
 
+_CODE = "hil.bench.code"
+
+
+def _with_code(context: click.Context, parameter: click.Parameter, out: Path | None) -> Path | None:
+    """Note the state of the code before the measurement: files may change, or a branch, while it runs."""
+    if out is not None:
+        from hil.bench.measure import code_state
+
+        context.meta[_CODE] = code_state(context.command.name or "")
+    return out
+
+
 OUT = click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for JSON, Markdown and manifest."
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    callback=_with_code,
+    help="Folder for JSON, Markdown and manifest.",
 )
 QUICK = click.option("--quick", is_flag=True, help="Use small sizes, for a trial run or for CI.")
 SEED = click.option("--seed", default=0, show_default=True, help="Seed of all random numbers.")
@@ -34,7 +49,8 @@ def finish(
     from hil.bench.measure import BenchReport, manifest, show, write
     from hil.bench.measure import as_json as json_of
 
-    report = BenchReport(name, tables, skipped, manifest(_typed(name), seed))
+    code = click.get_current_context().meta.get(_CODE)
+    report = BenchReport(name, tables, skipped, manifest(_typed(name), seed, name, code))
     if as_json:
         click.echo(json_of(report), nl=False)
     else:

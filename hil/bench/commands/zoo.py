@@ -61,5 +61,4 @@ def zoo_command(
         cases, healthy = QUICK_CASES
     with ProgressBar("diagnosing", 1.0, quiet=as_json) as steps:
         done = trial.measure(families, cases, healthy, seed, jobs, work, steps.update)
-    name = "zoo_dev" if families == "dev" else "zoo"
-    finish(name, seed, tables.tables(done, families), (), out, as_json)
+    finish("zoo_dev" if families == "dev" else "zoo", seed, tables.tables(done, families), (), out, as_json)

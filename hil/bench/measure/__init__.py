@@ -11,6 +11,7 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.bench.measure.machine import cpu_s, in_new_process, manifest, median
+    from hil.bench.measure.measured_code import code_state
     from hil.bench.measure.report import BenchReport, Cell, ReportTable, as_json, number, show, write
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "Cell",
     "ReportTable",
     "as_json",
+    "code_state",
     "cpu_s",
     "in_new_process",
     "manifest",
@@ -38,6 +40,7 @@ __getattr__, __dir__ = lazy_names(
             "manifest",
             "median",
         ),
+        "measured_code": ("code_state",),
         "report": (
             "BenchReport",
             "Cell",

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hil import __version__
+from hil.bench.measure.measured_code import CodeState, commit_of, places_of
 
 LIBRARIES = (
     "numpy",
@@ -32,37 +33,42 @@ LEAST_CALL_S = 2e-3
 """Least duration of a measurement, s: shorter calls are repeated until they last this long, and divided."""
 
 
-def manifest(command: str, seed: int) -> dict[str, Any]:
-    """Return command, seed, commit, versions, machine and date of a measurement."""
+def manifest(command: str, seed: int, result: str = "", code: CodeState | None = None) -> dict[str, Any]:
+    """Return the conditions of a measurement: command, seed, date, code, versions, machine and load.
+
+    Parameters
+    ----------
+    command
+        Command as typed.
+    seed
+        Seed of all random numbers.
+    result
+        Name of the result, by which the check of results knows its code.
+    code
+        State of the code when the measurement began; None for the present commit without digests.
+    """
     versions = {"hil": __version__, "python": sys.version.split()[0]}
     for name in LIBRARIES:
         try:
             versions[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
+    places = places_of(result) or ()
     return {
         "command": command,
+        **({"result": result} if result else {}),
         "seed": seed,
         "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "commit": commit(),
+        "commit": commit_of() if code is None else code.commit,
+        **(
+            {}
+            if code is None
+            else {"digests": {place: code.digests[place] for place in places if place in code.digests}}
+        ),
         "versions": versions,
         "machine": {"cpu": cpu_model(), "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}"},
         "load_average": [round(x, 2) for x in os.getloadavg()],
     }
-
-
-def commit() -> str | None:
-    """Return the commit of the measured code, with "+ changes" if its tree is not clean; None without git."""
-    here = Path(__file__).resolve().parent
-
-    def git(*arguments: str) -> str:
-        return subprocess.run(["git", *arguments], cwd=here, capture_output=True, text=True, check=True).stdout.strip()
-
-    try:
-        changed = git("status", "--porcelain", "--untracked-files=no", ":/")
-        return git("rev-parse", "--short=12", "HEAD") + (" + changes" if changed else "")
-    except (OSError, subprocess.CalledProcessError):
-        return None
 
 
 def cpu_model() -> str:

@@ -1,57 +1,27 @@
-"""Check of published results: commit of the measured code, and changes of that code since.
+"""Check of published results: digests and commit of the measured code, and changes of that code since.
 
-    python -m hil.bench.measure.results_check [FOLDER]
+    python -m hil.bench.measure.results_check [--add-digests] [FOLDER]
 
 It lists each result that should be measured again and always ends with exit code 0 unless FOLDER cannot be used: old
-results are no error. Changes of comments, docstrings, layout, imports and lists of public names do not count: the same
-code runs, and code that moves to another file counts there.
+results are no error. The digests in a manifest decide, since a commit is lost when a branch is rewritten. The commit
+names the changed files where the repository has it. `--add-digests` first adds the digests to manifests without them,
+computed at their commit. `hil.bench.measure.measured_code` states which changes count.
 """
 
 from __future__ import annotations
 
-import ast
 import json
-import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-PROJECT = Path(__file__).resolve().parents[3]
+from hil.bench.measure.measured_code import PROJECT, code_digests, file_digest, git, is_within, places_of
+from hil.files import replacing
+
 RESULTS = PROJECT / "docs" / "results"
-_TWIN = ("twin/*.py", "twin/elements")
-_FITS = (*_TWIN, "twin/calibrators/*.py")
-_NETWORK = ("twin/calibrators/hiera_unet", "hil/bench/hiera")
-_DIAGNOSIS = (*_FITS, "twin/discovery", "drivers/virtual/plant", "hil/bench/discovery", "hil/diagnosis")
-_LOOP = ("drivers", "hil/run", "hil/journal")
-MEASURED: dict[str, tuple[str, ...]] = {
-    "twin": (*_TWIN, "hil/bench/kernel", "hil/bench/peers"),
-    "fit": (*_FITS, "hil/bench/kernel", "hil/bench/peers"),
-    "paper": (*_FITS, "drivers/virtual/plant", "hil/bench/experiments", "hil/tracking"),
-    "structure": (*_FITS, "drivers/virtual/plant", "hil/bench/experiments"),
-    "records": (*_FITS, "hil/bench/experiments", "hil/record"),
-    "hiera": (*_FITS, *_NETWORK, "hil/tracking"),
-    "ablations": (*_FITS, *_NETWORK, "hil/training"),
-    "discovery": _DIAGNOSIS,
-    "again": _DIAGNOSIS,
-    "zoo": (*_FITS, "twin/discovery", "hil/bench/discovery", "hil/bench/zoo", "hil/diagnosis"),
-    "faults": (*_LOOP, "hil/bench/chaos", "hil/bench/faults", "hil/guardian"),
-    "loop": (*_LOOP, "hil/bench/loop", "hil/tracking"),
-    "bus": ("drivers/bus", "drivers/modbus", "drivers/signals", "hil/bench/loop", "hil/bench/peers"),
-    "wire": ("drivers/bus", "drivers/can", "drivers/modbus", "drivers/signals", "hil/bench/fuzz"),
-    "tower": ("twin/tower", "twin/historian", "hil/tower"),
-    "files": (
-        *_TWIN,
-        "drivers/can",
-        "drivers/importers",
-        "drivers/rig_file",
-        "hil/bench/fuzz",
-        "hil/files",
-        "hil/profile",
-        "hil/record",
-    ),
-}
-"""Code that each command of `hil bench` measures: folders with all that is below them, and `*` within one folder."""
+ADD = "--add-digests"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,98 +54,116 @@ def check_results(folder: Path = RESULTS, project: Path = PROJECT) -> list[Resul
     names = sorted(path.stem for path in folder.glob("*.json") if not path.name.endswith(".manifest.json"))
     if not names:
         raise ResultsFolderError(f"{folder}: holds no result; give a folder that hil bench --out has written")
-    if _git(project, "rev-parse", "--git-dir") is None:
+    if git(project, "rev-parse", "--git-dir") is None:
         raise ResultsFolderError(f"{project}: is in no git repository, so that no commit can be compared")
     return [ResultState(name, _problem(folder / f"{name}.manifest.json", project)) for name in names]
 
 
+def add_digests(folder: Path = RESULTS, project: Path = PROJECT) -> list[str]:
+    """Add the digests of the measured code to each manifest without them whose clean commit is in the repository.
+
+    Returns
+    -------
+    list of str
+        Names of the results whose manifest was written anew.
+    """
+    added = []
+    for path in sorted(folder.glob("*.manifest.json")):
+        content = _read(path)
+        name = path.name.removesuffix(".manifest.json")
+        places = None if content is None else _places(content, name)
+        if content is None or places is None or "digests" in content:
+            continue
+        commit = content.get("commit")
+        if not isinstance(commit, str) or " " in commit or not _has(project, commit):
+            continue
+        content["digests"] = code_digests(project, places, commit)
+        with replacing(path) as temporary:
+            temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        added.append(name)
+    return added
+
+
+def changed_files(project: Path, commit: str, places: Sequence[str]) -> list[str]:
+    """Return the Python files of `places` (as in `MEASURED`) whose code differs between `commit` and the work tree."""
+    listed = git(project, "diff", "--name-only", "--no-renames", "--relative", "-z", commit, "--", "*.py") or ""
+    names = [name for name in listed.split("\0") if any(is_within(name, place) for place in places)]
+    return [name for name in names if file_digest(project, name) != file_digest(project, name, commit)]
+
+
 def _problem(manifest: Path, project: Path) -> str | None:
+    content = _read(manifest)
+    if content is None:
+        return "has no manifest that can be read"
+    commit, _, changes = str(content.get("commit") or "").partition(" ")
+    digests = content["digests"] if isinstance(content.get("digests"), dict) else {}
+    if not commit and not digests:
+        published = content.get("published")
+        return "its manifest has no commit of the measured code" + (f"; published in {published}" if published else "")
+    name = manifest.name.removesuffix(".manifest.json")
+    places = _places(content, name)
+    if places is None:
+        return f"hil bench has no command {content.get('command')!r} with a result {name}; correct the manifest"
+    known = commit if commit and not changes and _has(project, commit) else None
+    if known:
+        measured = f"was measured at {commit}"
+    elif changes:
+        measured = f"was measured with uncommitted changes on {commit}"
+    else:
+        measured = f"was measured at {commit}, which this repository does not have" if commit else "was measured"
+    if not known and not digests:
+        return measured
+    changed = _changes(project, places, digests, known)
+    return f"{measured}; since then changed: {', '.join(changed)}" if changed else None
+
+
+def _changes(project: Path, places: Sequence[str], digests: dict[str, Any], commit: str | None) -> list[str]:
+    """Return a phrase for each place whose code is another now, with its files where the repository has the commit.
+
+    The digests decide. A place without one is compared with the commit, and has changed if there is none.
+    """
+    now = code_digests(project, [place for place in places if place in digests])
+    found = []
+    for place in places:
+        if place in now and now[place] == digests[place]:
+            continue
+        files = changed_files(project, commit, [place]) if commit else []
+        if files:
+            found.append(f"{place} ({files[0]}{f' and {len(files) - 1} more' if len(files) > 1 else ''})")
+        elif place in now:
+            found.append(place)
+        elif commit is None:
+            found.append(f"{place} (its manifest has no digest of it)")
+    return found
+
+
+def _read(manifest: Path) -> dict[str, Any] | None:
     try:
         content = json.loads(manifest.read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        return "has no manifest that can be read"
-    if not isinstance(content, dict) or not isinstance(content.get("commit"), str):
-        published = content.get("published") if isinstance(content, dict) else None
-        return "its manifest has no commit of the measured code" + (f"; published in {published}" if published else "")
-    commit, _, changes = content["commit"].partition(" ")
-    if changes:
-        return f"was measured with uncommitted changes on {commit}"
-    if _git(project, "cat-file", "-e", f"{commit}^{{commit}}") is None:
-        return f"was measured at {commit}, which this repository does not have"
-    measured = MEASURED.get(_benchmark(content))
-    if measured is None:
-        return f"its command {content.get('command')!r} is not one of hil bench; correct the manifest"
-    changed = changed_files(project, commit, measured)
-    if not changed:
         return None
-    first = f"{changed[0]} and {len(changed) - 1} more" if len(changed) > 1 else changed[0]
-    return f"was measured at {commit}; since then changed: {first}"
+    return content if isinstance(content, dict) else None
 
 
-def changed_files(project: Path, commit: str, measured: tuple[str, ...]) -> list[str]:
-    """Return the files of `measured` (as in `MEASURED`) whose code differs between `commit` and the work tree."""
-    patterns = [f":(glob){place}" if "*" in place else place for place in measured]
-    listed = _git(project, "diff", "--name-only", "--no-renames", "--relative", commit, "--", *patterns) or ""
-    return [name for name in listed.splitlines() if not _is_same_code(project, commit, name)]
+def _has(project: Path, commit: str) -> bool:
+    return git(project, "cat-file", "-e", f"{commit}^{{commit}}") is not None
 
 
-def _is_same_code(project: Path, commit: str, name: str) -> bool:
-    """Return True for a Markdown page, and for a Python file whose code is the same (see `_is_no_code`)."""
-    if name.endswith(".md"):
-        return True
-    before = _git(project, "show", f"{commit}:./{name}")
-    path = project / name
-    if not name.endswith(".py") or before is None or not path.is_file():
-        return False
-    try:
-        return _code(before) == _code(path.read_text(encoding="utf-8"))
-    except (SyntaxError, ValueError):
-        return False
-
-
-def _code(source: str) -> str:
-    tree = ast.parse(source)
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        if isinstance(body, list):
-            node.body = [item for item in body if not _is_no_code(item)]  # type: ignore[attr-defined]
-    return ast.dump(tree)
-
-
-def _is_no_code(item: ast.stmt) -> bool:
-    """Return True for a docstring, an import, imports for type checkers, and a list of public names."""
-    if isinstance(item, ast.Import | ast.ImportFrom):
-        return True
-    if isinstance(item, ast.If):
-        return isinstance(item.test, ast.Name) and item.test.id == "TYPE_CHECKING"
-    if isinstance(item, ast.FunctionDef):
-        return item.name in ("__getattr__", "__dir__")
-    if isinstance(item, ast.Assign | ast.AnnAssign):
-        targets = item.targets if isinstance(item, ast.Assign) else [item.target]
-        names = {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
-        return names <= {"__all__", "__getattr__", "__dir__", "_HOME", "_MODULES"} and bool(names)
-    return isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant) and isinstance(item.value.value, str)
-
-
-def _benchmark(manifest: dict[str, Any]) -> str:
-    """Return the name behind `hil bench` in a manifest's command; empty where there is none."""
+def _places(manifest: dict[str, Any], name: str) -> tuple[str, ...] | None:
+    """Return the places of a result by its command, and by its own name where its manifest does not state it."""
     words = str(manifest.get("command", "")).split()
-    return words[2] if words[:2] == ["hil", "bench"] and len(words) > 2 else ""
-
-
-def _git(project: Path, *arguments: str) -> str | None:
-    """Return the output of a git command in `project`, None where it fails."""
-    try:
-        done = subprocess.run(["git", *arguments], cwd=project, capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError, UnicodeDecodeError):
-        return None
-    return done.stdout
+    command = words[2] if words[:2] == ["hil", "bench"] and len(words) > 2 else None
+    return places_of(str(manifest.get("result", name)), command) if command else None
 
 
 def main(arguments: list[str]) -> int:
     """Print a line for each result that should be measured again, then the count; return the exit code."""
+    folders = [Path(argument) for argument in arguments if argument != ADD][:1]
     try:
-        states = check_results(*(Path(argument) for argument in arguments[:1]))
+        if ADD in arguments:
+            for name in add_digests(*folders):
+                print(f"{name}: digests added")
+        states = check_results(*folders)
     except ResultsFolderError as error:
         print(error, file=sys.stderr)
         return 2

@@ -37,9 +37,6 @@ from twin.tower import Array, TargetWindow
 
 RECORDS, QUEUE = "records.jsonl", "review_queue.json"
 NETWORK_RECORDS = "network_records.jsonl"
-STATES = ("shadow", "advisory", "controlled")
-"""Shadow writes records; advisory fills the review queue too; controlled saves accepted proposals as revisions of the
-twin."""
 EVERY_S = 300.0
 HASH = 12
 """Hex digits of a hash: 48 bits identify a line among some 1e5 with a chance of 1e-5 that two agree."""
