@@ -15,7 +15,7 @@ from twin.kernel import Kernel
 from twin.revisions import with_elements
 
 HEAT = {"kind": "heat_source", "node": "modules", "power": 15.0}
-MASS = {"kind": "hidden_mass", "node": "tank", "conductance": 3.0, "capacity": 6.0e3}
+MASS = {"kind": "hidden_mass", "node": "tank", "conductance": 6.0, "capacity": 1.5e3}
 START = np.array([37.0, 36.8, 34.5, 34.0])
 
 
@@ -23,7 +23,7 @@ def heat_then_mass(bench: Bench, heat_h: float, mass_h: float) -> Columns:
     """A record with heat in the modules since one hour, and in the tank, since another, a mass as warm as the tank."""
     t, u = bench.inputs(16.0, 3)
     hours = sorted({0.0, heat_h, mass_h})
-    cuts = [*(int(np.searchsorted(t, h * 3600.0)) for h in hours), len(t)]
+    cuts = [*(int(np.searchsorted(t, h * HOUR)) for h in hours), len(t)]
     parts, state = [], START
     for hour, low, high in zip(hours, cuts[:-1], cuts[1:], strict=True):
         there = {"heat": HEAT} if hour >= heat_h else {}
@@ -36,40 +36,49 @@ def heat_then_mass(bench: Bench, heat_h: float, mass_h: float) -> Columns:
     return Columns(t, u, y + bench.network.sigma * np.random.default_rng(5).normal(0.0, 1.0, y.shape))
 
 
-@pytest.mark.parametrize(("since_h", "bias_K", "seen_h"), [(12.5, 0.12, 14.4), (14.6, 0.6, 15.5)])
+@pytest.mark.parametrize(
+    ("rig", "since_h", "bias_K", "seen_h"), [("brisk", 12.5, 0.12, 14.4), ("bench", 14.6, 0.6, 15.5)]
+)
 def test_what_only_the_last_part_shows_beside_the_answer_is_told(
-    bench: Bench, healthy: Columns, since_h: float, bias_K: float, seen_h: float
+    request: pytest.FixtureRequest, rig: str, since_h: float, bias_K: float, seen_h: float
 ) -> None:
     """Of what begins after nine tenths the fit is given half."""
-    record = bench.record(16.0, changed=bench.with_element("heat", HEAT), onset_h=3.0)
-    j = bench.network.sensor_names.index("T_tank_C")
-    record.measured[record.time_s > since_h * 3600.0, j] += bias_K
-    found = diagnose(bench.network, record, healthy)
+    own: Bench = request.getfixturevalue(rig)
+    record = own.record(16.0, changed=own.with_element("heat", HEAT), onset_h=3.0)
+    j = own.network.sensor_names.index("T_tank_C")
+    record.measured[record.time_s > since_h * own.hour_s, j] += bias_K
+    found = diagnose(own.network, record, own.record(10.0, seed=7))
     assert {(e.kind, e.where) for e in found.effects} == {("heat_source", "modules"), ("sensor", "T_tank_C")}
     tank = next(e for e in found.effects if e.kind == "sensor")
-    assert tank.value == pytest.approx(bias_K, rel=0.1) and tank.onset_s == pytest.approx(since_h * 3600.0, abs=300.0)
-    assert found.held_out_s[0] == pytest.approx(seen_h * 3600.0, abs=120.0)
-    assert any(f"the fit was given the record up to {seen_h:.1f} h" in note for note in found.notes)
+    assert tank.value == pytest.approx(bias_K, rel=0.1) and tank.onset_s == pytest.approx(
+        since_h * own.hour_s, abs=300.0
+    )
+    assert found.held_out_s[0] == pytest.approx(seen_h * own.hour_s, abs=120.0)
+    assert any(
+        f"the fit was given the record up to {seen_h * own.hour_s / 3600.0:.1f} h" in note for note in found.notes
+    )
 
 
 def test_a_second_effect_that_the_fit_would_see_the_first_minutes_of_is_seen_for_half_of_its_time(
-    bench: Bench, healthy: Columns
+    brisk: Bench, brisk_healthy: Columns
 ) -> None:
     """Heat begins at 86 % of the record, beside a thermometer that errs by far more: nine tenths show little of it."""
-    warmed = bench.with_element("heat", {**HEAT, "power": 60.0})
-    record = bench.record(16.0, changed=warmed, onset_h=13.75)
-    record.measured[record.time_s > 9.8 * 3600.0, bench.network.sensor_names.index("T_tank_C")] += 1.1
-    found = diagnose(bench.network, record, healthy)
+    warmed = brisk.with_element("heat", {**HEAT, "power": 60.0})
+    record = brisk.record(16.0, changed=warmed, onset_h=13.75)
+    record.measured[record.time_s > 9.8 * HOUR, brisk.network.sensor_names.index("T_tank_C")] += 1.1
+    found = diagnose(brisk.network, record, brisk_healthy)
     assert {(e.kind, e.where) for e in found.effects} == {("heat_source", "modules"), ("sensor", "T_tank_C")}
     heat = next(e for e in found.effects if e.kind == "heat_source")
-    assert heat.value == pytest.approx(60.0, rel=0.05) and heat.onset_s == pytest.approx(13.75 * 3600.0, abs=120.0)
+    assert heat.value == pytest.approx(60.0, rel=0.05) and heat.onset_s == pytest.approx(13.75 * HOUR, abs=120.0)
 
 
 @pytest.mark.parametrize("mass_h", [7.0, 0.0])
-def test_a_lesser_mass_is_told_beside_heat(bench: Bench, healthy: Columns, mass_h: float) -> None:
-    record = heat_then_mass(bench, 3.0, mass_h)
-    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
-    split_search = SplitSearch.of(bench.network, record, basis(bench.network, healthy, grid), grid, lambda _: None)
+def test_a_lesser_mass_is_told_beside_heat(brisk: Bench, brisk_healthy: Columns, mass_h: float) -> None:
+    record = heat_then_mass(brisk, 3.0, mass_h)
+    grid = on_grid(brisk.network, record.time_s, record.inputs, record.measured)
+    split_search = SplitSearch.of(
+        brisk.network, record, basis(brisk.network, brisk_healthy, grid), grid, lambda _: None
+    )
     told = searched(split_search.part(grid.part(0, int(0.75 * len(grid.time))))).told
     assert told is not None
     assert {(e.candidate.kind, e.candidate.where) for e in told.entries} == {

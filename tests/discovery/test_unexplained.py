@@ -115,11 +115,11 @@ def odd_record(bench: Bench) -> Columns:
         f"{name}_{k + 1}": {"value": v} for k, pair in enumerate(numbers) for name, v in zip("xq", pair, strict=True)
     }
     odd = {"kind": "empirical_heat", "node": "tank", "driver": "fan_speed_pct", **knots}
-    return bench.record(14.0, changed=bench.with_element("odd", odd))
+    return bench.record(14.0, seed=2, changed=bench.with_element("odd", odd))
 
 
 @pytest.fixture(scope="module")
-def odd(bench: Bench, healthy: Columns) -> tuple[Diagnosis, AssessedFinding]:
+def odd(brisk: Bench, brisk_healthy: Columns) -> tuple[Diagnosis, AssessedFinding]:
     """Its diagnosis, and what that was concluded from."""
     cases: list[AssessedFinding] = []
 
@@ -129,7 +129,7 @@ def odd(bench: Bench, healthy: Columns) -> tuple[Diagnosis, AssessedFinding]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(engine, "conclude", heard)
-        return diagnose(bench.network, odd_record(bench), healthy), cases[0]
+        return diagnose(brisk.network, odd_record(brisk), brisk_healthy), cases[0]
 
 
 def test_heat_beyond_what_an_effect_can_hold_is_a_question_of_units(

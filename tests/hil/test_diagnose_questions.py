@@ -18,13 +18,13 @@ from hil.diagnosis.experiment_file import limits_of
 from hil.profile.load_profile import read_profile, validate
 from hil.record.reader import Record, write_record
 from hil.run.session.request import setpoint_limits
-from tests.discovery.conftest import Bench
+from tests.discovery.conftest import Bench, brisk, brisk_healthy  # noqa: F401
 from tests.discovery.plans import run, steady
 from tests.hil.command_line import typed
 from tests.hil.made_record import written
 from tests.twin.conftest import LOOP
 from twin.discovery.healthy.basis import Columns
-from twin.twinfile import load
+from twin.twinfile import dump, load
 
 PROJECT = Path(__file__).resolve().parents[2]
 RIG = PROJECT / "profiles/rigs/virtual.toml"
@@ -77,8 +77,11 @@ def test_two_causes_one_experiment_one_answer(place: Mapping[str, Path], tmp_pat
         assert [(e["kind"], e["where"]) for e in settled["effects"]] == [answer]
 
 
-def test_a_curve_is_offered_and_adopted_only_when_asked(place: Mapping[str, Path], tmp_path: Path) -> None:
-    bench = Bench(load(LOOP))
+def test_a_curve_is_offered_and_adopted_only_when_asked(
+    brisk: Bench,  # noqa: F811
+    brisk_healthy: Columns,  # noqa: F811
+    tmp_path: Path,
+) -> None:
     knots = dict(zip([f"x_{k}" for k in range(1, 6)], (50.0, 60.0, 70.0, 85.0, 100.0), strict=True))
     knots |= dict(zip([f"q_{k}" for k in range(1, 6)], (0.0, 40.0, 90.0, 40.0, 0.0), strict=True))
     odd = {
@@ -87,11 +90,12 @@ def test_a_curve_is_offered_and_adopted_only_when_asked(place: Mapping[str, Path
         "driver": "fan_speed_pct",
         **{k: {"value": v} for k, v in knots.items()},
     }
-    made = bench.record(12.0, changed=bench.with_element("odd", odd))
-    record = written(bench.network, made, tmp_path / "odd.parquet")
+    made = brisk.record(14.0, seed=2, changed=brisk.with_element("odd", odd))
+    record = written(brisk.network, made, tmp_path / "odd.parquet")
+    healthy = written(brisk.network, brisk_healthy, tmp_path / "healthy.parquet")
     twin = tmp_path / "twin.toml"
-    twin.write_bytes(place["twin"].read_bytes())
-    asked = ("diagnose", record, "--twin", twin, "--healthy", place["healthy"], "--out", tmp_path / "out")
+    twin.write_text(dump(brisk.network), encoding="utf-8")
+    asked = ("diagnose", record, "--twin", twin, "--healthy", healthy, "--out", tmp_path / "out")
     done = typed(*asked)
     assert done.returncode == 1 and "unexplained" in done.stdout and "offered, not adopted" in done.stdout
     assert not (tmp_path / "twin.r1.toml").exists() and len(list(tmp_path.glob("twin*.toml"))) == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -94,13 +95,25 @@ class Series:
         np.add.at(cut, np.clip(np.maximum(high, low) + 1, 0, n), -1)
         return np.asarray(np.cumsum(cut)[:-1] > 0)
 
+    @cached_property
+    def _intervals_s(self) -> Array:
+        return np.diff(self.time_s)
+
+    @cached_property
+    def _broken(self) -> NDArray[np.bool_]:
+        return self.broken()
+
+    @cached_property
+    def _longest_s(self) -> float:
+        return _longest_of(self._intervals_s, self.tag.scan_s)
+
     def at(self, grid_s: Array, limit_s: float) -> Array:
         """Return linear interpolation at `grid_s (m,)`; NaN in holes and between samples more than `limit_s` apart."""
         if len(self.time_s) < 2:
             return np.full(len(grid_s), np.nan)
         found = np.interp(grid_s, self.time_s, self.value, left=np.nan, right=np.nan)
         interval = np.clip(np.searchsorted(self.time_s, grid_s, side="right") - 1, 0, len(self.time_s) - 2)
-        wide = (np.diff(self.time_s) > limit_s) | self.broken()
+        wide = (self._intervals_s > limit_s) | self._broken
         exact = self.time_s[interval] == grid_s
         return np.asarray(np.where(wide[interval] & ~exact, np.nan, found))
 
@@ -124,14 +137,17 @@ def longest_interval_s(series: Series) -> float:
     A historian with exception reporting stores nothing while a value stands still, and a sample at the latest after a
     fixed time. So the intervals pile up there; longer ones are gaps. Without a pile it is the 99.5 % quantile.
     """
-    intervals = np.diff(series.time_s)
+    return series._longest_s
+
+
+def _longest_of(intervals: Array, scan_s: float) -> float:
     intervals = intervals[intervals > 0.0]
     if len(intervals) < 20:
-        return 3.0 * series.tag.scan_s
+        return 3.0 * scan_s
     far = float(np.quantile(intervals, 0.995))
     tail = intervals[intervals > 0.5 * far]
     # The pile: the scan before the fixed time is the last one that can be stored.
-    bins = np.round(tail / max(series.tag.scan_s, 60.0))
+    bins = np.round(tail / max(scan_s, 60.0))
     values, counts = np.unique(bins, return_counts=True)
-    pile = float(values[np.argmax(counts)] * max(series.tag.scan_s, 60.0)) if counts.max() >= 0.3 * len(tail) else far
-    return max(pile, far, 3.0 * series.tag.scan_s) + series.tag.scan_s
+    pile = float(values[np.argmax(counts)] * max(scan_s, 60.0)) if counts.max() >= 0.3 * len(tail) else far
+    return max(pile, far, 3.0 * scan_s) + scan_s
