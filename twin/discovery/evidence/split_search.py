@@ -166,7 +166,7 @@ class SplitSearch:
                     f"the record up to {self._hours(later)}",
                 )
         if found.finding.together is not None:
-            found = replace(found, finding=finding_of(found.found, found.train, fewer=True))
+            found = replace(found, finding=finding_of(found.found, found.train, self.grid.span_s, fewer=True))
         return replace(found, notes=notes)
 
     def _beside(self, finding: Finding, prior: Prior, claim: float) -> Entry | None:
@@ -207,7 +207,7 @@ class SplitSearch:
         whole = split >= len(self.grid.time)
         train = self.whole if whole else self.part(self.grid.part(0, split))
         found = searched(train, self.say, () if shorter is None else (shorter.finding.entries,))
-        return SplitFinding(finding_of(found, train), train, split, found)
+        return SplitFinding(finding_of(found, train, self.grid.span_s), train, split, found)
 
 
 def _nearer(part: Part) -> tuple[Candidate, ...]:
@@ -231,10 +231,11 @@ def _nearer(part: Part) -> tuple[Candidate, ...]:
     return tuple(found)
 
 
-def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
+def finding_of(found: Found, part: Part, record_s: float, *, fewer: bool = False) -> Finding:
     """Return the finding of a search: the likeliest hypothesis, if its odds allow a claim.
 
     Args:
+        record_s: length of the record, s, to whose end an effect that still grows at the end of the part grows on.
         fewer: report one of two effects that begin at one moment, if the other may be its form error.
     """
     score_test, claim = part.score_test, max(CLAIM, part.basis.claim)
@@ -271,7 +272,8 @@ def finding_of(found: Found, part: Part, *, fewer: bool = False) -> Finding:
         return finding
     assert best is not None and best.fit is not None
     # The effect that the data tell most surely is named first.
-    told = replace(best.fit, entries=tuple(sorted(best.fit.entries, key=lambda e: -abs(e.size) / max(e.sd, 1e-300))))
+    grown = [e.going_on(part.grid.span_s, record_s) for e in best.fit.entries]
+    told = replace(best.fit, entries=tuple(sorted(grown, key=lambda e: -abs(e.size) / max(e.sd, 1e-300))))
     folds = validate(score_test, Model.of(part.basis.probe, told.entries), told)
     part.reset()
     return replace(finding, entries=told.entries, fit=_as_used(told, part), folds=folds)

@@ -63,6 +63,18 @@ class Entry:
         """Return the entry with the vector of its present shape in another score test."""
         return replace(self, vector=self.placed(score_test))
 
+    def going_on(self, part_s: float, record_s: float) -> Entry:
+        """Return an effect of the first `part_s` of a record, s, that still grew at their end, as growing on.
+
+        A fit may end a ramp within rounding of its data's end, and the data do not tell whether it ended there.
+        """
+        shape = self.shape
+        if shape.name != "ramp" or shape.free(part_s):
+            return self
+        longer = replace(shape, growth_s=record_s).going_on(record_s)
+        more = longer.growth_s / shape.growth_s
+        return replace(self, shape=longer, vector=self.vector / more, size=self.size * more, sd=self.sd * more)
+
     @property
     def driver(self) -> str:
         """Return the driver of the effect: the input of its law, else time if it grows, else that of the law."""
