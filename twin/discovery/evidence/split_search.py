@@ -272,11 +272,14 @@ def finding_of(found: Found, part: Part, record_s: float, *, fewer: bool = False
         return finding
     assert best is not None and best.fit is not None
     # The effect that the data tell most surely is named first.
-    grown = [e.going_on(part.grid.span_s, record_s) for e in best.fit.entries]
-    told = replace(best.fit, entries=tuple(sorted(grown, key=lambda e: -abs(e.size) / max(e.sd, 1e-300))))
+    told = replace(best.fit, entries=tuple(sorted(best.fit.entries, key=lambda e: -abs(e.size) / max(e.sd, 1e-300))))
     folds = validate(score_test, Model.of(part.basis.probe, told.entries), told)
     part.reset()
-    return replace(finding, entries=told.entries, fit=_as_used(told, part), folds=folds)
+    used = _as_used(told, part)
+    entries, grown = (
+        tuple(e.going_on(part.grid.span_s, record_s) for e in those) for those in (told.entries, used.entries)
+    )
+    return replace(finding, entries=entries, fit=replace(used, entries=grown), folds=folds)
 
 
 def with_fewer_effects(best: Hypothesis, hypotheses: Sequence[Hypothesis], enough: float) -> list[Hypothesis]:

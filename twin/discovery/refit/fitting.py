@@ -208,6 +208,5 @@ def _between(readings: Array) -> Array:
 
 def _going_on(entry: Entry, span_s: float) -> Entry:
     """Return an entry that still rises or is present at the record's end without an end of its course."""
-    shape = entry.shape.going_on(span_s)
-    times = shape.growth_s / entry.shape.growth_s if shape.growth_s > entry.shape.growth_s else 1.0
-    return replace(entry, shape=shape, size=times * entry.size, sd=times * entry.sd)
+    grown = entry.going_on(span_s, span_s)
+    return replace(grown, shape=grown.shape.going_on(span_s))

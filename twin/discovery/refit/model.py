@@ -11,6 +11,7 @@ import numpy as np
 from twin.discovery.effects.probe import Probe
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.effects.shared_kernels import injection
+from twin.discovery.scoring.score_tests import block_edges
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
 from twin.kernel import FEW_LANES, Kernel
@@ -22,8 +23,9 @@ SETTLE_S, FIRST_ROWS, STATE_STEP_K = 900.0, 6, 1.0e-2
 step, K."""
 FADED = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 4.0, 5.0, 7.0)
 """Times after which a decaying pulse gets a new constant value, in its time constants, until a thousandth is left."""
-PIECE_S, READ_PIECE_S = 600.0, 300.0
-"""Time, s, for which a growing effect is held constant; an error of reading, which nothing smooths, for less."""
+PIECE, READ_PIECE = 1.0, 0.5
+"""Time for which a growing effect is held constant, in blocks of the record, whose means are what a fit compares; an
+error of reading, which nothing smooths, for less."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,8 @@ class Model:
         each = shapes or tuple(tuple(e.shape for e in self.entries) for _ in range(len(values)))
         all_shapes = {s for row in each for s in row}
         read = any(e.candidate.kind == "sensor" for e in self.entries)
-        cuts = np.union1d(_cuts(since, all_shapes, READ_PIECE_S if read else PIECE_S), begins)
+        block_s = float(since[-1]) / (len(block_edges(len(time))) - 1)
+        cuts = np.union1d(_cuts(since, all_shapes, (READ_PIECE if read else PIECE) * block_s), begins)
         edges = np.append(since[cuts[:-1]], since[-1])
         edges[-1] = max(edges[-1], edges[-2] + 1e-3)
         course = {s: s.entered.block_means(edges) for s in all_shapes}
@@ -266,7 +269,7 @@ def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
             short |= {shape.onset_s, shape.onset_s + shape.growth_s}
         if shape.name == "periodic":
             first = shape.onset_s - shape.into_s
-            turns = np.arange(first, since[-1], max(shape.growth_s, 2.0 * READ_PIECE_S))
+            turns = np.arange(first, since[-1], max(shape.growth_s, piece))
             borders.update([*turns[turns > 0.0].tolist(), *(turns + shape.duty * shape.growth_s).tolist()])
         if shape.name == "pulse":
             borders.update(min(shape.onset_s + shape.growth_s * f, float(since[-1])) for f in FADED)
