@@ -221,6 +221,7 @@ def test_shadow_mode_changes_no_twin(plant: Path, tmp_path: Path) -> None:
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         "calibrated.parquet",
         "calibration.json",
+        "events.json",
         "records.jsonl",
     ]
 
