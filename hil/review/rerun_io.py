@@ -101,7 +101,8 @@ class Recording:
             case States(entity, _, states):
                 self._stream.send_columns(entity, times, rr.StateChange.columns(state=pa.array(states)))
             case Texts(entity, time_s, texts, levels):
-                words = [self._moment(at) + _AFTER_TIME + printable(text) for at, text in zip(time_s, texts, strict=True)]
+                said = [self._moment(at) for at in time_s.tolist()]
+                words = [at + _AFTER_TIME + printable(text) for at, text in zip(said, texts, strict=True)]
                 self._stream.send_columns(entity, times, rr.TextLog.columns(text=words, level=levels))
 
     def _moment(self, time_s: float) -> str:

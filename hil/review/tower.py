@@ -165,7 +165,8 @@ def _event_batches(
 
     A state lasts as long as its event may have, at least as long as is seen; of several at once the last is shown.
     """
-    base, found = f"/tower/cell{cell}/events", []
+    base = f"/tower/cell{cell}/events"
+    found: list[States | Texts] = []
     for lane in LANES:
         spans = []
         for event in (e for e in events if _lane(e) == lane):

@@ -17,9 +17,7 @@ from hil.cli.options import INPUT_FILE
 @click.option(
     "--truth", type=INPUT_FILE, help="Truth of a station, Parquet as of hil tower simulate --score: table and picture."
 )
-def command(
-    out: Path, picture: Path | None, cell: int | None, labels: Path | None, truth: Path | None
-) -> None:
+def command(out: Path, picture: Path | None, cell: int | None, labels: Path | None, truth: Path | None) -> None:
     """Print the report of OUT, the folder of a calibration, and write it to OUT/report.md.
 
     The chain of the records is checked up to its end: a line that was changed, added or removed is reported.

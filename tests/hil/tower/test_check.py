@@ -159,7 +159,8 @@ def test_a_table_is_known_by_its_heading_and_its_mistake_has_a_line(
         ),
         (
             "sheet.json",
-            '{"station": "X", "timezone": "Europe/Madrit", "fan": {"speed_100pct": "60 kg"}, "design": {"pressure_kPa": 990}}',
+            '{"station": "X", "timezone": "Europe/Madrit", "fan": {"speed_100pct": "60 kg"}, '
+            '"design": {"pressure_kPa": 990}}',
             [": 'Europe/Madrit' is no time zone", ": design.pressure_kPa is 990", ": fan.speed_100pct"],
         ),
         (

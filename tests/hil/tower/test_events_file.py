@@ -42,8 +42,8 @@ def result(cell: int, *, trips: tuple[tuple[int, int], ...] = (), steps: tuple[S
 
 def entry(cell: int, kind: str, minute: int, parameters: tuple[str, ...] = ()) -> dict[str, Any]:
     at = START_S + 60.0 * minute
-    times = {"time": iso(at), "from": iso(at), "to": iso(at + 4 * 3600.0)}
-    return {"by_day": False, "cell": cell, "kind": kind, "source": "DCS", "text": "", "parameters": list(parameters)} | times
+    what = {"cell": cell, "kind": kind, "source": "DCS", "text": "", "parameters": list(parameters)}
+    return what | {"by_day": False, "time": iso(at), "from": iso(at), "to": iso(at + 4 * 3600.0)}
 
 
 @pytest.fixture

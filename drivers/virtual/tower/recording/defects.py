@@ -33,6 +33,9 @@ OFFSET = {"degF": 32.0, "degC": -32.0 / 1.8}
 """Units that a transmitter may be switched to, with the factor, and the offset of the new unit."""
 SPANS = (0.5, 0.8), (1.25, 2.0)
 """Factors of a reading whose transmitter was given another span."""
+UNIT_FACTORS, OF_NO_UNIT = (0.6, 0.7457, 1.341, 1.6667), 0.08
+"""Factors of % in Hz and of kW in hp, and how far the logarithm of another span's factor is from theirs: a reading that
+is in another unit looks the same."""
 SHIFTS = {
     "water_inlet_temperature": (3.0, 8.0),
     "water_outlet_temperature": (3.0, 8.0),
@@ -190,12 +193,20 @@ def _ranges(tags: Sequence[Instrument], end: float, taken: set[str], rng: np.ran
         length = rng.uniform(1.0, 10.0) * DAY_S if rng.random() < 0.5 else end
         roles = [kinds for kinds in (SPANNED, SHIFTS) if one.kind.role in kinds]
         if roles[int(rng.integers(len(roles)))] is SPANNED:
-            more = {"factor": round(float(rng.uniform(*SPANS[int(rng.integers(2))])), 3)}
+            more = {"factor": _span_factor(rng)}
         else:
             size = rng.uniform(*SHIFTS[one.kind.role]) * one.factor
             more = {"shift": round(float(rng.choice([-1.0, 1.0]) * size), 2)}
         found.append(Seeded("range_change", (one.tag,), (begin, min(begin + length, end)), more))
     return found
+
+
+def _span_factor(rng: np.random.Generator) -> float:
+    """Return the factor of another span, which is none of a usual unit."""
+    while True:
+        factor = round(float(rng.uniform(*SPANS[int(rng.integers(2))])), 3)
+        if all(abs(np.log(factor / one)) > OF_NO_UNIT for one in UNIT_FACTORS):
+            return factor
 
 
 def seed_scans(scans: dict[str, TagSamples], tags: Sequence[Instrument], seeding: Seeding) -> None:
