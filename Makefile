@@ -42,7 +42,7 @@ demo-tower: $(STAMP)
 		--points $(STATION)/commissioning.csv --out $(TOWER)/cell$$cell.toml || exit $$?; done
 	$(BIN)/hil tower calibrate $(TOWER)/record --twin $(TOWER)/cell1.toml --twin $(TOWER)/cell2.toml \
 		--labels $(STATION)/labels.csv --mode advisory --out $(TOWER)/out
-	$(BIN)/hil tower report $(TOWER)/out --truth $(STATION)/truth.parquet --record $(TOWER)/record \
+	$(BIN)/hil tower report $(TOWER)/out --truth $(STATION)/truth.parquet \
 		--labels $(STATION)/labels.csv --picture $(TOWER)/cell1.png
 
 # Three workers on two cores: many tests wait for clocks. A file's fixtures (a rig, a run) are made once, and the files

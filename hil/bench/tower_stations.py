@@ -32,12 +32,16 @@ SLACK_S = 3 * 3600.0
 """Time by which an end of a finding may differ from the seeded one, and the share of the shorter span that both must
 have in common."""
 IN_COMMON = 0.3
+ALSO = {"range_change": ("contradicted", "out_of_range")}
+"""Further types by which an alignment names a defect: an air instrument of another range contradicts the others."""
 DIAGNOSES = (
     "seed",
     "station",
     "from deg",
     "named",
     "found from deg",
+    "share",
+    "found share",
     "p value",
     "error before K",
     "error after K",
@@ -49,12 +53,14 @@ DIAGNOSES = (
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """Diagnosis of one seed: station, true direction, whether it was named, its document's entry if so, errors on
-    untouched weeks K, and the names of further effects that the station does not have."""
+    """Diagnosis of one seed: station, true direction and share of exhaust at a wind of 5 m/s, whether it was named, its
+    document's entry if so, errors on untouched weeks K, and the names of further effects that the station does not
+    have."""
 
     seed: int
     station: str
     direction: float
+    share: float
     named: bool
     entry: Mapping[str, Any]
     error: Mapping[str, float | None]
@@ -141,7 +147,10 @@ def _diagnosed(seed: int, name: str, key: Mapping[str, Any], station: Path) -> N
     entry = mine[0] if mine else {}
     error = entry["error_K"] if entry else told["error_K"]["1"]
     further = tuple(f"{e['kind']} by {e['driver']}" for e in told["effects"] if e not in mine[:1])
-    return NamedEffect(seed, name, float(key["answer"]["from_deg"]), bool(mine), entry, error, further)
+    true = key["answer"]
+    return NamedEffect(
+        seed, name, float(true["from_deg"]), float(true["share_at_5_m_s"]), bool(mine), entry, error, further
+    )
 
 
 def _defects(seed: int, name: str, key: Mapping[str, Any], station: Path) -> FoundDefects:
@@ -156,8 +165,8 @@ def match_defects(
 ) -> FoundDefects:
     """Return how many of the seeded defects a report of an alignment holds, and what it has beside them.
 
-    A finding is a seeded defect's if it has its type, one of its tags and `IN_COMMON` of the shorter span. It may be
-    that of several.
+    A finding is a seeded defect's if it has its type, or one of `ALSO`, one of its tags and `IN_COMMON` of the shorter
+    span. It may be that of several.
     """
     count: Counter[str] = Counter(str(one["type"]) for one in seeded)
     found: Counter[str] = Counter()
@@ -172,7 +181,8 @@ def match_defects(
 
 def _same(seeded: Mapping[str, Any], finding: Mapping[str, Any]) -> bool:
     tags = set(seeded.get("tags") or [t for t in (seeded.get("tag"),) if t])
-    if seeded["type"] != finding["type"] or (tags and not tags & set(finding["tags"])):
+    types = {seeded["type"], *ALSO.get(str(seeded["type"]), ())}
+    if finding["type"] not in types or (tags and not tags & set(finding["tags"])):
         return False
     (a, b), (c, d) = ((_time(one["from"]), _time(one["to"])) for one in (seeded, finding))
     return bool(min(b, d) - max(a, c) + SLACK_S > IN_COMMON * (min(b - a, d - c) + SLACK_S))
@@ -191,16 +201,19 @@ def tables_of(trials: StationTrials) -> list[ReportTable]:
         errors = (e["before"], e["after"], e["before_without_offset"], e["after_without_offset"])
         further = ", ".join(one.further) or "none"
         named = "yes" if one.named else "no"
-        rows.append(
-            (str(one.seed), one.station, one.direction, named, x.get("from_deg"), x.get("p_value"), *errors, further)
-        )
+        about_it = x.get("from_deg"), one.share, x.get("size"), x.get("p_value")
+        rows.append((str(one.seed), one.station, one.direction, named, *about_it, *errors, further))
     seeded = _total([d.seeded for d in trials.defects])
     found = _total([d.found for d in trials.defects])
     invented = _total([d.invented for d in trials.defects])
     clean = _total([d.invented for d in trials.clean])
     kinds = sorted(set(seeded) | set(invented) | set(clean))
-    defects: list[tuple[Cell, ...]] = [(kind, seeded[kind], found[kind], invented[kind], clean[kind]) for kind in kinds]
-    defects.append(("all", *(sum(one.values()) for one in (seeded, found, invented, clean))))
+    defects: list[tuple[Cell, ...]] = [
+        (kind, seeded[kind], found[kind], _rate(found[kind], seeded[kind]), invented[kind], clean[kind])
+        for kind in kinds
+    ]
+    totals = [sum(one.values()) for one in (seeded, found, invented, clean)]
+    defects.append(("all", *totals[:2], _rate(totals[1], totals[0]), *totals[2:]))
     names = sum(one.named for one in trials.effects)
     share = sum(found.values()) / max(sum(seeded.values()), 1)
     goals: list[tuple[Cell, ...]] = [
@@ -215,17 +228,24 @@ def tables_of(trials: StationTrials) -> list[ReportTable]:
             about,
             DIAGNOSES,
             tuple(rows),
-            ("errors on the held-out weeks; further: effects that were claimed and are not there",),
+            (
+                "errors on the held-out weeks; further: effects that were claimed and are not there",
+                "share: of exhaust in the air that enters, at a wind of 5 m/s",
+            ),
         ),
         ReportTable(
             "defects",
             f"Defects of {n} stores of {trials.months:g} months, stations A and B by turns, and of {n} clean stores",
-            ("defect", "seeded", "found", "invented beside them", "invented in clean stores"),
+            ("defect", "seeded", "found", "share found", "invented beside them", "invented in clean stores"),
             tuple(defects),
             (f"found: type, a tag and {IN_COMMON:g} of the shorter span agree",),
         ),
         ReportTable("goals", "Goals", ("goal", "found", "reached"), tuple(goals)),
     ]
+
+
+def _rate(found: int, seeded: int) -> float | None:
+    return found / seeded if seeded else None
 
 
 def _total(counts: Sequence[Mapping[str, int]]) -> Counter[str]:

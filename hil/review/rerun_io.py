@@ -101,8 +101,15 @@ class Recording:
             case States(entity, _, states):
                 self._stream.send_columns(entity, times, rr.StateChange.columns(state=pa.array(states)))
             case Texts(entity, time_s, texts, levels):
-                words = [axis_time(at) + _AFTER_TIME + printable(text) for at, text in zip(time_s, texts, strict=True)]
+                said = [self._moment(at) for at in time_s.tolist()]
+                words = [at + _AFTER_TIME + printable(text) for at, text in zip(said, texts, strict=True)]
                 self._stream.send_columns(entity, times, rr.TextLog.columns(text=words, level=levels))
+
+    def _moment(self, time_s: float) -> str:
+        """Return a time as the axes of this stream write it: since the beginning, or a date."""
+        if self._start_s is None:
+            return axis_time(time_s)
+        return str(np.datetime64(round(self._start_s + time_s), "s")).replace("T", " ")
 
     def flush(self, timeout_s: float) -> bool:
         """Return True if everything arrived within `timeout_s`."""

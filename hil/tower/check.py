@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,9 @@ import numpy as np
 from hil.record import ReadingOptions, RecordError
 from hil.tower.calibration import read_points
 from hil.tower.station import (
+    Mistakes,
+    Station,
+    TableError,
     cells_of,
     checked_datasheet,
     event_entries,
@@ -59,6 +63,8 @@ def check_file(path: Path, kind: str, choice: ReadingOptions | None = None) -> C
     """
     try:
         return _store(path, choice) if kind == "store" else _CHECKS[kind](path)
+    except TableError as error:
+        return CheckedFile(_WHAT[kind], (), error.problems)
     except RecordError as error:
         return CheckedFile(_WHAT[kind], (), tuple(str(error).splitlines()))
 
@@ -76,7 +82,7 @@ def _store(path: Path, choice: ReadingOptions | None) -> CheckedFile:
             listed = ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
             remedy = f"`hil tower align {path} --tags TAGS.csv` takes it with a dictionary of their units and roles"
             return CheckedFile(what, (listed, f"there is no tags.csv beside the samples: {remedy}"))
-        station = read_station(beside["tags.csv"], beside.get("datasheet.json"), beside.get("events.csv"))
+        station = _described(path, beside)
         series, problems = surveyed(store, station)
     lines = []
     for one in series:
@@ -89,6 +95,21 @@ def _store(path: Path, choice: ReadingOptions | None) -> CheckedFile:
             f"{beside['tags.csv']}: no tag has the role water_outlet_temperature; map that of each cell's outlet"
         )
     return CheckedFile(what, tuple(lines), tuple(problems))
+
+
+def _described(path: Path, beside: Mapping[str, Path]) -> Station:
+    """Return the station of the files in a store; raises TableError with the mistakes of all of them."""
+    mistakes = Mistakes(path)
+    for name, reader in (("datasheet.json", checked_datasheet), ("events.csv", event_entries)):
+        if name in beside:
+            with mistakes.noted():
+                reader(beside[name])
+    with mistakes.noted():
+        found = read_station(beside["tags.csv"])
+        if not mistakes:
+            found = read_station(beside["tags.csv"], beside.get("datasheet.json"), beside.get("events.csv"))
+    mistakes.refuse()
+    return found
 
 
 def _place(tag: Tag) -> str:
@@ -168,14 +189,19 @@ def _events(path: Path) -> CheckedFile:
 def _points(path: Path) -> CheckedFile:
     cells = _cells_in(path, ("cell",))
     lines, count = [], 0
-    for cell in cells:
-        found = read_points(path, cell)
+    mistakes = Mistakes(path)
+    for cell in cells or (1,):
+        with mistakes.noted():
+            found = read_points(path, cell)
+        if mistakes:
+            continue
         inputs = found.points.inputs
         count += len(found.names)
         lines.append(
             f"cell {cell}: {_plural(len(found.names), 'test point')}, water {inputs.m_w.min():.4g} to "
             f"{inputs.m_w.max():.4g} kg/s, fan {100.0 * inputs.speed.min():.4g} to {100.0 * inputs.speed.max():.4g} %"
         )
+    mistakes.refuse()
     return CheckedFile(_counted("test points", count, cells), tuple(lines))
 
 
@@ -196,11 +222,10 @@ def _other(path: Path, sentence: str) -> CheckedFile:
 
 def _cells_in(path: Path, required: tuple[str, ...]) -> tuple[int, ...]:
     found = set()
-    for line, row in read_rows(path, required):
-        try:
+    for _, row in read_rows(path, required):
+        # A cell that is no number is a mistake that the reader of the table states.
+        with contextlib.suppress(ValueError, OverflowError):
             found.add(int(float(row["cell"])))
-        except (ValueError, OverflowError):
-            raise RecordError(f"{path}:{line}: cell is {row['cell']!r}; give a whole number") from None
     return tuple(sorted(found))
 
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from twin.historian.events import INFLUENCE, Event, disturbed, influence_of
     from twin.historian.plausible import in_usual_units, order_and_silence, without_strays
     from twin.historian.record import CellMinutes, cell_minutes, out_of_range, shared_minutes
+    from twin.historian.regimes import START_UP_MIN, start_ups
     from twin.historian.tags import Defect, Series, Tag
     from twin.historian.units import SPEEDS, UnitError, full_speed_of, unit_of
 
@@ -23,6 +24,7 @@ __all__ = [
     "OF_CELL",
     "OF_STATION",
     "SPEEDS",
+    "START_UP_MIN",
     "CellMinutes",
     "Defect",
     "Event",
@@ -37,6 +39,7 @@ __all__ = [
     "order_and_silence",
     "out_of_range",
     "shared_minutes",
+    "start_ups",
     "unit_of",
     "without_strays",
 ]
@@ -48,6 +51,7 @@ __getattr__, __dir__ = lazy_names(
         "events": ("Event", "INFLUENCE", "disturbed", "influence_of"),
         "plausible": ("in_usual_units", "order_and_silence", "without_strays"),
         "record": ("CellMinutes", "cell_minutes", "out_of_range", "shared_minutes"),
+        "regimes": ("START_UP_MIN", "start_ups"),
         "tags": ("Defect", "Series", "Tag"),
         "units": ("SPEEDS", "UnitError", "full_speed_of", "unit_of"),
     },

@@ -114,6 +114,27 @@ def regimes(
     return chosen.astype(np.uint8)
 
 
+def start_ups(regime: NDArray[np.uint8], water_known: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the rows in which water began to flow (k,): the cell was off when its water was known before.
+
+    A start within `START_UP_MIN` of the one before belongs to it.
+
+    Parameters
+    ----------
+    regime
+        Of each minute (n,).
+    water_known
+        Minutes in which flow or state is known (n,).
+    """
+    known = np.flatnonzero(water_known)
+    off = regime[known] == Regime.OFF
+    found: list[int] = []
+    for row in known[1:][off[:-1] & ~off[1:]].tolist():
+        if not found or row - found[-1] >= START_UP_MIN:
+            found.append(row)
+    return np.asarray(found, dtype=np.intp)
+
+
 def _moved(percent: Array) -> NDArray[np.bool_]:
     """Return minutes within `SETTLING_MIN` after a change by more than `MOVED_PCT`."""
     n = len(percent)

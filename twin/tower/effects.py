@@ -7,9 +7,10 @@
     outlet      T_out += size g                                            heat of the channel, or of its thermometer
     inlet, wet_bulb, water                                                 errors of these readings, K, K, logarithm
 
-The exhaust is saturated at T_wb + EXHAUST (T_in - T_wb), and h is the enthalpy of saturated air at the wet bulb, which
-mixing conserves. The cell's own recirculation (`model`) is a fifth as large, and linear: its prior is wider than the
-difference. The rest is the same physics as the cell's own, so a refit with an effect stays a fit of Merkel's method.
+The exhaust is saturated at T_wb + EXHAUST (T_in - T_wb), by the wet bulb of the air that enters the fill, and h is the
+enthalpy of saturated air at the wet bulb, which mixing conserves. The cell's own recirculation (`model`) is a fifth as
+large, and linear: its prior is wider than the difference. The rest is the same physics as the cell's own, so a refit
+with an effect stays a fit of Merkel's method.
 """
 
 from __future__ import annotations
@@ -163,7 +164,10 @@ def before_fill(effects: Sequence[CellEffect], o: Operation, slow: Array, rise: 
         x, u = one.size * o.patterns[:, k], o.inputs
         if one.path == "exhaust":
             share = np.clip(x, -MOST_SHARE, MOST_SHARE)
-            wet = mixed_wet_bulb(u.wet, u.wet + rise * np.maximum(u.t_in - u.wet, 0.0), share, u.pressure)
+            wet = u.wet
+            # The exhaust is that of the air that entered, which had exhaust in it. Each pass leaves a twentieth.
+            for _ in range(2):
+                wet = mixed_wet_bulb(u.wet, wet + rise * np.maximum(u.t_in - wet, 0.0), share, u.pressure)
             u = replace(u, wet=wet, dry=np.maximum(u.dry, wet))
         elif one.path == "inlet":
             u = replace(u, t_in=u.t_in + x)

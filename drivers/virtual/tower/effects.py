@@ -18,6 +18,10 @@ EFFECTS = {
 }
 
 
+SHARE_WIND_M_S = 5.0
+"""Wind at which the key gives the share of exhaust that comes back, m/s."""
+
+
 def hidden_effects(
     names: Sequence[str], site: StationDesign, recorded: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], dict[str, object]]:
@@ -41,7 +45,10 @@ def hidden_effects(
     for name in names:
         if name == "recirculation":
             row[at("recirculation")], row[at("direction")] = size, direction
-            answers.append({"kind": "recirculation", "driver": "wind_direction", "from_deg": direction})
+            share = round(SHARE_WIND_M_S * size, 4)
+            answers.append(
+                {"kind": "recirculation", "driver": "wind_direction", "from_deg": direction, "share_at_5_m_s": share}
+            )
         elif name == "bypass_leak":
             row[at("leak")], row[at("leaking_cell")] = leak, cell
             answers.append({"kind": "bypass_leak", "driver": "bypass", "cell": cell + 1})

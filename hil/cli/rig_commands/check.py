@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
     from hil.record import ReadingOptions
 
+MOST_PROBLEMS = 20
+"""Mistakes of a tower's file that are listed."""
+
 
 @click.command()
 @click.argument("file", type=INPUT_PATH, required=False)
@@ -408,8 +411,10 @@ def _tower(file: Path, choice: ReadingOptions | Path, out: Console) -> None:
         return
     count = len(found.problems)
     out.print(f"{file}: {found.what}; {count} problem{'s' if count > 1 else ''}", style="red", soft_wrap=True)
-    for sentence in found.problems:
+    for sentence in found.problems[:MOST_PROBLEMS]:
         out.print(f"  {sentence}", markup=False, highlight=False, soft_wrap=True)
+    if count > MOST_PROBLEMS:
+        out.print(f"  and {count - MOST_PROBLEMS} more", markup=False, highlight=False)
     sys.exit(FOUND)
 
 

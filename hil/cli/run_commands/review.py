@@ -88,7 +88,7 @@ def _tower_review(folder: Path) -> Path:
     from hil.record import RecordError
     from hil.review import write_tower_review
     from hil.run_folder import RunFolder
-    from hil.tower import NETWORK_TABLE, TABLE
+    from hil.tower import NETWORK_TABLE, TABLE, read_events
 
     if not (folder / TABLE).is_file():
         what = "the diagnosis of a tower, which has no picture, and " if (folder / "diagnosis.json").is_file() else ""
@@ -100,7 +100,8 @@ def _tower_review(folder: Path) -> Path:
     try:
         with held(folder, RecordError):
             require_complete(folder, RecordError)
-            write_tower_review(folder / TABLE, rrd, folder.resolve().name, network if network.is_file() else None)
+            asked = network if network.is_file() else None
+            write_tower_review(folder / TABLE, rrd, folder.resolve().name, asked, read_events(folder))
     except ValueError as error:
         raise RecordError(str(error)) from error
     except OSError as error:

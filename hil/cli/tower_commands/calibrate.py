@@ -75,9 +75,9 @@ def command(
     """Calibrate cells on RECORD, the aligned record of their station.
 
     Writes OUT/calibrated.parquet, the outlet with its 90 % interval and the deviations by minute, OUT/records.jsonl,
-    a record for every five minutes, and OUT/review_queue.json. In the controlled mode a deviation that passes all
-    gates is saved as a revision of the twin; `hil twin revert` undoes it. A value that was reverted is not proposed
-    again until a new day of the record or a new label shows it, or with --propose-reverted.
+    a record for every five minutes, OUT/events.json and OUT/review_queue.json. In the controlled mode a deviation that
+    passes all gates is saved as a revision of the twin; `hil twin revert` undoes it. A value that was reverted is not
+    proposed again until a new day of the record or a new label shows it, or with --propose-reverted.
 
     OUT belongs to one calibration: the same twins, labels, events and modes. When RECORD goes on beyond the former
     one, records of the new times are appended. Anything else is refused there unless --replace is given.

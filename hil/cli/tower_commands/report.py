@@ -8,21 +8,16 @@ import click
 
 from hil.cli.options import INPUT_FILE
 
-INPUT_FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
-
 
 @click.command()
 @click.argument("out", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw a cell over time, .png or .svg.")
 @click.option("--cell", type=int, help="Cell of the picture; default: the first.")
 @click.option("--labels", type=INPUT_FILE, help="Inspections, traverses and certificates for the picture, CSV.")
-@click.option("--record", type=INPUT_FOLDER, help="Aligned record, whose maintenance is marked in the picture.")
 @click.option(
     "--truth", type=INPUT_FILE, help="Truth of a station, Parquet as of hil tower simulate --score: table and picture."
 )
-def command(
-    out: Path, picture: Path | None, cell: int | None, labels: Path | None, record: Path | None, truth: Path | None
-) -> None:
+def command(out: Path, picture: Path | None, cell: int | None, labels: Path | None, truth: Path | None) -> None:
     """Print the report of OUT, the folder of a calibration, and write it to OUT/report.md.
 
     The chain of the records is checked up to its end: a line that was changed, added or removed is reported.
@@ -30,7 +25,7 @@ def command(
     \b
     Example:
       hil tower report out
-      hil tower report out --picture cell1.png --cell 1 --labels labels.csv --record record
+      hil tower report out --picture cell1.png --cell 1 --labels labels.csv
     """
     from hil.files import held, replacing
     from hil.record import RecordError
@@ -43,9 +38,8 @@ def command(
         TowerOutputError,
         compare,
         draw_cell,
-        events_of,
+        read_events,
         read_minutes,
-        read_notes,
         read_remarks,
         read_truth,
         report_text,
@@ -55,9 +49,8 @@ def command(
     if picture is not None:
         if picture.suffix.lower() not in (".png", ".svg"):
             raise click.UsageError(f"{picture}: a picture is a .png or an .svg; choose one")
-        folders = (out, *([] if record is None else [record]))
         read = [path for path in (labels, truth) if path is not None]
-        require_output(picture, RunFolderError, [*read, *(path for folder in folders for path in folder.iterdir())])
+        require_output(picture, RunFolderError, [*read, *out.iterdir()])
     true = None if truth is None else read_truth(truth)
     remedy = "calibrate again"
     needed = ("t_out", "t_out_lo", "t_out_hi", "t_out_commissioned", "fill", "air", "uniformity", "bias")
@@ -79,7 +72,6 @@ def command(
         have = ", ".join(str(one) for one in found)
         raise RecordError(f"{out}: has no cell {drawn}; its cells are {have}")
     of_truth = None if true is None else true.get(drawn)
-    events = () if record is None else events_of(read_notes(record))
     with writing(picture):
         draw_cell(
             found[drawn],
@@ -87,7 +79,7 @@ def command(
             cell=drawn,
             truth=of_truth,
             labels=labels,
-            events=events,
+            events=read_events(out),
             network=network.get(drawn),
             remarks=read_remarks(out / TABLE).get(drawn, ()),
         )

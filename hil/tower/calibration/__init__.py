@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from hil.tower.calibration.calibrated_table import TABLE, informed, read_remarks, write_table
     from hil.tower.calibration.commission import commission_cell, learn_healthy, read_points
     from hil.tower.calibration.healthy import Healthy, healthy_of, parse_span, path_beside, write_healthy
-    from hil.tower.calibration.picture import draw_cell
+    from hil.tower.calibration.picture import FOUND, draw_cell
     from hil.tower.calibration.prepared_cells import (
         PreparedCell,
         load_all,
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DRIVEN",
+    "FOUND",
     "TABLE",
     "CellResult",
     "Healthy",
@@ -82,7 +83,7 @@ __getattr__, __dir__ = lazy_names(
             "path_beside",
             "write_healthy",
         ),
-        "picture": ("draw_cell",),
+        "picture": ("FOUND", "draw_cell"),
         "calibrated_table": ("TABLE", "informed", "read_remarks", "write_table"),
         "remarks": ("conflict_sentence", "contradiction_sentence", "remarks_of", "step_sentence"),
         "prepared_cells": ("PreparedCell", "load_all", "openings_of", "prepare_cells", "priors_of", "site_of"),

@@ -13,7 +13,7 @@ import numpy as np
 from hil.record import RecordError
 from hil.tower.calibration.healthy import Healthy, clean_cell_of
 from hil.tower.calibration.prepared_cells import priors_of, site_of
-from hil.tower.station import read_cell, read_datasheet, read_notes, read_rows
+from hil.tower.station import Mistakes, read_cell, read_datasheet, read_notes, read_rows
 from twin.network import Network, Revision, digest
 from twin.tower import Array, CellModel, Inputs, cell_network, cell_of, design_of, minutes_of, value_of
 from twin.tower.calibration import CalibrationError, fit_cell
@@ -73,18 +73,27 @@ def read_points(path: Path, cell: int, site_kPa: float = 101.325) -> Commissioni
         A column or the cell is missing, or a value is no number or cannot be in the column's unit.
     """
     rows, names, cells = [], [], set()
+    mistakes = Mistakes(path)
     for line, row in read_rows(path, REQUIRED):
-        number = _number(path, line, "cell", row["cell"])
-        if number != int(number):
-            raise RecordError(f"{path}:{line}: cell is {number:g}; give a whole number")
-        cells.add(int(number))
-        if int(number) != cell:
+        number = float("nan")
+        with mistakes.noted():
+            number = _number(path, line, "cell", row["cell"])
+            if number != int(number):
+                raise RecordError(f"{path}:{line}: cell is {number:g}; give a whole number")
+            cells.add(int(number))
+        if number != cell:
             continue
-        rows.append(
-            {name: _value(path, line, name, row.get(name) or "", site_kPa) for name in (*REQUIRED[1:], *OPTIONAL)}
-        )
+        of_row = Mistakes(path)
+        values = {}
+        for name in (*REQUIRED[1:], *OPTIONAL):
+            with of_row.noted():
+                values[name] = _value(path, line, name, row.get(name) or "", site_kPa)
+        with mistakes.noted():
+            of_row.refuse()
+            _refuse_impossible(path, line, values)
+        rows.append(values)
         names.append(row.get("test") or f"line {line}")
-        _refuse_impossible(path, line, rows[-1])
+    mistakes.refuse()
     if not rows:
         raise RecordError(f"{path}: has no test point of cell {cell}; it has those of {_listed(cells)}")
     v = {name: np.array([row[name] for row in rows]) for name in rows[0]}

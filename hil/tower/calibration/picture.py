@@ -1,6 +1,7 @@
 """Picture of a cell's calibration over time: outlet error and four deviations with their 90 % bands.
 
-The truth of a simulated station, inspections and maintenance are drawn where they are given.
+The truth of a simulated station, inspections, maintenance and the changes that the calibration found are drawn where
+they are given.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from hil.files import replacing
 from hil.tower.calibration.truth import TruthColumns
-from twin.historian import Event, influence_of
+from hil.tower.station import seconds
 from twin.tower.calibration import NORMAL
 
 TITLES = {
@@ -26,6 +27,9 @@ TITLES = {
     "uniformity": "uniformity, share of clean",
     "bias": "bias of the outlet thermometer, K",
 }
+FOUND = "calibration"
+"""Source of an event that nobody entered and the calibration found; drawn in grey."""
+GREY = "#777777"
 BLUE, BAND, DARK, ORANGE, GREEN, PINK = "#0072B2", "#bcd7ea", "#30343a", "#E69F00", "#009E73", "#CC79A7"
 CAPTION = 160
 """Letters in a line of the caption: as many fit into the width of the picture."""
@@ -40,7 +44,7 @@ def draw_cell(
     cell: int,
     truth: TruthColumns | None = None,
     labels: Path | None = None,
-    events: tuple[Event, ...] = (),
+    events: Sequence[Mapping[str, Any]] = (),
     network: TruthColumns | None = None,
     remarks: Sequence[str] = (),
 ) -> None:
@@ -59,7 +63,7 @@ def draw_cell(
     labels
         File of tests of the fill, or None.
     events
-        Entries of the maintenance record.
+        Events as in `events.json` of a calibration; those that may move a deviation are marked.
     remarks
         Sentences on contradictions, for the caption.
 
@@ -92,19 +96,20 @@ def draw_cell(
         axes[1].plot([], [], color=ORANGE, linewidth=2.5, label="inspection or measurement")
     first, last = time[0], time[-1]
     for event in events:
-        moment = np.datetime64(int(event.time_s * 1e3), "ms")
-        moved = influence_of(event.kind, event.text).parameters
-        if event.cell not in (0, cell) or not moved or not first <= moment <= last:
+        moment = np.datetime64(int(seconds(event["time"]) * 1e3), "ms")
+        moved = event["parameters"]
+        if event["cell"] not in (0, cell) or not moved or not first <= moment <= last:
             continue
+        colour, height = (GREY, 0.02) if event["source"] == FOUND else (GREEN, 1.0)
         for axis, name in zip(axes[1:], TITLES, strict=True):
             if name in moved:
-                axis.axvline(moment, color=GREEN, linewidth=1.0, linestyle=":")
+                axis.axvline(moment, color=colour, linewidth=1.0, linestyle=":")
                 axis.annotate(
-                    event.kind.replace("_", " "),
-                    (moment, 1.0),
+                    event["kind"].replace("_", " "),
+                    (moment, height),
                     xycoords=("data", "axes fraction"),
                     fontsize=7,
-                    color=GREEN,
+                    color=colour,
                 )
     axes[0].legend(loc="upper right", fontsize=8, frameon=False, ncols=3)
     # Above the axis, since the band has the colour of its own legend.

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         sources_of,
         write_about,
     )
+    from hil.tower.governance.events_file import read_events
     from hil.tower.governance.network_service import NetworkGovernance
     from hil.tower.governance.records import Indicators, drift_alarms
     from hil.tower.governance.report_page import REPORT, report
@@ -32,6 +33,7 @@ __all__ = [
     "drift_alarms",
     "govern",
     "is_of_calibration",
+    "read_events",
     "report",
     "require_same",
     "sources_of",
@@ -48,6 +50,7 @@ __getattr__, __dir__ = lazy_names(
             "sources_of",
             "write_about",
         ),
+        "events_file": ("read_events",),
         "network_service": ("NetworkGovernance",),
         "records": (
             "Indicators",

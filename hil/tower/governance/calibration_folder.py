@@ -20,6 +20,7 @@ from typing import Any
 
 from hil.record import RecordError
 from hil.tower.calibration import TABLE, load_all, path_beside
+from hil.tower.governance.events_file import EVENTS
 from hil.tower.governance.records import NETWORK_RECORDS, QUEUE, RECORDS, ChainEnd, chain_end, check_records
 from hil.tower.network import NETWORK_TABLE
 from hil.tower.station import iso, read_object, span_of
@@ -29,7 +30,7 @@ FORMAT = 1
 CHAINS = (RECORDS, NETWORK_RECORDS)
 DERIVED = ("report.md", "review.rrd")
 """Files that other commands make of a calibration; they go with it."""
-_FILES = frozenset((TABLE, NETWORK_TABLE, *CHAINS, QUEUE, ABOUT, *DERIVED))
+_FILES = frozenset((TABLE, NETWORK_TABLE, *CHAINS, QUEUE, EVENTS, ABOUT, *DERIVED))
 _CELL = {"twin": str, "twin_file": str, "healthy": str, "record": str, "from": str, "to": str}
 _SHAPE = {
     "format": int,

@@ -1,4 +1,4 @@
-"""Report of a calibration from its folder: outlet, deviations, gates and proposals, as a page of Markdown."""
+"""Report of a calibration from its folder: outlet, deviations, gates, events and proposals, as a page of Markdown."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from hil.files import require_complete
 from hil.record import RecordError
 from hil.tower.calibration import TABLE, read_minutes, read_remarks
 from hil.tower.governance.calibration_folder import check_chains
+from hil.tower.governance.events_file import event_lines
 from hil.tower.governance.records import NETWORK_RECORDS, QUEUE, RECORDS
 from hil.tower.network import NETWORK, NETWORK_TABLE, read_about
 from hil.tower.station import misfit, read_object
@@ -77,7 +78,7 @@ def report(out: Path) -> str:
     text += ["", *_flags(out / RECORDS)]
     if asked:
         text += ["", "## Records of the network", "", *_flags(out / NETWORK_RECORDS)]
-    text += ["", *_proposals(out / QUEUE)]
+    text += ["", *event_lines(out), "", *_proposals(out / QUEUE)]
     return "\n".join(text).rstrip() + "\n"
 
 

@@ -21,6 +21,7 @@ from hil.tower.calibration import (
     step_sentence,
 )
 from hil.tower.governance.adoption import Adoption, save_accepted
+from hil.tower.governance.events_file import write_events
 from hil.tower.governance.gates import GateEvidence, ProposalsOf, Verdict, held_beyond_bounds, judge
 from hil.tower.governance.network_service import NetworkGovernance, network_governance
 from hil.tower.governance.records import (
@@ -101,7 +102,7 @@ def govern(
     asked: StationAnswers | None = None,
     propose_reverted: bool = False,
 ) -> list[CellGovernance]:
-    """Write records and review queue of the cells into `out`.
+    """Write records, review queue and events of the cells into `out`.
 
     `adopt_accepted` saves the revisions of the twins afterwards.
 
@@ -161,6 +162,7 @@ def govern(
         append_records(out / NETWORK_RECORDS, governed, mode)
     if state != "shadow" or mode != "shadow":
         write_queue(out / QUEUE, queue)
+    write_events(results, notes, out)
     return found
 
 

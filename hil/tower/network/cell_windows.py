@@ -88,7 +88,7 @@ def windows_table(result: CellResult, notes: StationNotes) -> tuple[CellTable, i
             clean=commissioned_outlet(model, minutes),
             log_clean=commissioned_log_power(model, minutes),
             beliefs=beliefs,
-            events=[one for one in events_of(notes) if one.cell in (0, result.cell)],
+            events=[one for one in events_of(notes.events) if one.cell in (0, result.cell)],
             healthy_end_s=healthy.end_s,
             true_water=unknown,
             true=np.full((len(unknown), len(DEVIATIONS)), np.nan),

@@ -13,11 +13,12 @@ if TYPE_CHECKING:
     from hil.tower.station.alignment import Aligned, align, surveyed
     from hil.tower.station.collection import Collected, collect
     from hil.tower.station.csv_store import open_samples
-    from hil.tower.station.description import checked_datasheet, read_station
-    from hil.tower.station.errors import TowerOutputError, writing
+    from hil.tower.station.description import Station, checked_datasheet, read_station
+    from hil.tower.station.errors import Mistakes, TableError, TowerOutputError, writing
     from hil.tower.station.input_files import read_datasheet, read_object, read_rows
     from hil.tower.station.json_shape import misfit
     from hil.tower.station.record import (
+        EVENT_SHAPE,
         CellRecord,
         StationNotes,
         cells_of,
@@ -29,15 +30,20 @@ if TYPE_CHECKING:
         read_notes,
         span_of,
         station_of,
+        timed_events,
         unused_labels,
     )
     from hil.tower.station.times import iso, seconds
 
 __all__ = [
+    "EVENT_SHAPE",
     "Aligned",
     "CellRecord",
     "Collected",
+    "Mistakes",
+    "Station",
     "StationNotes",
+    "TableError",
     "TowerOutputError",
     "align",
     "cells_of",
@@ -60,6 +66,7 @@ __all__ = [
     "span_of",
     "station_of",
     "surveyed",
+    "timed_events",
     "unused_labels",
     "writing",
 ]
@@ -77,8 +84,10 @@ __getattr__, __dir__ = lazy_names(
             "collect",
         ),
         "csv_store": ("open_samples",),
-        "description": ("checked_datasheet", "read_station"),
+        "description": ("Station", "checked_datasheet", "read_station"),
         "errors": (
+            "Mistakes",
+            "TableError",
             "TowerOutputError",
             "writing",
         ),
@@ -89,6 +98,7 @@ __getattr__, __dir__ = lazy_names(
         ),
         "json_shape": ("misfit",),
         "record": (
+            "EVENT_SHAPE",
             "CellRecord",
             "StationNotes",
             "cells_of",
@@ -100,6 +110,7 @@ __getattr__, __dir__ = lazy_names(
             "read_notes",
             "span_of",
             "station_of",
+            "timed_events",
             "unused_labels",
         ),
         "times": ("iso", "seconds"),

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.record import RecordError
+from hil.tower.station.errors import Mistakes
 from hil.tower.station.input_files import read_datasheet, read_rows
 from hil.tower.station.times import iso, seconds
 from twin.historian import (
@@ -25,6 +26,8 @@ from twin.historian import (
 )
 
 REQUIRED = ("tag", "unit", "role")
+DEFAULT_SPEED = "60 Hz"
+"""Speed of a fan at 100 % where the datasheet does not give it."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class Station:
     @property
     def full_speed(self) -> str:
         """Speed of a fan at 100 %, with its unit, such as `60 Hz`."""
-        return str(self.datasheet.get("fan", {}).get("speed_100pct", "60 Hz"))
+        return str(self.datasheet.get("fan", {}).get("speed_100pct", DEFAULT_SPEED))
 
 
 def read_station(tags: Path, datasheet: Path | None = None, events: Path | None = None) -> Station:
@@ -79,7 +82,7 @@ def read_station(tags: Path, datasheet: Path | None = None, events: Path | None 
     """
     dictionary, remarks, places = _tags(tags)
     sheet = checked_datasheet(datasheet) if datasheet is not None else {}
-    _refuse_other_speeds(dictionary, sheet, places, datasheet)
+    _refuse_other_speeds(tags, dictionary, sheet, places, datasheet)
     happened = read_events(events) if events is not None else ()
     if events is not None:
         remarks += _doubtful_events(events, happened, {tag.cell for tag in dictionary.values()})
@@ -109,41 +112,58 @@ def _tags(path: Path) -> tuple[dict[str, Tag], list[str], dict[str, str]]:
     found: dict[str, Tag] = {}
     places: dict[str, str] = {}
     taken: dict[tuple[str, int | None], str] = {}
+    names: set[str] = set()
     remarks = []
+    mistakes = Mistakes(path)
     for line, row in read_rows(path, REQUIRED):
         name, role = row["tag"], row["role"]
-        if not name:
-            raise RecordError(f"{path}:{line}: the tag has no name; give one or remove the line")
-        if name in found:
-            raise RecordError(f"{path}:{line}: {name} is there twice; remove one line")
-        try:
-            unit_of(row["unit"])
-        except UnitError as error:
-            raise RecordError(f"{path}:{line}: {name}: {error}") from error
-        if role not in OF_CELL and role not in OF_STATION:
+        with mistakes.noted():
+            if not name:
+                raise RecordError(f"{path}:{line}: the tag has no name; give one or remove the line")
+            if name in names:
+                raise RecordError(f"{path}:{line}: {name} is there twice; remove one line")
+        names.add(name)
+        known = role in OF_CELL or role in OF_STATION
+        with mistakes.noted():
+            _refuse_unit(path, line, row, known)
+        if not known:
             remarks.append(
                 f"{path.name}:{line}: {name} has role {role!r}, which no column of the record takes; it is left out"
             )
             continue
-        cell = _cell(path, line, name, row.get("cell", ""))
-        if (role in OF_CELL) and cell is None:
-            raise RecordError(f"{path}:{line}: {name} has role {role} and no cell; give the number of its cell")
-        wanted = (OF_CELL.get(role) or OF_STATION[role]).dimension
-        dimension = unit_of(row["unit"]).dimension
-        if dimension != wanted and not (wanted == "share" and dimension in (*SPEEDS, "state")):
-            raise RecordError(
-                f"{path}:{line}: {name} is in {row['unit']}, a unit of {dimension}; a {role} is a {wanted}"
-            )
-        first = taken.setdefault((role, cell), name)
-        if first != name:
-            remarks.append(f"{path.name}:{line}: {name} has role and cell of {first}, which is used; it is left out")
-            continue
-        scan = _number(path, line, name, row.get("scan_s", "") or "60")
-        places[name] = f"{path.name}:{line}"
-        found[name] = Tag(name, row["unit"], role, cell, scan, row.get("description", ""))
+        with mistakes.noted():
+            scan = _number(path, line, name, row.get("scan_s", "") or "60")
+        with mistakes.noted():
+            cell = _cell(path, line, name, row.get("cell", ""))
+            if (role in OF_CELL) and cell is None:
+                raise RecordError(f"{path}:{line}: {name} has role {role} and no cell; give the number of its cell")
+            first = taken.setdefault((role, cell), name)
+            if first != name:
+                remarks.append(
+                    f"{path.name}:{line}: {name} has role and cell of {first}, which is used; it is left out"
+                )
+                continue
+            places[name] = f"{path.name}:{line}"
+            if not mistakes:
+                found[name] = Tag(name, row["unit"], role, cell, scan, row.get("description", ""))
+    mistakes.refuse()
     if not found:
         raise RecordError(f"{path}: no tag has a role that is known; roles are {', '.join((*OF_CELL, *OF_STATION))}")
     return found, remarks, places
+
+
+def _refuse_unit(path: Path, line: int, row: dict[str, str], known_role: bool) -> None:
+    """Raise RecordError for an unknown unit, and for one of another dimension than its role's."""
+    name, role = row["tag"], row["role"]
+    try:
+        dimension = unit_of(row["unit"]).dimension
+    except UnitError as error:
+        raise RecordError(f"{path}:{line}: {name}: {error}") from error
+    if not known_role:
+        return
+    wanted = (OF_CELL.get(role) or OF_STATION[role]).dimension
+    if dimension != wanted and not (wanted == "share" and dimension in (*SPEEDS, "state")):
+        raise RecordError(f"{path}:{line}: {name} is in {row['unit']}, a unit of {dimension}; a {role} is a {wanted}")
 
 
 def _cell(path: Path, line: int, name: str, text: str) -> int | None:
@@ -178,44 +198,47 @@ def checked_datasheet(path: Path) -> dict[str, Any]:
         The file cannot be read, or one of them is not.
     """
     found = read_datasheet(path)
+    mistakes = Mistakes(path)
     zone = found.get("timezone")
-    if zone is not None and zone not in zoneinfo.available_timezones():
-        raise RecordError(f"{path}: {zone!r} is no time zone; give one of the IANA names, such as Europe/Madrid")
-    _refuse_site(path, found)
+    with mistakes.noted():
+        if zone is not None and zone not in zoneinfo.available_timezones():
+            raise RecordError(f"{path}: {zone!r} is no time zone; give one of the IANA names, such as Europe/Madrid")
+    design, fan = found.get("design"), found.get("fan")
+    pressure = design.get("pressure_kPa") if isinstance(design, dict) else None
+    column = OF_STATION["barometric_pressure"]
+    with mistakes.noted():
+        if isinstance(pressure, int | float) and not column.low <= pressure <= column.high:
+            raise RecordError(
+                f"{path}: design.pressure_kPa is {pressure:g}, which no site has; give it in kPa, {column.low:g} to "
+                f"{column.high:g}"
+            )
+    speed = fan.get("speed_100pct") if isinstance(fan, dict) else None
+    with mistakes.noted():
+        try:
+            full_speed_of(str(speed) if speed is not None else DEFAULT_SPEED)
+        except UnitError as error:
+            raise RecordError(f"{path}: fan.speed_100pct {error}") from error
+    mistakes.refuse()
     return found
 
 
-def _refuse_site(path: Path, sheet: dict[str, Any]) -> None:
-    """Raise RecordError for a pressure that no site has, and for a speed that is none."""
-    design, fan = sheet.get("design"), sheet.get("fan")
-    pressure = design.get("pressure_kPa") if isinstance(design, dict) else None
-    column = OF_STATION["barometric_pressure"]
-    if isinstance(pressure, int | float) and not column.low <= pressure <= column.high:
-        raise RecordError(
-            f"{path}: design.pressure_kPa is {pressure:g}, which no site has; give it in kPa, {column.low:g} to "
-            f"{column.high:g}"
-        )
-    speed = fan.get("speed_100pct") if isinstance(fan, dict) else None
-    if speed is not None:
-        try:
-            full_speed_of(str(speed))
-        except UnitError as error:
-            raise RecordError(f"{path}: fan.speed_100pct {error}") from error
-
-
 def _refuse_other_speeds(
-    tags: dict[str, Tag], sheet: dict[str, Any], places: dict[str, str], datasheet: Path | None
+    path: Path, tags: dict[str, Tag], sheet: dict[str, Any], places: dict[str, str], datasheet: Path | None
 ) -> None:
-    """Raise RecordError for a speed in rpm where 100 % is given in Hz, or the other way round."""
+    """Raise RecordError for speeds in rpm where 100 % is given in Hz, or the other way round."""
     text = Station(tags, sheet).full_speed
     full = full_speed_of(text)[1]
+    mistakes = Mistakes(path)
     for tag in tags.values():
         unit = unit_of(tag.unit)
-        if unit.dimension in SPEEDS and unit.dimension != full.dimension:
+        with mistakes.noted():
+            if unit.dimension not in SPEEDS or unit.dimension == full.dimension:
+                continue
             raise RecordError(
                 f"{places[tag.name]}: {tag.name} is in {tag.unit}, but {datasheet or 'the default'} gives 100 % speed "
                 f"as {text}; write fan.speed_100pct of the datasheet in {tag.unit}"
             )
+    mistakes.refuse()
 
 
 def read_events(path: Path) -> tuple[Event, ...]:
@@ -227,18 +250,24 @@ def read_events(path: Path) -> tuple[Event, ...]:
         A column is missing, or a line has no time or cell that can be read.
     """
     found = []
+    mistakes = Mistakes(path)
     for line, row in read_rows(path, ("time", "event")):
         text = row["time"]
         precision = row.get("precision", "").lower()
-        if precision not in ("", "minute", "day"):
-            raise RecordError(f"{path}:{line}: precision is {row['precision']!r}; write minute or day, or nothing")
+        with mistakes.noted():
+            if precision not in ("", "minute", "day"):
+                raise RecordError(f"{path}:{line}: precision is {row['precision']!r}; write minute or day, or nothing")
+        with mistakes.noted():
+            cell = _cell(path, line, row["event"], row.get("cell", ""))
         by_day = precision == "day" or len(text) <= 10
-        try:
-            time_s = seconds(text)
-        except ValueError:
-            raise RecordError(
-                f"{path}:{line}: {text!r} is no time from 1970 on; write it as 2024-07-31T14:05:00Z or 2024-07-31"
-            ) from None
-        cell = _cell(path, line, row["event"], row.get("cell", ""))
-        found.append(Event(time_s, by_day, cell or 0, row["event"], row.get("source", ""), row.get("text", "")))
+        with mistakes.noted():
+            try:
+                time_s = seconds(text)
+            except ValueError:
+                raise RecordError(
+                    f"{path}:{line}: {text!r} is no time from 1970 on; write it as 2024-07-31T14:05:00Z or 2024-07-31"
+                ) from None
+            if not mistakes:
+                found.append(Event(time_s, by_day, cell or 0, row["event"], row.get("source", ""), row.get("text", "")))
+    mistakes.refuse()
     return tuple(sorted(found, key=lambda event: event.time_s))

@@ -10,7 +10,8 @@ from typing import Any
 
 from drivers.rig_file import read_regular
 from hil.record import RecordError
-from hil.tower.station.json_shape import Shape, misfit
+from hil.tower.station.errors import TableError
+from hil.tower.station.json_shape import Shape, misfit, misfits
 
 OTHER_MARKS = {
     mark: f": its columns are separated by {name}; save it with commas, and decimals with points"
@@ -75,13 +76,7 @@ def read_object(path: Path, shape: Shape, remedy: str) -> dict[str, Any]:
     RecordError
         The file cannot be read, is not JSON, or not of that shape.
     """
-    try:
-        found = _without_nulls(json.loads(_text(path)))
-    except (ValueError, RecursionError) as error:
-        reason = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
-        raise RecordError(f"{path}: is not valid JSON: {reason}; {remedy}") from error
-    if not isinstance(found, dict):
-        raise RecordError(f"{path}: is not a JSON object; {remedy}")
+    found = _object(path, remedy)
     if fault := misfit(found, shape):
         raise RecordError(f"{path}: {fault}; {remedy}")
     return found
@@ -93,9 +88,25 @@ def read_datasheet(path: Path) -> dict[str, Any]:
     Raises
     ------
     RecordError
-        The file cannot be read, or a key that is used has another type.
+        The file cannot be read, or keys that are used have another type.
     """
-    return read_object(path, DATASHEET, "correct the datasheet")
+    remedy = "correct the datasheet"
+    found = _object(path, remedy)
+    if faults := [f"{path}: {fault}; {remedy}" for fault in misfits(found, DATASHEET)]:
+        raise TableError(path, faults)
+    return found
+
+
+def _object(path: Path, remedy: str) -> dict[str, Any]:
+    """Return the object of a JSON file, without keys whose value is null; raises RecordError."""
+    try:
+        found = _without_nulls(json.loads(_text(path)))
+    except (ValueError, RecursionError) as error:
+        reason = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
+        raise RecordError(f"{path}: is not valid JSON: {reason}; {remedy}") from error
+    if not isinstance(found, dict):
+        raise RecordError(f"{path}: is not a JSON object; {remedy}")
+    return found
 
 
 def _without_nulls(value: Any) -> Any:

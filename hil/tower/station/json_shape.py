@@ -4,7 +4,7 @@ else."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 OPTIONAL = "?"
@@ -33,37 +33,43 @@ def misfit(value: object, shape: Shape, place: str = "") -> str:
     str
         The first misfit, "" for none.
     """
+    return next(misfits(value, shape, place), "")
+
+
+def misfits(value: object, shape: Shape, place: str = "") -> Iterator[str]:
+    """Yield all of a document that does not fit its shape; parameters as of `misfit`."""
     if isinstance(shape, Mapping):
-        return _of_object(value, shape, place)
-    if isinstance(shape, list):
+        yield from _of_object(value, shape, place)
+    elif isinstance(shape, list):
         if not isinstance(value, list):
-            return _no(place, value, "a list")
-        return next((fault for k, one in enumerate(value) if (fault := misfit(one, shape[0], f"{place}[{k}]"))), "")
-    if isinstance(shape, frozenset):
-        return (
-            "" if isinstance(value, str) and value in shape else _no(place, value, f"one of {', '.join(sorted(shape))}")
-        )
-    if isinstance(shape, tuple):
+            yield _no(place, value, "a list")
+            return
+        for k, one in enumerate(value):
+            yield from misfits(one, shape[0], f"{place}[{k}]")
+    elif isinstance(shape, frozenset):
+        if not (isinstance(value, str) and value in shape):
+            yield _no(place, value, f"one of {', '.join(sorted(shape))}")
+    elif isinstance(shape, tuple):
         low, high = shape
         if fault := misfit(value, float, place):
-            return fault
-        return "" if low <= float(value) <= high else f"{place} is {value:g}, outside {low:g} to {high:g}"  # type: ignore[arg-type]
-    return "" if _is(value, shape) else _no(place, value, _WORDS[shape])
+            yield fault
+        elif not low <= float(value) <= high:  # type: ignore[arg-type]
+            yield f"{place} is {value:g}, outside {low:g} to {high:g}"
+    elif not _is(value, shape):
+        yield _no(place, value, _WORDS[shape])
 
 
-def _of_object(value: object, shape: Mapping[str, Shape], place: str) -> str:
+def _of_object(value: object, shape: Mapping[str, Shape], place: str) -> Iterator[str]:
     if not isinstance(value, dict):
-        return _no(place, value, _WORDS[dict])
+        yield _no(place, value, _WORDS[dict])
+        return
     for key, inner in shape.items():
         name = key.removesuffix(OPTIONAL)
         at = f"{place}.{name}" if place else name
-        if name not in value:
-            if name != key:
-                continue
-            return f"{at} is missing"
-        if fault := misfit(value[name], inner, at):
-            return fault
-    return ""
+        if name in value:
+            yield from misfits(value[name], inner, at)
+        elif name == key:
+            yield f"{at} is missing"
 
 
 def _is(value: object, kind: type) -> bool:

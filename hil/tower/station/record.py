@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from hil.files import require_complete
 from hil.record import RecordError
 from hil.tower.station.alignment import event_entry
 from hil.tower.station.description import read_events
+from hil.tower.station.errors import Mistakes
 from hil.tower.station.input_files import DATASHEET, read_object, read_rows
 from hil.tower.station.json_shape import Shape
 from hil.tower.station.plausibility import refuse_implausible
@@ -34,22 +36,20 @@ well."""
 EMPTY = 0.005
 """Share of minutes below which a column counts as missing throughout."""
 
-_NOTES: Shape = {
-    "datasheet": DATASHEET,
-    "events": [
-        {
-            "time": str,
-            "by_day": bool,
-            "cell": int,
-            "kind": str,
-            "source": str,
-            "text?": str,
-            "from": str,
-            "to": str,
-            "parameters": [frozenset(BOUNDS)],
-        }
-    ],
+EVENT_SHAPE: Shape = {
+    "time": str,
+    "by_day": bool,
+    "cell": int,
+    "kind": str,
+    "source": str,
+    "text?": str,
+    "from": str,
+    "to": str,
+    "parameters": [frozenset(BOUNDS)],
 }
+"""An event in `station.json`."""
+LABEL_COLUMNS = ("time", "cell", "parameter", "kind")
+_NOTES: Shape = {"datasheet": DATASHEET, "events": [EVENT_SHAPE]}
 """Content of `station.json`."""
 
 
@@ -211,20 +211,31 @@ def read_notes(record: Path) -> StationNotes:
     if not path.exists():
         raise RecordError(f"{path}: is missing; {remedy}")
     found = read_object(path, _NOTES, remedy)
-    for k, event in enumerate(found["events"]):
+    return StationNotes(found["datasheet"], tuple(timed_events(path, found["events"], remedy)))
+
+
+def timed_events(path: Path, events: Sequence[dict[str, Any]], remedy: str) -> Sequence[dict[str, Any]]:
+    """Return the events of a JSON file, all of whose times can be read.
+
+    Raises
+    ------
+    RecordError
+        A time cannot be read.
+    """
+    for k, event in enumerate(events):
         for key in ("time", "from", "to"):
             try:
                 seconds(event[key])
             except ValueError:
                 raise RecordError(f"{path}: events[{k}].{key} is {event[key]!r}, which is no time; {remedy}") from None
-    return StationNotes(found["datasheet"], tuple(found["events"]))
+    return events
 
 
-def events_of(notes: StationNotes) -> tuple[Event, ...]:
-    """Return the events of a record."""
+def events_of(entries: Sequence[dict[str, Any]]) -> tuple[Event, ...]:
+    """Return the events of entries in the form of `station.json`."""
     return tuple(
         Event(seconds(row["time"]), row["by_day"], row["cell"], row["kind"], row["source"], row.get("text") or "")
-        for row in notes.events
+        for row in entries
     )
 
 
@@ -242,7 +253,12 @@ def read_labels(path: Path, cells: tuple[int, ...]) -> tuple[Label, ...]:
         A column is missing, or a line has no time, an unknown parameter or kind, bounds the wrong way round, or a
         value outside the bounds of the deviation.
     """
-    found = [_label(path, line, row) for line, row in read_rows(path, ("time", "cell", "parameter", "kind"))]
+    found = []
+    mistakes = Mistakes(path)
+    for line, row in read_rows(path, LABEL_COLUMNS):
+        with mistakes.noted():
+            found.append(_label(path, line, row))
+    mistakes.refuse()
     return tuple(label for label in found if label.cell in cells)
 
 
@@ -259,7 +275,7 @@ def unused_labels(path: Path, cells: tuple[int, ...], span_s: tuple[float, float
         First and last minute of the record, s since 1970.
     """
     remarks = []
-    for line, row in read_rows(path, ("time", "cell", "parameter", "kind")):
+    for line, row in read_rows(path, LABEL_COLUMNS):
         label = _label(path, line, row)
         if label.cell not in cells:
             there = ", ".join(map(str, cells))
@@ -278,17 +294,25 @@ def _day(time_s: float) -> str:
 
 def _label(path: Path, line: int, row: dict[str, str]) -> Label:
     where = f"{path}:{line}"
-    try:
-        time_s, cell = seconds(row["time"]), int(row["cell"])
-    except ValueError as error:
-        raise RecordError(
-            f"{where}: time or cell cannot be read ({error}); write a time as 2022-10-06T15:00:00Z"
-        ) from error
+    mistakes = Mistakes(path)
+    with mistakes.noted():
+        try:
+            time_s = seconds(row["time"])
+        except ValueError:
+            raise RecordError(f"{where}: {row['time']!r} is no time; write it as 2022-10-06T15:00:00Z") from None
+    with mistakes.noted():
+        try:
+            cell = int(row["cell"])
+        except ValueError:
+            raise RecordError(f"{where}: cell is {row['cell']!r}; give a whole number") from None
     parameter, kind = row["parameter"], row["kind"]
-    if parameter not in BOUNDS:
-        raise RecordError(f"{where}: parameter {parameter!r} is unknown; it is one of {', '.join(BOUNDS)}")
-    if kind not in ("interval", "point"):
-        raise RecordError(f"{where}: kind {kind!r} is unknown; it is interval (lo, hi) or point (value, sd)")
+    with mistakes.noted():
+        if parameter not in BOUNDS:
+            raise RecordError(f"{where}: parameter {parameter!r} is unknown; it is one of {', '.join(BOUNDS)}")
+    with mistakes.noted():
+        if kind not in ("interval", "point"):
+            raise RecordError(f"{where}: kind {kind!r} is unknown; it is interval (lo, hi) or point (value, sd)")
+    mistakes.refuse()
     clean = 0.0 if parameter == "bias" else 1.0
     a, b = (_cell_number(where, row, n) for n in (("lo", "hi") if kind == "interval" else ("value", "sd")))
     _refuse_far(where, parameter, clean, (a, b) if kind == "interval" else (a,))

@@ -221,6 +221,7 @@ def test_shadow_mode_changes_no_twin(plant: Path, tmp_path: Path) -> None:
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         "calibrated.parquet",
         "calibration.json",
+        "events.json",
         "records.jsonl",
     ]
 
@@ -365,7 +366,7 @@ def test_a_record_that_cannot_calibrate_is_refused(
     [
         ("2022-09-10,1,fill,interval,,,0.9,0.8,", "labels.csv:2: lo 0.9 is not below hi 0.8"),
         ("2022-09-10,1,scale,point,0.9,0.1,,,", "labels.csv:2: parameter 'scale' is unknown"),
-        ("someday,1,fill,point,0.9,0.1,,,", "labels.csv:2: time or cell cannot be read"),
+        ("someday,1,fill,point,0.9,0.1,,,", "labels.csv:2: 'someday' is no time"),
         ("2022-09-10,1,air,point,0.9,0,,,", "labels.csv:2: sd 0 is not above 0"),
         (
             "2022-09-10,1,air,point,-0.05,0.02,,,",

@@ -20,7 +20,7 @@ from tests.hil.reference_pages import page
 from tests.hil.tower.made_plant import SHEET, files, iso, refused, run, write_points, write_record
 from tests.twin.tower.made_cell import made_cell
 
-FILES = {"calibrated.parquet", "calibration.json", "records.jsonl", "review_queue.json"}
+FILES = {"calibrated.parquet", "calibration.json", "events.json", "records.jsonl", "review_queue.json"}
 
 
 @pytest.fixture(scope="module")

@@ -106,3 +106,107 @@ def test_a_table_is_known_by_its_heading_and_its_mistake_has_a_line(
     assert hil("check", file) == 1
     said = capsys.readouterr().out
     assert "1 problem" in said and f"{file}{problem if problem.startswith(':') else ': ' + problem}" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "problems"),
+    [
+        (
+            "dictionary.csv",
+            "tag,unit,cell,role,scan_s\n"
+            "T1OUT,degX,1,water_outlet_temperature,60\n"
+            "T1IN,degC,one,water_inlet_temperature,never\n"
+            "F1,degC,1,water_flow,60\n"
+            "T1OUT,degC,1,basin_temperature,60\n"
+            "SI1,%,,fan_speed,60\n",
+            [
+                ":2: T1OUT: ",
+                ":3: T1IN has scan_s 'never'",
+                ":3: T1IN has cell 'one'",
+                ":4: F1 is in degC, a unit of temperature; a water_flow is a mass flow",
+                ":5: T1OUT is there twice",
+                ":6: SI1 has role fan_speed and no cell",
+            ],
+        ),
+        (
+            "seen.csv",
+            "time,cell,parameter,kind,value,sd,lo,hi\n"
+            "noon,x,fil,span,,,,\n"
+            "2022-05-01,1,fill,interval,,,0.8,0.9\n"
+            "2022-05-02,1,fill,interval,,,0.9,0.8\n",
+            [
+                ":2: 'noon' is no time",
+                ":2: cell is 'x'",
+                ":2: parameter 'fil' is unknown",
+                ":2: kind 'span'",
+                ":4: lo 0.9 is not below hi 0.8",
+            ],
+        ),
+        (
+            "tests.csv",
+            POINTS + "1,b,95,25,18,22,x,100\n2,c,25,35,18,22,200,100\nz,d,35,25,18,22,200,100\n",
+            [
+                ":3: water_inlet_C is 95, outside 0 to 70",
+                ":3: water_flow_kg_s is 'x', which is no number",
+                ":4: the outlet, 35 degC, is not below the inlet",
+                ":5: cell is 'z', which is no number",
+            ],
+        ),
+        (
+            "log.csv",
+            "time,precision,cell,event\nnoon,week,1,cleaning\n2022-05-01,day,half,cleaning\n",
+            [":2: precision is 'week'", ":2: 'noon' is no time", ":3: cleaning has cell 'half'"],
+        ),
+        (
+            "sheet.json",
+            '{"station": "X", "timezone": "Europe/Madrit", "fan": {"speed_100pct": "60 kg"}, '
+            '"design": {"pressure_kPa": 990}}',
+            [": 'Europe/Madrit' is no time zone", ": design.pressure_kPa is 990", ": fan.speed_100pct"],
+        ),
+        (
+            "other.json",
+            '{"station": 7, "timezone": "Europe/Madrid", "cells_in_station": "two", "design": {}}',
+            [": station is 7, which is not a text", ": cells_in_station is 'two'"],
+        ),
+    ],
+)
+def test_all_mistakes_of_a_file_are_listed_with_their_lines(
+    name: str, content: str, problems: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / name
+    file.write_text(content)
+    assert hil("check", file) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert f"{len(problems)} problems" in "".join(lines)
+    listed = sorted(line.strip() for line in lines if line.startswith(f"  {file}"))
+    assert len(listed) == len(problems)
+    for line, problem in zip(listed, sorted(problems), strict=True):
+        assert line.startswith(f"{file}{problem}")
+
+
+def test_the_mistakes_of_all_files_of_a_store_are_listed(
+    clean: list[Series], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = written_station(tmp_path / "station", clean)
+    (folder / "tags.csv").write_text((folder / "tags.csv").read_text().replace("degC", "degX", 2))
+    (folder / "datasheet.json").write_text('{"timezone": "Europe/Madrit", "station": "X"}')
+    (folder / "events.csv").write_text("time,cell,event\nnoon,1,cleaning\n")
+    assert hil("check", folder) == 1
+    said = capsys.readouterr().out
+    assert "4 problems" in said and said.count("tags.csv:") == 2
+    assert "datasheet.json: " in said and "events.csv:2: " in said
+
+
+def test_a_long_list_ends_with_the_number_of_the_others_and_a_command_states_the_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "dictionary.csv"
+    file.write_text(TAGS + "".join(f"T{k},degX,1,basin_temperature\n" for k in range(2, 32)))
+    assert hil("check", file) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert "30 problems" in lines[0] and lines[-1].strip() == "and 10 more" and len(lines) == 22
+    (tmp_path / "store").mkdir()
+    (tmp_path / "store" / "raw.csv").write_text("timestamp,tag,value\n2022-05-01T00:00:00Z,T1OUT,20\n")
+    assert hil("tower", "align", tmp_path / "store", "--tags", file, "--out", tmp_path / "record") == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"{file}:3: T2" in said and f"(29 more: `hil check {file}` lists them)" in said

@@ -12,7 +12,6 @@ import pytest
 from hil.record.raw import RecordError
 from hil.tower.calibration.picture import draw_cell
 from hil.tower.calibration.truth import TruthColumns, compare, read_truth
-from twin.historian.events import Event
 
 N = 3 * 1440
 TIME = np.datetime64("2023-06-01", "ms") + np.arange(N).astype("timedelta64[m]")
@@ -86,8 +85,8 @@ def test_a_cell_is_drawn_with_and_without_truth(tmp_path: Path, suffix: str) -> 
         "time,cell,parameter,kind,value,sd,lo,hi,source\n2023-06-02T15:00:00Z,1,fill,interval,,,0.85,0.95,x\n"
         "2023-06-02T15:00:00Z,1,air,point,0.98,0.02,,,x\n2023-06-02T15:00:00Z,2,air,point,0.5,0.02,,,x\n"
     )
-    when = (TIME[2000] - np.datetime64(0, "ms")) / np.timedelta64(1, "s")
-    cleaning = Event(float(when), False, 1, "cleaning", "CMMS", "fill washed")
+    when = f"{TIME[2000].astype('datetime64[s]')}Z"
+    cleaning = {"time": when, "cell": 1, "kind": "cleaning", "source": "CMMS", "parameters": ["fill", "uniformity"]}
     sizes = []
     for number, true in enumerate((None, truth())):
         path = tmp_path / f"cell{number}{suffix}"
@@ -96,3 +95,4 @@ def test_a_cell_is_drawn_with_and_without_truth(tmp_path: Path, suffix: str) -> 
     assert min(sizes) > 10_000
     if suffix == ".svg":
         assert "<svg" in (tmp_path / "cell0.svg").read_text()[:500]
+        assert (tmp_path / "cell0.svg").read_text().count("cleaning") == 2

@@ -52,3 +52,17 @@ def test_where_none_leapt_all_are_left_out_and_it_is_said() -> None:
 def test_a_pressure_that_cannot_be_spoils_no_wet_bulb() -> None:
     found = _spoilt("PB", lambda value, _: value * 0.37)
     assert {one.tags[0] for one in found} <= {"PB"}
+
+
+def test_a_fault_that_lasts_for_most_of_a_record_is_not_taken_as_usual() -> None:
+    rng = np.random.default_rng(71)
+    store = []
+    for one in instruments(rng, 16.0):
+        time_s, value = scanned(one, rng)
+        if one.tag.name == "TDB":
+            value = np.where(time_s >= START_S + 4.0 * DAY_S, value - 6.0, value)
+        store.append(archived(one, (time_s, value)))
+    found = list(find_and_repair(store, timezone=ZONE, pressure_kPa=95.0).defects)
+    assert {one.tags for one in found} == {("TDB",)}
+    assert abs(min(one.start_s for one in found) - START_S - 4.0 * DAY_S) < 3 * 3600.0
+    assert max(one.end_s for one in found) > START_S + 15.5 * DAY_S

@@ -104,3 +104,36 @@ def test_a_bias_that_a_calibration_finds_is_no_change_of_range() -> None:
     plant = instruments(rng, 20.0)
     at = _running(plant, 6.0)
     assert _found(_store(plant, rng, [("T1OUT", at, 99.0, 1.0, 1.0), ("JI1", at, 99.0, 1.15, 0.0)])) == []
+
+
+def test_a_change_of_range_is_found_where_the_other_cell_starts_in_the_same_minutes() -> None:
+    rng = np.random.default_rng(77)
+    plant = instruments(rng, 25.0)
+    by_name = {one.tag.name: one.truth for one in plant}
+    steady = np.convolve(by_name["ON1"] > 0.5, np.ones(2880), mode="same") > 2879.5
+    switched = np.concatenate([[False], np.diff(by_name["ON2"]) != 0.0])
+    rows = np.flatnonzero(steady & switched)
+    at = float(rows[(rows > 5 * 1440) & (rows < 19 * 1440)][0]) / 1440.0
+    found = _found(_store(plant, rng, [("T1OUT", at, 99.0, 1.0, 6.0)]))
+    assert [(one.kind, one.tags) for one in found] == [("range_change", ("T1OUT",))]
+    assert abs(found[0].start_s - START_S - at * DAY_S) < 3600.0
+
+
+def test_changes_of_both_cells_are_found_and_end_where_the_readings_come_back() -> None:
+    rng = np.random.default_rng(78)
+    plant = instruments(rng, 25.0)
+    first = _running(plant, 6.0)
+    changes = [("T1OUT", first, first + 2.5, 1.0, 7.0), ("T2IN", first + 0.5, first + 3.5, 0.72, 0.0)]
+    found = {one.tags[0]: one for one in _found(_store(plant, rng, changes)) if one.kind == "range_change"}
+    assert set(found) == {"T1OUT", "T2IN"}
+    for name, low, high, _, _ in changes:
+        assert abs(found[name].start_s - START_S - low * DAY_S) < 3600.0
+        assert abs(found[name].end_s - START_S - high * DAY_S) < 3600.0
+
+
+@pytest.mark.parametrize("factor", [1.6, 0.65])
+def test_a_speed_by_a_factor_of_no_unit_is_not_converted_as_a_frequency(factor: float) -> None:
+    rng = np.random.default_rng(79)
+    plant = instruments(rng, 20.0)
+    found = _found(_store(plant, rng, [("SI1", _running(plant, 6.0), 99.0, factor, 0.0)]))
+    assert "unit_switch" not in {one.kind for one in found}

@@ -9,7 +9,7 @@ import pytest
 
 from twin.historian.checks import ABOVE_INLET, BELOW_WET_BULB, FAN_LAW, PUMP_WORK, check_flags
 from twin.historian.events import Event, disturbed, influence_of, naming
-from twin.historian.regimes import Regime, regimes
+from twin.historian.regimes import START_UP_MIN, Regime, regimes, start_ups
 from twin.historian.tags import Array
 
 N = 300
@@ -162,3 +162,13 @@ def test_unknown_quantities_fail_no_check() -> None:
     columns = {name: np.full(N, np.nan) for name in _columns()}
     flags, _ = check_flags(columns)
     assert not flags.any()
+
+
+def test_a_start_up_is_where_water_flows_after_it_was_known_to_rest() -> None:
+    codes = np.full(200, Regime.HIGH_FAN, dtype=np.uint8)
+    codes[:50] = codes[100:110] = codes[115:118] = codes[150:160] = Regime.OFF
+    known = np.ones(200, dtype=bool)
+    known[155:165] = False  # it rested before the gap, and flows after it
+    assert START_UP_MIN > 8  # two starts at 110 and 118 are one
+    assert start_ups(codes, known).tolist() == [50, 110, 165]
+    assert start_ups(codes[:50], known[:50]).tolist() == []

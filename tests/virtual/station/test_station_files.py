@@ -59,6 +59,12 @@ def test_defects_change_the_record_and_not_the_plant(made: Simulated, clean: Sim
     kinds = {one.kind for one in made.seeded.defects}
     assert kinds >= {"stuck", "comms_gap", "duplicates", "unit_switch", "swap", "local_time", "humidity_latched"}
     assert not clean.seeded.defects
+    (changed,) = made.seeded.of("range_change")
+    (tag,) = changed.tags
+    rows = [(kept.time_s >= changed.span[0]) & (kept.time_s < changed.span[1]) for kept in (made.samples[tag],)]
+    before, after = (np.median(made.samples[tag].value[part]) for part in (~rows[0], rows[0]))
+    assert tag not in {t for kind in ("unit_switch", "swap") for one in made.seeded.of(kind) for t in one.tags}
+    assert abs(after - before) > 0.1 * abs(before)
 
 
 def test_a_seeded_swap_gap_and_clock_are_in_the_samples(made: Simulated, clean: Simulated) -> None:

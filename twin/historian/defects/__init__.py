@@ -26,6 +26,9 @@ __all__ = ["Repaired", "find_and_repair"]
 SEASON_S = 60.0 * 86400.0
 """Length of the parts of a long record in which stuck values are looked for: weather and operation are alike."""
 
+ROUNDS = 3
+"""Times that changes are sought anew after some were found."""
+
 
 @dataclass(frozen=True)
 class Repaired:
@@ -104,18 +107,30 @@ def find_and_repair(
     wet = wet_bulb_defects(series, pressure_kPa)
     found += wet
     series = _without(series, wet)
-    swaps = swapped(panel(series), events)
-    for defect in swaps:
-        series = undo_swap(series, defect)
-    found += swaps
-    ranges = range_changes(series)
-    found += ranges
-    series = _without(series, ranges)
+    series, new = _swaps_and_ranges(series, events)
+    found += new
+    for _ in range(ROUNDS):
+        if not new:
+            break
+        # A witness that was swapped or in another range hid changes of the tags that it predicts.
+        more = unit_switches(series, full_speed)
+        series, new = _swaps_and_ranges([_converted(one, more) for one in series], events)
+        new = [*(switch.defect for switch in more), *new]
+        found += new
     return Repaired(
         tuple(series),
         tuple(sorted(found, key=lambda d: (d.start_s, d.kind, d.tags))),
         (*contradicted, *others.remarks, *constant),
     )
+
+
+def _swaps_and_ranges(series: list[Series], events: Sequence[Event]) -> tuple[list[Series], list[Defect]]:
+    """Return the series with swaps undone and without changed ranges, and these defects."""
+    swaps = swapped(panel(series), events)
+    for defect in swaps:
+        series = undo_swap(series, defect)
+    ranges = range_changes(series)
+    return _without(series, ranges), [*swaps, *ranges]
 
 
 def _no_local_time(raw: Sequence[Series], zone: str) -> list[str]:

@@ -30,6 +30,9 @@ APART = 3.0
 """% by which the other sensor must depart from a latched one (each is good to 2 %)."""
 SCATTERS = 6.0
 """Robust standard deviations of the closure, by which a wet bulb is off beyond its usual scatter at this site."""
+OFFSET_K, OFFSET_PART = 1.0, 0.1
+"""Largest usual closure, that of a humidity off by 5 % and thermometers off by 0.3 K, and the part of a record that
+has to show it."""
 LEAP_ROWS = 3
 """Rows on either side of a leap whose mean is the level: a quarter of an hour."""
 LEAP_S = 3600.0
@@ -150,8 +153,15 @@ def _expected(t: Array, share: Array, pressure: Array) -> Array:
 
 
 def _usual(off: Array, t: Array) -> Array:
-    """Return the usual closure: the offsets of the instruments, linear in the temperature, by a robust line."""
+    """Return the usual closure: the offsets of the instruments, linear in the temperature, by a robust line.
+
+    Where a part of the record shows offsets that instruments have, it alone decides: a fault may last for most of a
+    record.
+    """
     rows = np.isfinite(off) & np.isfinite(t)
+    possible = rows & (np.abs(off) <= OFFSET_K)
+    if possible.sum() >= OFFSET_PART * rows.sum():
+        rows = possible
     if rows.sum() < 50:
         return np.zeros(len(off))
     x, y = t[rows] - np.median(t[rows]), off[rows]

@@ -8,6 +8,9 @@ Such a jump has no factor of a unit. It is told from a step of the plant by thre
   the other tags, and as they stand they do not;
 * the prediction without the leap, in which the other tags may explain it, is worse by a large share of it.
 
+Plants start and stop at any hour. So the first is not needed where the other two are decisive: by one map the readings
+of days go several times better with the tags that moved, too.
+
 Sizes that the plant's own faults have are no change of range: the bias of a thermometer, the pitch of a fan's blades.
 """
 
@@ -67,7 +70,7 @@ LEVEL = 3
 HOUR_S = 3600.0
 HELD = 0.6
 """Share of the leap between two samples by which the levels must differ."""
-FAR = 5.0
+FAR = 4.0
 """Standard deviations of a tag's usual steps beyond which it leaps; they grow with the root of the time between
 samples."""
 UNUSUAL = 6.0
@@ -78,6 +81,9 @@ USUAL = 0.9, 1.645
 AFTER_S = 5.0 * 86400.0, 43200.0
 """Times after a leap over which it must last; the second is for a range that is soon corrected."""
 BEFORE_S = 5.0 * 86400.0
+LAW_S, LAW_APART = 43200.0, 0.3
+"""Time on either side of a leap over which the law of a fan gives its factor: short, since other leaps may be near; and
+by how much it may differ from that of the other tags, in logarithms."""
 LEAST_ROWS = 16
 """Rows of a quarter of an hour on either side by which a leap is judged: four hours of operation."""
 CLEAR = 0.35
@@ -87,8 +93,13 @@ CLEARLY = 1.25
 to keep its zero, and a temperature its span."""
 EXPLAINS = 0.3
 """Share of the leap by which the shorter side is worse predicted without it."""
+DECISIVE = 4.0
+"""Times by which the mapped readings of one side are nearer to their prediction than the readings as they stand, so
+that the other tags need not rest: a step of the plant is in those tags, and its mapped readings are not nearer."""
+STEP_EXPLAINS = 1.5
+"""Ratio of the sums of squares without and with a step, from which a leap beside others is judged at all."""
 BACK = 0.35
-"""Share of a leap by which the return from it may differ."""
+"""Share of a leap, at the usual reading, by which the return from it may differ."""
 ROUNDS = 4
 FEWEST = 100
 """Samples of a tag below which nothing is judged by them."""
@@ -107,11 +118,6 @@ class _Leap:
     doubt: float
     """Distance of the mapped readings from their prediction, as a share of the leap."""
 
-    @property
-    def size(self) -> float:
-        """Logarithm of the factor, or the constant where the factor is 1."""
-        return float(np.log(self.factor)) if self.factor != 1.0 else self.constant
-
 
 def range_changes(series: Sequence[Series]) -> list[Defect]:
     """Return the spans in which tags read on another scale than before.
@@ -127,29 +133,39 @@ def range_changes(series: Sequence[Series]) -> list[Defect]:
         One a span, of the kind `range_change`; the readings before the first leap of a tag are taken as right.
     """
     table = panel(series)
-    rows_of = {k: _candidates(table, k) for k in range(len(table.series))}
-    leaps: dict[int, list[_Leap]] = {k: [] for k in rows_of}
+    leaps: dict[int, list[_Leap]] = {k: [] for k in range(len(table.series))}
+    judged: dict[int, list[_Leap]] = {}
+    anew = [k for k in leaps if len(_candidates(table, k))]
     for _ in range(MOST):
         unusual = _unusual(table)
-        judged = [
-            (leap.doubt, k, leap)
-            for k, rows in rows_of.items()
-            for row in rows.tolist()
-            if (
-                _returns(table, k, row, leaps[k])
-                or not _others_moved(table, k, float(table.series[k].time_s[row + 1]), unusual)
-            )
-            and (leap := _judged(table, k, row)) is not None
-        ]
-        if not judged:
+        judged |= {k: _borne_out(table, k, leaps[k], unusual) for k in anew}
+        surest = min(
+            ((leap.doubt, k, leap) for k, found in judged.items() for leap in found),
+            key=lambda one: one[:2],
+            default=None,
+        )
+        if surest is None:
             break
-        # The surest first: with its readings mapped, the other leaps are judged anew.
-        _, k, leap = min(judged, key=lambda one: one[:2])
+        # The surest first: with its readings mapped, the leaps of the tags that they predict are judged anew.
+        _, k, leap = surest
         leaps[k].append(leap)
         table = _mapped(table, k, leap)
-        related = [j for j in rows_of if len(rows_of[j]) and _related(table, k, j)]
-        rows_of = {j: _candidates(table, j) for j in related}
+        anew = [j for j in judged if _related(table, k, j)]
     return [one for k, found in leaps.items() for one in _spans(table.series[k], found)]
+
+
+def _borne_out(table: TagPanel, k: int, before: Sequence[_Leap], unusual: Array) -> list[_Leap]:
+    """Return the leaps of a tag that the other tags bear out, beside those that were found before."""
+    found = []
+    for row in _candidates(table, k).tolist():
+        if any(leap.before_s == table.series[k].time_s[row] for leap in before):
+            continue
+        back = _return(table, k, row, before)
+        alone = not _others_moved(table, k, float(table.series[k].time_s[row + 1]), unusual)
+        leap = _judged(table, k, row, back, alone=alone or back is not None)
+        if leap is not None:
+            found.append(leap)
+    return found
 
 
 def _mapped(table: TagPanel, k: int, leap: _Leap) -> TagPanel:
@@ -275,21 +291,26 @@ def _others_moved(table: TagPanel, k: int, at_s: float, unusual: Array) -> bool:
     return bool((moved & np.array(counts)).any())
 
 
-def _returns(table: TagPanel, k: int, row: int, leaps: Sequence[_Leap]) -> bool:
-    """Return whether a leap goes back by what the leaps of the tag before it have left, so that it ends their span."""
+def _return(table: TagPanel, k: int, row: int, leaps: Sequence[_Leap]) -> tuple[float, float] | None:
+    """Return factor and constant of a leap that goes back by what the leaps of the tag before it have left, so that it
+    ends their span; None for another leap."""
     x, at_s = _canonical(table.series[k]), float(table.series[k].time_s[row])
     factor, constant = 1.0, 0.0
     for leap in (one for one in leaps if one.after_s <= at_s):
         factor, constant = factor * leap.factor, constant * leap.factor + leap.constant
-    if (factor, constant) == (1.0, 0.0):
-        return False
+    if np.isclose(factor, 1.0) and np.isclose(constant, 0.0, atol=1e-6):
+        return None
+    inverse = 1.0 / factor, -constant / factor
     # The table holds the readings mapped already: a return leaves them short by the same map.
     before, after = (
         float(np.median(x[max(row + 1 - LEVEL, 0) : row + 1])),
         float(np.median(x[row + 1 : row + 1 + LEVEL])),
     )
-    wanted = (before - constant) / factor - before
-    return abs(after - before - wanted) < BACK * abs(wanted)
+    if constant == 0.0:
+        wanted, seen = -float(np.log(factor)), float(np.log(after / before)) if min(before, after) > 0.0 else np.inf
+    else:
+        wanted, seen = inverse[0] * before + inverse[1] - before, after - before
+    return inverse if abs(seen - wanted) < BACK * abs(wanted) else None
 
 
 def _witnesses(table: TagPanel, k: int, rows: slice) -> Array:
@@ -310,8 +331,12 @@ def _witnesses(table: TagPanel, k: int, rows: slice) -> Array:
     return design_matrix(np.stack(values)) if values else np.ones((rows.stop - rows.start, 1))
 
 
-def _judged(table: TagPanel, k: int, row: int) -> _Leap | None:
-    """Return a leap after a row of the tag's samples with its map, or None if the other tags do not bear it out."""
+def _judged(table: TagPanel, k: int, row: int, back: tuple[float, float] | None, *, alone: bool = True) -> _Leap | None:
+    """Return a leap after a row of the tag's samples with its map, or None if the other tags do not bear it out.
+
+    `back` is the map of a return, which is tried before any other. Where other tags moved as well (not `alone`), the
+    evidence must be decisive.
+    """
     series, grid = table.series[k], table.grid_s
     before_s, after_s = float(series.time_s[row]), float(series.time_s[row + 1])
     for last_s in AFTER_S:
@@ -325,19 +350,34 @@ def _judged(table: TagPanel, k: int, row: int) -> _Leap | None:
         if min((np.isfinite(x) & part).sum() for part in (after, ~after)) < LEAST_ROWS:
             continue
         matrix = _witnesses(table, k, rows)
+        if not alone and not _step_explains(x, after, matrix):
+            continue
         plain, _ = robust_prediction(x, matrix)
+        returned = None if back is None else _with_map(x, after, matrix, *back)
+        if back is not None and returned is not None and returned.is_borne_out(x - plain, after, alone=True):
+            return _Leap(before_s, after_s, *back, returned.doubt(after))
         usual_map = _is_ratio(series) or series.tag.role in FANS
         fits = [_fitted(x, after, matrix, ratio=ratio) for ratio in (usual_map, not usual_map)]
         errors = [np.inf if one is None else one.error for one in fits]
         fit = fits[0] if errors[0] <= CLEARLY * errors[1] else fits[1]
-        if fit is not None and fit.is_borne_out(x - plain, after) and _at_the_edge(series, row, fit):
-            factor = fit.factor if fit.constant != 0.0 else _by_law(table, k, row, last_s) or fit.factor
+        if fit is not None and fit.is_borne_out(x - plain, after, alone=alone) and _at_the_edge(series, row, fit):
+            by_law = None if fit.constant != 0.0 else _by_law(table, k, row)
+            factor = by_law if by_law and abs(np.log(by_law / fit.factor)) < LAW_APART else fit.factor
             return _Leap(before_s, after_s, factor, fit.constant, fit.doubt(after))
     return None
 
 
-def _by_law(table: TagPanel, k: int, row: int, last_s: float) -> float | None:
-    """Return the factor of a fan's tag by the law of its fan, over the days about a leap; None for another tag."""
+def _step_explains(x: Array, after: Mask, matrix: Array) -> bool:
+    """Return whether a step leaves much less of a tag than the other tags alone do, by least squares."""
+    rows = np.isfinite(x)
+    with_step = np.column_stack([matrix[rows], after[rows].astype(np.float64)])
+    y = x[rows] - x[rows].mean()
+    left = [float(((y - a @ np.linalg.lstsq(a, y, rcond=None)[0]) ** 2).sum()) for a in (with_step[:, :-1], with_step)]
+    return left[0] > STEP_EXPLAINS * left[1]
+
+
+def _by_law(table: TagPanel, k: int, row: int) -> float | None:
+    """Return the factor of a fan's tag by the law of its fan, over the hours about a leap; None for another tag."""
     series = table.series[k]
     if series.tag.role not in FANS:
         return None
@@ -345,7 +385,7 @@ def _by_law(table: TagPanel, k: int, row: int, last_s: float) -> float | None:
     rest = SMALLEST_WORK * float(np.quantile(np.abs(x), 0.95))
     ratio = np.where(x > rest, np.log(np.maximum(x, rest)), np.nan) - _of_its_fan(table, k)
     time_s = series.time_s
-    low, high = np.searchsorted(time_s, (time_s[row] - BEFORE_S, time_s[row + 1] + last_s)).tolist()
+    low, high = np.searchsorted(time_s, (time_s[row] - LAW_S, time_s[row + 1] + LAW_S)).tolist()
     change = float(np.nanmedian(ratio[row + 1 : high]) - np.nanmedian(ratio[low : row + 1]))
     return float(np.exp(change)) if np.isfinite(change) else None
 
@@ -379,14 +419,16 @@ class _Fit:
 
     @property
     def error(self) -> float:
-        """Median distance from the prediction."""
+        """Median distance from the prediction; infinite where there is none."""
+        if not np.isfinite(self.residual).any():
+            return float(np.inf)
         return float(np.nanmedian(np.abs(self.residual)))
 
     def doubt(self, after: Mask) -> float:
         """Return the distance of the mapped readings from the prediction as a share of the leap."""
         return self.error / float(np.nanmedian(np.abs(self.leap[after])))
 
-    def is_borne_out(self, plain: Array, after: Mask) -> bool:
+    def is_borne_out(self, plain: Array, after: Mask, *, alone: bool) -> bool:
         """Return whether the other tags go with the mapped readings on both sides, and cannot explain them unmapped.
 
         Parameters
@@ -395,6 +437,8 @@ class _Fit:
             Distance of the readings as they stand from a prediction without the leap (m,).
         after
             Rows after the leap (m,).
+        alone
+            No other tag moved then. Else the mapped readings must be `DECISIVE` times as near to their prediction.
         """
         known = np.isfinite(self.residual) & np.isfinite(plain)
         parts = [known & after, known & ~after]
@@ -402,6 +446,9 @@ class _Fit:
         if size <= 0.0:
             return False
         if any(float(np.median(np.abs(self.residual[part]))) > CLEAR * size for part in parts):
+            return False
+        nearer = (np.abs(plain[part]).mean() / max(np.abs(self.residual[part]).mean(), 1e-9) for part in parts)
+        if not alone and max(nearer) < DECISIVE:
             return False
         gained = float(np.abs(plain[known]).sum() - np.abs(self.residual[known]).sum())
         return gained > EXPLAINS * size * float(min(part.sum() for part in parts))
@@ -424,7 +471,13 @@ def _fitted(x: Array, after: Mask, matrix: Array, *, ratio: bool) -> _Fit | None
                 return None
         else:
             constant = float(np.median(x[sides[1]] - there))
+    return _with_map(x, after, matrix, factor, constant)
+
+
+def _with_map(x: Array, after: Mask, matrix: Array, factor: float, constant: float) -> _Fit:
+    """Return how the readings go with the prediction if those after a leap are mapped back by this map."""
     mapped = np.where(after, (x - constant) / factor, x)
+    predicted, _ = robust_prediction(mapped, matrix)
     return _Fit(factor, constant, np.where(after, x - mapped, 0.0), mapped - predicted)
 
 
@@ -432,12 +485,14 @@ def _spans(series: Series, leaps: Sequence[_Leap]) -> list[Defect]:
     """Return the spans between leaps in which the readings are on another scale than before the first."""
     found: list[Defect] = []
     factor, constant, since = 1.0, 0.0, 0.0
-    for leap in sorted(leaps, key=lambda one: one.after_s):
+    in_order = sorted(leaps, key=lambda one: one.after_s)
+    usual = float(np.median(_canonical(series)[series.time_s < in_order[0].after_s])) if in_order else 0.0
+    for leap in in_order:
         if (factor, constant) != (1.0, 0.0):
             found.append(_defect(series, since, leap.before_s, factor, constant))
         total = factor * leap.factor, constant * leap.factor + leap.constant
-        size, before = leap.size, np.log(factor) if factor != 1.0 else constant
-        back = before != 0.0 and abs(size + before) < BACK * abs(before)
+        off, left = ((f - 1.0) * usual + c for f, c in ((factor, constant), total))
+        back = off != 0.0 and abs(left) < BACK * abs(off)
         factor, constant = (1.0, 0.0) if back else total
         since = leap.after_s
     if (factor, constant) != (1.0, 0.0) and len(series.time_s):

@@ -39,6 +39,9 @@ MOSTLY = 0.8
 EXPLAINS = 0.3
 """Share of what the switch moves, in the span or the rest, if shorter, by which all rows are worse predicted without
 it."""
+OTHER_FACTOR, SCATTERS = 0.12, 2.0
+"""Share of what the switch moves, and deviations of the rows, by which the converted span may be apart from the rest:
+5 % of a fan's speed in Hz, 4 % of a power in hp."""
 FEWEST_ROWS = 8
 """Rows of a quarter of an hour at work by which a span is judged: `LEAST_S`."""
 OUTSIDE = 0.7
@@ -259,6 +262,11 @@ def _judged(x: Array, other: Array, fits: tuple[Array, Array], inside: Mask, slo
     for rows, (limit, mostly) in zip((work[small], work[1 - small]), limits, strict=True):
         if not _clear(right[rows], wrong[rows], limit, mostly):
             return -np.inf
+    # Another factor than the unit's leaves the span apart from the rest: that is a change of range.
+    apart = abs(float(np.median(right[work[0]]) - np.median(right[work[1]])))
+    scatter = max(float(np.median(np.abs(right[part] - np.median(right[part])))) for part in work)
+    if apart > max(OTHER_FACTOR * float(np.median(moved[work[0]])), SCATTERS * scatter):
+        return -np.inf
     # Witnesses that moved as the tag did explain it as it stands.
     at_work = work[0] | work[1]
     gained = float(np.abs(before[at_work]).sum() - np.abs(right[at_work]).sum())

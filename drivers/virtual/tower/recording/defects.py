@@ -31,6 +31,34 @@ OTHER_UNIT = {
 }
 OFFSET = {"degF": 32.0, "degC": -32.0 / 1.8}
 """Units that a transmitter may be switched to, with the factor, and the offset of the new unit."""
+SPANS = (0.5, 0.8), (1.25, 2.0)
+"""Factors of a reading whose transmitter was given another span."""
+UNIT_FACTORS, OF_NO_UNIT = (0.6, 0.7457, 1.341, 1.6667), 0.08
+"""Factors of % in Hz and of kW in hp, and how far the logarithm of another span's factor is from theirs: a reading that
+is in another unit looks the same."""
+SHIFTS = {
+    "water_inlet_temperature": (3.0, 8.0),
+    "water_outlet_temperature": (3.0, 8.0),
+    "basin_temperature": (3.0, 8.0),
+    "return_header_temperature": (3.0, 8.0),
+    "supply_temperature": (3.0, 8.0),
+    "dry_bulb_temperature": (3.0, 8.0),
+    "relative_humidity": (12.0, 30.0),
+    "barometric_pressure": (3.0, 8.0),
+}
+"""Shifts of a reading whose transmitter was given another zero, either way, K, % and kPa."""
+SPANNED = (
+    "water_inlet_temperature",
+    "water_outlet_temperature",
+    "basin_temperature",
+    "water_flow",
+    "fan_power",
+    "fan_speed",
+    "header_pressure",
+    "pump_power",
+    "station_heat_load",
+)
+"""Roles of transmitters whose span may be changed; its zero stays, that of the tag's unit."""
 
 
 @dataclass
@@ -117,6 +145,7 @@ class Seeding:
             one = tags[int(rng.integers(len(tags)))]
             found.append(Seeded("bad_quality", (one.tag,), span(0.8, 3.5), {"code": int(rng.choice([BAD, UNCERTAIN]))}))
         found += _lasting(tags, end, zone, span, rng)
+        found += _ranges(tags, end, {tag for one in found if one.kind in ALONE for tag in one.tags}, rng.spawn(1)[0])
         return cls(tuple(found))
 
 
@@ -149,6 +178,37 @@ def _lasting(tags: Sequence[Instrument], end: float, zone: str, span: Any, rng: 
     return found
 
 
+ALONE = ("unit_switch", "swap", "impossible_wet_bulb", "humidity_latched")
+"""Kinds of defects of a tag that has no other range besides."""
+
+
+def _ranges(tags: Sequence[Instrument], end: float, taken: set[str], rng: np.random.Generator) -> list[Seeded]:
+    """Return changes of range, two a month, of a tag each: at any time, for days or until the end."""
+    recorded = {0, *(one.cell for one in tags if one.kind.role == "water_outlet_temperature")}
+    changed = {*SHIFTS, *SPANNED}
+    free = [one for one in tags if one.tag not in taken and one.cell in recorded and one.kind.role in changed]
+    found = []
+    for k in rng.permutation(len(free))[: max(round(2.0 * end / DAY_S / 30.0), 1)].tolist():
+        one, begin = free[k], round(rng.uniform(0.1, 0.8) * end / 60.0) * 60.0
+        length = rng.uniform(1.0, 10.0) * DAY_S if rng.random() < 0.5 else end
+        roles = [kinds for kinds in (SPANNED, SHIFTS) if one.kind.role in kinds]
+        if roles[int(rng.integers(len(roles)))] is SPANNED:
+            more = {"factor": _span_factor(rng)}
+        else:
+            size = rng.uniform(*SHIFTS[one.kind.role]) * one.factor
+            more = {"shift": round(float(rng.choice([-1.0, 1.0]) * size), 2)}
+        found.append(Seeded("range_change", (one.tag,), (begin, min(begin + length, end)), more))
+    return found
+
+
+def _span_factor(rng: np.random.Generator) -> float:
+    """Return the factor of another span, which is none of a usual unit."""
+    while True:
+        factor = round(float(rng.uniform(*SPANS[int(rng.integers(2))])), 3)
+        if all(abs(np.log(factor / one)) > OF_NO_UNIT for one in UNIT_FACTORS):
+            return factor
+
+
 def seed_scans(scans: dict[str, TagSamples], tags: Sequence[Instrument], seeding: Seeding) -> None:
     """Change scans as faulty instruments do, in place."""
     by_tag = {one.tag: one for one in tags}
@@ -174,6 +234,10 @@ def seed_scans(scans: dict[str, TagSamples], tags: Sequence[Instrument], seeding
         still = np.flatnonzero(samples.within(one.span))
         if len(still):
             samples.value[still] = samples.value[still[0]]
+    for one in seeding.of("range_change"):
+        samples, instrument = scans[one.tags[0]], by_tag[one.tags[0]]
+        changed = quantised(samples.value * one.more.get("factor", 1.0) + one.more.get("shift", 0.0), instrument)
+        samples.value = np.where(samples.within(one.span), changed, samples.value)
     for one in seeding.of("unit_switch"):
         samples = scans[one.tags[0]]
         factor = OTHER_UNIT[one.more["from_unit"]][1]
