@@ -97,7 +97,9 @@ class DaskExecutor:
         self._name = address or "the cluster of this command"
         # Sentences of our own take the place of the warnings and logs of Dask.
         warnings.filterwarnings("ignore", category=VersionMismatchWarning)
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        for name in logging.root.manager.loggerDict:  # Dask has set a level for each of them
+            if name.partition(".")[0] == "distributed":
+                logging.getLogger(name).setLevel(logging.CRITICAL)
         dask.config.set(SETTINGS)
         if address is None:
             self._cluster = _own_cluster(workers)
@@ -163,8 +165,10 @@ class DaskExecutor:
                 ours.set_exception(WorkerLostError(f"its worker {error.last_worker.address} ended while it ran"))
             except OtherVersionError as error:
                 ours.set_exception(ExecutorError(str(error)))
-            except BaseException as error:
-                ours.set_exception(ExecutorError(f"{self._name} was lost ({_first_line(error)}); start it again"))
+            except BaseException:  # cancelled, or no connection: a task's own error is in its answer
+                ours.set_exception(
+                    ExecutorError(f"{self._name} was lost; start it again, and then give the same command")
+                )
             else:
                 ours.set_result(answer)
             theirs.release()

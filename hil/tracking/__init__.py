@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     )
     from hil.tracking.child_process import Child
     from hil.tracking.process import Tracking, TrackingError
-    from hil.tracking.replay import Replay, replay, write_predictions
+    from hil.tracking.record_replay import Replay, replay, write_predictions
     from hil.tracking.results import Results
     from hil.tracking.twins import (
         DEFAULT,
@@ -87,7 +87,7 @@ __getattr__, __dir__ = lazy_names(
             "Tracking",
             "TrackingError",
         ),
-        "replay": ("Replay", "replay", "write_predictions"),
+        "record_replay": ("Replay", "replay", "write_predictions"),
         "results": ("Results",),
         "twins": (
             "Comparison",

@@ -15,7 +15,9 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
+from hil.errors import FOUND, USAGE
 from hil.executor import Say
+from hil.fleet.fleet_file import FleetError
 from hil.fleet.kinds.job_folder import JobFolder, MadeJob
 
 PROJECT = Path(__file__).resolve().parents[3]
@@ -30,7 +32,7 @@ class SubcommandError(RuntimeError):
 
 
 def trained(folder: JobFolder, say: Say) -> MadeJob:
-    """Train a member of the network; raises SubcommandError."""
+    """Train a member of the network; raises SubcommandError, or FleetError for wrong arguments."""
     data = folder.path / "data"
     words = ["train", "loop", "--seed", str(folder.given.seed), "--out", "out", "--data", str(data)]
     document = _run(folder, [*words, "--json", *folder.given.options["arguments"]], say)
@@ -39,7 +41,7 @@ def trained(folder: JobFolder, say: Say) -> MadeJob:
 
 
 def benched(folder: JobFolder, say: Say) -> MadeJob:
-    """Run a benchmark; raises SubcommandError."""
+    """Run a benchmark; raises SubcommandError, or FleetError for wrong arguments."""
     options = folder.given.options
     words = ["bench", options["bench"], "--seed", str(folder.given.seed), "--out", "out", "--json"]
     document = _run(folder, [*words, *options["arguments"]], say)
@@ -48,13 +50,16 @@ def benched(folder: JobFolder, say: Say) -> MadeJob:
 
 
 def _run(folder: JobFolder, words: list[str], say: Say) -> dict[str, Any]:
-    """Run a command of hil in the job's folder; return the JSON that it prints."""
+    """Run a command of hil in the job's folder; return the JSON that it prints, and keep it as a result.
+
+    A benchmark that finds a fault of what it measures ends with exit code 1 and has its report.
+    """
     path = os.pathsep.join((str(PROJECT), *filter(None, (os.environ.get("PYTHONPATH"),))))
     environment = {**os.environ, "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     folder.out.mkdir()
     say(f"hil {' '.join(words)}")
     last: deque[str] = deque(maxlen=LAST_LINES)
-    printed = folder.out / "printed.json"
+    printed = folder.path / "printed.json"
     with printed.open("wb") as out:
         process = subprocess.Popen(
             [sys.executable, "-m", "hil.fleet.kinds.subcommand", *words],
@@ -78,14 +83,20 @@ def _run(folder: JobFolder, words: list[str], say: Say) -> dict[str, Any]:
         process.wait()
         process.stdin.close()
         process.stderr.close()
-    if code != 0:
+    if code == USAGE:
+        raise FleetError(f"hil {' '.join(words[:2])}: {last[-1] if last else 'it refuses its options'}")
+    content = printed.read_bytes()
+    printed.unlink()
+    if code not in (0, FOUND) or not content.strip():
         raise SubcommandError(f"hil {' '.join(words[:2])} ended with exit code {code}: {' / '.join(last)}")
-    found: dict[str, Any] = json.loads(printed.read_text(encoding="utf-8"))
+    found: dict[str, Any] = json.loads(content)
+    (folder.out / f"{words[0]}.json").write_bytes(content)
     return found
 
 
 def _end_with_parent() -> None:
-    sys.stdin.buffer.read()
+    while os.read(0, 4096):  # not sys.stdin: its lock would be held when the interpreter ends
+        pass
     os._exit(ORPHANED)
 
 
