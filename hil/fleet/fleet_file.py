@@ -161,7 +161,14 @@ def read_fleet(path: Path) -> Fleet:
     try:
         read = FleetSection.model_validate(document)
     except ValidationError as error:
-        raise FleetError("\n".join(_sentence(path, text, document, item) for item in error.errors())) from None
+        # An entry with a mistake is taken out of its list, which is too short then.
+        places = [item["loc"] for item in error.errors()]
+        items = [
+            item
+            for item in error.errors()
+            if item["type"] != "too_short" or not any(p[: len(item["loc"])] == item["loc"] != p for p in places)
+        ]
+        raise FleetError("\n".join(_sentence(path, text, document, item) for item in items)) from None
     problems: list[str] = []
     rigs = _rigs(path, text, read, problems)
     jobs = _jobs(path, text, read, rigs, problems)

@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -61,27 +60,28 @@ class Job:
 def jobs_of(fleet: Fleet) -> tuple[Job, ...]:
     """Return the jobs of a fleet in the order of its file; raise FleetError if an input cannot be used."""
     jobs: dict[str, Job] = {}
+    inputs = _Inputs()
     for entry in fleet.jobs:
-        for job in _jobs(entry, fleet.path.parent):
+        for job in _jobs(entry, fleet.path.parent, inputs):
             jobs.setdefault(job.id, job)
     return tuple(jobs.values())
 
 
-def _jobs(entry: FleetJob, folder: Path) -> Iterator[Job]:
+def _jobs(entry: FleetJob, folder: Path, inputs: _Inputs) -> Iterator[Job]:
     section = entry.section
     options = section.model_dump(exclude={"kind", "rigs", "seeds", "data"})
     seeds: tuple[int | None, ...] = getattr(section, "seeds", (None,))
     if not section.over_records:
-        inputs = tuple(_input("data", path, f"data/{name}", entry.place) for name, path in entry.files)
+        files = tuple(inputs.file("data", path, f"data/{name}", entry.place) for name, path in entry.files)
         for seed in seeds:
-            yield _job(section.kind, ("", ""), seed, options, inputs)
+            yield _job(section.kind, ("", ""), seed, options, files)
         return
     for rig in entry.rigs:
         reading = rig.section.model_dump(include=set(READING))
         for record in rig.records:
-            inputs = tuple(_record_inputs(rig, record, entry.place))
+            files = tuple(inputs.of_record(rig, record, entry.place))
             for seed in seeds:
-                yield _job(section.kind, (rig.name, _shown(record, folder)), seed, {**options, **reading}, inputs)
+                yield _job(section.kind, (rig.name, _shown(record, folder)), seed, {**options, **reading}, files)
 
 
 def _job(
@@ -104,40 +104,47 @@ def _job(
     return Job(f"{name}-{digest}", kind, rig, record, seed, options, inputs)
 
 
-def _record_inputs(rig: FleetRig, record: Path, place: str) -> Iterator[JobInput]:
-    """Yield the files that a diagnosis or a replay of a record reads: also the ancestors of the twin."""
-    yield _input("record", record, f"record/{record.name}", place)
-    sheet = record.parent / SHEET
-    if sheet.is_file() and sheet != record:
-        yield _input("sheet", sheet, f"record/{SHEET}", place)
-    twin = rig.twin or record.parent / "twin.toml"
-    try:
-        for number, path in enumerate(_twin_files(twin)):
-            yield _input("twin" if number == 0 else "of the twin", path, f"twin/{path.name}", place)
-    except (TwinFileError, OSError) as error:
-        raise FleetError(f"{place}: {error}") from None
-    if rig.healthy is not None:
-        yield _input("healthy", rig.healthy, f"healthy/{rig.healthy.name}", place)
+class _Inputs:
+    """Inputs of jobs; each file is read once."""
 
+    def __init__(self) -> None:
+        self._digests: dict[Path, str] = {}
+        self._twins: dict[Path, tuple[Path, ...]] = {}
 
-@lru_cache(maxsize=1024)
-def _twin_files(twin: Path) -> tuple[Path, ...]:
-    """Return a twin, its ancestors and the healthy record that is stored with them."""
-    stored = commissioned_on(twin).path
-    return (*(entry.path for entry in chain(twin)), *(() if stored is None else (stored,)))
+    def of_record(self, rig: FleetRig, record: Path, line: str) -> Iterator[JobInput]:
+        """Yield the files that a diagnosis or a replay of a record reads: also the ancestors of the twin."""
+        yield self.file("record", record, f"record/{record.name}", line)
+        sheet = record.parent / SHEET
+        if sheet.is_file() and sheet != record:
+            yield self.file("sheet", sheet, f"record/{SHEET}", line)
+        twin = rig.twin or record.parent / "twin.toml"
+        for number, path in enumerate(self._twin_files(twin, line)):
+            yield self.file("twin" if number == 0 else "of the twin", path, f"twin/{path.name}", line)
+        if rig.healthy is not None:
+            yield self.file("healthy", rig.healthy, f"healthy/{rig.healthy.name}", line)
 
+    def _twin_files(self, twin: Path, line: str) -> tuple[Path, ...]:
+        """Return a twin, its ancestors and the healthy record that is stored with them."""
+        if twin not in self._twins:
+            try:
+                stored = commissioned_on(twin).path
+                ancestors = tuple(entry.path for entry in chain(twin))
+            except (TwinFileError, OSError) as error:
+                raise FleetError(f"{line}: {error}") from None
+            self._twins[twin] = ancestors if stored is None else (*ancestors, stored)
+        return self._twins[twin]
 
-def _input(role: str, path: Path, place: str, line: str) -> JobInput:
-    try:
-        return JobInput(role, place, path, _sha256(path))
-    except OSError as error:
-        raise FleetError(f"{line}: {path} cannot be read ({error.strerror}); correct it or its permissions") from None
-
-
-@lru_cache(maxsize=65536)
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    def file(self, role: str, path: Path, place: str, line: str) -> JobInput:
+        """Return an input with its digest; raise FleetError if it cannot be read."""
+        if path not in self._digests:
+            try:
+                with path.open("rb") as file:
+                    self._digests[path] = hashlib.file_digest(file, "sha256").hexdigest()
+            except OSError as error:
+                raise FleetError(
+                    f"{line}: {path} cannot be read ({error.strerror}); correct it or its permissions"
+                ) from None
+        return JobInput(role, place, path, self._digests[path])
 
 
 def _shown(record: Path, folder: Path) -> str:
