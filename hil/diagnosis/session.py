@@ -64,7 +64,7 @@ class DiagnosisRequest:
     choice
         How the records are read.
     named
-        Function that names a file in the results; copies have the names of their originals.
+        Function that names a file in the results, where copies have the names of their originals; None takes the path.
     """
 
     record: Path
@@ -76,7 +76,11 @@ class DiagnosisRequest:
     rig: Path | None = None
     clock: str | None = None
     choice: ReadingOptions | None = None
-    named: Callable[[Path], str] = str
+    named: Callable[[Path], str] | None = None
+
+    def name_of(self, path: Path) -> str:
+        """Return the name of a file in the results."""
+        return str(path) if self.named is None else self.named(path)
 
 
 @dataclass(frozen=True)
@@ -210,11 +214,11 @@ def write_results(
     extra = described(ready, revision, began)
     files = {"record": request.record, "twin": request.twin, "healthy record": ready.healthy_file}
     files |= {f"later record {number}": path for number, path in enumerate(request.more, start=1)}
-    extra["provenance"] = provenance(files, record_sha256(request.record), _options(ready), request.named)
+    extra["provenance"] = provenance(files, record_sha256(request.record), _options(ready), request.name_of)
     drawn = None
     if page:
         drawn = write(found, ready.network.sensor_names, folder, extra)
-        extra["page"] = request.named(drawn)
+        extra["page"] = request.name_of(drawn)
     else:
         write_data(found, ready.network.sensor_names, folder, extra)
     proposal = write_proposal(found, ready.twin, request.record, folder)
@@ -239,7 +243,7 @@ def _options(ready: PreparedDiagnosis) -> list[str]:
 
 def described(ready: PreparedDiagnosis, revision: Path | None, began: float) -> dict[str, object]:
     """Return the files of a diagnosis and its duration, for its document."""
-    healthy, named = ready.healthy_file, ready.request.named
+    healthy, named = ready.healthy_file, ready.request.name_of
     return {
         "record": named(ready.request.record),
         "twin": named(ready.request.twin),

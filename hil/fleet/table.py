@@ -83,4 +83,4 @@ def show_table(to: Console, jobs: Sequence[Job], results: dict[str, dict[str, An
     said = ", ".join(f"{counts[status]} {status}" for status in ("done", "failed", LEFT) if counts[status])
     verdicts = Counter(row["verdict"] for row in rows if row.get("verdict"))
     told = "; verdicts: " + ", ".join(f"{count} {name}" for name, count in verdicts.most_common()) if verdicts else ""
-    to.print(f"{len(rows)} jobs: {said}{told}", markup=False, soft_wrap=True)
+    to.print(f"jobs: {said}{told}", markup=False, soft_wrap=True)
