@@ -54,6 +54,8 @@ def exit_code(error: BaseException) -> int | None:
         "StreamError",
         "AlarmError",
         "PanelError",
+        "FleetError",
+        "ExecutorOptionError",
     }:
         return USAGE
     if names & {
@@ -64,6 +66,8 @@ def exit_code(error: BaseException) -> int | None:
         "TowerOutputError",
         "StoreDownError",
         "NotSentError",
+        "ExecutorError",
+        "FleetFolderError",
     }:
         return FOUND
     return None

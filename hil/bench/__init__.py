@@ -23,6 +23,7 @@ BENCHMARKS = {
     "wire": "Mutated Modbus replies and CAN frames: no wrong value is accepted as good",
     "files": "Mutated files of every kind: each is read, or refused in a sentence that names it",
     "tower": "Calibrations of a cooling tower's outlet on a record: commissioned, persistence, regression, learned",
+    "fleet": "Diagnoses of many records on one worker and on two, and the cost of handing a job out",
     "records": "Public records of other rigs, with the published figures",
 }
 """Name -> one line; each is a subcommand of `hil bench`."""

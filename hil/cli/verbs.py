@@ -26,6 +26,7 @@ VERBS = {
     "diagnose": "Trace the error of a twin to the effect that it lacks",
     "explain": "Run the experiments that settle an ambiguous diagnosis",
     "export": "Write a run as CSV, Parquet, MF4, HDF5, TDMS; a twin as FMU",
+    "fleet": "Diagnose, track, train or bench over many rigs, on workers",
     "init": "Write a rig file from options, a register table, Telegraf, DBC ...",
     "ls": "List runs: verdict, end, rig, duration, tags",
     "note": "Add a note or labels to a run, also while it goes on",
@@ -61,7 +62,7 @@ PACKAGES = {
         "test",
     ),
     "hil.cli.tower_commands": ("tower",),
-    "hil.cli.twin_commands": ("commission", "diagnose", "explain", "track", "train", "twin"),
+    "hil.cli.twin_commands": ("commission", "diagnose", "explain", "fleet", "track", "train", "twin"),
 }
 """Package -> verbs, each with a module of its name."""
 _HOME = {verb: package for package, verbs in PACKAGES.items() for verb in verbs}

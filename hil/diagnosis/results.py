@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,10 @@ from twin.discovery import Diagnosis
 
 
 def provenance(
-    files: dict[str, Path | None], samples_sha256: str | None, options: Sequence[str] = ()
+    files: dict[str, Path | None],
+    samples_sha256: str | None,
+    options: Sequence[str] = (),
+    named: Callable[[Path], str] = str,
 ) -> dict[str, object]:
     """Return the hash of each file, versions, host and time.
 
@@ -29,10 +32,12 @@ def provenance(
         Digest of the samples that were diagnosed (`hil.journal.samples_sha256`); None for a record of other origin.
     options
         Options of the command that change what the diagnosis can find.
+    named
+        Function that returns the path of a file in the document.
     """
     return {
         "files": {
-            name: {"path": str(path), "sha256": file_sha256(path)} for name, path in files.items() if path is not None
+            name: {"path": named(path), "sha256": file_sha256(path)} for name, path in files.items() if path is not None
         },
         "samples_sha256": samples_sha256,
         "options": list(options),
@@ -53,11 +58,16 @@ def write(diagnosis: Diagnosis, sensors: tuple[str, ...], out: Path, extra: dict
     """
     from hil.diagnosis.page import write_page
 
+    write_data(diagnosis, sensors, out, extra)
+    return write_page(out)
+
+
+def write_data(diagnosis: Diagnosis, sensors: tuple[str, ...], out: Path, extra: dict[str, object]) -> None:
+    """Write document and curves as `write` does, without the page."""
     _keep_other(out, _twin_of(extra))
     out.mkdir(parents=True, exist_ok=True)
     write_document({**diagnosis.document(), **extra}, out)
     write_curves(curves_of(diagnosis, sensors), out / CURVES)
-    return write_page(out)
 
 
 def _keep_other(folder: Path, twin: str | None) -> None:

@@ -19,7 +19,7 @@ from hil.diagnosis.columns import (
 )
 from hil.diagnosis.experiment_file import limits_of, write_experiment
 from hil.diagnosis.healthy_record import HealthyRecord, commissioned_on, is_other_record
-from hil.diagnosis.results import provenance, write
+from hil.diagnosis.results import provenance, write, write_data
 from hil.diagnosis.revision import revise, write_proposal
 from hil.journal import record_sha256
 from hil.record import ReadingOptions
@@ -63,6 +63,8 @@ class DiagnosisRequest:
         Time of day at 0 s of the record, like 08:00; None takes what the record says of it.
     choice
         How the records are read.
+    named
+        Function that names a file in the results, where copies have the names of their originals; None takes the path.
     """
 
     record: Path
@@ -74,6 +76,11 @@ class DiagnosisRequest:
     rig: Path | None = None
     clock: str | None = None
     choice: ReadingOptions | None = None
+    named: Callable[[Path], str] | None = None
+
+    def name_of(self, path: Path) -> str:
+        """Return the name of a file in the results."""
+        return str(path) if self.named is None else self.named(path)
 
 
 @dataclass(frozen=True)
@@ -189,7 +196,7 @@ def depending_on_units(found: Diagnosis, network: Network, messages: Sequence[st
 
 
 def write_results(
-    ready: PreparedDiagnosis, found: Diagnosis, folder: Path, *, empirical: bool, began: float
+    ready: PreparedDiagnosis, found: Diagnosis, folder: Path, *, empirical: bool, began: float, page: bool = True
 ) -> tuple[Written, dict[str, object]]:
     """Save the revision and write document, page, proposal and next experiment; return them and the document's extra.
 
@@ -199,17 +206,23 @@ def write_results(
         Adopt the curve that is offered where nothing explains the record.
     began
         `time.monotonic()` at the start, s.
+    page
+        False leaves the page with its figures out, which take a third of the time.
     """
     request = ready.request
     revision = revise(found, ready.twin, request.twin, request.record, empirical=empirical)
     extra = described(ready, revision, began)
     files = {"record": request.record, "twin": request.twin, "healthy record": ready.healthy_file}
     files |= {f"later record {number}": path for number, path in enumerate(request.more, start=1)}
-    extra["provenance"] = provenance(files, record_sha256(request.record), _options(ready))
-    page = write(found, ready.network.sensor_names, folder, extra)
-    extra["page"] = str(page)
+    extra["provenance"] = provenance(files, record_sha256(request.record), _options(ready), request.name_of)
+    drawn = None
+    if page:
+        drawn = write(found, ready.network.sensor_names, folder, extra)
+        extra["page"] = request.name_of(drawn)
+    else:
+        write_data(found, ready.network.sensor_names, folder, extra)
     proposal = write_proposal(found, ready.twin, request.record, folder)
-    return Written(page, revision, write_experiment(found, folder, request.rig), proposal), extra
+    return Written(drawn, revision, write_experiment(found, folder, request.rig), proposal), extra
 
 
 def _options(ready: PreparedDiagnosis) -> list[str]:
@@ -230,12 +243,12 @@ def _options(ready: PreparedDiagnosis) -> list[str]:
 
 def described(ready: PreparedDiagnosis, revision: Path | None, began: float) -> dict[str, object]:
     """Return the files of a diagnosis and its duration, for its document."""
-    healthy = ready.healthy_file
+    healthy, named = ready.healthy_file, ready.request.name_of
     return {
-        "record": str(ready.request.record),
-        "twin": str(ready.request.twin),
-        "revision": str(revision) if revision else None,
-        "healthy": str(healthy) if healthy else None,
+        "record": named(ready.request.record),
+        "twin": named(ready.request.twin),
+        "revision": named(revision) if revision else None,
+        "healthy": named(healthy) if healthy else None,
         "seconds": round(time.monotonic() - began, 2),
     }
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     )
     from hil.tracking.child_process import Child
     from hil.tracking.process import Tracking, TrackingError
+    from hil.tracking.record_replay import Replay, replay, write_predictions
     from hil.tracking.results import Results
     from hil.tracking.twins import (
         DEFAULT,
@@ -48,6 +49,7 @@ __all__ = [
     "ErrorTable",
     "NetworkMode",
     "Proposed",
+    "Replay",
     "Results",
     "Tracking",
     "TrackingConfig",
@@ -60,9 +62,11 @@ __all__ = [
     "disturbance",
     "offset_text",
     "parameter_cell",
+    "replay",
     "too_coarse",
     "window_kind",
     "window_words",
+    "write_predictions",
 ]
 
 __getattr__, __dir__ = lazy_names(
@@ -83,6 +87,7 @@ __getattr__, __dir__ = lazy_names(
             "Tracking",
             "TrackingError",
         ),
+        "record_replay": ("Replay", "replay", "write_predictions"),
         "results": ("Results",),
         "twins": (
             "Comparison",

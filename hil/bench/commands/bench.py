@@ -8,6 +8,7 @@ import click
 
 from hil.bench import BENCHMARKS
 from hil.bench.commands.blind import ablations_command, again_command, discovery_command, hiera_command
+from hil.bench.commands.fleet import fleet_command
 from hil.bench.commands.rig import bus_command, faults_command, files_command, loop_command, wire_command
 from hil.bench.commands.tower import tower_command
 from hil.bench.commands.twin import fit_command, paper_command, records_command, structure_command, twin_command
@@ -56,5 +57,6 @@ for _bench in (
     bus_command,
     wire_command,
     files_command,
+    fleet_command,
 ):
     command.add_command(_bench)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from hil.bench.commands.output import JSON, OUT, QUICK, SEED, finish
+from hil.cli.options import on_workers
 
 QUICK_CASES = (6, 2)
 """Cases with an effect and healthy ones of a trial run: one of each family for development."""
@@ -19,7 +21,10 @@ QUICK_CASES = (6, 2)
 @click.option("--open-sealed", is_flag=True, help="Confirm that the sealed families are opened; the ledger notes it.")
 @click.option("--cases", default=40, show_default=True, help="Number of records with a hidden effect.")
 @click.option("--healthy", default=10, show_default=True, help="Number of records without one.")
-@click.option("--jobs", type=click.IntRange(1, 64), default=1, show_default=True, help="Cases at a time.")
+@click.option(
+    "--jobs", type=click.IntRange(1, 1024), help="Cases at a time.  [default: 1; on a scheduler: one for each worker]"
+)
+@on_workers
 @click.option(
     "--work",
     type=click.Path(file_okay=False, path_type=Path),
@@ -36,7 +41,8 @@ def zoo_command(
     open_sealed: bool,
     cases: int,
     healthy: int,
-    jobs: int,
+    jobs: int | None,
+    place: dict[str, Any],
     work: Path,
     quick: bool,
     seed: int,
@@ -49,16 +55,28 @@ def zoo_command(
     Example:
       hil bench zoo --quick
       hil bench zoo --families dev --cases 40 --healthy 10 --jobs 2 --out docs/results
+      hil bench zoo --on tcp://10.0.0.5:8786
     """
     if families == "sealed" and not open_sealed:
         raise click.UsageError(
             "the sealed families are kept for one published figure; add --open-sealed to open them for it"
         )
     from hil.bench.zoo import tables, trial
+    from hil.executor import LOCAL, SERIAL, ExecutorOptions
     from hil.run.session import ProgressBar
 
     if quick:
         cases, healthy = QUICK_CASES
     with ProgressBar("diagnosing", 1.0, quiet=as_json) as steps:
+<<<<<<< HEAD
         done = trial.measure(families, cases, healthy, seed, jobs, work, steps.update)
     finish("zoo_dev" if families == "dev" else "zoo", seed, tables.tables(done, families), (), out, as_json)
+=======
+        if place["on"] == LOCAL:
+            jobs = jobs or 1
+            place = {**place, "on": SERIAL if jobs == 1 else LOCAL}
+        options = ExecutorOptions(workers=jobs or 1, **place)
+        done = trial.measure(trial.TrialSize(families, cases, healthy, seed), jobs, work, options, steps.update)
+    name = "zoo_dev" if families == "dev" else "zoo"
+    finish(name, seed, tables.tables(done, families), (), out, as_json)
+>>>>>>> fleet

@@ -51,7 +51,8 @@ MEASURED: dict[str, dict[str, tuple[str, ...]]] = {
         "discovery_records": (*_DISCOVERY, "hil/bench/experiments"),
     },
     "again": {"discovery_again": (*_DISCOVERY, *_VIRTUAL)},
-    "zoo": dict.fromkeys(("zoo_dev", "zoo"), (*_DISCOVERY, "hil/bench/zoo")),
+    "zoo": dict.fromkeys(("zoo_dev", "zoo"), (*_DISCOVERY, "hil/bench/zoo", "hil/executor")),
+    "fleet": {"fleet": (*_DISCOVERY, "hil/bench/fleet.py", "hil/executor", "hil/fleet")},
     "faults": {
         **dict.fromkeys(("faults", "faults_pairs"), (*_LOOP, "hil/bench/faults", "hil/guardian")),
         "chaos": (*_LOOP, "hil/bench/chaos", "hil/bench/faults", "hil/guardian"),

@@ -1,8 +1,8 @@
 """Blind trial over the zoo: cases are made, answered and opened under the seals of `hil.bench.discovery`.
 
 Per case the injector (a process) makes and seals; the answerer (another) gets record, healthy record and twin, and
-nothing else; the hash of its answer goes into the ledger; then the truth is opened and scored. Finished cases are kept,
-so that a trial can be taken up again.
+nothing else; the hash of its answer goes into the ledger; then the truth is opened and scored. Both are tasks of an
+executor (`hil.executor`). Finished cases are kept, so that a trial can be taken up again.
 """
 
 from __future__ import annotations
@@ -12,106 +12,99 @@ import json
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any
 
-from hil.bench.discovery import PROJECT, Ledger, Worker, WorkerError, no_answer, opened, sha256_of, sources
+from hil.bench.discovery import PROJECT, Ledger, WorkerError, no_answer, opened, sha256_of, sources
+from hil.bench.zoo import sides
 from hil.bench.zoo.effects import EFFECTS, NoSuchPlaceError
 from hil.bench.zoo.plan import Planned, plan
 from hil.bench.zoo.plants import SEALED, START_H
 from hil.bench.zoo.score import ZooScore, judge
+from hil.executor import Executor, ExecutorOptions, Task, WorkerLostError
+from hil.executor import opened as opened_executor
 from hil.files import replacing
+
+ATTEMPTS = 3
+"""Most starts of a side whose worker is lost."""
 
 
 class ZooTrial:
-    """Trial that runs cases in the folder `work`; `jobs` pairs of workers."""
+    """Trial that runs cases in the folder `work` on an executor."""
 
-    def __init__(self, which: str, seed: int, work: Path, jobs: int = 1) -> None:
+    def __init__(self, which: str, seed: int, work: Path, executor: Executor) -> None:
         zoo = sources(PROJECT / "hil" / "bench" / "zoo", [])
         base = work / f"{which}-seed{seed}-zoo{zoo}" / f"engine{sources(PROJECT / 'twin', [])}"
         self._base, self._sealed, self._open = base, base / "sealed", base / "open"
         for folder in (self._sealed, self._open):
             folder.mkdir(parents=True, exist_ok=True)
-        self._ledger, self._lock = Ledger(base / "ledger.jsonl"), threading.Lock()
-        self._pairs: SimpleQueue[tuple[Worker, Worker]] = SimpleQueue()
-        self._workers: list[Worker] = []
-        for _ in range(jobs):
-            pair = (Worker("hil.bench.zoo.injector", str(self._sealed)), Worker("hil.bench.discovery.answerer"))
-            self._workers += pair
-            self._pairs.put(pair)
+        self._ledger, self._lock, self._executor = Ledger(base / "ledger.jsonl"), threading.Lock(), executor
         if which == "sealed":
             self._ledger.note("opened families", ", ".join(SEALED))
-
-    def close(self) -> None:
-        """End the workers."""
-        for worker in self._workers:
-            worker.close()
 
     def run(self, case: Planned) -> ZooScore:
         """Run one case, unless it is finished already."""
         kept = self._base / f"{case.name}.json"
         if kept.is_file():
             return ZooScore(**json.loads(kept.read_text(encoding="utf-8"))["score"])
-        injector, answerer = pair = self._pairs.get()
-        try:
-            done, answer = self._run(case, injector, answerer)
-        finally:
-            self._pairs.put(pair)
+        done, answer = self._run(case)
         with replacing(kept) as unfinished:
             text = json.dumps({"score": dataclasses.asdict(done), "answer": answer}, indent=1)
             unfinished.write_text(text + "\n", encoding="utf-8")
         return done
 
-    def _run(self, case: Planned, injector: Worker, answerer: Worker) -> tuple[ZooScore, dict[str, Any]]:
+    def _run(self, case: Planned) -> tuple[ZooScore, dict[str, Any]]:
         folder = self._open / case.name
         folder.mkdir(parents=True, exist_ok=True)
-        try:
-            made = _made(injector, case, folder)
-            self._write(case.name, "sealed", made["sealed"])
-            given = {
-                "record": made["record"],
-                "twin": made["twin"],
-                "healthy": made["healthy"],
-                "hour": START_H,
-            }
+        made = self._made(case)
+        truth, twin, path = self._sealed / f"{case.name}.json", folder / "twin.toml", folder / "diagnosis.json"
+        truth.write_bytes(made["truth"])
+        twin.write_bytes(made["twin"])
+        self._write(case.name, "sealed", made["sealed"])
+        found = self._call(sides.answer, {**{role: made[role] for role in sides.GIVEN}, "hour": START_H}, case.name)
+        if "error" in found:
+            path.write_text(json.dumps(no_answer(found["error"])), encoding="utf-8")
+        else:
+            path.write_bytes(found["answer"])
+        self._write(case.name, "answered", sha256_of(path))
+        self._write(case.name, "opened", sha256_of(truth))
+        answer = json.loads(path.read_text(encoding="utf-8"))
+        times = {"diagnose_cpu_s": found.get("cpu_s", float("nan")), "make_cpu_s": made["cpu_s"]}
+        return judge(case.name, opened(truth), answer, healthy_K=_healthy_floor(twin), **times), answer
+
+    def _made(self, case: Planned) -> dict[str, Any]:
+        """Return the injector's files; an effect without a place in the plant gives way to the next one in the list."""
+        names = [e.name for e in EFFECTS if case.sealed or not e.reserved]
+        first = names.index(case.effect) if case.effect is not None else 0
+        for k in range(len(names)):
+            effect = None if case.effect is None else names[(first + k) % len(names)]
+            asked = {"family": case.family, "seed": case.seed, "effect": effect, "open_sealed": case.sealed}
+            made = self._call(sides.make, {**asked, "name": case.name}, case.name)
+            if "error" not in made:
+                return made
+            if NoSuchPlaceError.__name__ not in made["error"]:
+                raise WorkerError(made["error"])
+        raise WorkerError(f"no effect fits {case.family}")
+
+    def _call(self, side: Task, given: dict[str, Any], label: str) -> dict[str, Any]:
+        """Return the answer of a side; one whose worker is lost starts again."""
+        for attempt in range(1, ATTEMPTS + 1):
             try:
-                handed_in = answerer.ask(**given, out=str(folder))
-                path, took = Path(handed_in["answer"]), float(handed_in["cpu_s"])
-            except WorkerError as error:
-                path, took = folder / "diagnosis.json", float("nan")
-                path.write_text(json.dumps(no_answer(str(error))), encoding="utf-8")
-            self._write(case.name, "answered", sha256_of(path))
-            truth = self._sealed / f"{case.name}.json"
-            self._write(case.name, "opened", sha256_of(truth))
-            answer = json.loads(path.read_text(encoding="utf-8"))
-            floor = _healthy_floor(Path(made["twin"]))
-            done = judge(
-                case.name, opened(truth), answer, healthy_K=floor, diagnose_cpu_s=took, make_cpu_s=made["cpu_s"]
-            )
-            return done, answer
-        finally:
-            for path in folder.glob("*.parquet"):
-                path.unlink()
+                found = self._executor.submit(side, given, label).result()
+            except WorkerLostError:
+                if attempt == ATTEMPTS:
+                    raise
+                continue
+            if found.failure is not None:
+                raise WorkerError(found.failure.sentence)
+            value: dict[str, Any] = found.value
+            return value
+        raise AssertionError
 
     def _write(self, case: str, event: str, sha256: str) -> None:
         with self._lock:
             self._ledger.write(case, event, sha256)
-
-
-def _made(injector: Worker, case: Planned, folder: Path) -> dict[str, Any]:
-    """Return the injector's files; an effect without a place in the plant gives way to the next one in the list."""
-    names = [e.name for e in EFFECTS if case.sealed or not e.reserved]
-    first = names.index(case.effect) if case.effect is not None else 0
-    for k in range(len(names)):
-        effect = None if case.effect is None else names[(first + k) % len(names)]
-        asked = {"family": case.family, "seed": case.seed, "effect": effect, "open_sealed": case.sealed}
-        try:
-            return injector.ask(**asked, name=case.name, folder=str(folder))
-        except WorkerError as error:
-            if NoSuchPlaceError.__name__ not in str(error):
-                raise
-    raise WorkerError(f"no effect fits {case.family}")
 
 
 def _healthy_floor(twin: Path) -> float | None:
@@ -122,31 +115,53 @@ def _healthy_floor(twin: Path) -> float | None:
     return (sum(e * e for e in errors.values()) / len(errors)) ** 0.5 if errors else None
 
 
+@dataclass(frozen=True, slots=True)
+class TrialSize:
+    """Size of a trial: half of the families, numbers of cases with an effect and healthy ones, seed."""
+
+    which: str
+    cases: int
+    healthy: int
+    seed: int
+
+
 def measure(
-    which: str,
-    cases: int,
-    healthy: int,
-    seed: int,
-    jobs: int,
-    work: Path,
-    progress: Callable[[float, str], None],
+    size: TrialSize, jobs: int | None, work: Path, place: ExecutorOptions, progress: Callable[[float, str], None]
 ) -> list[ZooScore]:
-    """Run a trial. `progress` is called with the share done and the last result."""
-    trial = ZooTrial(which, seed, work, jobs)
-    planned = plan(which, cases, healthy, seed)
+    """Run a trial.
+
+    Parameters
+    ----------
+    size
+        Which cases.
+    jobs
+        Cases at a time; None takes as many as workers are connected.
+    work
+        Folder for finished cases.
+    place
+        Workers.
+    progress
+        Called with the share done and the last result.
+
+    Raises
+    ------
+    ExecutorError
+        The workers cannot be used.
+    """
+    planned = plan(size.which, size.cases, size.healthy, size.seed)
     finished = 0
     lock = threading.Lock()
 
-    def run(case: Planned) -> ZooScore:
-        nonlocal finished
-        done = trial.run(case)
-        with lock:
-            finished += 1
-            progress(finished / len(planned), f"{done.case}: {done.outcome}")
-        return done
+    with opened_executor(place, lambda message: None) as executor:
+        trial = ZooTrial(size.which, size.seed, work, executor)
 
-    try:
-        with ThreadPoolExecutor(jobs) as pool:
+        def run(case: Planned) -> ZooScore:
+            nonlocal finished
+            done = trial.run(case)
+            with lock:
+                finished += 1
+                progress(finished / len(planned), f"{done.case}: {done.outcome}")
+            return done
+
+        with ThreadPoolExecutor(jobs or max(executor.slots(), 1)) as pool:
             return list(pool.map(run, planned))
-    finally:
-        trial.close()

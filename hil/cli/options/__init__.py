@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from hil.cli.options.record_reading import reading, reading_tables
     from hil.cli.options.subject import record_of, subject_of
     from hil.cli.options.tracking import CALIBRATORS, NETWORK, NETWORK_MODE
+    from hil.cli.options.workers import on_workers
 
 __all__ = [
     "CALIBRATORS",
@@ -33,6 +34,7 @@ __all__ = [
     "ask",
     "explained_extras",
     "label_options",
+    "on_workers",
     "owns_process",
     "reading",
     "reading_tables",
@@ -68,5 +70,6 @@ __getattr__, __dir__ = lazy_names(
             "NETWORK",
             "NETWORK_MODE",
         ),
+        "workers": ("on_workers",),
     },
 )

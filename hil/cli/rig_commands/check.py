@@ -181,7 +181,7 @@ def _checker(file: Path, rig: Path) -> Callable[[Path, Path, Console], None]:
         if not keys:
             raise ConfigurationError(
                 f"{file}: holds no key; a rig file has [rig], a twin [elements.NAME], an effects file [[effect]], a "
-                "scenario [[system]], a test plan [[limit]]"
+                "scenario [[system]], a test plan [[limit]], a fleet file [[job]]"
             )
         for key, checker in _CHECKERS.items():
             if key in keys:
@@ -374,6 +374,17 @@ def _test_plan(file: Path, rig: Path, out: Console) -> None:
     out.print(f"{file}: {len(plan.limits)} limits, {fits}; no mistakes found", style="green")
 
 
+def _fleet(file: Path, _: Path, out: Console) -> None:
+    from collections import Counter
+
+    from hil.fleet import jobs_of, read_fleet
+
+    counts = Counter(job.kind for job in jobs_of(read_fleet(file)))
+    for kind, count in counts.items():
+        out.print(f"  {kind}: {count} job{'s' if count > 1 else ''}", markup=False)
+    out.print(f"{file}: {counts.total()} jobs; no mistakes found", style="green")
+
+
 def _profile(file: Path, rig: Path, out: Console) -> None:
     from drivers.rig_file import load_rig
     from hil.profile import WINDOW_S, read_profile, validate
@@ -435,6 +446,7 @@ def _record(file: Path, choice: ReadingOptions | Path, out: Console) -> None:
 
 
 _CHECKERS: dict[str, Callable[[Path, Path, Console], None]] = {
+    "job": _fleet,
     "elements": _twin,
     "effect": _effects,
     "effects": _effects,
@@ -449,8 +461,8 @@ _CHECKERS: dict[str, Callable[[Path, Path, Console], None]] = {
 """Key at the top of a TOML file -> its checker; a file without any of them is a rig file."""
 
 _INFERRED: dict[Callable[[Path, Path, Console], None], str] = {
-    _rig: "a rig file, since it has no [elements] (twin), [[effect]] (effects file), [[system]] (scenario) or "
-    "[[limit]] (test plan)",
+    _rig: "a rig file, since it has no [elements] (twin), [[effect]] (effects file), [[system]] (scenario), "
+    "[[limit]] (test plan) or [[job]] (fleet file)",
     _profile: "a load profile, since no column is a temperature; a record has columns such as T_tank_C",
     _record: "a record, since it is Parquet or has a column that no load profile has, such as a temperature or a date",
 }

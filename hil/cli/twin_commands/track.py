@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,13 +11,8 @@ import click
 from hil.cli.options import CALIBRATORS, INPUT_FILE, INPUT_PATH, NETWORK, NETWORK_MODE, reading
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from hil.record import ReadingOptions, Record
     from hil.tracking import Adoption, NetworkMode, Proposed
-
-BLOCK_ROWS = 1200
 
 
 @click.command()
@@ -64,10 +58,10 @@ def command(
         Twins,
         adoption_manifest,
         closed_gates,
-        disturbance,
+        replay,
         too_coarse,
-        window_kind,
         window_words,
+        write_predictions,
     )
 
     if out is not None:
@@ -79,44 +73,22 @@ def command(
         require_output(out, RunFolderError, (subject.record, subject.twin))
     data = read_record(subject.record, choice=choice)
     twins = Twins(TrackingConfig(subject.twin, tuple(data.columns), names, seed, optional, card=card))
-    data.require(*twins.network.recorded_inputs)
     began = time.monotonic()
-    outputs: dict[str, list[NDArray[np.float64]]] = {}
-    windows: dict[str, dict[str, int]] = {name: {} for name in twins.calibrators}
-    disturbed: list[dict[str, object]] = []
-    proposals: list[Proposed] = []
     with ProgressBar("tracking", len(data.time_s), quiet=as_json) as steps:
         for name, why in twins.left_out.items():
             steps.print_line(f"{name} is left out: {why}")
         for message in (*data.messages, *(f"{c} is not in the record" for c in twins.network.unread(data.columns))):
             steps.print_line(message)
-        for done, block in twins.over(data.time_s, data.columns, BLOCK_ROWS):
-            for name, values in block.outputs.items():
-                outputs.setdefault(name, []).append(values)
-            for window in block.calibrations:
-                kind = window_kind(window.document)
-                windows[window.calibrator][kind] = windows[window.calibrator].get(kind, 0) + 1
-                if (found := disturbance(window.document)) is not None:
-                    disturbed.append({"calibrator": window.calibrator, "window_end_s": window.end_s, "found": found})
-            proposals += block.proposals
-            steps.update(done)
-    comparison = twins.comparison()
+        found = replay(twins, data, steps.update)
+    comparison, windows, proposals = found.comparison, found.windows, list(found.proposals)
     if out is not None:
-        _write_predictions(out, data.time_s, twins.network.sensor_names, outputs)
+        write_predictions(out, twins, data, found)
     advise = Advice(twins.network).news
     advice = [] if network_mode == "shadow" else [(p.time_s, said) for p in proposals if (said := advise(p))]
     adopted = _adopted(network_mode, subject.twin, data, proposals)
     if as_json:
         document = {
-            "errors_K": dataclasses.asdict(comparison.errors),
-            "bands": comparison.bands,
-            "parameters": comparison.parameters,
-            "left_out": twins.left_out,
-            "tuned": twins.tuning(),
-            "outdone": comparison.outdone,
-            "windows": windows,
-            "disturbed": disturbed,
-            "proposals": [p.document for p in proposals],
+            **found.document(twins),
             "advice": [said for _, said in advice],
             "adoption": adoption_manifest(adopted),
         }
@@ -135,7 +107,7 @@ def command(
         to.print(sentence, markup=False, soft_wrap=True)
     if proposals:
         to.print(closed_gates(proposals), markup=False, soft_wrap=True)
-    for item in (d for d in disturbed if d["calibrator"] == twins.calibrators[0]):
+    for item in (d for d in found.disturbed if d["calibrator"] == twins.calibrators[0]):
         to.print(f"{item['calibrator']}, window to {float(str(item['window_end_s'])) / 3600:.2f} h: {item['found']}")
     for time_s, said in advice:
         to.print(f"{time_s / 3600:.2f} h: {said}", markup=False, soft_wrap=True)
@@ -152,17 +124,3 @@ def _adopted(mode: NetworkMode, twin: Path, record: Record, proposals: list[Prop
         return None
     name = record.path.name if record.path is not None else "a record"
     return adopt(twin, record, proposals, f"hil track {name} --network-mode controlled")
-
-
-def _write_predictions(
-    out: Path, time_s: NDArray[np.float64], sensors: tuple[str, ...], outputs: dict[str, list[NDArray[np.float64]]]
-) -> None:
-    import numpy as np
-
-    from hil.record import Record, write_record
-
-    columns: dict[str, NDArray[np.float64]] = {}
-    for name, blocks in outputs.items():
-        values = np.concatenate(blocks)
-        columns |= {f"{sensor.removesuffix('_C')}_{name}_C": values[:, i] for i, sensor in enumerate(sensors)}
-    write_record(Record(time_s, columns), out)

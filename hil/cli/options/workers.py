@@ -1,0 +1,40 @@
+"""Options of the commands that run on several workers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+_TLS = {
+    "tls_ca": "Certificate of the authority of a tls:// scheduler, PEM.",
+    "tls_cert": "Own certificate for a tls:// scheduler, PEM.",
+    "tls_key": "Key of that certificate, PEM.",
+}
+
+
+def on_workers(command: Command) -> Command:
+    """Add `--on` and `--tls-*` to a command, as one argument `place`: the address and the three files."""
+
+    @wraps(command)
+    def with_place(*given: Any, on: str, **named: Any) -> Any:
+        files = {key: named.pop(key) for key in _TLS}
+        return command(*given, place={"on": on, **files}, **named)
+
+    made: Any = with_place
+    for key, text in reversed(_TLS.items()):
+        kind = click.Path(exists=True, dir_okay=False, path_type=Path)
+        made = click.option(f"--{key.replace('_', '-')}", key, type=kind, help=text)(made)
+    on = click.option(
+        "--on",
+        default="local",
+        show_default=True,
+        metavar="local|tcp://HOST:PORT",
+        help="Workers of this command, or those of a Dask scheduler, tcp:// or tls://.",
+    )
+    return on(made)
