@@ -68,10 +68,6 @@ def zoo_command(
     if quick:
         cases, healthy = QUICK_CASES
     with ProgressBar("diagnosing", 1.0, quiet=as_json) as steps:
-<<<<<<< HEAD
-        done = trial.measure(families, cases, healthy, seed, jobs, work, steps.update)
-    finish("zoo_dev" if families == "dev" else "zoo", seed, tables.tables(done, families), (), out, as_json)
-=======
         if place["on"] == LOCAL:
             jobs = jobs or 1
             place = {**place, "on": SERIAL if jobs == 1 else LOCAL}
@@ -79,4 +75,3 @@ def zoo_command(
         done = trial.measure(trial.TrialSize(families, cases, healthy, seed), jobs, work, options, steps.update)
     name = "zoo_dev" if families == "dev" else "zoo"
     finish(name, seed, tables.tables(done, families), (), out, as_json)
->>>>>>> fleet
