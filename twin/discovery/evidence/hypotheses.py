@@ -27,12 +27,15 @@ Place = tuple[str, bool]
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """Set of effects; `odds` is its log posterior odds against no effect, `fit` None while only its linear estimate is
-    known.
+    known, and `log_width` the prior cost of sizes beyond the usual width, which `log_bayes` contains.
     """
 
     entries: tuple[Entry, ...]
     log_prior: float
     log_bayes: float
+    quadratic: float
+    form_error: float
+    log_width: float
     fit: Fit | None = None
     settled: bool = False
     gained: float = 0.0

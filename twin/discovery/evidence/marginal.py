@@ -184,8 +184,9 @@ class Joint:
     Attributes:
         score_test: of the record. seen: (b * m, c) whitened signatures of all their columns.
         scale: (c,) prior standard deviations of the columns.
-        root: (c, c), root @ root' the inverse of I + S G S, at the likeliest share of form errors.
-        log_bayes: over no effect, averaged over the shares.
+        root: (c, c), root @ root' the inverse of I + S G S. form_error: its likeliest share.
+        log_bayes: over no effect, averaged over the shares. quadratic: twice the part of it that depends on the data.
+        log_width: prior cost of sizes beyond the usual width, which `log_bayes` contains.
         sizes: (e,) of the effects.
     """
 
@@ -193,7 +194,10 @@ class Joint:
     seen: Array
     scale: Array
     root: Array
+    form_error: float
     log_bayes: float
+    quadratic: float
+    log_width: float
     sizes: Array
 
     @cached_property
@@ -244,7 +248,7 @@ def joint(score_test: ScoreTest, entries: Sequence[Entry]) -> Joint:
         )
         prior = widths(typical, sizes)
     less = log_widths(candidates, sizes)
-    found: list[tuple[float, Array, Array, Array]] = []
+    found: list[tuple[float, float, Array, Array, Array]] = []
     for share in FORM_ERRORS:
         scale = np.concatenate([prior, np.repeat(share * np.abs(sizes), each)])
         values, axes = np.linalg.eigh(np.eye(len(scale)) + gram * np.outer(scale, scale))
@@ -258,10 +262,11 @@ def joint(score_test: ScoreTest, entries: Sequence[Entry]) -> Joint:
             _within(e.candidate, float(m), float(s), float(p))
             for e, m, s, p in zip(entries, mean, spread, prior, strict=False)
         )
-        found.append((log_bayes, scale, root, mean[:count]))
-    _, scale, root, mean = max(found, key=lambda f: f[0])
+        found.append((log_bayes, quadratic, scale, root, mean[:count]))
+    best = max(range(len(found)), key=lambda i: found[i][0])
+    log_bayes, quadratic, scale, root, mean = found[best]
     total = float(logsumexp([f[0] for f in found]) - np.log(len(found)))
-    return Joint(score_test, seen, scale, root, total, mean)
+    return Joint(score_test, seen, scale, root, FORM_ERRORS[best], total, quadratic, less, mean)
 
 
 def _within(candidate: Candidate, mean: float, sd: float, prior: float) -> float:
@@ -270,38 +275,14 @@ def _within(candidate: Candidate, mean: float, sd: float, prior: float) -> float
     return _log_mass((low - mean) / sd, (high - mean) / sd) - _log_mass(low / prior, high / prior)
 
 
-def log_bayes_of_fit(score_test: ScoreTest, entries: Sequence[Entry], won: float) -> float:
-    """Return log B of effects at their fit, in Laplace's approximation; form errors are integrated out there.
-
-    Args:
-        score_test: at the fit's residual.
-        won: fall of the squares by the fit.
-    """
-    count, candidates = len(entries), [e.candidate for e in entries]
-    sizes = np.array([e.size for e in entries])
-    prior = widths(np.array([c.typical for c in candidates]), sizes)
-    seen = _in_order([_seen(score_test, e.vector) for e in entries])
+def form_quadratic(score_test: ScoreTest, entries: Sequence[Entry], share: float) -> float:
+    """Return twice the data's part of the log likelihood that form errors of fitted effects gain at the current run."""
+    seen = np.concatenate([_seen(score_test, e.vector)[:, 1:] for e in entries], axis=1)
+    scale = np.repeat(share * np.abs([e.size for e in entries]), seen.shape[1] // len(entries))
     gram, score = score_test.across(seen), score_test.scores_of(seen)
-    own = gram[:count, :count]
-    spread = np.linalg.inv(own + np.diag(prior**-2.0))
-    log_bayes = 0.5 * (won - float(((sizes / prior) ** 2).sum())) - log_widths(candidates, sizes)
-    log_bayes -= 0.5 * float(np.linalg.slogdet(np.eye(count) + own * np.outer(prior, prior))[1])
-    log_bayes += sum(
-        _within(c, float(x), float(np.sqrt(v)), float(p))
-        for c, x, v, p in zip(candidates, sizes, np.diag(spread), prior, strict=True)
-    )
-    # What a form error explains is no size: the sizes move with it.
-    onto = spread @ gram[:count, count:]
-    apart = gram[count:, count:] - gram[count:, :count] @ onto
-    left = score[count:] - onto.T @ score[:count]
-    each = np.repeat(np.abs(sizes), len(left) // count)
-    values, axes = np.linalg.eigh(apart * np.outer(each, each))
-    values, pulls = np.maximum(values, 0.0), (axes.T @ (each * left)) ** 2
-    forms = [
-        0.5 * float((share**2 * pulls / (1.0 + share**2 * values)).sum() - np.log1p(share**2 * values).sum())
-        for share in FORM_ERRORS
-    ]
-    return log_bayes + float(logsumexp(forms)) - math.log(len(forms))
+    inner = np.eye(len(scale)) + gram * np.outer(scale, scale)
+    pull = scale * score
+    return float(pull @ np.linalg.solve(inner, pull))
 
 
 def _seen(score_test: ScoreTest, vector: Array) -> Array:

@@ -14,7 +14,7 @@ from twin.discovery.diagnosis import Rung
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import TIMED
 from twin.discovery.evidence.hypotheses import Class, Found, Hypothesis, Place, Prior, apart, class_of, place
-from twin.discovery.evidence.marginal import joint, log_bayes_of_fit
+from twin.discovery.evidence.marginal import form_quadratic, joint, log_widths, widths
 from twin.discovery.evidence.part import Part, continued, fitted, gains, slower
 from twin.discovery.evidence.priors import CLAIM, FAULT, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, refined, scan
@@ -129,7 +129,7 @@ def _set(part: Part, entries: tuple[Entry, ...], prior: Prior) -> Hypothesis:
     sized = tuple(replace(e, size=float(s)) for e, s in zip(entries, together.sizes, strict=True))
     log_bayes = together.log_bayes + sum(e.log_occam for e in entries)
     log_prior = sum(prior.of(e) for e in entries)
-    return Hypothesis(sized, log_prior, log_bayes)
+    return Hypothesis(sized, log_prior, log_bayes, together.quadratic, together.form_error, together.log_width)
 
 
 def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[CandidateLaw]) -> list[Hypothesis]:
@@ -232,9 +232,21 @@ def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
     own = copy.copy(part.score_test)
     own.take(fit.residual, fit.moved)
     entries = tuple(e.refreshed(own) for e in fit.entries)
-    log_bayes = log_bayes_of_fit(own, entries, misfit - fit.total) + sum(e.log_occam for e in entries)
-    gained = h.gained + log_bayes - h.log_bayes
-    return replace(h, entries=fit.entries, fit=fit, log_bayes=log_bayes, gained=gained)
+    sizes = np.array([e.size for e in entries])
+    unusual = float(((sizes / widths(np.array([e.candidate.typical for e in entries]), sizes)) ** 2).sum())
+    quadratic = misfit - fit.total - unusual + form_quadratic(own, entries, h.form_error)
+    # A wider prior costs its width twice: as a rarer order, and as a lower density within it.
+    larger = log_widths([e.candidate for e in entries], sizes) - h.log_width
+    won = 0.5 * (quadratic - h.quadratic) - 2.0 * larger
+    return replace(
+        h,
+        entries=fit.entries,
+        fit=fit,
+        quadratic=quadratic,
+        log_bayes=h.log_bayes + won,
+        log_width=h.log_width + larger,
+        gained=h.gained + won,
+    )
 
 
 def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
