@@ -29,8 +29,8 @@ from hil.tracking import Child
 if TYPE_CHECKING:
     from twin.discovery import Columns, Diagnosis
 
-SURE = 0.9
-"""Least confidence of every effect for an adoption."""
+SURE = 0.8
+"""Least confidence of every effect for an adoption; 0.9 is the highest, since one fault in ten is of no listed law."""
 WORSE = 1.02
 """Largest ratio of a sensor's held-out error with the effects to that of the re-tuned twin: room for noise alone."""
 LEAST_INTERVAL_S = 60.0

@@ -97,7 +97,7 @@ def error(before: float, after: float) -> SensorError:
     ("verdict", "confidence", "errors", "why"),
     [
         ("effect found", 0.95, {"a": error(1.0, 0.06), "b": error(1.0, 0.06)}, None),
-        ("effect found", 0.85, {"a": error(1.0, 0.06)}, "confidence is 0.85"),
+        ("effect found", 0.75, {"a": error(1.0, 0.06)}, "confidence is 0.75"),
         ("ambiguous", 0.95, {"a": error(1.0, 0.06)}, "verdict is ambiguous"),
         ("unexplained", 0.95, {"a": error(1.0, 0.06)}, "verdict is unexplained"),
         ("effect found", 0.95, {"a": error(1.0, 0.06), "b": error(0.5, 0.6)}, "b is worse"),

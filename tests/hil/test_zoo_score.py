@@ -209,3 +209,19 @@ def test_a_case_has_a_fitted_twin_and_an_effect_of_the_wanted_score_or_the_large
     change = (case.record.measured - healthy.record.measured)[:, column]
     assert change[after] == pytest.approx(truth["size"])
     assert np.abs(change[~after]).max(initial=0.0) < 1e-9
+
+
+def test_reliability_sets_stated_confidences_beside_the_share_of_right_names() -> None:
+    def named(confidence: float, right: bool) -> score.ZooScore:
+        found = answer("effect found", (effect("heat_source", "tank", "pump_speed") | {"confidence": confidence},))
+        return score.judge("case_0", truth(PUMP_HEAT if right else ANY_LOSS), found)
+
+    sure = [named(0.9, k < 18) for k in range(24)]
+    unsure = [named(0.4, k < 6) for k in range(12)]
+    silent = [score.judge("case_1", truth(PUMP_HEAT), answer("unexplained"))] * 5
+    table = next(t for t in tables([*sure, *silent, *unsure], "dev") if t.key == "reliability")
+    assert [row[1] for row in table.rows] == [12, 12, 12]
+    assert table.rows[0][2:4] == (pytest.approx(0.4), 0.5)
+    assert [row[3] for row in table.rows] == [0.5, 1.0, 0.5]
+    # A third of the effects each, with differences of 0.1, 0.1 and 0.4.
+    assert "calibration error 0.200" in table.notes[0]

@@ -46,6 +46,10 @@ class ZooScore:
         RMSE of the commissioned twin on the held-out part of the healthy record: the floor of this plant.
     diagnose_cpu_s, make_cpu_s
         Processor seconds.
+    load, rows
+        Kind of schedule, and samples of the record.
+    confidence
+        Confidence of the first effect named; None without one.
     """
 
     case: str
@@ -68,6 +72,7 @@ class ZooScore:
     make_cpu_s: float
     load: str = ""
     rows: int = 0
+    confidence: float | None = None
 
 
 def judge(
@@ -114,7 +119,12 @@ def judge(
         make_cpu_s=make_cpu_s,
         load=str(truth.get("schedule", {}).get("kind", "")),
         rows=int(truth.get("rows", 0)),
+        confidence=_number(effects[0].get("confidence")) if named else None,
     )
+
+
+def _number(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
 def _outcome(

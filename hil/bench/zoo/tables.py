@@ -12,6 +12,8 @@ from hil.bench.zoo.score import ABSTAINED, ALIKE, CRASHED, FALSE_ALARM, MISSED, 
 EDGES = (0.0, 3.0, 10.0, 30.0, 100.0, 300.0, math.inf)
 SEEN = 10.0
 """True score from which an effect counts as one that a record shows."""
+BIN = 12
+"""Named effects in a bin of the reliability table: its 90 % interval is then some 0.2 on each side."""
 UNKNOWN = "-"
 """Band of a case without an answer, whose true score is not known."""
 OUTCOMES = (RIGHT, ALIKE, ABSTAINED, MISSED, WRONG, CRASHED)
@@ -30,6 +32,7 @@ def tables(done: Sequence[ZooScore], which: str) -> tuple[ReportTable, ...]:
             _by("element", "By catalogue", hidden, lambda s: "element" if s.element else "no element", "effect is"),
             _by("family", "By family", hidden, lambda s: s.family, "family"),
             _by("load", "By schedule", hidden, lambda s: s.load, "schedule"),
+            _reliability(done),
             _numbers(done, hidden, quiet),
             _cases(done),
         )
@@ -108,6 +111,27 @@ def _by(key: str, title: str, hidden: Sequence[ZooScore], of: Callable[[ZooScore
             )
         )
     return ReportTable(key, title, (name, "cases", *OUTCOMES, "spurious second"), tuple(rows))
+
+
+def _reliability(done: Sequence[ZooScore]) -> ReportTable:
+    """Return the reliability of stated confidences: bins with as many effects each, and the calibration error.
+
+    The calibration error is the mean over all effects of the difference in their bin (Guo et al., ICML 2017, eq. 3).
+    """
+    told = [(s.confidence, s.outcome == RIGHT) for s in done if s.confidence is not None]
+    told.sort(key=lambda one: one[0])
+    count = max(round(len(told) / BIN), 1) if told else 0
+    rows: list[tuple[Cell, ...]] = []
+    error = 0.0
+    for k in range(count):
+        part = told[k * len(told) // count : (k + 1) * len(told) // count]
+        stated, hits = sum(c for c, _ in part) / len(part), sum(right for _, right in part)
+        low, high = wilson(hits, len(part))
+        rows.append((f"{part[0][0]:.3f} to {part[-1][0]:.3f}", len(part), stated, hits / len(part), low, high))
+        error += abs(stated - hits / len(part)) * len(part) / len(told)
+    columns = ("confidence", "named", "stated, mean", "right", "90 % from", "to")
+    note = f"first effect named, also on healthy records; expected calibration error {error:.3f}"
+    return ReportTable("reliability", "Reliability of the confidence", columns, tuple(rows), (note,))
 
 
 def _numbers(done: Sequence[ZooScore], hidden: Sequence[ZooScore], quiet: Sequence[ZooScore]) -> ReportTable:

@@ -5,6 +5,8 @@ excluded.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,11 +15,13 @@ from twin.discovery.diagnosis import Alternative, Effect, Verdict
 from twin.discovery.effects.ambiguity_groups import EffectLabel
 from twin.discovery.effects.phrases import interval
 from twin.discovery.evidence.finding import Finding, Ranked
-from twin.discovery.evidence.priors import SURE
+from twin.discovery.evidence.priors import SURE, UNLISTED
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.equivalence import instead, remaining
 from twin.discovery.scoring.search import Entry, able_to_begin
 from twin.gauss_newton import SE90
+
+Explained = TypeVar("Explained", Effect, Alternative)
 
 
 def isolated_effects(finding: Finding, grid: Grid) -> tuple[Verdict, tuple[Effect, ...]]:
@@ -32,6 +36,15 @@ def isolated_effects(finding: Finding, grid: Grid) -> tuple[Verdict, tuple[Effec
     told_apart = min(log_bayes_lead(e, finding.ranked) for e in finding.entries) >= math.log(SURE / (1.0 - SURE))
     verdict: Verdict = "effect found" if min(sure) >= SURE and told_apart else "ambiguous"
     return verdict, tuple(_effect(e, finding, s, grid) for e, s in zip(finding.fit.entries, sure, strict=True))
+
+
+def of_listed_laws(explanations: tuple[Explained, ...]) -> tuple[Explained, ...]:
+    """Return effects or alternatives with confidences that leave the share `UNLISTED` for causes of no listed law.
+
+    Shares of the explanations that were compared take it for certain that one of them is true. A cause that no law
+    describes may still resemble one closely.
+    """
+    return tuple(replace(each, confidence=(1.0 - UNLISTED) * each.confidence) for each in explanations)
 
 
 def posterior_share(entry: Entry, ranked: tuple[Ranked, ...]) -> float:

@@ -11,7 +11,13 @@ import numpy as np
 from twin.discovery.answer.acceptance import accepted, adequate
 from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.answer.blind_spots import further_group_members, practical_ambiguities, structural_ambiguities
-from twin.discovery.answer.isolation import alternatives_of, grown_by_end, isolated_effects, nearest_effects
+from twin.discovery.answer.isolation import (
+    alternatives_of,
+    grown_by_end,
+    isolated_effects,
+    nearest_effects,
+    of_listed_laws,
+)
 from twin.discovery.answer.switches import switched
 from twin.discovery.answer.words import summarise
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Verdict
@@ -187,9 +193,9 @@ def _named(case: AssessedFinding) -> Answer:
         notes += ("an effect that ends, comes back or fades is named and not added to the twin",)
     return Answer(
         verdict,
-        effects=effects,
-        others=(*others, *(a for a, _ in switches)),
-        alternatives=alternatives,
+        effects=of_listed_laws(effects),
+        others=of_listed_laws((*others, *(a for a, _ in switches))),
+        alternatives=of_listed_laws(alternatives),
         network=None if passing else _bigger(finding, network, grid),
         notes=notes,
     )
