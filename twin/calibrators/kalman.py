@@ -177,7 +177,8 @@ class KalmanFilter:
         lanes = np.moveaxis(traced, 0, 2)[1:]
         centre = np.ascontiguousarray(lanes[:, :, 0])
         jacobian = (lanes[:, :, 1:] - centre[:, :, None]) / self._steps
-        variance = sample_sd(self.network, np.concatenate([times[:1], time[time > piece.time]])) ** 2
+        gap = np.diff(times)
+        variance = sample_sd(self.network, np.where(gap > 0.0, gap, np.inf)) ** 2
         piece.time, piece.inputs = float(time[-1]), inputs[-1].copy()
         total, count = assimilate(jacobian, centre, measured, variance, piece.deviation, piece.covariance, *out)
         piece.surprise += total

@@ -15,7 +15,13 @@ import numpy as np
 from twin.calibrators.base import Window, normalised_misfit
 from twin.calibrators.identifiability import WindowInformation, window_information
 from twin.calibrators.results import CalibrationReport
-from twin.calibrators.structural_error import error_size, model_error, persistent_error_covariance, sample_sd
+from twin.calibrators.structural_error import (
+    error_size,
+    model_error,
+    persistent_error_covariance,
+    sample_sd,
+    sampling_interval,
+)
 from twin.gauss_newton import FitData, FitProblem, GaussianPrior, GaussNewtonFit, Scaling
 from twin.kernel import Kernel, mask_measurements
 from twin.network import Array, Network
@@ -219,7 +225,7 @@ class ParameterBelief:
 
     def weight(self, window: Window) -> tuple[Array, float]:
         """Return the standard deviation (m,) of a sample, K or the reading's unit, and the noise's share of it."""
-        weight = sample_sd(self._network, window.time)
+        weight = sample_sd(self._network, sampling_interval(window.time))
         return weight, float(np.mean((self._network.sigma / weight) ** 2))
 
     def before(self, window: Window) -> WindowPrior:

@@ -229,6 +229,10 @@ class ParticleSwarm:
             nudge = self._rng.uniform(-1.0, 1.0, (settings.particles, q)) * settings.perturbation
             self._positions = np.clip(self._positions + nudge, space.lower, space.upper)
 
+    def positions(self, values: Array) -> Array:
+        """Return positions (..., q) of physical values (..., q)."""
+        return self._space.positions(values)
+
     def follows(self, window: Window) -> bool:
         """Return True if `last` (time, inputs, state at its first sample) is the window just before this one."""
         return self._last_number == window.number - 1

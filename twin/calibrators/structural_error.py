@@ -28,11 +28,17 @@ def model_error(network: Network) -> Array:
     return np.asarray(MODEL_K / network.kelvin_per_unit)
 
 
-def sample_sd(network: Network, time: Array) -> Array:
-    """Return the standard deviation (m,), K or the reading's unit, of one of the samples at `time` (n,) s, noise
-    included.
+def sample_sd(network: Network, interval: Array | float) -> Array:
+    """Return the standard deviation (..., m), K or the reading's unit, of one sample, noise included.
+
+    Parameters
+    ----------
+    network
+        The twin.
+    interval
+        (...) s from the sample before.
     """
-    correlated = max(CORRELATED_S / _pace(time), 1.0)
+    correlated = np.maximum(CORRELATED_S / np.asarray(interval), 1.0)[..., None]
     found: Array = np.sqrt(network.sigma**2 + model_error(network) ** 2 * correlated)
     return found
 
@@ -66,13 +72,13 @@ def persistent_error_covariance(problem: FitProblem, v: Array, gain: Array, erro
     """
     data = problem.data
     pull = problem.jacobian(v) * (data.weight**2)[:, :, None]
-    each = max(round(PERSISTENCE_S / _pace(data.time)), 1)
+    each = max(round(PERSISTENCE_S / sampling_interval(data.time)), 1)
     sums = np.add.reduceat(pull, np.arange(0, len(pull), each), axis=0) * error[:, None]
     meat = np.einsum("bja,bjc->ac", sums, sums)
     found: Array = gain @ meat @ gain
     return found
 
 
-def _pace(time: Array) -> float:
+def sampling_interval(time: Array) -> float:
     """Return the sampling interval, s."""
     return float(np.median(np.diff(time))) if len(time) > 1 else 1.0

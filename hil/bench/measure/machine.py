@@ -23,6 +23,7 @@ LIBRARIES = (
     "llvmlite",
     "torch",
     "jax",
+    "numpyro",
     "pyswarms",
     "pymoo",
     "cma",
