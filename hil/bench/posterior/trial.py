@@ -123,7 +123,7 @@ def stated_model(case: PosteriorWindow, scaling: Scaling) -> tuple[WindowModel, 
     return WindowModel(window, mean, covariance, white, error_size(window, network), segment), fit.v
 
 
-def _calibrated(name: str, case: PosteriorWindow, scaling: Scaling, seed: int) -> Calibration:
+def calibrated(name: str, case: PosteriorWindow, scaling: Scaling, seed: int) -> Calibration:
     """Return the calibration of the window by a calibrator that knows the same before it as every other."""
     made: Calibrator = make_calibrator(name, case.network, seed=seed)
     state = made.state()
@@ -137,7 +137,7 @@ def _calibrated(name: str, case: PosteriorWindow, scaling: Scaling, seed: int) -
 
 
 def _compare(name: str, case: PosteriorWindow, scaling: Scaling, draws: Draws, seed: int) -> Compared:
-    done = _calibrated(name, case, scaling, seed)
+    done = calibrated(name, case, scaling, seed)
     assert done.covariance is not None
     values = np.array([done.values[i] for i in scaling.ids])
     free = np.array([i not in done.frozen for i in scaling.ids])
