@@ -94,6 +94,17 @@ class WindowPosterior:
         )
 
 
+@dataclass(frozen=True)
+class Descent:
+    """Start of a descent, (q + k,) parameters in z and the state, degC, and its largest number of linearisations.
+
+    Without a start it is the mean of the prior.
+    """
+
+    first: Array | None = None
+    most: int = 25
+
+
 def fit_window(
     kernel: Kernel,
     scaling: Scaling,
@@ -103,8 +114,7 @@ def fit_window(
     *,
     info: WindowInformation | None = None,
     noise: float = 1.0,
-    most: int = 25,
-    first: Array | None = None,
+    descent: Descent | None = None,
 ) -> WindowPosterior:
     """Fit tunables and initial state to a window.
 
@@ -123,11 +133,10 @@ def fit_window(
     noise
         Share of `sigma` squared that is noise. Identifiability and contradiction are judged by that alone: otherwise a
         change that hides behind the twin's own error would never be followed.
-    most
-        Largest number of linearisations in one descent.
-    first
-        (q + k,) start of the descent: parameters in z and the state, degC. By default the mean of the prior.
+    descent
+        Start and length of the descent.
     """
+    first, most = (descent or Descent()).first, (descent or Descent()).most
     mean, covariance, state = before.mean, before.covariance, before.state
     q, k = mean.size, len(kernel.network.nodes)
     data = window_data(window, sigma)

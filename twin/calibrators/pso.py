@@ -16,7 +16,7 @@ import numpy as np
 
 from twin.calibrators.base import Calibration, Window, from_json, to_json
 from twin.calibrators.identifiability import WindowInformation, window_information
-from twin.calibrators.posterior import ParameterBelief, fit_window, window_data
+from twin.calibrators.posterior import Descent, ParameterBelief, fit_window, window_data
 from twin.calibrators.results import WindowFit, fitted_calibration
 from twin.gauss_newton import FitData, FitProblem, Scaling, fit_initial_state
 from twin.kernel import Kernel, mask_measurements
@@ -185,17 +185,11 @@ class ParticleSwarm:
         """Return the calibration at the swarm's best position; a polished swarm descends from there first."""
         values, start = self._space.values(best), cost.start(best)
         if self.settings.polish:
-            belief, first = (
-                self._parameters,
-                np.concatenate([self._scaling.to_z(values), start[: len(self.network.nodes)]]),
-            )
+            belief, state = self._parameters, start[: len(self.network.nodes)]
+            descent = Descent(np.concatenate([self._scaling.to_z(values), state]), POLISH)
             weight, noise = belief.weight(window)
-            before = belief.before(window)
-            done = belief.take(
-                fit_window(
-                    self.kernel, self._scaling, weight, window, before, info=info, noise=noise, most=POLISH, first=first
-                )
-            )
+            given = (self.kernel, self._scaling, weight, window, belief.before(window))
+            done = belief.take(fit_window(*given, info=info, noise=noise, descent=descent))
             if np.isfinite(done.fit.cost):
                 self._best = self._space.positions(done.fit.values)
                 self.last = (window.time, window.inputs, done.fit.state)

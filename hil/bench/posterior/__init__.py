@@ -1,5 +1,12 @@
-"""Intervals of the calibrators against the posterior by Markov chain Monte Carlo. The package names nothing: the
-command loads `hil.bench.posterior.trial`.
+"""Intervals of the calibrators against the posterior by Markov chain Monte Carlo.
+
+The names below are the package's interface; they are loaded on first use. Other modules are private to the package.
 """
 
-__all__: list[str] = []
+from __future__ import annotations
+
+from hil.lazy_names import lazy_names
+
+__all__ = ["trial"]
+
+__getattr__, __dir__ = lazy_names(__name__, {"": ("trial",)})

@@ -12,8 +12,7 @@ from itertools import chain
 
 import numpy as np
 
-from hil.bench.hiera import cases
-from hil.bench.hiera.cases import HieraCase
+from hil.bench.hiera import HieraCase, cases
 from hil.training import features_of
 from twin import Array, Network, TwinTracker
 from twin.calibrators import Calibration, Window
